@@ -1,0 +1,211 @@
+"""Limits of the moving joints, each with the place it came from."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import tomllib
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .errors import ExciteWarning, MissingLimit, UnusableInput
+from .robot import Robot, builtin_names
+
+Array = np.ndarray
+QUANTITIES = ("position", "velocity", "acceleration", "jerk", "torque")
+REQUIRED = ("position", "velocity", "torque")
+DERIVED = "derived"
+
+
+@dataclass(frozen=True)
+class Braking:
+    """Velocity limit that falls towards a position stop: |q̇| ≤ −offset + √(rate · distance to the stop).
+
+    The form in which Franka states the FR3's limits. offset: [rad/s]. rate: [rad/s²]. stop: (lower, upper) [rad].
+    """
+
+    offset: float
+    rate: float
+    stop: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What each of n joints may do; ±inf where nothing is stated.
+
+    position: Shape (n, 2) [rad or m]. velocity, acceleration, jerk, torque: Shape (n,), positive, symmetric
+    [rad/s, rad/s², rad/s³, N m; for a prismatic joint m and N].
+    braking: per joint, None where the velocity limit does not depend on position.
+    sources: quantity -> n texts saying where each value came from ("" where there is none).
+    """
+
+    joints: tuple[str, ...]
+    position: Array
+    velocity: Array
+    acceleration: Array
+    jerk: Array
+    torque: Array
+    braking: tuple[Braking | None, ...]
+    sources: Mapping[str, tuple[str, ...]]
+
+    def scaled(self, **factors: float) -> Limits:
+        """Symmetric limits multiplied by a factor each; positions are left as they are."""
+        return dataclasses.replace(self, **{name: getattr(self, name) * factor for name, factor in factors.items()})
+
+    def document(self) -> dict[str, Any]:
+        """The limits as `trajectory.json` states them; an absent limit is absent."""
+        out: dict[str, Any] = {}
+        for quantity in QUANTITIES:
+            values = getattr(self, quantity)
+            out[quantity] = {
+                joint: {"value": np.asarray(values[i]).tolist(), "source": self.sources[quantity][i]}
+                for i, joint in enumerate(self.joints)
+                if np.isfinite(values[i]).all()
+            }
+        stated = {j: dataclasses.asdict(b) for j, b in zip(self.joints, self.braking, strict=True) if b is not None}
+        if stated:
+            out["braking"] = stated
+        return out
+
+
+def from_document(document: Mapping[str, Any], joints: tuple[str, ...]) -> Limits:
+    """Read back what `Limits.document` wrote."""
+    sources: dict[str, tuple[str, ...]] = {}
+    arrays: dict[str, Array] = {}
+    for quantity in QUANTITIES:
+        absent: Any = [-math.inf, math.inf] if quantity == "position" else math.inf
+        entries = document.get(quantity, {})
+        arrays[quantity] = np.array([entries[j]["value"] if j in entries else absent for j in joints], float)
+        sources[quantity] = tuple(str(entries[j].get("source", "")) if j in entries else "" for j in joints)
+    stated = document.get("braking", {})
+    braking = tuple(_braking(stated[j]) if j in stated else None for j in joints)
+    return Limits(joints=joints, braking=braking, sources=sources, **arrays)
+
+
+def _braking(entry: Mapping[str, Any]) -> Braking:
+    return Braking(float(entry["offset"]), float(entry["rate"]), (float(entry["stop"][0]), float(entry["stop"][1])))
+
+
+def resolve(robot: Robot, file: Path | None = None) -> Limits:
+    """Limits of a robot: the URDF's, then the built-in model's own table, then `file`, the later overriding.
+
+    file: TOML (`[joints.<name>] position = [lower, upper]`, velocity, acceleration, jerk, torque, braking) or a
+        MoveIt `joint_limits.yaml`.
+    Raises MissingLimit where position (of a joint that isn't continuous), velocity or torque is absent, and
+    UnusableInput for a file that cannot be read, names an unknown joint or contradicts itself.
+    """
+    table: dict[str, dict[str, tuple[Any, str]]] = {joint: {} for joint in robot.joints}
+    for entry in robot.entries:
+        for quantity in REQUIRED:
+            value = getattr(entry, quantity)
+            if value is not None:
+                table[entry.name][quantity] = (value, "urdf")
+    if robot.source in builtin_names():
+        _merge(robot, table, Path(str(resources.files("excite") / "models" / f"{robot.source}.toml")), f"{robot.source}.toml")
+    if file is not None:
+        _merge(robot, table, file, str(file))
+    for entry in robot.entries:
+        for quantity in REQUIRED:
+            if quantity not in table[entry.name] and not (quantity == "position" and entry.kind == "continuous"):
+                raise MissingLimit(entry.name, quantity, robot.source)
+    return _assemble(robot, table)
+
+
+def _assemble(robot: Robot, table: Mapping[str, Mapping[str, tuple[Any, str]]]) -> Limits:
+    def values(quantity: str, absent: Any) -> Array:
+        array = np.array([table[joint].get(quantity, (absent, ""))[0] for joint in robot.joints], float)
+        array.setflags(write=False)
+        return array
+
+    return Limits(
+        joints=robot.joints,
+        position=values("position", (-np.inf, np.inf)),
+        velocity=values("velocity", np.inf),
+        acceleration=values("acceleration", np.inf),
+        jerk=values("jerk", np.inf),
+        torque=values("torque", np.inf),
+        braking=tuple(table[joint].get("braking", (None, ""))[0] for joint in robot.joints),
+        sources={q: tuple(table[joint].get(q, (None, ""))[1] for joint in robot.joints) for q in QUANTITIES},
+    )
+
+
+def _merge(robot: Robot, table: dict[str, dict[str, tuple[Any, str]]], file: Path, source: str) -> None:
+    stated = _read_yaml(file) if file.suffix in (".yaml", ".yml") else _read_toml(file)
+    known = {name for name in robot.options.get("locked", {})} | set(robot.joints)  # type: ignore[attr-defined]
+    for joint, entries in stated.items():
+        if joint not in known:
+            if file.suffix == ".toml":
+                raise UnusableInput(f"{file}: no joint '{joint}' in {robot.source}; there are: {', '.join(robot.joints)}")
+            warnings.warn(f"{file}: joint '{joint}' is not in {robot.source}; ignored", ExciteWarning, stacklevel=4)
+        if joint in table:
+            table[joint].update({q: (_checked(file, joint, q, value), source) for q, value in entries.items()})
+
+
+def _read_text(file: Path) -> str:
+    try:
+        return file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UnusableInput(f"{file}: cannot be read as a limits file ({error}); give a TOML or MoveIt YAML") from error
+
+
+def _read_toml(file: Path) -> dict[str, dict[str, Any]]:
+    try:
+        joints = tomllib.loads(_read_text(file)).get("joints")
+    except tomllib.TOMLDecodeError as error:
+        raise UnusableInput(f"{file}: is not valid TOML ({error}); correct it") from error
+    if not isinstance(joints, dict) or not all(isinstance(entry, dict) for entry in joints.values()):
+        raise UnusableInput(f"{file}: has no [joints.<name>] tables; write one per joint, e.g. [joints.elbow] velocity = 2.0")
+    for joint, entries in joints.items():
+        unknown = set(entries) - {*QUANTITIES, "braking"}
+        if unknown:
+            raise UnusableInput(f"{file}: joint '{joint}' has an unknown key '{min(unknown)}'; known are {', '.join(QUANTITIES)}, braking")
+    return joints
+
+
+def _read_yaml(file: Path) -> dict[str, dict[str, Any]]:
+    """MoveIt's joint_limits.yaml: has_<x>_limits switches and max_<x> values, min/max_position."""
+    import yaml
+
+    try:
+        document = yaml.safe_load(_read_text(file))
+        joints = dict(document["joint_limits"])
+    except (yaml.YAMLError, TypeError, KeyError, ValueError) as error:
+        raise UnusableInput(f"{file}: is no MoveIt joint_limits.yaml (a 'joint_limits:' map); correct it") from error
+    out: dict[str, dict[str, Any]] = {}
+    for joint, entry in joints.items():
+        if not isinstance(entry, dict):
+            raise UnusableInput(f"{file}: joint '{joint}' has no map of limits; write has_velocity_limits, max_velocity, …")
+        found: dict[str, Any] = {}
+        for quantity, key in (("velocity", "velocity"), ("acceleration", "acceleration"), ("jerk", "jerk"), ("torque", "effort")):
+            if entry.get(f"has_{key}_limits") and f"max_{key}" in entry:
+                found[quantity] = entry[f"max_{key}"]
+        if entry.get("has_position_limits") and "min_position" in entry and "max_position" in entry:
+            found["position"] = [entry["min_position"], entry["max_position"]]
+        out[str(joint)] = found
+    return out
+
+
+def _checked(file: Path, joint: str, quantity: str, value: Any) -> Any:
+    """One stated value as numbers that make sense, or the line that says why not."""
+    where = f"{file}: joint '{joint}': {quantity}"
+    try:
+        if quantity == "braking":
+            return _braking(value)
+        numbers = np.array(value, float)
+    except (TypeError, ValueError, KeyError, IndexError) as error:
+        raise UnusableInput(f"{where} = {value!r} is no limit; see the README's section on limits") from error
+    if quantity == "position":
+        if numbers.shape != (2,) or np.isnan(numbers).any():
+            raise UnusableInput(f"{where} = {value!r} should be [lower, upper]")
+        if not numbers[0] < numbers[1]:
+            raise UnusableInput(f"{where} limits contradict each other: lower {numbers[0]:g} is not below upper {numbers[1]:g}; swap or widen them")
+        return (float(numbers[0]), float(numbers[1]))
+    if numbers.shape != () or not numbers > 0.0:
+        raise UnusableInput(f"{where} = {value!r} should be one positive number")
+    return float(numbers)

@@ -24,8 +24,9 @@ DRIVE_SYMBOLS = {"rotor_inertia": "Ia", "viscous": "Fv", "coulomb": "Fc", "offse
 COULOMB_WIDTH = 0.005
 """Width v of the smooth Coulomb column tanh(q̇/v) [rad/s or m/s]."""
 
-# Stated rule for bodies that are no bodies: second moments are raised to this share of the largest one (or of those
-# of a 1 cm sphere), and a link without mass takes this share of the robot's.
+# Stated rule for bodies that are no bodies (a principal second moment below SINGULAR times the largest): their second
+# moments are raised to FLOOR times the largest one (or that of a 1 cm sphere); a link without mass takes a share of the robot's.
+SINGULAR = 1e-6
 FLOOR = 1e-3
 MASS_SHARE = 1e-2
 
@@ -118,10 +119,10 @@ def proper_body(phi: Array, robot_mass: float) -> tuple[Array, bool]:
     else:
         second = second - mass * np.outer(centre, centre)
     values, vectors = np.linalg.eigh(second)
-    floor = FLOOR * max(float(values[-1]), 0.2 * mass * 0.01**2)
-    if values[0] < floor:
+    largest = max(float(values[-1]), 0.2 * mass * 0.01**2)
+    if values[0] < SINGULAR * largest:
         changed = True
-        second = (vectors * np.maximum(values, floor)) @ vectors.T
+        second = (vectors * np.maximum(values, FLOOR * largest)) @ vectors.T
     if not changed:
         return phi, False
     second = second + mass * np.outer(centre, centre)

@@ -1,0 +1,139 @@
+"""Optimality criteria: functions of the spectrum of the information matrix.
+
+λ = eigenvalues of I·H₀⁻¹ (geometric, METHOD eq. 20) or of I in an orthonormal base (plain). All smooth criteria are
+one family: with s_ρ = Σ λ^{−ρ}, A is ρ = 1, D is ρ → 0 and E is ρ → ∞ of log(s_ρ)/ρ; the condition number joins both
+ends of the spectrum. Each has an exact gradient with respect to the information matrix.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from .base import Base
+
+Array = np.ndarray
+
+
+class Criterion(Enum):
+    """What a design optimises; the value says the command line's name."""
+
+    A = "a"
+    D = "d"
+    E = "e"
+    COND = "cond"
+    COND_REGRESSOR = "cond_regressor"
+
+
+MAXIMISED = (Criterion.D, Criterion.E)
+
+
+@dataclass(frozen=True)
+class Weighting:
+    """The matrices that turn regressor rows into information in coordinates where the criterion is a spectrum.
+
+    columns: W, information is Wᵀ (Σ Yᵀ Σ⁻¹ Y) W. Shape (P, p).
+    noise: standard deviation of torque per joint. Shape (n,) [N m].
+    """
+
+    columns: Array
+    noise: Array
+
+    def information(self, Y: Array) -> Array:
+        """Mean information per sample. Shapes (N, n, P) -> (p, p)."""
+        rows = (Y / self.noise[:, None]).reshape(-1, Y.shape[2]) @ self.columns
+        out: Array = rows.T @ rows / len(Y)
+        return out
+
+
+def weighting(criterion: Criterion, base: Base, noise: Array, *, plain: bool) -> Weighting:
+    """Coordinates in which `criterion` is evaluated."""
+    if criterion is Criterion.COND_REGRESSOR:
+        return Weighting(base.selection, np.ones_like(noise))
+    return Weighting(base.plain if plain else base.geometric, noise)
+
+
+def value(criterion: Criterion, spectrum: Array) -> float:
+    """The criterion as METHOD defines it; `spectrum` ascending. inf or 0 where a direction is not seen at all."""
+    low, high = float(spectrum[0]), float(spectrum[-1])
+    if criterion is Criterion.E:
+        return max(low, 0.0)
+    if low <= 0.0:
+        return -np.inf if criterion is Criterion.D else np.inf
+    if criterion is Criterion.A:
+        return float(np.sum(1.0 / spectrum))
+    if criterion is Criterion.D:
+        return float(np.sum(np.log(spectrum)))
+    return float(np.sqrt(high / low)) if criterion is Criterion.COND_REGRESSOR else high / low
+
+
+def smooth(criterion: Criterion, information: Array, sharpness: float) -> tuple[float, Array]:
+    """A smooth function to minimise, and its gradient with respect to the information matrix.
+
+    sharpness: ρ, how closely the extreme eigenvalues are followed by E and the condition numbers; the value tends to
+        the criterion's logarithm as ρ grows. A and D are exact.
+    """
+    values, vectors = np.linalg.eigh(information)
+    values = np.maximum(values, 1e-14 * values[-1])
+    logs = np.log(values)
+    if criterion is Criterion.D:
+        return -float(np.mean(logs)), -(vectors / (values * len(values))) @ vectors.T
+    if criterion is Criterion.A:
+        objective, slope = _soft_max(-logs, 1.0)
+        return objective, -(vectors * (slope / values)) @ vectors.T
+    low, low_slope = _soft_max(-logs, sharpness)
+    if criterion is Criterion.E:
+        return low, -(vectors * (low_slope / values)) @ vectors.T
+    high, high_slope = _soft_max(logs, sharpness)
+    return low + high, (vectors * ((high_slope - low_slope) / values)) @ vectors.T
+
+
+def _soft_max(values: Array, sharpness: float) -> tuple[float, Array]:
+    """log Σ exp(ρ v) / ρ and its gradient."""
+    top = float(values.max())
+    weights = np.exp(sharpness * (values - top))
+    total = float(weights.sum())
+    return top + np.log(total) / sharpness, weights / total
+
+
+def spectrum(information: Array) -> Array:
+    """Ascending eigenvalues of a symmetric matrix."""
+    out: Array = np.linalg.eigvalsh(information)
+    return out
+
+
+def score(Y: Array, base: Base, noise: Array, given: Array | None = None) -> dict[str, object]:
+    """All criteria of one motion side by side, per sample, as the contract's `criteria` states them.
+
+    Y: Shape (N, n, P). given: information of earlier recordings over this motion's number of samples, in standard
+    parameters. Shape (P, P).
+    """
+    out: dict[str, object] = {}
+    for name, plain in (("geometric", False), ("plain", True)):
+        weights = weighting(Criterion.A, base, noise, plain=plain)
+        information = weights.information(Y)
+        if given is not None:
+            information = information + weights.columns.T @ given @ weights.columns
+        eigenvalues = spectrum(information)
+        out[name] = {c.value: value(c, eigenvalues) for c in Criterion if c is not Criterion.COND_REGRESSOR}
+    weights = weighting(Criterion.COND_REGRESSOR, base, noise, plain=True)
+    singular = np.linalg.svd(Y.reshape(-1, Y.shape[2]) @ weights.columns, compute_uv=False)
+    out["cond_regressor"] = float(singular[0] / singular[-1]) if singular[-1] > 0 else np.inf
+    return out
+
+
+def pick(criteria: Mapping[str, object], criterion: Criterion, *, plain: bool) -> float:
+    """One number out of what `score` returns."""
+    if criterion is Criterion.COND_REGRESSOR:
+        return float(criteria["cond_regressor"])  # type: ignore[arg-type]
+    return float(criteria["plain" if plain else "geometric"][criterion.value])  # type: ignore[index]
+
+
+def standard_information(Y: Array, noise: Array) -> Array:
+    """Σₜ Yᵀ Σ⁻¹ Y over all samples, in standard parameters. Shapes (N, n, P) -> (P, P)."""
+    rows = (Y / noise[:, None]).reshape(-1, Y.shape[2])
+    out: Array = rows.T @ rows
+    return out

@@ -42,11 +42,15 @@ class Weighting:
     columns: Array
     noise: Array
 
-    def information(self, Y: Array) -> Array:
-        """Mean information per sample. Shapes (N, n, P) -> (p, p)."""
-        rows = (Y / self.noise[:, None]).reshape(-1, Y.shape[2]) @ self.columns
-        out: Array = rows.T @ rows / len(Y)
+    def rows(self, Y: Array) -> Array:
+        """A with AᵀA the mean information per sample. Shapes (N, n, P) -> (N n, p)."""
+        out: Array = (Y / (np.sqrt(len(Y)) * self.noise[:, None])).reshape(-1, Y.shape[2]) @ self.columns
         return out
+
+    def root(self, given: Array) -> Array:
+        """G with GᵀG = Wᵀ given W, `given` an information matrix in standard parameters. Shapes (P, P) -> (p, p)."""
+        values, vectors = np.linalg.eigh(self.columns.T @ given @ self.columns)
+        return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))).T)
 
 
 def weighting(criterion: Criterion, base: Base, noise: Array, *, plain: bool) -> Weighting:
@@ -70,14 +74,16 @@ def value(criterion: Criterion, spectrum: Array) -> float:
     return float(np.sqrt(high / low)) if criterion is Criterion.COND_REGRESSOR else high / low
 
 
-def smooth(criterion: Criterion, information: Array, sharpness: float) -> tuple[float, Array]:
-    """A smooth function to minimise, and its gradient with respect to the information matrix.
+def smooth(criterion: Criterion, rows: Array, sharpness: float) -> tuple[float, Array]:
+    """A smooth function of the information AᵀA to minimise, and its gradient with respect to that matrix.
 
+    rows: A. Shape (m, p), m ≥ p. Its singular values are taken, not the product's eigenvalues, which would lose half
+        of the digits where directions are seen very unequally.
     sharpness: ρ, how closely the extreme eigenvalues are followed by E and the condition numbers; the value tends to
         the criterion's logarithm as ρ grows. A and D are exact.
     """
-    values, vectors = np.linalg.eigh(information)
-    values = np.maximum(values, 1e-14 * values[-1])
+    _, singular, right = np.linalg.svd(np.linalg.qr(rows, mode="r"))
+    values, vectors = np.maximum(singular**2, 1e-28 * singular[0] ** 2), right.T
     logs = np.log(values)
     if criterion is Criterion.D:
         return -float(np.mean(logs)), -(vectors / (values * len(values))) @ vectors.T
@@ -99,10 +105,12 @@ def _soft_max(values: Array, sharpness: float) -> tuple[float, Array]:
     return top + np.log(total) / sharpness, weights / total
 
 
-def spectrum(information: Array) -> Array:
-    """Ascending eigenvalues of a symmetric matrix."""
-    out: Array = np.linalg.eigvalsh(information)
-    return out
+def spectrum(rows: Array) -> Array:
+    """Ascending eigenvalues of AᵀA. Shapes (m, p) -> (p,)."""
+    singular = np.linalg.svd(np.linalg.qr(rows, mode="r"), compute_uv=False)
+    out = np.zeros(rows.shape[1])
+    out[: len(singular)] = singular**2
+    return np.sort(out)
 
 
 def score(Y: Array, base: Base, noise: Array, given: Array | None = None) -> dict[str, object]:
@@ -114,14 +122,11 @@ def score(Y: Array, base: Base, noise: Array, given: Array | None = None) -> dic
     out: dict[str, object] = {}
     for name, plain in (("geometric", False), ("plain", True)):
         weights = weighting(Criterion.A, base, noise, plain=plain)
-        information = weights.information(Y)
-        if given is not None:
-            information = information + weights.columns.T @ given @ weights.columns
-        eigenvalues = spectrum(information)
+        rows = weights.rows(Y)
+        eigenvalues = spectrum(rows if given is None else np.vstack([rows, weights.root(given)]))
         out[name] = {c.value: value(c, eigenvalues) for c in Criterion if c is not Criterion.COND_REGRESSOR}
     weights = weighting(Criterion.COND_REGRESSOR, base, noise, plain=True)
-    singular = np.linalg.svd(Y.reshape(-1, Y.shape[2]) @ weights.columns, compute_uv=False)
-    out["cond_regressor"] = float(singular[0] / singular[-1]) if singular[-1] > 0 else np.inf
+    out["cond_regressor"] = value(Criterion.COND_REGRESSOR, spectrum(weights.rows(Y)))
     return out
 
 

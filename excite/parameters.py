@@ -24,11 +24,11 @@ DRIVE_SYMBOLS = {"rotor_inertia": "Ia", "viscous": "Fv", "coulomb": "Fc", "offse
 COULOMB_WIDTH = 0.005
 """Width v of the smooth Coulomb column tanh(q̇/v) [rad/s or m/s]."""
 
-# Stated rule for bodies that are no bodies (a principal second moment below SINGULAR times the largest): their second
-# moments are raised to FLOOR times the largest one (or that of a 1 cm sphere); a link without mass takes a share of the robot's.
+# The stated rule of `proper_body` for bodies that are no bodies.
 SINGULAR = 1e-6
 FLOOR = 1e-3
 MASS_SHARE = 1e-2
+BALL_RADIUS = 0.05
 
 
 @dataclass(frozen=True)
@@ -107,23 +107,23 @@ def inverse_root(phi: Array) -> Array:
 def proper_body(phi: Array, robot_mass: float) -> tuple[Array, bool]:
     """A physically consistent body at φ, and whether it had to be changed to become one.
 
-    Rule: a mass below 1e-6 of the robot's becomes 1 % of it at the joint's origin; principal second moments about the
-    centre of mass rise to 1e-3 of the largest one, at least to those of a 1 cm sphere times 1e-3.
+    Rule: a mass below 1e-6 of the robot's becomes 1 % of it, at the joint's origin; a body with next to no second
+    moment becomes a uniform ball of 5 cm radius; a principal second moment about the centre of mass that is below 1e-6
+    of the largest one rises to 1e-3 of it.
     """
-    mass = phi[0]
-    changed = bool(mass < 1e-6 * robot_mass)
-    centre = np.zeros(3) if changed else phi[1:4] / mass
-    second = pseudo_inertia(phi)[:3, :3]
-    if changed:
+    mass, centre, second = phi[0], np.zeros(3), np.zeros((3, 3))
+    if mass < 1e-6 * robot_mass:
         mass = MASS_SHARE * robot_mass
     else:
-        second = second - mass * np.outer(centre, centre)
+        centre = phi[1:4] / mass
+        second = pseudo_inertia(phi)[:3, :3] - mass * np.outer(centre, centre)
     values, vectors = np.linalg.eigh(second)
-    largest = max(float(values[-1]), 0.2 * mass * 0.01**2)
-    if values[0] < SINGULAR * largest:
-        changed = True
-        second = (vectors * np.maximum(values, FLOOR * largest)) @ vectors.T
-    if not changed:
+    ball = 0.2 * mass * BALL_RADIUS**2
+    if values[-1] < 1e-4 * ball:
+        second = ball * np.eye(3)
+    elif values[0] < SINGULAR * values[-1]:
+        second = (vectors * np.maximum(values, FLOOR * values[-1])) @ vectors.T
+    else:
         return phi, False
     second = second + mass * np.outer(centre, centre)
     tensor = np.trace(second) * np.eye(3) - second
@@ -145,16 +145,13 @@ def standard(robot: Robot, limits: Limits, drive: Iterable[str] = DRIVE) -> Para
     model, n = robot.model, robot.n
     bodies = [model.inertias[i].toDynamicParameters() for i in range(1, model.njoints)]
     robot_mass = float(sum(max(phi[0], 0.0) for phi in bodies))
-    roots, repaired = [], []
-    for link, phi in zip(robot.links, bodies, strict=True):
-        proper, changed = proper_body(phi, robot_mass)
-        roots.append(inverse_root(proper))
-        if changed:
-            repaired.append(link)
+    proper = [proper_body(phi, robot_mass) for phi in bodies]
+    roots = [inverse_root(phi) for phi, _ in proper]
+    repaired = [link for link, (_, changed) in zip(robot.links, proper, strict=True) if changed]
     if repaired:
         text = f"{robot.source}: no proper body in link(s) {', '.join(repaired)} (massless or singular inertia); the metric uses a substitute"
         warnings.warn(text, ExciteWarning, stacklevel=2)
-    nominal, scale = _drive_values(robot, limits)
+    nominal, scale = _drive_values(robot, limits, [phi for phi, _ in proper])
     size = 10 * len(bodies)
     matrix = np.zeros((size + n * len(kinds),) * 2)
     for i, root in enumerate(roots):
@@ -174,7 +171,7 @@ def standard(robot: Robot, limits: Limits, drive: Iterable[str] = DRIVE) -> Para
     )
 
 
-def _drive_values(robot: Robot, limits: Limits) -> tuple[dict[str, Array], dict[str, Array]]:
+def _drive_values(robot: Robot, limits: Limits, bodies: list[Array]) -> tuple[dict[str, Array], dict[str, Array]]:
     zero = np.zeros(robot.n)
     nominal = {
         "rotor_inertia": zero,
@@ -183,7 +180,7 @@ def _drive_values(robot: Robot, limits: Limits) -> tuple[dict[str, Array], dict[
         "offset": zero,
     }
     fallback = {
-        "rotor_inertia": 0.05 * mean_inertia(robot, limits),
+        "rotor_inertia": 0.05 * mean_inertia(robot, limits, bodies),
         "viscous": 0.02 * limits.torque / limits.velocity,
         "coulomb": 0.02 * limits.torque,
         "offset": 0.02 * limits.torque,
@@ -191,13 +188,16 @@ def _drive_values(robot: Robot, limits: Limits) -> tuple[dict[str, Array], dict[
     return nominal, {kind: np.where(nominal[kind] > 0.0, nominal[kind], fallback[kind]) for kind in DRIVE}
 
 
-def mean_inertia(robot: Robot, limits: Limits) -> Array:
+def mean_inertia(robot: Robot, limits: Limits, bodies: list[Array]) -> Array:
     """Mean diagonal of the mass matrix over poses spread evenly in the joint ranges. Shape (n,) [kg m²]."""
-    data = robot.model.createData()
+    model = robot.model.copy()
+    for i, phi in enumerate(bodies, start=1):
+        model.inertias[i] = pin.Inertia.FromDynamicParameters(phi)
+    data = model.createData()
     total = np.zeros(robot.n)
     poses = spread_poses(limits, 64)
     for q in robot.expand(poses):
-        upper = np.triu(pin.crba(robot.model, data, q))
+        upper = np.triu(pin.crba(model, data, q))
         mass = upper + np.triu(upper, 1).T
         total += np.einsum("vi,vw,wi->i", robot.spread, mass, robot.spread)
     return total / len(poses)

@@ -21,8 +21,8 @@ Pair = tuple[ca.SX, ca.SX]
 class Functions:
     """CasADi functions of one sample of motion (q, dq, ddq), each of shape (n,).
 
-    regressor: -> Y (n, P), dense.
-    adjoint: (q, dq, ddq, Ȳ) -> gradients of ⟨Ȳ, Y⟩ with respect to q, dq, ddq; one reverse sweep.
+    regressor: -> Yᵀ (P, n), dense; transposed, so that samples side by side are rows of a C array (N, n, P).
+    adjoint: (q, dq, ddq, Ȳᵀ) -> gradients of ⟨Ȳ, Y⟩ with respect to q, dq, ddq; one reverse sweep.
     rows: per joint j, (q, dq, ddq, w (P,)) -> gradient (3n,) of Y_j w, for torque limits row by row.
     """
 
@@ -136,16 +136,16 @@ def functions(robot: Robot, parameters: Parameters) -> Functions:
         "offset": ca.SX.eye(n),
     }
     Y = ca.horzcat(_inertial_regressor(robot, q, dq, ddq), *[columns[kind] for kind in parameters.drive])
-    seed = ca.SX.sym("seed", n, parameters.count)
+    seed = ca.SX.sym("seed", parameters.count, n)
     state = ca.vertcat(q, dq, ddq)
-    gradient = ca.jtimes(ca.vec(Y), state, ca.vec(seed), True)
+    gradient = ca.jtimes(ca.vec(Y.T), state, ca.vec(seed), True)
     weight = ca.SX.sym("weight", parameters.count)
     rows = []
     for j in range(n):
         row = ca.gradient(ca.mtimes(Y[j, :], weight), state)
         rows.append(ca.Function(f"row{j}", [q, dq, ddq, weight], [ca.densify(row)]))
     return Functions(
-        regressor=ca.Function("regressor", [q, dq, ddq], [ca.densify(Y)]),
+        regressor=ca.Function("regressor", [q, dq, ddq], [ca.densify(Y.T)]),
         adjoint=ca.Function("adjoint", [q, dq, ddq, seed], [ca.densify(g) for g in ca.vertsplit(gradient, n)]),
         rows=tuple(rows),
     )

@@ -1,0 +1,304 @@
+"""Values and exact derivatives of a design problem: one regressor pass, BLAS, one reverse sweep."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+
+from . import criteria, symbolic
+from .problem import Problem
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Constraint rows g ≤ 1, each a quantity over its limit: kind, sample, joint (or axis), sign.
+
+    kind indexes `Evaluator.kinds`; all four arrays have the same shape (m,).
+    """
+
+    kind: Array
+    sample: Array
+    joint: Array
+    sign: Array
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+
+@dataclass
+class _Point:
+    """What was computed at one x; filled as it is asked for."""
+
+    x: Array
+    motion: tuple[Array, Array, Array, Array]
+    Y: Array | None = None
+    table: dict[str, Array] = field(default_factory=dict)
+    spread: tuple[Array, Array] | None = None
+
+
+def _mapped(function: ca.Function, count: int) -> Callable[..., list[Array]]:
+    """A CasADi function over `count` samples, reading and writing numpy memory directly."""
+    mapped = function.map(count)
+    results = [np.zeros((count, *_shape(function, i))) for i in range(function.n_out())]
+    inputs = [np.zeros((count, *_shape(function, i, False))) for i in range(function.n_in())]
+    buffer, run = mapped.buffer()
+    for i, array in enumerate(inputs):
+        buffer.set_arg(i, memoryview(array))
+    for i, array in enumerate(results):
+        buffer.set_res(i, memoryview(array))
+
+    def call(*arguments: Array) -> list[Array]:
+        _ = mapped, buffer  # `run` borrows both without keeping them alive
+        for target, argument in zip(inputs, arguments, strict=True):
+            np.copyto(target, argument)
+        run()
+        return results
+
+    return call
+
+
+def _shape(function: ca.Function, index: int, out: bool = True) -> tuple[int, ...]:
+    rows, columns = function.size_out(index) if out else function.size_in(index)
+    return (rows,) if columns == 1 else (columns, rows)
+
+
+class Evaluator:
+    """Evaluates one problem at one x after another; the last point is remembered.
+
+    kinds: names of the groups of rows this problem has, in the order `Rows.kind` counts them.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self.bases = problem.bases()
+        self._functions = symbolic.functions(problem.robot, problem.parameters)
+        self._regressor = _mapped(self._functions.regressor, problem.options.samples)
+        self._adjoint = _mapped(self._functions.adjoint, problem.options.samples)
+        self._frames = [symbolic.position(problem.robot, box.frame) for box in problem.options.boxes]
+        self._inverse_metric = problem.parameters.scale @ problem.parameters.scale.T
+        self._point: _Point | None = None
+        self.kinds = self._kinds()
+
+    def _kinds(self) -> tuple[str, ...]:
+        limits = self.problem.limits
+        kinds = [k for k in ("position", "velocity", "acceleration", "jerk", "torque") if np.isfinite(getattr(limits, k)).any()]
+        kinds += ["braking"] * any(b is not None for b in limits.braking)
+        return (*kinds, *(f"box{i}" for i in range(len(self._frames))))
+
+    # -- motion and information ------------------------------------------------------------------------------
+
+    def _stretch(self, x: Array, order: int) -> float:
+        """Factor on a and b columns when the period differs from the nominal one: derivatives scale by T^(1-order)."""
+        return float((self.problem.period(x) / self.problem.options.period) ** (1 - order))
+
+    def _basis(self, x: Array, order: int) -> Array:
+        stretch = self._stretch(x, order)
+        if stretch == 1.0:
+            return self.bases[order]
+        out = self.bases[order] * stretch
+        out[:, -1] = self.bases[order][:, -1]
+        return out
+
+    def _at(self, x: Array) -> _Point:
+        if self._point is None or not np.array_equal(self._point.x, x):
+            p = self.problem
+            table = x[: p.scale.size].reshape(p.scale.shape) * p.scale
+            q, dq, ddq, dddq = (self._basis(x, order) @ table.T for order in range(4))
+            self._point = _Point(x.copy(), (q, dq, ddq, dddq))
+        return self._point
+
+    def _regressor_at(self, point: _Point) -> Array:
+        if point.Y is None:
+            point.Y = self._regressor(*point.motion[:3])[0]
+        return point.Y
+
+    def objective(self, x: Array, sharpness: float) -> tuple[float, Array]:
+        """The smooth criterion to minimise and its exact gradient. Shapes (), (size,)."""
+        point, problem = self._at(x), self.problem
+        Y, weights = self._regressor_at(point), problem.weighting
+        rows = weights.rows(Y)
+        stacked = rows if problem.given is None else np.vstack([rows, problem.given])
+        value, slope = criteria.smooth(problem.options.criterion, stacked, sharpness)
+        seed = (2.0 * (rows @ slope) @ weights.columns.T).reshape(Y.shape) / (np.sqrt(len(Y)) * weights.noise[:, None])
+        return value, self._pull_back(x, point, self._adjoint(*point.motion[:3], seed))
+
+    def _pull_back(self, x: Array, point: _Point, gradients: list[Array]) -> Array:
+        p = self.problem
+        table = np.zeros(p.scale.shape)
+        for order, gradient in enumerate(gradients):
+            table += gradient.T @ self._basis(x, order)
+        out: Array = (table * p.scale).ravel()
+        if p.options.free_period is not None:
+            slope = sum(float(np.sum(g * self._period_slope(x, point, order))) for order, g in enumerate(gradients))
+            out = np.append(out, slope)
+        return out
+
+    def _period_slope(self, x: Array, point: _Point, order: int) -> Array:
+        """Derivative of the order-th motion array with respect to the last variable, T over its nominal value."""
+        p = self.problem
+        array = point.motion[order]
+        if order == 0:
+            array = array - x[: p.scale.size].reshape(p.scale.shape)[:, -1] * p.scale[:, -1]
+        return (1 - order) * array / x[-1]
+
+    # -- constraint rows -------------------------------------------------------------------------------------
+
+    def table(self, x: Array) -> dict[str, Array]:
+        """Every row's value, by kind. Shape (2, N, n): sign + then −; boxes (2, N, 3). Satisfied where ≤ 1."""
+        point = self._at(x)
+        if not point.table:
+            for kind in self.kinds:
+                point.table[kind] = self._values(point, kind)
+        return point.table
+
+    def _values(self, point: _Point, kind: str) -> Array:
+        limits = self.problem.limits
+        q, dq, ddq, dddq = point.motion
+        if kind == "position":
+            return _centred(q, limits.position[:, 0], limits.position[:, 1])
+        if kind in ("velocity", "acceleration", "jerk"):
+            ratio = {"velocity": dq, "acceleration": ddq, "jerk": dddq}[kind] / getattr(limits, kind)
+            return np.stack([ratio, -ratio])
+        if kind == "torque":
+            nominal, width = self._band(point)
+            return np.stack([nominal + width, width - nominal]) / limits.torque
+        if kind == "braking":
+            return np.stack([self._braking(q, dq, sign)[0] for sign in (1.0, -1.0)])
+        index = int(kind[3:])
+        box = self.problem.options.boxes[index]
+        centre = np.asarray(self._frames[index].map(len(q))(q.T)[0]).T
+        return _centred(centre, np.array(box.lower), np.array(box.upper))
+
+    def _band(self, point: _Point) -> tuple[Array, Array]:
+        if point.spread is None:
+            p = self.problem
+            Y = self._regressor_at(point)
+            nominal = Y @ p.parameters.nominal
+            width = np.zeros_like(nominal)
+            if p.options.uncertainty:
+                Z = Y.reshape(-1, Y.shape[2]) @ p.parameters.scale
+                width = np.sqrt(np.einsum("rp,rp->r", Z, Z) + 1e-18).reshape(nominal.shape)
+            point.spread = nominal, width
+        return point.spread[0], self.problem.options.uncertainty * point.spread[1]
+
+    def _braking(self, q: Array, dq: Array, sign: float) -> tuple[Array, Array, Array]:
+        """Row value and slopes by q and dq of  (s q̇ + c)₊²/rate + s q ≤ s stop, per half range."""
+        value, by_q, by_dq = np.full_like(q, -np.inf), np.zeros_like(q), np.zeros_like(q)
+        for j, brake in enumerate(self.problem.limits.braking):
+            if brake is None:
+                continue
+            middle, half = 0.5 * sum(brake.stop), 0.5 * (brake.stop[1] - brake.stop[0])
+            over = np.maximum(sign * dq[:, j] + brake.offset, 0.0)
+            value[:, j] = (over**2 / brake.rate + sign * (q[:, j] - middle)) / half
+            by_q[:, j], by_dq[:, j] = sign / half, 2.0 * sign * over / brake.rate / half
+        return value, by_q, by_dq
+
+    def worst(self, x: Array) -> float:
+        """The largest row value anywhere; ≤ 1 means feasible on the grid."""
+        return max(float(values.max()) for values in self.table(x).values())
+
+    def select(self, x: Array, threshold: float) -> Array:
+        """Which of all rows exceed `threshold` at x: a flat mask in the order of `kinds`."""
+        return np.concatenate([(values > threshold).ravel() for values in self.table(x).values()])
+
+    def rows(self, mask: Array) -> Rows:
+        """The rows that a flat mask names."""
+        kinds, samples, joints, signs, start = [], [], [], [], 0
+        for number, kind in enumerate(self.kinds):
+            shape = (2, self.problem.options.samples, 3 if kind.startswith("box") else self.problem.robot.n)
+            size = int(np.prod(shape))
+            sign, sample, joint = np.unravel_index(np.flatnonzero(mask[start : start + size]), shape)
+            start += size
+            kinds.append(np.full(len(sign), number))
+            samples.append(sample)
+            joints.append(joint)
+            signs.append(1.0 - 2.0 * sign)
+        return Rows(*(np.concatenate(part) for part in (kinds, samples, joints, signs)))
+
+    def row_values(self, x: Array, rows: Rows) -> Array:
+        """Values of selected rows. Shape (m,)."""
+        table = self.table(x)
+        out = np.empty(len(rows))
+        for number, kind in enumerate(self.kinds):
+            at = rows.kind == number
+            out[at] = table[kind][(rows.sign[at] < 0).astype(int), rows.sample[at], rows.joint[at]]
+        return out
+
+    def row_gradients(self, x: Array, rows: Rows) -> Array:
+        """Exact Jacobian of selected rows. Shape (m, size)."""
+        point, p = self._at(x), self.problem
+        n, width = p.scale.shape
+        out = np.zeros((len(rows), n, width))
+        period = np.zeros(len(rows))
+        for number, kind in enumerate(self.kinds):
+            at = np.flatnonzero(rows.kind == number)
+            if len(at) == 0:
+                continue
+            sample, joint, sign = rows.sample[at], rows.joint[at], rows.sign[at]
+            for order, slope in self._slopes(point, kind, sample, joint, sign):
+                # slope: derivative of each row by the joints' order-th motion, shape (m, n) or for one joint (m,)
+                factor = self._basis(x, order)[sample]
+                if slope.ndim == 1:
+                    out[at, joint] += slope[:, None] * factor
+                else:
+                    out[at] += slope[:, :, None] * factor[:, None, :]
+                if p.options.free_period is not None:
+                    change = self._period_slope(x, point, order)[sample]
+                    period[at] += slope * change[np.arange(len(at)), joint] if slope.ndim == 1 else np.sum(slope * change, axis=1)
+        jacobian: Array = (out * p.scale).reshape(len(rows), -1)
+        return np.column_stack([jacobian, period]) if p.options.free_period is not None else jacobian
+
+    def _slopes(self, point: _Point, kind: str, sample: Array, joint: Array, sign: Array) -> list[tuple[int, Array]]:
+        limits = self.problem.limits
+        if kind == "position":
+            half = 0.5 * (limits.position[:, 1] - limits.position[:, 0])
+            return [(0, sign / half[joint])]
+        if kind in ("velocity", "acceleration", "jerk"):
+            return [(("velocity", "acceleration", "jerk").index(kind) + 1, sign / getattr(limits, kind)[joint])]
+        if kind == "torque":
+            return self._torque_slopes(point, sample, joint, sign)
+        if kind == "braking":
+            both = [self._braking(point.motion[0], point.motion[1], s) for s in (1.0, -1.0)]
+            pick = (sign < 0).astype(int)
+            return [(order, np.stack([b[order + 1] for b in both])[pick, sample, joint]) for order in (0, 1)]
+        index = int(kind[3:])
+        box = self.problem.options.boxes[index]
+        half = 0.5 * (np.array(box.upper) - np.array(box.lower))
+        jacobian = np.asarray(self._frames[index].map(len(sample))(point.motion[0][sample].T)[1])
+        blocks = jacobian.reshape(3, len(sample), -1)[joint, np.arange(len(sample))]
+        return [(0, (sign / half[joint])[:, None] * blocks)]
+
+    def _torque_slopes(self, point: _Point, sample: Array, joint: Array, sign: Array) -> list[tuple[int, Array]]:
+        """d(±Y_jψ₀ + r|Y_j|_G⁻¹) = dY_j · (±ψ₀ + r G₀⁻¹Y_jᵀ/|Y_j|): one weighted reverse sweep a row."""
+        p = self.problem
+        n, radius = p.robot.n, p.options.uncertainty
+        q, dq, ddq, _ = point.motion
+        Y = self._regressor_at(point)[sample, joint]
+        weight = sign[:, None] * p.parameters.nominal
+        if radius:
+            self._band(point)
+            assert point.spread is not None
+            weight = weight + radius * (Y @ self._inverse_metric) / point.spread[1][sample, joint][:, None]
+        gradient = np.empty((len(sample), 3 * n))
+        for j in range(n):
+            at = np.flatnonzero(joint == j)
+            if len(at):
+                s = sample[at]
+                mapped = self._functions.rows[j].map(len(at))
+                gradient[at] = np.asarray(mapped(q[s].T, dq[s].T, ddq[s].T, weight[at].T)).T
+        gradient /= p.limits.torque[joint][:, None]
+        return [(order, gradient[:, order * n : (order + 1) * n]) for order in range(3)]
+
+
+def _centred(values: Array, lower: Array, upper: Array) -> Array:
+    """Signed distance from the middle of a range over its half width; unbounded ranges give −inf."""
+    bounded = np.isfinite(lower) & np.isfinite(upper)
+    middle = np.where(bounded, 0.5 * (np.where(bounded, lower, 0.0) + np.where(bounded, upper, 0.0)), 0.0)
+    half = np.where(bounded, 0.5 * (np.where(bounded, upper, 0.0) - np.where(bounded, lower, 0.0)), 1.0)
+    ratio = (values - middle) / half
+    return np.where(bounded, np.stack([ratio, -ratio]), -np.inf)

@@ -1,0 +1,143 @@
+"""The design problem: a periodic motion's coefficients, the criterion to minimise and the rows that bound it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .base import Base
+from .criteria import Criterion, Weighting
+from .limits import Limits
+from .parameters import Parameters
+from .robot import Robot
+from .trajectory import Fourier, basis, oversampling_bound
+
+Array = np.ndarray
+TORQUE_RESERVE = 2e-3
+"""Share of each torque limit kept for what happens between the optimiser's samples; the certificate decides."""
+
+
+@dataclass(frozen=True)
+class Box:
+    """A frame's origin stays in a box of the base frame. lower, upper: Shape (3,) [m]."""
+
+    frame: str
+    lower: tuple[float, float, float]
+    upper: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the user may choose of a design.
+
+    criterion, plain: what is optimised, in the metric or Euclidean. drive: joint parameters besides the inertial ones.
+    harmonics: K. period: T [s]; free_period: bounds within which T is optimised, or None. samples: N over one period.
+    periods: repeats in the motion. rate: rows a second of the exported motion [Hz].
+    uncertainty: r, radius of the ball of robots for which torque limits hold.
+    noise: torque standard deviation per joint [N m]; None: 1 % of the torque limit.
+    boxes: Cartesian boxes. starts, seed, jobs: random starts, their seed, processes. iterations: per start.
+    """
+
+    criterion: Criterion = Criterion.A
+    plain: bool = False
+    drive: tuple[str, ...] = ("rotor_inertia", "viscous", "coulomb", "offset")
+    harmonics: int = 5
+    period: float = 10.0
+    free_period: tuple[float, float] | None = None
+    samples: int = 200
+    periods: int = 2
+    rate: float = 100.0
+    uncertainty: float = 0.1
+    noise: tuple[float, ...] | None = None
+    boxes: tuple[Box, ...] = ()
+    starts: int = 2
+    seed: int = 0
+    jobs: int = -1
+    iterations: int = 300
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Everything one start needs; picklable, so that starts run in other processes.
+
+    limits: as the optimiser sees them, shrunk so that they hold between its samples.
+    weighting: coordinates of the criterion. given: G, GᵀG the information of earlier recordings in those coordinates,
+        per sample of the motion to come. Shape (p, p).
+    scale: size of one unit of each variable: coefficients (a, b, offset) per joint. Shape (n, 2K+1).
+    """
+
+    robot: Robot
+    parameters: Parameters
+    limits: Limits
+    weighting: Weighting
+    given: Array | None
+    options: Options
+    scale: Array
+
+    @property
+    def size(self) -> int:
+        """Number of decision variables."""
+        return self.scale.size + (self.options.free_period is not None)
+
+    def fourier(self, x: Array) -> Fourier:
+        """The motion that the variables describe."""
+        K = self.options.harmonics
+        table = x[: self.scale.size].reshape(self.scale.shape) * self.scale
+        return Fourier(table[:, :K], table[:, K : 2 * K], table[:, 2 * K], self.period(x))
+
+    def period(self, x: Array) -> float:
+        """T [s]."""
+        return float(self.options.period * x[-1]) if self.options.free_period is not None else self.options.period
+
+    def variables(self, motion: Fourier) -> Array:
+        """The inverse of `fourier`."""
+        table = np.column_stack([motion.sine, motion.cosine, motion.offset])
+        x: Array = (table / self.scale).ravel()
+        return np.append(x, motion.period / self.options.period) if self.options.free_period is not None else x
+
+    def bases(self) -> tuple[Array, ...]:
+        """Per derivative order 0…3 the factors of (a, b, offset) at the samples. Shape (N, 2K+1) each."""
+        o = self.options
+        t = np.arange(o.samples) * (o.period / o.samples)
+        out = []
+        for order in range(4):
+            a, b = basis(t, 2.0 * np.pi / o.period, o.harmonics, order)
+            out.append(np.column_stack([a, b, np.full(len(t), float(order == 0))]))
+        return tuple(out)
+
+
+def build(
+    robot: Robot,
+    limits: Limits,
+    parameters: Parameters,
+    weighting: Weighting,
+    options: Options,
+    given: Array | None = None,
+    torque_reserve: float = TORQUE_RESERVE,
+) -> Problem:
+    """Shrink the limits for what happens between samples and choose the variables' scales."""
+    factor = 1.0 / oversampling_bound(options.samples, options.harmonics)
+    middle, half = limits.position.mean(axis=1), 0.5 * np.diff(limits.position, axis=1)[:, 0]
+    with np.errstate(invalid="ignore"):
+        position = np.where(np.isfinite(limits.position), np.column_stack([middle - factor * half, middle + factor * half]), limits.position)
+    shrunk = limits.scaled(velocity=factor, acceleration=factor, jerk=factor, torque=1.0 - torque_reserve)
+    shrunk = Limits(**{**vars(shrunk), "position": position})
+    harmonics = np.arange(1, options.harmonics + 1)
+    reach = np.where(np.isfinite(half), half, np.pi)
+    speed = np.minimum(limits.velocity, reach * 2.0 * np.pi / options.period)[:, None] / np.sqrt(harmonics)
+    scale = np.column_stack([speed, speed, reach])
+    return Problem(robot, parameters, shrunk, weighting, given, options, scale)
+
+
+def noise_levels(limits: Limits, noise: Sequence[float] | None) -> Array:
+    """Torque standard deviation per joint [N m]: as given, else 1 % of each torque limit."""
+    return np.asarray(noise, float) if noise is not None else 0.01 * limits.torque
+
+
+def default_weighting(base: Base, limits: Limits, options: Options) -> Weighting:
+    """Coordinates for the criterion that `options` ask for."""
+    from .criteria import weighting
+
+    return weighting(options.criterion, base, noise_levels(limits, options.noise), plain=options.plain)

@@ -156,6 +156,12 @@ class Evaluator:
                 point.table[kind] = self._values(point, kind)
         return point.table
 
+    def hold(self, poses: Array) -> dict[str, Array]:
+        """The table of row values with each sample standing still at a pose of its own. `poses`: Shape (N, n)."""
+        still = np.zeros_like(poses)
+        point = _Point(np.empty(0), (poses, still, still, still))
+        return {kind: self._values(point, kind) for kind in self.kinds}
+
     def _values(self, point: _Point, kind: str) -> Array:
         limits = self.problem.limits
         q, dq, ddq, dddq = point.motion

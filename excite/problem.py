@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,14 +10,14 @@ import numpy as np
 
 from .base import Base
 from .criteria import Criterion, Weighting
-from .limits import Limits
+from .limits import Braking, Limits
 from .parameters import Parameters
 from .robot import Robot
 from .trajectory import Fourier, basis, oversampling_bound
 
 Array = np.ndarray
-TORQUE_RESERVE = 2e-3
-"""Share of each torque limit kept for what happens between the optimiser's samples; the certificate decides."""
+RESERVE = 2e-3
+"""Share of each curved limit kept for the solver's tolerance and what happens between samples; the certificate decides."""
 
 
 @dataclass(frozen=True)
@@ -115,20 +116,32 @@ def build(
     weighting: Weighting,
     options: Options,
     given: Array | None = None,
-    torque_reserve: float = TORQUE_RESERVE,
+    reserve: float = RESERVE,
 ) -> Problem:
     """Shrink the limits for what happens between samples and choose the variables' scales."""
     factor = 1.0 / oversampling_bound(options.samples, options.harmonics)
     middle, half = limits.position.mean(axis=1), 0.5 * np.diff(limits.position, axis=1)[:, 0]
     with np.errstate(invalid="ignore"):
         position = np.where(np.isfinite(limits.position), np.column_stack([middle - factor * half, middle + factor * half]), limits.position)
-    shrunk = limits.scaled(velocity=factor, acceleration=factor, jerk=factor, torque=1.0 - torque_reserve)
-    shrunk = Limits(**{**vars(shrunk), "position": position})
+    shrunk = limits.scaled(velocity=factor, acceleration=factor, jerk=factor, torque=1.0 - reserve)
+    shrunk = dataclasses.replace(shrunk, position=position, braking=tuple(None if b is None else _earlier(b, reserve) for b in limits.braking))
+    options = dataclasses.replace(options, boxes=tuple(_smaller(box, reserve) for box in options.boxes))
     harmonics = np.arange(1, options.harmonics + 1)
     reach = np.where(np.isfinite(half), half, np.pi)
     speed = np.minimum(limits.velocity, reach * 2.0 * np.pi / options.period)[:, None] / np.sqrt(harmonics)
     scale = np.column_stack([speed, speed, reach])
     return Problem(robot, parameters, shrunk, weighting, given, options, scale)
+
+
+def _earlier(brake: Braking, reserve: float) -> Braking:
+    middle, half = 0.5 * sum(brake.stop), 0.5 * (1.0 - reserve) * (brake.stop[1] - brake.stop[0])
+    return dataclasses.replace(brake, stop=(middle - half, middle + half))
+
+
+def _smaller(box: Box, reserve: float) -> Box:
+    lower, upper = np.array(box.lower), np.array(box.upper)
+    middle, half = 0.5 * (lower + upper), 0.5 * (1.0 - reserve) * (upper - lower)
+    return Box(box.frame, tuple(middle - half), tuple(middle + half))
 
 
 def noise_levels(limits: Limits, noise: Sequence[float] | None) -> Array:

@@ -14,9 +14,10 @@ import numpy as np
 
 from .criteria import Criterion
 from .evaluate import Evaluator, Rows
+from .problem import RESERVE
 
 Array = np.ndarray
-FEASIBLE = 1.0 + 1e-7
+FEASIBLE = 1.0 + 0.5 * RESERVE
 NEAR = 0.25
 """Rows within this share of their limit enter the first subproblem; others when a step would break them."""
 
@@ -50,15 +51,18 @@ class Tolerances:
 
 def stages(criterion: Criterion) -> tuple[float, ...]:
     """Sharpness of the smooth criterion, rising: A and D are exact at once."""
-    return (1.0,) if criterion in (Criterion.A, Criterion.D) else (2.0, 8.0, 30.0)
+    return (1.0,) if criterion in (Criterion.A, Criterion.D) else (4.0, 25.0)
 
 
 def solve(evaluator: Evaluator, x: Array, history: History, tolerances: Tolerances | None = None) -> Array:
     """Minimise the smooth criterion from a feasible x; returns the best feasible variables met."""
     budget = evaluator.problem.options.iterations
-    for stage, sharpness in enumerate(stages(evaluator.problem.options.criterion)):
-        search = _Search(evaluator, x, sharpness, stage, history, tolerances or Tolerances())
-        x, used = search.run(budget)
+    tolerances = tolerances or Tolerances()
+    sharpnesses = stages(evaluator.problem.options.criterion)
+    for stage, sharpness in enumerate(sharpnesses):
+        search = _Search(evaluator, x, sharpness, stage, history, tolerances)
+        last = stage == len(sharpnesses) - 1
+        x, used = search.run(budget, tolerances.gain if last else 20.0 * tolerances.gain)
         budget -= used
     return x
 
@@ -86,13 +90,14 @@ class _Search:
             lower[-1], upper[-1] = (bound / options.period for bound in options.free_period)
         return lower, upper
 
-    def run(self, budget: int) -> tuple[Array, int]:
+    def run(self, budget: int, gain: float) -> tuple[Array, int]:
+        """Iterate until ten iterations gain less; returns the best feasible variables and the iterations used."""
         trail: list[float] = []
         for iteration in range(budget):
             self._iterate()
             self.history.add(self.f, 1.0 + self.excess, self.stage)
-            trail.append(self.best_f)
-            stalled = len(trail) > 10 and trail[-11] - trail[-1] < self.tolerances.gain
+            trail.append(min(self.f + self.penalty * self.excess, trail[-1] if trail else np.inf))
+            stalled = len(trail) > 10 and trail[-11] - trail[-1] < gain
             if self.radius < self.tolerances.radius or stalled:
                 return self.best, iteration + 1
         return self.best, budget

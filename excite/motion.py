@@ -109,8 +109,7 @@ class Motion:
         """The order-th derivative at times t; outside [0, duration] the motion rests. Shape (len(t), n)."""
         t = np.asarray(t, float)
         begin, end = self.rest
-        still = order > 0
-        out = np.where((t <= self.duration / 2)[:, None], begin, end) * (0.0 if still else 1.0)
+        out = np.where((t <= self.duration / 2)[:, None], begin, end) if order == 0 else np.zeros((len(t), len(begin)))
         inside = (t > 1e-9) & (t < self.duration - 1e-9)
         for segment in self.segments:
             # a joint of two segments belongs to the later one, the end to the last

@@ -134,12 +134,16 @@ class _Search:
         padded = 64 * (1 + len(room) // 64)  # few distinct sizes: solvers are kept
         A, b = np.zeros((padded, size)), np.full(padded, np.inf)
         A[: len(room)], b[: len(room)] = jacobian, room
-        solver = _quadratic_solver(size, padded)
-        result = solver(h=self.B, g=self.gradient, a=A, lba=-np.inf, uba=b, lbx=lower, ubx=upper)
-        if not solver.stats()["success"]:
-            b[: len(room)] = np.maximum(room, 0.0)  # a step of zero is feasible then
-            result = solver(h=self.B, g=self.gradient, a=A, lba=-np.inf, uba=b, lbx=lower, ubx=upper)
-        return np.asarray(result["x"]).ravel(), np.maximum(np.asarray(result["lam_a"]).ravel()[: len(room)], 0.0)
+        arguments = {"h": self.B, "g": self.gradient, "a": A, "lba": -np.inf, "lbx": lower, "ubx": upper}
+        # DAQP is fast but now and then ends with broken rows; HiGHS is slower and doesn't. Last resort: rows that are
+        # broken already need not be mended, so that a step of zero is feasible.
+        for plugin, bound in (("daqp", b), ("highs", b), ("highs", np.maximum(b, 0.0))):
+            result = _quadratic_solver(plugin, size, padded)(uba=bound, **arguments)
+            step, multipliers = np.asarray(result["x"]).ravel(), np.asarray(result["lam_a"]).ravel()[: len(room)]
+            broken = float((jacobian @ step - bound[: len(room)]).max(initial=0.0))
+            if broken < 1e-6 and float(np.abs(step).max()) <= self.radius + 1e-6:
+                break
+        return step, np.maximum(multipliers, 0.0)
 
     def _try(self, step: Array, rows: Rows, jacobian: Array, multipliers: Array) -> bool:
         """Take the step if the exact penalty function falls as the model says; update radius and B."""
@@ -187,12 +191,13 @@ class _Search:
         self.B += np.outer(change, change) / curvature - np.outer(Bs, Bs) / sBs
 
 
-_SOLVERS: dict[tuple[int, int], ca.Function] = {}
+_SOLVERS: dict[tuple[str, int, int], ca.Function] = {}
+_QUIET = {"daqp": {"daqp": {"eps_prox": 1e-6}}, "highs": {"highs": {"output_flag": False}}}
 
 
-def _quadratic_solver(size: int, rows: int) -> ca.Function:
-    key = (size, rows)
+def _quadratic_solver(plugin: str, size: int, rows: int) -> ca.Function:
+    key = (plugin, size, rows)
     if key not in _SOLVERS:
         shape = {"h": ca.Sparsity.dense(size, size), "a": ca.Sparsity.dense(rows, size)}
-        _SOLVERS[key] = ca.conic("subproblem", "daqp", shape, {"error_on_fail": False})
+        _SOLVERS[key] = ca.conic("subproblem", plugin, shape, _QUIET[plugin] | {"error_on_fail": False})
     return _SOLVERS[key]

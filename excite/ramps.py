@@ -1,0 +1,241 @@
+"""The rest-to-rest motion around the Fourier part: Ruckig plans, and every ramp is checked before it is taken.
+
+Ruckig keeps velocity, acceleration and jerk; it knows neither position limits nor torque. So ramps are tried from the
+briskest to the gentlest, at phases of the periodic part where it is slow, until one passes all checks.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import ruckig
+
+from . import checks
+from .checks import Subject
+from .errors import Infeasible, UnusableInput
+from .limits import DERIVED, Limits
+from .motion import Motion, Profile, Segment
+from .parameters import spread_poses
+from .trajectory import Fourier, Samples
+
+Array = np.ndarray
+SCALES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1)
+PHASES = 40
+ROUND = 0.04
+"""Segments last whole multiples of this [s] where the rate allows: also of 1, 2, 4, 8 and 20 ms, for other rates."""
+
+
+@dataclass(frozen=True)
+class State:
+    """Joint positions, velocities, accelerations at one moment. Shapes (n,)."""
+
+    q: Array
+    dq: Array
+    ddq: Array
+
+    @staticmethod
+    def rest(q: Array) -> State:
+        """Standing still at q."""
+        return State(q, np.zeros_like(q), np.zeros_like(q))
+
+
+def with_derived(limits: Limits, fourier: Fourier) -> Limits:
+    """Limits with a stated acceleration and jerk where the maker gives none; they bind the ramps only.
+
+    Acceleration: 4 v_max/s or 1.2 times the Fourier part's peak, if that is more; jerk: 10/s times that, or likewise.
+    """
+    t = fourier.grid(16 * fourier.harmonics + 64)
+    peak = [1.2 * np.abs(fourier.at(t, order)).max(axis=0) for order in (2, 3)]
+    rule = {"acceleration": np.maximum(4.0 * limits.velocity, peak[0])}
+    known = np.where(np.isfinite(limits.acceleration), limits.acceleration, rule["acceleration"])
+    rule["jerk"] = np.maximum(10.0 * known, peak[1])
+    arrays, sources = {}, dict(limits.sources)
+    for name, values in rule.items():
+        stated = getattr(limits, name)
+        arrays[name] = np.where(np.isfinite(stated), stated, values)
+        sources[name] = tuple(s if np.isfinite(v) else DERIVED for s, v in zip(limits.sources[name], stated, strict=True))
+    return dataclasses.replace(limits, sources=sources, **arrays)
+
+
+def step(rate: float) -> float:
+    """The time grid on which segments begin and end [s]."""
+    return ROUND if abs(ROUND * rate - round(ROUND * rate)) < 1e-9 else 1.0 / rate
+
+
+class Planner:
+    """Ramps under the limits of `subject` (derived ones included), on the time grid of `rate` [Hz]."""
+
+    def __init__(self, subject: Subject, rate: float) -> None:
+        self.subject, self.rate, self.grid = subject, rate, step(rate)
+        self.n = subject.robot.n
+        self._ruckig = ruckig.Ruckig(self.n, self.grid)
+
+    def _plan(self, begin: State, target: Array | None, scale: float) -> Profile | None:
+        """Ruckig's profile from a state to rest at `target`, or to rest anywhere; None where it finds none."""
+        limits = self.subject.limits
+        request = ruckig.InputParameter(self.n)
+        request.current_position, request.current_velocity, request.current_acceleration = begin.q, begin.dq, begin.ddq
+        request.target_velocity = request.target_acceleration = np.zeros(self.n)
+        if target is None:
+            request.control_interface = ruckig.ControlInterface.Velocity
+        else:
+            request.target_position = target
+        # 1e-3 keeps clear of the limits by more than rounding
+        request.max_velocity = (1.0 - 1e-3) * limits.velocity * min(1.0, 1.5 * scale)
+        request.max_acceleration = (1.0 - 1e-3) * limits.acceleration * scale
+        request.max_jerk = (1.0 - 1e-3) * limits.jerk * scale
+        request.duration_discretization = ruckig.DurationDiscretization.Discrete
+        found = ruckig.Trajectory(self.n)
+        if self._ruckig.calculate(request, found) not in (ruckig.Result.Working, ruckig.Result.Finished):
+            return None
+        return _profile(begin, found)
+
+    def _passes(self, profile: Profile, duration: float) -> tuple[bool, str]:
+        """Whether a ramp keeps position, velocity and the loads; and which limit it breaks most."""
+        count = max(int(np.ceil(duration / 0.004)), 4)
+        t = np.linspace(0.0, duration, count + 1)
+        motion = Samples(profile.at(t), profile.at(t, 1), profile.at(t, 2))
+        demands = [
+            checks.symmetric("position", self.subject, motion.q - checks.excess(motion.q), motion.q + checks.excess(motion.q)),
+            checks.symmetric("velocity", self.subject, motion.dq, motion.dq),
+            checks.symmetric("acceleration", self.subject, motion.ddq, motion.ddq),
+        ]
+        if max(d.ratio() for d in demands) <= 1.0 - 1e-6:
+            demands = checks.loads(self.subject, motion)
+        worst = max(demands, key=lambda d: d.ratio())
+        return worst.ratio() <= 1.0 - 1e-4, worst.limit
+
+    def stop(self, begin: State) -> Iterator[tuple[Profile, float]]:
+        """Ways to come to rest from a state, briskest first; all checked."""
+        for scale in SCALES:
+            profile = self._plan(begin, None, scale)
+            if profile is not None and self._passes(profile, _duration(profile, self.grid))[0]:
+                yield profile, _duration(profile, self.grid)
+
+    def travel(self, begin: Array, end: Array) -> tuple[list[tuple[Profile, float]], str]:
+        """From rest to rest, straight in joint space or through one safe pose; and what forbids it where it is empty."""
+        reason = ""
+        for via in (None, *self._via(begin, end)):
+            legs = []
+            for a, b in ((begin, end),) if via is None else ((begin, via), (via, end)):
+                leg, reason = self._leg(a, b)
+                if leg is None:
+                    break
+                legs.append(leg)
+            else:
+                return legs, ""
+        return [], reason
+
+    def _via(self, begin: Array, end: Array) -> Iterator[Array]:
+        middle = 0.5 * (begin + end)
+        others = spread_poses(self.subject.limits, 24)
+        yield from others[np.argsort(np.abs(others - middle).max(axis=1))]
+
+    def _leg(self, begin: Array, end: Array) -> tuple[tuple[Profile, float] | None, str]:
+        reason = "velocity"
+        for scale in SCALES:
+            profile = self._plan(State.rest(begin), end, scale)
+            if profile is None:
+                continue
+            passes, reason = self._passes(profile, _duration(profile, self.grid))
+            if passes:
+                return (profile, _duration(profile, self.grid)), ""
+        return None, reason
+
+
+def _duration(profile: Profile, grid: float) -> float:
+    longest = max(sum(d for d, _ in pieces) for pieces in profile.pieces)
+    return max(round(longest / grid), 1) * grid
+
+
+def _profile(begin: State, found: ruckig.Trajectory) -> Profile:
+    """Ruckig's profile as pieces of constant jerk."""
+    rows = []
+    for joint in found.profiles[0]:
+        pieces = [*zip(joint.brake.t, joint.brake.j, strict=True), *zip(joint.t, joint.j, strict=True)]
+        rows.append(tuple((float(d), float(j)) for d, j in pieces if d > 0.0))
+    return Profile(np.array(begin.q, float), np.array(begin.dq, float), np.array(begin.ddq, float), tuple(rows))
+
+
+def reverse(profile: Profile, duration: float) -> Profile:
+    """The same path run backwards in time: r(t) = p(duration − t)."""
+    end = np.array([duration])
+    rows = []
+    for pieces in profile.pieces:
+        rest = duration - sum(d for d, _ in pieces)
+        padded = [*pieces, (rest, 0.0)] if rest > 1e-12 else list(pieces)
+        rows.append(tuple((d, -j) for d, j in reversed(padded)))
+    return Profile(profile.at(end)[0], -profile.at(end, 1)[0], profile.at(end, 2)[0], tuple(rows))
+
+
+def rest_to_rest(subject: Subject, fourier: Fourier, periods: int, rate: float, start: Array | None = None) -> Motion:
+    """The whole motion around `fourier`, which may begin at another phase than it was given with.
+
+    subject: its limits must state accelerations and jerks (`with_derived`). start: pose to begin and end at, at rest;
+        None: where the ramp-in begins. Raises Infeasible when no ramp obeys the limits, UnusableInput when `start`
+        breaks one.
+    """
+    planner = Planner(subject, rate)
+    shifted, ramp_in, ramp_out = _ramps(planner, fourier, start)
+    ready = ramp_in[0].position
+    halt = ramp_out[0].at(np.array([ramp_out[1]]))[0]
+    home = ready if start is None else start
+    approach = [] if start is None else _connect(planner, home, ready, "approach")
+    back = _connect(planner, halt, home, "return")
+    parts: list[tuple[str, Profile | None, float]] = [("approach", *leg) for leg in approach]
+    parts += [("ramp_in", *ramp_in), ("fourier", None, periods * fourier.period), ("ramp_out", *ramp_out)]
+    parts += [("return", *leg) for leg in back]
+    segments, ticks = [], 0
+    for kind, profile, duration in parts:
+        begin, ticks = ticks, ticks + round(duration * rate)
+        segments.append(Segment(kind, begin / rate, ticks / rate, profile))
+    return Motion(subject.robot.joints, shifted, periods, tuple(segments))
+
+
+def _connect(planner: Planner, begin: Array, end: Array, what: str) -> list[tuple[Profile, float]]:
+    if np.abs(begin - end).max() < 1e-12:
+        return []
+    legs, reason = planner.travel(begin, end)
+    if not legs:
+        robot = planner.subject.robot
+        raise Infeasible(f"{robot.source}: no {what} obeys the {reason} limits; give another --start pose or widen them")
+    return legs
+
+
+def _ramps(planner: Planner, fourier: Fourier, start: Array | None) -> tuple[Fourier, tuple[Profile, float], tuple[Profile, float]]:
+    """The phase at which ramping in and out is shortest among the slow ones, and both ramps there."""
+    if start is not None:
+        _check_start(planner.subject, start)
+    times = fourier.grid(PHASES)
+    brisk = np.abs(fourier.at(times, 1) / planner.subject.limits.velocity).max(axis=1)
+    best: tuple[float, Fourier, tuple[Profile, float], tuple[Profile, float]] | None = None
+    for tried, index in enumerate(np.argsort(brisk)):
+        shifted = fourier.shifted(float(times[index]))
+        zero = np.zeros(1)
+        state = State(*(shifted.at(zero, order)[0] for order in range(3)))
+        out = next(planner.stop(state), None)
+        into = next(planner.stop(State(state.q, -state.dq, state.ddq)), None) if out is not None else None
+        if out is not None and into is not None and (best is None or out[1] + into[1] < best[0]):
+            best = (out[1] + into[1], shifted, (reverse(*into), into[1]), out)
+        if best is not None and tried >= 5:
+            break
+    if best is None:
+        source = planner.subject.robot.source
+        raise Infeasible(f"{source}: no ramp into the periodic motion obeys position and torque limits; lower --uncertainty or lengthen --period")
+    return best[1], best[2], best[3]
+
+
+def _check_start(subject: Subject, start: Array) -> None:
+    robot, limits = subject.robot, subject.limits
+    outside = (start < limits.position[:, 0]) | (start > limits.position[:, 1])
+    if outside.any():
+        j = int(np.argmax(outside))
+        low, high = limits.position[j]
+        raise UnusableInput(f"{robot.source}: start pose: joint '{robot.joints[j]}' at {start[j]:g} is outside [{low:g}, {high:g}]; move it inside")
+    still = np.tile(start, (3, 1))
+    for demand in checks.loads(subject, Samples(still, np.zeros_like(still), np.zeros_like(still))):
+        if demand.ratio() > 1.0:
+            raise UnusableInput(f"{robot.source}: start pose: breaks the {demand.limit} limits at rest; give another --start pose")

@@ -79,7 +79,7 @@ class Evaluator:
         self._functions = symbolic.functions(problem.robot, problem.parameters)
         self._regressor = _mapped(self._functions.regressor, problem.options.samples)
         self._adjoint = _mapped(self._functions.adjoint, problem.options.samples)
-        self._frames = [symbolic.position(problem.robot, box.frame) for box in problem.options.boxes]
+        self._frames = [symbolic.position(problem.robot, box.frame) for box in problem.boxes]
         self._inverse_metric = problem.parameters.scale @ problem.parameters.scale.T
         self._point: _Point | None = None
         self.kinds = self._kinds()
@@ -176,7 +176,7 @@ class Evaluator:
         if kind == "braking":
             return np.stack([self._braking(q, dq, sign)[0] for sign in (1.0, -1.0)])
         index = int(kind[3:])
-        box = self.problem.options.boxes[index]
+        box = self.problem.boxes[index]
         centre = np.asarray(self._frames[index].map(len(q))(q.T)[0]).T
         return _centred(centre, np.array(box.lower), np.array(box.upper))
 
@@ -273,7 +273,7 @@ class Evaluator:
             pick = (sign < 0).astype(int)
             return [(order, np.stack([b[order + 1] for b in both])[pick, sample, joint]) for order in (0, 1)]
         index = int(kind[3:])
-        box = self.problem.options.boxes[index]
+        box = self.problem.boxes[index]
         half = 0.5 * (np.array(box.upper) - np.array(box.lower))
         jacobian = np.asarray(self._frames[index].map(len(sample))(point.motion[0][sample].T)[1])
         blocks = jacobian.reshape(3, len(sample), -1)[joint, np.arange(len(sample))]

@@ -63,7 +63,7 @@ class Options:
 class Problem:
     """Everything one start needs; picklable, so that starts run in other processes.
 
-    limits: as the optimiser sees them, shrunk so that they hold between its samples.
+    limits, boxes: as the optimiser sees them, shrunk so that they hold between its samples.
     weighting: coordinates of the criterion. given: G, GᵀG the information of earlier recordings in those coordinates,
         per sample of the motion to come. Shape (p, p).
     scale: size of one unit of each variable: coefficients (a, b, offset) per joint. Shape (n, 2K+1).
@@ -72,6 +72,7 @@ class Problem:
     robot: Robot
     parameters: Parameters
     limits: Limits
+    boxes: tuple[Box, ...]
     weighting: Weighting
     given: Array | None
     options: Options
@@ -125,12 +126,12 @@ def build(
         position = np.where(np.isfinite(limits.position), np.column_stack([middle - factor * half, middle + factor * half]), limits.position)
     shrunk = limits.scaled(velocity=factor, acceleration=factor, jerk=factor, torque=1.0 - reserve)
     shrunk = dataclasses.replace(shrunk, position=position, braking=tuple(None if b is None else _earlier(b, reserve) for b in limits.braking))
-    options = dataclasses.replace(options, boxes=tuple(_smaller(box, reserve) for box in options.boxes))
+    boxes = tuple(_smaller(box, reserve) for box in options.boxes)
     harmonics = np.arange(1, options.harmonics + 1)
     reach = np.where(np.isfinite(half), half, np.pi)
     speed = np.minimum(limits.velocity, reach * 2.0 * np.pi / options.period)[:, None] / np.sqrt(harmonics)
     scale = np.column_stack([speed, speed, reach])
-    return Problem(robot, parameters, shrunk, weighting, given, options, scale)
+    return Problem(robot, parameters, shrunk, boxes, weighting, given, options, scale)
 
 
 def _earlier(brake: Braking, reserve: float) -> Braking:
@@ -147,10 +148,3 @@ def _smaller(box: Box, reserve: float) -> Box:
 def noise_levels(limits: Limits, noise: Sequence[float] | None) -> Array:
     """Torque standard deviation per joint [N m]: as given, else 1 % of each torque limit."""
     return np.asarray(noise, float) if noise is not None else 0.01 * limits.torque
-
-
-def default_weighting(base: Base, limits: Limits, options: Options) -> Weighting:
-    """Coordinates for the criterion that `options` ask for."""
-    from .criteria import weighting
-
-    return weighting(options.criterion, base, noise_levels(limits, options.noise), plain=options.plain)

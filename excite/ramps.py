@@ -100,7 +100,7 @@ class Planner:
         motion = Samples(profile.at(t), profile.at(t, 1), profile.at(t, 2))
         demands = [
             checks.symmetric("position", self.subject, motion.q - checks.excess(motion.q), motion.q + checks.excess(motion.q)),
-            checks.symmetric("velocity", self.subject, motion.dq, motion.dq),
+            checks.symmetric("velocity", self.subject, motion.dq - checks.excess(motion.dq), motion.dq + checks.excess(motion.dq)),
             checks.symmetric("acceleration", self.subject, motion.ddq, motion.ddq),
         ]
         if max(d.ratio() for d in demands) <= 1.0 - 1e-6:

@@ -124,8 +124,8 @@ def _refuse(problem: Problem, holder: _Poses, pose: Array) -> None:
             f"{robot.source}: joint '{robot.joints[joint]}': gravity asks {value:.3g} times its torque limit "
             f"{problem.limits.torque[joint]:.4g} in the best pose found{hint}; raise the limit or lighten the payload"
         )
-        raise Infeasible(text) if problem.options.boxes else UnusableInput(text)
-    name = problem.options.boxes[int(kind[3:])].frame if kind.startswith("box") else robot.joints[joint]
+        raise Infeasible(text) if problem.boxes else UnusableInput(text)
+    name = problem.boxes[int(kind[3:])].frame if kind.startswith("box") else robot.joints[joint]
     raise Infeasible(
         f"{robot.source}: no pose obeys all limits: the {kind.rstrip('0123456789')} limit of '{name}' fights the others "
         f"(best reaches {value:.3g} times it); widen the box or the position limits"

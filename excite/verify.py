@@ -105,12 +105,8 @@ def score(trajectory: Trajectory, robot: Robot, standard: parameters.Parameters)
     motion = trajectory.motion
     found = base.find(robot, standard, trajectory.limits)
     samples = int(trajectory.design.get("samples", round(motion.fourier.period * trajectory.rate)))
-    given = trajectory.design.get("given_information")
-    per_sample = None if given is None else np.array(given, float)
     parts = {"optimum": motion.fourier.samples(motion.fourier.grid(samples)), "exported": motion.samples(motion.grid(trajectory.rate))}
-    return {
-        name: criteria.score(dynamics.regressor(robot, standard, part), found, trajectory.noise, per_sample) for name, part in parts.items()
-    }
+    return {name: criteria.score(dynamics.regressor(robot, standard, part), found, trajectory.noise) for name, part in parts.items()}
 
 
 def _demands(subject: Subject, trajectory: Trajectory, segment: Segment) -> Iterator[tuple[float, float, Demand]]:
@@ -199,9 +195,10 @@ def _end(motion: Motion, segment: Segment, order: int) -> Array:
 
 
 def _criteria_faults(trajectory: Trajectory, found: Mapping[str, Any]) -> Iterator[str]:
-    for part, entries in trajectory.criteria.items():
-        for name, value in _flat(entries):
-            again = dict(_flat(found[part])).get(name)
+    for part, entries in found.items():
+        recomputed = dict(_flat(entries))
+        for name, value in _flat(trajectory.criteria[part]):
+            again = recomputed.get(name)
             if value is None or again is None or not np.isfinite(again):
                 continue
             if abs(again - value) > 1e-5 * max(abs(value), 1e-300):

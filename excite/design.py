@@ -1,0 +1,204 @@
+"""From a robot and its limits to the best periodic motion of several starts."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import joblib
+import numpy as np
+
+from . import base as base_parameters
+from . import criteria, parameters, problem, solver, start
+from .base import Base
+from .errors import ExciteError, UnusableInput
+from .evaluate import Evaluator
+from .limits import Limits
+
+from .problem import Options, Problem
+from .robot import Robot
+from .trajectory import Fourier
+
+Array = np.ndarray
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One start: its number, the motion it found, the smooth objective there, and its history (times since `built`)."""
+
+    number: int
+    motion: Fourier
+    objective: float
+    time: tuple[float, ...]
+    values: tuple[float, ...]
+    worst: tuple[float, ...]
+    stage: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A design problem with what it was built from."""
+
+    problem: Problem
+    base: Base
+    noise: Array
+    built: float  # time.perf_counter() when the problem was complete [s]
+
+
+@dataclass(frozen=True)
+class Design:
+    """The best motion and all attempts, the best first."""
+
+    setting: Setting
+    attempts: tuple[Attempt, ...]
+
+    @property
+    def motion(self) -> Fourier:
+        """The best periodic motion found."""
+        return self.attempts[0].motion
+
+    def timing(self) -> dict[str, float]:
+        """Seconds from the built problem to the first feasible motion and to within 1 % of the best objective's value."""
+        final = [self._final(a) for a in self.attempts]
+        first = min(times[0] for times, _ in final)
+        best = min(values.min() for _, values in final)
+        # the objective is a logarithm: 1 % of the criterion is 0.01
+        within = min(times[values <= best + 0.01][0] for times, values in final if (values <= best + 0.01).any())
+        return {"first_feasible": float(first), "within_1_percent": float(within)}
+
+    def _final(self, attempt: Attempt) -> tuple[Array, Array]:
+        """Times and best feasible objective of an attempt's last stage (the ones before smooth more)."""
+        stage, worst = np.array(attempt.stage), np.array(attempt.worst)
+        last = (stage == stage.max()) & (worst <= solver.FEASIBLE)
+        values = np.where(last, np.array(attempt.values), np.inf)
+        return np.array(attempt.time), np.minimum.accumulate(values)
+
+
+def check(options: Options) -> None:
+    """Refuse options that contradict themselves; UnusableInput names the option and the remedy."""
+    o = options
+    if o.free_period is None:
+        whole_samples(o.period, o.rate)
+    if o.samples <= 2 * o.harmonics:
+        raise UnusableInput(f"--samples {o.samples} cannot carry {o.harmonics} harmonics; use more than {2 * o.harmonics}")
+    positive = {"--harmonics": o.harmonics, "--period": o.period, "--periods": o.periods - 1, "--rate": o.rate, "--starts": o.starts}
+    for name, value in positive.items():
+        if not (np.isfinite(value) and value > 0):
+            least = "at least 2" if name == "--periods" else "positive"
+            raise UnusableInput(f"{name} should be {least}")
+    if not (np.isfinite(o.uncertainty) and o.uncertainty >= 0.0):
+        raise UnusableInput(f"--uncertainty {o.uncertainty:g} should be 0 or more")
+    for box in o.boxes:
+        if not all(low < high for low, high in zip(box.lower, box.upper, strict=True)):
+            raise UnusableInput(f"--box {box.frame}: its lower corner {box.lower} is not below its upper one {box.upper}")
+
+
+def whole_samples(period: float, rate: float) -> int:
+    """Samples in one period; UnusableInput when they are no whole number."""
+    if not (np.isfinite(period) and np.isfinite(rate) and period > 0.0 and rate > 0.0):
+        raise UnusableInput(f"--period {period:g} and --rate {rate:g} should be positive and finite")
+    count = period * rate
+    if abs(count - round(count)) > 1e-6 or round(count) < 1:
+        better = max(round(count), 1) / rate
+        raise UnusableInput(f"--period {period:g} s is no whole number of samples at --rate {rate:g} Hz; use --period {better:.6g}")
+    return round(count)
+
+
+def prepare(robot: Robot, limits: Limits, options: Options, given: Array | None = None) -> Setting:
+    """Build the problem. given: information of earlier recordings in standard parameters. Shape (P, P)."""
+    check(options)
+    standard = parameters.standard(robot, limits, options.drive)
+    found = base_parameters.find(robot, standard, limits)
+    noise = problem.noise_levels(limits, options.noise)
+    weights = criteria.weighting(options.criterion, found, noise, plain=options.plain)
+    count = options.periods * options.period * options.rate
+    root = None if given is None else weights.root(given / count)
+    built = problem.build(robot, limits, standard, weights, options, root)
+    return Setting(built, found, noise, time.perf_counter())
+
+
+def solve(setting: Setting, progress: Progress | None = None) -> Design:
+    """Run all starts of a design and rank them; one seed gives one result, whatever the number of processes.
+
+    Raises Infeasible or UnusableInput when no pose can be held under the limits.
+    """
+    options = setting.problem.options
+    tasks = (joblib.delayed(_attempt)(setting, number) for number in range(options.starts))
+    if options.starts == 1:
+        results: Sequence[Attempt | ExciteError] = [_attempt(setting, 0)]
+    else:
+        results = []
+        jobs = joblib.Parallel(n_jobs=min(options.jobs, options.starts) if options.jobs > 0 else options.jobs, return_as="generator")
+        for result in jobs(tasks):
+            results = [*results, result]
+            if progress is not None and isinstance(result, Attempt):
+                progress(f"start {len(results)}/{options.starts}: objective {result.objective:.4f}")
+    attempts = [r for r in results if isinstance(r, Attempt)]
+    if not attempts:
+        raise next(r for r in results if isinstance(r, ExciteError))
+    attempts.sort(key=lambda a: (a.objective, a.number))
+    design = Design(setting, tuple(attempts))
+    return _fixed_period(design) if options.free_period is not None else design
+
+
+def _attempt(setting: Setting, number: int) -> Attempt | ExciteError:
+    """One start, from its own random stream; an error that names limits comes back as a value, out of any process."""
+    rng = np.random.default_rng([setting.problem.options.seed, number])
+    evaluator = Evaluator(setting.problem)
+    history = solver.History(began=setting.built)
+    try:
+        held = start.poses(evaluator, rng)
+    except ExciteError as error:
+        return error
+    pose = held[rng.integers(min(len(held), 1 + len(held) // 4))]
+    x = start.motion(evaluator, pose, rng)
+    return _refine(setting.problem, evaluator, x, history, number)
+
+
+def _refine(built: Problem, evaluator: Evaluator, x: Array, history: solver.History, number: int) -> Attempt:
+    sharpness = solver.stages(built.options.criterion)
+    history.add(evaluator.objective(x, sharpness[-1])[0], evaluator.worst(x), len(sharpness) - 1 if len(sharpness) == 1 else 0)
+    x = solver.solve(evaluator, x, history)
+    objective = evaluator.objective(x, sharpness[-1])[0]
+    return Attempt(
+        number, built.fourier(x), objective, tuple(history.time), tuple(history.objective), tuple(history.worst), tuple(history.stage)
+    )
+
+
+def improve(setting: Setting, motion: Fourier, number: int = 0) -> Attempt:
+    """Optimise on from a motion that may break limits a little: it is first drawn in until it obeys them."""
+    evaluator = Evaluator(setting.problem)
+    x = setting.problem.variables(motion)
+    rest = start.at_rest(setting.problem, motion.offset)
+    for share in (1.0, *(1.0 - 0.5 ** np.arange(9, 0, -1)), 0.0):
+        drawn = rest + share * (x - rest)
+        if evaluator.worst(drawn) <= 1.0:
+            break
+    return _refine(setting.problem, evaluator, drawn, solver.History(began=setting.built), number)
+
+
+def _fixed_period(design: Design) -> Design:
+    """Round an optimised period to whole samples (and to the ramps' time grid) and settle the motion there."""
+    old = design.setting.problem
+    motion, rate = design.motion, old.options.rate
+    grid = max(round(0.04 * rate), 1) / rate
+    period = float(np.ceil(motion.period / grid - 1e-9) * grid)
+    options = dataclasses.replace(old.options, period=period, free_period=None)
+    rebuilt = dataclasses.replace(old, options=options)
+    setting = dataclasses.replace(design.setting, problem=rebuilt)
+    stretched = Fourier(motion.sine, motion.cosine, motion.offset, period)
+    slower = motion.slowed(motion.period / period)
+    best = min((improve(setting, m, design.attempts[0].number) for m in (stretched, slower)), key=lambda a: a.objective)
+    return Design(setting, (best, *design.attempts[1:]))
+
+
+def tightened(setting: Setting, limits: Limits, reserve: float) -> Setting:
+    """The same problem with a larger reserve on curved limits, for when the certificate finds a gap between samples."""
+    p = setting.problem
+    rebuilt = problem.build(p.robot, limits, p.parameters, p.weighting, p.options, p.given, reserve=reserve)
+    return dataclasses.replace(setting, problem=rebuilt)
+
+

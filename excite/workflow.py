@@ -1,0 +1,110 @@
+"""The whole way once: optimise, make it rest-to-rest, certify; nothing leaves here that breaks a limit unsaid."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from . import design, ramps, verify
+from .artefact import Trajectory, versions
+from .checks import Subject
+from .design import Design, Progress, Setting
+from .errors import CheckFailed
+from .limits import Limits
+from .problem import RESERVE, Options
+from .robot import Robot
+from .trajectory import Fourier
+from .verify import Certificate
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """A certified motion with how it came about. timing: seconds, the contract's keys."""
+
+    trajectory: Trajectory
+    certificate: Certificate
+    design: Design
+    timing: dict[str, float]
+
+
+def run(
+    robot: Robot,
+    limits: Limits,
+    options: Options,
+    *,
+    start: Array | None = None,
+    given: Array | None = None,
+    notes: dict[str, Any] | None = None,
+    force: bool = False,
+    progress: Progress | None = None,
+) -> Delivery:
+    """Design, smooth and certify a trajectory.
+
+    start: pose at which the motion begins and ends at rest, or None. given: information of earlier recordings.
+    notes: further facts for the file's `design` entry. Raises CheckFailed when the certificate fails and `force` is
+    not set, Infeasible when no motion or ramp obeys the limits, UnusableInput for options that contradict themselves.
+    """
+    say = progress or (lambda text: None)
+    begun = time.perf_counter()
+    setting = design.prepare(robot, limits, options, given)
+    say(f"{robot.name}: {robot.n} joints, {setting.base.count} base parameters")
+    found = design.solve(setting, progress)
+    timing = {"build": setting.built - begun, **found.timing()}
+    reserve = RESERVE
+    for attempt in range(4):
+        trajectory = _assemble(found, robot, limits, found.motion, start, notes or {})
+        certificate = verify.verify(trajectory, robot)
+        if certificate.ok or attempt == 3:
+            break
+        reserve = max(2.0 * reserve, reserve - 1.5 * certificate.worst().room)
+        say(f"between samples {certificate.worst().limit} of {certificate.worst().joint} breaks its limit; tightening by {reserve:.2g}")
+        tighter = design.tightened(found.setting, limits, reserve)
+        found = Design(tighter, (design.improve(tighter, found.motion, found.attempts[0].number), *found.attempts[1:]))
+    timing["solve"] = time.perf_counter() - setting.built
+    timing["total"] = time.perf_counter() - begun
+    if not certificate.ok and not force:
+        worst = certificate.worst()
+        reason = certificate.faults[0] if certificate.faults else f"{worst.limit} of '{worst.joint}' reaches {worst.value:.4g} of {worst.bound:.4g}"
+        raise CheckFailed(f"{robot.source}: the designed motion fails its certificate: {reason}; try another --seed or --force")
+    trajectory = dataclasses.replace(
+        trajectory, margins=[m.document() for m in certificate.margins], collision=certificate.collision, forced=not certificate.ok
+    )
+    return Delivery(trajectory, certificate, found, timing)
+
+
+def _assemble(found: Design, robot: Robot, limits: Limits, motion: Fourier, start: Array | None, notes: dict[str, Any]) -> Trajectory:
+    setting: Setting = found.setting
+    options = setting.problem.options
+    stated = ramps.with_derived(limits, motion)
+    subject = Subject(robot, stated, setting.problem.parameters, options.uncertainty, options.boxes)
+    whole = ramps.rest_to_rest(subject, motion, options.periods, options.rate, start)
+    entry = {
+        "criterion": options.criterion.value,
+        "plain": options.plain,
+        "drive": list(options.drive),
+        "samples": options.samples,
+        "starts": options.starts,
+        "uncertainty": options.uncertainty,
+        "boxes": [dataclasses.asdict(box) for box in subject.boxes],
+        **notes,
+    }
+    draft = Trajectory(
+        robot={"name": robot.name, "source": robot.source, "sha256": robot.sha256, **robot.options},
+        motion=whole,
+        rate=options.rate,
+        limits=stated,
+        noise=setting.noise,
+        design=entry,
+        criteria={},
+        margins=[],
+        collision=verify.NOT_CHECKED,
+        seed=options.seed,
+        versions=versions(),
+    )
+    return dataclasses.replace(draft, criteria=verify.score(draft, robot, setting.problem.parameters))

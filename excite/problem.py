@@ -13,7 +13,7 @@ from .criteria import Criterion, Weighting
 from .limits import Braking, Limits
 from .parameters import Parameters
 from .robot import Robot
-from .trajectory import Fourier, basis, oversampling_bound
+from .trajectory import DENSITY, Fourier, basis, oversampling_bound
 
 Array = np.ndarray
 RESERVE = 2e-3
@@ -120,7 +120,8 @@ def build(
     reserve: float = RESERVE,
 ) -> Problem:
     """Shrink the limits for what happens between samples and choose the variables' scales."""
-    factor = 1.0 / oversampling_bound(options.samples, options.harmonics)
+    # The first factor bounds what the motion does between samples, exactly; the second is the certificate's own doubt.
+    factor = 1.0 / (oversampling_bound(options.samples, K := options.harmonics) * oversampling_bound(DENSITY * options.samples, K))
     middle, half = limits.position.mean(axis=1), 0.5 * np.diff(limits.position, axis=1)[:, 0]
     with np.errstate(invalid="ignore"):
         position = np.where(np.isfinite(limits.position), np.column_stack([middle - factor * half, middle + factor * half]), limits.position)

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 Array = np.ndarray
+DENSITY = 10
+"""The certificate's grid is this many times denser than the optimiser's."""
 
 
 @dataclass(frozen=True)

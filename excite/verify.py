@@ -15,11 +15,9 @@ from .limits import DERIVED
 from .motion import Motion, Segment
 from .problem import Box
 from .robot import Robot
-from .trajectory import Samples, oversampling_bound
+from .trajectory import DENSITY, Samples, oversampling_bound
 
 Array = np.ndarray
-DENSITY = 10
-"""The certificate's grid is this many times denser than the optimiser's."""
 ROUNDING = 1e-9
 NOT_CHECKED = "collision not checked"
 

@@ -12,12 +12,11 @@ import numpy as np
 from . import design, ramps, verify
 from .artefact import Trajectory, versions
 from .checks import Subject
-from .design import Design, Progress, Setting
+from .design import Design, Progress
 from .errors import CheckFailed
 from .limits import Limits
 from .problem import RESERVE, Options
 from .robot import Robot
-from .trajectory import Fourier
 from .verify import Certificate
 
 Array = np.ndarray
@@ -41,24 +40,27 @@ def run(
     start: Array | None = None,
     given: Array | None = None,
     notes: dict[str, Any] | None = None,
+    speed: float = 1.0,
     force: bool = False,
     progress: Progress | None = None,
 ) -> Delivery:
     """Design, smooth and certify a trajectory.
 
     start: pose at which the motion begins and ends at rest, or None. given: information of earlier recordings.
-    notes: further facts for the file's `design` entry. Raises CheckFailed when the certificate fails and `force` is
+    notes: further facts for the file's `design` entry. speed: the motion is delivered at this share of the speed it was
+    designed for. Raises CheckFailed when the certificate fails and `force` is
     not set, Infeasible when no motion or ramp obeys the limits, UnusableInput for options that contradict themselves.
     """
     say = progress or (lambda text: None)
     begun = time.perf_counter()
+    design.whole_samples(options.period / speed, options.rate)
     setting = design.prepare(robot, limits, options, given)
     say(f"{robot.name}: {robot.n} joints, {setting.base.count} base parameters")
     found = design.solve(setting, progress)
     timing = {"build": setting.built - begun, **found.timing()}
     reserve = RESERVE
     for attempt in range(4):
-        trajectory = _assemble(found, robot, limits, found.motion, start, notes or {})
+        trajectory = _assemble(found, robot, limits, start, speed, notes or {})
         certificate = verify.verify(trajectory, robot)
         if certificate.ok or attempt == 3:
             break
@@ -78,12 +80,14 @@ def run(
     return Delivery(trajectory, certificate, found, timing)
 
 
-def _assemble(found: Design, robot: Robot, limits: Limits, motion: Fourier, start: Array | None, notes: dict[str, Any]) -> Trajectory:
-    setting: Setting = found.setting
+def _assemble(found: Design, robot: Robot, limits: Limits, start: Array | None, speed: float, notes: dict[str, Any]) -> Trajectory:
+    setting = found.setting
     options = setting.problem.options
-    stated = ramps.with_derived(limits, motion)
+    stated = ramps.with_derived(limits, found.motion)
     subject = Subject(robot, stated, setting.problem.parameters, options.uncertainty, options.boxes)
-    whole = ramps.rest_to_rest(subject, motion, options.periods, options.rate, start)
+    whole = ramps.rest_to_rest(subject, found.motion, options.periods, options.rate, start)
+    if speed != 1.0:
+        whole = whole.slowed(speed)
     entry = {
         "criterion": options.criterion.value,
         "plain": options.plain,
@@ -91,6 +95,7 @@ def _assemble(found: Design, robot: Robot, limits: Limits, motion: Fourier, star
         "samples": options.samples,
         "starts": options.starts,
         "uncertainty": options.uncertainty,
+        "speed": speed,
         "boxes": [dataclasses.asdict(box) for box in subject.boxes],
         **notes,
     }

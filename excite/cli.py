@@ -1,0 +1,166 @@
+"""The command line: parse, call, print. Heavy imports wait until a command needs them."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import warnings
+from collections.abc import Callable, Sequence
+
+from . import __version__
+from .errors import ExciteError, ExciteWarning, UnusableInput
+
+EXAMPLES = """examples:
+  excite design ur10e -o out/ur10e
+  excite verify out/ur10e/trajectory.json
+  excite export out/ur10e/trajectory.json --format urscript -o ur10e.script
+"""
+
+
+class _Parser(argparse.ArgumentParser):
+    """Wrong use is one line, exit code 2."""
+
+    def error(self, message: str) -> None:  # type: ignore[override]
+        raise UnusableInput(f"{self.prog}: {message} (see {self.prog} --help)")
+
+
+def parser() -> argparse.ArgumentParser:
+    """The whole command line."""
+    top = _Parser(
+        prog="excite",
+        description="Optimal excitation trajectories for robot identification.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    top.add_argument("--version", action="version", version=f"excite {__version__}")
+    commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    _robots(commands)
+    _design(commands)
+    _verify(commands)
+    _export(commands)
+    _identifiability(commands)
+    return top
+
+
+Commands = argparse._SubParsersAction  # type: ignore[type-arg]
+
+
+def _command(commands: Commands, name: str, text: str) -> argparse.ArgumentParser:
+    sub: argparse.ArgumentParser = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+    sub.add_argument("--json", action="store_true", help="print one JSON document on standard output, nothing else there")
+    return sub
+
+
+def _robots(commands: Commands) -> None:
+    _command(commands, "robots", "list the built-in robots")
+
+
+def _robot_options(sub: argparse.ArgumentParser) -> None:
+    group = sub.add_argument_group("robot")
+    group.add_argument("robot", metavar="ROBOT", help="path of a URDF, or a name that 'excite robots' lists")
+    group.add_argument("--joints", metavar="A,B,…", help="the joints that move; the others are locked")
+    group.add_argument("--lock", metavar="NAME=VALUE", action="append", default=[], help="lock a joint at a position [rad or m]")
+    group.add_argument("--limits", metavar="FILE", help="TOML or MoveIt joint_limits.yaml that overrides the URDF's limits")
+    group.add_argument("--payload", metavar="LINK:M[,CX,CY,CZ[,IXX,IXY,IYY,IXZ,IYZ,IZZ]]", help="a body at a link: kg, m, kg m² about its centre")
+    group.add_argument("--gravity", metavar="X,Y,Z", default="0,0,-9.81", help="in the base frame [m/s²] (default %(default)s)")
+
+
+def _model_options(sub: argparse.ArgumentParser) -> None:
+    group = sub.add_argument_group("parameters")
+    group.add_argument("--parameters", choices=("inertial", "full"), default="full", help="full: with rotor inertia, friction and offset (default)")
+    group.add_argument("--without", metavar="A,B,…", default="", help="joint parameters to leave out: rotor_inertia, viscous, coulomb, offset")
+    group.add_argument("--torque-noise", metavar="SIGMA[,…]", help="standard deviation, one or per joint [N m] (default 1 %% of the torque limit)")
+    group.add_argument("--threshold", type=float, default=1e-2, help="largest scale-free variance that counts as identifiable (default %(default)s)")
+
+
+def _design(commands: Commands) -> None:
+    sub = _command(commands, "design", "design an excitation trajectory")
+    sub.add_argument("-o", dest="out", metavar="DIR", required=True, help="folder for trajectory.json, trajectory.csv, identifiability.json, report.html")
+    _robot_options(sub)
+    _model_options(sub)
+    group = sub.add_argument_group("criterion")
+    group.add_argument("--criterion", choices=("a", "d", "e", "cond", "cond_regressor"), default="a", help="default %(default)s")
+    group.add_argument("--plain", action="store_true", help="the Euclidean criterion instead of the geometric one")
+    group.add_argument("--given", metavar="FILE", action="append", default=[], help="trajectory.json or recording whose information is already there")
+    group = sub.add_argument_group("motion")
+    group.add_argument("--harmonics", type=int, default=5, metavar="K", help="default %(default)s")
+    group.add_argument("--period", type=float, default=10.0, metavar="S", help="[s] (default %(default)s)")
+    group.add_argument("--optimise-period", metavar="MIN,MAX", help="let the period vary between these [s]")
+    group.add_argument("--samples", type=int, default=200, metavar="N", help="the optimiser's grid over one period (default %(default)s)")
+    group.add_argument("--periods", type=int, default=2, metavar="N", help="repeats in the motion (default %(default)s)")
+    group.add_argument("--rate", type=float, default=100.0, metavar="HZ", help="rows a second in trajectory.csv (default %(default)s)")
+    group.add_argument("--speed", type=float, default=1.0, metavar="F", help="play the motion at F times its speed, for a first careful run")
+    group.add_argument("--start", metavar="Q1,…,QN", help="pose at which the motion starts and ends, at rest (default: nearest the excitation)")
+    group.add_argument("--box", metavar="FRAME:XMIN,XMAX,YMIN,YMAX,ZMIN,ZMAX", action="append", default=[], help="keep a frame's origin in a box [m]")
+    group.add_argument("--uncertainty", type=float, default=0.1, metavar="R", help="torque limits hold for all robots this near (default %(default)s)")
+    group = sub.add_argument_group("search")
+    group.add_argument("--starts", type=int, default=2, metavar="N", help="random starts (default %(default)s)")
+    group.add_argument("--seed", type=int, default=0, metavar="N", help="default %(default)s")
+    group.add_argument("--jobs", type=int, default=-1, metavar="N", help="processes (default: one per core)")
+    group.add_argument("--iterations", type=int, default=300, metavar="N", help="per start (default %(default)s)")
+    group.add_argument("--force", action="store_true", help="write the files even when the certificate fails; they say so")
+
+
+def _verify(commands: Commands) -> None:
+    sub = _command(commands, "verify", "recompute every limit and the criterion of a trajectory from its file")
+    sub.add_argument("trajectory", metavar="TRAJECTORY")
+    sub.add_argument("--robot", metavar="URDF", help="where the robot's URDF is now")
+
+
+def _export(commands: Commands) -> None:
+    sub = _command(commands, "export", "write a trajectory for a controller")
+    sub.add_argument("trajectory", metavar="TRAJECTORY")
+    sub.add_argument("--format", required=True, metavar="F", help="csv, json, ros2-joint-trajectory, ros2-follow-joint-trajectory, ur-csv, …")
+    sub.add_argument("-o", dest="out", metavar="FILE", required=True)
+    sub.add_argument("--rate", type=float, metavar="HZ", help="rows or knots a second, where the format leaves it open")
+    sub.add_argument("--speed", type=float, default=1.0, metavar="F", help="play at F times its speed, for a first careful run")
+    sub.add_argument("--robot", metavar="URDF", help="where the robot's URDF is now")
+    sub.add_argument("--force", action="store_true", help="export a trajectory that fails its certificate; the file says so")
+
+
+def _identifiability(commands: Commands) -> None:
+    sub = _command(commands, "identifiability", "say what a trajectory or a recording reveals")
+    sub.add_argument("-o", dest="out", metavar="DIR", required=True, help="folder for identifiability.json and report.html")
+    _robot_options(sub)
+    sub.add_argument("motion", metavar="TRAJECTORY_OR_RECORDING")
+    _model_options(sub)
+
+
+def _warn(message: Warning | str, category: type[Warning], *_: object) -> None:
+    print(f"warning: {message}", file=sys.stderr)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command; returns its exit code: 0 done, 1 a check failed or nothing feasible, 2 unusable input."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", ExciteWarning)
+        warnings.showwarning = _warn  # type: ignore[assignment]
+        try:
+            arguments = parser().parse_args(argv)
+            from . import commands
+
+            run: Callable[[argparse.Namespace], tuple[int, object, str]] = getattr(commands, arguments.command)
+            code, document, text = run(arguments)
+        except ExciteError as error:
+            print(f"excite: {' '.join(str(error).split())}", file=sys.stderr)
+            return error.exit_code
+        except KeyboardInterrupt:
+            print("excite: interrupted; nothing was written", file=sys.stderr)
+            return 1
+    try:
+        if arguments.json:
+            from .artefact import plain
+
+            json.dump(plain(document), sys.stdout, allow_nan=False)
+            print()
+        else:
+            print(text)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        sys.stderr.close()
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,295 @@
+"""What each command does: arguments in, (exit code, JSON document, text for people) out."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from . import artefact, base, criteria, dynamics, export as exports, files, identifiability as identifiable, limits as limit_tables
+from . import parameters, recording, verify as certificates, workflow
+from .criteria import Criterion
+from .errors import CheckFailed, UnusableInput
+from .limits import Limits
+from .parameters import Parameters
+from .problem import Box, Options, noise_levels
+from .robot import Payload, Robot, builtin_names, load
+from .trajectory import Samples
+
+Array = np.ndarray
+Outcome = tuple[int, Any, str]
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+# -- arguments -----------------------------------------------------------------------------------------------------
+
+
+def _floats(option: str, text: str, counts: Sequence[int]) -> list[float]:
+    try:
+        values = [float(word) for word in text.split(",")]
+    except ValueError as error:
+        raise UnusableInput(f"{option} {text}: should be numbers separated by commas") from error
+    if len(values) not in counts:
+        raise UnusableInput(f"{option} {text}: should hold {' or '.join(map(str, counts))} number(s), not {len(values)}")
+    if not np.isfinite(values).all():
+        raise UnusableInput(f"{option} {text}: should hold finite numbers")
+    return values
+
+
+def _robot(arguments: argparse.Namespace) -> Robot:
+    lock: dict[str, float] = {}
+    for entry in arguments.lock:
+        name, separator, value = entry.partition("=")
+        if not separator:
+            raise UnusableInput(f"--lock {entry}: should read NAME=VALUE")
+        lock[name] = _floats(f"--lock {name}", value, (1,))[0]
+    payload = None
+    if arguments.payload:
+        link, separator, numbers = arguments.payload.rpartition(":")
+        if not separator:
+            raise UnusableInput(f"--payload {arguments.payload}: should read LINK:MASS[,CX,CY,CZ[,IXX,IXY,IYY,IXZ,IYZ,IZZ]]")
+        values = _floats("--payload", numbers, (1, 4, 10))
+        values += [0.0] * (10 - len(values))
+        payload = Payload(link, values[0], tuple(values[1:4]), tuple(values[4:]))  # type: ignore[arg-type]
+    gravity = _floats("--gravity", arguments.gravity, (3,))
+    joints = arguments.joints.split(",") if arguments.joints else None
+    return load(arguments.robot, joints=joints, lock=lock, payload=payload, gravity=gravity)
+
+
+def _limits(arguments: argparse.Namespace, robot: Robot) -> Limits:
+    return limit_tables.resolve(robot, Path(arguments.limits) if arguments.limits else None)
+
+
+def _drive(arguments: argparse.Namespace) -> tuple[str, ...]:
+    without = [name for name in arguments.without.split(",") if name]
+    unknown = set(without) - set(parameters.DRIVE)
+    if unknown:
+        raise UnusableInput(f"--without {min(unknown)}: no such joint parameter; there are {', '.join(parameters.DRIVE)}")
+    return () if arguments.parameters == "inertial" else tuple(k for k in parameters.DRIVE if k not in without)
+
+
+def _noise(arguments: argparse.Namespace, robot: Robot) -> tuple[float, ...] | None:
+    if arguments.torque_noise is None:
+        return None
+    values = _floats("--torque-noise", arguments.torque_noise, (1, robot.n))
+    if min(values) <= 0.0:
+        raise UnusableInput(f"--torque-noise {arguments.torque_noise}: should be positive")
+    return tuple(values * robot.n if len(values) == 1 else values)
+
+
+def _box(text: str) -> Box:
+    frame, separator, numbers = text.rpartition(":")
+    if not separator:
+        raise UnusableInput(f"--box {text}: should read FRAME:XMIN,XMAX,YMIN,YMAX,ZMIN,ZMAX")
+    v = _floats("--box", numbers, (6,))
+    return Box(frame, (v[0], v[2], v[4]), (v[1], v[3], v[5]))
+
+
+def _options(arguments: argparse.Namespace, robot: Robot) -> Options:
+    free = _floats("--optimise-period", arguments.optimise_period, (2,)) if arguments.optimise_period else None
+    if free is not None and not 0.0 < free[0] < free[1]:
+        raise UnusableInput(f"--optimise-period {arguments.optimise_period}: should be MIN,MAX with 0 < MIN < MAX")
+    boxes = tuple(_box(text) for text in arguments.box)
+    for box in boxes:
+        robot.frame(box.frame)
+    return Options(
+        criterion=Criterion(arguments.criterion),
+        plain=arguments.plain,
+        drive=_drive(arguments),
+        harmonics=arguments.harmonics,
+        period=arguments.period if free is None else float(np.clip(arguments.period, *free)),
+        free_period=None if free is None else (free[0], free[1]),
+        samples=arguments.samples,
+        periods=arguments.periods,
+        rate=arguments.rate,
+        uncertainty=arguments.uncertainty,
+        noise=_noise(arguments, robot),
+        boxes=boxes,
+        starts=arguments.starts,
+        seed=arguments.seed,
+        jobs=arguments.jobs,
+        iterations=arguments.iterations,
+    )
+
+
+def _given(paths: Sequence[str], robot: Robot, standard: Parameters, noise: Array) -> Array | None:
+    if not paths:
+        return None
+    total = np.zeros((standard.count, standard.count))
+    for path in paths:
+        samples, _ = _recorded(Path(path), robot)
+        total += criteria.standard_information(dynamics.regressor(robot, standard, samples), noise)
+    return total
+
+
+def _recorded(path: Path, robot: Robot) -> tuple[Samples, artefact.Trajectory | None]:
+    """The samples of a trajectory.json at its own rate, or of a recording."""
+    if path.suffix == ".json":
+        trajectory = artefact.read(path)
+        if trajectory.joints != robot.joints:
+            raise UnusableInput(f"{path}: moves {', '.join(trajectory.joints)}, not {', '.join(robot.joints)}; choose them with --joints")
+        return trajectory.motion.samples(trajectory.motion.grid(trajectory.rate)), trajectory
+    return recording.read(path, robot).samples(), None
+
+
+# -- commands ------------------------------------------------------------------------------------------------------
+
+
+def robots(arguments: argparse.Namespace) -> Outcome:
+    """List the built-in models."""
+    rows = []
+    for name in builtin_names():
+        robot = load(name)
+        mass = sum(robot.model.inertias[i].mass for i in range(1, robot.model.njoints))
+        rows.append({"name": name, "joints": list(robot.joints), "mass": float(mass)})
+    text = "\n".join(f"{row['name']:10} {len(row['joints'])} joints, {row['mass']:5.1f} kg moving" for row in rows)
+    return 0, {"robots": rows}, text
+
+
+def design(arguments: argparse.Namespace) -> Outcome:
+    """Design, certify, export and report."""
+    robot = _robot(arguments)
+    table = _limits(arguments, robot)
+    options = _options(arguments, robot)
+    start = None if not arguments.start else np.array(_floats("--start", arguments.start, (robot.n,)))
+    standard = parameters.standard(robot, table, options.drive) if arguments.given else None
+    given = _given(arguments.given, robot, standard, noise_levels(table, options.noise)) if standard is not None else None
+    notes = {"parameters": arguments.parameters, "given": list(arguments.given), "speed": arguments.speed}
+    if arguments.torque_noise is None:
+        notes["torque_noise_source"] = "1 % of each torque limit (default)"
+    delivery = workflow.run(robot, table, options, start=start, given=given, notes=notes, force=arguments.force, speed=arguments.speed, progress=_say)
+    document, contents = workflow_files(delivery, robot, arguments.threshold)
+    written = files.write_all(Path(arguments.out), contents)
+    document["files"] = [str(path) for path in written]
+    return (0 if delivery.certificate.ok else 1), document, _design_text(delivery, document, written)
+
+
+def workflow_files(delivery: workflow.Delivery, robot: Robot, threshold: float) -> tuple[dict[str, Any], dict[str, str]]:
+    """The `--json` document of a design and the four files' contents."""
+    from . import report
+
+    trajectory = delivery.trajectory
+    standard, found = delivery.design.setting.problem.parameters, delivery.design.setting.base
+    samples = trajectory.motion.samples(trajectory.motion.grid(trajectory.rate))
+    root = identifiable.information_root(robot, standard, samples, trajectory.noise)
+    analysis = identifiable.analyse_root(standard, found, root, trajectory.noise, robot, threshold=threshold, samples=len(samples))
+    job = exports.sheet.Job(trajectory, trajectory.motion, "csv", Path("trajectory.csv"), 1.0, None, _torque(robot, standard))
+    contents = {
+        "trajectory.json": artefact.dumps(trajectory.document()),
+        "trajectory.csv": exports.table.write_csv(job).text,
+        "identifiability.json": artefact.dumps(analysis.document()),
+        "report.html": report.design_page(trajectory, robot, standard, found, analysis, _record(delivery)),
+    }
+    directions = analysis.document()["directions"]
+    document = {
+        "ok": delivery.certificate.ok,
+        "robot": robot.name,
+        "joints": list(robot.joints),
+        "base_parameters": found.count,
+        "identifiable": sum(bool(d["identifiable"]) for d in directions),
+        "criteria": dict(trajectory.criteria),
+        "timing": delivery.timing,
+        "margins": trajectory.margins,
+        "collision": trajectory.collision,
+        "duration": trajectory.motion.duration,
+    }
+    return document, contents
+
+
+def _torque(robot: Robot, standard: Parameters) -> Callable[[Samples], Array]:
+    """Nominal torque of samples."""
+    return lambda samples: dynamics.regressor(robot, standard, samples) @ standard.nominal
+
+
+def _record(delivery: workflow.Delivery) -> Any:
+    from . import report
+
+    attempts = delivery.design.attempts
+    starts = [
+        {"seed": a.number, "value": a.objective, "feasible": True, "time": a.time, "objective": a.values, "worst": a.worst} for a in attempts
+    ]
+    return report.DesignRecord(starts=starts, chosen=0, timing=delivery.timing, notes=())
+
+
+def _design_text(delivery: workflow.Delivery, document: dict[str, Any], written: Sequence[Path]) -> str:
+    trajectory, certificate = delivery.trajectory, delivery.certificate
+    chosen, plain = Criterion(trajectory.design["criterion"]), bool(trajectory.design["plain"])
+    values = [criteria.pick(trajectory.criteria[part], chosen, plain=plain) for part in ("optimum", "exported")]
+    kind = "" if chosen is Criterion.COND_REGRESSOR else ("plain " if plain else "geometric ")
+    lines = [
+        f"{document['robot']}: {document['identifiable']} of {document['base_parameters']} directions practically identifiable",
+        f"{kind}{chosen.value}: {values[0]:.6g} per sample of the periodic part, {values[1]:.6g} of the whole motion",
+        f"{trajectory.motion.duration:.2f} s: {' → '.join(s.kind for s in trajectory.motion.segments)}",
+        _verdict(certificate),
+        f"designed in {delivery.timing['total']:.1f} s",
+        *(f"wrote {path}" for path in written),
+    ]
+    return "\n".join(lines)
+
+
+def _verdict(certificate: certificates.Certificate) -> str:
+    worst = certificate.worst()
+    state = "certified" if certificate.ok else "FAILED"
+    near = f"nearest limit: {worst.limit} of {worst.joint}, {worst.value:.5g} of {worst.bound:.5g} at {worst.time:.3f} s"
+    return "; ".join([state, near, *certificate.faults, certificate.collision])
+
+
+def verify(arguments: argparse.Namespace) -> Outcome:
+    """Recompute everything from the file."""
+    trajectory = artefact.read(Path(arguments.trajectory))
+    certificate = certificates.verify(trajectory, trajectory.load_robot(arguments.robot))
+    rows = [f"{'limit':13}{'joint':25}{'worst':>12}{'bound':>12}{'margin':>9}{'time [s]':>10}"]
+    rows += [
+        f"{m.limit:13}{m.joint:25}{m.value:12.5g}{m.bound:12.5g}{100 * m.room:8.2f}%{m.time:10.3f}" for m in certificate.margins
+    ]
+    rows += ["", _verdict(certificate)]
+    return (0 if certificate.ok else 1), certificate.document(), "\n".join(rows)
+
+
+def export(arguments: argparse.Namespace) -> Outcome:
+    """Write a controller's file, after the certificate."""
+    if arguments.format not in exports.FORMATS:
+        raise UnusableInput(f"--format {arguments.format}: no such format; there are {', '.join(exports.FORMATS)}")
+    trajectory = artefact.read(Path(arguments.trajectory))
+    robot = trajectory.load_robot(arguments.robot)
+    certificate = certificates.verify(trajectory, robot)
+    if not certificate.ok:
+        if not arguments.force:
+            raise CheckFailed(f"{arguments.trajectory}: {_verdict(certificate)}; design it again, or --force")
+        from dataclasses import replace
+
+        trajectory = replace(trajectory, forced=True)
+    standard = parameters.standard(robot, trajectory.limits, trajectory.design.get("drive", parameters.DRIVE))
+
+    torque = _torque(robot, standard)
+    path = exports.write(trajectory, arguments.format, Path(arguments.out), speed=arguments.speed, rate=arguments.rate, tau=torque)
+    return 0, {"file": str(path), "format": arguments.format, "forced": trajectory.forced}, f"wrote {path}"
+
+
+def identifiability(arguments: argparse.Namespace) -> Outcome:
+    """What a trajectory or a recording reveals."""
+    from . import report
+
+    robot = _robot(arguments)
+    table = _limits(arguments, robot)
+    standard = parameters.standard(robot, table, _drive(arguments))
+    found = base.find(robot, standard, table)
+    samples, trajectory = _recorded(Path(arguments.motion), robot)
+    stated = _noise(arguments, robot)
+    noise = trajectory.noise if trajectory is not None and stated is None else noise_levels(table, stated)
+    root = identifiable.information_root(robot, standard, samples, noise)
+    analysis = identifiable.analyse_root(standard, found, root, noise, robot, threshold=arguments.threshold, samples=len(samples))
+    document = json.loads(artefact.dumps(analysis.document()))
+    page = report.identifiability_page(robot, standard, found, analysis, arguments.motion)
+    written = files.write_all(Path(arguments.out), {"identifiability.json": artefact.dumps(document), "report.html": page})
+    seen = sum(bool(d["identifiable"]) for d in document["directions"])
+    text = "\n".join([f"{robot.name}: {seen} of {found.count} directions practically identifiable", *(f"wrote {path}" for path in written)])
+    return 0, document, text

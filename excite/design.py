@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import joblib
 import numpy as np
+import threadpoolctl
 
 from . import base as base_parameters
 from . import criteria, parameters, problem, solver, start
@@ -147,15 +148,16 @@ def solve(setting: Setting, progress: Progress | None = None) -> Design:
 def _attempt(setting: Setting, number: int) -> Attempt | ExciteError:
     """One start, from its own random stream; an error that names limits comes back as a value, out of any process."""
     rng = np.random.default_rng([setting.problem.options.seed, number])
-    evaluator = Evaluator(setting.problem)
-    history = solver.History(began=setting.built)
-    try:
-        held = start.poses(evaluator, rng)
-    except ExciteError as error:
-        return error
-    pose = held[rng.integers(min(len(held), 1 + len(held) // 4))]
-    x = start.motion(evaluator, pose, rng)
-    return _refine(setting.problem, evaluator, x, history, number)
+    with threadpoolctl.threadpool_limits(1):  # the same sums in the same order, whatever the number of processes
+        evaluator = Evaluator(setting.problem)
+        history = solver.History(began=setting.built)
+        try:
+            held = start.poses(evaluator, rng)
+        except ExciteError as error:
+            return error
+        pose = held[rng.integers(min(len(held), 1 + len(held) // 4))]
+        x = start.motion(evaluator, pose, rng)
+        return _refine(setting.problem, evaluator, x, history, number)
 
 
 def _refine(built: Problem, evaluator: Evaluator, x: Array, history: solver.History, number: int) -> Attempt:
@@ -170,14 +172,15 @@ def _refine(built: Problem, evaluator: Evaluator, x: Array, history: solver.Hist
 
 def improve(setting: Setting, motion: Fourier, number: int = 0) -> Attempt:
     """Optimise on from a motion that may break limits a little: it is first drawn in until it obeys them."""
-    evaluator = Evaluator(setting.problem)
-    x = setting.problem.variables(motion)
-    rest = start.at_rest(setting.problem, motion.offset)
-    for share in (1.0, *(1.0 - 0.5 ** np.arange(9, 0, -1)), 0.0):
-        drawn = rest + share * (x - rest)
-        if evaluator.worst(drawn) <= 1.0:
-            break
-    return _refine(setting.problem, evaluator, drawn, solver.History(began=setting.built), number)
+    with threadpoolctl.threadpool_limits(1):
+        evaluator = Evaluator(setting.problem)
+        x = setting.problem.variables(motion)
+        rest = start.at_rest(setting.problem, motion.offset)
+        for share in (1.0, *(1.0 - 0.5 ** np.arange(9, 0, -1)), 0.0):
+            drawn = rest + share * (x - rest)
+            if evaluator.worst(drawn) <= 1.0:
+                break
+        return _refine(setting.problem, evaluator, drawn, solver.History(began=setting.built), number)
 
 
 def _fixed_period(design: Design) -> Design:

@@ -1,0 +1,29 @@
+"""Design the trajectories of `trajectories/` again: one for every built-in robot, certified."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from excite import artefact, files, limits, robot, workflow
+from excite.problem import Options
+
+FOLDER = Path(__file__).resolve().parent.parent / "trajectories"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("robots", nargs="*", default=list(robot.builtin_names()))
+    parser.add_argument("-o", dest="out", type=Path, default=FOLDER)
+    arguments = parser.parse_args()
+    for name in arguments.robots:
+        machine = robot.load(name)
+        delivery = workflow.run(machine, limits.resolve(machine), Options(starts=4), progress=lambda text: print(text, file=sys.stderr))
+        written = files.write_all(arguments.out, {f"{name}.json": artefact.dumps(delivery.trajectory.document())})
+        value = delivery.trajectory.criteria["optimum"]["geometric"]["a"]
+        print(f"{written[0]}: geometric a = {value:.5g}, {delivery.trajectory.motion.duration:.1f} s, {delivery.timing['total']:.1f} s to design")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,232 @@
+#!/usr/bin/env python
+"""Design and certify a motion for many robots: the built-in models and, where its wheel is at hand, example-robot-data.
+
+Prints one Markdown table (or JSON); the exit code is 1 when a robot fails. For the wheel's URDFs without installing it:
+    pip download --no-deps example-robot-data && unzip -d DIR example_robot_data*.whl
+    python scripts/robots.py --data DIR
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import sys
+import sysconfig
+import tempfile
+import warnings
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from excite import artefact, criteria, limits, robot, solver, verify, workflow
+from excite.criteria import Criterion
+from excite.errors import CheckFailed
+from excite.problem import Options
+
+HERE = Path(__file__).resolve().parent
+RECORDINGS = HERE.parent.parent / "shared" / "recordings"
+PLACES = ("", "robots", "share/example-robot-data/robots", "cmeel.prefix/share/example-robot-data/robots")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One robot to try. path: below the folder it comes from. joints: those that move; None: all but the locked ones."""
+
+    name: str
+    path: str
+    joints: tuple[str, ...] | None = None
+    lock: dict[str, float] = field(default_factory=dict)
+
+
+def _numbered(pattern: str, numbers: Iterable[int]) -> tuple[str, ...]:
+    return tuple(pattern.format(number) for number in numbers)
+
+
+# A gripper is locked where the arm is what gets identified; one robot of each kind keeps it (panda_hand, z1, so101).
+WHEEL = (
+    Case("ur3", "ur_description/urdf/ur3_robot.urdf"),
+    Case("ur5", "ur_description/urdf/ur5_robot.urdf"),
+    Case("ur10", "ur_description/urdf/ur10_robot.urdf"),
+    Case("panda_arm", "panda_description/urdf/panda.urdf", lock={"panda_finger_joint1": 0.02}),
+    Case("panda_hand", "panda_description/urdf/panda.urdf"),
+    Case("xarm7", "xarm_description/urdf/xarm7.urdf"),
+    Case("z1", "z1_description/urdf/z1.urdf"),
+    Case("kinova", "kinova_description/robots/kinova.urdf"),
+    Case("so101", "so_arm_description/urdf/so101.urdf"),
+    Case("baxter", "baxter_description/urdf/baxter.urdf", tuple(f"right_{j}" for j in ("s0", "s1", "e0", "e1", "w0", "w1", "w2"))),
+    Case("tiago", "tiago_description/robots/tiago.urdf", _numbered("arm_{}_joint", range(1, 8))),
+    Case("talos", "talos_data/robots/talos_reduced.urdf", _numbered("arm_left_{}_joint", range(1, 8))),
+    Case("talos_left_arm", "talos_data/robots/talos_left_arm.urdf", lock={"gripper_left_joint": 0.0}),
+    Case("double_pendulum", "double_pendulum_description/urdf/double_pendulum.urdf"),
+    Case("double_pendulum_continuous", "double_pendulum_description/urdf/double_pendulum_continuous.urdf"),
+)
+RECORDED = (Case("emps", "emps/emps.urdf"),)
+
+
+@dataclass
+class Row:
+    """What became of one robot; None where it did not come that far. start, after: the criterion per sample."""
+
+    robot: str
+    joints: int | None = None
+    base_parameters: int | None = None
+    timing: dict[str, float] | None = None
+    start: float | None = None
+    after: float | None = None
+    nearest: dict[str, Any] | None = None
+    duration: float | None = None
+    ok: bool = False
+    reason: str = ""
+    warnings: list[str] = field(default_factory=list)
+
+
+def say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def cases(data: Path | None) -> list[tuple[Case, str]]:
+    """Every robot at hand, with what `robot.load` takes for it."""
+    found = [(Case(name, ""), name) for name in robot.builtin_names()]
+    folder = wheel(data)
+    if folder is None:
+        say("example-robot-data is not installed and no --data is given: built-in models only")
+    else:
+        found += [(case, str(folder / case.path)) for case in WHEEL]
+    # A recording's robot is optional material: silently absent elsewhere than in the project's own workspace.
+    return found + [(case, str(RECORDINGS / case.path)) for case in RECORDED if (RECORDINGS / case.path).is_file()]
+
+
+def wheel(data: Path | None) -> Path | None:
+    """The wheel's folder of robots: below --data, or where the wheel installs it."""
+    root = Path(sysconfig.get_path("purelib")) if data is None else data
+    for place in PLACES:
+        if (root / place / "ur_description").is_dir():
+            return root / place
+    if data is not None:
+        raise SystemExit(f"--data {data}: holds no example-robot-data (a folder with ur_description in it)")
+    return None
+
+
+def attempt(case: Case, source: str, options: Options) -> Row:
+    """Design and verify one robot; whatever goes wrong becomes the row's reason."""
+    row = Row(case.name)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            run(row, case, source, options)
+        except Exception as error:  # one broken robot must not hide the others
+            row.ok, row.reason = False, f"{type(error).__name__}: {' '.join(str(error).split())}"
+    row.warnings = [f"{w.category.__name__}: {w.message}" for w in caught]
+    return row
+
+
+def run(row: Row, case: Case, source: str, options: Options) -> None:
+    """Fill in the row as far as the robot gets; raises what excite raises."""
+    moved = robot.load(source, joints=case.joints, lock=case.lock)
+    row.joints = moved.n
+    own = HERE / "limits" / f"{case.name}.toml"
+    table = limits.resolve(moved, own if own.is_file() and not is_builtin(source) else None)
+    delivery = workflow.run(moved, table, options, progress=lambda text: say(f"  {text}"))
+    row.base_parameters, row.timing = delivery.design.setting.base.count, delivery.timing
+    row.duration = delivery.trajectory.motion.duration
+    row.start = first_feasible(delivery, options)
+    row.after = criteria.pick(delivery.trajectory.criteria["optimum"], options.criterion, plain=options.plain)
+    certificate = round_trip(delivery.trajectory)
+    row.nearest = certificate.worst().document()
+    row.ok = certificate.ok
+    row.reason = "" if row.ok else "; ".join(certificate.faults) or "a limit is broken when read back from the file"
+
+
+def is_builtin(source: str) -> bool:
+    return source in robot.builtin_names()
+
+
+def first_feasible(delivery: workflow.Delivery, options: Options) -> float:
+    """The criterion of the best start's first feasible motion; its history keeps the objective, a logarithm."""
+    best = delivery.design.attempts[0]
+    at = int(np.argmax(np.array(best.worst) <= solver.FEASIBLE))
+    objective = best.values[at]
+    if options.criterion is Criterion.D:
+        return -delivery.design.setting.base.count * objective
+    power = {Criterion.E: -1.0, Criterion.COND_REGRESSOR: 0.5}.get(options.criterion, 1.0)
+    return float(np.exp(power * objective))
+
+
+def round_trip(trajectory: artefact.Trajectory) -> verify.Certificate:
+    """Certify what a user would: the file, read back, with the robot found again from what the file says."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "trajectory.json"
+        path.write_text(text := artefact.dumps(trajectory.document()), encoding="utf-8")
+        again = artefact.read(path)
+    if artefact.dumps(again.document()) != text:
+        raise CheckFailed("trajectory.json does not read back as it was written")
+    return verify.verify(again, again.load_robot())
+
+
+def markdown(rows: Sequence[Row], criterion: str) -> str:
+    """The table; a failed robot's last cell is its reason."""
+    head = ["robot", "joints", "base par.", "design [s]", f"{criterion} at start", f"{criterion} after", "nearest limit", "motion [s]", "ok"]
+    lines = ["| " + " | ".join(head) + " |", "|---|" + "---:|" * 5 + "---|---:|---|"]
+    return "\n".join(lines + ["| " + " | ".join(cells(row)) + " |" for row in rows])
+
+
+def cells(row: Row) -> list[str]:
+    def number(value: float | None, style: str) -> str:
+        return "" if value is None else format(value, style)
+
+    near = row.nearest
+    return [
+        row.robot,
+        number(row.joints, "d"),
+        number(row.base_parameters, "d"),
+        number(None if row.timing is None else row.timing["total"], ".1f"),
+        number(row.start, ".3g"),
+        number(row.after, ".3g"),
+        "" if near is None else f"{near['limit']}, {near['joint']}, {100.0 * near['margin']:.2f} %",
+        number(row.duration, ".2f"),
+        "yes" if row.ok else f"NO: {row.reason}".replace("|", "\\|"),
+    ]
+
+
+def chosen(found: list[tuple[Case, str]], only: str | None) -> list[tuple[Case, str]]:
+    """The robots of --only, in the table's order."""
+    if only is None:
+        return found
+    names = only.split(",")
+    unknown = sorted(set(names) - {case.name for case, _ in found})
+    if unknown:
+        raise SystemExit(f"--only {unknown[0]}: not among {', '.join(case.name for case, _ in found)}")
+    return [(case, source) for case, source in found if case.name in names]
+
+
+def arguments() -> argparse.Namespace:
+    standard = Options()
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--data", type=Path, metavar="DIR", help="example-robot-data: its unpacked wheel or folder of robots")
+    parser.add_argument("--only", metavar="NAME,…", help="these robots alone")
+    parser.add_argument("--starts", type=int, default=standard.starts, help="random starts per robot (default %(default)s)")
+    parser.add_argument("--criterion", choices=[c.value for c in Criterion], default=standard.criterion.value, help="default %(default)s")
+    parser.add_argument("--uncertainty", type=float, default=standard.uncertainty, help="as of excite design (default %(default)s)")
+    parser.add_argument("--json", action="store_true", help="one JSON document instead of the table")
+    return parser.parse_args()
+
+
+def main() -> int:
+    given = arguments()
+    options = Options(criterion=Criterion(given.criterion), starts=given.starts, uncertainty=given.uncertainty)
+    rows = []
+    for case, source in chosen(cases(given.data), given.only):
+        say(f"{case.name}: {source}")
+        rows.append(row := attempt(case, source, options))
+        for text in [*row.warnings, *([] if row.ok else [row.reason])]:
+            say(f"  {text}")
+    print(json.dumps([dataclasses.asdict(r) for r in rows], indent=1) if given.json else markdown(rows, given.criterion))
+    return 0 if all(row.ok for row in rows) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -317,8 +317,11 @@ def _sentence(parameters: Parameters, shares: Array, variance: float, identifiab
     groups = sorted(_groups(parameters, shares), key=lambda g: -g[1])
     first, share = groups[0]
     rest = [f"{text} ({100 * s:.0f} %)" for text, s in groups[1:4] if s >= 0.08]
-    lead = first if share >= 0.9 else f"mostly {first} ({100 * share:.0f} %)" if share >= 0.5 else f"a mix of {first} ({100 * share:.0f} %)"
-    what = lead + (f", with {_listed(rest)}" if rest else "")
+    if share < 0.5:
+        what = f"a mix of {_listed([f'{first} ({100 * share:.0f} %)', *rest])}"
+    else:
+        lead = first if share >= 0.9 else f"mostly {first} ({100 * share:.0f} %)"
+        what = lead + (f", with {_listed(rest)}" if rest else "")
     if identifiable:
         return f"{what}; seen to ±{percent(np.sqrt(variance))}"
     if not np.isfinite(variance):
@@ -331,7 +334,7 @@ def _sentence(parameters: Parameters, shares: Array, variance: float, identifiab
 def percent(share: float) -> str:
     """A share as a percentage with two digits, such as '2.3 %' or '340 %'."""
     value = float(f"{100.0 * share:.2g}")
-    return f"{value:g} %" if value < 1e4 else f"{value:.0e} %".replace("e+0", "e")
+    return f"{value:g} %" if value < 1e5 else f"{value:.0e} %".replace("e+0", "e").replace("e+", "e")
 
 
 def _groups(parameters: Parameters, shares: Array) -> list[tuple[str, float]]:

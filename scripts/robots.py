@@ -169,7 +169,8 @@ def round_trip(trajectory: artefact.Trajectory) -> verify.Certificate:
 
 def markdown(rows: Sequence[Row], criterion: str) -> str:
     """The table; a failed robot's last cell is its reason."""
-    head = ["robot", "joints", "base par.", "design [s]", f"{criterion} at start", f"{criterion} after", "nearest limit", "motion [s]", "ok"]
+    values = [f"{criterion} at start", f"{criterion} after"]
+    head = ["robot", "joints", "base par.", "design [s]", *values, "nearest limit", "motion [s]", "ok"]
     lines = ["| " + " | ".join(head) + " |", "|---|" + "---:|" * 5 + "---|---:|---|"]
     return "\n".join(lines + ["| " + " | ".join(cells(row)) + " |" for row in rows])
 

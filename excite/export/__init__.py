@@ -9,8 +9,9 @@ from pathlib import Path
 
 from ..artefact import Trajectory
 from ..errors import UnusableInput
+from ..files import write_all
 from . import ros2, table, universal_robots, vendor
-from .sheet import Columns, Job, Torque, Written, beside, check_options, save
+from .sheet import Columns, Job, Torque, Written, beside, check_options
 
 __all__ = ["FORMATS", "Columns", "Torque", "read", "write"]
 
@@ -75,9 +76,8 @@ def write(
     check_options(speed, rate)
     motion = trajectory.motion if speed == 1.0 else trajectory.motion.slowed(speed)
     written = entry.render(Job(trajectory, motion, format, path, speed, rate, tau))
-    if written.note is not None:
-        save(beside(path), written.note)
-    save(path, written.text)
+    notes = {} if written.note is None else {beside(path).name: written.note}
+    write_all(path.parent, notes | {path.name: written.text})
     return path
 
 

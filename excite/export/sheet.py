@@ -1,9 +1,8 @@
-"""What every file format shares: the motion to be written, its rows, its notes, and writing without halves."""
+"""What every file format shares: the motion to be written, its rows and its notes."""
 
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -69,7 +68,7 @@ def require_joints(job: Job, counts: Sequence[int]) -> None:
 
 
 def require_rate(job: Job, rates: Sequence[float]) -> float:
-    """The rate to write at [Hz]: the one asked for if it is among `rates` (any, when empty), the first otherwise."""
+    """The rate to write at [Hz]: the one asked for, which has to be among `rates`, or the first of these."""
     if job.rate is None:
         return rates[0]
     if job.rate not in rates:
@@ -112,7 +111,7 @@ def sampled(job: Job, rate: float) -> tuple[Array, Samples]:
 
 
 def notes(job: Job, details: Sequence[str], tried: bool) -> list[str]:
-    """Lines that tell a reader of the file what it is; none holds a line break."""
+    """Lines that tell a reader of the file what it is, in ASCII, none with a line break: a robot's parser may know no more."""
     lines = [
         f"excite: {job.trajectory.robot.get('name', 'robot')}; joints {', '.join(job.joints)}",
         f"format: {job.format}; speed: {job.speed:g}; duration: {job.motion.duration:.9g} s",
@@ -122,7 +121,7 @@ def notes(job: Job, details: Sequence[str], tried: bool) -> list[str]:
         lines.append(UNTRIED)
     if job.trajectory.forced:
         lines.append(FORCED)
-    return [" ".join(line.split()) for line in lines]
+    return [" ".join(line.split()).encode("ascii", "replace").decode() for line in lines]
 
 
 def fixed(value: float, decimals: int | None = DECIMALS) -> str:
@@ -143,17 +142,6 @@ def check_options(speed: float, rate: float | None) -> None:
         raise UnusableInput(f"--speed {speed:g} should be above 0 and at most 1")
     if rate is not None and not (math.isfinite(rate) and rate > 0.0):
         raise UnusableInput(f"--rate {rate:g} should be a positive number of rows a second")
-
-
-def save(path: Path, text: str) -> None:
-    """Write a file whole or not at all. Raises UnusableInput where that cannot be done."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_text(text, encoding="utf-8", newline="\n")
-        os.replace(temporary, path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise UnusableInput(f"{path}: cannot be written ({error.strerror}); give a file in a folder that exists") from error
 
 
 def beside(path: Path) -> Path:

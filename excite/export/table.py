@@ -11,9 +11,15 @@ import numpy as np
 
 from .. import artefact
 from ..errors import UnusableInput
-from .sheet import Columns, Job, Written, sampled
+from .sheet import DECIMALS, Array, Columns, Job, Written, sampled
 
 QUANTITIES = ("q", "dq", "ddq", "tau")
+
+
+def text(trajectory: artefact.Trajectory, torque: Array | None = None) -> str:
+    """`trajectory.csv` at the trajectory's own rate. torque: of every row, (N, n) [N m], None to leave its columns out."""
+    tau = None if torque is None else lambda _: torque
+    return write_csv(Job(trajectory, trajectory.motion, "csv", Path("trajectory.csv"), 1.0, None, tau)).text
 
 
 def write_csv(job: Job) -> Written:
@@ -29,7 +35,7 @@ def write_csv(job: Job) -> Written:
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(["t", *(f"{name}.{joint}" for name, _ in zip(QUANTITIES, parts, strict=False) for joint in job.joints)])
-    for row in np.column_stack([t, *parts]) + 0.0:  # adding 0 turns -0 into 0
+    for row in np.round(np.column_stack([t, *parts]), DECIMALS) + 0.0:  # adding 0 turns -0 into 0
         writer.writerow([f"{value:.12g}" for value in row])
     return Written(out.getvalue())
 

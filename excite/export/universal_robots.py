@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -64,9 +65,9 @@ def _pieces(profile: Profile, length: float) -> Iterator[tuple[float, Array]]:
     """Durations and jerks (n,) of all joints together, from the start of a segment to its end."""
     knots = np.unique(np.append(profile.knots(), length))
     knots = knots[knots <= length]
-    for begin, end in zip(knots[:-1], knots[1:], strict=True):
+    for begin, end in pairwise(knots.tolist()):
         if end - begin > 1e-15:
-            yield float(end - begin), profile.at(np.array([(begin + end) / 2]), 3)[0]
+            yield end - begin, profile.at(np.array([(begin + end) / 2]), 3)[0]
 
 
 def _series(fourier: Fourier) -> Iterator[str]:
@@ -114,10 +115,7 @@ def write(job: Job) -> Written:
     motion, step = job.motion, "get_steptime()" if job.rate is None else fixed(1.0 / job.rate, None)
     begin, end = motion.rest
     lines = [
-        *(
-            f"# {line}"
-            for line in notes(job, [f"moves to its start pose by itself; hold the speed at {job.speed:g} of what was certified"], False)
-        ),
+        *(f"# {line}" for line in notes(job, ["begins with a movej to its start pose that looks out for nothing"], False)),
         "def excite_motion():",
         f"  global dt = {step}",
         "  global tick = 1",
@@ -160,13 +158,19 @@ def replayed(text: str) -> Motion:
         if line.startswith("# "):
             kind = line[2:]
         elif line.startswith("series("):
-            segments.append(Segment(kind, *_numbers(line)))
+            start, end = _numbers(line)
+            segments.append(Segment(kind, start, end))
         elif line.startswith("enter("):
             start, *state = _numbers(line)
-            segments.append(Segment(kind, start, start, Profile(*np.array(state).reshape(3, 6), ((),) * 6)))
+            segments.append(Segment(kind, start, start, Profile(*_thirds(state), ((),) * 6)))
         elif line.startswith("piece("):
             segments[-1] = _extended(segments[-1], *_numbers(line))
     return Motion(tuple(f"joint {i}" for i in JOINTS), fourier, 1, tuple(segments))
+
+
+def _thirds(state: list[float]) -> tuple[Array, Array, Array]:
+    position, velocity, acceleration = np.array(state).reshape(3, 6)
+    return position, velocity, acceleration
 
 
 def _coefficients(line: str) -> list[float]:

@@ -18,6 +18,7 @@ from .errors import CheckFailed, UnusableInput
 from .limits import Limits
 from .parameters import Parameters
 from .problem import Box, Options, noise_levels
+from .report.record import DesignRecord
 from .robot import Payload, Robot, builtin_names, load
 from .trajectory import Samples
 
@@ -186,7 +187,7 @@ def workflow_files(delivery: workflow.Delivery, robot: Robot, threshold: float) 
         "trajectory.json": artefact.dumps(trajectory.document()),
         "trajectory.csv": exports.table.write_csv(job).text,
         "identifiability.json": artefact.dumps(analysis.document()),
-        "report.html": report.design_page(trajectory, robot, standard, found, analysis, _record(delivery)),
+        "report.html": report.design_page(trajectory, robot, standard, found, identifiability=analysis, record=_record(delivery)),
     }
     directions = analysis.document()["directions"]
     document = {
@@ -209,14 +210,13 @@ def _torque(robot: Robot, standard: Parameters) -> Callable[[Samples], Array]:
     return lambda samples: dynamics.regressor(robot, standard, samples) @ standard.nominal
 
 
-def _record(delivery: workflow.Delivery) -> Any:
-    from . import report
-
+def _record(delivery: workflow.Delivery) -> DesignRecord:
     attempts = delivery.design.attempts
     starts = [
-        {"seed": a.number, "value": a.objective, "feasible": True, "time": a.time, "objective": a.values, "worst": a.worst} for a in attempts
+        {"seed": a.number, "value": a.objective, "feasible": True, "time": a.time, "objective": a.values, "worst": a.worst, "stage": a.stage}
+        for a in attempts
     ]
-    return report.DesignRecord(starts=starts, chosen=0, timing=delivery.timing, notes=())
+    return DesignRecord(starts=starts, chosen=0, timing=delivery.timing)
 
 
 def _design_text(delivery: workflow.Delivery, document: dict[str, Any], written: Sequence[Path]) -> str:
@@ -288,7 +288,7 @@ def identifiability(arguments: argparse.Namespace) -> Outcome:
     root = identifiable.information_root(robot, standard, samples, noise)
     analysis = identifiable.analyse_root(standard, found, root, noise, robot, threshold=arguments.threshold, samples=len(samples))
     document = json.loads(artefact.dumps(analysis.document()))
-    page = report.identifiability_page(robot, standard, found, analysis, arguments.motion)
+    page = report.identifiability_page(robot, standard, found, analysis, motion=arguments.motion)
     written = files.write_all(Path(arguments.out), {"identifiability.json": artefact.dumps(document), "report.html": page})
     seen = sum(bool(d["identifiable"]) for d in document["directions"])
     text = "\n".join([f"{robot.name}: {seen} of {found.count} directions practically identifiable", *(f"wrote {path}" for path in written)])

@@ -89,12 +89,19 @@ class Trajectory:
             source or str(stated["source"]),
             joints=self.joints,
             lock={k: v for k, v in stated.get("locked", {}).items()},
-            payload=None if payload is None else Payload(**{k: tuple(v) if isinstance(v, list) else v for k, v in payload.items()}),
+            payload=None if payload is None else _payload(payload),
             gravity=stated.get("gravity", (0.0, 0.0, -9.81)),
         )
         if robot.sha256 != stated["sha256"]:
-            raise UnusableInput(f"{robot.source}: is not the URDF this trajectory was designed for (sha256 differs); give that one with --robot")
+            raise UnusableInput(
+                f"{robot.source}: is not the URDF this trajectory was designed for (sha256 differs); give that one with --robot"
+            )
         return robot
+
+
+def _payload(stated: Mapping[str, Any]) -> Payload:
+    numbers = [tuple(float(v) for v in stated[key]) for key in ("centre", "inertia")]
+    return Payload(str(stated["link"]), float(stated["mass"]), numbers[0], numbers[1])  # type: ignore[arg-type]
 
 
 def versions() -> dict[str, str]:
@@ -148,7 +155,8 @@ def _from_document(document: dict[str, Any]) -> Trajectory:
     period = float(document["period"])
     if abs(2.0 * np.pi / period - float(document["base_frequency"])) > 1e-9 / period:
         raise ValueError("base_frequency and period disagree")
-    motion = Motion(joints, Fourier(*arrays, period), int(document["periods"]), read_segments(document["segments"], joints))
+    fourier = Fourier(arrays[0], arrays[1], arrays[2], period)
+    motion = Motion(joints, fourier, int(document["periods"]), read_segments(document["segments"], joints))
     return Trajectory(
         robot=document["robot"],
         motion=motion,

@@ -70,7 +70,7 @@ def find(robot: Robot, parameters: Parameters, limits: Limits) -> Base:
     stacked = (regressor(robot, parameters, motion) / noise[:, None]).reshape(-1, parameters.count)
     norms = np.linalg.norm(stacked, axis=0)
     present = norms > 1e-12 * norms.max()
-    unit = np.linalg.qr(stacked[:, present] / norms[present], mode="r")
+    unit: Array = np.linalg.qr(stacked[:, present] / norms[present], mode="r")  # type: ignore[assignment]
     values = np.linalg.svd(unit, compute_uv=False)
     rank = int(np.sum(values > RANK_TOLERANCE * values[0]))
     expected = base_count(robot, parameters)
@@ -90,10 +90,10 @@ def find(robot: Robot, parameters: Parameters, limits: Limits) -> Base:
 
 
 def _echelon(unit: Array, rank: int) -> tuple[Array, Array]:
-    """Independent columns of a regressor and the others in terms of them: each θ is one parameter, taken from the base outwards, plus multiples of later ones.
+    """Independent columns of a regressor, and every column in terms of them: the coefficients of reduced row-echelon B.
 
-    Gram-Schmidt over the regressor's unit columns; a column whose remainder is the smallest is the dependent one, so
-    that exactly `rank` are kept.
+    Gram-Schmidt over unit columns from the base outwards, so that each θ is named after its innermost parameter and
+    grouped with outer ones; exactly `rank` columns are kept.
     """
     remainder, taken = np.zeros(unit.shape[1]), np.zeros((len(unit), 0))
     for column in range(unit.shape[1]):

@@ -7,6 +7,7 @@ import json
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from typing import NoReturn, TypeAlias
 
 from . import __version__
 from .errors import ExciteError, ExciteWarning, UnusableInput
@@ -21,7 +22,7 @@ EXAMPLES = """examples:
 class _Parser(argparse.ArgumentParser):
     """Wrong use is one line, exit code 2."""
 
-    def error(self, message: str) -> None:  # type: ignore[override]
+    def error(self, message: str) -> NoReturn:
         raise UnusableInput(f"{self.prog}: {message} (see {self.prog} --help)")
 
 
@@ -43,7 +44,7 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
-Commands = argparse._SubParsersAction  # type: ignore[type-arg]
+Commands: TypeAlias = "argparse._SubParsersAction[_Parser]"
 
 
 def _command(commands: Commands, name: str, text: str) -> argparse.ArgumentParser:
@@ -62,27 +63,41 @@ def _robot_options(sub: argparse.ArgumentParser) -> None:
     group.add_argument("--joints", metavar="A,B,…", help="the joints that move; the others are locked")
     group.add_argument("--lock", metavar="NAME=VALUE", action="append", default=[], help="lock a joint at a position [rad or m]")
     group.add_argument("--limits", metavar="FILE", help="TOML or MoveIt joint_limits.yaml that overrides the URDF's limits")
-    group.add_argument("--payload", metavar="LINK:M[,CX,CY,CZ[,IXX,IXY,IYY,IXZ,IYZ,IZZ]]", help="a body at a link: kg, m, kg m² about its centre")
+    group.add_argument(
+        "--payload", metavar="LINK:M[,CX,CY,CZ[,IXX,IXY,IYY,IXZ,IYZ,IZZ]]", help="a body at a link: kg, m, kg m² about its centre"
+    )
     group.add_argument("--gravity", metavar="X,Y,Z", default="0,0,-9.81", help="in the base frame [m/s²] (default %(default)s)")
 
 
 def _model_options(sub: argparse.ArgumentParser) -> None:
     group = sub.add_argument_group("parameters")
-    group.add_argument("--parameters", choices=("inertial", "full"), default="full", help="full: with rotor inertia, friction and offset (default)")
-    group.add_argument("--without", metavar="A,B,…", default="", help="joint parameters to leave out: rotor_inertia, viscous, coulomb, offset")
-    group.add_argument("--torque-noise", metavar="SIGMA[,…]", help="standard deviation, one or per joint [N m] (default 1 %% of the torque limit)")
-    group.add_argument("--threshold", type=float, default=1e-2, help="largest scale-free variance that counts as identifiable (default %(default)s)")
+    group.add_argument(
+        "--parameters", choices=("inertial", "full"), default="full", help="full: with rotor inertia, friction and offset (default)"
+    )
+    group.add_argument(
+        "--without", metavar="A,B,…", default="", help="joint parameters to leave out: rotor_inertia, viscous, coulomb, offset"
+    )
+    group.add_argument(
+        "--torque-noise", metavar="SIGMA[,…]", help="standard deviation, one or per joint [N m] (default 1 %% of the torque limit)"
+    )
+    group.add_argument(
+        "--threshold", type=float, default=1e-2, help="largest scale-free variance that counts as identifiable (default %(default)s)"
+    )
 
 
 def _design(commands: Commands) -> None:
     sub = _command(commands, "design", "design an excitation trajectory")
-    sub.add_argument("-o", dest="out", metavar="DIR", required=True, help="folder for trajectory.json, trajectory.csv, identifiability.json, report.html")
+    sub.add_argument(
+        "-o", dest="out", metavar="DIR", required=True, help="folder for trajectory.json, trajectory.csv, identifiability.json, report.html"
+    )
     _robot_options(sub)
     _model_options(sub)
     group = sub.add_argument_group("criterion")
     group.add_argument("--criterion", choices=("a", "d", "e", "cond", "cond_regressor"), default="a", help="default %(default)s")
     group.add_argument("--plain", action="store_true", help="the Euclidean criterion instead of the geometric one")
-    group.add_argument("--given", metavar="FILE", action="append", default=[], help="trajectory.json or recording whose information is already there")
+    group.add_argument(
+        "--given", metavar="FILE", action="append", default=[], help="trajectory.json or recording whose information is already there"
+    )
     group = sub.add_argument_group("motion")
     group.add_argument("--harmonics", type=int, default=5, metavar="K", help="default %(default)s")
     group.add_argument("--period", type=float, default=10.0, metavar="S", help="[s] (default %(default)s)")
@@ -90,10 +105,18 @@ def _design(commands: Commands) -> None:
     group.add_argument("--samples", type=int, default=200, metavar="N", help="the optimiser's grid over one period (default %(default)s)")
     group.add_argument("--periods", type=int, default=2, metavar="N", help="repeats in the motion (default %(default)s)")
     group.add_argument("--rate", type=float, default=100.0, metavar="HZ", help="rows a second in trajectory.csv (default %(default)s)")
-    group.add_argument("--speed", type=float, default=1.0, metavar="F", help="play the motion at F times its speed, for a first careful run")
-    group.add_argument("--start", metavar="Q1,…,QN", help="pose at which the motion starts and ends, at rest (default: nearest the excitation)")
-    group.add_argument("--box", metavar="FRAME:XMIN,XMAX,YMIN,YMAX,ZMIN,ZMAX", action="append", default=[], help="keep a frame's origin in a box [m]")
-    group.add_argument("--uncertainty", type=float, default=0.1, metavar="R", help="torque limits hold for all robots this near (default %(default)s)")
+    group.add_argument(
+        "--speed", type=float, default=1.0, metavar="F", help="play the motion at F times its speed, for a first careful run"
+    )
+    group.add_argument(
+        "--start", metavar="Q1,…,QN", help="pose at which the motion starts and ends, at rest (default: nearest the excitation)"
+    )
+    group.add_argument(
+        "--box", metavar="FRAME:XMIN,XMAX,YMIN,YMAX,ZMIN,ZMAX", action="append", default=[], help="keep a frame's origin in a box [m]"
+    )
+    group.add_argument(
+        "--uncertainty", type=float, default=0.1, metavar="R", help="torque limits hold for all robots this near (default %(default)s)"
+    )
     group = sub.add_argument_group("search")
     group.add_argument("--starts", type=int, default=2, metavar="N", help="random starts (default %(default)s)")
     group.add_argument("--seed", type=int, default=0, metavar="N", help="default %(default)s")
@@ -111,7 +134,9 @@ def _verify(commands: Commands) -> None:
 def _export(commands: Commands) -> None:
     sub = _command(commands, "export", "write a trajectory for a controller")
     sub.add_argument("trajectory", metavar="TRAJECTORY")
-    sub.add_argument("--format", required=True, metavar="F", help="csv, json, ros2-joint-trajectory, ros2-follow-joint-trajectory, ur-csv, …")
+    sub.add_argument(
+        "--format", required=True, metavar="F", help="csv, json, ros2-joint-trajectory, ros2-follow-joint-trajectory, ur-csv, …"
+    )
     sub.add_argument("-o", dest="out", metavar="FILE", required=True)
     sub.add_argument("--rate", type=float, metavar="HZ", help="rows or knots a second, where the format leaves it open")
     sub.add_argument("--speed", type=float, default=1.0, metavar="F", help="play at F times its speed, for a first careful run")

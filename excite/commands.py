@@ -11,8 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from . import artefact, base, criteria, dynamics, export as exports, files, identifiability as identifiable, limits as limit_tables
-from . import parameters, recording, verify as certificates, workflow
+from . import artefact, base, criteria, dynamics, files, parameters, recording, workflow
+from . import export as exports
+from . import identifiability as identifiable
+from . import limits as limit_tables
+from . import verify as certificates
 from .criteria import Criterion
 from .errors import CheckFailed, UnusableInput
 from .limits import Limits
@@ -106,7 +109,7 @@ def _options(arguments: argparse.Namespace, robot: Robot) -> Options:
         plain=arguments.plain,
         drive=_drive(arguments),
         harmonics=arguments.harmonics,
-        period=arguments.period if free is None else float(np.clip(arguments.period, *free)),
+        period=arguments.period if free is None else min(max(arguments.period, free[0]), free[1]),
         free_period=None if free is None else (free[0], free[1]),
         samples=arguments.samples,
         periods=arguments.periods,
@@ -146,7 +149,7 @@ def _recorded(path: Path, robot: Robot) -> tuple[Samples, artefact.Trajectory | 
 
 def robots(arguments: argparse.Namespace) -> Outcome:
     """List the built-in models."""
-    rows = []
+    rows: list[dict[str, Any]] = []
     for name in builtin_names():
         robot = load(name)
         mass = sum(robot.model.inertias[i].mass for i in range(1, robot.model.njoints))
@@ -166,7 +169,9 @@ def design(arguments: argparse.Namespace) -> Outcome:
     notes = {"parameters": arguments.parameters, "given": list(arguments.given), "speed": arguments.speed}
     if arguments.torque_noise is None:
         notes["torque_noise_source"] = "1 % of each torque limit (default)"
-    delivery = workflow.run(robot, table, options, start=start, given=given, notes=notes, force=arguments.force, speed=arguments.speed, progress=_say)
+    delivery = workflow.run(
+        robot, table, options, start=start, given=given, notes=notes, force=arguments.force, speed=arguments.speed, progress=_say
+    )
     document, contents = workflow_files(delivery, robot, arguments.threshold)
     written = files.write_all(Path(arguments.out), contents)
     document["files"] = [str(path) for path in written]
@@ -213,7 +218,15 @@ def _torque(robot: Robot, standard: Parameters) -> Callable[[Samples], Array]:
 def _record(delivery: workflow.Delivery) -> DesignRecord:
     attempts = delivery.design.attempts
     starts = [
-        {"seed": a.number, "value": a.objective, "feasible": True, "time": a.time, "objective": a.values, "worst": a.worst, "stage": a.stage}
+        {
+            "seed": a.number,
+            "value": a.objective,
+            "feasible": True,
+            "time": a.time,
+            "objective": a.values,
+            "worst": a.worst,
+            "stage": a.stage,
+        }
         for a in attempts
     ]
     return DesignRecord(starts=starts, chosen=0, timing=delivery.timing)
@@ -247,9 +260,7 @@ def verify(arguments: argparse.Namespace) -> Outcome:
     trajectory = artefact.read(Path(arguments.trajectory))
     certificate = certificates.verify(trajectory, trajectory.load_robot(arguments.robot))
     rows = [f"{'limit':13}{'joint':25}{'worst':>12}{'bound':>12}{'margin':>9}{'time [s]':>10}"]
-    rows += [
-        f"{m.limit:13}{m.joint:25}{m.value:12.5g}{m.bound:12.5g}{100 * m.room:8.2f}%{m.time:10.3f}" for m in certificate.margins
-    ]
+    rows += [f"{m.limit:13}{m.joint:25}{m.value:12.5g}{m.bound:12.5g}{100 * m.room:8.2f}%{m.time:10.3f}" for m in certificate.margins]
     rows += ["", _verdict(certificate)]
     return (0 if certificate.ok else 1), certificate.document(), "\n".join(rows)
 

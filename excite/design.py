@@ -17,7 +17,6 @@ from .base import Base
 from .errors import ExciteError, UnusableInput
 from .evaluate import Evaluator
 from .limits import Limits
-
 from .problem import Options, Problem
 from .robot import Robot
 from .trajectory import Fourier
@@ -203,5 +202,3 @@ def tightened(setting: Setting, limits: Limits, reserve: float) -> Setting:
     p = setting.problem
     rebuilt = problem.build(p.robot, limits, p.parameters, p.weighting, p.options, p.given, reserve=reserve)
     return dataclasses.replace(setting, problem=rebuilt)
-
-

@@ -48,9 +48,9 @@ def _mapped(function: ca.Function, count: int) -> Callable[..., list[Array]]:
     inputs = [np.zeros((count, *_shape(function, i, False))) for i in range(function.n_in())]
     buffer, run = mapped.buffer()
     for i, array in enumerate(inputs):
-        buffer.set_arg(i, memoryview(array))
+        buffer.set_arg(i, memoryview(array))  # type: ignore[arg-type]
     for i, array in enumerate(results):
-        buffer.set_res(i, memoryview(array))
+        buffer.set_res(i, memoryview(array))  # type: ignore[arg-type]
 
     def call(*arguments: Array) -> list[Array]:
         _ = mapped, buffer  # `run` borrows both without keeping them alive

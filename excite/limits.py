@@ -204,7 +204,9 @@ def _checked(file: Path, joint: str, quantity: str, value: Any) -> Any:
         if numbers.shape != (2,) or np.isnan(numbers).any():
             raise UnusableInput(f"{where} = {value!r} should be [lower, upper]")
         if not numbers[0] < numbers[1]:
-            raise UnusableInput(f"{where} limits contradict each other: lower {numbers[0]:g} is not below upper {numbers[1]:g}; swap or widen them")
+            raise UnusableInput(
+                f"{where} limits contradict each other: lower {numbers[0]:g} is not below upper {numbers[1]:g}; swap or widen them"
+            )
         return (float(numbers[0]), float(numbers[1]))
     if numbers.shape != () or not numbers > 0.0:
         raise UnusableInput(f"{where} = {value!r} should be one positive number")

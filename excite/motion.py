@@ -165,6 +165,7 @@ def read_segments(document: list[dict[str, Any]], joints: tuple[str, ...]) -> tu
         profile, stated = None, entry.get("profile")
         if stated is not None:
             pieces = tuple(tuple((float(d), float(j)) for d, j in stated["pieces"][joint]) for joint in joints)
-            profile = Profile(*(np.array(stated[key], float) for key in ("position", "velocity", "acceleration")), pieces)
+            state = [np.array(stated[key], float) for key in ("position", "velocity", "acceleration")]
+            profile = Profile(state[0], state[1], state[2], pieces)
         out.append(Segment(str(entry["kind"]), float(entry["start"]), float(entry["end"]), profile))
     return tuple(out)

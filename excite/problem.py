@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .base import Base
 from .criteria import Criterion, Weighting
 from .limits import Braking, Limits
 from .parameters import Parameters
@@ -124,9 +123,13 @@ def build(
     factor = 1.0 / (oversampling_bound(options.samples, K := options.harmonics) * oversampling_bound(DENSITY * options.samples, K))
     middle, half = limits.position.mean(axis=1), 0.5 * np.diff(limits.position, axis=1)[:, 0]
     with np.errstate(invalid="ignore"):
-        position = np.where(np.isfinite(limits.position), np.column_stack([middle - factor * half, middle + factor * half]), limits.position)
+        position = np.where(
+            np.isfinite(limits.position), np.column_stack([middle - factor * half, middle + factor * half]), limits.position
+        )
     shrunk = limits.scaled(velocity=factor, acceleration=factor, jerk=factor, torque=1.0 - reserve)
-    shrunk = dataclasses.replace(shrunk, position=position, braking=tuple(None if b is None else _earlier(b, reserve) for b in limits.braking))
+    shrunk = dataclasses.replace(
+        shrunk, position=position, braking=tuple(None if b is None else _earlier(b, reserve) for b in limits.braking)
+    )
     boxes = tuple(_smaller(box, reserve) for box in options.boxes)
     harmonics = np.arange(1, options.harmonics + 1)
     reach = np.where(np.isfinite(half), half, np.pi)

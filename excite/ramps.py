@@ -224,7 +224,9 @@ def _ramps(planner: Planner, fourier: Fourier, start: Array | None) -> tuple[Fou
             break
     if best is None:
         source = planner.subject.robot.source
-        raise Infeasible(f"{source}: no ramp into the periodic motion obeys position and torque limits; lower --uncertainty or lengthen --period")
+        raise Infeasible(
+            f"{source}: no ramp into the periodic motion obeys position and torque limits; lower --uncertainty or lengthen --period"
+        )
     return best[1], best[2], best[3]
 
 
@@ -234,7 +236,9 @@ def _check_start(subject: Subject, start: Array) -> None:
     if outside.any():
         j = int(np.argmax(outside))
         low, high = limits.position[j]
-        raise UnusableInput(f"{robot.source}: start pose: joint '{robot.joints[j]}' at {start[j]:g} is outside [{low:g}, {high:g}]; move it inside")
+        raise UnusableInput(
+            f"{robot.source}: start pose: joint '{robot.joints[j]}' at {start[j]:g} is outside [{low:g}, {high:g}]; move it inside"
+        )
     still = np.tile(start, (3, 1))
     for demand in checks.loads(subject, Samples(still, np.zeros_like(still), np.zeros_like(still))):
         if demand.ratio() > 1.0:

@@ -180,8 +180,9 @@ def _moving(document: urdf.Urdf, full: pin.Model, joints: Sequence[str] | None, 
     for name in [*wanted, *lock]:
         if name not in document.joints:
             raise UnusableInput(f"{document.source}: no joint '{name}'; there are: {', '.join(free)}")
-        if document.joints[name].mimic is not None:
-            raise UnusableInput(f"{document.source}: joint '{name}' mimics '{document.joints[name].mimic[0]}'; name that one instead")
+        mimic = document.joints[name].mimic
+        if mimic is not None:
+            raise UnusableInput(f"{document.source}: joint '{name}' mimics '{mimic[0]}'; name that one instead")
     both = set(wanted) & set(lock)
     if both:
         raise UnusableInput(f"{document.source}: joint '{min(both)}' is both in --joints and in --lock; drop one")
@@ -217,7 +218,9 @@ def _rest_positions(document: urdf.Urdf, full: pin.Model, lock: dict[str, float]
         lower, upper = document.joints[master].position or (-np.inf, np.inf)
         value = lock.get(master, float(np.clip(0.0, lower, upper)))
         if master not in moving and not lower <= value <= upper:
-            warnings.warn(f"joint '{master}' is locked at {value:g}, outside its limits [{lower:g}, {upper:g}]", ExciteWarning, stacklevel=3)
+            warnings.warn(
+                f"joint '{master}' is locked at {value:g}, outside its limits [{lower:g}, {upper:g}]", ExciteWarning, stacklevel=3
+            )
         rest[full.joints[full.getJointId(name)].idx_q] = multiplier * value + offset
     return rest
 
@@ -244,4 +247,6 @@ def _require_mass(robot: Robot) -> None:
         carried = [i for row in np.flatnonzero(robot.spread[:, column]) for i in model.subtrees[int(row) + 1]]
         moments = [float(model.inertias[i].mass) + float(np.trace(model.inertias[i].inertia)) for i in carried]
         if not any(moment > 0.0 for moment in moments):
-            raise UnusableInput(f"{robot.source}: joint '{joint}' moves no mass; give its links an <inertial> or lock it with --lock {joint}=0")
+            raise UnusableInput(
+                f"{robot.source}: joint '{joint}' moves no mass; give its links an <inertial> or lock it with --lock {joint}=0"
+            )

@@ -70,9 +70,7 @@ def solve(evaluator: Evaluator, x: Array, history: History, tolerances: Toleranc
 class _Search:
     """One run at one sharpness. B approximates the Lagrangian's Hessian by damped BFGS updates."""
 
-    def __init__(
-        self, evaluator: Evaluator, x: Array, sharpness: float, stage: int, history: History, tolerances: Tolerances
-    ) -> None:
+    def __init__(self, evaluator: Evaluator, x: Array, sharpness: float, stage: int, history: History, tolerances: Tolerances) -> None:
         self.evaluator, self.sharpness, self.stage = evaluator, sharpness, stage
         self.history, self.tolerances = history, tolerances
         self.x, self.B = x, np.eye(len(x))
@@ -192,12 +190,12 @@ class _Search:
 
 
 _SOLVERS: dict[tuple[str, int, int], ca.Function] = {}
-_QUIET = {"daqp": {"daqp": {"eps_prox": 1e-6}}, "highs": {"highs": {"output_flag": False}}}
+_QUIET: dict[str, dict[str, object]] = {"daqp": {"daqp": {"eps_prox": 1e-6}}, "highs": {"highs": {"output_flag": False}}}
 
 
 def _quadratic_solver(plugin: str, size: int, rows: int) -> ca.Function:
     key = (plugin, size, rows)
     if key not in _SOLVERS:
         shape = {"h": ca.Sparsity.dense(size, size), "a": ca.Sparsity.dense(rows, size)}
-        _SOLVERS[key] = ca.conic("subproblem", plugin, shape, _QUIET[plugin] | {"error_on_fail": False})
+        _SOLVERS[key] = ca.conic("subproblem", plugin, shape, {**_QUIET[plugin], "error_on_fail": False})
     return _SOLVERS[key]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import optimize
 
 from .errors import Infeasible, UnusableInput
 from .evaluate import Evaluator, Rows
@@ -82,6 +81,8 @@ def _improved(evaluator: Evaluator, holder: _Poses, candidates: Array) -> Array:
 
 
 def _least_worst(evaluator: Evaluator, pose: Array) -> Array:
+    from scipy import optimize  # rarely needed, slow to import
+
     problem = evaluator.problem
     n = problem.robot.n
     columns = np.arange(n) * problem.scale.shape[1] + problem.scale.shape[1] - 1

@@ -90,9 +90,7 @@ def _transfers(axis: Array, reached: Array, pull: Array, varying: Array, rotor: 
     conditions.append(np.hstack([momenta @ pull, 0.0, 1.0]))
     turned = np.array([_ad(axis).T @ inertia + inertia @ _ad(axis) for inertia in _INERTIAS])
     others = np.column_stack([reached, varying, pull])
-    for v in reached.T:
-        for w in others.T:
-            conditions.append(np.hstack([turned @ w @ v, 0.0, 0.0]))
+    conditions += [np.hstack([turned @ w @ v, 0.0, 0.0]) for v in reached.T for w in others.T]
     matrix = np.array(conditions)
     keep = [True] * 10 + [rotor, offset]
     values = np.linalg.svd(matrix[:, keep], compute_uv=False)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import threadpoolctl
 
 from . import design, ramps, verify
 from .artefact import Trajectory, versions
@@ -32,6 +33,7 @@ class Delivery:
     timing: dict[str, float]
 
 
+@threadpoolctl.threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]  # small matrices: threads cost more than they bring
 def run(
     robot: Robot,
     limits: Limits,
@@ -72,7 +74,11 @@ def run(
     timing["total"] = time.perf_counter() - begun
     if not certificate.ok and not force:
         worst = certificate.worst()
-        reason = certificate.faults[0] if certificate.faults else f"{worst.limit} of '{worst.joint}' reaches {worst.value:.4g} of {worst.bound:.4g}"
+        reason = (
+            certificate.faults[0]
+            if certificate.faults
+            else f"{worst.limit} of '{worst.joint}' reaches {worst.value:.4g} of {worst.bound:.4g}"
+        )
         raise CheckFailed(f"{robot.source}: the designed motion fails its certificate: {reason}; try another --seed or --force")
     trajectory = dataclasses.replace(
         trajectory, margins=[m.document() for m in certificate.margins], collision=certificate.collision, forced=not certificate.ok

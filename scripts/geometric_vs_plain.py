@@ -84,7 +84,11 @@ def report(name: str, arguments: argparse.Namespace) -> None:
     first = next(iter(found.values()))
     others = unseen(first, 20, np.random.default_rng(12345))
     columns = [("geometric", c) for c in ("a", "d", "e", "cond")] + [("plain", c) for c in ("a", "d", "e", "cond")]
-    print(f"\n### {name}\n\n| designed for | " + " | ".join(f"{k} {c}" for k, c in columns) + " | cond_regressor | error in the metric | held-out torque / noise |")
+    print(
+        f"\n### {name}\n\n| designed for | "
+        + " | ".join(f"{k} {c}" for k, c in columns)
+        + " | cond_regressor | error in the metric | held-out torque / noise |"
+    )
     print("|---" * (len(columns) + 4) + "|")
     for title, one in found.items():
         problem = one.setting.problem
@@ -102,7 +106,9 @@ def main() -> None:
     parser.add_argument("--starts", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--draws", type=int, default=2000)
-    parser.add_argument("--spread", type=float, default=0.2, help="how far the true robot is from the nominal one, per direction of the metric")
+    parser.add_argument(
+        "--spread", type=float, default=0.2, help="how far the true robot is from the nominal one, per direction of the metric"
+    )
     arguments = parser.parse_args()
     warnings.simplefilter("ignore", ExciteWarning)
     for name in arguments.robots:

@@ -51,7 +51,7 @@ class Design:
         return Scene(self.trajectory.motion, self.trajectory.limits, self.robot)
 
 
-def design_page(  # noqa: PLR0917 six things that a report is about, in the order of their making
+def design_page(
     trajectory: Trajectory,
     robot: Robot,
     parameters: Parameters,

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from ..motion import Motion
 from .page import escape, power_of_ten
 
 Array = np.ndarray
@@ -113,53 +112,6 @@ def thin(t: Array, y: Array, count: int) -> tuple[Array, Array]:
         keep |= {start + int(np.argmin(y[start:stop])), start + int(np.argmax(y[start:stop]))}
     index = np.array(sorted(keep))
     return t[index], y[index]
-
-
-def shade(axes: Any, motion: Motion) -> None:
-    """Mark the segments that are not the excitation itself."""
-    for segment in motion.segments:
-        if segment.kind in SHADES and segment.end > segment.start:
-            axes.axvspan(segment.start, segment.end, color=SHADES[segment.kind], linewidth=0, zorder=0)
-
-
-def shade_legend(figure: Any, motion: Motion, extra: Sequence[tuple[str, Any]] = ()) -> None:
-    """Say once, at the top, what the shades and lines of a figure mean."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    kinds = {s.kind for s in motion.segments}
-    handles: list[Any] = [
-        Line2D([], [], color=BLUE, linewidth=1.2, label="motion"),
-        Line2D([], [], color=RED, linewidth=0.8, dashes=(4, 2), label="limit"),
-    ]
-    handles = [*[h for _, h in extra], *handles] if not extra else [h for _, h in extra]
-    if kinds & {"ramp_in", "ramp_out"}:
-        handles.append(Patch(color=SHADES["ramp_in"], label=SEGMENT_WORDS["ramp_in"]))
-    if kinds & {"approach", "return"}:
-        handles.append(Patch(color=SHADES["approach"], label=SEGMENT_WORDS["approach"]))
-    height = figure.get_size_inches()[1]
-    figure.legend(handles=handles, loc="upper right", ncols=len(handles), bbox_to_anchor=(0.995, 1.0 - 0.02 / height), borderaxespad=0.0)
-
-
-def bound(axes: Any, lower: float, upper: float, low: float, high: float) -> None:
-    """Limits as dashed lines where they are in sight; where they are far off, their value in the corner instead."""
-    middle, reach = 0.5 * (low + high), max(0.5 * (high - low), 1e-9)
-    texts = []
-    for value in (lower, upper):
-        if not np.isfinite(value):
-            continue
-        if abs(value - middle) <= 5.0 * reach:
-            axes.axhline(value, color=RED, linewidth=0.8, dashes=(4, 2))
-            low, high = min(low, value), max(high, value)
-        else:
-            texts.append(f"{value:.4g}")
-    pad = 0.08 * max(high - low, 1e-9)
-    axes.set_ylim(low - pad, high + pad)
-    if texts:
-        text = f"limit ±{texts[-1]}" if len(texts) == 2 and np.isclose(lower, -upper) else "limit " + ", ".join(texts)
-        axes.annotate(
-            text.replace("-", "−"), (1.0, 1.0), (0, 3), "axes fraction", textcoords="offset points", ha="right", fontsize=6.5, color=RED
-        )
 
 
 def few_ticks(axes: Any, x: int = 4, y: int = 3) -> None:

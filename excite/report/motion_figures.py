@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,12 +11,13 @@ import pinocchio as pin
 from ..limits import Limits
 from ..motion import Motion
 from ..robot import Robot
-from .figures import BLUE, GREY, INK, MANY, ORANGE, RED, SEGMENT_WORDS, bound, few_ticks, grid, render, shade, shade_legend, thin
+from .figures import BLUE, GREY, INK, MANY, ORANGE, SEGMENT_WORDS, few_ticks, grid, render
+from .page import escape
+from .panels import Panel, small_multiples
 
 Array = np.ndarray
 QUANTITIES = ("position", "velocity", "acceleration", "jerk")
 _UNITS = {"position": "{}", "velocity": "{}/s", "acceleration": "{}/s²", "jerk": "{}/s³"}
-_POINTS = 360
 
 
 @dataclass(frozen=True)
@@ -42,75 +42,33 @@ def is_prismatic(robot: Robot) -> list[bool]:
 def kinematics(scene: Scene) -> list[str]:
     """Position, velocity, acceleration and jerk of every joint with their limits: one figure, or one per quantity."""
     motion, robot = scene.motion, scene.robot
-    t = dense(motion, 4000)
-    t = t[1:-1]  # jerk is not defined at the two ends
+    t = dense(motion, 4000)[1:-1]  # jerk is not defined at the two ends
     curves = [motion.at(t, order) for order in range(4)]
+    sliding = is_prismatic(robot)
+    unit = "m" if all(sliding) else "rad" if not any(sliding) else "rad or m"
+    heads = [f"{quantity} [{_UNITS[quantity].format(unit)}]" for quantity in QUANTITIES]
+
+    def panel(order: int, j: int, title: str) -> Panel:
+        return Panel(title, t, curves[order][:, j], _bounds(scene.limits, QUANTITIES[order], j))
+
+    names = [
+        f"{short(joint)} (m)" if slides and not all(sliding) else short(joint) for joint, slides in zip(robot.joints, sliding, strict=True)
+    ]
     if robot.n <= MANY:
-        return [_by_joint(t, curves, scene)]
-    return [_by_quantity(t, curves[order], order, scene) for order in range(4)]
+        cells = [panel(order, j, names[j] if order == 0 else "") for j in range(robot.n) for order in range(4)]
+        return [
+            small_multiples("Position, velocity, acceleration and jerk of every joint", cells, motion, columns=4, height=62.0, heads=heads)
+        ]
+    return [
+        f"<h3>{escape(heads[order].capitalize())}</h3>"
+        + small_multiples(heads[order], [panel(order, j, names[j]) for j in range(robot.n)], motion, columns=5, height=48.0)
+        for order in range(4)
+    ]
 
 
 def _bounds(limits: Limits, quantity: str, joint: int) -> tuple[float, float]:
     value = getattr(limits, quantity)[joint]
     return (float(value[0]), float(value[1])) if quantity == "position" else (-float(value), float(value))
-
-
-def _curve(axes: Any, curve: tuple[Array, Array], motion: Motion, between: tuple[float, float], points: int = _POINTS) -> None:
-    t, y = curve
-    shade(axes, motion)
-    axes.plot(*thin(t, y, points), color=BLUE)
-    bound(axes, *between, float(y.min()), float(y.max()))
-    axes.set_xlim(0.0, motion.duration)
-    few_ticks(axes)
-
-
-def _by_joint(t: Array, curves: Sequence[Array], scene: Scene) -> str:
-    motion, limits, robot = scene.motion, scene.limits, scene.robot
-    sliding = is_prismatic(robot)
-    unit = "m" if all(sliding) else "rad" if not any(sliding) else "rad or m"
-
-    def draw(figure: Any) -> None:
-        panels = grid(figure, robot.n, 4, margins=(0.42, 0.1, 0.62, 0.4), gaps=(0.42, 0.34), share="x")
-        for j, joint in enumerate(robot.joints):
-            for order, quantity in enumerate(QUANTITIES):
-                axes = panels[j, order]
-                _curve(axes, (t, curves[order][:, j]), motion, _bounds(limits, quantity, j))
-                axes.tick_params(labelbottom=j == robot.n - 1)
-                if j == 0:
-                    head = f"{quantity} [{_UNITS[quantity].format(unit)}]"
-                    axes.annotate(
-                        head, (0.5, 1.0), (0, 20), "axes fraction", textcoords="offset points", ha="center", fontsize=8.5, color=INK
-                    )
-                if j == robot.n - 1:
-                    axes.set_xlabel("time [s]")
-            name = f"{joint} (m)" if sliding[j] and not all(sliding) else joint
-            panels[j, 0].set_title(name, loc="left", fontsize=8.5, fontweight="bold", pad=4)
-        shade_legend(figure, motion)
-
-    return render("Position, velocity, acceleration and jerk of every joint", 1.05 + 1.22 * robot.n, draw)
-
-
-def _by_quantity(t: Array, values: Array, order: int, scene: Scene) -> str:
-    motion, limits, robot = scene.motion, scene.limits, scene.robot
-    quantity, columns = QUANTITIES[order], 5
-    rows, sliding = -(-robot.n // columns), is_prismatic(robot)
-
-    def draw(figure: Any) -> None:
-        panels = grid(figure, rows, columns, margins=(0.42, 0.1, 0.52, 0.4), gaps=(0.4, 0.3), share="x")
-        for j, joint in enumerate(robot.joints):
-            axes = panels.flat[j]
-            _curve(axes, (t, values[:, j]), motion, _bounds(limits, quantity, j), 200)
-            axes.tick_params(labelbottom=j + columns >= robot.n)
-            axes.set_title(short(joint), loc="left", fontsize=7.5, pad=3)
-            if j + columns >= robot.n:
-                axes.set_xlabel("time [s]")
-        for axes in panels.flat[robot.n :]:
-            axes.set_visible(False)
-        unit = _UNITS[quantity].format("m" if all(sliding) else "rad" if not any(sliding) else "rad or m")
-        figure.text(0.005, 1.0 - 0.06 / figure.get_size_inches()[1], f"{quantity} [{unit}]", fontsize=9.5, fontweight="bold", va="top")
-        shade_legend(figure, motion)
-
-    return render(f"{quantity} of every joint", 0.95 + 1.12 * rows, draw)
 
 
 def short(name: str, most: int = 26) -> str:
@@ -120,44 +78,15 @@ def short(name: str, most: int = 26) -> str:
 
 def torques(t: Array, nominal: Array, width: Array, scene: Scene) -> str:
     """Torque of every joint, the band of uncertain robots around it, and the limits."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    motion, limits, robot = scene.motion, scene.limits, scene.robot
+    robot = scene.robot
     columns = 1 if robot.n == 1 else 2 if robot.n <= 4 else 3 if robot.n <= MANY else 5
-    rows, sliding, banded = -(-robot.n // columns), is_prismatic(robot), bool(np.any(width > 0.0))
-
-    def draw(figure: Any) -> None:
-        panels = grid(figure, rows, columns, margins=(0.45, 0.1, 0.55, 0.4), gaps=(0.45, 0.34), share="x")
-        for j, joint in enumerate(robot.joints):
-            axes, middle, half = panels.flat[j], nominal[:, j], width[:, j]
-            shade(axes, motion)
-            if banded:
-                upper, lower = thin(t, middle + half, _POINTS), thin(t, middle - half, _POINTS)
-                axes.fill(
-                    np.concatenate([upper[0], lower[0][::-1]]),
-                    np.concatenate([upper[1], lower[1][::-1]]),
-                    color=BLUE,
-                    alpha=0.25,
-                    linewidth=0,
-                )
-            axes.plot(*thin(t, middle, _POINTS), color=BLUE)
-            bound(axes, -float(limits.torque[j]), float(limits.torque[j]), float((middle - half).min()), float((middle + half).max()))
-            axes.set_xlim(0.0, motion.duration)
-            few_ticks(axes)
-            axes.tick_params(labelbottom=j + columns >= robot.n)
-            axes.set_title(f"{short(joint)} [{'N' if sliding[j] else 'N m'}]", loc="left", fontsize=7.5 if robot.n > MANY else 8.5, pad=3)
-            if j + columns >= robot.n:
-                axes.set_xlabel("time [s]")
-        for axes in panels.flat[robot.n :]:
-            axes.set_visible(False)
-        lines: list[tuple[str, Any]] = [("nominal", Line2D([], [], color=BLUE, linewidth=1.2, label="nominal robot"))]
-        if banded:
-            lines.append(("band", Patch(color=BLUE, alpha=0.25, label="every robot in the ball")))
-        lines.append(("limit", Line2D([], [], color=RED, linewidth=0.8, dashes=(4, 2), label="limit")))
-        shade_legend(figure, motion, lines)
-
-    return render("Torque of every joint with its limits", 0.98 + (1.25 if robot.n > MANY else 1.6) * rows, draw)
+    banded, cells = bool(np.any(width > 0.0)), []
+    for j, (joint, slides) in enumerate(zip(robot.joints, is_prismatic(robot), strict=True)):
+        limit = float(scene.limits.torque[j])
+        title = f"{short(joint, 22)} [{'N' if slides else 'N m'}]"
+        cells.append(Panel(title, t, nominal[:, j], (-limit, limit), width[:, j] if banded else None))
+    height = 52.0 if robot.n > MANY else 90.0
+    return small_multiples("Torque of every joint with its limits", cells, scene.motion, columns=columns, height=height)
 
 
 # -- the path in space ---------------------------------------------------------------------------------------

@@ -55,7 +55,7 @@ def _mapped(function: ca.Function, count: int) -> Callable[..., list[Array]]:
     def call(*arguments: Array) -> list[Array]:
         _ = mapped, buffer  # `run` borrows both without keeping them alive
         for target, argument in zip(inputs, arguments, strict=True):
-            np.copyto(target, argument)
+            np.copyto(target, argument.reshape(target.shape))
         run()
         return results
 
@@ -114,7 +114,8 @@ class Evaluator:
 
     def _regressor_at(self, point: _Point) -> Array:
         if point.Y is None:
-            point.Y = self._regressor(*point.motion[:3])[0]
+            q = point.motion[0]
+            point.Y = self._regressor(*point.motion[:3])[0].reshape(*q.shape, -1)
         return point.Y
 
     def objective(self, x: Array, sharpness: float) -> tuple[float, Array]:
@@ -158,6 +159,7 @@ class Evaluator:
 
     def hold(self, poses: Array) -> dict[str, Array]:
         """The table of row values with each sample standing still at a pose of its own. `poses`: Shape (N, n)."""
+        self._point = None  # its regressor lives in memory that this call overwrites
         still = np.zeros_like(poses)
         point = _Point(np.empty(0), (poses, still, still, still))
         return {kind: self._values(point, kind) for kind in self.kinds}

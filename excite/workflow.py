@@ -14,7 +14,7 @@ from . import design, ramps, verify
 from .artefact import Trajectory, versions
 from .checks import Subject
 from .design import Design, Progress
-from .errors import CheckFailed
+from .errors import CheckFailed, UnusableInput
 from .limits import Limits
 from .problem import RESERVE, Options
 from .robot import Robot
@@ -55,6 +55,8 @@ def run(
     """
     say = progress or (lambda text: None)
     begun = time.perf_counter()
+    if not 0.0 < speed <= 1.0:
+        raise UnusableInput(f"--speed {speed:g} should be above 0 and at most 1")
     design.whole_samples(options.period / speed, options.rate)
     setting = design.prepare(robot, limits, options, given)
     say(f"{robot.name}: {robot.n} joints, {setting.base.count} base parameters")

@@ -22,9 +22,8 @@ def main() -> None:
         delivery = workflow.run(machine, limits.resolve(machine), Options(starts=4), progress=lambda text: print(text, file=sys.stderr))
         written = files.write_all(arguments.out, {f"{name}.json": artefact.dumps(delivery.trajectory.document())})
         value = delivery.trajectory.criteria["optimum"]["geometric"]["a"]
-        print(
-            f"{written[0]}: geometric a = {value:.5g}, {delivery.trajectory.motion.duration:.1f} s, {delivery.timing['total']:.1f} s to design"
-        )
+        length, spent = delivery.trajectory.motion.duration, delivery.timing["total"]
+        print(f"{written[0]}: geometric a = {value:.5g}, {length:.1f} s long, {spent:.1f} s to design")
 
 
 if __name__ == "__main__":

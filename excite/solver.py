@@ -172,11 +172,11 @@ class _Search:
         return True
 
     def _update(self, step: Array, change: Array) -> None:
-        """Powell's damped BFGS update; the first one sets the scale."""
+        """Powell's damped BFGS update; the first one sets the scale (the curvature along it, not the largest)."""
         curvature = float(step @ change)
         if not self.scaled:
             if curvature > 0.0:
-                self.B *= float(change @ change) / curvature
+                self.B *= curvature / float(step @ step)
             self.scaled = True
         Bs = self.B @ step
         sBs = float(step @ Bs)

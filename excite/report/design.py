@@ -235,9 +235,9 @@ def torque_section(subject: Design) -> Section:
 def path_section(subject: Design) -> Section:
     """(h) Where in space does it move?"""
     svg, extent = motion_figures.path(subject.trajectory.motion, subject.robot)
-    size = extent[1] - extent[0]
-    answer = (
-        f"The end of the robot stays in a box of {size[0]:.2f} × {size[1]:.2f} × {size[2]:.2f} m, between "
-        f"{number(float(extent[0, 2]), 3)} and {number(float(extent[1, 2]), 3)} m above the base's origin; {subject.trajectory.collision}."
-    )
+    size, single = extent[1] - extent[0], len(motion_figures.branch_ends(subject.robot)) == 1
+    box = " × ".join(f"{length:.2f}" for length in size)
+    answer = f"The {'end of the robot stays' if single else 'ends of the robot stay'} in a box of {box} m, "
+    answer += f"between {number(float(extent[0, 2]), 3)} and {number(float(extent[1, 2]), 3)} m above the base's origin; "
+    answer += f"{subject.trajectory.collision}."
     return Section("path", "Where in space does it move?", answer, figure(svg))

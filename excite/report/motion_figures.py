@@ -92,7 +92,7 @@ def torques(t: Array, nominal: Array, width: Array, scene: Scene) -> str:
 # -- the path in space ---------------------------------------------------------------------------------------
 
 
-def _tips(robot: Robot) -> list[int]:
+def branch_ends(robot: Robot) -> list[int]:
     """Per branch of the tree the frame that ends it: of the last joint's frames the furthest from the joint."""
     model = robot.model
     parents = {model.parents[i] for i in range(1, model.njoints)}
@@ -105,12 +105,12 @@ def _tips(robot: Robot) -> list[int]:
 
 def skeleton(robot: Robot, q: Array) -> tuple[Array, Array]:
     """Joint origins (base first) and the ends of all branches at each pose. Shapes (N, n) -> (N, njoints, 3), (N, m, 3) [m]."""
-    model, data, tips = robot.model, robot.model.createData(), _tips(robot)
-    joints, ends = np.empty((len(q), model.njoints, 3)), np.empty((len(q), len(tips), 3))
+    model, data, ends_of = robot.model, robot.model.createData(), branch_ends(robot)
+    joints, ends = np.empty((len(q), model.njoints, 3)), np.empty((len(q), len(ends_of), 3))
     for k, configuration in enumerate(robot.expand(q)):
         pin.forwardKinematics(model, data, configuration)
         joints[k] = [placement.translation for placement in data.oMi]
-        ends[k] = [pin.updateFramePlacement(model, data, tip).translation for tip in tips]
+        ends[k] = [pin.updateFramePlacement(model, data, tip).translation for tip in ends_of]
     return joints, ends
 
 
@@ -149,13 +149,13 @@ def path(motion: Motion, robot: Robot) -> tuple[str, Array]:
 
 
 def _path(axes: Any, x: Array, y: Array, kinds: Array) -> None:
-    for color, chosen, width in ((ORANGE, kinds != "fourier", 0.9), (BLUE, kinds == "fourier", 0.9)):
+    for color, chosen, width in ((ORANGE, kinds != "fourier", 2.4), (BLUE, kinds == "fourier", 0.9)):  # ramps retrace the path
         axes.plot(np.where(chosen, x, np.nan), np.where(chosen, y, np.nan), color=color, linewidth=width, zorder=2)
 
 
 def _sticks(axes: Any, robot: Robot, points: tuple[Array, Array], view: tuple[int, int], alpha: float) -> None:
     (a, b), (joints, tips) = view, points
-    parents, leaves = list(robot.model.parents), [robot.model.frames[k].parentJoint for k in _tips(robot)]
+    parents, leaves = list(robot.model.parents), [robot.model.frames[k].parentJoint for k in branch_ends(robot)]
     lines = [(joints[parents[i]], joints[i]) for i in range(1, len(joints))] + [
         (joints[leaf], tip) for leaf, tip in zip(leaves, tips, strict=True)
     ]

@@ -108,7 +108,9 @@ def deviations(found: Identifiability) -> str:
         ends = np.array([low, high])
         for ratio, text in ((0.01, "1 %"), (0.1, "10 %"), (1.0, "100 %")):
             axes.plot(ends, ratio * ends, color=GREY, linewidth=0.7, dashes=(3, 2), zorder=1)
-            axes.annotate(text, (high, ratio * high), (3, 0), textcoords="offset points", fontsize=7, color=SOFT, va="center")
+            axes.annotate(
+                text, (high, ratio * high), (3, 0), textcoords="offset points", fontsize=7, color=SOFT, va="center", annotation_clip=True
+            )
         for label, starts, color in _KINDS:
             chosen = usable & np.array([_kind(n) in starts for n in names])
             if chosen.any():
@@ -120,6 +122,8 @@ def deviations(found: Identifiability) -> str:
                 "nominal 0", (low / 12.0, 0.985), xycoords=axes.get_xaxis_transform(), ha="center", va="top", fontsize=7, color=SOFT
             )
         axes.set_xlim(low / 40.0 if (~known & usable).any() else low / 1.5, high * 1.05)
+        if usable.any():
+            axes.set_ylim(float(std[usable].min()) / 5.0, float(std[usable].max()) * 8.0)
         axes.set_xlabel("|nominal value| of the base parameter [SI]")
         axes.set_ylabel("predicted standard deviation [SI]")
         handles, labels = axes.get_legend_handles_labels()
@@ -134,8 +138,12 @@ def _kind(name: str) -> str:
 
 
 def _label_worst(axes: Any, names: Sequence[str], x: Array, y: Array, ratio: Array) -> None:
-    for k in np.argsort(-ratio)[:6]:
-        if ratio[k] > 0.1:
+    taken: list[tuple[float, float]] = []
+    for k in np.argsort(-ratio)[:12]:
+        place = (float(np.log10(x[k])), float(np.log10(y[k])))
+        free = all(abs(place[0] - a) > 0.4 or abs(place[1] - b) > 0.5 for a, b in taken)
+        if ratio[k] > 0.1 and free and len(taken) < 6:
+            taken.append(place)
             axes.annotate(names[k], (x[k], y[k]), (4, 3), textcoords="offset points", fontsize=7)
 
 

@@ -66,7 +66,7 @@ def poses(evaluator: Evaluator, rng: np.random.Generator, tries: int = 4) -> Arr
 
 
 def _improved(evaluator: Evaluator, holder: _Poses, candidates: Array) -> Array:
-    """Lower the largest row value of the best poses by sequential quadratic programming on max g ≤ s."""
+    """Lower the largest row value of the best poses by sequential quadratic programming on max g ≤ s, within the joint ranges."""
     best, best_value = candidates[0], np.inf
     for pose in candidates:
         found = _least_worst(evaluator, pose)
@@ -86,6 +86,7 @@ def _least_worst(evaluator: Evaluator, pose: Array) -> Array:
     problem = evaluator.problem
     n = problem.robot.n
     columns = np.arange(n) * problem.scale.shape[1] + problem.scale.shape[1] - 1
+    position = evaluator.kinds.index("position") if "position" in evaluator.kinds else -1  # kept as bounds instead
     first = np.zeros(problem.options.samples, bool)
     first[0] = True
 
@@ -95,7 +96,7 @@ def _least_worst(evaluator: Evaluator, pose: Array) -> Array:
         mask = np.concatenate([np.broadcast_to(first[None, :, None], v.shape).ravel() for v in table.values()])
         rows: Rows = evaluator.rows(mask)
         values = evaluator.row_values(x, rows)
-        keep = np.isfinite(values)
+        keep = np.isfinite(values) & (rows.kind != position)
         slopes = evaluator.row_gradients(x, rows)[:, columns] / problem.scale[:, -1]
         return values[keep], slopes[keep]
 
@@ -109,6 +110,7 @@ def _least_worst(evaluator: Evaluator, pose: Array) -> Array:
             "fun": lambda z: z[-1] - rows_at(z)[0],
             "jac": lambda z: np.column_stack([-(s := rows_at(z)[1]), np.ones(len(s))]),
         },
+        bounds=[*problem.limits.position, (None, None)],
         method="SLSQP",
         options={"maxiter": 60},
     )

@@ -1,0 +1,261 @@
+"""The command line as a user meets it: files written, exit codes, one line when something is wrong."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from excite import cli
+
+MODELS = Path(cli.__file__).parent / "models"
+QUICK = ["--starts", "1", "--iterations", "15", "--harmonics", "3", "--samples", "60"]
+
+
+def run(capsys, *arguments):
+    code = cli.main([str(a) for a in arguments])
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def refused(capsys, *arguments, code=2):
+    """The one line that a refused command prints."""
+    found, out, err = run(capsys, *arguments)
+    assert found == code, err
+    assert out == ""
+    lines = [line for line in err.splitlines() if line.startswith("excite:")]
+    assert len(lines) == 1, err
+    return lines[0]
+
+
+@pytest.fixture(scope="module")
+def designed(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("design")
+    assert cli.main(["design", "two_link", "-o", str(folder), *QUICK]) == 0
+    return folder
+
+
+def test_design_writes_its_four_files(designed):
+    assert {p.name for p in designed.iterdir()} == {"trajectory.json", "trajectory.csv", "identifiability.json", "report.html"}
+
+
+def test_csv_follows_the_contract(designed):
+    header, *rows = (designed / "trajectory.csv").read_text().splitlines()
+    assert header == "t," + ",".join(f"{q}.joint_{j}" for q in ("q", "dq", "ddq", "tau") for j in (1, 2))
+    table = np.array([row.split(",") for row in rows], float)
+    assert np.allclose(table[:, 0], np.arange(len(table)) / 100.0, atol=1e-9)
+    assert (table[[0, -1], 3:7] == 0.0).all()
+
+
+def test_trajectory_json_has_the_contract_keys(designed):
+    document = json.loads((designed / "trajectory.json").read_text())
+    keys = "schema robot joints base_frequency harmonics period periods sine cosine offset segments rate limits torque_noise"
+    assert set((keys + " criterion criteria margins collision seed versions").split()) <= set(document)
+    assert document["schema"] == "excite.trajectory/1"
+    assert {"kind", "start", "end"} <= set(document["segments"][0])
+
+
+def test_identifiability_json_has_the_contract_keys(designed):
+    document = json.loads((designed / "identifiability.json").read_text())
+    assert set("schema threshold eigenvalues directions base_parameters links torque_noise".split()) <= set(document)
+
+
+def test_verify_says_ok_and_collision_not_checked(capsys, designed):
+    code, out, _ = run(capsys, "verify", designed / "trajectory.json", "--json")
+    document = json.loads(out)
+    assert code == 0
+    assert document["ok"]
+    assert "not checked" in document["collision"]
+    assert {"limit", "joint", "time", "value", "bound"} <= set(document["margins"][0])
+
+
+def test_design_json_carries_criteria_and_timing(capsys, tmp_path):
+    code, out, _ = run(capsys, "design", "two_link", "-o", tmp_path / "o", "--json", *QUICK)
+    document = json.loads(out)
+    assert code == 0
+    assert set(document["criteria"]["optimum"]) == {"geometric", "plain", "cond_regressor"}
+    assert set(document["criteria"]["exported"]["geometric"]) == {"a", "d", "e", "cond"}
+    assert set("build first_feasible within_1_percent solve total".split()) <= set(document["timing"])
+
+
+def test_a_broken_trajectory_fails_verification_and_is_not_exported(capsys, designed, tmp_path):
+    document = json.loads((designed / "trajectory.json").read_text())
+    document["limits"]["velocity"]["joint_1"]["value"] *= 0.5
+    broken = tmp_path / "broken.json"
+    broken.write_text(json.dumps(document))
+    assert run(capsys, "verify", broken)[0] == 1
+    target = tmp_path / "out.csv"
+    assert "velocity" in refused(capsys, "export", broken, "--format", "csv", "-o", target, code=1)
+    assert not target.exists()
+    assert run(capsys, "export", broken, "--format", "ros2-joint-trajectory", "-o", target, "--force")[0] == 0
+    assert "FORCED" in target.read_text()
+
+
+@pytest.mark.parametrize("form", ["csv", "json", "ros2-joint-trajectory", "ros2-follow-joint-trajectory"])
+def test_export(capsys, designed, tmp_path, form):
+    target = tmp_path / "file"
+    code, _, err = run(capsys, "export", designed / "trajectory.json", "--format", form, "-o", target)
+    assert code == 0, err
+    assert target.stat().st_size > 1000
+
+
+def test_identifiability_of_a_trajectory_and_of_a_recording_agree(capsys, designed, tmp_path):
+    counts = []
+    for motion in ("trajectory.json", "trajectory.csv"):
+        code, out, err = run(capsys, "identifiability", "two_link", designed / motion, "-o", tmp_path / motion, "--json")
+        assert code == 0, err
+        document = json.loads(out)
+        counts.append(sum(d["identifiable"] for d in document["directions"]))
+        assert (tmp_path / motion / "report.html").exists()
+    assert abs(counts[0] - counts[1]) <= 1
+
+
+def test_given_information_is_added(capsys, designed, tmp_path):
+    code, _, err = run(capsys, "design", "two_link", "-o", tmp_path, "--given", designed / "trajectory.json", *QUICK)
+    assert code == 0, err
+    assert json.loads((tmp_path / "trajectory.json").read_text())["design"]["given"] == [str(designed / "trajectory.json")]
+
+
+def test_speed_slows_the_motion(capsys, designed, tmp_path):
+    code, _, err = run(capsys, "design", "two_link", "-o", tmp_path, "--speed", "0.1", *QUICK)
+    assert code == 0, err
+    slow, fast = (json.loads((folder / "trajectory.json").read_text()) for folder in (tmp_path, designed))
+    assert slow["period"] == pytest.approx(10.0 * fast["period"])
+
+
+def test_robots_lists_models(capsys):
+    _, out, _ = run(capsys, "robots", "--json")
+    assert {"ur10e", "panda", "iiwa14", "tx40", "two_link"} <= {row["name"] for row in json.loads(out)["robots"]}
+
+
+# -- bad input -------------------------------------------------------------------------------------------------------
+
+LINK = '<inertial><mass value="1"/><origin xyz="0.1 0 0"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>'
+
+
+def write_urdf(folder, inertial=LINK, limit='lower="-1" upper="1" velocity="1" effort="10"', kind="revolute"):
+    path = folder / "robot.urdf"
+    path.write_text(
+        f'<robot name="r"><link name="base"/><link name="arm">{inertial}</link><joint name="elbow" type="{kind}">'
+        f'<parent link="base"/><child link="arm"/><axis xyz="0 1 0"/><limit {limit}/></joint></robot>'
+    )
+    return path
+
+
+@pytest.mark.parametrize(
+    ("inertial", "limit", "kind", "words"),
+    [
+        (LINK, 'lower="-1" upper="1" velocity="1"', "revolute", ("elbow", "torque", "--limits")),
+        (LINK, 'lower="1" upper="-1" velocity="1" effort="10"', "revolute", ("elbow", "position")),
+        (LINK, 'lower="-1" upper="1" velocity="0" effort="10"', "revolute", ("elbow", "velocity")),
+        ("", 'lower="-1" upper="1" velocity="1" effort="10"', "revolute", ("elbow", "no mass")),
+        (LINK.replace('"0.1"', '"nan"', 1), 'lower="-1" upper="1" velocity="1" effort="10"', "revolute", ("arm", "not finite")),
+        (LINK, 'lower="-1" upper="1" velocity="1" effort="10"', "fixed", ("no movable joint",)),
+        (LINK, 'lower="-1" upper="1" velocity="1" effort="10"', "floating", ("elbow", "floating")),
+        (LINK, 'lower="-0.2" upper="0.2" velocity="1" effort="0.1"', "revolute", ("elbow", "gravity", "torque")),
+    ],
+    ids=["no-torque", "inverted", "zero-velocity", "no-mass", "nan", "no-joint", "floating", "below-gravity"],
+)
+def test_bad_urdf(capsys, tmp_path, inertial, limit, kind, words):
+    path = write_urdf(tmp_path, inertial, limit, kind)
+    line = refused(capsys, "design", path, "-o", tmp_path / "out", *QUICK)
+    for word in (str(path), *words):
+        assert word in line
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [("<robot", "not valid XML"), ("<x/>", "not <robot>"), ('<robot xmlns:xacro="u"><xacro:a/></robot>', "xacro")],
+)
+def test_unreadable_urdf(capsys, tmp_path, text, words):
+    path = tmp_path / "broken.urdf"
+    path.write_text(text)
+    assert words in refused(capsys, "design", path, "-o", tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["nowhere.urdf"], ("nowhere.urdf", "no such file")),
+        (["two_link", "--joints", "joint_9"], ("joint_9", "joint_1")),
+        (["two_link", "--lock", "joint_1=0,", "--joints", "joint_2"], ("--lock",)),
+        (["two_link", "--lock", "joint_1=nan"], ("--lock", "finite")),
+        (["two_link", "--lock", "joint_1=0", "--lock", "joint_2=0"], ("locked",)),
+        (["two_link", "--period", "3.1415"], ("--period", "whole number of samples", "3.14")),
+        (["two_link", "--period", "nan"], ("--period",)),
+        (["two_link", "--start", "9,9"], ("start pose", "joint_1", "outside")),
+        (["two_link", "--start", "0"], ("--start", "2")),
+        (["two_link", "--harmonics", "40", "--samples", "60"], ("--samples", "harmonics")),
+        (["two_link", "--periods", "1"], ("--periods", "2")),
+        (["two_link", "--box", "tipp:0,1,0,1,0,1"], ("tipp", "tip")),
+        (["two_link", "--box", "tip:1,0,0,1,0,1"], ("--box",)),
+        (["two_link", "--torque-noise", "-1"], ("--torque-noise", "positive")),
+        (["two_link", "--payload", "nolink:1"], ("nolink",)),
+        (["two_link", "--payload", "tip:-1"], ("tip", "positive")),
+        (["two_link", "--without", "nothing"], ("nothing", "viscous")),
+        (["two_link", "--gravity", "0,0"], ("--gravity",)),
+        (["two_link", "--criterion", "best"], ("--criterion",)),
+        (["two_link", "--uncertainty", "-1"], ("--uncertainty",)),
+        (["two_link", "--limits", "nowhere.toml"], ("nowhere.toml",)),
+        (["two_link", "--given", "nowhere.json"], ("nowhere.json",)),
+        (["two_link", "--speed", "0"], ("--speed",)),
+        (["two_link", "--speed", "nan"], ("--speed",)),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else None,
+)
+def test_wrong_use(capsys, tmp_path, arguments, words):
+    line = refused(capsys, "design", *arguments, "-o", tmp_path / "out", *(o for o in QUICK if "--harmonics" not in arguments or o not in QUICK[4:]))
+    for word in words:
+        assert word in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_contradictory_limits_file(capsys, tmp_path):
+    file = tmp_path / "limits.toml"
+    file.write_text("[joints.joint_1]\nposition = [1.0, -1.0]\n")
+    line = refused(capsys, "design", "two_link", "--limits", file, "-o", tmp_path / "out")
+    assert "joint_1" in line
+    assert str(file) in line
+    assert "contradict" in line
+
+
+def test_an_unreachable_box_is_infeasible_and_says_what_fights(capsys, tmp_path):
+    line = refused(capsys, "design", "two_link", "--box", "tip:5,6,5,6,5,6", "-o", tmp_path / "out", *QUICK, code=1)
+    assert "tip" in line
+    assert "box" in line
+
+
+@pytest.mark.parametrize("text", ["", "{", "{}", '{"schema": "excite.trajectory/1"}', '{"schema": "other/1"}', "[1]"])
+def test_unusable_trajectory(capsys, tmp_path, text):
+    path = tmp_path / "t.json"
+    path.write_text(text)
+    assert str(path) in refused(capsys, "verify", path)
+
+
+def test_a_changed_urdf_is_noticed(capsys, tmp_path):
+    path = write_urdf(tmp_path)
+    assert run(capsys, "design", path, "-o", tmp_path / "out", *QUICK)[0] == 0
+    path.write_text(path.read_text().replace('mass value="1"', 'mass value="2"'))
+    assert "sha256" in refused(capsys, "verify", tmp_path / "out" / "trajectory.json")
+
+
+def test_an_output_that_cannot_be_written(capsys, tmp_path):
+    (tmp_path / "file").write_text("")
+    assert "cannot be written" in refused(capsys, "design", "two_link", "-o", tmp_path / "file", *QUICK)
+
+
+@pytest.mark.parametrize("text", ["t,q.joint_1\n0,1\n", "a,b\n1,2\n", "t,q.joint_1,q.joint_2\n" + "0,nan,0\n" * 20, "t,q.joint_1,q.joint_2\n" + "0,0,0\n" * 20])
+def test_unusable_recording(capsys, tmp_path, text):
+    path = tmp_path / "r.csv"
+    path.write_text(text)
+    assert str(path) in refused(capsys, "identifiability", "two_link", path, "-o", tmp_path / "out")
+
+
+def test_as_a_program():
+    result = subprocess.run([sys.executable, "-m", "excite.cli", "verify", "nowhere.json"], capture_output=True, text=True, check=False)
+    assert result.returncode == 2
+    assert result.stdout == ""
+    assert result.stderr.startswith("excite: nowhere.json")

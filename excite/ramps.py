@@ -23,6 +23,8 @@ from .trajectory import Fourier, Samples
 
 Array = np.ndarray
 SCALES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1)
+GENTLE = (0.3, 0.2, 0.1, 0.05)
+"""Scales of approach and return, which show nothing and so need not hurry."""
 PHASES = 40
 ROUND = 0.04
 """Segments last whole multiples of this [s] where the rate allows: also of 1, 2, 4, 8 and 20 ms, for other rates."""
@@ -136,7 +138,7 @@ class Planner:
 
     def _leg(self, begin: Array, end: Array) -> tuple[tuple[Profile, float] | None, str]:
         reason = "velocity"
-        for scale in SCALES:
+        for scale in GENTLE:
             profile = self._plan(State.rest(begin), end, scale)
             if profile is None:
                 continue

@@ -11,6 +11,9 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+import os
+import signal
+import subprocess
 import sys
 import sysconfig
 import tempfile
@@ -111,6 +114,22 @@ def wheel(data: Path | None) -> Path | None:
     return None
 
 
+def apart(name: str, given: argparse.Namespace) -> Row:
+    """One robot in a process of its own, so that neither a crash nor a solver that never ends takes the table along."""
+    command = [sys.executable, str(Path(__file__).resolve()), "--alone", "--json", "--only", name]
+    command += ["--starts", str(given.starts), "--criterion", given.criterion, "--uncertainty", str(given.uncertainty)]
+    command += [] if given.data is None else ["--data", str(given.data)]
+    # A session of its own: the workers of a robot that hangs are ended with it.
+    child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
+    try:
+        out, _ = child.communicate(timeout=given.patience)
+    except subprocess.TimeoutExpired:
+        os.killpg(child.pid, signal.SIGKILL)
+        child.communicate()
+        return Row(name, reason=f"no result within {given.patience:g} s")
+    return Row(**json.loads(out)[0]) if out else Row(name, reason=f"the process ended with exit code {child.returncode} and no result")
+
+
 def attempt(case: Case, source: str, options: Options) -> Row:
     """Design and verify one robot; whatever goes wrong becomes the row's reason."""
     row = Row(case.name)
@@ -187,7 +206,7 @@ def cells(row: Row) -> list[str]:
         number(None if row.timing is None else row.timing["total"], ".1f"),
         number(row.start, ".3g"),
         number(row.after, ".3g"),
-        "" if near is None else f"{near['limit']}, {near['joint']}, {100.0 * near['margin']:.2f} %",
+        "" if near is None else f"{near['limit']}, {near['joint']}, {round(100.0 * near['margin'], 2) + 0.0:.2f} %",
         number(row.duration, ".2f"),
         "yes" if row.ok else f"NO: {row.reason}".replace("|", "\\|"),
     ]
@@ -212,7 +231,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--starts", type=int, default=standard.starts, help="random starts per robot (default %(default)s)")
     parser.add_argument("--criterion", choices=[c.value for c in Criterion], default=standard.criterion.value, help="default %(default)s")
     parser.add_argument("--uncertainty", type=float, default=standard.uncertainty, help="as of excite design (default %(default)s)")
+    parser.add_argument("--patience", type=float, default=300.0, metavar="S", help="end a robot that takes longer (default %(default)g)")
     parser.add_argument("--json", action="store_true", help="one JSON document instead of the table")
+    parser.add_argument("--alone", action="store_true", help=argparse.SUPPRESS)  # in this process, as `apart` asks
     return parser.parse_args()
 
 
@@ -221,10 +242,14 @@ def main() -> int:
     options = Options(criterion=Criterion(given.criterion), starts=given.starts, uncertainty=given.uncertainty)
     rows = []
     for case, source in chosen(cases(given.data), given.only):
+        if given.alone:
+            rows.append(attempt(case, source, options))
+            continue
         say(f"{case.name}: {source}")
-        rows.append(row := attempt(case, source, options))
-        for text in [*row.warnings, *([] if row.ok else [row.reason])]:
+        rows.append(row := apart(case.name, given))
+        for text in row.warnings:
             say(f"  {text}")
+        say("  " + " | ".join(cells(row)))
     print(json.dumps([dataclasses.asdict(r) for r in rows], indent=1) if given.json else markdown(rows, given.criterion))
     return 0 if all(row.ok for row in rows) else 1
 

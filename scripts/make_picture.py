@@ -1,0 +1,64 @@
+"""Draw the README's picture from a designed trajectory: the motion within its limits, and what it will show."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from excite import artefact, base, identifiability, verify
+from excite.dynamics import band, regressor
+
+FOLDER = Path(__file__).resolve().parent.parent
+JOINTS = 3
+
+
+def main() -> None:
+    trajectory = artefact.read(FOLDER / "trajectories" / "ur10e.json")
+    robot = trajectory.load_robot()
+    subject = verify.subject_of(trajectory, robot)
+    parameters, motion, limits = subject.parameters, trajectory.motion, trajectory.limits
+    t = motion.grid(trajectory.rate)
+    samples = motion.samples(t)
+    nominal, width = band(regressor(robot, parameters, samples), parameters, subject.uncertainty)
+    found = base.find(robot, parameters, limits)
+    root = identifiability.information_root(robot, parameters, samples, trajectory.noise)
+    analysis = identifiability.analyse_root(parameters, found, root, trajectory.noise, robot)
+
+    figure = Figure(figsize=(11, 4.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    left, right = figure.subfigures(1, 2, width_ratios=(1.5, 1.0))
+    axes = left.subplots(JOINTS, 2, sharex=True)
+    for j in range(JOINTS):
+        for axis, curve, bound in ((axes[j, 0], samples.dq, limits.velocity[j]), (axes[j, 1], nominal, limits.torque[j])):
+            axis.plot(t, curve[:, j], color="#1f5f9e", linewidth=1)
+            for sign in (-1, 1):
+                axis.axhline(sign * bound, color="#b03030", linestyle="--", linewidth=0.8)
+            axis.spines[["top", "right"]].set_visible(False)
+            axis.tick_params(labelsize=8)
+        axes[j, 1].fill_between(t, nominal[:, j] - width[:, j], nominal[:, j] + width[:, j], color="#1f5f9e", alpha=0.25, linewidth=0)
+        axes[j, 0].set_ylabel(robot.joints[j].removesuffix("_joint").replace("_", " "), fontsize=9)
+    axes[0, 0].set_title("velocity [rad/s] and its limits", fontsize=10)
+    axes[0, 1].set_title("torque [N m] of every robot nearby", fontsize=10)
+    for axis in axes[-1]:
+        axis.set_xlabel("time [s]", fontsize=9)
+
+    axis = right.subplots()
+    variances = np.array([d.variance for d in analysis.directions])
+    order = np.argsort(variances)
+    seen = variances[order] <= analysis.threshold
+    places = np.arange(1, len(order) + 1)
+    for mask, color, text in ((seen, "#1d7d46", "identifiable"), (~seen, "#b03030", "not with this motion")):
+        axis.semilogy(places[mask], variances[order][mask], "o", markersize=4, color=color, label=f"{text} ({mask.sum()})")
+    axis.axhline(analysis.threshold, color="0.3", linestyle="--", linewidth=1)
+    axis.set_title("how well each direction of the parameters is seen", fontsize=10)
+    axis.set(xlabel="direction", ylabel="scale-free variance 1/λ")
+    axis.spines[["top", "right"]].set_visible(False)
+    axis.legend(frameon=False, fontsize=9)
+    figure.savefig(FOLDER / "notebooks" / "ur10e.png", dpi=110)
+
+
+if __name__ == "__main__":
+    main()

@@ -14,7 +14,7 @@ import numpy as np
 
 from .base import Base
 from .dynamics import regressor
-from .limits import Limits
+from .limits import DERIVED, Limits
 from .motion import Motion
 from .parameters import INERTIAL, Parameters, proper_body, pseudo_inertia
 from .robot import Robot
@@ -471,7 +471,9 @@ def _broken(robot: Robot, parameters: Parameters, limits: Limits, motion: Motion
     values = {"velocity": samples.dq, "acceleration": samples.ddq, "jerk": series.at(t, 3), "torque": torque}
     out = []
     for kind, array in values.items():
-        ratio = np.abs(array).max(axis=0) / getattr(limits, kind)
+        # a derived limit binds the ramps only, not the excitation
+        stated = [source != DERIVED for source in limits.sources.get(kind, ("",) * robot.n)]
+        ratio = np.where(stated, np.abs(array).max(axis=0) / getattr(limits, kind), 0.0)
         worst = int(np.argmax(ratio))
         if ratio[worst] > 1.0:
             out.append(Break(kind, robot.joints[worst], float(ratio[worst])))

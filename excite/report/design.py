@@ -27,10 +27,10 @@ _UNITS = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s²", "je
 _CLOSEST = 12
 CRITERIA = {
     "a": "A, sum of variances (lower is better)",
-    "d": "D, log volume of the information (higher is better)",
-    "e": "E, least eigenvalue of the information (higher is better)",
-    "cond": "condition number of the information (lower is better)",
-    "cond_regressor": "condition number of the regressor (lower is better)",
+    "d": "D, log volume (higher is better)",
+    "e": "E, least eigenvalue (higher is better)",
+    "cond": "condition number (lower is better)",
+    "cond_regressor": "condition of the regressor (lower is better)",
 }
 
 
@@ -93,7 +93,7 @@ def _head(subject: Design) -> str:
     entries = [
         *headline(subject.found, subject.robot, subject.base),
         (f"{motion.duration:.1f} s", f"from rest to rest, {motion.periods} periods of {motion.fourier.period:g} s"),
-        (number(value), f"criterion {what}, per sample"),
+        (number(value), f"criterion: {what}, per sample"),
     ]
     return cards(entries) + _verdict(t) + "".join(banner(text, "warn") for text in warnings_of(subject))
 

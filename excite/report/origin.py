@@ -36,7 +36,7 @@ def history_section(record: DesignRecord) -> Section:
     near = int(np.sum(values <= values[record.chosen] + 0.05))
     iterations = len(best["time"])
     seconds = float(best["time"][-1]) if iterations else 0.0
-    answer = f"The best of {plural(len(starts), 'start')} is number {best['seed']}, "
+    answer = f"The best of {len(starts)} starts is number {best['seed']}, " if len(starts) > 1 else "The only start was "
     answer += f"done after {plural(iterations, 'iteration')} at {seconds:.1f} s"
     if len(starts) > 1:
         excess = 100.0 * np.expm1(min(float(values.max() - values[record.chosen]), 20.0))

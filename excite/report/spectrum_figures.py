@@ -105,12 +105,13 @@ def deviations(found: Identifiability) -> str:
         axes.set_xscale("log")
         axes.set_yscale("log")
         few_log(axes)
-        ends = np.array([low, high])
+        top = float(std[usable].max()) * 8.0 if usable.any() else high
+        if usable.any():
+            axes.set_ylim(float(std[usable].min()) / 5.0, top)
         for ratio, text in ((0.01, "1 %"), (0.1, "10 %"), (1.0, "100 %")):
-            axes.plot(ends, ratio * ends, color=GREY, linewidth=0.7, dashes=(3, 2), zorder=1)
-            axes.annotate(
-                text, (high, ratio * high), (3, 0), textcoords="offset points", fontsize=7, color=SOFT, va="center", annotation_clip=True
-            )
+            end = min(high, top / ratio)
+            axes.plot((low, end), (ratio * low, ratio * end), color=GREY, linewidth=0.7, dashes=(3, 2), zorder=1)
+            axes.annotate(text, (end, ratio * end), (3, 0), textcoords="offset points", fontsize=7, color=SOFT, va="center")
         for label, starts, color in _KINDS:
             chosen = usable & np.array([_kind(n) in starts for n in names])
             if chosen.any():
@@ -122,8 +123,6 @@ def deviations(found: Identifiability) -> str:
                 "nominal 0", (low / 12.0, 0.985), xycoords=axes.get_xaxis_transform(), ha="center", va="top", fontsize=7, color=SOFT
             )
         axes.set_xlim(low / 40.0 if (~known & usable).any() else low / 1.5, high * 1.05)
-        if usable.any():
-            axes.set_ylim(float(std[usable].min()) / 5.0, float(std[usable].max()) * 8.0)
         axes.set_xlabel("|nominal value| of the base parameter [SI]")
         axes.set_ylabel("predicted standard deviation [SI]")
         handles, labels = axes.get_legend_handles_labels()
@@ -173,10 +172,11 @@ def scenarios(cases: Sequence[Scenario], threshold: float) -> str:
 def history(record: DesignRecord) -> str:
     """Objective against time for all starts, and where each of them ended."""
 
+    several = len(record.starts) > 1
+
     def draw(figure: Any) -> None:
         width, height = figure.get_size_inches()
-        left = figure.add_axes((0.6 / width, 0.42 / height, 6.6 / width, (height - 0.72) / height))
-        right = figure.add_axes((8.0 / width, 0.42 / height, 2.4 / width, (height - 0.72) / height))
+        left = figure.add_axes((0.6 / width, 0.42 / height, (6.6 if several else 9.8) / width, (height - 0.72) / height))
         order = [k for k in range(len(record.starts)) if k != record.chosen] + [record.chosen]
         for k in order:
             start, best = record.starts[k], k == record.chosen
@@ -193,7 +193,8 @@ def history(record: DesignRecord) -> str:
         left.set_ylabel("log of the criterion (lower is better)")
         left.set_title("Every start; × marks iterates outside a limit", loc="left")
         left.legend(loc="upper right")
-        _ends(right, record)
+        if several:
+            _ends(figure.add_axes((8.0 / width, 0.42 / height, 2.4 / width, (height - 0.72) / height)), record)
         few_ticks(left, 6, 5)
 
     return render("Objective of every start against time", 3.0, draw)

@@ -1,0 +1,247 @@
+"""Identifiability against independent computations."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from functools import cache
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+from excite import artefact, base, dynamics, limits, parameters, robot
+from excite.base import Base
+from excite.identifiability import (
+    Identifiability,
+    analyse,
+    analyse_root,
+    information_root,
+    percent,
+    root_of,
+    spoken,
+    what_would_help,
+)
+from excite.motion import Motion, Segment
+from excite.trajectory import Fourier, Samples
+
+RNG_SEED = 3
+
+
+@cache
+def setup(name: str) -> tuple:
+    loaded = robot.load(name)
+    table = limits.resolve(loaded)
+    standard = parameters.standard(loaded, table)
+    return loaded, table, standard, base.find(loaded, standard, table)
+
+
+def motion_of(name: str, count: int = 300, period: float = 5.0) -> tuple[Motion, Samples]:
+    loaded, table, _, _ = setup(name)
+    rng = np.random.default_rng(RNG_SEED)
+    speed = np.where(np.isfinite(table.velocity), table.velocity, 1.0)[:, None]
+    series = Fourier(
+        0.1 * speed * rng.normal(size=(loaded.n, 4)), 0.1 * speed * rng.normal(size=(loaded.n, 4)), rng.normal(size=loaded.n), period
+    )
+    motion = Motion(loaded.joints, series, 2, (Segment("fourier", 0.0, 2.0 * period),))
+    return motion, series.samples(series.grid(count))
+
+
+def result(name: str) -> tuple[Identifiability, np.ndarray]:
+    loaded, table, standard, found = setup(name)
+    noise = 0.01 * table.torque
+    root = information_root(loaded, standard, motion_of(name)[1], noise)
+    return analyse_root(standard, found, root, noise, loaded), root
+
+
+def test_eigenvalues_are_those_of_the_generalised_problem() -> None:
+    """I v = λ H₀ v in the base coordinates of an arbitrary B, by LAPACK's generalised solver."""
+    _, table, standard, found = setup("two_link")
+    analysis, _ = result("two_link")
+    Y = dynamics.regressor(setup("two_link")[0], standard, motion_of("two_link")[1])
+    weighted = (Y / (0.01 * table.torque)[:, None]).reshape(-1, standard.count)
+    gamma = weighted @ np.linalg.pinv(found.matrix)
+    inverse_metric = standard.scale @ standard.scale.T
+    H0 = np.linalg.inv(found.matrix @ inverse_metric @ found.matrix.T)
+    expected = scipy.linalg.eigh(gamma.T @ gamma, 0.5 * (H0 + H0.T), eigvals_only=True)[::-1]
+    np.testing.assert_allclose(analysis.eigenvalues, expected, rtol=1e-6)
+    assert [d.identifiable for d in analysis.directions] == [bool(1.0 / v <= analysis.threshold) for v in expected]
+
+
+@pytest.mark.parametrize("name", ["two_link", "ur10e", "fr3"])
+def test_information_and_root_agree(name: str) -> None:
+    loaded, table, standard, found = setup(name)
+    analysis, root = result(name)
+    again = analyse(standard, found, root.T @ root, 0.01 * table.torque, loaded)
+    top = analysis.eigenvalues[0]
+    np.testing.assert_allclose(again.eigenvalues, analysis.eigenvalues, rtol=1e-6, atol=1e-13 * top)
+    assert again.identifiable == analysis.identifiable
+
+
+def test_blocks_give_the_information_of_the_whole() -> None:
+    loaded, table, standard, _ = setup("ur10e")
+    samples = motion_of("ur10e", 900)[1]
+    noise = 0.01 * table.torque
+    whole = root_of(dynamics.regressor(loaded, standard, samples), noise)
+    blocks = information_root(loaded, standard, samples, noise)
+    np.testing.assert_allclose(blocks.T @ blocks, whole.T @ whole, rtol=1e-9, atol=1e-9 * np.abs(whole.T @ whole).max())
+
+
+@pytest.mark.parametrize("name", ["two_link", "ur10e"])
+def test_nothing_depends_on_the_choice_of_base(name: str) -> None:
+    loaded, table, standard, found = setup(name)
+    analysis, root = result(name)
+    rng = np.random.default_rng(0)
+    other_rows = scipy.linalg.qr(rng.normal(size=(found.count, found.count)))[0] @ found.matrix
+    geometric = standard.scale @ np.linalg.qr((other_rows @ standard.scale).T)[0]
+    other: Base = dataclasses.replace(found, matrix=other_rows, geometric=geometric)
+    again = analyse_root(standard, other, root, 0.01 * table.torque, loaded)
+    np.testing.assert_allclose(again.eigenvalues, analysis.eigenvalues, rtol=1e-6, atol=1e-12 * analysis.eigenvalues[0])
+    for one, two in zip(analysis.links + analysis.joints, again.links + again.joints, strict=True):
+        assert one.name == two.name
+        assert one.identifiable_share == pytest.approx(two.identifiable_share, abs=1e-6)
+    if name == "two_link":  # distinct eigenvalues: the directions themselves are the same
+        for a, b in zip(analysis.directions, again.directions, strict=True):
+            assert a.words == b.words
+            assert a.weights == pytest.approx(b.weights, abs=1e-5)
+
+
+def test_weights_are_shares_of_a_unit_direction() -> None:
+    analysis, _ = result("ur10e")
+    names = set(setup("ur10e")[2].names)
+    for direction in analysis.directions:
+        assert set(direction.weights) <= names
+        assert all(0.01 < share <= 1.0 + 1e-12 for share in direction.weights.values())
+        assert sum(direction.weights.values()) <= 1.0 + 1e-9
+
+
+@pytest.mark.parametrize("name", ["two_link", "ur10e", "fr3"])
+def test_named_coordinates_keep_the_metric(name: str) -> None:
+    """The coordinates that carry names are whitened too, and δm alone moves only the one called mass."""
+    from excite.identifiability import _named_root, _rotation
+
+    standard = setup(name)[2]
+    turn = _rotation(standard)
+    np.testing.assert_allclose(turn @ turn.T, np.eye(standard.count), atol=1e-9)
+    total = float(standard.nominal[0 : 10 * standard.bodies : 10].sum())
+    for i in range(standard.bodies):
+        block = slice(10 * i, 10 * i + 10)
+        phi = parameters.proper_body(standard.nominal[block], total)[0]
+        named, whitened = _named_root(phi), standard.scale[block, block]
+        expected = whitened @ whitened.T
+        np.testing.assert_allclose(named @ named.T, expected, atol=1e-10 * np.abs(expected).max())
+        # a body that grows heavier and keeps its centre of mass: δφ ∝ (m, mc, inertia of a point mass at c)
+        c = phi[1:4] / phi[0]
+        point = np.array(
+            [1.0, *c, c[1] ** 2 + c[2] ** 2, -c[0] * c[1], c[0] ** 2 + c[2] ** 2, -c[0] * c[2], -c[1] * c[2], c[0] ** 2 + c[1] ** 2]
+        )
+        np.testing.assert_allclose(named[:, 0], np.sqrt(2.0) * phi[0] * point, atol=1e-9 * np.abs(named).max())
+
+
+def test_deviations_are_those_of_repeated_least_squares() -> None:
+    loaded, table, standard, found = setup("two_link")
+    samples = motion_of("two_link", 120)[1]
+    noise = 0.01 * table.torque
+    root = information_root(loaded, standard, samples, noise)
+    analysis = analyse_root(standard, found, root, noise, loaded)
+    gamma = dynamics.regressor(loaded, standard, samples) @ np.linalg.pinv(found.matrix)
+    rows = (gamma / noise[:, None]).reshape(-1, found.count)
+    rng = np.random.default_rng(7)
+    truth = found.matrix @ standard.nominal
+    torque = rows @ truth
+    draws = np.linalg.lstsq(rows, (torque[:, None] + rng.normal(size=(len(torque), 4000))), rcond=None)[0]
+    measured = draws.std(axis=1)
+    predicted = np.array([b.std for b in analysis.base_parameters])
+    np.testing.assert_allclose(predicted, measured, rtol=0.06)  # five sigmas of 1/√(2·4000)
+    np.testing.assert_allclose([b.nominal for b in analysis.base_parameters], truth)
+
+
+def test_a_joint_that_rests_is_not_seen_and_said_so() -> None:
+    loaded, table, standard, found = setup("two_link")
+    samples = motion_of("two_link")[1]
+    still = np.array([1.0, 0.0])
+    frozen = Samples(samples.q * still + 0.3 * (1.0 - still), samples.dq * still, samples.ddq * still)
+    noise = 0.01 * table.torque
+    root = information_root(loaded, standard, frozen, noise)
+    analysis = analyse_root(standard, found, root, noise, loaded)
+    # a resting joint never rubs: the two friction terms of joint 2 are hidden, its rotor inertia with them
+    hidden = [d for d in analysis.directions if not np.isfinite(d.variance)]
+    assert hidden
+    assert all(not d.identifiable and d.words.startswith("not seen: ") for d in hidden)
+    stds = {b.name: b.std for b in analysis.base_parameters}
+    assert np.isinf(stds["Fv2"]) and np.isinf(stds["Fc2"])
+    assert np.isfinite(stds["Fv1"])
+    text = artefact.dumps(analysis.document())
+    document = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is not strict JSON"))
+    assert document["directions"][-1]["variance"] is None
+    assert {b["name"]: b["std"] for b in document["base_parameters"]}["Fv2"] is None
+    json.dumps(analysis.document(), allow_nan=False)
+
+
+def test_document_is_the_contracts() -> None:
+    analysis, _ = result("ur10e")
+    document = json.loads(json.dumps(analysis.document(), allow_nan=False))
+    assert document["schema"] == "excite.identifiability/1"
+    assert {"threshold", "eigenvalues", "directions", "base_parameters", "links", "torque_noise"} <= set(document)
+    assert len(document["eigenvalues"]) == len(document["directions"]) == len(document["base_parameters"]) == 58
+    assert set(document["directions"][0]) == {"variance", "identifiable", "words", "weights"}
+    assert set(document["base_parameters"][0]) == {"name", "expression", "nominal", "std"}
+    loaded = setup("ur10e")[0]
+    assert [link["name"] for link in document["links"]] == list(loaded.links)
+    assert list(document["torque_noise"]) == list(loaded.joints)
+    assert document["eigenvalues"] == sorted(document["eigenvalues"], reverse=True)
+    for direction, value in zip(document["directions"], document["eigenvalues"], strict=True):
+        assert direction["variance"] == pytest.approx(1.0 / value)
+    for link in document["links"]:
+        assert link["identifiable_share"] is None or 0.0 <= link["identifiable_share"] <= 1.0
+
+
+def test_a_looser_threshold_shows_more() -> None:
+    loaded, table, standard, found = setup("ur10e")
+    _, root = result("ur10e")
+    counts, shares = [], []
+    for threshold in (1e-4, 1e-2, 1e12):
+        analysis = analyse_root(standard, found, root, 0.01 * table.torque, loaded, threshold=threshold)
+        counts.append(analysis.identifiable)
+        shares.append([s.identifiable_share for s in analysis.links])
+    assert counts == sorted(counts) and counts[-1] == found.count
+    assert np.all(np.diff(np.array(shares), axis=0) >= -1e-12)
+    np.testing.assert_allclose(shares[-1], 1.0)
+
+
+def test_words_name_links_and_joints() -> None:
+    analysis, _ = result("ur10e")
+    loaded = setup("ur10e")[0]
+    for direction in analysis.directions:
+        assert any(name in direction.words for name in (*loaded.links, *loaded.joints))
+        assert ("seen to ±" in direction.words and not direction.words.startswith("not")) == direction.identifiable
+    assert percent(0.0234) == "2.3 %" and percent(3.4) == "340 %"
+    standard = setup("ur10e")[2]
+    assert spoken("mcx3", standard) == "m·c along x of forearm_link"
+    assert spoken("Fc2", standard) == "Coulomb friction of shoulder_lift_joint"
+
+
+def test_twice_the_time_and_twice_the_speed() -> None:
+    loaded, table, standard, found = setup("two_link")
+    motion, _ = motion_of("two_link")
+    noise = 0.01 * table.torque
+    now, time, speed = what_would_help(loaded, standard, found, table, motion, noise=noise, rate=100.0)
+    np.testing.assert_allclose(time.eigenvalues, 2.0 * now.eigenvalues, rtol=1e-9)
+    assert (now.name, time.name, speed.name) == ("now", "time", "speed") and not time.broken
+    # the same number of samples of the faster series, counted directly
+    fast = motion.fourier.slowed(2.0)
+    count = round(100.0 * motion.duration)
+    t = np.arange(count) * (motion.duration / count)
+    direct = analyse_root(standard, found, information_root(loaded, standard, fast.samples(t), noise), noise, loaded)
+    np.testing.assert_allclose(speed.eigenvalues, direct.eigenvalues, rtol=0.02)
+    peak = np.abs(fast.at(fast.grid(300), 1)).max(axis=0) / table.velocity
+    assert any(b.limit == "velocity" for b in speed.broken) == bool(peak.max() > 1.0)
+    # a limit derived for the ramps does not bind the excitation; a stated one does
+    low = dataclasses.replace(table, acceleration=np.full(2, 0.1))
+    derived = dataclasses.replace(low, sources={**table.sources, "acceleration": ("derived", "derived")})
+    for limited, expected in ((low, True), (derived, False)):
+        broken = what_would_help(loaded, standard, found, limited, motion, noise=noise, rate=100.0)[2].broken
+        assert any(b.limit == "acceleration" for b in broken) == expected
+    slow = dataclasses.replace(table, velocity=0.5 * np.abs(fast.at(fast.grid(300), 1)).max(axis=0))
+    broken = what_would_help(loaded, standard, found, slow, motion, noise=noise, rate=100.0)[2].broken
+    assert next(b for b in broken if b.limit == "velocity").factor == pytest.approx(2.0)

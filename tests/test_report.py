@@ -1,0 +1,257 @@
+"""The reports: self-contained, honest about what failed, and an answer in every section."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import xml.etree.ElementTree as ElementTree
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from excite import artefact, base, criteria, dynamics, identifiability, limits, parameters, ramps, robot
+from excite.artefact import Trajectory
+from excite.checks import Subject
+from excite.report import DesignRecord, design_page, design_report, identifiability_page, identifiability_report
+from excite.report.figures import thin
+from excite.report.page import number
+from excite.report.panels import ticks
+from excite.trajectory import Fourier
+
+SECTIONS = ("limits", "torque", "spectrum", "parts", "parameters", "more", "path", "history", "criteria", "made")
+
+
+def chain(joints: int) -> str:
+    """A URDF of links in a row, one of its joints sliding."""
+    inertia = '<inertia ixx="0.01" iyy="0.011" izz="0.006" ixy="0" ixz="0" iyz="0"/>'
+    inertial = f'<inertial><origin xyz="0.02 0.01 0.08"/><mass value="1.2"/>{inertia}</inertial>'
+    text = '<robot name="chain"><link name="base"/>'
+    parent = "base"
+    for k in range(1, joints + 1):
+        kind = "prismatic" if k == 3 else "revolute"
+        axis = ("0 0 1", "0 1 0", "1 0 0")[k % 3]
+        text += (
+            f'<link name="link_{k}">{inertial}</link><joint name="joint_{k}" type="{kind}"><origin xyz="0 0 0.1"/><parent link="{parent}"/>'
+        )
+        text += f'<child link="link_{k}"/><axis xyz="{axis}"/><limit lower="-1.5" upper="1.5" velocity="3" effort="200"/></joint>'
+        parent = f"link_{k}"
+    return text + "</robot>"
+
+
+@cache
+def parts(source: str) -> tuple:
+    loaded = robot.load(source)
+    table = limits.resolve(loaded)
+    standard = parameters.standard(loaded, table)
+    found = base.find(loaded, standard, table)
+    rng = np.random.default_rng(0)
+    offset = 0.2 * rng.normal(size=loaded.n) + (np.array([0.0, -1.2, 0.8, 0.0, 0.5, 0.0]) if loaded.n == 6 else 0.0)
+    series = Fourier(0.15 * rng.normal(size=(loaded.n, 4)), 0.15 * rng.normal(size=(loaded.n, 4)), offset, 5.0)
+    stated = ramps.with_derived(table, series)
+    motion = ramps.rest_to_rest(Subject(loaded, stated, standard, 0.05), series, 2, 100.0)
+    noise = 0.01 * table.torque
+    scores = {
+        name: criteria.score(dynamics.regressor(loaded, standard, samples), found, noise)
+        for name, samples in (("optimum", series.samples(series.grid(100))), ("exported", motion.samples(motion.grid(50.0))))
+    }
+    margins = [
+        {"limit": kind, "joint": joint, "time": 1.0 + 0.1 * k, "value": 1.0 + 0.1 * k, "bound": 3.0, "margin": 0.6 - 0.03 * k}
+        for k, joint in enumerate(loaded.joints)
+        for kind in ("position", "velocity", "torque")
+    ]
+    trajectory = Trajectory(
+        robot={"name": loaded.name, "source": loaded.source, "sha256": loaded.sha256, **loaded.options},
+        motion=motion,
+        rate=100.0,
+        limits=stated,
+        noise=noise,
+        design={"criterion": "a", "plain": False, "uncertainty": 0.05, "samples": 100, "starts": 2, "boxes": []},
+        criteria=scores,
+        margins=margins,
+        collision="collision not checked",
+        seed=7,
+        versions=artefact.versions(),
+    )
+    root = identifiability.information_root(loaded, standard, motion.samples(motion.grid(100.0)), noise)
+    analysis = identifiability.analyse_root(standard, found, root, noise, loaded)
+    return trajectory, loaded, standard, found, analysis
+
+
+def record() -> DesignRecord:
+    starts = [
+        {
+            "seed": k,
+            "value": 5.0 + 0.3 * k,
+            "feasible": k < 2,
+            "time": [0.1, 0.4 + k],
+            "objective": [9.0, 5.0 + 0.3 * k],
+            "worst": [1.1, 1.0],
+        }
+        for k in range(3)
+    ]
+    return DesignRecord(
+        starts=starts, chosen=0, timing={"build": 0.1, "first_feasible": 0.2, "solve": 2.0, "total": 3.0}, notes=("One remark.",)
+    )
+
+
+@cache
+def page_of(source: str = "ur10e") -> str:
+    return design_page(*parts(source), record())
+
+
+def section(page: str, key: str) -> str:
+    found = re.search(rf'<section id="{key}">.*?</section>', page, flags=re.S)
+    assert found, key
+    return found[0]
+
+
+def answer(page: str, key: str) -> str:
+    found = re.search(r'<p class="answer[^"]*">(.*?)</p>', section(page, key), flags=re.S)
+    assert found, key
+    return found[1].replace("\u00a0", " ")
+
+
+def check_page(page: str) -> None:
+    assert "http" not in page and "<script" not in page and "src=" not in page and "@import" not in page
+    assert all(target.startswith("#") for target in re.findall(r'href="([^"]*)"', page))
+    assert not re.search(r"url\((?!#)", page)
+    pictures = re.findall(r"<svg.*?</svg>", page, flags=re.S)
+    assert pictures
+    for picture in pictures:
+        tree = ElementTree.fromstring(picture)
+        assert tree.get("viewBox") and tree.get("aria-label")
+    ids = re.findall(r' id="([^"]+)"', page)
+    assert len(ids) == len(set(ids))
+    targets = set(re.findall(r'href="#([^"]+)"', page)) | set(re.findall(r"url\(#([^)]+)\)", page))
+    assert targets <= set(ids)
+    for word in ("nan", "None", "inf", "{", "np.float"):
+        body = re.sub(r"<style.*?</style>", "", page, flags=re.S)
+        assert not re.search(rf"(?<![A-Za-z]){re.escape(word)}(?![A-Za-z])", re.sub(r"<[^>]*>", " ", body)), word
+
+
+def test_design_report_stands_alone_and_answers_every_question() -> None:
+    page = page_of()
+    check_page(page)
+    assert [s for s in re.findall(r'<section id="(\w+)"', page)] == list(SECTIONS)
+    for key in SECTIONS:
+        text = answer(page, key)
+        assert text.endswith(".") and len(text) > 20, key
+        assert f'href="#{key}"' in page
+    for key in ("limits", "torque", "spectrum", "parts", "parameters", "more", "path", "history"):
+        assert "<svg" in section(page, key), key
+    assert len(page.encode()) < 1_500_000
+
+
+def test_answers_are_computed_from_the_data() -> None:
+    page = page_of()
+    trajectory, loaded, _, found, analysis = parts("ur10e")
+    assert answer(page, "limits").startswith("Yes; closest is the position of wrist_3_joint at 1.50 s")
+    assert answer(page, "spectrum").startswith(f"{analysis.identifiable} of {found.count} directions")
+    joints = dynamics.band(
+        dynamics.regressor(loaded, parts("ur10e")[2], trajectory.motion.samples(np.linspace(0, trajectory.motion.duration, 2000))),
+        parts("ur10e")[2],
+        0.05,
+    )
+    ratio = (np.abs(joints[0]) + joints[1]).max(axis=0) / trajectory.limits.torque
+    assert loaded.joints[int(np.argmax(ratio))] in answer(page, "torque")
+    assert f"{100 * ratio.max():.0f} %" in answer(page, "torque")
+    assert "number 0" in answer(page, "history") and "1 of 3 starts end within 5 %" in answer(page, "history")
+    assert "seed 7" in answer(page, "made")
+    for text in (loaded.sha256, "ur10e.toml", "derived", "1\u00a0% of each torque limit", "Collision not checked", "One remark."):
+        assert text in page, text
+    for joint in (*loaded.joints, *loaded.links):
+        assert joint in page
+
+
+def test_a_broken_limit_is_shouted() -> None:
+    trajectory, *rest = parts("ur10e")
+    margins = [*trajectory.margins, {"limit": "jerk", "joint": "elbow_joint", "time": 0.5, "value": 130.0, "bound": 100.0, "margin": -0.3}]
+    page = design_page(dataclasses.replace(trajectory, margins=margins, forced=True), *rest, record())
+    assert "FAILED" in page and "Do not run this motion" in page
+    assert answer(page, "limits").startswith("No: 1 limit broken, worst the jerk of elbow_joint")
+    assert "FAILED" not in page_of()
+
+
+def test_room_is_worked_out_where_a_file_does_not_state_it() -> None:
+    from excite.report.design import rooms
+
+    trajectory = parts("ur10e")[0]
+    margins = [
+        {"limit": "velocity", "joint": "elbow_joint", "time": 0.0, "value": -2.0, "bound": -2.5},
+        {"limit": "position", "joint": "elbow_joint", "time": 0.0, "value": 6.0, "bound": 6.283185},
+    ]
+    found = rooms(dataclasses.replace(trajectory, margins=margins))
+    assert [m["limit"] for _, m in found] == ["position", "velocity"]
+    assert found[0][0] == pytest.approx(0.283185 / 6.283185) and found[1][0] == pytest.approx(0.2)
+
+
+def test_texts_cannot_become_markup() -> None:
+    trajectory, loaded, *rest = parts("ur10e")
+    nasty = "<script>alert('x')</script> & \"quotes\""
+    page = design_page(trajectory, dataclasses.replace(loaded, name=nasty), *rest, dataclasses.replace(record(), notes=(nasty,)))
+    assert "<script" not in page
+    assert "&lt;script&gt;" in page
+
+
+def test_many_joints_and_sliding_ones(tmp_path: Path) -> None:
+    path = tmp_path / "chain.urdf"
+    path.write_text(chain(12), encoding="utf-8")
+    page = design_page(*parts(str(path)), DesignRecord([]))
+    check_page(page)
+    assert section(page, "limits").count("<svg") == 4
+    assert "joint_3 (m)" in page and "joint_3 [N]" in page and "No history" in answer(page, "history")
+
+
+def test_directions_that_nothing_excites_do_not_break_the_report() -> None:
+    trajectory, loaded, standard, found, analysis = parts("ur10e")
+    root = np.zeros((6, standard.count))
+    root[:, :6] = np.eye(6)
+    unseen = identifiability.analyse_root(standard, found, root, trajectory.noise, loaded)
+    assert any(np.isinf(d.variance) for d in unseen.directions)
+    check_page(identifiability_page(loaded, standard, found, unseen, "a motion"))
+    nothing = {"optimum": {"geometric": {"a": None, "d": None}}, "exported": {"geometric": {"a": None, "d": None}}}
+    page = design_page(
+        dataclasses.replace(trajectory, criteria=nothing, margins=[]), loaded, standard, found, unseen, DesignRecord([]), cases=()
+    )
+    check_page(page)
+    assert "no limit was checked" in page and analysis.identifiable > 0
+
+
+def test_identifiability_report(tmp_path: Path) -> None:
+    _, loaded, standard, found, analysis = parts("ur10e")
+    path = tmp_path / "report.html"
+    identifiability_report(path, loaded, standard, found, analysis, "trajectory.json")
+    page = path.read_text(encoding="utf-8")
+    check_page(page)
+    assert re.findall(r'<section id="(\w+)"', page) == ["spectrum", "parts", "parameters", "made"]
+    assert "trajectory.json" in page
+    design_report(path, *parts("ur10e"), record())
+    assert path.read_text(encoding="utf-8") == page_of()
+
+
+def test_one_input_gives_one_file() -> None:
+    assert design_page(*parts("two_link"), record()) == design_page(*parts("two_link"), record())
+
+
+def test_thinning_keeps_extremes() -> None:
+    t = np.linspace(0.0, 10.0, 5000)
+    y = np.sin(5.0 * t)
+    y[1234] = 9.0
+    y[4321] = -7.0
+    few_t, few_y = thin(t, y, 300)
+    assert len(few_t) <= 302 and few_y.max() == 9.0 and few_y.min() == -7.0
+    assert np.all(np.diff(few_t) > 0.0) and few_t[0] == 0.0 and few_t[-1] == 10.0
+
+
+@pytest.mark.parametrize(("low", "high"), [(-9.0, 9.0), (0.0, 21.1), (-1e-6, 3e-6), (5.1, 5.3), (-4000.0, 12.0)])
+def test_ticks_are_few_and_inside(low: float, high: float) -> None:
+    found = ticks(low, high, 3)
+    assert 3 <= len(found) <= 9 and low - 1e-9 <= found[0] and found[-1] <= high * (1 + 1e-9)
+
+
+def test_numbers_for_people() -> None:
+    assert [number(v) for v in (1.23456, -0.05, 0.0, 2.28e7, 3.1e-7, None, float("inf"))] == [
+        "1.235", "−0.05", "0", "2.28·10⁷", "3.1·10⁻⁷", "–", "∞",
+    ]  # fmt: skip

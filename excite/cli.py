@@ -163,10 +163,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         warnings.showwarning = _warn  # type: ignore[assignment]
         try:
             arguments = parser().parse_args(argv)
+            from threadpoolctl import threadpool_limits
+
             from . import commands
 
             run: Callable[[argparse.Namespace], tuple[int, object, str]] = getattr(commands, arguments.command)
-            code, document, text = run(arguments)
+            with threadpool_limits(1):  # small matrices: BLAS threads cost more than they bring
+                code, document, text = run(arguments)
         except ExciteError as error:
             print(f"excite: {' '.join(str(error).split())}", file=sys.stderr)
             return error.exit_code

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from . import artefact, base, criteria, dynamics, files, parameters, recording, workflow
+from . import artefact, base, criteria, dynamics, files, parameters, recording, scenarios, workflow
 from . import export as exports
 from . import identifiability as identifiable
 from . import limits as limit_tables
@@ -125,13 +125,10 @@ def _options(arguments: argparse.Namespace, robot: Robot) -> Options:
 
 
 def _given(paths: Sequence[str], robot: Robot, standard: Parameters, noise: Array) -> Array | None:
+    """Rows whose square is the information of earlier recordings, in standard parameters. Shape (m, P)."""
     if not paths:
         return None
-    total = np.zeros((standard.count, standard.count))
-    for path in paths:
-        samples, _ = _recorded(Path(path), robot)
-        total += criteria.standard_information(dynamics.regressor(robot, standard, samples), noise)
-    return total
+    return np.vstack([identifiable.information_root(robot, standard, _recorded(Path(path), robot)[0], noise) for path in paths])
 
 
 def _recorded(path: Path, robot: Robot) -> tuple[Samples, artefact.Trajectory | None]:
@@ -165,34 +162,40 @@ def design(arguments: argparse.Namespace) -> Outcome:
     options = _options(arguments, robot)
     start = None if not arguments.start else np.array(_floats("--start", arguments.start, (robot.n,)))
     standard = parameters.standard(robot, table, options.drive) if arguments.given else None
-    given = _given(arguments.given, robot, standard, noise_levels(table, options.noise)) if standard is not None else None
+    earlier = _given(arguments.given, robot, standard, noise_levels(table, options.noise)) if standard is not None else None
+    given = None if earlier is None else earlier.T @ earlier
     notes = {"parameters": arguments.parameters, "given": list(arguments.given), "speed": arguments.speed}
     if arguments.torque_noise is None:
         notes["torque_noise_source"] = "1 % of each torque limit (default)"
     delivery = workflow.run(
         robot, table, options, start=start, given=given, notes=notes, force=arguments.force, speed=arguments.speed, progress=_say
     )
-    document, contents = workflow_files(delivery, robot, arguments.threshold)
+    document, contents = workflow_files(delivery, robot, arguments.threshold, earlier)
     written = files.write_all(Path(arguments.out), contents)
     document["files"] = [str(path) for path in written]
     return (0 if delivery.certificate.ok else 1), document, _design_text(delivery, document, written)
 
 
-def workflow_files(delivery: workflow.Delivery, robot: Robot, threshold: float) -> tuple[dict[str, Any], dict[str, str]]:
-    """The `--json` document of a design and the four files' contents."""
+def workflow_files(
+    delivery: workflow.Delivery, robot: Robot, threshold: float, earlier: Array | None = None
+) -> tuple[dict[str, Any], dict[str, str]]:
+    """The `--json` document of a design and the four files' contents. earlier: root of the information already given."""
     from . import report
 
     trajectory = delivery.trajectory
     standard, found = delivery.design.setting.problem.parameters, delivery.design.setting.base
     samples = trajectory.motion.samples(trajectory.motion.grid(trajectory.rate))
     root = identifiable.information_root(robot, standard, samples, trajectory.noise)
-    analysis = identifiable.analyse_root(standard, found, root, trajectory.noise, robot, threshold=threshold, samples=len(samples))
+    known = root if earlier is None else np.vstack([root, earlier])
+    analysis = identifiable.analyse_root(standard, found, known, trajectory.noise, robot, threshold=threshold, samples=len(samples))
+    cases = _cases(robot, standard, found, trajectory, threshold, earlier)
+    record = _record(delivery)
     job = exports.sheet.Job(trajectory, trajectory.motion, "csv", Path("trajectory.csv"), 1.0, None, _torque(robot, standard))
     contents = {
         "trajectory.json": artefact.dumps(trajectory.document()),
         "trajectory.csv": exports.table.write_csv(job).text,
         "identifiability.json": artefact.dumps(analysis.document()),
-        "report.html": report.design_page(trajectory, robot, standard, found, identifiability=analysis, record=_record(delivery)),
+        "report.html": report.design_page(trajectory, robot, standard, found, analysis, record, cases=cases),
     }
     directions = analysis.document()["directions"]
     document = {
@@ -208,6 +211,16 @@ def workflow_files(delivery: workflow.Delivery, robot: Robot, threshold: float) 
         "duration": trajectory.motion.duration,
     }
     return document, contents
+
+
+def _cases(
+    robot: Robot, standard: Parameters, found: base.Base, trajectory: artefact.Trajectory, threshold: float, earlier: Array | None = None
+) -> tuple[scenarios.Scenario, ...]:
+    """What twice the time or twice the speed of a trajectory would buy."""
+    limits, motion, noise = trajectory.limits, trajectory.motion, trajectory.noise
+    return scenarios.what_would_help(
+        robot, standard, found, limits, motion, noise=noise, rate=trajectory.rate, threshold=threshold, given=earlier
+    )
 
 
 def _torque(robot: Robot, standard: Parameters) -> Callable[[Samples], Array]:
@@ -299,7 +312,8 @@ def identifiability(arguments: argparse.Namespace) -> Outcome:
     root = identifiable.information_root(robot, standard, samples, noise)
     analysis = identifiable.analyse_root(standard, found, root, noise, robot, threshold=arguments.threshold, samples=len(samples))
     document = json.loads(artefact.dumps(analysis.document()))
-    page = report.identifiability_page(robot, standard, found, analysis, motion=arguments.motion)
+    cases = () if trajectory is None else _cases(robot, standard, found, trajectory, arguments.threshold)
+    page = report.identifiability_page(robot, standard, found, analysis, arguments.motion, cases=cases)
     written = files.write_all(Path(arguments.out), {"identifiability.json": artefact.dumps(document), "report.html": page})
     seen = sum(bool(d["identifiable"]) for d in document["directions"])
     text = "\n".join([f"{robot.name}: {seen} of {found.count} directions practically identifiable", *(f"wrote {path}" for path in written)])

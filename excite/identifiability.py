@@ -14,20 +14,15 @@ import numpy as np
 
 from .base import Base
 from .dynamics import regressor
-from .limits import DERIVED, Limits
-from .motion import Motion
-from .parameters import INERTIAL, Parameters, proper_body, pseudo_inertia
+from .parameters import Parameters, proper_body, pseudo_inertia
 from .robot import Robot
-from .trajectory import Fourier, Samples
+from .trajectory import Samples
+from .wording import SMALLEST_SHARE, sentence
 
 Array = np.ndarray
 SCHEMA = "excite.identifiability/1"
 THRESHOLD = 1e-2
-SMALLEST_SHARE = 0.01
 BLOCK = 400
-_AXES = {"mcx": "x", "mcy": "y", "mcz": "z"}
-_ABOUT = {"Ixx": "x", "Iyy": "y", "Izz": "z"}
-_DRIVE_WORDS = {"rotor_inertia": "rotor inertia", "viscous": "viscous friction", "coulomb": "Coulomb friction", "offset": "torque offset"}
 
 
 @dataclass(frozen=True)
@@ -169,11 +164,11 @@ def analyse_root(
     samples: int | None = None,
 ) -> Identifiability:
     """Identifiability from R with RᵀR = Σ Yᵀ Σ⁻¹ Y: `root_of`, `information_root`, or any such rows stacked. Shape (m, P)."""
-    values, vectors = _spectrum(root, base)
+    values, vectors = spectrum(root, base)
     return _describe(_Frame(parameters, base, values, vectors), robot, noise, threshold, samples)
 
 
-def _spectrum(root: Array, base: Base) -> tuple[Array, Array]:
+def spectrum(root: Array, base: Base) -> tuple[Array, Array]:
     """λ, falling, and the directions in the coordinates of base.geometric as columns. Shapes (p,), (p, p)."""
     _, singular, right = np.linalg.svd(_triangle(root @ base.geometric), full_matrices=True)
     values = np.zeros(base.count)
@@ -206,7 +201,7 @@ def _describe(frame: _Frame, robot: Robot, noise: Array, threshold: float, sampl
     for variance, identifiable, unit in zip(variances, seen, units.T, strict=True):
         shares = unit**2 / np.sum(unit**2)
         weights = {parameters.names[i]: float(shares[i]) for i in np.argsort(-shares, kind="stable") if shares[i] > SMALLEST_SHARE}
-        words = _sentence(parameters, shares, float(variance), bool(identifiable))
+        words = sentence(parameters, shares, float(variance), bool(identifiable))
         directions.append(Direction(float(variance), bool(identifiable), words, weights))
     links, joints = _shares(parameters, units, seen)
     return Identifiability(
@@ -308,190 +303,3 @@ def _vector(change: Array) -> Array:
     second = change[:3, :3]
     t = np.trace(second) * np.eye(3) - second
     return np.array([change[3, 3], *change[:3, 3], t[0, 0], t[0, 1], t[1, 1], t[0, 2], t[1, 2], t[2, 2]])
-
-
-# -- words ---------------------------------------------------------------------------------------------------
-
-
-def _sentence(parameters: Parameters, shares: Array, variance: float, identifiable: bool) -> str:
-    groups = sorted(_groups(parameters, shares), key=lambda g: -g[1])
-    first, share = groups[0]
-    rest = [f"{text} ({100 * s:.0f} %)" for text, s in groups[1:4] if s >= 0.08]
-    if share < 0.5:
-        what = f"a mix of {_listed([f'{first} ({100 * share:.0f} %)', *rest])}"
-    else:
-        lead = first if share >= 0.9 else f"mostly {first} ({100 * share:.0f} %)"
-        what = lead + (f", with {_listed(rest)}" if rest else "")
-    if identifiable:
-        return f"{what}; seen to ±{percent(np.sqrt(variance))}"
-    if not np.isfinite(variance):
-        return f"not seen: {what}; this motion does not excite it at all"
-    if variance >= 1.0:
-        return f"not seen: {what}; what one would fit is noise (±{percent(np.sqrt(variance))})"
-    return f"not seen: {what}; known only to ±{percent(np.sqrt(variance))}"
-
-
-def percent(share: float) -> str:
-    """A share as a percentage with two digits, such as '2.3 %' or '340 %'."""
-    value = float(f"{100.0 * share:.2g}")
-    return f"{value:g} %" if value < 1e5 else f"{value:.0e} %".replace("e+0", "e").replace("e+", "e")
-
-
-def _groups(parameters: Parameters, shares: Array) -> list[tuple[str, float]]:
-    """What roboticists call the parameters, each with its share: the mass of a link, its centre of mass along x …"""
-    out = []
-    for i, link in enumerate(parameters.links):
-        block = dict(zip(INERTIAL, shares[10 * i : 10 * i + 10], strict=True))
-        out.append((f"the mass of {link}", float(block["m"])))
-        centre = {axis: float(block[key]) for key, axis in _AXES.items()}
-        total = sum(centre.values())
-        out.append((f"the centre of mass of {link} along {_leading(centre)}", total))
-        moments = {axis: float(block[key]) for key, axis in _ABOUT.items()}
-        products = float(block["Ixy"] + block["Ixz"] + block["Iyz"])
-        inertia = sum(moments.values()) + products
-        kind = "the products of inertia of" if products > 0.6 * inertia else "the inertia of"
-        about = f" about {_leading(moments)}" if products <= 0.6 * inertia else ""
-        out.append((f"{kind} {link}{about}", inertia))
-    start, n = 10 * parameters.bodies, len(parameters.joints)
-    for k, kind in enumerate(parameters.drive):
-        out += [(f"the {_DRIVE_WORDS[kind]} of {joint}", float(shares[start + k * n + j])) for j, joint in enumerate(parameters.joints)]
-    return out
-
-
-def _leading(shares: Mapping[str, float]) -> str:
-    """The axes that matter, the first first: 'x', 'x and z'."""
-    total = sum(shares.values())
-    order = sorted(shares, key=lambda axis: -shares[axis])
-    kept = [axis for k, axis in enumerate(order) if k == 0 or shares[axis] > 0.25 * total]
-    return _listed(kept)
-
-
-def _listed(words: list[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
-
-
-def spoken(name: str, parameters: Parameters) -> str:
-    """A parameter's name in words: 'mcx3' is 'm·c along x of wrist_1_link'."""
-    index = parameters.names.index(name)
-    owner = parameters.owners()[index]
-    if index >= 10 * parameters.bodies:
-        kind = parameters.drive[(index - 10 * parameters.bodies) // len(parameters.joints)]
-        return f"{_DRIVE_WORDS[kind]} of {owner}"
-    symbol = INERTIAL[index % 10]
-    if symbol == "m":
-        return f"mass of {owner}"
-    return f"m·c along {_AXES[symbol]} of {owner}" if symbol in _AXES else f"{symbol} of {owner}"
-
-
-# -- what would help -----------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Break:
-    """A limit that a scenario would break: the largest value over the limit, and where."""
-
-    limit: str
-    joint: str
-    factor: float
-
-
-@dataclass(frozen=True)
-class Scenario:
-    """A change of the experiment and what it would show. eigenvalues: λ, falling. Shape (p,)."""
-
-    name: str
-    words: str
-    identifiable: int
-    eigenvalues: Array
-    broken: tuple[Break, ...] = ()
-
-
-def what_would_help(
-    robot: Robot,
-    parameters: Parameters,
-    base: Base,
-    limits: Limits,
-    motion: Motion,
-    *,
-    noise: Array,
-    rate: float,
-    threshold: float = THRESHOLD,
-    given: Array | None = None,
-) -> tuple[Scenario, ...]:
-    """The motion as it is; recorded for twice the time; its Fourier part run at twice the speed for as long as now.
-
-    Twice the speed is the same path with q̇ doubled, q̈ times four, half the period and twice as many periods: what it
-    gains is speed, not time. given: a root of the information of earlier recordings, which counts once in each. Shape (m, P).
-    """
-    t = motion.grid(rate)
-    fourier = motion.segment("fourier")
-    inside = (t >= fourier.start) & (t < fourier.end)
-    outer = information_root(robot, parameters, motion.samples(t[~inside]), noise)
-    earlier = np.zeros((0, parameters.count)) if given is None else given
-    inner = [_fourier_root(robot, parameters, motion.fourier.slowed(speed), noise, int(inside.sum())) for speed in (1.0, 2.0)]
-    now = np.vstack([outer, inner[0]])
-    cases = {"now": now, "time": np.sqrt(2.0) * now, "speed": np.vstack([outer, inner[1]])}
-    spectra = {name: _spectrum(np.vstack([root, earlier]), base)[0] for name, root in cases.items()}
-    broken: dict[str, tuple[Break, ...]] = {"now": (), "time": (), "speed": _broken(robot, parameters, limits, motion, 2.0)}
-    seen = {name: int(np.sum(values * threshold >= 1.0)) for name, values in spectra.items()}
-    words = {
-        "now": f"{seen['now']} of {base.count} directions are identifiable",
-        "time": _gain(seen["time"] - seen["now"], "Twice the recording time"),
-        "speed": _gain(seen["speed"] - seen["now"], "Twice the speed") + _break_words(broken["speed"]),
-    }
-    return tuple(Scenario(name, words[name], seen[name], spectra[name], broken[name]) for name in cases)
-
-
-def _gain(more: int, what: str) -> str:
-    if more == 0:
-        return f"{what} would make no further direction identifiable"
-    return f"{what} would make {abs(more)} {'more' if more > 0 else 'fewer'} direction{'s' * (abs(more) != 1)} identifiable"
-
-
-def _break_words(broken: tuple[Break, ...]) -> str:
-    if not broken:
-        return ", and no limit would break"
-    return ", but would break " + _listed([f"the {b.limit} limit of {b.joint} ({b.factor:.2g} times)" for b in broken])
-
-
-def _fourier_root(robot: Robot, parameters: Parameters, series: Fourier, noise: Array, rows: int) -> Array:
-    """Root of what `rows` samples of a periodic motion tell; one period is computed and counted as often as it fits."""
-    count = int(np.clip(rows, 1, 300))
-    root = information_root(robot, parameters, series.samples(series.grid(count)), noise)
-    out: Array = np.sqrt(rows / count) * root
-    return out
-
-
-def _broken(robot: Robot, parameters: Parameters, limits: Limits, motion: Motion, speed: float) -> tuple[Break, ...]:
-    """For each kind of limit the joint that would exceed it most, if any would."""
-    series = motion.fourier.slowed(speed)
-    t = series.grid(300)
-    samples = series.samples(t)
-    torque = regressor(robot, parameters, samples) @ parameters.nominal
-    values = {"velocity": samples.dq, "acceleration": samples.ddq, "jerk": series.at(t, 3), "torque": torque}
-    out = []
-    for kind, array in values.items():
-        # a derived limit binds the ramps only, not the excitation
-        stated = [source != DERIVED for source in limits.sources.get(kind, ("",) * robot.n)]
-        ratio = np.where(stated, np.abs(array).max(axis=0) / getattr(limits, kind), 0.0)
-        worst = int(np.argmax(ratio))
-        if ratio[worst] > 1.0:
-            out.append(Break(kind, robot.joints[worst], float(ratio[worst])))
-    if not any(b.limit == "velocity" for b in out):
-        out += _braking(limits, samples)
-    return tuple(out)
-
-
-def _braking(limits: Limits, samples: Samples) -> list[Break]:
-    """Velocity limits that fall towards a stop."""
-    worst = Break("velocity", "", 1.0)
-    for j, brake in enumerate(limits.braking):
-        if brake is None:
-            continue
-        for sign, stop in ((1.0, brake.stop[1]), (-1.0, brake.stop[0])):
-            distance = np.maximum(sign * (stop - samples.q[:, j]), 0.0)
-            allowed = np.maximum(np.sqrt(brake.rate * distance) - brake.offset, 1e-6)
-            factor = float(np.max(sign * samples.dq[:, j] / allowed))
-            if factor > worst.factor:
-                worst = Break("velocity", limits.joints[j], factor)
-    return [worst] if worst.joint else []

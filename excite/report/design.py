@@ -11,9 +11,10 @@ import numpy as np
 from ..artefact import Trajectory, versions
 from ..base import Base
 from ..dynamics import band, regressor
-from ..identifiability import Identifiability, Scenario, what_would_help
+from ..identifiability import Identifiability
 from ..parameters import Parameters
 from ..robot import Robot
+from ..scenarios import Scenario, what_would_help
 from . import motion_figures
 from .figures import MANY
 from .identifiability import headline, sections

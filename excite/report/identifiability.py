@@ -8,9 +8,11 @@ import numpy as np
 
 from ..artefact import versions
 from ..base import Base
-from ..identifiability import BaseParameter, Direction, Identifiability, Scenario, percent, spoken
+from ..identifiability import BaseParameter, Direction, Identifiability
 from ..parameters import Parameters
 from ..robot import Robot
+from ..scenarios import Scenario
+from ..wording import percent, spoken
 from . import spectrum_figures as figures
 from .page import Section, bullets, cards, escape, figure, folded, number, page, paragraph, plural, table
 

@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ..identifiability import Identifiability, Scenario, Share, percent
+from ..identifiability import Identifiability, Share
+from ..scenarios import Scenario
+from ..wording import percent
 from .figures import BLUE, GREEN, GREY, INK, ORANGE, RED, SOFT, few_log, few_ticks, grid, render
 from .motion_figures import short
 from .record import DesignRecord

@@ -1,0 +1,124 @@
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import excite
+
+PACKAGE = Path(excite.__file__).parent
+FILES = sorted(PACKAGE.rglob("*.py"))
+
+# Each layer may import from itself and from the ones before it.
+LAYERS = (
+    {"__init__", "errors", "urdf", "robot", "limits", "trajectory", "motion"},
+    {"parameters", "structure", "dynamics", "symbolic", "base", "criteria", "problem", "checks"},
+    {"evaluate", "start", "solver", "design", "ramps", "wording", "scenarios", "identifiability", "recording", "artefact"},
+    {"verify", "export", "report", "files", "workflow"},
+    {"commands", "cli"},
+)
+
+
+def module(path: Path) -> str:
+    """The part of the package that a file belongs to: its own name, or its folder's."""
+    parts = path.relative_to(PACKAGE).with_suffix("").parts
+    return parts[0]
+
+
+def layer(name: str) -> int:
+    return next(i for i, names in enumerate(LAYERS) if name in names)
+
+
+def imported(path: Path) -> set[str]:
+    """Names of the package's own modules that a file imports, anywhere in it."""
+    depth = len(path.relative_to(PACKAGE).parts)
+    known = {module(file) for file in FILES}
+    out: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.level == depth or (node.module or "").split(".")[0] == "excite"):
+            inner = (node.module or "").removeprefix("excite").strip(".")
+            out |= {inner.split(".")[0]} if inner else {alias.name for alias in node.names}
+        elif isinstance(node, ast.Import):
+            out |= {alias.name.split(".")[1] for alias in node.names if alias.name.startswith("excite.")}
+    return out & known
+
+
+def loaded_by(*arguments: str) -> set[str]:
+    """Top-level modules in memory after a fresh interpreter did something."""
+    done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=True)
+    return set(done.stdout.splitlines()[-1].split())
+
+
+def after(code: str) -> set[str]:
+    return loaded_by("-c", f"import sys; {code}; print(*{{name.split('.')[0] for name in sys.modules}})")
+
+
+def test_every_module_has_a_layer():
+    assert {module(file) for file in FILES} <= set().union(*LAYERS)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_no_module_imports_from_a_later_layer(path):
+    late = {name for name in imported(path) if layer(name) > layer(module(path))}
+    assert not late
+
+
+def test_imports_are_found_at_all():
+    assert {"robot", "limits", "errors", "parameters", "structure", "trajectory", "dynamics"} == imported(PACKAGE / "base.py")
+
+
+def test_no_module_imports_itself_through_others():
+    graph = {name: set().union(*(imported(f) for f in FILES if module(f) == name)) - {name} for name in {module(f) for f in FILES}}
+    while leaves := {name for name, needs in graph.items() if not needs & set(graph)}:
+        graph = {name: needs for name, needs in graph.items() if name not in leaves}
+    assert not graph
+
+
+def test_designing_needs_no_plots_and_no_yaml():
+    assert not {"matplotlib", "yaml"} & after("import excite.design")
+
+
+@pytest.mark.parametrize("name", ["argparse", "matplotlib", "yaml"])
+def test_the_core_does_not_name_what_only_the_surface_needs(name):
+    """limits.py asks for yaml inside the function that reads a .yaml file."""
+    core = [file for file in FILES if layer(module(file)) < 3]
+    tops = {file.name: ast.parse(file.read_text(encoding="utf-8")).body for file in core}
+    names = {f: [a.name for n in body if isinstance(n, ast.Import) for a in n.names] for f, body in tops.items()}
+    assert not [f for f, imports in names.items() if name in {i.split(".")[0] for i in imports}]
+
+
+@pytest.mark.parametrize("name", ["excite", "excite.errors", "excite.cli"])
+def test_light_modules_stay_light(name):
+    assert not {"casadi", "pinocchio", "matplotlib", "scipy", "numpy", "ruckig"} & after(f"import {name}")
+
+
+def test_help_waits_for_no_heavy_import():
+    done = subprocess.run([sys.executable, "-X", "importtime", "-m", "excite.cli", "--help"], capture_output=True, text=True, check=True)
+    names = {line.rsplit("|", 1)[-1].strip().split(".")[0] for line in done.stderr.splitlines()}
+    assert "argparse" in names and not {"casadi", "pinocchio", "matplotlib", "scipy"} & names
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_files_are_short(path):
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= 400
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_functions_are_short(path):
+    nodes = [n for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(n, ast.FunctionDef)]
+    assert not {n.name: n.end_lineno - n.lineno + 1 for n in nodes if n.end_lineno - n.lineno + 1 > 60}
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_the_library_neither_swallows_exceptions_nor_prints(path):
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    bare = [
+        n.lineno
+        for n in ast.walk(tree)
+        if isinstance(n, ast.ExceptHandler) and (n.type is None or getattr(n.type, "id", "") in ("Exception", "BaseException"))
+    ]
+    prints = [n.lineno for n in ast.walk(tree) if isinstance(n, ast.Call) and getattr(n.func, "id", "") == "print"]
+    assert not bare and (not prints or module(path) in ("cli", "commands"))

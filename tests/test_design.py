@@ -1,0 +1,285 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import QUICK, document, joint, link, loaded, random_urdf, reframed, text_of
+
+from excite import criteria, design, dynamics, workflow
+from excite.criteria import Criterion
+from excite.design import Design
+from excite.errors import CheckFailed, Infeasible, UnusableInput
+from excite.limits import Limits, resolve
+from excite.problem import Box, Options
+from excite.robot import Robot, load
+from excite.trajectory import Fourier
+
+CERTAIN = replace(QUICK, uncertainty=0.0)
+ABOVE = Box("tip", (-1.0, -0.1, 0.0), (1.0, 0.1, 1.0))
+ORDERS = {"position": 0, "velocity": 1, "acceleration": 2, "jerk": 3}
+
+
+def solved(robot: Robot, limits: Limits, options: Options = QUICK, given: np.ndarray | None = None) -> Design:
+    return design.solve(design.prepare(robot, limits, options, given))
+
+
+def value(found: Design, motion: Fourier | None = None) -> dict:
+    """All criteria of a motion, by Pinocchio, on a grid that isn't the optimiser's."""
+    p, motion = found.setting.problem, motion or found.motion
+    Y = dynamics.regressor(p.robot, p.parameters, motion.samples(motion.grid(400)))
+    return criteria.score(Y, found.setting.base, found.setting.noise)
+
+
+def loose(limits: Limits) -> Limits:
+    """Generous where two_link's table is strict."""
+    return replace(limits.scaled(torque=5.0, acceleration=10.0, jerk=20.0, velocity=2.0))
+
+
+# -- what a design is ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["two_link", "ur10e", "tree"])
+def test_a_design_obeys_all_limits_on_a_dense_grid(name):
+    text = random_urdf(np.random.default_rng(0), 4, kinds=("revolute", "prismatic")).replace('effort="40"', 'effort="400"')
+    robot = loaded(text) if name == "tree" else load(name)
+    limits = resolve(robot)
+    options = replace(QUICK, period=4.0, samples=60, iterations=15)
+    motion = workflow.run(robot, limits, options).trajectory.motion
+    t = np.linspace(0, motion.duration, 20001)
+    for kind, order in ORDERS.items():
+        bound, found = getattr(limits, kind), motion.at(t, order)
+        lower, upper = bound.T if kind == "position" else (-bound, bound)
+        assert (found <= upper).all() and (found >= lower).all(), kind
+    setting = design.prepare(robot, limits, options)
+    torque = dynamics.regressor(robot, setting.problem.parameters, motion.samples(t[::10])) @ setting.problem.parameters.nominal
+    assert (np.abs(torque) <= limits.torque).all()
+
+
+@pytest.mark.parametrize("criterion", list(Criterion))
+@pytest.mark.parametrize("plain", [False, True])
+def test_a_design_improves_on_its_start(two_link, table, criterion, plain):
+    attempt = solved(two_link, table, replace(QUICK, criterion=criterion, plain=plain)).attempts[0]
+    assert attempt.objective < attempt.values[0] - 0.1
+
+
+@pytest.mark.parametrize("criterion", [Criterion.D, Criterion.E, Criterion.COND, Criterion.COND_REGRESSOR])
+def test_a_criterion_is_served_best_by_its_own_design(two_link, table, criterion):
+    options = replace(QUICK, iterations=120)
+    own, other = (value(solved(two_link, table, replace(options, criterion=c))) for c in (criterion, Criterion.A))
+    sign = -1.0 if criterion in criteria.MAXIMISED else 1.0
+    assert sign * criteria.pick(own, criterion, plain=False) < sign * criteria.pick(other, criterion, plain=False)
+
+
+def test_the_objective_of_an_attempt_is_its_criterions_logarithm(two_link, table):
+    found = solved(two_link, table)
+    motion, p = found.motion, found.setting.problem
+    Y = dynamics.regressor(two_link, p.parameters, motion.samples(motion.grid(40)))
+    stated = criteria.score(Y, found.setting.base, found.setting.noise)["geometric"]["a"]
+    assert found.attempts[0].objective == pytest.approx(np.log(stated), rel=1e-9)
+
+
+def test_more_starts_are_ranked_the_best_first(two_link, table):
+    attempts = solved(two_link, table, replace(QUICK, starts=3, iterations=10)).attempts
+    assert [a.objective for a in attempts] == sorted(a.objective for a in attempts) and {a.number for a in attempts} == {0, 1, 2}
+
+
+def test_one_seed_gives_one_result(two_link, table):
+    first, second = (solved(two_link, table).motion for _ in range(2))
+    assert np.array_equal(first.sine, second.sine) and np.array_equal(first.offset, second.offset)
+
+
+def test_a_robot_of_one_joint_can_be_designed_for():
+    robot = load("two_link", joints=["joint_1"])
+    assert workflow.run(robot, resolve(robot), replace(QUICK, iterations=10)).certificate.ok
+
+
+def test_another_seed_gives_another_start(two_link, table):
+    first, second = (solved(two_link, table, replace(QUICK, seed=s, iterations=1)).motion for s in (0, 1))
+    assert not np.allclose(first.sine, second.sine)
+
+
+def test_the_number_of_processes_does_not_matter(two_link, table):
+    one, two = (solved(two_link, table, replace(QUICK, starts=2, jobs=jobs)) for jobs in (1, 2))
+    assert all(np.array_equal(a.motion.sine, b.motion.sine) for a, b in zip(one.attempts, two.attempts, strict=True))
+
+
+def test_timing_says_when_it_became_feasible_and_good(two_link, table):
+    timing = workflow.run(two_link, table, QUICK).timing
+    assert set(timing) == {"build", "first_feasible", "within_1_percent", "solve", "total"}
+    assert 0 < timing["first_feasible"] <= timing["within_1_percent"] <= timing["solve"] < timing["total"]
+
+
+# -- each limit binds ----------------------------------------------------------------------------------------------
+
+TIGHT = {
+    "position": np.array([[-0.8, 0.9], [-0.7, 0.6]]),
+    "velocity": np.array([1.0, 1.5]),
+    "acceleration": np.array([6.0, 8.0]),
+    "jerk": np.array([60.0, 80.0]),
+    "torque": np.array([30.0, 8.0]),
+}
+
+
+def excess(kind: str, found: Design, bound: np.ndarray) -> float:
+    """The largest quantity over its limit, densely, by Pinocchio."""
+    motion, p = found.motion, found.setting.problem
+    t = motion.grid(4001)
+    if kind == "torque":
+        values = dynamics.regressor(p.robot, p.parameters, motion.samples(t)) @ p.parameters.nominal
+    else:
+        values = motion.at(t, ORDERS[kind])
+    lower, upper = bound.T if kind == "position" else (-bound, bound)
+    middle, half = (lower + upper) / 2, (upper - lower) / 2
+    return float(np.abs((values - middle) / half).max())
+
+
+@pytest.mark.parametrize("kind", TIGHT)
+def test_without_a_limit_the_optimum_breaks_it(two_link, table, kind):
+    free = solved(two_link, loose(table), CERTAIN)
+    bound = workflow.run(two_link, replace(loose(table), **{kind: TIGHT[kind]}), CERTAIN).design
+    assert excess(kind, free, TIGHT[kind]) > 1.1
+    assert 0.5 < excess(kind, bound, TIGHT[kind]) <= 1.0
+
+
+def test_without_a_box_the_optimum_leaves_it(two_link, table):
+    def lowest(found):
+        return dynamics.positions(two_link, "tip", found.motion.at(found.motion.grid(2001)))[:, 2].min()
+
+    assert lowest(solved(two_link, table, CERTAIN)) < -0.2
+    assert 0.0 <= lowest(workflow.run(two_link, table, replace(CERTAIN, boxes=(ABOVE,))).design) < 0.1
+
+
+def test_without_braking_the_optimum_is_too_fast_near_the_stops():
+    robot = load("fr3", joints=("fr3_joint4", "fr3_joint6"))
+    limits = resolve(robot)
+    free = replace(limits, braking=(None, None), acceleration=10 * limits.acceleration)
+    options = replace(CERTAIN, period=3.0)
+
+    def near(found):
+        motion = found.motion
+        q, dq = motion.at(motion.grid(2001)), motion.at(motion.grid(2001), 1)
+        over = []
+        for j, brake in enumerate(limits.braking):
+            for s, stop in ((1, brake.stop[1]), (-1, brake.stop[0])):
+                allowed = -brake.offset + np.sqrt(np.maximum(brake.rate * s * (stop - q[:, j]), 0.0))
+                over.append(np.max(s * dq[:, j] - np.maximum(allowed, 0.0)))
+        return max(over)
+
+    assert near(solved(robot, free, options)) > 0.05
+    assert near(workflow.run(robot, replace(free, braking=limits.braking), options).design) <= 0.0
+
+
+def test_an_uncertain_robot_keeps_further_from_its_torque_limit(two_link, table):
+    limits = replace(loose(table), torque=TIGHT["torque"])
+    sure, unsure = (solved(two_link, limits, replace(QUICK, uncertainty=r)) for r in (0.0, 0.3))
+    assert excess("torque", unsure, limits.torque) < excess("torque", sure, limits.torque) - 0.02
+
+
+# -- what must not matter, and what must ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("criterion", [Criterion.A, Criterion.D, Criterion.E, Criterion.COND])
+def test_geometric_optimum_is_the_same_in_other_link_frames(criterion):
+    text = text_of("two_link").replace('name="tip"', 'name="end"').replace('link="tip"', 'link="end"')
+    robots = loaded(text), loaded(reframed(text, np.random.default_rng(3)))
+    one, other = (solved(r, resolve(r), replace(QUICK, criterion=criterion, iterations=15)) for r in robots)
+    assert np.exp(other.attempts[0].objective - one.attempts[0].objective) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_information_already_there_changes_what_is_asked_for(two_link, table):
+    setting = design.prepare(two_link, table, QUICK)
+    only_second = Fourier(np.diag([0.0, 1.0]) @ np.full((2, 3), 0.8), np.zeros((2, 3)), np.zeros(2), 2.0)
+    Y = dynamics.regressor(two_link, setting.problem.parameters, only_second.samples(only_second.grid(400)))
+    there = 10.0 * criteria.standard_information(Y, setting.noise)
+    alone, together = solved(two_link, table), solved(two_link, table, given=there)
+
+    def with_given(found):
+        p = found.setting.problem
+        Y = dynamics.regressor(two_link, p.parameters, found.motion.samples(found.motion.grid(400)))
+        return criteria.score(Y, found.setting.base, found.setting.noise, there / 400)["geometric"]["a"]
+
+    assert with_given(together) < 0.999 * with_given(alone)
+
+
+def test_an_optimised_period_is_whole_samples_and_near_its_bounds(two_link, table):
+    found = solved(two_link, table, replace(QUICK, free_period=(1.5, 2.987)))
+    period = found.motion.period
+    assert 1.5 <= period <= 3.0 and abs(period * 100 - round(period * 100)) < 1e-9
+
+
+def test_a_longer_period_that_is_allowed_is_used(two_link, table):
+    fixed, free = solved(two_link, table), solved(two_link, table, replace(QUICK, free_period=(2.0, 6.0), iterations=60))
+    assert value(free)["geometric"]["a"] < value(fixed)["geometric"]["a"]
+
+
+# -- what cannot be had --------------------------------------------------------------------------------------------
+
+
+def test_torque_below_gravity_is_unusable_and_names_the_joint():
+    parts = link("base"), link("column", 1.0), link("cart", 5.0)
+    robot = loaded(document(*parts, joint("turn", "base", "column"), joint("lift", "column", "cart", "prismatic")))
+    with pytest.raises(UnusableInput, match=r"'lift': gravity asks .* times its torque limit .* raise the limit or lighten the payload"):
+        solved(robot, resolve(robot))
+
+
+def test_torque_below_gravity_wherever_the_limits_let_the_arm_be_is_unusable(two_link, table):
+    weak = replace(table, torque=np.array([5.0, 20.0]), position=np.array([[-0.4, 0.4], [-0.4, 0.4]]))
+    with pytest.raises(UnusableInput, match=r"'joint_1': gravity asks .* raise the limit or lighten the payload"):
+        solved(two_link, weak)
+
+
+def test_a_box_out_of_reach_is_infeasible_and_named(two_link, table):
+    away = Box("tip", (2.0, -0.1, 0.0), (3.0, 0.1, 1.0))
+    with pytest.raises(Infeasible, match="the box limit of 'tip' fights the others"):
+        solved(two_link, table, replace(QUICK, boxes=(away,)))
+
+
+def test_a_box_that_fights_the_position_limits_is_infeasible(two_link, table):
+    ahead = replace(table, position=np.array([[-0.2, 0.2], [-0.2, 0.2]]))
+    behind = Box("tip", (-0.9, -0.1, -0.5), (-0.3, 0.1, 0.5))
+    with pytest.raises(Infeasible, match=r"fights the others .*; widen the box or the position limits"):
+        solved(two_link, ahead, replace(QUICK, boxes=(behind,)))
+
+
+def test_every_start_that_fails_is_told_from_other_processes_too(two_link, table):
+    away = Box("tip", (2.0, -0.1, 0.0), (3.0, 0.1, 1.0))
+    with pytest.raises(Infeasible, match="'tip'"):
+        solved(two_link, table, replace(QUICK, boxes=(away,), starts=2, jobs=2))
+
+
+@pytest.mark.parametrize(
+    ("changes", "part"),
+    [
+        ({"period": 2.005}, "no whole number of samples at --rate 100 Hz; use --period 2"),
+        ({"period": np.nan}, "--period nan .* positive and finite"),
+        ({"rate": 0.0}, "--rate 0 should be positive"),
+        ({"harmonics": 20}, "--samples 40 cannot carry 20 harmonics; use more than 40"),
+        ({"harmonics": 0}, "--harmonics should be positive"),
+        ({"periods": 1}, "--periods should be at least 2"),
+        ({"starts": 0}, "--starts should be positive"),
+        ({"uncertainty": -0.1}, "--uncertainty -0.1 should be 0 or more"),
+        ({"boxes": (Box("tip", (0, 0, 0), (0, 1, 1)),)}, "--box tip: its lower corner"),
+        ({"boxes": (Box("claw", (0, 0, 0), (1, 1, 1)),)}, "no frame 'claw'"),
+        ({"drive": ("magic",)}, "no joint parameter 'magic'"),
+    ],
+)
+def test_options_that_contradict_themselves_are_refused(two_link, table, changes, part):
+    with pytest.raises(UnusableInput, match=part):
+        solved(two_link, table, replace(QUICK, **changes))
+
+
+def test_a_start_pose_outside_its_limits_is_refused_with_the_joint(two_link, table):
+    with pytest.raises(UnusableInput, match=r"start pose: joint 'joint_2' at 9 is outside \[-2.6, 2.6\]"):
+        workflow.run(two_link, table, QUICK, start=np.array([0.0, 9.0]))
+
+
+def test_a_motion_that_fails_its_certificate_is_not_delivered(two_link, table, monkeypatch):
+    monkeypatch.setattr(workflow.verify, "_faults", lambda trajectory: ["it wobbles"])
+    with pytest.raises(CheckFailed, match="it wobbles; try another --seed or --force"):
+        workflow.run(two_link, table, replace(QUICK, iterations=5))
+
+
+def test_a_forced_motion_says_so(two_link, table, monkeypatch):
+    monkeypatch.setattr(workflow.verify, "_faults", lambda trajectory: ["it wobbles"])
+    assert workflow.run(two_link, table, replace(QUICK, iterations=5), force=True).trajectory.forced

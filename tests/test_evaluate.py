@@ -1,0 +1,221 @@
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from conftest import loaded, off, random_urdf, slope
+from hypothesis import given
+from hypothesis import strategies as st
+
+from excite import design, dynamics
+from excite.criteria import Criterion
+from excite.evaluate import Evaluator, Rows
+from excite.limits import resolve
+from excite.problem import Box, Options
+from excite.robot import load
+from excite.start import at_rest
+
+BOX = Box("tip", (-0.5, -0.1, -0.7), (0.8, 0.1, 0.6))
+STEP = 2e-5  # in variables of size 1: small against the width of the smooth Coulomb column
+KINDS = ("position", "velocity", "acceleration", "jerk", "torque", "braking", "box0", "box1")
+
+
+@cache
+def evaluator(name: str = "two_link", **changes: object) -> Evaluator:
+    if name == "mimic":
+        robot = loaded(random_urdf(np.random.default_rng(1), 4, kinds=("revolute", "prismatic"), mimics={2: (0, -1.7, 0.3)}))
+    else:
+        robot = load(name, joints=("fr3_joint1", "fr3_joint2", "fr3_joint4") if name == "fr3" else None)
+    options = Options(period=2.0, harmonics=3, samples=24, **changes)  # type: ignore[arg-type]
+    return Evaluator(design.prepare(robot, resolve(robot), options).problem)
+
+
+def point(e: Evaluator, seed: int = 0, size: float = 0.4) -> np.ndarray:
+    x = size * np.random.default_rng(seed).normal(size=e.problem.size)
+    if e.problem.options.free_period is not None:
+        x[-1] = 1.15
+    return x
+
+
+def direction(e: Evaluator, seed: int = 1) -> np.ndarray:
+    d = np.random.default_rng(seed).normal(size=e.problem.size)
+    return d / np.linalg.norm(d)
+
+
+# -- objective -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("free", [None, (1.0, 4.0)])
+@pytest.mark.parametrize("plain", [False, True])
+@pytest.mark.parametrize("criterion", list(Criterion))
+@pytest.mark.parametrize("name", ["two_link", "mimic"])
+def test_objective_gradient_is_the_derivative(name, criterion, plain, free):
+    e = evaluator(name, criterion=criterion, plain=plain, free_period=free)
+    x = point(e)
+    gradient = e.objective(x, 4.0)[1]
+    for seed in (1, 2):
+        d = direction(e, seed)
+        measured = slope(lambda h, d=d: np.array(e.objective(x + h * d, 4.0)[0]), STEP)
+        assert abs(gradient @ d - measured) < 1e-6 * np.linalg.norm(gradient)
+
+
+def test_objective_gradient_by_the_period_is_the_derivative():
+    e = evaluator(free_period=(1.0, 4.0))
+    x, unit = point(e), np.eye(e.problem.size)[-1]
+    measured = slope(lambda h: np.array(e.objective(x + h * unit, 4.0)[0]), STEP)
+    assert abs(e.objective(x, 4.0)[1][-1] / measured - 1) < 1e-6
+
+
+def test_objective_with_given_information_has_its_own_gradient():
+    robot = load("two_link")
+    options = Options(period=2.0, harmonics=3, samples=24)
+    root = np.random.default_rng(0).normal(size=(28, 28))
+    e = Evaluator(design.prepare(robot, resolve(robot), options, 1e3 * root @ root.T).problem)
+    x, d = point(e), direction(e)
+    measured = slope(lambda h: np.array(e.objective(x + h * d, 4.0)[0]), STEP)
+    gradient = e.objective(x, 4.0)[1]
+    assert abs(gradient @ d - measured) < 1e-6 * np.linalg.norm(gradient)
+    assert e.objective(x, 4.0)[0] < evaluator().objective(x, 4.0)[0]
+
+
+def test_going_back_to_a_point_gives_its_value_again():
+    e = evaluator()
+    first, other = point(e, 0), point(e, 1)
+    values = [e.objective(x, 4.0)[0] for x in (first, other, first)]
+    assert values[0] == values[2] != values[1]
+
+
+def test_a_returned_gradient_is_not_overwritten_by_the_next():
+    e = evaluator()
+    gradient = e.objective(point(e, 0), 4.0)[1]
+    kept = gradient.copy()
+    e.objective(point(e, 1), 4.0)
+    assert np.array_equal(gradient, kept)
+
+
+# -- rows ----------------------------------------------------------------------------------------------------------
+
+
+def rows_of(e: Evaluator, kind: str, x: np.ndarray) -> Rows:
+    """Every finite row of one kind."""
+    return e.rows(np.concatenate([(np.isfinite(v) & (k == kind)).ravel() for k, v in e.table(x).items()]))
+
+
+@pytest.mark.parametrize("free", [None, (1.0, 4.0)])
+@pytest.mark.parametrize("uncertainty", [0.0, 0.1])
+@pytest.mark.parametrize("kind", KINDS)
+def test_row_gradients_are_the_derivatives(kind, uncertainty, free):
+    frames = (BOX, Box("link_2", BOX.lower, BOX.upper))
+    given_options = {"free_period": free, "uncertainty": uncertainty}
+    e = evaluator("fr3", **given_options) if kind == "braking" else evaluator("two_link", boxes=frames, **given_options)
+    x = point(e)
+    rows = rows_of(e, kind, x)
+    jacobian = e.row_gradients(x, rows)
+    for d in (direction(e), np.eye(e.problem.size)[-1]):
+        measured = slope(lambda h, d=d: e.row_values(x + h * d, rows), STEP)
+        assert np.abs(jacobian @ d - measured).max() < 1e-6 * np.linalg.norm(jacobian, axis=1).max()
+
+
+@pytest.mark.parametrize("kind", ["torque", "position"])
+def test_row_gradients_of_a_mimic_robot_are_the_derivatives(kind):
+    e = evaluator("mimic")
+    x, d = point(e), direction(e)
+    rows = rows_of(e, kind, x)
+    measured = slope(lambda h: e.row_values(x + h * d, rows), STEP)
+    jacobian = e.row_gradients(x, rows)
+    assert np.abs(jacobian @ d - measured).max() < 1e-6 * np.linalg.norm(jacobian, axis=1).max()
+
+
+def test_fr3_has_every_kind_of_row_that_its_limits_state():
+    assert evaluator("fr3").kinds == ("position", "velocity", "acceleration", "jerk", "torque", "braking")
+
+
+def test_kinematic_rows_are_each_quantity_over_its_limit():
+    e = evaluator()
+    x, p = point(e), evaluator().problem
+    motion, t = p.fourier(x), p.fourier(x).grid(p.options.samples)
+    middle, half = p.limits.position.mean(axis=1), 0.5 * np.ptp(p.limits.position, axis=1)
+    table = e.table(x)
+    assert np.allclose(table["position"][0], (motion.at(t) - middle) / half)
+    for order, kind in enumerate(("velocity", "acceleration", "jerk"), start=1):
+        assert np.allclose(table[kind], [s * motion.at(t, order) / getattr(p.limits, kind) for s in (1, -1)])
+
+
+def test_braking_rows_are_one_where_the_speed_is_the_stated_function_of_position():
+    e = evaluator("fr3")
+    brake = e.problem.limits.braking[0]
+    q = np.linspace(0.0, brake.stop[1] - 0.2, e.problem.options.samples)
+    dq = -brake.offset + np.sqrt(brake.rate * (brake.stop[1] - q))
+    value = e._braking(np.column_stack([q] * 3), np.column_stack([dq] * 3), 1.0)[0][:, 0]
+    assert np.allclose(value, 1.0, rtol=1e-12)
+
+
+def test_box_rows_are_one_on_the_boxs_faces():
+    e = evaluator(boxes=(BOX,))
+    x, box = point(e), e.problem.boxes[0]
+    q = e.problem.fourier(x).at(e.problem.fourier(x).grid(24))
+    reach = dynamics.positions(e.problem.robot, "tip", q)
+    assert np.allclose(e.table(x)["box0"][0], (reach - np.add(box.lower, box.upper) / 2) / (np.subtract(box.upper, box.lower) / 2))
+
+
+def test_held_poses_have_the_rows_of_a_motion_that_stays():
+    e = evaluator(boxes=(BOX,))
+    pose = np.array([0.4, -0.9])
+    held, resting = e.hold(np.tile(pose, (24, 1))), e.table(at_rest(e.problem, pose))
+    assert all(np.allclose(held[kind], resting[kind], atol=1e-12) for kind in e.kinds)
+
+
+def test_selected_rows_are_those_above_the_threshold():
+    e = evaluator()
+    x = point(e)
+    rows = e.rows(e.select(x, 0.5))
+    values = e.row_values(x, rows)
+    assert (values > 0.5).all() and len(rows) == sum(int((v > 0.5).sum()) for v in e.table(x).values())
+    assert e.worst(x) == values.max()
+
+
+@given(st.integers(0, 100), st.sampled_from([None, (1.0, 4.0)]))
+def test_variables_and_motion_are_each_others_inverse(seed, free):
+    e = evaluator(free_period=free)
+    x = point(e, seed)
+    assert np.allclose(e.problem.variables(e.problem.fourier(x)), x, rtol=1e-13)
+
+
+# -- uncertain robots ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["two_link", "ur10e", "mimic"])
+def test_no_robot_in_the_ball_exceeds_the_uncertain_torque(name):
+    e = evaluator(name, uncertainty=0.3)
+    p, x = e.problem, point(e)
+    motion = p.fourier(x)
+    Y = dynamics.regressor(p.robot, p.parameters, motion.samples(motion.grid(24)))
+    bound = e.table(x)["torque"] * p.limits.torque  # of +τ and of −τ
+    ways = np.random.default_rng(0).normal(size=(3000, p.parameters.count))
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    torques = np.einsum("tip,sp->tis", Y, p.parameters.nominal + 0.3 * ways @ p.parameters.scale.T)
+    assert (torques.max(axis=2) <= bound[0] + 1e-9).all() and (-torques.min(axis=2) <= bound[1] + 1e-9).all()
+
+
+@pytest.mark.parametrize("name", ["two_link", "ur10e", "mimic"])
+def test_some_robot_in_the_ball_attains_the_uncertain_torque(name):
+    e = evaluator(name, uncertainty=0.3)
+    p, x = e.problem, point(e)
+    motion = p.fourier(x)
+    Y = dynamics.regressor(p.robot, p.parameters, motion.samples(motion.grid(24)))
+    inverse = p.parameters.scale @ p.parameters.scale.T
+    worst = 0.3 * Y @ inverse / np.sqrt(np.einsum("tip,pq,tiq->ti", Y, inverse, Y))[..., None]
+    G0 = np.linalg.inv(p.parameters.scale).T @ np.linalg.inv(p.parameters.scale)
+    assert np.allclose(np.einsum("tip,pq,tiq->ti", worst, G0, worst), 0.3**2, rtol=1e-6)  # it lies on the ball
+    for sign, side in ((1.0, 0), (-1.0, 1)):
+        attained = sign * np.einsum("tip,tip->ti", Y, p.parameters.nominal + sign * worst)
+        assert off(e.table(x)["torque"][side] * p.limits.torque, attained) < 1e-9
+
+
+def test_the_checks_band_is_the_optimisers():
+    e = evaluator("ur10e", uncertainty=0.3)
+    p, x = e.problem, point(e)
+    motion = p.fourier(x)
+    nominal, width = dynamics.band(dynamics.regressor(p.robot, p.parameters, motion.samples(motion.grid(24))), p.parameters, 0.3)
+    assert off(e.table(x)["torque"] * p.limits.torque, np.stack([nominal + width, width - nominal])) < 1e-9

@@ -1,0 +1,186 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import LIMIT, loaded, pendulum
+from hypothesis import given
+from hypothesis import strategies as st
+
+from excite.errors import ExciteWarning, MissingLimit, UnusableInput
+from excite.limits import QUANTITIES, Limits, from_document, resolve
+from excite.robot import load
+
+MOVEIT = """
+joint_limits:
+  swing:
+    has_position_limits: true
+    min_position: -1.0
+    max_position: 1.5
+    has_velocity_limits: true
+    max_velocity: 1.25
+    has_acceleration_limits: true
+    max_acceleration: 7.0
+    has_jerk_limits: false
+    max_jerk: 70.0
+    has_effort_limits: true
+    max_effort: 33.0
+"""
+
+
+def of(inside: str, file: Path | None = None, kind: str = "revolute") -> Limits:
+    return resolve(loaded(pendulum(inside, kind)), file)
+
+
+def written(tmp_path: Path, text: str, name: str = "limits.toml") -> Path:
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+def test_urdf_limits_are_taken_and_their_source_told():
+    limits = of(LIMIT)
+    assert (limits.position.tolist(), limits.velocity[0], limits.torque[0]) == ([[-2.0, 2.5]], 3.0, 40.0)
+    assert [limits.sources[q][0] for q in QUANTITIES] == ["urdf", "urdf", "", "", "urdf"]
+
+
+def test_acceleration_and_jerk_bind_only_where_given():
+    limits = of(LIMIT)
+    assert np.isinf([limits.acceleration[0], limits.jerk[0]]).all()
+
+
+@pytest.mark.parametrize(
+    ("inside", "quantity"),
+    [
+        ("", "position"),
+        ('<limit lower="0" upper="0" velocity="3" effort="40"/>', "position"),
+        ('<limit lower="1" upper="-1" velocity="3" effort="40"/>', "position"),
+        ('<limit velocity="3" effort="40"/>', "position"),
+        ('<limit lower="-1" upper="1" velocity="0" effort="40"/>', "velocity"),
+        ('<limit lower="-1" upper="1" velocity="-3" effort="40"/>', "velocity"),
+        ('<limit lower="-1" upper="1" effort="40"/>', "velocity"),
+        ('<limit lower="-1" upper="1" velocity="3" effort="0"/>', "torque"),
+        ('<limit lower="-1" upper="1" velocity="3" effort="-1"/>', "torque"),
+        ('<limit lower="-1" upper="1" velocity="3"/>', "torque"),
+    ],
+)
+def test_a_missing_limit_names_joint_quantity_and_the_place_to_set_it(inside, quantity):
+    with pytest.raises(MissingLimit, match=rf"'swing' has no usable {quantity} limit; set it .* --limits FILE") as caught:
+        of(inside)
+    assert (caught.value.joint, caught.value.quantity) == ("swing", quantity)
+
+
+def test_an_omitted_bound_is_zero_as_urdf_says():
+    assert of('<limit upper="1" velocity="3" effort="40"/>').position.tolist() == [[0.0, 1.0]]
+
+
+def test_a_continuous_joint_needs_no_position_limit():
+    assert np.isinf(of('<limit velocity="3" effort="40"/>', kind="continuous").position).all()
+
+
+def test_a_missing_limit_can_come_from_the_file(tmp_path):
+    file = written(tmp_path, "[joints.swing]\nposition = [-1, 2]\nvelocity = 3\ntorque = 4\n")
+    limits = of("", file)
+    assert limits.position.tolist() == [[-1.0, 2.0]] and limits.sources["torque"] == (str(file),)
+
+
+def test_toml_overrides_only_what_it_states(tmp_path):
+    file = written(tmp_path, "[joints.swing]\nvelocity = 1.5\njerk = 90\n")
+    limits = of(LIMIT, file)
+    assert (limits.velocity[0], limits.jerk[0], limits.torque[0]) == (1.5, 90.0, 40.0)
+    assert [limits.sources[q][0] for q in QUANTITIES] == ["urdf", str(file), "", str(file), "urdf"]
+
+
+def test_moveit_yaml_overrides_what_it_switches_on(tmp_path):
+    limits = of(LIMIT, written(tmp_path, MOVEIT, "joint_limits.yaml"))
+    assert limits.position.tolist() == [[-1.0, 1.5]]
+    assert (limits.velocity[0], limits.acceleration[0], limits.jerk[0], limits.torque[0]) == (1.25, 7.0, np.inf, 33.0)
+
+
+def test_moveit_yaml_of_a_bigger_robot_warns_of_joints_it_ignores(tmp_path):
+    file = written(tmp_path, MOVEIT + "  finger: {has_velocity_limits: true, max_velocity: 1.0}\n", "joint_limits.yaml")
+    with pytest.warns(ExciteWarning, match="'finger' .* ignored"):
+        of(LIMIT, file)
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ("[joints.knee]\nvelocity = 1\n", "no joint 'knee' in .* there are: swing"),
+        ("[joints.swing]\nspeed = 1\n", "'swing' has an unknown key 'speed'; known are position, velocity"),
+        ("[joints.swing]\nvelocity = 0\n", "'swing': velocity = 0 should be one positive"),
+        ("[joints.swing]\nvelocity = -1\n", "should be one positive"),
+        ("[joints.swing]\nvelocity = nan\n", "should be one positive"),
+        ("[joints.swing]\nvelocity = [1, 2]\n", "should be one positive"),
+        ("[joints.swing]\nvelocity = 'fast'\n", "'fast' is no limit"),
+        ("[joints.swing]\nposition = 2\n", "should be .lower, upper."),
+        ("[joints.swing]\nposition = [1, nan]\n", "should be .lower, upper."),
+        ("[joints.swing]\nposition = [2, 1]\n", "'swing': position limits contradict each other: lower 2 is not below upper 1"),
+        ("[joints.swing]\nbraking = {offset = 1}\n", "'swing': braking = .* is no limit"),
+        ("velocity = 1\n", "no .joints.<name>. tables; write one per joint"),
+        ("[joints]\nswing = 1\n", "no .joints.<name>. tables"),
+        ("[joints.swing\n", "not valid TOML"),
+    ],
+)
+def test_a_toml_that_contradicts_itself_is_refused_with_the_joint(text, part, tmp_path):
+    file = written(tmp_path, text)
+    with pytest.raises(UnusableInput, match=part) as caught:
+        of(LIMIT, file)
+    assert str(file) in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ("joint_limits: 3\n", "no MoveIt"),
+        ("{}", "no MoveIt"),
+        ("", "no MoveIt"),
+        ("joint_limits: {swing: 3}\n", "'swing' has no map"),
+        (MOVEIT.replace("min_position: -1.0", "min_position: 2.0"), "'swing': position limits contradict each other"),
+        (MOVEIT.replace("max_velocity: 1.25", "max_velocity: -1.25"), "'swing': velocity = -1.25 should be one positive"),
+    ],
+)
+def test_a_yaml_that_contradicts_itself_is_refused_with_the_joint(text, part, tmp_path):
+    with pytest.raises(UnusableInput, match=part):
+        of(LIMIT, written(tmp_path, text, "joint_limits.yaml"))
+
+
+def test_a_limits_file_that_is_not_there_is_refused():
+    with pytest.raises(UnusableInput, match="cannot be read as a limits file"):
+        of(LIMIT, Path("/nowhere/limits.toml"))
+
+
+def test_limits_of_a_locked_joint_may_be_stated(tmp_path):
+    file = written(tmp_path, "[joints.joint_2]\nvelocity = 1\n")
+    assert resolve(load("two_link", joints=["joint_1"]), file).joints == ("joint_1",)
+
+
+def test_builtin_table_overrides_its_urdf_and_is_the_source():
+    assert resolve(load("two_link")).sources["jerk"] == ("two_link.toml", "two_link.toml")
+
+
+@pytest.mark.parametrize("name", ["fr3", "two_link"])
+def test_limits_survive_their_document(name):
+    limits = resolve(load(name))
+    again = from_document(limits.document(), limits.joints)
+    assert all(np.array_equal(getattr(again, q), getattr(limits, q)) for q in QUANTITIES)
+    assert (again.braking, dict(again.sources)) == (limits.braking, dict(limits.sources))
+
+
+def test_fr3_has_braking_limits_to_survive():
+    assert all(brake is not None for brake in resolve(load("fr3")).braking)
+
+
+def test_an_absent_limit_is_absent_in_the_document():
+    limits = of('<limit velocity="3" effort="40"/>', kind="continuous")
+    document = limits.document()
+    assert (document["position"], document["jerk"], "braking" in document) == ({}, {}, False)
+    assert np.isinf(from_document(document, limits.joints).position).all()
+
+
+@given(st.floats(0.1, 10))
+def test_scaling_leaves_positions_alone(factor):
+    limits = resolve(load("two_link"))
+    scaled = limits.scaled(velocity=factor)
+    assert np.allclose(scaled.velocity, factor * limits.velocity) and np.array_equal(scaled.position, limits.position)

@@ -1,0 +1,216 @@
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from conftest import off, slope
+from hypothesis import given
+from hypothesis import strategies as st
+
+from excite.errors import UnusableInput
+from excite.motion import Motion, Profile, Segment, read_segments, segment_document
+from excite.ramps import reverse
+from excite.trajectory import Fourier, oversampling_bound
+
+
+def series(seed: int, n: int = 3, harmonics: int = 4, period: float = 3.0) -> Fourier:
+    rng = np.random.default_rng(seed)
+    return Fourier(rng.normal(size=(n, harmonics)), rng.normal(size=(n, harmonics)), rng.normal(size=n), period)
+
+
+def times(seed: int, count: int = 7) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-5, 5, count)
+
+
+drawn = st.integers(0, 10**4)
+
+# -- the series ----------------------------------------------------------------------------------------------------
+
+
+@given(drawn)
+def test_position_is_the_series_of_METHOD(seed):
+    f, t = series(seed), times(seed)
+    k = np.arange(1, 5) * 2 * np.pi / 3.0
+    terms = [f.sine[:, i] / k[i] * np.sin(k[i] * t[:, None]) - f.cosine[:, i] / k[i] * np.cos(k[i] * t[:, None]) for i in range(4)]
+    assert np.allclose(f.at(t), f.offset + sum(terms), atol=1e-12)
+
+
+@given(drawn, st.integers(0, 5))
+def test_each_order_is_the_derivative_of_the_one_before(seed, order):
+    f, t = series(seed), times(seed)
+    assert off(f.at(t, order + 1), slope(lambda h: f.at(t + h, order), 5e-3)) < 1e-6
+
+
+@given(drawn, st.integers(-3, 3))
+def test_motion_repeats_every_period(seed, turns):
+    f, t = series(seed), times(seed)
+    assert np.allclose(f.at(t + turns * f.period), f.at(t), atol=1e-12)
+
+
+@given(drawn, st.floats(-4, 4), st.integers(0, 3))
+def test_shifted_motion_starts_later(seed, shift, order):
+    f, t = series(seed), times(seed)
+    assert off(f.shifted(shift).at(t, order), f.at(t + shift, order)) < 1e-12
+
+
+@given(drawn, st.floats(0.1, 1.0), st.integers(0, 3))
+def test_slowed_motion_takes_the_same_path(seed, speed, order):
+    f, t = series(seed), times(seed)
+    assert off(f.slowed(speed).at(t, order), f.at(t * speed, order) * speed**order) < 1e-12
+
+
+def test_samples_are_the_three_first_orders():
+    f, t = series(0), times(0)
+    samples = f.samples(t)
+    assert all(np.array_equal(part, f.at(t, order)) for order, part in enumerate((samples.q, samples.dq, samples.ddq)))
+
+
+def test_grid_covers_one_period_without_its_end():
+    assert np.allclose(series(0, period=3.0).grid(4), [0.0, 0.75, 1.5, 2.25])
+
+
+# -- what a grid proves --------------------------------------------------------------------------------------------
+
+
+@given(drawn, st.integers(1, 6), st.integers(1, 30), st.integers(0, 3))
+def test_no_motion_exceeds_the_grid_by_more_than_the_bound(seed, harmonics, more, order):
+    f = series(seed, harmonics=harmonics)
+    count = 2 * harmonics + more
+    swing = [np.abs(f.at(f.grid(n), order) - (f.offset if order == 0 else 0.0)).max(axis=0) for n in (count, 4001)]
+    assert (swing[1] <= oversampling_bound(count, harmonics) * swing[0] * (1 + 1e-12)).all()
+
+
+@pytest.mark.parametrize("degree", [1, 3, 5])
+def test_some_motion_attains_the_bound(degree):
+    count = 4 * degree
+    wave = Fourier(np.eye(degree)[-1:], np.zeros((1, degree)), np.zeros(1), 1.0).shifted(0.5 / count)
+    on_grid = np.abs(wave.at(wave.grid(count), 1)).max()
+    assert np.isclose(oversampling_bound(count, degree) * on_grid, 1.0, rtol=1e-12)
+
+
+def test_a_grid_that_is_too_coarse_proves_nothing():
+    assert oversampling_bound(10, 5) == np.inf
+
+
+# -- profiles of constant jerk -------------------------------------------------------------------------------------
+
+
+def profile(seed: int) -> Profile:
+    rng = np.random.default_rng(seed)
+    pieces = tuple(
+        tuple((float(d), float(j)) for d, j in zip(rng.uniform(0.05, 0.4, k), rng.normal(size=k) * 9, strict=True)) for k in (3, 5)
+    )
+    return Profile(*(rng.normal(size=2) for _ in range(3)), pieces)
+
+
+@given(drawn, st.integers(0, 2))
+def test_profile_orders_are_derivatives_of_each_other(seed, order):
+    p = profile(seed)
+    knots = p.knots()
+    t = np.sort(np.concatenate([knots[:-1] + share * np.diff(knots) for share in (0.3, 0.6)]))
+    h = 0.05 * np.diff(knots).min()
+    assert off(p.at(t, order + 1), slope(lambda h: p.at(t + h, order), h)) < 1e-6
+
+
+@given(drawn, st.integers(0, 2))
+def test_profile_is_continuous_at_its_knots(seed, order):
+    p = profile(seed)
+    knots = p.knots()[1:]
+    assert np.allclose(p.at(knots - 1e-11, order), p.at(knots + 1e-11, order), atol=1e-8)
+
+
+def test_profile_starts_in_its_state():
+    p = profile(0)
+    assert all(np.array_equal(p.at(np.zeros(1), order)[0], state) for order, state in enumerate((p.position, p.velocity, p.acceleration)))
+
+
+@given(drawn)
+def test_reversed_profile_runs_backwards(seed):
+    p, duration = profile(seed), 2.5
+    t = np.linspace(0, duration, 9)
+    for order in range(3):
+        assert np.allclose(reverse(p, duration).at(t, order), (-1) ** order * p.at(duration - t, order), atol=1e-9)
+
+
+# -- whole motions -------------------------------------------------------------------------------------------------
+
+
+def test_motion_goes_from_approach_to_return(delivery):
+    assert [s.kind for s in delivery.trajectory.motion.segments] == ["approach", "ramp_in", "fourier", "ramp_out", "return"]
+
+
+def test_motion_begins_and_ends_where_it_was_told(delivery):
+    motion = delivery.trajectory.motion
+    assert np.allclose(motion.at(np.array([0.0, motion.duration])), [-1.5, 0.3], atol=1e-9)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_first_and_last_row_are_exactly_at_rest(delivery, braked, order):
+    for motion in (delivery.trajectory.motion, braked.trajectory.motion, delivery.trajectory.motion.slowed(0.3)):
+        for rate in (100.0, 125.0, 1000.0, 333.0):
+            assert not motion.at(motion.grid(rate)[[0, -1]], order).any()
+
+
+def test_motion_rests_before_and_after(delivery):
+    motion = delivery.trajectory.motion
+    outside = np.array([-1.0, motion.duration + 1.0])
+    assert np.array_equal(motion.at(outside), np.array(motion.rest)) and not motion.at(outside, 1).any()
+
+
+def test_motion_is_continuous_to_its_acceleration(delivery, braked):
+    for motion in (delivery.trajectory.motion, braked.trajectory.motion):
+        fine = np.linspace(0, motion.duration, 60001)
+        for order in range(3):
+            step = np.abs(np.diff(motion.at(fine, order), axis=0))
+            assert (step <= 1.01 * fine[1] * np.abs(motion.at(fine, order + 1)).max(axis=0) + 1e-7).all()
+
+
+def test_periods_of_the_fourier_part_are_alike(delivery):
+    motion = delivery.trajectory.motion
+    part = motion.segment("fourier")
+    t = part.start + motion.fourier.grid(50)[1:]
+    assert part.end - part.start == pytest.approx(2 * motion.fourier.period)
+    assert np.allclose(motion.at(t), motion.at(t + motion.fourier.period), atol=1e-9)
+
+
+def test_segments_lie_on_the_exports_grid(delivery):
+    motion = delivery.trajectory.motion
+    ticks = np.array([edge * 100.0 for s in motion.segments for edge in (s.start, s.end)])
+    assert np.allclose(ticks, np.round(ticks), atol=1e-9)
+
+
+def test_grid_ends_at_or_after_the_motion(delivery):
+    motion = delivery.trajectory.motion
+    for rate in (100.0, 333.0):
+        assert 0 <= motion.grid(rate)[-1] - motion.duration + 1e-6 < 1.001 / rate
+
+
+def test_segments_survive_json_exactly(delivery):
+    motion = delivery.trajectory.motion
+    segments = read_segments(json.loads(json.dumps(segment_document(motion))), motion.joints)
+    again = dataclasses.replace(motion, segments=segments)
+    t = motion.grid(1000.0)
+    assert all(np.array_equal(again.at(t, order), motion.at(t, order)) for order in range(4))
+
+
+@given(speed=st.floats(0.1, 1.0))
+def test_slowed_motion_takes_the_same_path_whole(delivery, speed):
+    motion = delivery.trajectory.motion
+    t = np.linspace(0.01, motion.duration - 0.01, 97) + 1e-4
+    slow = motion.slowed(speed)
+    for order in range(3):
+        assert np.allclose(slow.at(t / speed, order), motion.at(t, order) * speed**order, atol=1e-7)
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, 1.5, np.nan])
+def test_a_speed_that_is_no_share_is_refused(delivery, speed):
+    with pytest.raises(UnusableInput, match="--speed"):
+        delivery.trajectory.motion.slowed(speed)
+
+
+def test_a_motion_without_ramps_names_what_it_lacks():
+    motion = Motion(("a", "b", "c"), series(0), 2, (Segment("fourier", 0.0, 6.0),))
+    with pytest.raises(KeyError, match="ramp_in"):
+        motion.segment("ramp_in")

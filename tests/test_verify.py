@@ -1,0 +1,379 @@
+from __future__ import annotations
+
+import copy
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import QUICK
+
+from excite import artefact, checks, dynamics, ramps, verify, workflow
+from excite.artefact import Trajectory
+from excite.errors import UnusableInput
+from excite.limits import Limits
+from excite.problem import Box
+from excite.robot import Payload, load
+from excite.trajectory import oversampling_bound
+from excite.verify import Certificate
+from excite.workflow import Delivery
+
+ORDERS = {"position": 0, "velocity": 1, "acceleration": 2, "jerk": 3}
+
+
+@pytest.fixture(params=["delivery", "braked"])
+def any_delivery(request: pytest.FixtureRequest) -> Delivery:
+    return request.getfixturevalue(request.param)
+
+
+def reread(document: dict) -> Trajectory:
+    return artefact._from_document(json.loads(artefact.dumps(document)))
+
+
+def certificate(document: dict) -> Certificate:
+    trajectory = reread(document)
+    return verify.verify(trajectory, trajectory.load_robot())
+
+
+# -- what is right stays right -------------------------------------------------------------------------------------
+
+
+def test_a_certified_motion_stays_ok_after_its_file(any_delivery, tmp_path: Path):
+    path = tmp_path / "trajectory.json"
+    path.write_text(artefact.dumps(any_delivery.trajectory.document()), encoding="utf-8")
+    again = artefact.read(path)
+    found = verify.verify(again, again.load_robot())
+    assert found.ok and [m.document() for m in found.margins] == again.margins
+
+
+def test_a_file_reads_back_exactly(any_delivery):
+    stated = any_delivery.trajectory.document()
+    assert artefact.dumps(reread(stated).document()) == artefact.dumps(stated)
+
+
+def test_the_file_holds_what_the_contract_names(delivery):
+    keys = {"schema", "robot", "joints", "base_frequency", "harmonics", "period", "periods", "sine", "cosine", "offset", "segments", "rate"}
+    keys |= {"limits", "torque_noise", "criterion", "criteria", "margins", "collision", "seed", "versions"}
+    document = delivery.trajectory.document()
+    assert keys <= set(document) and {"name", "source", "sha256"} <= set(document["robot"])
+    assert set(document["criteria"]) == {"optimum", "exported"}
+
+
+def test_derived_limits_are_marked_so(two_link, table):
+    bare = replace(table, jerk=np.full(2, np.inf), sources={**table.sources, "jerk": ("", "")})
+    limits = workflow.run(two_link, bare, replace(QUICK, iterations=3)).trajectory.document()["limits"]
+    assert {entry["source"] for entry in limits["jerk"].values()} == {"derived"}
+    assert {entry["source"] for entry in limits["torque"].values()} == {"two_link.toml"}
+
+
+def test_a_slowed_motion_is_certified_too(two_link, table):
+    assert workflow.run(two_link, table, replace(QUICK, iterations=3), speed=0.5).certificate.ok
+
+
+def test_a_robot_is_loaded_again_as_it_was_designed_for(table):
+    held = load("two_link", payload=Payload("tip", 0.4, (0.0, 0.0, 0.1)), gravity=(0.0, 0.0, -5.0))
+    trajectory = reread(workflow.run(held, table, replace(QUICK, iterations=3)).trajectory.document())
+    again = trajectory.load_robot()
+    assert again.model.inertias[2] == held.model.inertias[2] and np.array_equal(again.model.gravity.linear, [0, 0, -5])
+
+
+# -- tampering is caught -------------------------------------------------------------------------------------------
+
+
+def coefficient(d: dict) -> None:
+    d["sine"][0][0] *= 1.01
+
+
+def weaker(quantity: str) -> Callable[[dict], None]:
+    def tamper(d: dict) -> None:
+        for entry in d["limits"][quantity].values():
+            entry["value"] = (0.8 * np.array(entry["value"])).tolist()
+
+    return tamper
+
+
+def jump(d: dict) -> None:
+    d["segments"][1]["profile"]["position"][1] += 1e-6
+
+
+def gap(d: dict) -> None:
+    for edge in ("start", "end"):
+        d["segments"][-1][edge] += 0.1
+
+
+def moving_start(d: dict) -> None:
+    d["segments"][0]["profile"]["velocity"][0] = 1e-3
+
+
+def moving_end(d: dict) -> None:
+    pieces = d["segments"][-1]["profile"]["pieces"]["joint_2"]
+    pieces[-1][0] *= 0.98
+
+
+def odd_rate(d: dict) -> None:
+    d["rate"] = 99.3
+
+
+def once(d: dict) -> None:
+    d["periods"] = 1
+
+
+def flattered(d: dict) -> None:
+    d["criteria"]["optimum"]["geometric"]["a"] *= 0.999
+
+
+TAMPERED = {
+    "coefficient": (coefficient, "criterion optimum.|jumps"),
+    "jump": (jump, "position of joint_2 jumps by 1e-06 from approach to ramp_in"),
+    "gap": (gap, "ramp_out ends at .* but return starts at"),
+    "moving start": (moving_start, "joint_1 is not at rest at the start"),
+    "moving end": (moving_end, "joint_2 is not at rest at the end"),
+    "odd rate": (odd_rate, "the period 2 s is no whole number of samples at 99.3 Hz"),
+    "once": (once, "1 period"),
+    "flattered": (flattered, "criterion optimum.geometric.a is"),
+}
+
+
+def tampered(delivery: Delivery, how: Callable[[dict], None]) -> Certificate:
+    document = copy.deepcopy(json.loads(artefact.dumps(delivery.trajectory.document())))
+    how(document)
+    return certificate(document)
+
+
+@pytest.mark.parametrize("case", TAMPERED)
+def test_tampering_is_a_fault_that_says_what(delivery, case):
+    how, words = TAMPERED[case]
+    found = tampered(delivery, how)
+    assert not found.ok
+    assert any(re.search(words, fault) for fault in found.faults), found.faults
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+@pytest.mark.parametrize("key", ["sine", "cosine", "offset"])
+def test_any_coefficient_changed_is_caught(delivery, joint, key):
+    def tamper(d):
+        entry = d[key][joint]
+        d[key][joint] = [1.01 * entry[0], *entry[1:]] if isinstance(entry, list) else 1.01 * entry
+
+    assert not tampered(delivery, tamper).ok
+
+
+@pytest.mark.parametrize("quantity", ["velocity", "jerk"])
+def test_a_lowered_limit_is_broken_and_its_margin_negative(delivery, quantity):
+    found = tampered(delivery, weaker(quantity))
+    assert not found.ok and found.worst().limit == quantity and found.worst().room < 0
+
+
+@pytest.mark.parametrize("quantity", ["position", "torque"])
+def test_a_limit_lowered_below_what_is_reached_is_broken(delivery, quantity):
+    reached = {m.joint: abs(m.value) for m in delivery.certificate.margins if m.limit == quantity}
+
+    def tamper(d):
+        for name, entry in d["limits"][quantity].items():
+            entry["value"] = 0.99 * reached[name] if quantity == "torque" else [-0.99 * reached[name], 0.99 * reached[name]]
+
+    assert {m.limit for m in tampered(delivery, tamper).margins if m.room < 0} == {quantity}
+
+
+def test_a_removed_limit_is_not_a_pass(braked):
+    def tamper(d):
+        d["limits"]["braking"] = {j: {**entry, "offset": entry["offset"] + 0.5} for j, entry in d["limits"]["braking"].items()}
+
+    assert tampered(braked, tamper).worst().limit == "braking"
+
+
+def test_another_urdf_is_refused(delivery, tmp_path: Path):
+    other = tmp_path / "two_link.urdf"
+    other.write_text(Path(workflow.__file__).with_name("models").joinpath("two_link.urdf").read_text() + "\n")
+    with pytest.raises(UnusableInput, match=r"sha256 differs.* --robot"):
+        delivery.trajectory.load_robot(str(other))
+
+
+@pytest.mark.parametrize(
+    ("change", "part"),
+    [
+        (lambda d: d.pop("sine"), "KeyError"),
+        (lambda d: d["sine"].pop(), "do not fit"),
+        (lambda d: d["offset"].__setitem__(0, None), "malformed"),
+        (lambda d: d.update(base_frequency=1.0), "disagree"),
+        (lambda d: d.update(schema="excite.trajectory/9"), "its schema is 'excite.trajectory/9'"),
+        (lambda d: d["torque_noise"].clear(), "KeyError"),
+    ],
+)
+def test_a_broken_file_is_unusable_input(delivery, change, part, tmp_path: Path):
+    document = json.loads(artefact.dumps(delivery.trajectory.document()))
+    change(document)
+    path = tmp_path / "trajectory.json"
+    path.write_text(json.dumps(document))
+    with pytest.raises(UnusableInput, match=part) as caught:
+        artefact.read(path)
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{", "\x00"])
+def test_a_file_that_is_no_trajectory_is_unusable_input(text, tmp_path: Path):
+    path = tmp_path / "trajectory.json"
+    path.write_text(text)
+    with pytest.raises(UnusableInput, match=r"give the trajectory.json"):
+        artefact.read(path)
+
+
+# -- what the certificate claims holds between its samples ----------------------------------------------------------
+
+
+def dense_room(delivery: Delivery, per_step: int = 100) -> dict[tuple[str, str], float]:
+    """Distance to every limit, from samples `per_step` times denser than the certificate's torque grid, of one period and all ramps."""
+    trajectory, problem = delivery.trajectory, delivery.design.setting.problem
+    motion, limits, robot = trajectory.motion, trajectory.limits, problem.robot
+    step = motion.fourier.period / (10 * problem.options.samples * per_step)
+    out: dict[tuple[str, str], float] = {}
+    for segment in motion.segments:
+        length = motion.fourier.period if segment.profile is None else segment.end - segment.start
+        part = motion.fourier if segment.profile is None else segment.profile
+        t = np.linspace(0, length, int(length / step))
+        for kind, order in ORDERS.items():
+            derived = [source == "derived" and segment.profile is None for source in limits.sources[kind]]
+            _note(out, kind, robot.joints, part.at(t, order), getattr(limits, kind), derived)
+        coarse = t[:: max(1, len(t) // 4000)]
+        samples = verify.Samples(*(part.at(coarse, order) for order in range(3)))
+        Y = dynamics.regressor(robot, problem.parameters, samples)
+        nominal, width = dynamics.band(Y, problem.parameters, problem.options.uncertainty)
+        for values in (nominal + width, nominal - width):
+            _note(out, "torque", robot.joints, values, limits.torque, [False] * robot.n)
+    return out
+
+
+def _note(out: dict, kind: str, names: tuple[str, ...], values: np.ndarray, bound: np.ndarray, skip: list[bool]) -> None:
+    lower, upper = bound.T if kind == "position" else (-bound, bound)
+    room = np.minimum(upper - values.max(axis=0), values.min(axis=0) - lower) / (0.5 * (upper - lower))
+    for name, r, skipped in zip(names, room, skip, strict=True):
+        if not skipped:
+            out[kind, name] = min(out.get((kind, name), np.inf), float(r))
+
+
+def test_every_margin_bounds_a_hundred_times_denser_sampling(any_delivery):
+    dense = dense_room(any_delivery)
+    claimed = {(m.limit, m.joint): m.room for m in any_delivery.certificate.margins if (m.limit, m.joint) in dense}
+    assert set(claimed) == set(dense)
+    assert all(claimed[key] <= dense[key] + 1e-12 for key in dense)
+
+
+def test_margins_are_not_much_smaller_than_the_truth(any_delivery):
+    dense = dense_room(any_delivery, 10)
+    assert all(m.room > dense[m.limit, m.joint] - 0.1 for m in any_delivery.certificate.margins if (m.limit, m.joint) in dense)
+
+
+def test_a_margins_value_is_reached_at_its_time(any_delivery):
+    motion = any_delivery.trajectory.motion
+    for m in any_delivery.certificate.margins:
+        if m.limit in ("position", "velocity", "acceleration"):
+            near = motion.at(m.time + np.array([-1e-3, 0.0, 1e-3]), ORDERS[m.limit])[:, motion.joints.index(m.joint)]
+            half = abs(m.bound) if m.limit != "position" else 1.0
+            assert np.abs(near - m.value).min() < 0.02 * half, m
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_excess_bounds_smooth_and_kinked_functions_between_samples(seed):
+    rng = np.random.default_rng(seed)
+
+    def smooth(t):
+        return np.sum([a * np.sin(w * t + p) for a, w, p in zip(rng_a, rng_w, rng_p, strict=True)], axis=0)
+
+    rng_a, rng_w, rng_p = rng.normal(size=4), rng.uniform(0.5, 12, 4), rng.uniform(0, 6, 4)
+    coarse, kink = np.linspace(0, 2, 201), rng.uniform(0.3, 1.7)
+    fine = np.linspace(0, 2, 20001)
+    for function in (smooth, lambda t: 3 * np.abs(t - kink)):
+        values, between = function(coarse), function(fine).reshape(-1)
+        more = checks.excess(values[:, None])[:, 0]
+        cell = np.minimum((fine / coarse[1]).astype(int), 199)
+        highest = np.maximum((values + more)[cell], (values + more)[cell + 1])
+        lowest = np.minimum((values - more)[cell], (values - more)[cell + 1])
+        assert (between <= highest + 1e-12).all() and (between >= lowest - 1e-12).all()
+
+
+def test_torque_that_may_break_its_limit_between_samples_fails(delivery, monkeypatch):
+    trajectory = delivery.trajectory
+    robot = trajectory.load_robot()
+    with monkeypatch.context() as without:
+        without.setattr(checks, "excess", np.zeros_like)
+        sampled = {m.joint: abs(m.value) for m in verify.verify(trajectory, robot).margins if m.limit == "torque"}
+    just_above = np.array([sampled[joint] * (1 + 1e-9) for joint in trajectory.joints])
+    tight = replace(trajectory, limits=replace(trajectory.limits, torque=just_above))
+    assert {m.limit for m in verify.verify(tight, robot).margins if m.room < 0} == {"torque"}
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_braking_is_used_up_where_the_speed_is_the_stated_function_of_position(braked, side):
+    trajectory = braked.trajectory
+    subject = verify.subject_of(trajectory, trajectory.load_robot())
+    sign, brakes = (-1.0, 1.0)[side], trajectory.limits.braking
+    q = np.tile([b.stop[side] - sign * 0.3 for b in brakes], (3, 1))
+    dq = np.tile([sign * (-b.offset + np.sqrt(0.3 * b.rate)) for b in brakes], (3, 1))
+    demand = checks.braking(subject, verify.Samples(q, dq, 0 * q))
+    assert np.allclose((demand.low, demand.high)[side], (demand.lower, demand.upper)[side], rtol=1e-12)
+
+
+# -- ramps -----------------------------------------------------------------------------------------------------------
+
+
+def test_profiles_extremes_are_ruckigs_own(two_link, table, monkeypatch):
+    pairs = []
+    original = ramps._profile
+
+    def noted(begin, found):
+        profile = original(begin, found)
+        pairs.append((profile, found.duration, found.position_extrema))
+        return profile
+
+    monkeypatch.setattr(ramps, "_profile", noted)
+    workflow.run(two_link, table, replace(QUICK, iterations=10), start=np.array([-1.5, 0.3]))
+    assert pairs
+    for profile, duration, extrema in pairs:
+        t = np.union1d(np.linspace(0, duration, 20001), profile.knots()[profile.knots() <= duration])
+        q = profile.at(t)
+        assert np.allclose(q.max(axis=0), [e.max for e in extrema], atol=1e-6)
+        assert np.allclose(q.min(axis=0), [e.min for e in extrema], atol=1e-6)
+
+
+def test_certificate_covers_ruckigs_extremes(two_link, table, monkeypatch):
+    reached = {}
+    original = ramps._profile
+
+    def noted(begin, found):
+        profile = original(begin, found)
+        reached[id(profile)] = (profile, [(e.min, e.max) for e in found.position_extrema])
+        return profile
+
+    monkeypatch.setattr(ramps, "_profile", noted)
+    trajectory = workflow.run(two_link, table, replace(QUICK, iterations=10), start=np.array([-1.5, 0.3])).trajectory
+    subject = verify.subject_of(trajectory, two_link)
+    used = [s for s in trajectory.motion.segments if s.profile is not None and id(s.profile) in reached]
+    assert used
+    for segment in used:
+        demand = next(d for _, _, d in verify._demands(subject, trajectory, segment) if d.limit == "position")
+        lowest, highest = np.array(reached[id(segment.profile)][1]).T
+        assert (demand.high.max(axis=0) >= highest - 1e-12).all() and (demand.low.min(axis=0) <= lowest + 1e-12).all()
+
+
+def test_ramps_keep_limits_that_ruckig_does_not_know(two_link, table):
+    low = Box("tip", (-1.0, -0.1, -1.0), (1.0, 0.1, 0.2))
+    found = workflow.run(two_link, table, replace(QUICK, boxes=(low,)), start=np.array([-1.5, 0.3]))
+    motion = found.trajectory.motion
+    heights = dynamics.positions(two_link, "tip", motion.at(np.linspace(0, motion.duration, 4001)))[:, 2]
+    assert found.certificate.ok and heights.max() <= 0.2
+
+
+def test_derived_limits_do_not_bind_the_periodic_part(two_link, table):
+    bare = replace(table, acceleration=np.full(2, np.inf), jerk=np.full(2, np.inf))
+    found = workflow.run(two_link, bare, replace(QUICK, iterations=10))
+    derived: Limits = ramps.with_derived(bare, found.design.motion)
+    motion = found.design.motion
+    t = motion.grid(2000)
+    assert (1.2 * np.abs(motion.at(t, 2)).max(axis=0) <= derived.acceleration * (1 + 1e-2)).all()
+
+
+def test_the_oversampling_of_the_certificate_is_exact_enough():
+    assert oversampling_bound(10 * 200, 5) - 1 < 1e-4

@@ -6,7 +6,6 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
 
 from .dynamics import regressor
 from .errors import ExciteWarning
@@ -105,6 +104,8 @@ def _echelon(unit: Array, rank: int) -> tuple[Array, Array]:
             taken = np.column_stack([taken, rest / remainder[column]])
     chosen = np.flatnonzero(remainder > GREEDY_TOLERANCE)[:rank]
     if len(chosen) < rank:  # nearly invisible columns: let pivoting decide
+        import scipy.linalg  # slow to import
+
         chosen = np.sort(scipy.linalg.qr(unit, mode="r", pivoting=True)[1][:rank])
     coefficients = np.linalg.lstsq(unit[:, chosen], unit, rcond=None)[0]
     coefficients[np.abs(coefficients) < 1e-8] = 0.0

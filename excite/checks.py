@@ -43,12 +43,12 @@ class Demand:
 
     def ratio(self) -> float:
         """The largest distance from the middle of the range over its half width; ≤ 1 inside."""
-        middle, half = 0.5 * (self.lower + self.upper), 0.5 * (self.upper - self.lower)
-        bounded = np.isfinite(half)
+        bounded = np.isfinite(self.upper - self.lower)
         if not bounded.any():
             return 0.0
-        over = np.maximum(self.high - middle, middle - self.low)[:, bounded] / half[bounded]
-        return float(over.max())
+        lower, upper = self.lower[bounded], self.upper[bounded]
+        middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
+        return float((np.maximum(self.high[:, bounded] - middle, middle - self.low[:, bounded]) / half).max())
 
 
 def excess(values: Array) -> Array:

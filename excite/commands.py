@@ -109,7 +109,7 @@ def _options(arguments: argparse.Namespace, robot: Robot) -> Options:
         plain=arguments.plain,
         drive=_drive(arguments),
         harmonics=arguments.harmonics,
-        period=arguments.period if free is None else min(max(arguments.period, free[0]), free[1]),
+        period=arguments.period,
         free_period=None if free is None else (free[0], free[1]),
         samples=arguments.samples,
         periods=arguments.periods,

@@ -79,8 +79,8 @@ def smooth(criterion: Criterion, rows: Array, sharpness: float) -> tuple[float, 
 
     rows: A. Shape (m, p), m ≥ p. Its singular values are taken, not the product's eigenvalues, which would lose half
         of the digits where directions are seen very unequally.
-    sharpness: ρ, how closely the extreme eigenvalues are followed by E and the condition numbers; the value tends to
-        the criterion's logarithm as ρ grows. A and D are exact.
+    sharpness: ρ, how closely the extreme eigenvalues are followed by E and the condition numbers; as it
+        grows the value tends to log(1/e), log cond or log cond². A (log a) and D (−d/p) are exact.
     """
     _, singular, right = np.linalg.svd(np.linalg.qr(rows, mode="r"))
     values, vectors = np.maximum(singular**2, 1e-28 * singular[0] ** 2), right.T

@@ -14,6 +14,7 @@ import threadpoolctl
 from . import base as base_parameters
 from . import criteria, parameters, problem, solver, start
 from .base import Base
+from .criteria import Criterion
 from .errors import ExciteError, UnusableInput
 from .evaluate import Evaluator
 from .limits import Limits
@@ -65,8 +66,9 @@ class Design:
         final = [self._final(a) for a in self.attempts]
         first = min(times[0] for times, _ in final)
         best = min(values.min() for _, values in final)
-        # the objective is a logarithm: 1 % of the criterion is 0.01
-        within = min(times[values <= best + 0.01][0] for times, values in final if (values <= best + 0.01).any())
+        # the objective is a logarithm, of the square for the regressor's condition number; D's is the mean of log λ
+        share = 0.02 if self.setting.problem.options.criterion is Criterion.COND_REGRESSOR else 0.01
+        within = min(times[values <= best + share][0] for times, values in final if (values <= best + share).any())
         return {"first_feasible": float(first), "within_1_percent": float(within)}
 
     def _final(self, attempt: Attempt) -> tuple[Array, Array]:
@@ -91,6 +93,8 @@ def check(options: Options) -> None:
             raise UnusableInput(f"{name} should be {least}")
     if not (np.isfinite(o.uncertainty) and o.uncertainty >= 0.0):
         raise UnusableInput(f"--uncertainty {o.uncertainty:g} should be 0 or more")
+    if o.seed < 0:
+        raise UnusableInput(f"--seed {o.seed} should be 0 or more")
     for box in o.boxes:
         if not all(low < high for low, high in zip(box.lower, box.upper, strict=True)):
             raise UnusableInput(f"--box {box.frame}: its lower corner {box.lower} is not below its upper one {box.upper}")
@@ -110,6 +114,12 @@ def whole_samples(period: float, rate: float) -> int:
 def prepare(robot: Robot, limits: Limits, options: Options, given: Array | None = None) -> Setting:
     """Build the problem. given: information of earlier recordings in standard parameters. Shape (P, P)."""
     check(options)
+    if options.free_period is not None:
+        options = dataclasses.replace(options, period=float(np.clip(options.period, *options.free_period)))
+    if given is not None and options.criterion is Criterion.COND_REGRESSOR:
+        raise UnusableInput("--given and --criterion cond_regressor do not go together (it knows no noise); use --criterion cond")
+    if options.noise is not None and (len(options.noise) != robot.n or not all(0.0 < s < np.inf for s in options.noise)):
+        raise UnusableInput(f"--torque-noise should be {robot.n} positive numbers, one per joint")
     standard = parameters.standard(robot, limits, options.drive)
     found = base_parameters.find(robot, standard, limits)
     noise = problem.noise_levels(limits, options.noise)
@@ -186,8 +196,7 @@ def _fixed_period(design: Design) -> Design:
     """Round an optimised period to whole samples (and to the ramps' time grid) and settle the motion there."""
     old = design.setting.problem
     motion, rate = design.motion, old.options.rate
-    grid = max(round(0.04 * rate), 1) / rate
-    period = float(np.ceil(motion.period / grid - 1e-9) * grid)
+    period = _whole_period(motion.period, rate, old.options.free_period)
     options = dataclasses.replace(old.options, period=period, free_period=None)
     rebuilt = dataclasses.replace(old, options=options)
     setting = dataclasses.replace(design.setting, problem=rebuilt)
@@ -195,6 +204,16 @@ def _fixed_period(design: Design) -> Design:
     slower = motion.slowed(motion.period / period)
     best = min((improve(setting, m, design.attempts[0].number) for m in (stretched, slower)), key=lambda a: a.objective)
     return Design(setting, (best, *design.attempts[1:]))
+
+
+def _whole_period(period: float, rate: float, bounds: tuple[float, float] | None) -> float:
+    """The next period of whole samples within the bounds: longer if there is one, on the ramps' time grid if it fits."""
+    assert bounds is not None
+    for grid in (max(round(0.04 * rate), 1) / rate, 1.0 / rate):
+        for rounded in (np.ceil(period / grid - 1e-9) * grid, np.floor(period / grid + 1e-9) * grid):
+            if bounds[0] - 1e-9 <= rounded <= bounds[1] + 1e-9:
+                return float(rounded)
+    raise UnusableInput(f"--optimise-period {bounds[0]:g},{bounds[1]:g}: holds no whole number of samples at --rate {rate:g} Hz; widen it")
 
 
 def tightened(setting: Setting, limits: Limits, reserve: float) -> Setting:

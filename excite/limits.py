@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from .errors import ExciteWarning, MissingLimit, UnusableInput
-from .robot import Robot, builtin_names
+from .robot import Follower, Robot, builtin_names
 
 Array = np.ndarray
 QUANTITIES = ("position", "velocity", "acceleration", "jerk", "torque")
@@ -92,6 +92,14 @@ def _braking(entry: Mapping[str, Any]) -> Braking:
     return Braking(float(entry["offset"]), float(entry["rate"]), (float(entry["stop"][0]), float(entry["stop"][1])))
 
 
+def _sensible(brake: Braking) -> Braking:
+    if not np.isfinite([brake.offset, brake.rate, *brake.stop]).all():
+        raise ValueError("not finite")
+    if brake.offset < 0.0 or brake.rate <= 0.0 or brake.stop[0] >= brake.stop[1]:
+        raise ValueError("offset ≥ 0, rate > 0 and stop = [lower, upper] are needed")
+    return brake
+
+
 def resolve(robot: Robot, file: Path | None = None) -> Limits:
     """Limits of a robot: the URDF's, then the built-in model's own table, then `file`, the later overriding.
 
@@ -110,11 +118,28 @@ def resolve(robot: Robot, file: Path | None = None) -> Limits:
         _merge(robot, table, Path(str(resources.files("excite") / "models" / f"{robot.source}.toml")), f"{robot.source}.toml")
     if file is not None:
         _merge(robot, table, file, str(file))
+    for follower in robot.followers:
+        _tighten(table[follower.master], follower)
     for entry in robot.entries:
         for quantity in REQUIRED:
             if quantity not in table[entry.name] and not (quantity == "position" and entry.kind == "continuous"):
                 raise MissingLimit(entry.name, quantity, robot.source)
     return _assemble(robot, table)
+
+
+def _tighten(entries: dict[str, tuple[Any, str]], follower: Follower) -> None:
+    """A mimic's own position and velocity limits bind the joint it follows: q_mimic = multiplier q + offset."""
+    stated, factor = follower.entry, follower.multiplier
+    if factor == 0.0:
+        return
+    source = f"urdf, mimic {stated.name}"
+    if stated.position is not None:
+        ends = sorted((bound - follower.offset) / factor for bound in stated.position)
+        lower, upper = entries.get("position", ((-np.inf, np.inf), ""))[0]
+        if ends[0] > lower or ends[1] < upper:
+            entries["position"] = ((max(ends[0], lower), min(ends[1], upper)), source)
+    if stated.velocity is not None and stated.velocity / abs(factor) < entries.get("velocity", (np.inf, ""))[0]:
+        entries["velocity"] = (stated.velocity / abs(factor), source)
 
 
 def _assemble(robot: Robot, table: Mapping[str, Mapping[str, tuple[Any, str]]]) -> Limits:
@@ -196,7 +221,9 @@ def _checked(file: Path, joint: str, quantity: str, value: Any) -> Any:
     where = f"{file}: joint '{joint}': {quantity}"
     try:
         if quantity == "braking":
-            return _braking(value)
+            return _sensible(_braking(value))
+        if any(isinstance(v, (bool, str)) for v in (value if isinstance(value, list) else [value])):
+            raise ValueError("not a number")
         numbers = np.array(value, float)
     except (TypeError, ValueError, KeyError, IndexError) as error:
         raise UnusableInput(f"{where} = {value!r} is no limit; see the README's section on limits") from error
@@ -207,7 +234,11 @@ def _checked(file: Path, joint: str, quantity: str, value: Any) -> Any:
             raise UnusableInput(
                 f"{where} limits contradict each other: lower {numbers[0]:g} is not below upper {numbers[1]:g}; swap or widen them"
             )
+        if np.isfinite(numbers).sum() == 1:
+            raise UnusableInput(f"{where} = {value!r} is open at one end; give both bounds")
         return (float(numbers[0]), float(numbers[1]))
     if numbers.shape != () or not numbers > 0.0:
         raise UnusableInput(f"{where} = {value!r} should be one positive number")
+    if not np.isfinite(numbers).all() and quantity in REQUIRED:
+        raise UnusableInput(f"{where} = {value!r} is not finite; give a number, the design needs it")
     return float(numbers)

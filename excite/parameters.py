@@ -144,7 +144,7 @@ def standard(robot: Robot, limits: Limits, drive: Iterable[str] = DRIVE) -> Para
     kinds = tuple(kind for kind in DRIVE if kind in wanted)
     model, n = robot.model, robot.n
     bodies = [model.inertias[i].toDynamicParameters() for i in range(1, model.njoints)]
-    robot_mass = float(sum(max(phi[0], 0.0) for phi in bodies))
+    robot_mass = float(sum(max(phi[0], 0.0) for phi in bodies)) or 1.0  # [kg], where nothing has a mass
     proper = [proper_body(phi, robot_mass) for phi in bodies]
     roots = [inverse_root(phi) for phi, _ in proper]
     repaired = [link for link, (_, changed) in zip(robot.links, proper, strict=True) if changed]

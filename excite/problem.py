@@ -121,18 +121,17 @@ def build(
     """Shrink the limits for what happens between samples and choose the variables' scales."""
     # The first factor bounds what the motion does between samples, exactly; the second is the certificate's own doubt.
     factor = 1.0 / (oversampling_bound(options.samples, K := options.harmonics) * oversampling_bound(DENSITY * options.samples, K))
-    middle, half = limits.position.mean(axis=1), 0.5 * np.diff(limits.position, axis=1)[:, 0]
-    with np.errstate(invalid="ignore"):
-        position = np.where(
-            np.isfinite(limits.position), np.column_stack([middle - factor * half, middle + factor * half]), limits.position
-        )
+    bounded = np.isfinite(limits.position).all(axis=1)
+    lower, upper = np.where(bounded[:, None], limits.position, 0.0).T
+    middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
+    position = np.where(bounded[:, None], np.column_stack([middle - factor * half, middle + factor * half]), limits.position)
     shrunk = limits.scaled(velocity=factor, acceleration=factor, jerk=factor, torque=1.0 - reserve)
     shrunk = dataclasses.replace(
         shrunk, position=position, braking=tuple(None if b is None else _earlier(b, reserve) for b in limits.braking)
     )
     boxes = tuple(_smaller(box, reserve) for box in options.boxes)
     harmonics = np.arange(1, options.harmonics + 1)
-    reach = np.where(np.isfinite(half), half, np.pi)
+    reach = np.where(bounded, half, np.pi)
     speed = np.minimum(limits.velocity, reach * 2.0 * np.pi / options.period)[:, None] / np.sqrt(harmonics)
     scale = np.column_stack([speed, speed, reach])
     return Problem(robot, parameters, shrunk, boxes, weighting, given, options, scale)

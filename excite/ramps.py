@@ -234,6 +234,8 @@ def _ramps(planner: Planner, fourier: Fourier, start: Array | None) -> tuple[Fou
 
 def _check_start(subject: Subject, start: Array) -> None:
     robot, limits = subject.robot, subject.limits
+    if start.shape != (robot.n,) or not np.isfinite(start).all():
+        raise UnusableInput(f"{robot.source}: start pose: should be {robot.n} finite positions, one per joint")
     outside = (start < limits.position[:, 0]) | (start > limits.position[:, 1])
     if outside.any():
         j = int(np.argmax(outside))

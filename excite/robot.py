@@ -33,13 +33,23 @@ class Payload:
 
 
 @dataclass(frozen=True)
+class Follower:
+    """A mimic joint that moves with a moving joint: q = multiplier q_master + offset."""
+
+    entry: urdf.JointEntry
+    master: str
+    multiplier: float
+    offset: float
+
+
+@dataclass(frozen=True)
 class Robot:
     """A robot as designed for, identified and verified: n moving joints, all else locked.
 
     model: Pinocchio model with nq = nv ≥ n (a mimic joint is a coordinate of its own there).
     joints: names of the n moving joints, in the model's order.
     spread, shift: q_model = spread q + shift; τ = spreadᵀ τ_model. Shapes (nv, n), (nv,).
-    entries: what the URDF says of each moving joint.
+    entries: what the URDF says of each moving joint. followers: the mimic joints that move with them.
     links: name of the link that each of the model's nv joints moves.
     options: how it was loaded (locked joints, payload, gravity), enough to load it again.
     """
@@ -53,6 +63,7 @@ class Robot:
     shift: Array
     entries: tuple[urdf.JointEntry, ...]
     links: tuple[str, ...]
+    followers: tuple[Follower, ...] = ()
     options: Mapping[str, object] = field(default_factory=dict)
 
     @property
@@ -148,6 +159,7 @@ def load(
         spread=_frozen(spread),
         shift=_frozen(shift),
         entries=tuple(document.joints[name] for name in order),
+        followers=tuple(Follower(document.joints[name], *multipliers[name]) for name in model.names[1:] if name not in moving),
         links=tuple(document.joints[name].child for name in model.names[1:]),
         options={
             "locked": {str(n): float(reference[full.joints[full.getJointId(n)].idx_q]) for n in full.names[1:] if n not in kept},
@@ -196,11 +208,11 @@ def _moving(document: urdf.Urdf, full: pin.Model, joints: Sequence[str] | None, 
 
 def _resolve(document: urdf.Urdf, name: str) -> tuple[str, float, float]:
     """Master joint, multiplier and offset of a joint, through chains of mimics."""
-    multiplier, offset, seen = 1.0, 0.0, {name}
+    first, multiplier, offset, seen = name, 1.0, 0.0, {name}
     while (mimic := document.joints[name].mimic) is not None:
         name, factor, constant = mimic
         if name in seen or name not in document.joints:
-            raise UnusableInput(f"{document.source}: mimic joint '{name}' follows no real joint; correct its <mimic>")
+            raise UnusableInput(f"{document.source}: mimic joint '{first}' follows '{name}', no real joint; correct its <mimic>")
         seen.add(name)
         offset, multiplier = offset + multiplier * constant, multiplier * factor
     return name, multiplier, offset
@@ -236,6 +248,9 @@ def _attach(model: pin.Model, source: str, payload: Payload) -> None:
         raise UnusableInput(f"{source}: --payload link '{payload.link}' does not move; name a moving link")
     xx, xy, yy, xz, yz, zz = payload.inertia
     tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    moments = np.linalg.eigvalsh(tensor)
+    if moments[0] < 0.0 or moments[2] > moments[0] + moments[1] + 1e-12:
+        raise UnusableInput(f"{source}: --payload at '{payload.link}': no body has that inertia about its centre; check the signs")
     body = pin.Inertia(payload.mass, np.array(payload.centre, float), tensor)
     model.appendBodyToJoint(frame.parentJoint, body, frame.placement)
 

@@ -49,7 +49,8 @@ def read(path: Path) -> Urdf:
         raise UnusableInput(f"{path}: no such file; give a URDF's path or a name that 'excite robots' lists")
     raw = path.read_text(encoding="utf-8", errors="replace")
     # ROS macros are marked by the suffix, the root's namespace or the substitutions that only xacro understands.
-    if path.suffix == ".xacro" or re.search(r"<xacro:|\$\{[^}]*\}|\$\((arg|find)\b", raw):
+    bare = re.sub(r"<!--.*?-->", "", raw, flags=re.DOTALL)
+    if path.suffix == ".xacro" or re.search(r"<xacro:|\$\{[^}]*\}|\$\((arg|find)\b", bare):
         raise UnusableInput(f"{path}: is a xacro file; expand it first: xacro {path.name} > {path.stem}.urdf")
     try:
         root = ElementTree.fromstring(raw)
@@ -59,6 +60,11 @@ def read(path: Path) -> Urdf:
         raise UnusableInput(f"{path}: its root is <{root.tag}>, not <robot>; give a URDF")
     source = str(path)
     links = tuple(_attribute(source, link, "name") for link in root.findall("link"))
+    for tag in ("link", "joint"):
+        names = [_attribute(source, element, "name") for element in root.findall(tag)]
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice is not None:
+            raise UnusableInput(f"{source}: two {tag}s are named '{twice}'; rename one")
     joints, elements = {}, []
     for element in root.findall("joint"):
         entry = _joint(source, element)

@@ -57,7 +57,8 @@ def run(
     begun = time.perf_counter()
     if not 0.0 < speed <= 1.0:
         raise UnusableInput(f"--speed {speed:g} should be above 0 and at most 1")
-    design.whole_samples(options.period / speed, options.rate)
+    if options.free_period is None:
+        design.whole_samples(options.period / speed, options.rate)
     setting = design.prepare(robot, limits, options, given)
     say(f"{robot.name}: {robot.n} joints, {setting.base.count} base parameters")
     found = design.solve(setting, progress)

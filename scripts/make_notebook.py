@@ -17,8 +17,8 @@ Run from the repository's `notebooks/` folder after `scripts/excite robots` has 
     (
         "code",
         """import numpy as np
-from matplotlib.figure import Figure
 from IPython.display import display
+from matplotlib.figure import Figure
 
 from excite import base, criteria, dynamics, limits, parameters, robot, workflow
 from excite.criteria import Criterion
@@ -37,7 +37,7 @@ bounds = limits.resolve(arm)
 psi = parameters.standard(arm, bounds)
 theta = base.find(arm, psi, bounds)
 print(f"{psi.count} standard parameters, {theta.count} base parameters")
-for name, expression in zip(np.array(psi.names)[theta.independent], theta.expressions):
+for name, expression in zip(np.array(psi.names)[theta.independent], theta.expressions, strict=True):
     print(f"  {name:6} = {expression}")""",
     ),
     (

@@ -156,8 +156,15 @@ def run(row: Row, case: Case, source: str, options: Options) -> None:
     row.after = criteria.pick(delivery.trajectory.criteria["optimum"], options.criterion, plain=options.plain)
     certificate = round_trip(delivery.trajectory)
     row.nearest = certificate.worst().document()
+    row.nearest["source"] = source_of(delivery.trajectory.limits, certificate.worst())
     row.ok = certificate.ok
     row.reason = "" if row.ok else "; ".join(certificate.faults) or "a limit is broken when read back from the file"
+
+
+def source_of(table: limits.Limits, margin: verify.Margin) -> str:
+    """Where the nearest limit comes from; "derived" ones bind the ramps alone, which run up to them by design."""
+    sources = dict(zip(table.joints, table.sources.get(margin.limit, ()), strict=False))
+    return sources.get(margin.joint, "")
 
 
 def is_builtin(source: str) -> bool:
@@ -199,6 +206,7 @@ def cells(row: Row) -> list[str]:
         return "" if value is None else format(value, style)
 
     near = row.nearest
+    derived = " (derived)" if near is not None and near["source"] == limits.DERIVED else ""
     return [
         row.robot,
         number(row.joints, "d"),
@@ -206,7 +214,7 @@ def cells(row: Row) -> list[str]:
         number(None if row.timing is None else row.timing["total"], ".1f"),
         number(row.start, ".3g"),
         number(row.after, ".3g"),
-        "" if near is None else f"{near['limit']}, {near['joint']}, {round(100.0 * near['margin'], 2) + 0.0:.2f} %",
+        "" if near is None else f"{near['limit']}, {near['joint']}, {round(100.0 * near['margin'], 2) + 0.0:.2f} %{derived}",
         number(row.duration, ".2f"),
         "yes" if row.ok else f"NO: {row.reason}".replace("|", "\\|"),
     ]

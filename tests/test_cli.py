@@ -59,7 +59,7 @@ def test_trajectory_json_has_the_contract_keys(designed):
 
 def test_identifiability_json_has_the_contract_keys(designed):
     document = json.loads((designed / "identifiability.json").read_text())
-    assert set("schema threshold eigenvalues directions base_parameters links torque_noise".split()) <= set(document)
+    assert set(["schema", "threshold", "eigenvalues", "directions", "base_parameters", "links", "torque_noise"]) <= set(document)
 
 
 def test_verify_says_ok_and_collision_not_checked(capsys, designed):
@@ -77,7 +77,7 @@ def test_design_json_carries_criteria_and_timing(capsys, tmp_path):
     assert code == 0
     assert set(document["criteria"]["optimum"]) == {"geometric", "plain", "cond_regressor"}
     assert set(document["criteria"]["exported"]["geometric"]) == {"a", "d", "e", "cond"}
-    assert set("build first_feasible within_1_percent solve total".split()) <= set(document["timing"])
+    assert set(["build", "first_feasible", "within_1_percent", "solve", "total"]) <= set(document["timing"])
 
 
 def test_a_broken_trajectory_fails_verification_and_is_not_exported(capsys, designed, tmp_path):
@@ -207,7 +207,9 @@ def test_unreadable_urdf(capsys, tmp_path, text, words):
     ids=lambda value: " ".join(value) if isinstance(value, list) else None,
 )
 def test_wrong_use(capsys, tmp_path, arguments, words):
-    line = refused(capsys, "design", *arguments, "-o", tmp_path / "out", *(o for o in QUICK if "--harmonics" not in arguments or o not in QUICK[4:]))
+    line = refused(
+        capsys, "design", *arguments, "-o", tmp_path / "out", *(o for o in QUICK if "--harmonics" not in arguments or o not in QUICK[4:])
+    )
     for word in words:
         assert word in line
     assert not (tmp_path / "out").exists()
@@ -247,7 +249,9 @@ def test_an_output_that_cannot_be_written(capsys, tmp_path):
     assert "cannot be written" in refused(capsys, "design", "two_link", "-o", tmp_path / "file", *QUICK)
 
 
-@pytest.mark.parametrize("text", ["t,q.joint_1\n0,1\n", "a,b\n1,2\n", "t,q.joint_1,q.joint_2\n" + "0,nan,0\n" * 20, "t,q.joint_1,q.joint_2\n" + "0,0,0\n" * 20])
+@pytest.mark.parametrize(
+    "text", ["t,q.joint_1\n0,1\n", "a,b\n1,2\n", "t,q.joint_1,q.joint_2\n" + "0,nan,0\n" * 20, "t,q.joint_1,q.joint_2\n" + "0,0,0\n" * 20]
+)
 def test_unusable_recording(capsys, tmp_path, text):
     path = tmp_path / "r.csv"
     path.write_text(text)

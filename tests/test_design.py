@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import QUICK, document, joint, link, loaded, random_urdf, reframed, text_of
+from conftest import QUICK, document, joint, link, loaded, pendulum, random_urdf, reframed, text_of
 
 from excite import criteria, design, dynamics, workflow
 from excite.criteria import Criterion
 from excite.design import Design
 from excite.errors import CheckFailed, Infeasible, UnusableInput
+from excite.evaluate import Evaluator
 from excite.limits import Limits, resolve
 from excite.problem import Box, Options
 from excite.robot import Robot, load
@@ -283,3 +284,37 @@ def test_a_motion_that_fails_its_certificate_is_not_delivered(two_link, table, m
 def test_a_forced_motion_says_so(two_link, table, monkeypatch):
     monkeypatch.setattr(workflow.verify, "_faults", lambda trajectory: ["it wobbles"])
     assert workflow.run(two_link, table, replace(QUICK, iterations=5), force=True).trajectory.forced
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"seed": -1}, {"noise": (0.0, 0.0)}, {"noise": (1.0,)}, {"noise": (np.nan, 1.0)}],
+    ids=str,
+)
+def test_options_that_make_no_sense_are_refused(two_link, table, change):
+    with pytest.raises(UnusableInput):
+        design.prepare(two_link, table, replace(QUICK, **change))
+
+
+def test_information_without_noise_cannot_be_given(two_link, table):
+    with pytest.raises(UnusableInput, match="cond_regressor"):
+        design.prepare(two_link, table, replace(QUICK, criterion=Criterion.COND_REGRESSOR), np.eye(100))
+
+
+def test_an_optimised_period_stays_within_its_bounds(two_link, table):
+    found = solved(two_link, table, replace(QUICK, free_period=(1.5, 1.537)))
+    assert 1.5 <= found.motion.period <= 1.537
+    assert (found.motion.period * 100.0) % 1.0 == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_joint_without_position_limits_has_no_rows_for_them(recwarn):
+    machine = loaded(pendulum('<limit velocity="3" effort="40"/>', "continuous"))
+    setting = design.prepare(machine, resolve(machine), replace(QUICK, period=2.0))
+    assert Evaluator(setting.problem).kinds == ("velocity", "torque")
+    assert not recwarn.list
+
+
+@pytest.mark.parametrize("start", [np.zeros(1), np.array([np.nan, 0.0])])
+def test_a_start_pose_that_is_none_is_refused(two_link, table, start):
+    with pytest.raises(UnusableInput, match="start pose"):
+        workflow.run(two_link, table, QUICK, start=start)

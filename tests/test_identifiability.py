@@ -13,9 +13,8 @@ import scipy.linalg
 from excite import artefact, base, dynamics, limits, parameters, robot
 from excite.base import Base
 from excite.identifiability import Identifiability, analyse, analyse_root, information_root, root_of
-from excite.scenarios import what_would_help
-from excite.wording import percent, spoken
 from excite.motion import Motion, Segment
+from excite.scenarios import what_would_help
 from excite.trajectory import Fourier, Samples
 from excite.wording import percent, spoken
 

@@ -184,3 +184,36 @@ def test_scaling_leaves_positions_alone(factor):
     limits = resolve(load("two_link"))
     scaled = limits.scaled(velocity=factor)
     assert np.allclose(scaled.velocity, factor * limits.velocity) and np.array_equal(scaled.position, limits.position)
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        "position = [-inf, 1.0]",
+        "position = [-1.0, inf]",
+        "velocity = inf",
+        "torque = inf",
+        "velocity = true",
+        "velocity = '3'",
+        "velocity = -1",
+        "braking = {offset = nan, rate = 1.0, stop = [-1.0, 1.0]}",
+        "braking = {offset = 0.1, rate = -1.0, stop = [-1.0, 1.0]}",
+        "braking = {offset = 0.1, rate = 1.0, stop = [1.0, -1.0]}",
+    ],
+)
+def test_limits_that_make_no_sense_are_refused(tmp_path, entry):
+    file = written(tmp_path, f"[joints.swing]\n{entry}\n")
+    with pytest.raises(UnusableInput, match=r"swing.*" + entry.split()[0]):
+        of(LIMIT, file)
+
+
+def test_a_mimic_joint_keeps_its_own_limits():
+    follower = (
+        '<link name="finger"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        '<joint name="follow" type="revolute"><parent link="arm"/><child link="finger"/><axis xyz="0 1 0"/>'
+        '<limit lower="-0.4" upper="0.6" velocity="0.5" effort="1"/><mimic joint="swing" multiplier="-2" offset="0.1"/></joint></robot>'
+    )
+    limits = resolve(loaded(pendulum().replace("</robot>", follower)))
+    assert limits.position[0] == pytest.approx([-0.25, 0.25])
+    assert limits.velocity[0] == pytest.approx(0.25)
+    assert limits.sources["velocity"] == ("urdf, mimic follow",)

@@ -221,3 +221,11 @@ def test_a_repair_does_not_change_the_nominal_torque():
     with pytest.warns(ExciteWarning, match="arm"):
         standard = parameters.standard(robot, resolve(robot), ())
     assert off(regressor(robot, standard, motion) @ standard.nominal, raw_torque(text, ("swing",), motion)) < 1e-12
+
+
+def test_a_robot_without_any_mass_but_with_inertia_still_has_a_metric():
+    arm = '<link name="arm"><inertial><mass value="0"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    machine = loaded(pendulum(body=arm))
+    with pytest.warns(ExciteWarning, match="arm"):
+        found = parameters.standard(machine, resolve(machine))
+    assert np.isfinite(found.scale).all()

@@ -308,3 +308,21 @@ def test_an_unknown_frame_offers_the_nearest():
 def test_any_text_at_all_is_refused_not_crashed(text):
     with pytest.raises(UnusableInput):
         loaded(text)
+
+
+def test_a_comment_does_not_make_a_xacro():
+    assert loaded(pendulum().replace("</robot>", '<!-- <xacro:include filename="${x}"/> --></robot>')).joints == ("swing",)
+
+
+@pytest.mark.parametrize(("tag", "name"), [("joint", "swing"), ("link", "arm")])
+def test_names_that_occur_twice_are_named(tag, name):
+    text = pendulum()
+    copy = text[text.index(f'<{tag} name="{name}"') :]
+    copy = copy[: copy.index(f"</{tag}>") + len(f"</{tag}>")]
+    with pytest.raises(UnusableInput, match=rf"two {tag}s are named '{name}'"):
+        loaded(text.replace("</robot>", copy + "</robot>"))
+
+
+def test_a_payload_whose_inertia_is_no_bodys_is_refused():
+    with pytest.raises(UnusableInput, match="no body has that inertia"):
+        loaded(pendulum(), payload=Payload("arm", 1.0, inertia=(-1.0, 0.0, 0.0, 0.0, 0.0, 0.0)))

@@ -102,7 +102,7 @@ def _design(commands: Commands) -> None:
     group.add_argument("--harmonics", type=int, default=5, metavar="K", help="default %(default)s")
     group.add_argument("--period", type=float, default=10.0, metavar="S", help="[s] (default %(default)s)")
     group.add_argument("--optimise-period", metavar="MIN,MAX", help="let the period vary between these [s]")
-    group.add_argument("--samples", type=int, default=200, metavar="N", help="the optimiser's grid over one period (default %(default)s)")
+    group.add_argument("--samples", type=int, metavar="N", help="the optimiser's grid over one period (default 20 per harmonic)")
     group.add_argument("--periods", type=int, default=2, metavar="N", help="repeats in the motion (default %(default)s)")
     group.add_argument("--rate", type=float, default=100.0, metavar="HZ", help="rows a second in trajectory.csv (default %(default)s)")
     group.add_argument(

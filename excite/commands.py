@@ -111,7 +111,7 @@ def _options(arguments: argparse.Namespace, robot: Robot) -> Options:
         harmonics=arguments.harmonics,
         period=arguments.period,
         free_period=None if free is None else (free[0], free[1]),
-        samples=arguments.samples,
+        samples=20 * max(arguments.harmonics, 3) if arguments.samples is None else arguments.samples,
         periods=arguments.periods,
         rate=arguments.rate,
         uncertainty=arguments.uncertainty,

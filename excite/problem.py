@@ -46,7 +46,7 @@ class Options:
     harmonics: int = 5
     period: float = 10.0
     free_period: tuple[float, float] | None = None
-    samples: int = 200
+    samples: int = 100
     periods: int = 2
     rate: float = 100.0
     uncertainty: float = 0.1

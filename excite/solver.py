@@ -44,7 +44,7 @@ class History:
 class Tolerances:
     """gain: stop when ten iterations improve the objective (a logarithm) by less. radius: stop below this step."""
 
-    gain: float = 2e-3
+    gain: float = 4e-3
     radius: float = 1e-6
     first_radius: float = 0.2
 

@@ -112,7 +112,7 @@ def _demands(subject: Subject, trajectory: Trajectory, segment: Segment) -> Iter
     motion = trajectory.motion
     fourier = motion.fourier
     if segment.profile is None:
-        samples = int(trajectory.design.get("samples", 200))
+        samples = int(trajectory.design.get("samples", 100))
         count = DENSITY * max(samples, 8 * fourier.harmonics)
         t = fourier.grid(count)
         factor = oversampling_bound(count, fourier.harmonics) - 1.0
@@ -126,7 +126,7 @@ def _demands(subject: Subject, trajectory: Trajectory, segment: Segment) -> Iter
             yield segment.start, t[1], demand
         return
     length = segment.end - segment.start
-    dt = min(fourier.period / (DENSITY * int(trajectory.design.get("samples", 200))), 1.0 / trajectory.rate)
+    dt = min(fourier.period / (DENSITY * int(trajectory.design.get("samples", 100))), 1.0 / trajectory.rate)
     count = max(int(np.ceil(length / dt)), 8)
     t = np.linspace(0.0, length, count + 1)
     q, dq, ddq = (segment.profile.at(t, order) for order in range(3))

@@ -152,15 +152,23 @@ def _identifiability(commands: Commands) -> None:
     _model_options(sub)
 
 
-def _warn(message: Warning | str, category: type[Warning], *_: object) -> None:
-    print(f"warning: {message}", file=sys.stderr)
+class _Warnings:
+    """Prints each warning once a command, however often it is given."""
+
+    def __init__(self) -> None:
+        self.seen: set[str] = set()
+
+    def __call__(self, message: Warning | str, category: type[Warning], *_: object) -> None:
+        if str(message) not in self.seen:
+            self.seen.add(str(message))
+            print(f"warning: {message}", file=sys.stderr)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; returns its exit code: 0 done, 1 a check failed or nothing feasible, 2 unusable input."""
     with warnings.catch_warnings():
         warnings.simplefilter("always", ExciteWarning)
-        warnings.showwarning = _warn  # type: ignore[assignment]
+        warnings.showwarning = _Warnings()  # type: ignore[assignment]
         try:
             arguments = parser().parse_args(argv)
             from threadpoolctl import threadpool_limits

@@ -258,7 +258,7 @@ class Evaluator:
                 if p.options.free_period is not None:
                     change = self._period_slope(x, point, order)[sample]
                     period[at] += slope * change[np.arange(len(at)), joint] if slope.ndim == 1 else np.sum(slope * change, axis=1)
-        jacobian: Array = (out * p.scale).reshape(len(rows), -1)
+        jacobian: Array = (out * p.scale).reshape(len(rows), p.scale.size)
         return np.column_stack([jacobian, period]) if p.options.free_period is not None else jacobian
 
     def _slopes(self, point: _Point, kind: str, sample: Array, joint: Array, sign: Array) -> list[tuple[int, Array]]:

@@ -158,7 +158,15 @@ def run(row: Row, case: Case, source: str, options: Options) -> None:
     row.nearest = certificate.worst().document()
     row.nearest["source"] = source_of(delivery.trajectory.limits, certificate.worst())
     row.ok = certificate.ok
-    row.reason = "" if row.ok else "; ".join(certificate.faults) or "a limit is broken when read back from the file"
+    row.reason = "" if row.ok else refusal(certificate)
+
+
+def refusal(certificate: verify.Certificate) -> str:
+    """One line on why a motion read back from its file is refused."""
+    if not certificate.faults:
+        return f"{certificate.worst().limit} of {certificate.worst().joint} is broken when read back from the file"
+    more = len(certificate.faults) - 1
+    return certificate.faults[0] + (f" (and {more} more)" if more else "")
 
 
 def source_of(table: limits.Limits, margin: verify.Margin) -> str:
@@ -172,10 +180,15 @@ def is_builtin(source: str) -> bool:
 
 
 def first_feasible(delivery: workflow.Delivery, options: Options) -> float:
-    """The criterion of the best start's first feasible motion; its history keeps the objective, a logarithm."""
-    best = delivery.design.attempts[0]
-    at = int(np.argmax(np.array(best.worst) <= solver.FEASIBLE))
-    objective = best.values[at]
+    """The criterion of the earliest feasible motion of all starts; histories keep the objective, a logarithm.
+
+    A start that was tightened after the certificate has lost its beginning: then another start's is shown.
+    """
+    seen = []
+    for one in delivery.design.attempts:
+        at = int(np.argmax(np.array(one.worst) <= solver.FEASIBLE))
+        seen.append((one.time[at], one.values[at]))
+    objective = min(seen)[1]
     if options.criterion is Criterion.D:
         return -delivery.design.setting.base.count * objective
     power = {Criterion.E: -1.0, Criterion.COND_REGRESSOR: 0.5}.get(options.criterion, 1.0)

@@ -318,3 +318,10 @@ def test_a_joint_without_position_limits_has_no_rows_for_them(recwarn):
 def test_a_start_pose_that_is_none_is_refused(two_link, table, start):
     with pytest.raises(UnusableInput, match="start pose"):
         workflow.run(two_link, table, QUICK, start=start)
+
+
+def test_a_motion_that_starts_far_from_every_limit_is_improved():
+    machine = loaded(pendulum('<limit velocity="500" effort="1e6"/>', "continuous"))
+    limits = resolve(machine)
+    found = solved(machine, limits, replace(QUICK, iterations=3))
+    assert np.isfinite(found.attempts[0].objective)

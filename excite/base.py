@@ -16,7 +16,9 @@ from .structure import base_count
 from .trajectory import Samples
 
 Array = np.ndarray
-RANK_TOLERANCE = 1e-8
+RANK_TOLERANCE = 1e-4
+"""Relative size below which a direction counts as invisible. Real arms keep above 0.05; a right angle rounded to 1.5708
+in a URDF makes directions of 1e-6, which no motion shows but a criterion would chase."""
 GREEDY_TOLERANCE = 1e-6
 
 
@@ -68,13 +70,16 @@ def find(robot: Robot, parameters: Parameters, limits: Limits) -> Base:
     noise = np.maximum(limits.torque, 1e-9)
     stacked = (regressor(robot, parameters, motion) / noise[:, None]).reshape(-1, parameters.count)
     norms = np.linalg.norm(stacked, axis=0)
-    present = norms > 1e-12 * norms.max()
+    present = (norms > RANK_TOLERANCE * _largest_of_kind(norms, parameters)) & (norms > 1e-12 * norms.max())
     unit: Array = np.linalg.qr(stacked[:, present] / norms[present], mode="r")  # type: ignore[assignment]
     values = np.linalg.svd(unit, compute_uv=False)
     rank = int(np.sum(values > RANK_TOLERANCE * values[0]))
     expected = base_count(robot, parameters)
     if rank != expected and robot.model.nv == robot.n:
-        text = f"{robot.source}: {rank} base parameters found numerically, {expected} by structure; some are nearly invisible"
+        text = (
+            f"{robot.source}: {rank} base parameters are visible, {expected} exist by structure; the difference is left out "
+            "(often a right angle that is rounded in the URDF)"
+        )
         warnings.warn(text, ExciteWarning, stacklevel=2)
     chosen, coefficients = _echelon(unit, rank)
     matrix = np.zeros((rank, parameters.count))
@@ -86,6 +91,15 @@ def find(robot: Robot, parameters: Parameters, limits: Limits) -> Base:
         plain=np.linalg.qr(matrix.T)[0],
         expressions=tuple(_expression(row, parameters.names) for row in matrix),
     )
+
+
+def _largest_of_kind(norms: Array, parameters: Parameters) -> Array:
+    """For each column the largest norm among columns of its kind: masses, first moments, inertias, and each drive block."""
+    n = len(parameters.joints)
+    kinds = [0, 1, 1, 1, 2, 2, 2, 2, 2, 2] * parameters.bodies + [3 + k for k in range(len(parameters.drive)) for _ in range(n)]
+    kind = np.array(kinds)
+    largest = np.array([norms[kind == k].max() for k in range(kind.max() + 1)])
+    return largest[kind]
 
 
 def _echelon(unit: Array, rank: int) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from . import dynamics
 from .limits import Braking, Limits
-from .parameters import Parameters
+from .parameters import COULOMB_WIDTH, Parameters
 from .problem import Box
 from .robot import Robot
 from .trajectory import Samples
@@ -68,12 +68,39 @@ def excess(values: Array) -> Array:
 
 
 def torque(subject: Subject, motion: Samples) -> Demand:
-    """Torque of every robot in the uncertain ball, equispaced samples."""
+    """Torque of every robot in the uncertain ball, equispaced samples.
+
+    Coulomb friction jumps at a reversal, between two samples; it is monotone in speed, so its bounds are those of its
+    neighbours, and only the smooth rest is given room for its curvature.
+    """
     Y = dynamics.regressor(subject.robot, subject.parameters, motion)
     nominal, width = dynamics.band(Y, subject.parameters, subject.uncertainty)
-    high, low = nominal + width, nominal - width
+    friction = _coulomb(subject.parameters)
+    smooth = nominal - friction * np.tanh(motion.dq / COULOMB_WIDTH)
+    doubt = excess(motion.dq)
+    most = _neighbours(friction * np.tanh((motion.dq + doubt) / COULOMB_WIDTH), np.maximum)
+    least = _neighbours(friction * np.tanh((motion.dq - doubt) / COULOMB_WIDTH), np.minimum)
+    high, low = smooth + width, smooth - width
+    high, low = high + excess(high) + most, low - excess(low) + least
     bound = subject.limits.torque
-    return Demand("torque", subject.robot.joints, low - excess(low), high + excess(high), -bound, bound)
+    return Demand("torque", subject.robot.joints, low, high, -bound, bound)
+
+
+def _coulomb(parameters: Parameters) -> Array:
+    """Nominal Coulomb friction per joint [N m]; 0 where the model has none."""
+    n = len(parameters.joints)
+    if "coulomb" not in parameters.drive:
+        return np.zeros(n)
+    start = 10 * parameters.bodies + n * parameters.drive.index("coulomb")
+    return parameters.nominal[start : start + n]
+
+
+def _neighbours(values: Array, pick: np.ufunc) -> Array:
+    """The largest or smallest of each sample and the ones beside it."""
+    out = values.copy()
+    out[1:] = pick(out[1:], values[:-1])
+    out[:-1] = pick(out[:-1], values[1:])
+    return out
 
 
 def braking(subject: Subject, motion: Samples) -> Demand | None:

@@ -180,15 +180,17 @@ def _refine(built: Problem, evaluator: Evaluator, x: Array, history: solver.Hist
 
 
 def improve(setting: Setting, motion: Fourier, number: int = 0) -> Attempt:
-    """Optimise on from a motion that may break limits a little: it is first drawn in until it obeys them."""
+    """Optimise on from a motion that may break limits a little: it is first drawn in, if that makes it obey them."""
     with threadpoolctl.threadpool_limits(1):
         evaluator = Evaluator(setting.problem)
         x = setting.problem.variables(motion)
         rest = start.at_rest(setting.problem, motion.offset)
-        for share in (1.0, *(1.0 - 0.5 ** np.arange(9, 0, -1)), 0.0):
+        for share in (1.0, *(1.0 - 0.5 ** np.arange(9, 1, -1)), 0.6, 0.45, 0.3, 0.2):
             drawn = rest + share * (x - rest)
             if evaluator.worst(drawn) <= 1.0:
                 break
+        else:  # its middle pose can't be held, say: the solver finds its own way back
+            drawn = x
         return _refine(setting.problem, evaluator, drawn, solver.History(began=setting.built), number)
 
 

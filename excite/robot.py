@@ -162,7 +162,11 @@ def load(
         followers=tuple(Follower(document.joints[name], *multipliers[name]) for name in model.names[1:] if name not in moving),
         links=tuple(document.joints[name].child for name in model.names[1:]),
         options={
-            "locked": {str(n): float(reference[full.joints[full.getJointId(n)].idx_q]) for n in full.names[1:] if n not in kept},
+            "locked": {
+                str(n): float(reference[full.joints[full.getJointId(n)].idx_q])
+                for n in full.names[1:]
+                if n not in kept and document.joints[n].mimic is None
+            },
             "payload": None if payload is None else vars(payload) | {},
             "gravity": [float(g) for g in gravity],
         },

@@ -55,7 +55,7 @@ def stages(criterion: Criterion) -> tuple[float, ...]:
 
 
 def solve(evaluator: Evaluator, x: Array, history: History, tolerances: Tolerances | None = None) -> Array:
-    """Minimise the smooth criterion from a feasible x; returns the best feasible variables met."""
+    """Minimise the smooth criterion from x; returns the best feasible variables met, or x where none were."""
     budget = evaluator.problem.options.iterations
     tolerances = tolerances or Tolerances()
     sharpnesses = stages(evaluator.problem.options.criterion)
@@ -76,7 +76,7 @@ class _Search:
         self.x, self.B = x, np.eye(len(x))
         self.f, self.gradient = evaluator.objective(x, sharpness)
         self.excess = max(evaluator.worst(x) - 1.0, 0.0)
-        self.best, self.best_f = x, self.f
+        self.best, self.best_f = x, self.f if 1.0 + self.excess <= FEASIBLE else np.inf
         self.radius, self.penalty = tolerances.first_radius, 1.0
         self.scaled = False
         self._bounds = self._variable_bounds()
@@ -139,6 +139,8 @@ class _Search:
             result = _quadratic_solver(plugin, size, padded)(uba=bound, **arguments)
             step, multipliers = np.asarray(result["x"]).ravel(), np.asarray(result["lam_a"]).ravel()[: len(room)]
             broken = float((jacobian @ step - bound[: len(room)]).max(initial=0.0))
+            if not np.isfinite(step).all():
+                step, multipliers, broken = np.zeros(size), np.zeros(len(room)), 0.0
             if broken < 1e-6 and float(np.abs(step).max()) <= self.radius + 1e-6:
                 break
         return step, np.maximum(multipliers, 0.0)
@@ -190,7 +192,7 @@ class _Search:
 
 
 _SOLVERS: dict[tuple[str, int, int], ca.Function] = {}
-_QUIET: dict[str, dict[str, object]] = {"daqp": {"daqp": {"eps_prox": 1e-6}}, "highs": {"highs": {"output_flag": False}}}
+_QUIET: dict[str, dict[str, object]] = {"daqp": {"daqp": {"eps_prox": 1e-6}}, "highs": {"highs": {"output_flag": False, "time_limit": 1.0}}}
 
 
 def _quadratic_solver(plugin: str, size: int, rows: int) -> ca.Function:

@@ -23,6 +23,11 @@ from .verify import Certificate
 Array = np.ndarray
 
 
+MOST_RESERVE = 0.3
+SINGULAR = 1e-24
+"""Ratio of eigenvalues of the information below which a direction is rounding noise, not seen."""
+
+
 @dataclass(frozen=True)
 class Delivery:
     """A certified motion with how it came about. timing: seconds, the contract's keys."""
@@ -69,7 +74,7 @@ def run(
         certificate = verify.verify(trajectory, robot)
         if certificate.ok or attempt == 3:
             break
-        reserve = max(2.0 * reserve, reserve - 1.5 * certificate.worst().room)
+        reserve = min(max(2.0 * reserve, reserve - 1.5 * certificate.worst().room), MOST_RESERVE)
         say(f"between samples {certificate.worst().limit} of {certificate.worst().joint} breaks its limit; tightening by {reserve:.2g}")
         tighter = design.tightened(found.setting, limits, reserve)
         found = Design(tighter, (design.improve(tighter, found.motion, found.attempts[0].number), *found.attempts[1:]))
@@ -83,6 +88,10 @@ def run(
             else f"{worst.limit} of '{worst.joint}' reaches {worst.value:.4g} of {worst.bound:.4g}"
         )
         raise CheckFailed(f"{robot.source}: the designed motion fails its certificate: {reason}; try another --seed or --force")
+    if not trajectory.criteria["optimum"]["geometric"]["cond"] < 1.0 / SINGULAR:
+        raise CheckFailed(
+            f"{robot.source}: the motion found does not show all base parameters; try another --seed, fewer limits or a longer --period"
+        )
     trajectory = dataclasses.replace(
         trajectory, margins=[m.document() for m in certificate.margins], collision=certificate.collision, forced=not certificate.ok
     )

@@ -2,15 +2,17 @@ from __future__ import annotations
 
 import itertools
 import re
+import warnings
 
 import numpy as np
 import pytest
-from conftest import BUILTIN, document, joint, link, loaded, off, random_link, random_urdf, seeds, states
+from conftest import BUILTIN, document, joint, link, loaded, off, random_link, random_urdf, seeds, states, text_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from excite import base, parameters
 from excite.dynamics import regressor
+from excite.errors import ExciteWarning
 from excite.limits import resolve
 from excite.parameters import DRIVE, Parameters
 from excite.robot import Robot, load
@@ -188,3 +190,14 @@ def test_base_does_not_depend_on_global_randomness():
     first = example("ur5e")[2].matrix
     np.random.seed(1)  # noqa: NPY002
     assert np.array_equal(first, example("ur5e")[2].matrix)
+
+
+def test_a_rounded_right_angle_makes_no_parameter():
+    exact = text_of("ur10e")
+    rounded = re.sub(r"1\.570796\d*", "1.5708", exact)
+    assert rounded != exact
+    machine = loaded(rounded)
+    standard = parameters.standard(machine, resolve(machine))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ExciteWarning)
+        assert base.find(machine, standard, resolve(machine)).count == 58

@@ -9,15 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import QUICK
+from conftest import LIMIT, QUICK, loaded, pendulum
 
-from excite import artefact, checks, dynamics, ramps, verify, workflow
+from excite import artefact, checks, dynamics, parameters, ramps, verify, workflow
 from excite.artefact import Trajectory
 from excite.errors import UnusableInput
-from excite.limits import Limits
+from excite.limits import Limits, resolve
 from excite.problem import Box
 from excite.robot import Payload, load
-from excite.trajectory import oversampling_bound
+from excite.trajectory import Fourier, oversampling_bound
 from excite.verify import Certificate
 from excite.workflow import Delivery
 
@@ -377,3 +377,27 @@ def test_derived_limits_do_not_bind_the_periodic_part(two_link, table):
 
 def test_the_oversampling_of_the_certificate_is_exact_enough():
     assert oversampling_bound(10 * 200, 5) - 1 < 1e-4
+
+
+def test_friction_at_reversals_costs_no_phantom_torque():
+    """The jump of Coulomb friction between two samples is bounded by its sides, not taken for curvature."""
+    machine = loaded(pendulum(LIMIT + '<dynamics friction="8" damping="0.1"/>'))
+    standard = parameters.standard(machine, resolve(machine))
+    subject = checks.Subject(machine, resolve(machine), standard)
+    motion = Fourier(np.array([[0.5]]), np.array([[0.2]]), np.array([0.3]), 4.0)
+    coarse, dense = (motion.samples(motion.grid(n)) for n in (400, 200_000))
+    bound = float(checks.torque(subject, coarse).high.max())
+    true = float((dynamics.regressor(machine, standard, dense) @ standard.nominal).max())
+    assert true <= bound <= 1.02 * true
+
+
+def test_a_robot_with_a_locked_mimic_pair_is_found_again():
+    body = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    pair = "".join(
+        f'<link name="{child}">{body}</link><joint name="{name}" type="revolute"><parent link="arm"/><child link="{child}"/>'
+        f'<limit lower="-1" upper="1" velocity="1" effort="1"/>{mimic}</joint>'
+        for name, child, mimic in (("grip", "finger", ""), ("follow", "thumb", '<mimic joint="grip"/>'))
+    )
+    machine = loaded(pendulum().replace("</robot>", pair + "</robot>"), lock={"grip": 0.3})
+    assert machine.joints == ("swing",)
+    assert machine.options["locked"] == {"grip": 0.3}

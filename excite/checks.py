@@ -75,7 +75,7 @@ def torque(subject: Subject, motion: Samples) -> Demand:
     """
     Y = dynamics.regressor(subject.robot, subject.parameters, motion)
     nominal, width = dynamics.band(Y, subject.parameters, subject.uncertainty)
-    friction = _coulomb(subject.parameters)
+    friction = subject.parameters.coulomb()
     smooth = nominal - friction * np.tanh(motion.dq / COULOMB_WIDTH)
     doubt = excess(motion.dq)
     most = _neighbours(friction * np.tanh((motion.dq + doubt) / COULOMB_WIDTH), np.maximum)
@@ -84,15 +84,6 @@ def torque(subject: Subject, motion: Samples) -> Demand:
     high, low = high + excess(high) + most, low - excess(low) + least
     bound = subject.limits.torque
     return Demand("torque", subject.robot.joints, low, high, -bound, bound)
-
-
-def _coulomb(parameters: Parameters) -> Array:
-    """Nominal Coulomb friction per joint [N m]; 0 where the model has none."""
-    n = len(parameters.joints)
-    if "coulomb" not in parameters.drive:
-        return np.zeros(n)
-    start = 10 * parameters.bodies + n * parameters.drive.index("coulomb")
-    return parameters.nominal[start : start + n]
 
 
 def _neighbours(values: Array, pick: np.ufunc) -> Array:

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from . import criteria, symbolic
+from .parameters import Parameters
 from .problem import Problem
 
 Array = np.ndarray
@@ -80,6 +81,11 @@ class Evaluator:
         self._regressor = _mapped(self._functions.regressor, problem.options.samples)
         self._adjoint = _mapped(self._functions.adjoint, problem.options.samples)
         self._frames = [symbolic.position(problem.robot, box.frame) for box in problem.boxes]
+        # Coulomb friction jumps between two samples wherever a joint turns round, so here it always counts against the
+        # drive: its torque leaves the nominal one and comes off the limit.
+        friction = problem.parameters.coulomb()
+        self._torque_bound = np.maximum(problem.limits.torque - friction, 1e-3 * problem.limits.torque)
+        self._nominal = _without_coulomb(problem.parameters)
         self._inverse_metric = problem.parameters.scale @ problem.parameters.scale.T
         self._point: _Point | None = None
         self.kinds = self._kinds()
@@ -174,7 +180,7 @@ class Evaluator:
             return np.stack([ratio, -ratio])
         if kind == "torque":
             nominal, width = self._band(point)
-            return np.stack([nominal + width, width - nominal]) / limits.torque
+            return np.stack([nominal + width, width - nominal]) / self._torque_bound
         if kind == "braking":
             return np.stack([self._braking(q, dq, sign)[0] for sign in (1.0, -1.0)])
         index = int(kind[3:])
@@ -186,7 +192,7 @@ class Evaluator:
         if point.spread is None:
             p = self.problem
             Y = self._regressor_at(point)
-            nominal = Y @ p.parameters.nominal
+            nominal = Y @ self._nominal
             width = np.zeros_like(nominal)
             if p.options.uncertainty:
                 Z = Y.reshape(-1, Y.shape[2]) @ p.parameters.scale
@@ -287,7 +293,7 @@ class Evaluator:
         n, radius = p.robot.n, p.options.uncertainty
         q, dq, ddq, _ = point.motion
         Y = self._regressor_at(point)[sample, joint]
-        weight = sign[:, None] * p.parameters.nominal
+        weight = sign[:, None] * self._nominal
         if radius:
             self._band(point)
             assert point.spread is not None
@@ -299,8 +305,15 @@ class Evaluator:
                 s = sample[at]
                 mapped = self._functions.rows[j].map(len(at))
                 gradient[at] = np.asarray(mapped(q[s].T, dq[s].T, ddq[s].T, weight[at].T)).T
-        gradient /= p.limits.torque[joint][:, None]
+        gradient /= self._torque_bound[joint][:, None]
         return [(order, gradient[:, order * n : (order + 1) * n]) for order in range(3)]
+
+
+def _without_coulomb(parameters: Parameters) -> Array:
+    nominal = parameters.nominal.copy()
+    if "coulomb" in parameters.drive:
+        nominal[parameters.block("coulomb")] = 0.0
+    return nominal
 
 
 def _centred(values: Array, lower: Array, upper: Array) -> Array:

@@ -60,6 +60,16 @@ class Parameters:
         """Number of bodies with ten inertial parameters each."""
         return len(self.links)
 
+    def coulomb(self) -> Array:
+        """Nominal Coulomb friction per joint [N m]; 0 where the model has none. Shape (n,)."""
+        return self.nominal[self.block("coulomb")] if "coulomb" in self.drive else np.zeros(len(self.joints))
+
+    def block(self, kind: str) -> slice:
+        """Where a kind of joint parameter stands in ψ."""
+        n = len(self.joints)
+        start = 10 * self.bodies + n * self.drive.index(kind)
+        return slice(start, start + n)
+
     def owners(self) -> tuple[str, ...]:
         """For each parameter the link (inertial) or joint (drive) it belongs to."""
         inertial = [link for link in self.links for _ in INERTIAL]

@@ -110,12 +110,22 @@ class Planner:
         worst = max(demands, key=lambda d: d.ratio())
         return worst.ratio() <= 1.0 - 1e-4, worst.limit
 
-    def stop(self, begin: State) -> Iterator[tuple[Profile, float]]:
-        """Ways to come to rest from a state, briskest first; all checked."""
+    def stop(self, begin: State, *, backwards: bool = False) -> Iterator[tuple[Profile, float]]:
+        """Ways to come to rest from a state, briskest first; all checked.
+
+        backwards: ways to reach the state from rest instead. Such a ramp is a stop from the state with velocity
+        reversed, run backwards in time; it is checked as it will run, for friction does not reverse with time.
+        """
+        if backwards:
+            begin = State(begin.q, -begin.dq, begin.ddq)
         for scale in SCALES:
             profile = self._plan(begin, None, scale)
-            if profile is not None and self._passes(profile, _duration(profile, self.grid))[0]:
-                yield profile, _duration(profile, self.grid)
+            if profile is None:
+                continue
+            duration = _duration(profile, self.grid)
+            ramp = reverse(profile, duration) if backwards else profile
+            if self._passes(ramp, duration)[0]:
+                yield ramp, duration
 
     def travel(self, begin: Array, end: Array) -> tuple[list[tuple[Profile, float]], str]:
         """From rest to rest, straight in joint space or through one safe pose; and what forbids it where it is empty."""
@@ -219,9 +229,9 @@ def _ramps(planner: Planner, fourier: Fourier, start: Array | None) -> tuple[Fou
         zero = np.zeros(1)
         state = State(*(shifted.at(zero, order)[0] for order in range(3)))
         out = next(planner.stop(state), None)
-        into = next(planner.stop(State(state.q, -state.dq, state.ddq)), None) if out is not None else None
+        into = next(planner.stop(state, backwards=True), None) if out is not None else None
         if out is not None and into is not None and (best is None or out[1] + into[1] < best[0]):
-            best = (out[1] + into[1], shifted, (reverse(*into), into[1]), out)
+            best = (out[1] + into[1], shifted, into, out)
         if best is not None and tried >= 5:
             break
     if best is None:

@@ -162,7 +162,7 @@ def _assemble(robot: Robot, table: Mapping[str, Mapping[str, tuple[Any, str]]]) 
 
 def _merge(robot: Robot, table: dict[str, dict[str, tuple[Any, str]]], file: Path, source: str) -> None:
     stated = _read_yaml(file) if file.suffix in (".yaml", ".yml") else _read_toml(file)
-    known = {name for name in robot.options.get("locked", {})} | set(robot.joints)  # type: ignore[attr-defined]
+    known = {*robot.options["locked"], *robot.joints, *robot.mimics}  # type: ignore[misc]
     for joint, entries in stated.items():
         if joint not in known:
             if file.suffix == ".toml":
@@ -193,12 +193,24 @@ def _read_toml(file: Path) -> dict[str, dict[str, Any]]:
     return joints
 
 
+def _yaml_loader() -> Any:
+    """The safe loader, and the tags !degrees and !radians that Universal Robots' own files use."""
+    import yaml
+
+    class Loader(yaml.SafeLoader):  # type: ignore[misc]
+        pass
+
+    for tag, unit in (("!degrees", math.pi / 180.0), ("!radians", 1.0)):
+        Loader.add_constructor(tag, lambda loader, node, unit=unit: unit * float(loader.construct_scalar(node)))
+    return Loader
+
+
 def _read_yaml(file: Path) -> dict[str, dict[str, Any]]:
     """MoveIt's joint_limits.yaml: has_<x>_limits switches and max_<x> values, min/max_position."""
     import yaml
 
     try:
-        document = yaml.safe_load(_read_text(file))
+        document = yaml.load(_read_text(file), _yaml_loader())
         joints = dict(document["joint_limits"])
     except (yaml.YAMLError, TypeError, KeyError, ValueError) as error:
         raise UnusableInput(f"{file}: is no MoveIt joint_limits.yaml (a 'joint_limits:' map); correct it") from error

@@ -50,6 +50,7 @@ class Robot:
     joints: names of the n moving joints, in the model's order.
     spread, shift: q_model = spread q + shift; τ = spreadᵀ τ_model. Shapes (nv, n), (nv,).
     entries: what the URDF says of each moving joint. followers: the mimic joints that move with them.
+    mimics: names of all mimic joints, moving or not.
     links: name of the link that each of the model's nv joints moves.
     options: how it was loaded (locked joints, payload, gravity), enough to load it again.
     """
@@ -64,6 +65,7 @@ class Robot:
     entries: tuple[urdf.JointEntry, ...]
     links: tuple[str, ...]
     followers: tuple[Follower, ...] = ()
+    mimics: tuple[str, ...] = ()
     options: Mapping[str, object] = field(default_factory=dict)
 
     @property
@@ -159,6 +161,7 @@ def load(
         spread=_frozen(spread),
         shift=_frozen(shift),
         entries=tuple(document.joints[name] for name in order),
+        mimics=tuple(name for name, entry in document.joints.items() if entry.mimic is not None),
         followers=tuple(Follower(document.joints[name], *multipliers[name]) for name in model.names[1:] if name not in moving),
         links=tuple(document.joints[name].child for name in model.names[1:]),
         options={

@@ -217,3 +217,8 @@ def test_a_mimic_joint_keeps_its_own_limits():
     assert limits.position[0] == pytest.approx([-0.25, 0.25])
     assert limits.velocity[0] == pytest.approx(0.25)
     assert limits.sources["velocity"] == ("urdf, mimic follow",)
+
+
+def test_a_yaml_may_say_degrees(tmp_path):
+    text = "joint_limits:\n  swing:\n    has_velocity_limits: true\n    max_velocity: !degrees 180.0\n"
+    assert of(LIMIT, written(tmp_path, text, "joint_limits.yaml")).velocity[0] == pytest.approx(np.pi)

@@ -221,5 +221,5 @@ def _whole_period(period: float, rate: float, bounds: tuple[float, float] | None
 def tightened(setting: Setting, limits: Limits, reserve: float) -> Setting:
     """The same problem with a larger reserve on curved limits, for when the certificate finds a gap between samples."""
     p = setting.problem
-    rebuilt = problem.build(p.robot, limits, p.parameters, p.weighting, p.options, p.given, reserve=reserve)
+    rebuilt = problem.build(p.robot, limits, p.parameters, p.weighting, p.options, p.given, reserve, p.functions)
     return dataclasses.replace(setting, problem=rebuilt)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
-import casadi as ca
 import numpy as np
 
 from . import criteria, symbolic
+from .compiled import Mapped, Padded
 from .parameters import Parameters
 from .problem import Problem
 
@@ -42,32 +41,6 @@ class _Point:
     spread: tuple[Array, Array] | None = None
 
 
-def _mapped(function: ca.Function, count: int) -> Callable[..., list[Array]]:
-    """A CasADi function over `count` samples, reading and writing numpy memory directly."""
-    mapped = function.map(count)
-    results = [np.zeros((count, *_shape(function, i))) for i in range(function.n_out())]
-    inputs = [np.zeros((count, *_shape(function, i, False))) for i in range(function.n_in())]
-    buffer, run = mapped.buffer()
-    for i, array in enumerate(inputs):
-        buffer.set_arg(i, memoryview(array))  # type: ignore[arg-type]
-    for i, array in enumerate(results):
-        buffer.set_res(i, memoryview(array))  # type: ignore[arg-type]
-
-    def call(*arguments: Array) -> list[Array]:
-        _ = mapped, buffer  # `run` borrows both without keeping them alive
-        for target, argument in zip(inputs, arguments, strict=True):
-            np.copyto(target, argument.reshape(target.shape))
-        run()
-        return results
-
-    return call
-
-
-def _shape(function: ca.Function, index: int, out: bool = True) -> tuple[int, ...]:
-    rows, columns = function.size_out(index) if out else function.size_in(index)
-    return (rows,) if columns == 1 else (columns, rows)
-
-
 class Evaluator:
     """Evaluates one problem at one x after another; the last point is remembered.
 
@@ -77,9 +50,10 @@ class Evaluator:
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
         self.bases = problem.bases()
-        self._functions = symbolic.functions(problem.robot, problem.parameters)
-        self._regressor = _mapped(self._functions.regressor, problem.options.samples)
-        self._adjoint = _mapped(self._functions.adjoint, problem.options.samples)
+        functions, count = problem.functions, problem.options.samples
+        self._regressor = Mapped(functions.regressor, count, functions.library)
+        self._adjoint = Mapped(functions.adjoint, count, functions.library)
+        self._row = Padded(functions.row, functions.library)
         self._frames = [symbolic.position(problem.robot, box.frame) for box in problem.boxes]
         # Coulomb friction jumps between two samples wherever a joint turns round, so here it always counts against the
         # drive: its torque leaves the nominal one and comes off the limit.
@@ -298,15 +272,9 @@ class Evaluator:
             self._band(point)
             assert point.spread is not None
             weight = weight + radius * (Y @ self._inverse_metric) / point.spread[1][sample, joint][:, None]
-        gradient = np.empty((len(sample), 3 * n))
-        for j in range(n):
-            at = np.flatnonzero(joint == j)
-            if len(at):
-                s = sample[at]
-                mapped = self._functions.rows[j].map(len(at))
-                gradient[at] = np.asarray(mapped(q[s].T, dq[s].T, ddq[s].T, weight[at].T)).T
-        gradient /= self._torque_bound[joint][:, None]
-        return [(order, gradient[:, order * n : (order + 1) * n]) for order in range(3)]
+        pick = np.zeros((len(sample), n))
+        pick[np.arange(len(sample)), joint] = 1.0 / self._torque_bound[joint]
+        return list(enumerate(self._row(q[sample], dq[sample], ddq[sample], weight, pick)))
 
 
 def _without_coulomb(parameters: Parameters) -> Array:

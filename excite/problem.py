@@ -8,10 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from . import symbolic
 from .criteria import Criterion, Weighting
 from .limits import Braking, Limits
 from .parameters import Parameters
 from .robot import Robot
+from .symbolic import Functions
 from .trajectory import DENSITY, Fourier, basis, oversampling_bound
 
 Array = np.ndarray
@@ -66,6 +68,7 @@ class Problem:
     weighting: coordinates of the criterion. given: G, GᵀG the information of earlier recordings in those coordinates,
         per sample of the motion to come. Shape (p, p).
     scale: size of one unit of each variable: coefficients (a, b, offset) per joint. Shape (n, 2K+1).
+    functions: the dynamics and their derivatives.
     """
 
     robot: Robot
@@ -76,6 +79,7 @@ class Problem:
     given: Array | None
     options: Options
     scale: Array
+    functions: Functions
 
     @property
     def size(self) -> int:
@@ -117,6 +121,7 @@ def build(
     options: Options,
     given: Array | None = None,
     reserve: float = RESERVE,
+    functions: Functions | None = None,
 ) -> Problem:
     """Shrink the limits for what happens between samples and choose the variables' scales."""
     # The first factor bounds what the motion does between samples, exactly; the second is the certificate's own doubt.
@@ -134,7 +139,7 @@ def build(
     reach = np.where(bounded, half, np.pi)
     speed = np.minimum(limits.velocity, reach * 2.0 * np.pi / options.period)[:, None] / np.sqrt(harmonics)
     scale = np.column_stack([speed, speed, reach])
-    return Problem(robot, parameters, shrunk, boxes, weighting, given, options, scale)
+    return Problem(robot, parameters, shrunk, boxes, weighting, given, options, scale, functions or symbolic.functions(robot, parameters))
 
 
 def _earlier(brake: Braking, reserve: float) -> Braking:

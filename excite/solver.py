@@ -9,9 +9,9 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, field
 
-import casadi as ca
 import numpy as np
 
+from . import subproblem
 from .criteria import Criterion
 from .evaluate import Evaluator, Rows
 from .problem import RESERVE
@@ -126,24 +126,9 @@ class _Search:
 
     def _subproblem(self, jacobian: Array, room: Array) -> tuple[Array, Array]:
         """min gᵀd + ½dᵀBd subject to J d ≤ room, |d| ≤ radius. Returns d and the rows' multipliers."""
-        size = len(self.x)
         lower = np.maximum(-self.radius, self._bounds[0] - self.x)
         upper = np.minimum(self.radius, self._bounds[1] - self.x)
-        padded = 64 * (1 + len(room) // 64)  # few distinct sizes: solvers are kept
-        A, b = np.zeros((padded, size)), np.full(padded, np.inf)
-        A[: len(room)], b[: len(room)] = jacobian, room
-        arguments = {"h": self.B, "g": self.gradient, "a": A, "lba": -np.inf, "lbx": lower, "ubx": upper}
-        # DAQP is fast but now and then ends with broken rows; HiGHS is slower and doesn't. Last resort: rows that are
-        # broken already need not be mended, so that a step of zero is feasible.
-        for plugin, bound in (("daqp", b), ("highs", b), ("highs", np.maximum(b, 0.0))):
-            result = _quadratic_solver(plugin, size, padded)(uba=bound, **arguments)
-            step, multipliers = np.asarray(result["x"]).ravel(), np.asarray(result["lam_a"]).ravel()[: len(room)]
-            broken = float((jacobian @ step - bound[: len(room)]).max(initial=0.0))
-            if not np.isfinite(step).all():
-                step, multipliers, broken = np.zeros(size), np.zeros(len(room)), 0.0
-            if broken < 1e-6 and float(np.abs(step).max()) <= self.radius + 1e-6:
-                break
-        return step, np.maximum(multipliers, 0.0)
+        return subproblem.solve(self.B, self.gradient, jacobian, room, lower, upper)
 
     def _try(self, step: Array, rows: Rows, jacobian: Array, multipliers: Array) -> bool:
         """Take the step if the exact penalty function falls as the model says; update radius and B."""
@@ -189,15 +174,3 @@ class _Search:
             change = share * change + (1.0 - share) * Bs
             curvature = float(step @ change)
         self.B += np.outer(change, change) / curvature - np.outer(Bs, Bs) / sBs
-
-
-_SOLVERS: dict[tuple[str, int, int], ca.Function] = {}
-_QUIET: dict[str, dict[str, object]] = {"daqp": {"daqp": {"eps_prox": 1e-6}}, "highs": {"highs": {"output_flag": False, "time_limit": 1.0}}}
-
-
-def _quadratic_solver(plugin: str, size: int, rows: int) -> ca.Function:
-    key = (plugin, size, rows)
-    if key not in _SOLVERS:
-        shape = {"h": ca.Sparsity.dense(size, size), "a": ca.Sparsity.dense(rows, size)}
-        _SOLVERS[key] = ca.conic("subproblem", plugin, shape, {**_QUIET[plugin], "error_on_fail": False})
-    return _SOLVERS[key]

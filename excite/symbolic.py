@@ -7,10 +7,12 @@ Atkeson, An & Hollerbach (1986).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
 
+from . import compiled
 from .parameters import COULOMB_WIDTH, Parameters
 from .robot import Robot
 
@@ -23,12 +25,14 @@ class Functions:
 
     regressor: -> Yᵀ (P, n), dense; transposed, so that samples side by side are rows of a C array (N, n, P).
     adjoint: (q, dq, ddq, Ȳᵀ) -> gradients of ⟨Ȳ, Y⟩ with respect to q, dq, ddq; one reverse sweep.
-    rows: per joint j, (q, dq, ddq, w (P,)) -> gradient (3n,) of Y_j w, for torque limits row by row.
+    row: (q, dq, ddq, w (P,), s (n,)) -> gradients of sᵀ Y w with respect to q, dq, ddq, for torque limits row by row.
+    library: where their C is compiled, or will be.
     """
 
     regressor: ca.Function
     adjoint: ca.Function
-    rows: tuple[ca.Function, ...]
+    row: ca.Function
+    library: Path | None
 
 
 def _rotate(axis: np.ndarray, angle: ca.SX) -> ca.SX:
@@ -91,64 +95,86 @@ def _kinematics(robot: Robot, q: ca.SX) -> _Kinematics:
     return _Kinematics(rotation, lever, axis, parent)
 
 
-def _inertial_regressor(robot: Robot, q: ca.SX, dq: ca.SX, ddq: ca.SX) -> ca.SX:
+@dataclass(frozen=True)
+class _Velocities:
+    """Per body, in its own frame: angular velocity and acceleration, and the origin's acceleration minus gravity."""
+
+    w: list[ca.SX]
+    dw: list[ca.SX]
+    acc: list[ca.SX]
+
+
+def _velocities(robot: Robot, kin: _Kinematics, dq: ca.SX, ddq: ca.SX) -> _Velocities:
     spread = _clean(robot.spread)
     v, a = ca.mtimes(spread, dq), ca.mtimes(spread, ddq)
-    kin = _kinematics(robot, q)
-    count = robot.model.nv
-    Y = ca.SX(count, 10 * count)
-    w: list[ca.SX] = []
-    dw: list[ca.SX] = []
-    acc: list[ca.SX] = []
+    out = _Velocities([], [], [])
     still, lift = ca.SX(3, 1), _clean(-np.array(robot.model.gravity.linear))
-    for i in range(count):
-        up, back = kin.parent[i], kin.rotation[i].T
-        w0, dw0, a0 = (still, still, lift) if up < 0 else (w[up], dw[up], acc[up])
+    for i, up in enumerate(kin.parent):
+        back = kin.rotation[i].T
+        w0, dw0, a0 = (still, still, lift) if up < 0 else (out.w[up], out.dw[up], out.acc[up])
         turn, slide = kin.axis[i]
         wp = ca.mtimes(back, w0)
-        w.append(wp + turn * v[i])
-        dw.append(ca.mtimes(back, dw0) + turn * a[i] + ca.cross(wp, turn) * v[i])
+        out.w.append(wp + turn * v[i])
+        out.dw.append(ca.mtimes(back, dw0) + turn * a[i] + ca.cross(wp, turn) * v[i])
         carried = a0 + ca.cross(dw0, kin.lever[i]) + ca.cross(w0, ca.cross(w0, kin.lever[i]))
-        acc.append(ca.mtimes(back, carried) + slide * a[i] + 2.0 * ca.cross(wp, slide) * v[i])
-        wrench = _body(w[i], dw[i], acc[i])
-        # Row j of the block is body i's wrench along axis j: the axes of all ancestors are carried to frame i.
-        angular, linear, j = turn, slide, i
-        R, p = ca.SX.eye(3), ca.SX(3, 1)  # frame i seen from frame j
-        while j >= 0:
-            turn_j, slide_j = kin.axis[j]
-            angular = ca.mtimes(R.T, turn_j)
-            linear = ca.mtimes(R.T, slide_j + ca.cross(turn_j, p))
-            Y[j, 10 * i : 10 * i + 10] = ca.mtimes(ca.vertcat(angular, linear).T, wrench)
-            p = kin.lever[j] + ca.mtimes(kin.rotation[j], p)
-            R = ca.mtimes(kin.rotation[j], R)
-            j = kin.parent[j]
-    return ca.mtimes(spread.T, Y)
+        out.acc.append(ca.mtimes(back, carried) + slide * a[i] + 2.0 * ca.cross(wp, slide) * v[i])
+    return out
+
+
+def _inertial_regressor(robot: Robot, kin: _Kinematics, motion: _Velocities) -> ca.SX:
+    """Block (j, i) is body i's 6x10 wrench map along the axis of joint j, for i itself and every ancestor j."""
+    count = robot.model.nv
+    Y = ca.SX(count, 10 * count)
+    carried: list[dict[int, Pair]] = []  # per body the axes of itself and its ancestors, in its frame
+    for i, up in enumerate(kin.parent):
+        back = kin.rotation[i].T
+        above = carried[up] if up >= 0 else {}
+        axes = {j: (ca.mtimes(back, turn), ca.mtimes(back, slide + ca.cross(turn, kin.lever[i]))) for j, (turn, slide) in above.items()}
+        axes[i] = kin.axis[i]
+        carried.append(axes)
+        wrench = _body(motion.w[i], motion.dw[i], motion.acc[i])
+        for j, (turn, slide) in axes.items():
+            Y[j, 10 * i : 10 * i + 10] = ca.mtimes(ca.vertcat(turn, slide).T, wrench)
+    return ca.mtimes(_clean(robot.spread).T, Y)
+
+
+def _inverse_dynamics(robot: Robot, kin: _Kinematics, motion: _Velocities, phi: ca.SX) -> ca.SX:
+    """Torque of bodies with inertial parameters `phi`, ten a body: the regressor times phi, at the cost of one recursion."""
+    torque = ca.SX(robot.model.nv, 1)
+    moments, forces = [], []
+    for i, (w, dw, acc) in enumerate(zip(motion.w, motion.dw, motion.acc, strict=True)):
+        mass, h, inertia = phi[10 * i], phi[10 * i + 1 : 10 * i + 4], phi[10 * i + 4 : 10 * i + 10]
+        forces.append(mass * acc + ca.cross(dw, h) + ca.cross(w, ca.cross(w, h)))
+        moments.append(ca.mtimes(_lever(dw), inertia) + ca.cross(w, ca.mtimes(_lever(w), inertia)) + ca.cross(h, acc))
+    for i in reversed(range(len(forces))):
+        turn, slide = kin.axis[i]
+        torque[i] = ca.dot(turn, moments[i]) + ca.dot(slide, forces[i])
+        if (up := kin.parent[i]) >= 0:
+            force = ca.mtimes(kin.rotation[i], forces[i])
+            forces[up] += force
+            moments[up] += ca.mtimes(kin.rotation[i], moments[i]) + ca.cross(kin.lever[i], force)
+    return ca.mtimes(_clean(robot.spread).T, torque)
 
 
 def functions(robot: Robot, parameters: Parameters) -> Functions:
     """Build the functions of one sample that the optimiser needs, all with exact derivatives."""
     n = robot.n
     q, dq, ddq = (ca.SX.sym(name, n) for name in ("q", "dq", "ddq"))
-    columns = {
-        "rotor_inertia": ca.diag(ddq),
-        "viscous": ca.diag(dq),
-        "coulomb": ca.diag(ca.tanh(dq / COULOMB_WIDTH)),
-        "offset": ca.SX.eye(n),
-    }
-    Y = ca.horzcat(_inertial_regressor(robot, q, dq, ddq), *[columns[kind] for kind in parameters.drive])
-    seed = ca.SX.sym("seed", parameters.count, n)
     state = ca.vertcat(q, dq, ddq)
+    columns = {"rotor_inertia": ddq, "viscous": dq, "coulomb": ca.tanh(dq / COULOMB_WIDTH), "offset": ca.SX.ones(n)}
+    kin = _kinematics(robot, q)
+    motion = _velocities(robot, kin, dq, ddq)
+    Y = ca.horzcat(_inertial_regressor(robot, kin, motion), *[ca.diag(columns[kind]) for kind in parameters.drive])
+    seed, weight, pick = ca.SX.sym("seed", parameters.count, n), ca.SX.sym("weight", parameters.count), ca.SX.sym("pick", n)
     gradient = ca.jtimes(ca.vec(Y.T), state, ca.vec(seed), True)
-    weight = ca.SX.sym("weight", parameters.count)
-    rows = []
-    for j in range(n):
-        row = ca.gradient(ca.mtimes(Y[j, :], weight), state)
-        rows.append(ca.Function(f"row{j}", [q, dq, ddq, weight], [ca.densify(row)]))
-    return Functions(
-        regressor=ca.Function("regressor", [q, dq, ddq], [ca.densify(Y.T)]),
-        adjoint=ca.Function("adjoint", [q, dq, ddq, seed], [ca.densify(g) for g in ca.vertsplit(gradient, n)]),
-        rows=tuple(rows),
-    )
+    torque = _inverse_dynamics(robot, kin, motion, weight)
+    for kind in parameters.drive:
+        torque += columns[kind] * weight[parameters.block(kind)]
+    along = ca.gradient(ca.dot(pick, torque), state)
+    regressor = ca.Function("regressor", [q, dq, ddq], [ca.densify(Y.T)])
+    adjoint = ca.Function("adjoint", [q, dq, ddq, seed], [ca.densify(g) for g in ca.vertsplit(gradient, n)])
+    row = ca.Function("row", [q, dq, ddq, weight, pick], [ca.densify(g) for g in ca.vertsplit(along, n)])
+    return Functions(regressor, adjoint, row, compiled.library((regressor, adjoint, row)))
 
 
 def position(robot: Robot, frame: str) -> ca.Function:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import os
 
+os.environ["EXCITE_COMPILER"] = ""  # the tests' many robots are not worth compiling; test_compiled.py does
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # two test processes on two cores; before numpy is imported
 
 import tempfile

@@ -15,8 +15,8 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # Each layer may import from itself and from the ones before it.
 LAYERS = (
     {"__init__", "errors", "urdf", "robot", "limits", "trajectory", "motion"},
-    {"parameters", "structure", "dynamics", "symbolic", "base", "criteria", "problem", "checks"},
-    {"evaluate", "start", "solver", "design", "ramps", "wording", "scenarios", "identifiability", "recording", "artefact"},
+    {"parameters", "structure", "dynamics", "compiled", "symbolic", "base", "criteria", "problem", "checks"},
+    {"evaluate", "start", "subproblem", "solver", "design", "ramps", "wording", "scenarios", "identifiability", "recording", "artefact"},
     {"verify", "export", "report", "files", "workflow"},
     {"commands", "cli"},
 )

@@ -121,7 +121,8 @@ def _echelon(unit: Array, rank: int) -> tuple[Array, Array]:
         import scipy.linalg  # slow to import
 
         chosen = np.sort(scipy.linalg.qr(unit, mode="r", pivoting=True)[1][:rank])
-    coefficients = np.linalg.lstsq(unit[:, chosen], unit, rcond=None)[0]
+    orthonormal, triangular = np.linalg.qr(unit[:, chosen])
+    coefficients = np.linalg.solve(triangular, orthonormal.T @ unit)
     coefficients[np.abs(coefficients) < 1e-8] = 0.0
     coefficients[:, chosen] = np.eye(rank)
     return chosen, coefficients

@@ -99,12 +99,16 @@ def _design(commands: Commands) -> None:
         "--given", metavar="FILE", action="append", default=[], help="trajectory.json or recording whose information is already there"
     )
     group = sub.add_argument_group("motion")
-    group.add_argument("--harmonics", type=int, default=5, metavar="K", help="default %(default)s")
-    group.add_argument("--period", type=float, default=10.0, metavar="S", help="[s] (default %(default)s)")
+    group.add_argument("--time", type=float, metavar="S", help="robot time, ramps included [s]: choose the next four for it unless given")
+    group.add_argument("--harmonics", type=int, metavar="K", help="default 5, or chosen for --time")
+    group.add_argument("--period", type=float, metavar="S", help="[s] (default: from the limits: a sweep of the ranges at full speed)")
     group.add_argument("--optimise-period", metavar="MIN,MAX", help="let the period vary between these [s]")
     group.add_argument("--samples", type=int, metavar="N", help="the optimiser's grid over one period (default 20 per harmonic)")
-    group.add_argument("--periods", type=int, default=2, metavar="N", help="repeats in the motion (default %(default)s)")
+    group.add_argument("--periods", type=int, metavar="N", help="repeats in the motion (default 2, or what fits --time)")
     group.add_argument("--rate", type=float, default=100.0, metavar="HZ", help="rows a second in trajectory.csv (default %(default)s)")
+    group.add_argument(
+        "--validation", action="store_true", help="a second, different motion too, in DIR/validation, to judge the identified model by"
+    )
     group.add_argument(
         "--speed", type=float, default=1.0, metavar="F", help="play the motion at F times its speed, for a first careful run"
     )
@@ -121,6 +125,8 @@ def _design(commands: Commands) -> None:
     group.add_argument("--starts", type=int, default=2, metavar="N", help="random starts (default %(default)s)")
     group.add_argument("--seed", type=int, default=0, metavar="N", help="default %(default)s")
     group.add_argument("--jobs", type=int, default=-1, metavar="N", help="processes (default: one per core)")
+    group.add_argument("--backend", choices=("multiprocessing", "loky", "dask", "ray"), help="where starts run (default: processes here)")
+    group.add_argument("--cluster", metavar="ADDRESS", help="of a running Dask scheduler (tcp://host:8786) or Ray head (ray://host:10001)")
     group.add_argument("--iterations", type=int, default=300, metavar="N", help="per start (default %(default)s)")
     group.add_argument("--force", action="store_true", help="write the files even when the certificate fails; they say so")
 

@@ -6,12 +6,13 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from . import artefact, base, criteria, dynamics, files, parameters, recording, scenarios, workflow
+from . import artefact, base, cluster, criteria, dynamics, files, parameters, plan, recording, scenarios, validation, workflow
 from . import export as exports
 from . import identifiability as identifiable
 from . import limits as limit_tables
@@ -19,11 +20,13 @@ from . import verify as certificates
 from .criteria import Criterion
 from .errors import CheckFailed, UnusableInput
 from .limits import Limits
+from .overlap import Apart
 from .parameters import Parameters
 from .problem import Box, Options, noise_levels
 from .report.record import DesignRecord
 from .robot import Payload, Robot, builtin_names, load
 from .trajectory import Samples
+from .validation import Validation
 
 Array = np.ndarray
 Outcome = tuple[int, Any, str]
@@ -98,6 +101,7 @@ def _box(text: str) -> Box:
 
 
 def _options(arguments: argparse.Namespace, robot: Robot) -> Options:
+    """What the user chose, but for the motion, which is the plan's matter."""
     free = _floats("--optimise-period", arguments.optimise_period, (2,)) if arguments.optimise_period else None
     if free is not None and not 0.0 < free[0] < free[1]:
         raise UnusableInput(f"--optimise-period {arguments.optimise_period}: should be MIN,MAX with 0 < MIN < MAX")
@@ -108,11 +112,7 @@ def _options(arguments: argparse.Namespace, robot: Robot) -> Options:
         criterion=Criterion(arguments.criterion),
         plain=arguments.plain,
         drive=_drive(arguments),
-        harmonics=arguments.harmonics,
-        period=arguments.period,
         free_period=None if free is None else (free[0], free[1]),
-        samples=20 * max(arguments.harmonics, 3) if arguments.samples is None else arguments.samples,
-        periods=arguments.periods,
         rate=arguments.rate,
         uncertainty=arguments.uncertainty,
         noise=_noise(arguments, robot),
@@ -156,47 +156,68 @@ def robots(arguments: argparse.Namespace) -> Outcome:
 
 
 def design(arguments: argparse.Namespace) -> Outcome:
-    """Design, certify, export and report."""
+    """Design, certify, export and report, with the starts where `--backend` sends them."""
+    with cluster.backend(arguments.backend, arguments.cluster):
+        return _design(arguments)
+
+
+def _design(arguments: argparse.Namespace) -> Outcome:
     robot = _robot(arguments)
     table = _limits(arguments, robot)
-    options = _options(arguments, robot)
+    wish = plan.Wish(arguments.period, arguments.harmonics, arguments.samples, arguments.periods)
+    options = wish.fill(_options(arguments, robot), table)
     start = None if not arguments.start else np.array(_floats("--start", arguments.start, (robot.n,)))
     standard = parameters.standard(robot, table, options.drive) if arguments.given else None
     earlier = _given(arguments.given, robot, standard, noise_levels(table, options.noise)) if standard is not None else None
     given = None if earlier is None else earlier.T @ earlier
-    notes = {"parameters": arguments.parameters, "given": list(arguments.given), "speed": arguments.speed}
+    notes = {"parameters": arguments.parameters, "given": list(arguments.given), "speed": arguments.speed, "chosen": wish.open}
     if arguments.torque_noise is None:
         notes["torque_noise_source"] = "1 % of each torque limit (default)"
-    delivery = workflow.run(
-        robot, table, options, start=start, given=given, notes=notes, force=arguments.force, speed=arguments.speed, progress=_say
+    planned = None if arguments.time is None else plan.budgeted(robot, table, options, wish, arguments.time, start=start, given=given)
+    if planned is not None:
+        notes["plan"] = planned.facts()
+    run = partial(
+        workflow.run, robot, table, start=start, given=given, notes=notes, force=arguments.force, speed=arguments.speed, progress=_say
     )
-    document, contents = workflow_files(delivery, robot, arguments.threshold, earlier)
+
+    def deliver(apart: Apart | None = None) -> workflow.Delivery:
+        one = partial(run, apart=apart)
+        return one(options) if planned is None else plan.deliver(planned, options, one)
+
+    delivery = deliver()
+    second = validation.second(delivery, robot, deliver) if arguments.validation else None
+    document, contents = workflow_files(delivery, robot, arguments.threshold, earlier, second)
+    document |= {"plan": planned.document()} if planned is not None else {}
     written = files.write_all(Path(arguments.out), contents)
     document["files"] = [str(path) for path in written]
-    return (0 if delivery.certificate.ok else 1), document, _design_text(delivery, document, written)
+    more = [one.words() for one in (planned, second) if one is not None]
+    return (0 if document["ok"] else 1), document, _design_text(delivery, document, more, written)
 
 
 def workflow_files(
-    delivery: workflow.Delivery, robot: Robot, threshold: float, earlier: Array | None = None
+    delivery: workflow.Delivery, robot: Robot, threshold: float, earlier: Array | None = None, second: Validation | None = None
 ) -> tuple[dict[str, Any], dict[str, str]]:
-    """The `--json` document of a design and the four files' contents. earlier: root of the information already given."""
+    """The `--json` document of a design and its files' contents.
+
+    earlier: root of the information already given. second: the validation motion, in a folder of its own.
+    """
     from . import report
 
-    trajectory = delivery.trajectory
+    trajectory = delivery.trajectory if second is None else second.noted(delivery.trajectory)
     standard, found = delivery.design.setting.problem.parameters, delivery.design.setting.base
     samples = trajectory.motion.samples(trajectory.motion.grid(trajectory.rate))
     root = identifiable.information_root(robot, standard, samples, trajectory.noise)
     known = root if earlier is None else np.vstack([root, earlier])
     analysis = identifiable.analyse_root(standard, found, known, trajectory.noise, robot, threshold=threshold, samples=len(samples))
     cases = _cases(robot, standard, found, trajectory, threshold, earlier)
-    record = _record(delivery)
-    job = exports.sheet.Job(trajectory, trajectory.motion, "csv", Path("trajectory.csv"), 1.0, None, _torque(robot, standard))
+    record, other = _record(delivery), None if second is None else second.trajectory
     contents = {
-        "trajectory.json": artefact.dumps(trajectory.document()),
-        "trajectory.csv": exports.table.write_csv(job).text,
+        **_motion_files(trajectory, robot, standard),
         "identifiability.json": artefact.dumps(analysis.document()),
-        "report.html": report.design_page(trajectory, robot, standard, found, analysis, record, cases=cases),
+        "report.html": report.design_page(trajectory, robot, standard, found, analysis, record, cases=cases, second=other),
     }
+    if other is not None:
+        contents |= {f"{validation.FOLDER}/{name}": text for name, text in _motion_files(other, robot, standard).items()}
     directions = analysis.document()["directions"]
     document = {
         "ok": delivery.certificate.ok,
@@ -210,7 +231,15 @@ def workflow_files(
         "collision": trajectory.collision,
         "duration": trajectory.motion.duration,
     }
+    if second is not None:
+        document["validation"] = second.document()
+        document["ok"] = delivery.certificate.ok and second.delivery.certificate.ok
     return document, contents
+
+
+def _motion_files(trajectory: artefact.Trajectory, robot: Robot, standard: Parameters) -> dict[str, str]:
+    job = exports.sheet.Job(trajectory, trajectory.motion, "csv", Path("trajectory.csv"), 1.0, None, _torque(robot, standard))
+    return {"trajectory.json": artefact.dumps(trajectory.document()), "trajectory.csv": exports.table.write_csv(job).text}
 
 
 def _cases(
@@ -245,7 +274,7 @@ def _record(delivery: workflow.Delivery) -> DesignRecord:
     return DesignRecord(starts=starts, chosen=0, timing=delivery.timing)
 
 
-def _design_text(delivery: workflow.Delivery, document: dict[str, Any], written: Sequence[Path]) -> str:
+def _design_text(delivery: workflow.Delivery, document: dict[str, Any], more: Sequence[str], written: Sequence[Path]) -> str:
     trajectory, certificate = delivery.trajectory, delivery.certificate
     chosen, plain = Criterion(trajectory.design["criterion"]), bool(trajectory.design["plain"])
     values = [criteria.pick(trajectory.criteria[part], chosen, plain=plain) for part in ("optimum", "exported")]
@@ -255,6 +284,7 @@ def _design_text(delivery: workflow.Delivery, document: dict[str, Any], written:
         f"{kind}{chosen.value}: {values[0]:.6g} per sample of the periodic part, {values[1]:.6g} of the whole motion",
         f"{trajectory.motion.duration:.2f} s: {' → '.join(s.kind for s in trajectory.motion.segments)}",
         _verdict(certificate),
+        *more,
         f"designed in {delivery.timing['total']:.1f} s",
         *(f"wrote {path}" for path in written),
     ]

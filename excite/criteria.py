@@ -29,6 +29,8 @@ class Criterion(Enum):
 
 
 MAXIMISED = (Criterion.D, Criterion.E)
+NARROW = 1e-6
+"""Spectra narrower than this keep ten digits when the matrix is squared."""
 
 
 @dataclass(frozen=True)
@@ -37,14 +39,33 @@ class Weighting:
 
     columns: W, information is Wᵀ (Σ Yᵀ Σ⁻¹ Y) W. Shape (P, p).
     noise: standard deviation of torque per joint. Shape (n,) [N m].
+    support: per joint the parameters its torque can depend on, its descendants' and its own drive's; None for all.
     """
 
     columns: Array
     noise: Array
+    support: tuple[Array, ...] | None = None
 
     def rows(self, Y: Array) -> Array:
-        """A with AᵀA the mean information per sample. Shapes (N, n, P) -> (N n, p)."""
-        out: Array = (Y / (np.sqrt(len(Y)) * self.noise[:, None])).reshape(-1, Y.shape[2]) @ self.columns
+        """A with AᵀA the mean information per sample. Shapes (N, n, P) -> (n N, p), joint by joint."""
+        samples, joints, count = Y.shape
+        scale = 1.0 / (np.sqrt(samples) * self.noise)
+        if self.support is None:
+            return np.ascontiguousarray(np.swapaxes(Y, 0, 1) * scale[:, None, None]).reshape(-1, count) @ self.columns
+        out = np.empty((joints, samples, self.columns.shape[1]))
+        for j, seen in enumerate(self.support):
+            np.matmul(Y[:, j, seen], scale[j] * self.columns[seen], out=out[j])
+        return out.reshape(joints * samples, -1)
+
+    def seed(self, Y: Array, slope: Array) -> Array:
+        """Gradient with respect to Y of a function of AᵀA whose gradient is `slope`. Shapes (N, n, P), (p, p) -> (N, n, P)."""
+        kernel = self.columns @ slope @ self.columns.T
+        factor = 2.0 / (len(Y) * self.noise**2)
+        if self.support is None:
+            return (Y @ kernel) * factor[:, None]
+        out = np.zeros(Y.shape)
+        for j, seen in enumerate(self.support):
+            out[:, j, seen] = Y[:, j, seen] @ (factor[j] * kernel[np.ix_(seen, seen)])
         return out
 
     def root(self, given: Array) -> Array:
@@ -74,16 +95,29 @@ def value(criterion: Criterion, spectrum: Array) -> float:
     return float(np.sqrt(high / low)) if criterion is Criterion.COND_REGRESSOR else high / low
 
 
+def _spectrum(rows: Array) -> tuple[Array, Array]:
+    """Eigenvalues and vectors of AᵀA; from A itself where directions are seen so unequally that its square loses digits."""
+    square = rows.T @ rows
+    try:
+        pivots = np.diag(np.linalg.cholesky(square)) ** 2
+    except np.linalg.LinAlgError:
+        pivots = np.zeros(1)
+    if pivots.min() > NARROW * pivots.max():  # cheap, and hardly ever wrong; the eigenvalues have the last word
+        values, vectors = np.linalg.eigh(square)
+        if values[0] > NARROW * values[-1]:
+            return values, vectors
+    _, singular, right = np.linalg.svd(np.linalg.qr(rows, mode="r"))
+    return np.maximum(singular**2, 1e-28 * singular[0] ** 2), right.T
+
+
 def smooth(criterion: Criterion, rows: Array, sharpness: float) -> tuple[float, Array]:
     """A smooth function of the information AᵀA to minimise, and its gradient with respect to that matrix.
 
-    rows: A. Shape (m, p), m ≥ p. Its singular values are taken, not the product's eigenvalues, which would lose half
-        of the digits where directions are seen very unequally.
+    rows: A. Shape (m, p), m ≥ p.
     sharpness: ρ, how closely the extreme eigenvalues are followed by E and the condition numbers; as it
         grows the value tends to log(1/e), log cond or log cond². A (log a) and D (−d/p) are exact.
     """
-    _, singular, right = np.linalg.svd(np.linalg.qr(rows, mode="r"))
-    values, vectors = np.maximum(singular**2, 1e-28 * singular[0] ** 2), right.T
+    values, vectors = _spectrum(rows)
     logs = np.log(values)
     if criterion is Criterion.D:
         return -float(np.mean(logs)), -(vectors / (values * len(values))) @ vectors.T

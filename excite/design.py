@@ -4,39 +4,25 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import joblib
 import numpy as np
 import threadpoolctl
 
 from . import base as base_parameters
-from . import criteria, parameters, problem, solver, start
+from . import criteria, parameters, problem, solver, start, starts
 from .base import Base
 from .criteria import Criterion
 from .errors import ExciteError, UnusableInput
 from .evaluate import Evaluator
 from .limits import Limits
+from .overlap import Apart
 from .problem import Options, Problem
 from .robot import Robot
+from .starts import Attempt, Progress
 from .trajectory import Fourier
 
 Array = np.ndarray
-Progress = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class Attempt:
-    """One start: its number, the motion it found, the smooth objective there, and its history (times since `built`)."""
-
-    number: int
-    motion: Fourier
-    objective: float
-    time: tuple[float, ...]
-    values: tuple[float, ...]
-    worst: tuple[float, ...]
-    stage: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -111,8 +97,8 @@ def whole_samples(period: float, rate: float) -> int:
     return round(count)
 
 
-def prepare(robot: Robot, limits: Limits, options: Options, given: Array | None = None) -> Setting:
-    """Build the problem. given: information of earlier recordings in standard parameters. Shape (P, P)."""
+def prepare(robot: Robot, limits: Limits, options: Options, given: Array | None = None, apart: Apart | None = None) -> Setting:
+    """Build the problem. given: information of earlier recordings in standard parameters. Shape (P, P). apart: see Problem."""
     check(options)
     if options.free_period is not None:
         options = dataclasses.replace(options, period=float(np.clip(options.period, *options.free_period)))
@@ -126,7 +112,7 @@ def prepare(robot: Robot, limits: Limits, options: Options, given: Array | None 
     weights = criteria.weighting(options.criterion, found, noise, plain=options.plain)
     count = options.periods * options.period * options.rate
     root = None if given is None else weights.root(given / count)
-    built = problem.build(robot, limits, standard, weights, options, root)
+    built = dataclasses.replace(problem.build(robot, limits, standard, weights, options, root), apart=apart)
     return Setting(built, found, noise, time.perf_counter())
 
 
@@ -136,47 +122,14 @@ def solve(setting: Setting, progress: Progress | None = None) -> Design:
     Raises Infeasible or UnusableInput when no pose can be held under the limits.
     """
     options = setting.problem.options
-    tasks = (joblib.delayed(_attempt)(setting, number) for number in range(options.starts))
-    if options.starts == 1:
-        results: Sequence[Attempt | ExciteError] = [_attempt(setting, 0)]
-    else:
-        results = []
-        jobs = joblib.Parallel(n_jobs=min(options.jobs, options.starts) if options.jobs > 0 else options.jobs, return_as="generator")
-        for result in jobs(tasks):
-            results = [*results, result]
-            if progress is not None and isinstance(result, Attempt):
-                progress(f"start {len(results)}/{options.starts}: objective {result.objective:.4f}")
+    # a second motion's starts are numbered on from the first's, so that they have random streams of their own
+    first = 0 if setting.problem.apart is None else options.starts
+    results = starts.run(setting.problem, setting.built, range(first, first + options.starts), progress)
     attempts = [r for r in results if isinstance(r, Attempt)]
     if not attempts:
         raise next(r for r in results if isinstance(r, ExciteError))
-    attempts.sort(key=lambda a: (a.objective, a.number))
     design = Design(setting, tuple(attempts))
     return _fixed_period(design) if options.free_period is not None else design
-
-
-def _attempt(setting: Setting, number: int) -> Attempt | ExciteError:
-    """One start, from its own random stream; an error that names limits comes back as a value, out of any process."""
-    rng = np.random.default_rng([setting.problem.options.seed, number])
-    with threadpoolctl.threadpool_limits(1):  # the same sums in the same order, whatever the number of processes
-        evaluator = Evaluator(setting.problem)
-        history = solver.History(began=setting.built)
-        try:
-            held = start.poses(evaluator, rng)
-        except ExciteError as error:
-            return error
-        pose = held[rng.integers(min(len(held), 1 + len(held) // 4))]
-        x = start.motion(evaluator, pose, rng)
-        return _refine(setting.problem, evaluator, x, history, number)
-
-
-def _refine(built: Problem, evaluator: Evaluator, x: Array, history: solver.History, number: int) -> Attempt:
-    sharpness = solver.stages(built.options.criterion)
-    history.add(evaluator.objective(x, sharpness[-1])[0], evaluator.worst(x), len(sharpness) - 1 if len(sharpness) == 1 else 0)
-    x = solver.solve(evaluator, x, history)
-    objective = evaluator.objective(x, sharpness[-1])[0]
-    return Attempt(
-        number, built.fourier(x), objective, tuple(history.time), tuple(history.objective), tuple(history.worst), tuple(history.stage)
-    )
 
 
 def improve(setting: Setting, motion: Fourier, number: int = 0) -> Attempt:
@@ -191,7 +144,7 @@ def improve(setting: Setting, motion: Fourier, number: int = 0) -> Attempt:
                 break
         else:  # its middle pose can't be held, say: the solver finds its own way back
             drawn = x
-        return _refine(setting.problem, evaluator, drawn, solver.History(began=setting.built), number)
+        return starts.refine(evaluator, drawn, setting.built, number)
 
 
 def _fixed_period(design: Design) -> Design:
@@ -222,4 +175,4 @@ def tightened(setting: Setting, limits: Limits, reserve: float) -> Setting:
     """The same problem with a larger reserve on curved limits, for when the certificate finds a gap between samples."""
     p = setting.problem
     rebuilt = problem.build(p.robot, limits, p.parameters, p.weighting, p.options, p.given, reserve, p.functions)
-    return dataclasses.replace(setting, problem=rebuilt)
+    return dataclasses.replace(setting, problem=dataclasses.replace(rebuilt, apart=p.apart))

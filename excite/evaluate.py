@@ -105,8 +105,13 @@ class Evaluator:
         rows = weights.rows(Y)
         stacked = rows if problem.given is None else np.vstack([rows, problem.given])
         value, slope = criteria.smooth(problem.options.criterion, stacked, sharpness)
-        seed = (2.0 * (rows @ slope) @ weights.columns.T).reshape(Y.shape) / (np.sqrt(len(Y)) * weights.noise[:, None])
-        return value, self._pull_back(x, point, self._adjoint(*point.motion[:3], seed))
+        gradients = self._adjoint(*point.motion[:3], weights.seed(Y, slope))
+        if problem.apart is not None:
+            overlap, by_q, by_dq = problem.apart.overlap(*point.motion[:2])
+            price = problem.apart.weight
+            value += price * overlap
+            gradients = [gradients[0] + price * by_q, gradients[1] + price * by_dq, *gradients[2:]]
+        return value, self._pull_back(x, point, gradients)
 
     def _pull_back(self, x: Array, point: _Point, gradients: list[Array]) -> Array:
         p = self.problem
@@ -169,8 +174,7 @@ class Evaluator:
             nominal = Y @ self._nominal
             width = np.zeros_like(nominal)
             if p.options.uncertainty:
-                Z = Y.reshape(-1, Y.shape[2]) @ p.parameters.scale
-                width = np.sqrt(np.einsum("rp,rp->r", Z, Z) + 1e-18).reshape(nominal.shape)
+                width = np.sqrt(p.parameters.norms(Y.reshape(-1, Y.shape[2])) + 1e-18).reshape(nominal.shape)
             point.spread = nominal, width
         return point.spread[0], self.problem.options.uncertainty * point.spread[1]
 

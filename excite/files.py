@@ -11,7 +11,7 @@ from .errors import UnusableInput
 
 
 def write_all(folder: Path, contents: Mapping[str, str]) -> list[Path]:
-    """Write several text files into a folder: all are complete before the first takes its name.
+    """Write several text files into a folder, or folders in it: all are complete before the first takes its name.
 
     Raises UnusableInput when the folder cannot be made or written.
     """
@@ -19,13 +19,15 @@ def write_all(folder: Path, contents: Mapping[str, str]) -> list[Path]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in contents.items():
-            handle, temporary = tempfile.mkstemp(dir=folder, prefix=f".{name}.")
-            staged.append((temporary, folder / name))
+            final = folder / name
+            final.parent.mkdir(exist_ok=True)
+            handle, temporary = tempfile.mkstemp(dir=final.parent, prefix=f".{final.name}.")
+            staged.append((temporary, final))
             with os.fdopen(handle, "w", encoding="utf-8", newline="") as stream:
                 stream.write(text)
             os.chmod(temporary, 0o644)
-        for temporary, final in staged:
-            os.replace(temporary, final)
+        for temporary, target in staged:
+            os.replace(temporary, target)
     except OSError as error:
         for temporary, _ in staged:
             Path(temporary).unlink(missing_ok=True)

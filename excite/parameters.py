@@ -60,6 +60,14 @@ class Parameters:
         """Number of bodies with ten inertial parameters each."""
         return len(self.links)
 
+    def norms(self, rows: Array) -> Array:
+        """y G₀⁻¹ yᵀ of each row y, block by block. Shapes (m, P) -> (m,)."""
+        edge = 10 * self.bodies
+        blocks = np.stack([self.scale[i : i + 10, i : i + 10] for i in range(0, edge, 10)])
+        bodies = np.swapaxes(rows[:, :edge].reshape(len(rows), self.bodies, 10), 0, 1) @ blocks
+        drive = rows[:, edge:] * np.diag(self.scale)[edge:]
+        return np.einsum("bri,bri->r", bodies, bodies) + np.einsum("ri,ri->r", drive, drive)
+
     def coulomb(self) -> Array:
         """Nominal Coulomb friction per joint [N m]; 0 where the model has none. Shape (n,)."""
         return self.nominal[self.block("coulomb")] if "coulomb" in self.drive else np.zeros(len(self.joints))

@@ -11,6 +11,7 @@ import numpy as np
 from . import symbolic
 from .criteria import Criterion, Weighting
 from .limits import Braking, Limits
+from .overlap import Apart
 from .parameters import Parameters
 from .robot import Robot
 from .symbolic import Functions
@@ -69,6 +70,7 @@ class Problem:
         per sample of the motion to come. Shape (p, p).
     scale: size of one unit of each variable: coefficients (a, b, offset) per joint. Shape (n, 2K+1).
     functions: the dynamics and their derivatives.
+    apart: a motion to keep apart from, at a price added to the objective, or None.
     """
 
     robot: Robot
@@ -80,6 +82,7 @@ class Problem:
     options: Options
     scale: Array
     functions: Functions
+    apart: Apart | None = None
 
     @property
     def size(self) -> int:
@@ -139,7 +142,9 @@ def build(
     reach = np.where(bounded, half, np.pi)
     speed = np.minimum(limits.velocity, reach * 2.0 * np.pi / options.period)[:, None] / np.sqrt(harmonics)
     scale = np.column_stack([speed, speed, reach])
-    return Problem(robot, parameters, shrunk, boxes, weighting, given, options, scale, functions or symbolic.functions(robot, parameters))
+    functions = functions or symbolic.functions(robot, parameters)
+    weighting = dataclasses.replace(weighting, support=functions.support)
+    return Problem(robot, parameters, shrunk, boxes, weighting, given, options, scale, functions)
 
 
 def _earlier(brake: Braking, reserve: float) -> Braking:

@@ -6,6 +6,8 @@ the rows ever bind, so they join as a step breaks them.
 
 from __future__ import annotations
 
+import threading
+
 import casadi as ca
 import numpy as np
 
@@ -47,14 +49,21 @@ class _Program:
         return self.found["x"].copy(), self.found["lam_a"][:count].copy()
 
 
-_PROGRAMS: dict[tuple[str, int, int], _Program] = {}
+class _Kept(threading.local):
+    """Solvers by kind and size; each thread has its own, because a call writes into the solver's memory."""
+
+    def __init__(self) -> None:
+        self.programs: dict[tuple[str, int, int], _Program] = {}
+
+
+_KEPT = _Kept()
 
 
 def _program(plugin: str, size: int, rows: int) -> _Program:
-    key = (plugin, size, PAD * (1 + rows // PAD))  # few distinct sizes: solvers are kept
-    if key not in _PROGRAMS:
-        _PROGRAMS[key] = _Program(*key)
-    return _PROGRAMS[key]
+    key = (plugin, size, PAD * (1 + rows // PAD))  # few distinct sizes
+    if key not in _KEPT.programs:
+        _KEPT.programs[key] = _Program(*key)
+    return _KEPT.programs[key]
 
 
 def solve(B: Array, g: Array, J: Array, room: Array, lower: Array, upper: Array) -> tuple[Array, Array]:

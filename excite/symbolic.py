@@ -27,12 +27,14 @@ class Functions:
     adjoint: (q, dq, ddq, Ȳᵀ) -> gradients of ⟨Ȳ, Y⟩ with respect to q, dq, ddq; one reverse sweep.
     row: (q, dq, ddq, w (P,), s (n,)) -> gradients of sᵀ Y w with respect to q, dq, ddq, for torque limits row by row.
     library: where their C is compiled, or will be.
+    support: per joint the columns of Y that can differ from 0.
     """
 
     regressor: ca.Function
     adjoint: ca.Function
     row: ca.Function
     library: Path | None
+    support: tuple[np.ndarray, ...]
 
 
 def _rotate(axis: np.ndarray, angle: ca.SX) -> ca.SX:
@@ -174,7 +176,8 @@ def functions(robot: Robot, parameters: Parameters) -> Functions:
     regressor = ca.Function("regressor", [q, dq, ddq], [ca.densify(Y.T)])
     adjoint = ca.Function("adjoint", [q, dq, ddq, seed], [ca.densify(g) for g in ca.vertsplit(gradient, n)])
     row = ca.Function("row", [q, dq, ddq, weight, pick], [ca.densify(g) for g in ca.vertsplit(along, n)])
-    return Functions(regressor, adjoint, row, compiled.library((regressor, adjoint, row)))
+    support = tuple(np.array(Y[j, :].sparsity().get_col(), int) for j in range(n))
+    return Functions(regressor, adjoint, row, compiled.library((regressor, adjoint, row)), support)
 
 
 def position(robot: Robot, frame: str) -> ca.Function:

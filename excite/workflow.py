@@ -13,11 +13,13 @@ import threadpoolctl
 from . import design, ramps, verify
 from .artefact import Trajectory, versions
 from .checks import Subject
-from .design import Design, Progress
+from .design import Design
 from .errors import CheckFailed, UnusableInput
 from .limits import Limits
+from .overlap import Apart
 from .problem import RESERVE, Options
 from .robot import Robot
+from .starts import Progress
 from .verify import Certificate
 
 Array = np.ndarray
@@ -46,6 +48,7 @@ def run(
     *,
     start: Array | None = None,
     given: Array | None = None,
+    apart: Apart | None = None,
     notes: dict[str, Any] | None = None,
     speed: float = 1.0,
     force: bool = False,
@@ -54,6 +57,7 @@ def run(
     """Design, smooth and certify a trajectory.
 
     start: pose at which the motion begins and ends at rest, or None. given: information of earlier recordings.
+    apart: another motion that this one should keep apart from, for validation.
     notes: further facts for the file's `design` entry. speed: the motion is delivered at this share of the speed it was
     designed for. Raises CheckFailed when the certificate fails and `force` is
     not set, Infeasible when no motion or ramp obeys the limits, UnusableInput for options that contradict themselves.
@@ -64,7 +68,7 @@ def run(
         raise UnusableInput(f"--speed {speed:g} should be above 0 and at most 1")
     if options.free_period is None:
         design.whole_samples(options.period / speed, options.rate)
-    setting = design.prepare(robot, limits, options, given)
+    setting = design.prepare(robot, limits, options, given, apart)
     say(f"{robot.name}: {robot.n} joints, {setting.base.count} base parameters")
     found = design.solve(setting, progress)
     timing = {"build": setting.built - begun, **found.timing()}

@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from excite import artefact, files, limits, robot, workflow
+from excite import artefact, files, limits, plan, robot, workflow
 from excite.problem import Options
 
 FOLDER = Path(__file__).resolve().parent.parent / "trajectories"
@@ -19,7 +19,9 @@ def main() -> None:
     arguments = parser.parse_args()
     for name in arguments.robots:
         machine = robot.load(name)
-        delivery = workflow.run(machine, limits.resolve(machine), Options(starts=4), progress=lambda text: print(text, file=sys.stderr))
+        table = limits.resolve(machine)
+        options = plan.Wish().fill(Options(starts=4), table)
+        delivery = workflow.run(machine, table, options, progress=lambda text: print(text, file=sys.stderr))
         written = files.write_all(arguments.out, {f"{name}.json": artefact.dumps(delivery.trajectory.document())})
         value = delivery.trajectory.criteria["optimum"]["geometric"]["a"]
         length, spent = delivery.trajectory.motion.duration, delivery.timing["total"]

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from excite import artefact, criteria, limits, robot, solver, verify, workflow
+from excite import artefact, criteria, limits, plan, robot, solver, verify, workflow
 from excite.criteria import Criterion
 from excite.errors import CheckFailed
 from excite.problem import Options
@@ -149,7 +149,7 @@ def run(row: Row, case: Case, source: str, options: Options) -> None:
     row.joints = moved.n
     own = HERE / "limits" / f"{case.name}.toml"
     table = limits.resolve(moved, own if own.is_file() and not is_builtin(source) else None)
-    delivery = workflow.run(moved, table, options, progress=lambda text: say(f"  {text}"))
+    delivery = workflow.run(moved, table, plan.Wish().fill(options, table), progress=lambda text: say(f"  {text}"))
     row.base_parameters, row.timing = delivery.design.setting.base.count, delivery.timing
     row.duration = delivery.trajectory.motion.duration
     row.start = first_feasible(delivery, options)

@@ -15,10 +15,10 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # Each layer may import from itself and from the ones before it.
 LAYERS = (
     {"__init__", "errors", "urdf", "robot", "limits", "trajectory", "motion"},
-    {"parameters", "structure", "dynamics", "compiled", "symbolic", "base", "criteria", "problem", "checks"},
-    {"evaluate", "start", "subproblem", "solver", "design", "ramps", "wording", "scenarios", "identifiability", "recording", "artefact"},
-    {"verify", "export", "report", "files", "workflow"},
-    {"commands", "cli"},
+    {"parameters", "structure", "dynamics", "compiled", "symbolic", "base", "criteria", "overlap", "problem", "checks"},
+    {"evaluate", "start", "subproblem", "solver", "starts", "design", "ramps", "wording", "scenarios", "identifiability", "recording", "artefact"},
+    {"verify", "export", "report", "files", "workflow", "plan", "validation"},
+    {"cluster", "commands", "cli"},
 )
 
 

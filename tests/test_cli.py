@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from excite import cli
+from excite.errors import UnusableInput
+from excite.files import write_all
 
 MODELS = Path(cli.__file__).parent / "models"
 QUICK = ["--starts", "1", "--iterations", "15", "--harmonics", "3", "--samples", "60"]
@@ -112,6 +114,60 @@ def test_identifiability_of_a_trajectory_and_of_a_recording_agree(capsys, design
     assert abs(counts[0] - counts[1]) <= 1
 
 
+@pytest.fixture(scope="module")
+def validated(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("validated")
+    assert cli.main(["design", "two_link", "-o", str(folder), "--validation", *QUICK, "--starts", "2"]) == 0
+    return folder
+
+
+def test_a_validation_motion_has_a_folder_of_its_own_and_is_certified(capsys, validated):
+    assert {p.name for p in (validated / "validation").iterdir()} == {"trajectory.json", "trajectory.csv"}
+    assert run(capsys, "verify", validated / "validation" / "trajectory.json")[0] == 0
+    first, second = (json.loads((folder / "trajectory.json").read_text()) for folder in (validated, validated / "validation"))
+    assert second["design"]["validates"] == "../trajectory.json"
+    assert first["design"]["validation"] == second["design"]["validation"]
+    assert first["sine"] != second["sine"] and first["seed"] == second["seed"]
+    assert 'id="validation"' in (validated / "report.html").read_text()
+
+
+def test_a_validation_motion_changes_nothing_of_the_first(validated, tmp_path):
+    assert cli.main(["design", "two_link", "-o", str(tmp_path), *QUICK, "--starts", "2"]) == 0
+    alone, first = (json.loads((folder / "trajectory.json").read_text()) for folder in (tmp_path, validated))
+    assert alone["sine"] == first["sine"] and "validation" not in alone["design"]
+
+
+def test_validation_in_json(capsys, tmp_path):
+    code, out, _ = run(capsys, "design", "two_link", "-o", tmp_path, "--validation", "--json", *QUICK)
+    facts = json.loads(out)["validation"]
+    assert code == 0 and facts["ok"] and 0.0 <= facts["overlap"] < 1.0 and facts["independent"] is None
+    assert set(facts["torque_correlation"]) == {"joint_1", "joint_2"} and set(facts["criterion"]) == {"first", "second"}
+    assert {"criteria", "duration", "margins", "timing"} <= set(facts)
+
+
+def test_time_bounds_the_whole_motion_and_shows_what_was_tried(capsys, tmp_path):
+    code, out, _ = run(capsys, "design", "two_link", "-o", tmp_path, "--time", "9", "--json", *QUICK[:4])
+    document = json.loads(out)
+    keys = {"period", "harmonics", "samples", "repeats", "robot_time", "value", "deviation", "seconds"}
+    assert code == 0 and document["duration"] <= 9.0
+    assert all(set(c) == keys for c in document["plan"]["candidates"])
+    assert 0 <= document["plan"]["chosen"] < len(document["plan"]["candidates"])
+    stated = json.loads((tmp_path / "trajectory.json").read_text())["design"]
+    assert "seconds" not in stated["plan"]["candidates"][0] and stated["chosen"] == ["period", "harmonics", "samples", "periods"]
+    assert 'id="plan"' in (tmp_path / "report.html").read_text()
+
+
+def test_the_text_names_plan_and_validation(capsys, tmp_path):
+    code, out, _ = run(capsys, "design", "two_link", "-o", tmp_path, "--time", "9", "--validation", *QUICK)
+    assert code == 0
+    assert "planned for 9 s: " in out and "validation: overlap 0." in out
+
+
+def test_the_period_follows_from_the_limits(designed):
+    document = json.loads((designed / "trajectory.json").read_text())
+    assert document["period"] == 5.2 and document["design"]["chosen"] == ["period", "periods"]
+
+
 def test_given_information_is_added(capsys, designed, tmp_path):
     code, _, err = run(capsys, "design", "two_link", "-o", tmp_path, "--given", designed / "trajectory.json", *QUICK)
     assert code == 0, err
@@ -188,6 +244,10 @@ def test_unreadable_urdf(capsys, tmp_path, text, words):
         (["two_link", "--period", "nan"], ("--period",)),
         (["two_link", "--start", "9,9"], ("start pose", "joint_1", "outside")),
         (["two_link", "--start", "0"], ("--start", "2")),
+        (["two_link", "--time", "2"], ("--time 2", "too short", "at least --time")),
+        (["two_link", "--time", "-3"], ("--time", "positive")),
+        (["two_link", "--time", "20", "--optimise-period", "2,5"], ("--time", "--optimise-period")),
+        (["two_link", "--harmonics", "0"], ("--harmonics", "positive")),
         (["two_link", "--harmonics", "40", "--samples", "60"], ("--samples", "harmonics")),
         (["two_link", "--periods", "1"], ("--periods", "2")),
         (["two_link", "--box", "tipp:0,1,0,1,0,1"], ("tipp", "tip")),
@@ -247,6 +307,15 @@ def test_a_changed_urdf_is_noticed(capsys, tmp_path):
 def test_an_output_that_cannot_be_written(capsys, tmp_path):
     (tmp_path / "file").write_text("")
     assert "cannot be written" in refused(capsys, "design", "two_link", "-o", tmp_path / "file", *QUICK)
+
+
+def test_files_of_a_command_appear_together_or_not_at_all(tmp_path):
+    write_all(tmp_path, {"a": "old"})
+    (tmp_path / "in the way").write_text("")
+    with pytest.raises(UnusableInput, match="cannot be written"):
+        write_all(tmp_path, {"a": "new", "in the way/b": "new"})
+    assert {p.name for p in tmp_path.iterdir()} == {"a", "in the way"} and (tmp_path / "a").read_text() == "old"
+    assert [p.relative_to(tmp_path) for p in write_all(tmp_path, {"a": "new", "sub/b": "new"})] == [Path("a"), Path("sub/b")]
 
 
 @pytest.mark.parametrize(

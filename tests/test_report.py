@@ -231,6 +231,55 @@ def test_identifiability_report(tmp_path: Path) -> None:
     assert path.read_text(encoding="utf-8") == page_of()
 
 
+def pair(source: str, independent: bool = True, overlap: float = 0.3, criterion: str = "a") -> str:
+    """A report with a second motion: the first, half a radian on and run faster."""
+    trajectory, *rest = parts(source)
+    series = trajectory.motion.fourier
+    moved = Fourier(1.2 * series.sine, series.cosine, series.offset + 0.5, series.period)
+    likeness = {"overlap": overlap, "torque_correlation": dict.fromkeys(trajectory.joints, 0.45)}
+    other = {**likeness, "overlap": 0.6} if independent else None
+    facts = {**likeness, "independent": other, "criterion": {"first": 100.0, "second": 104.0}, "width": 0.25, "weight": 0.5}
+    design = {**trajectory.design, "criterion": criterion, "validation": facts}
+    second = dataclasses.replace(trajectory, motion=dataclasses.replace(trajectory.motion, fourier=moved))
+    return design_page(dataclasses.replace(trajectory, design=design), *rest, record(), second=second)
+
+
+def test_a_validation_motion_is_compared() -> None:
+    page = pair("ur10e")
+    check_page(page)
+    text = answer(page, "validation")
+    assert text.startswith("Yes: the motions overlap by 0.30") and "comes to 0.60" in text and text.endswith("is 4 % worse.")
+    drawn = section(page, "validation")
+    assert drawn.count("stroke-linejoin") == 12 and all(joint in drawn for joint in parts("ur10e")[1].joints)
+    assert answer(pair("two_link", overlap=0.9), "validation").startswith("Only in part")
+    assert answer(pair("two_link", criterion="d"), "validation").endswith("is 4 better.")
+    alone = pair("two_link", independent=False)
+    check_page(alone)
+    assert "another start" not in section(alone, "validation")
+
+
+def test_a_validation_motion_of_many_joints(tmp_path: Path) -> None:
+    path = tmp_path / "chain.urdf"
+    path.write_text(chain(12), encoding="utf-8")
+    page = pair(str(path))
+    check_page(page)
+    assert "joint_3 (m)" in section(page, "validation")
+
+
+def test_a_plan_shows_what_was_tried() -> None:
+    trajectory, *rest = parts("two_link")
+    tried = [
+        {"period": t, "harmonics": k, "samples": 20 * k, "repeats": r, "robot_time": r * t + 1.0, "value": 30.0, "deviation": d}
+        for t, k, r, d in ((4.0, 5, 6, 1.2), (8.0, 10, 3, 1.0), (8.0, 6, 3, 1.03))
+    ]
+    for chosen, words in ((2, "6 harmonics they predict within 3.0 % of the least"), (1, "10 harmonics they predict the least")):
+        plan = {"budget": 25.0, "tolerance": 0.05, "candidates": tried, "chosen": chosen}
+        page = design_page(dataclasses.replace(trajectory, design={**trajectory.design, "plan": plan}), *rest, record())
+        check_page(page)
+        assert answer(page, "plan").startswith("Into 25 s fit 3 periods of 8 s") and words in answer(page, "plan")
+        assert "<svg" in section(page, "plan") and "+20.0" in section(page, "plan")
+
+
 def test_one_input_gives_one_file() -> None:
     assert design_page(*parts("two_link"), record()) == design_page(*parts("two_link"), record())
 

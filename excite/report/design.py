@@ -21,6 +21,7 @@ from .identifiability import headline, sections
 from .motion_figures import Scene
 from .origin import criteria_section, history_section, made_section
 from .page import Section, banner, cards, escape, figure, folded, meter, number, page, paragraph, plural, table
+from .pair import plan_section, validation_section
 from .record import DesignRecord
 
 _ROUNDING = 1e-9
@@ -61,8 +62,9 @@ def design_page(
     record: DesignRecord,
     *,
     cases: Sequence[Scenario] | None = None,
+    second: Trajectory | None = None,
 ) -> str:
-    """The report of a design as HTML. cases: what `what_would_help` found; None: computed here."""
+    """The report of a design as HTML. cases: what `what_would_help` found; None: computed here. second: for validation."""
     subject = Design(trajectory, robot, parameters, base, identifiability, record)
     if cases is None:
         cases = what_would_help(
@@ -74,6 +76,8 @@ def design_page(
         torque_section(subject),
         *sections(identifiability, parameters, cases),
         path_section(subject),
+        *([] if second is None else [validation_section(trajectory, second, robot)]),
+        *([plan_section(trajectory.design["plan"])] if "plan" in trajectory.design else []),
         history_section(record),
         criteria_section(trajectory),
         made_section(trajectory, robot, parameters, record),

@@ -136,7 +136,7 @@ def made_section(trajectory: Trajectory, robot: Robot, parameters: Parameters, r
         "seed": str(trajectory.seed),
         "versions": ", ".join(f"{k} {v}" for k, v in trajectory.versions.items()),
     }
-    facts |= {str(key).replace("_", " "): _words(value) for key, value in design.items() if key not in ("drive",)}
+    facts |= {str(key).replace("_", " "): _words(value) for key, value in design.items() if key not in ("drive", "plan", "validation")}
     body = table(("what", "value"), [(escape(k), escape(v or "–")) for k, v in facts.items()])
     body += "<h3>Limits, where each came from, and torque noise</h3>" + _limits_table(trajectory)
     body += paragraph(f"Torque noise: {_noise_source(trajectory)}. It scales every predicted variance.", "note")

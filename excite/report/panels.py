@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..motion import Motion
-from .figures import BLUE, GREY, INK, RED, SEGMENT_WORDS, SHADES, SOFT, WIDTH, thin
+from .figures import BLUE, GREY, INK, ORANGE, RED, SEGMENT_WORDS, SHADES, SOFT, WIDTH, thin
 from .page import escape
 
 Array = np.ndarray
@@ -27,6 +27,17 @@ class Panel:
     y: Array
     limits: tuple[float, float]
     band: Array | None = None
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Two closed curves in a plane with its limits. first, second: Shape (N, 2). across, up: limits of the two axes."""
+
+    title: str
+    first: Array
+    second: Array
+    across: tuple[float, float]
+    up: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -69,6 +80,56 @@ def small_multiples(label: str, panels: Sequence[Panel], motion: Motion, *, colu
     return f'{head}style="max-width:{WIDTH * 96:.0f}px" font-family="sans-serif" fill="{INK}">{"".join(parts)}</svg>'
 
 
+def planes(label: str, panels: Sequence[Plane], names: tuple[str, str], axes: str, *, columns: int, height: float) -> str:
+    """A grid of planes as SVG. names: of the two curves. axes: what is drawn against what, said once."""
+    total = WIDTH * _UNITS
+    width = (total - _LEFT - _RIGHT - _GAP * (columns - 1)) / columns
+    entries = [("line", BLUE, names[0]), ("line", ORANGE, names[1]), ("dashed", RED, "limit")]
+    parts = [_text(_LEFT, 10.0, axes, size=7.5, color=SOFT), *_key(entries, total)]
+    step = height + _TITLE + 20.0
+    for k, panel in enumerate(panels):
+        row, column = divmod(k, columns)
+        x, y = (
+            _extent(np.concatenate([panel.first[:, i], panel.second[:, i]]), limits) for i, limits in enumerate((panel.across, panel.up))
+        )
+        place = (_LEFT + column * (width + _GAP), 18.0 + row * step + _TITLE)
+        cell = _Cell(*place, width, height, (x[0], x[1]), y[0], y[1])
+        parts += _plane(panel, cell, x[2], y[2])
+    bottom = 18.0 + -(-len(panels) // columns) * step
+    head = f'<svg viewBox="0 0 {_short(total)} {_short(bottom)}" role="img" aria-label="{escape(label)}" '
+    return f'{head}style="max-width:{WIDTH * 96:.0f}px" font-family="sans-serif" fill="{INK}">{"".join(parts)}</svg>'
+
+
+def _extent(values: Array, limits: tuple[float, float]) -> tuple[float, float, list[float]]:
+    """Lower and upper end of an axis, and the limits near enough to be in sight."""
+    low, high = float(values.min()), float(values.max())
+    drawn = [v for v in limits if np.isfinite(v) and low - 0.3 * (high - low) <= v <= high + 0.3 * (high - low)]
+    low, high = min([low, *drawn]), max([high, *drawn])
+    pad = 0.06 * max(high - low, 1e-9)
+    return low - pad, high + pad, drawn
+
+
+def _plane(panel: Plane, cell: _Cell, across: list[float], up: list[float]) -> list[str]:
+    left, right, top, bottom = cell.x, cell.x + cell.width, cell.y, cell.y + cell.height
+    parts = [_text(left, top - 4.0, panel.title, size=8.0, weight=600)]
+    for tick in ticks(*cell.span, 3):
+        x = cell.across(tick)
+        parts += [_line(x, top, x, bottom, "#eef1f4"), _text(x, bottom + 10.0, _tick(tick), size=7.0, anchor="middle", color=SOFT)]
+    for tick in ticks(cell.low, cell.high, 3):
+        y = cell.up(tick)
+        parts += [_line(left, y, right, y, "#eef1f4"), _text(left - 3.0, y + 2.4, _tick(tick), size=7.0, anchor="end", color=SOFT)]
+    parts += [_line(cell.across(v), top, cell.across(v), bottom, RED, dashed=True) for v in across]
+    parts += [_line(left, cell.up(v), right, cell.up(v), RED, dashed=True) for v in up]
+    for curve, color in ((panel.first, BLUE), (panel.second, ORANGE)):
+        points = "L".join(f"{_short(cell.across(x))} {_short(cell.up(y))}" for x, y in curve)
+        parts.append(f'<path d="M{points}Z" fill="none" stroke="{color}" stroke-linejoin="round"/>')
+    return [*parts, _line(left, bottom, right, bottom, GREY), _line(left, top, left, bottom, GREY)]
+
+
+def _tick(value: float) -> str:
+    return f"{value:.6g}".replace("-", "−")
+
+
 def _range(panel: Panel) -> tuple[float, float, list[float]]:
     """Lower and upper end of the axis, and the limits that are in sight."""
     half = 0.0 if panel.band is None else panel.band
@@ -87,7 +148,7 @@ def _panel(panel: Panel, cell: _Cell, motion: Motion, drawn: list[float], points
     for tick in ticks(cell.low, cell.high, 3):
         y = cell.up(tick)
         parts.append(_line(cell.x, y, cell.x + cell.width, y, "#eef1f4"))
-        parts.append(_text(cell.x - 3.0, y + 2.4, f"{tick:.6g}".replace("-", "−"), size=7.0, anchor="end", color=SOFT))
+        parts.append(_text(cell.x - 3.0, y + 2.4, _tick(tick), size=7.0, anchor="end", color=SOFT))
     if panel.band is not None:
         above, below = (_points(cell, *thin(panel.t, panel.y + sign * panel.band, points)) for sign in (1.0, -1.0))
         parts.append(f'<path d="M{"L".join([*above, *reversed(below)])}Z" fill="{BLUE}" fill-opacity=".25"/>')
@@ -124,7 +185,12 @@ def _legend(motion: Motion, total: float, *, banded: bool) -> list[str]:
         entries.append(("box", SHADES["ramp_in"], SEGMENT_WORDS["ramp_in"]))
     if kinds & {"approach", "return"}:
         entries.append(("box", SHADES["approach"], SEGMENT_WORDS["approach"]))
-    x, parts = total - _RIGHT, []
+    return _key(entries, total)
+
+
+def _key(entries: Sequence[tuple[str, str, str]], total: float) -> list[str]:
+    """Shape, colour and word of each entry, set from the right."""
+    x, parts = total - _RIGHT, list[str]()
     for shape, color, label in reversed(entries):
         x -= 4.4 * len(label)
         parts.append(_text(x, 10.0, label, size=7.5))

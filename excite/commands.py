@@ -268,6 +268,7 @@ def _record(delivery: workflow.Delivery) -> DesignRecord:
             "objective": a.values,
             "worst": a.worst,
             "stage": a.stage,
+            "stopped": a.stopped,
         }
         for a in attempts
     ]

@@ -40,7 +40,10 @@ def history_section(record: DesignRecord) -> Section:
     answer += f"done after {plural(iterations, 'iteration')} at {seconds:.1f} s"
     if len(starts) > 1:
         excess = 100.0 * np.expm1(min(float(values.max() - values[record.chosen]), 20.0))
-        answer += f"; {near} of {len(starts)} starts end within 5 % of it, the worst {max(excess, 0.0):.2g} % above."
+        stopped = sum(bool(s.get("stopped")) for s in starts)
+        behind = f" ({stopped} were stopped on the way, being behind)" if stopped else ""
+        answer += f"; {near} of {len(starts)} starts end within 5 % of it, the worst {max(excess, 0.0):.2g} % above{behind}. "
+        answer += f"One more start would beat it with a chance of 1 in {len(starts) + 1}."
     else:
         answer += "; a single start tells nothing about better local optima."
     rows = [(escape(text), f"{float(record.timing[key]):.2f} s") for key, text in _TIMES.items() if key in record.timing]

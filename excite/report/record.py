@@ -14,6 +14,7 @@ class DesignRecord:
     starts: each with `seed` (its number), `value` (smooth objective at its end, a logarithm, lower is better), `feasible`,
     and per iterate `time` since the problem was built [s], `objective` and `worst` (largest row value, ≤ 1 inside all
     limits). Where the criterion is smoothed in stages, `stage` per iterate: only values of the last stage compare.
+    `stopped`: put aside before its end, because others were ahead.
     """
 
     starts: Sequence[Mapping[str, Any]]

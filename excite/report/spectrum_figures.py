@@ -172,9 +172,14 @@ def scenarios(cases: Sequence[Scenario], threshold: float) -> str:
 
 
 def history(record: DesignRecord) -> str:
-    """Objective against time for all starts, and where each of them ended."""
+    """Objective against time for all starts, and where each of them ended.
+
+    Against iterations where starts waited for each other, so that they can be compared.
+    """
 
     several = len(record.starts) > 1
+    waited = any(s.get("stopped") for s in record.starts)
+    final = max(max(s.get("stage") or [0]) for s in record.starts)
 
     def draw(figure: Any) -> None:
         width, height = figure.get_size_inches()
@@ -183,15 +188,16 @@ def history(record: DesignRecord) -> str:
         for k in order:
             start, best = record.starts[k], k == record.chosen
             stage = np.array(start.get("stage") or [0] * len(start["time"]), int)
-            last = stage == stage.max(initial=0)
+            last = stage == final
             time, value, worst = (np.array(start[key], float)[last] for key in ("time", "objective", "worst"))
+            time = np.flatnonzero(last) if waited else time
             inside = worst <= 1.0 + 1e-3
             color = BLUE if best else GREY
             left.plot(
                 time, value, color=color, linewidth=1.5 if best else 0.8, zorder=3 if best else 2, label="chosen start" if best else None
             )
             left.plot(time[~inside], value[~inside], "x", color=color, markersize=3.5, zorder=3)
-        left.set_xlabel("time since the problem was built [s]")
+        left.set_xlabel("iterations" if waited else "time since the problem was built [s]")
         left.set_ylabel("log of the criterion (lower is better)")
         left.set_title("Every start; × marks iterates outside a limit", loc="left")
         left.legend(loc="upper right")
@@ -208,8 +214,11 @@ def _ends(axes: Any, record: DesignRecord) -> None:
     for place, k in enumerate(np.argsort(values, kind="stable"), start=1):
         feasible = bool(record.starts[k]["feasible"])
         color = BLUE if k == record.chosen else GREY if feasible else RED
-        axes.plot(place, excess[k], "o" if feasible else "x", color=color, markersize=4)
-    axes.set_title("Where they ended, sorted", loc="left")
+        stopped = bool(record.starts[k].get("stopped"))
+        fill = "white" if stopped else color
+        axes.plot(place, excess[k], "o" if feasible else "x", color=color, markerfacecolor=fill, markersize=4 if len(values) <= 40 else 2.5)
+    some = any(s.get("stopped") for s in record.starts)
+    axes.set_title("Where they ended" + (" (○ stopped)" if some else ", sorted"), loc="left")
     axes.set_xlabel("start, the best first")
     axes.set_ylabel("% above the best")
     axes.set_xlim(0.3, len(values) + 0.7)

@@ -30,8 +30,8 @@ WIDTH = 0.25
 its corners apart, and samples 20 to a harmonic (0.06 apart) still fill the curve between them."""
 WEIGHT = 0.5
 """What the optimiser pays for ρ, in nats of the criterion's logarithm. Over the built-in robots and three seeds each, ρ falls
-from 0.70 for a mere other start to 0.40 and the standard deviation the second motion predicts rises by 2 %; twice the
-weight gives 0.35 and 4 %."""
+from 0.67 for a mere other start to 0.41 and the standard deviation the second motion predicts rises by 2 %; twice the
+weight gives 0.35 and 4 % (scripts/choices.py)."""
 MOST = 60
 """Samples of a motion that are compared, at most: the pairs are as many as this squared."""
 

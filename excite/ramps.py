@@ -44,6 +44,10 @@ class State:
         return State(q, np.zeros_like(q), np.zeros_like(q))
 
 
+STEEPEST = 1e3
+"""Jerk over acceleration beyond which more jerk buys nothing [1/s]: Ruckig's root finding fails at far larger ratios."""
+
+
 def with_derived(limits: Limits, fourier: Fourier) -> Limits:
     """Limits with a stated acceleration and jerk where the maker gives none; they bind the ramps only.
 
@@ -88,10 +92,15 @@ class Planner:
         # 1e-3 keeps clear of the limits by more than rounding
         request.max_velocity = (1.0 - 1e-3) * limits.velocity * min(1.0, 1.5 * scale)
         request.max_acceleration = (1.0 - 1e-3) * limits.acceleration * scale
-        request.max_jerk = (1.0 - 1e-3) * limits.jerk * scale
+        jerk = np.minimum(limits.jerk, STEEPEST * limits.acceleration)
+        request.max_jerk = (1.0 - 1e-3) * jerk * scale
         request.duration_discretization = ruckig.DurationDiscretization.Discrete
         found = ruckig.Trajectory(self.n)
-        if self._ruckig.calculate(request, found) not in (ruckig.Result.Working, ruckig.Result.Finished):
+        try:
+            result = self._ruckig.calculate(request, found)
+        except ruckig.RuckigError:  # its numbers gave out
+            return None
+        if result not in (ruckig.Result.Working, ruckig.Result.Finished):
             return None
         return _profile(begin, found)
 

@@ -16,7 +16,8 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 LAYERS = (
     {"__init__", "errors", "urdf", "robot", "limits", "trajectory", "motion"},
     {"parameters", "structure", "dynamics", "compiled", "symbolic", "base", "criteria", "overlap", "problem", "checks"},
-    {"evaluate", "start", "subproblem", "solver", "starts", "design", "ramps", "wording", "scenarios", "identifiability", "recording", "artefact"},
+    {"evaluate", "start", "subproblem", "solver", "starts", "design", "ramps", "wording", "scenarios", "identifiability", "recording"}
+    | {"artefact"},
     {"verify", "export", "report", "files", "workflow", "plan", "validation"},
     {"cluster", "commands", "cli"},
 )

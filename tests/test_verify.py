@@ -358,6 +358,16 @@ def test_certificate_covers_ruckigs_extremes(two_link, table, monkeypatch):
         assert (demand.high.max(axis=0) >= highest - 1e-12).all() and (demand.low.min(axis=0) <= lowest + 1e-12).all()
 
 
+def test_jerk_limits_beyond_ruckigs_numbers_are_met_by_less_jerk():
+    """A limits file may say "none that matters" by a huge number."""
+    panda = load("panda")
+    loose = replace(resolve(panda), jerk=np.full(panda.n, 1e9))
+    found = workflow.run(panda, loose, replace(QUICK, period=6.0, samples=60, iterations=5))
+    profiles = [s.profile for s in found.trajectory.motion.segments if s.profile is not None]
+    steepest = np.max([[max(abs(jerk) for _, jerk in pieces) for pieces in profile.pieces] for profile in profiles], axis=0)
+    assert found.certificate.ok and (steepest <= ramps.STEEPEST * loose.acceleration).all()
+
+
 def test_ramps_keep_limits_that_ruckig_does_not_know(two_link, table):
     low = Box("tip", (-1.0, -0.1, -1.0), (1.0, 0.1, 0.2))
     found = workflow.run(two_link, table, replace(QUICK, boxes=(low,)), start=np.array([-1.5, 0.3]))

@@ -16,6 +16,8 @@ EXAMPLES = """examples:
   excite design ur10e -o out/ur10e
   excite verify out/ur10e/trajectory.json
   excite export out/ur10e/trajectory.json --format urscript -o ur10e.script
+  excite identify ur10e monday.csv --validate tuesday.csv -o out/model
+  excite predict out/model/model.json wednesday.csv -o torque.csv
 """
 
 
@@ -41,6 +43,9 @@ def parser() -> argparse.ArgumentParser:
     _verify(commands)
     _export(commands)
     _identifiability(commands)
+    _identify(commands)
+    _predict(commands)
+    _simulate(commands)
     return top
 
 
@@ -156,6 +161,63 @@ def _identifiability(commands: Commands) -> None:
     _robot_options(sub)
     sub.add_argument("motion", metavar="TRAJECTORY_OR_RECORDING")
     _model_options(sub)
+
+
+def _identify(commands: Commands) -> None:
+    sub = _command(commands, "identify", "find physically consistent parameters from recordings, and say how sure they are")
+    sub.add_argument("-o", dest="out", metavar="DIR", required=True, help="folder for model.json, identified.urdf, report.html")
+    _robot_options(sub)
+    sub.add_argument("recordings", metavar="RECORDING", nargs="+", help="CSV, .npz, rosbag2 folder, .mcap or ur_rtde CSV")
+    sub.add_argument("--validate", metavar="RECORDING", nargs="+", default=[], help="recordings to judge the model by, not used to fit it")
+    group = sub.add_argument_group("parameters")
+    group.add_argument("--without", metavar="A,B,…", default="", help="leave out of: rotor_inertia, viscous, coulomb, offset")
+    group.add_argument("--parameters", choices=("inertial", "full"), default="full", help="full: with all these (default)")
+    group.add_argument(
+        "--threshold", type=float, default=1e-2, help="largest scale-free variance of what is identified"
+    )
+    group = sub.add_argument_group("signals")
+    group.add_argument("--band", type=float, metavar="HZ", help="torque below this frequency is fitted (default: from the data)")
+    group.add_argument("--period", type=float, metavar="S", help="of the excitation, where the recording's .json does not say it")
+    group.add_argument("--window", metavar="T0,T1", help="where it repeats, with --period (default: the whole recording) [s]")
+    group.add_argument("--align", action="store_true", help="move each joint's torque by the delay that is found")
+    group = sub.add_argument_group("estimation")
+    group.add_argument("--estimator", choices=("ols", "wls", "full", "huber", "iv"), default="wls", help="default %(default)s")
+    group.add_argument("--distance", choices=("riemannian", "bregman", "pullback", "euclidean"), default="bregman", help="of bodies")
+    group.add_argument("--gamma", default="evidence", metavar="G", help="weight of the nominal robot: evidence, heldout or numbers")
+    group.add_argument("--prior", metavar="FILE", help="what is right as it stands: excite.prior/1 or a model.json")
+    group.add_argument("--bounds", metavar="FILE", help="TOML: [links.NAME] mass = [least, most], centre = [[x, y, z], [x, y, z]]")
+
+
+def _predict(commands: Commands) -> None:
+    sub = _command(commands, "predict", "predict torque along a recording by an identified model")
+    sub.add_argument("model", metavar="MODEL", help="the model.json of 'excite identify'")
+    sub.add_argument("recording", metavar="RECORDING")
+    sub.add_argument("-o", dest="out", metavar="FILE.csv", required=True)
+
+
+def _simulate(commands: Commands) -> None:
+    sub = _command(commands, "simulate", "record a simulated robot that follows a trajectory, with physics that its model does not have")
+    sub.add_argument("robot", metavar="ROBOT", help="path of a URDF, or a name that 'excite robots' lists")
+    sub.add_argument("trajectory", metavar="TRAJECTORY", help="the trajectory.json of 'excite design'")
+    sub.add_argument("-o", dest="out", metavar="FILE", required=True, help="the recording; beside it .json, .truth.json and .svg")
+    sub.add_argument(
+        "--effect", metavar="NAME:JOINT[:k=v,…]", action="append", default=[], help="hide this; a misspelt one lists what there is"
+    )
+    sub.add_argument(
+        "--severity", type=float, metavar="S", help="scale each effect until a refit of the base model leaves S times the noise of it"
+    )
+    sub.add_argument("--trusted", action="store_true", help="with --severity: nothing is refit, as with a trusted prior")
+    sub.add_argument("--seed", type=int, default=0, metavar="N", help="of the true bodies, the drives and the noise (default %(default)s)")
+    sub.add_argument("--periods", type=int, metavar="N", help="repeats of the excitation (default: as the trajectory says)")
+    group = sub.add_argument_group("measurement")
+    group.add_argument("--rate", type=float, default=500.0, metavar="HZ", help="125 to 1000 (default %(default)s)")
+    group.add_argument("--noise", type=float, default=0.005, metavar="F", help="of torque, over the torque limit (default %(default)s)")
+    group.add_argument("--colour", type=float, metavar="HZ", help="corner of the noise's spectrum (default: white)")
+    group.add_argument("--jitter", type=float, default=0.0, metavar="S", help="of the times of sampling, unseen by the clock [s]")
+    group.add_argument("--encoder", type=float, default=2e-6, metavar="RAD", help="resolution of position (default %(default)s)")
+    group.add_argument(
+        "--model-error", type=float, default=0.05, metavar="F", help="how far the true bodies are from the URDF's (default %(default)s)"
+    )
 
 
 class _Warnings:

@@ -12,19 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from . import artefact, base, cluster, criteria, dynamics, files, parameters, plan, recording, scenarios, validation, workflow
+from . import arguments as told
+from . import artefact, base, cluster, criteria, dynamics, files, parameters, plan, recordings, scenarios, validation, workflow
 from . import export as exports
 from . import identifiability as identifiable
-from . import limits as limit_tables
 from . import verify as certificates
 from .criteria import Criterion
 from .errors import CheckFailed, UnusableInput
-from .limits import Limits
 from .overlap import Apart
 from .parameters import Parameters
 from .problem import Box, Options, noise_levels
 from .report.record import DesignRecord
-from .robot import Payload, Robot, builtin_names, load
+from .robot import Robot, builtin_names, load
 from .trajectory import Samples
 from .validation import Validation
 
@@ -39,70 +38,17 @@ def _say(text: str) -> None:
 # -- arguments -----------------------------------------------------------------------------------------------------
 
 
-def _floats(option: str, text: str, counts: Sequence[int]) -> list[float]:
-    try:
-        values = [float(word) for word in text.split(",")]
-    except ValueError as error:
-        raise UnusableInput(f"{option} {text}: should be numbers separated by commas") from error
-    if len(values) not in counts:
-        raise UnusableInput(f"{option} {text}: should hold {' or '.join(map(str, counts))} number(s), not {len(values)}")
-    if not np.isfinite(values).all():
-        raise UnusableInput(f"{option} {text}: should hold finite numbers")
-    return values
-
-
-def _robot(arguments: argparse.Namespace) -> Robot:
-    lock: dict[str, float] = {}
-    for entry in arguments.lock:
-        name, separator, value = entry.partition("=")
-        if not separator:
-            raise UnusableInput(f"--lock {entry}: should read NAME=VALUE")
-        lock[name] = _floats(f"--lock {name}", value, (1,))[0]
-    payload = None
-    if arguments.payload:
-        link, separator, numbers = arguments.payload.rpartition(":")
-        if not separator:
-            raise UnusableInput(f"--payload {arguments.payload}: should read LINK:MASS[,CX,CY,CZ[,IXX,IXY,IYY,IXZ,IYZ,IZZ]]")
-        values = _floats("--payload", numbers, (1, 4, 10))
-        values += [0.0] * (10 - len(values))
-        payload = Payload(link, values[0], tuple(values[1:4]), tuple(values[4:]))  # type: ignore[arg-type]
-    gravity = _floats("--gravity", arguments.gravity, (3,))
-    joints = arguments.joints.split(",") if arguments.joints else None
-    return load(arguments.robot, joints=joints, lock=lock, payload=payload, gravity=gravity)
-
-
-def _limits(arguments: argparse.Namespace, robot: Robot) -> Limits:
-    return limit_tables.resolve(robot, Path(arguments.limits) if arguments.limits else None)
-
-
-def _drive(arguments: argparse.Namespace) -> tuple[str, ...]:
-    without = [name for name in arguments.without.split(",") if name]
-    unknown = set(without) - set(parameters.DRIVE)
-    if unknown:
-        raise UnusableInput(f"--without {min(unknown)}: no such joint parameter; there are {', '.join(parameters.DRIVE)}")
-    return () if arguments.parameters == "inertial" else tuple(k for k in parameters.DRIVE if k not in without)
-
-
-def _noise(arguments: argparse.Namespace, robot: Robot) -> tuple[float, ...] | None:
-    if arguments.torque_noise is None:
-        return None
-    values = _floats("--torque-noise", arguments.torque_noise, (1, robot.n))
-    if min(values) <= 0.0:
-        raise UnusableInput(f"--torque-noise {arguments.torque_noise}: should be positive")
-    return tuple(values * robot.n if len(values) == 1 else values)
-
-
 def _box(text: str) -> Box:
     frame, separator, numbers = text.rpartition(":")
     if not separator:
         raise UnusableInput(f"--box {text}: should read FRAME:XMIN,XMAX,YMIN,YMAX,ZMIN,ZMAX")
-    v = _floats("--box", numbers, (6,))
+    v = told.floats("--box", numbers, (6,))
     return Box(frame, (v[0], v[2], v[4]), (v[1], v[3], v[5]))
 
 
 def _options(arguments: argparse.Namespace, robot: Robot) -> Options:
     """What the user chose, but for the motion, which is the plan's matter."""
-    free = _floats("--optimise-period", arguments.optimise_period, (2,)) if arguments.optimise_period else None
+    free = told.floats("--optimise-period", arguments.optimise_period, (2,)) if arguments.optimise_period else None
     if free is not None and not 0.0 < free[0] < free[1]:
         raise UnusableInput(f"--optimise-period {arguments.optimise_period}: should be MIN,MAX with 0 < MIN < MAX")
     boxes = tuple(_box(text) for text in arguments.box)
@@ -111,11 +57,11 @@ def _options(arguments: argparse.Namespace, robot: Robot) -> Options:
     return Options(
         criterion=Criterion(arguments.criterion),
         plain=arguments.plain,
-        drive=_drive(arguments),
+        drive=told.drive(arguments),
         free_period=None if free is None else (free[0], free[1]),
         rate=arguments.rate,
         uncertainty=arguments.uncertainty,
-        noise=_noise(arguments, robot),
+        noise=told.noise(arguments, robot),
         boxes=boxes,
         starts=arguments.starts,
         seed=arguments.seed,
@@ -138,7 +84,7 @@ def _recorded(path: Path, robot: Robot) -> tuple[Samples, artefact.Trajectory | 
         if trajectory.joints != robot.joints:
             raise UnusableInput(f"{path}: moves {', '.join(trajectory.joints)}, not {', '.join(robot.joints)}; choose them with --joints")
         return trajectory.motion.samples(trajectory.motion.grid(trajectory.rate)), trajectory
-    return recording.read(path, robot).samples(), None
+    return recordings.read(path, robot).samples(), None
 
 
 # -- commands ------------------------------------------------------------------------------------------------------
@@ -162,11 +108,11 @@ def design(arguments: argparse.Namespace) -> Outcome:
 
 
 def _design(arguments: argparse.Namespace) -> Outcome:
-    robot = _robot(arguments)
-    table = _limits(arguments, robot)
+    robot = told.robot(arguments)
+    table = told.limits(arguments, robot)
     wish = plan.Wish(arguments.period, arguments.harmonics, arguments.samples, arguments.periods)
     options = wish.fill(_options(arguments, robot), table)
-    start = None if not arguments.start else np.array(_floats("--start", arguments.start, (robot.n,)))
+    start = None if not arguments.start else np.array(told.floats("--start", arguments.start, (robot.n,)))
     standard = parameters.standard(robot, table, options.drive) if arguments.given else None
     earlier = _given(arguments.given, robot, standard, noise_levels(table, options.noise)) if standard is not None else None
     given = None if earlier is None else earlier.T @ earlier
@@ -333,12 +279,12 @@ def identifiability(arguments: argparse.Namespace) -> Outcome:
     """What a trajectory or a recording reveals."""
     from . import report
 
-    robot = _robot(arguments)
-    table = _limits(arguments, robot)
-    standard = parameters.standard(robot, table, _drive(arguments))
+    robot = told.robot(arguments)
+    table = told.limits(arguments, robot)
+    standard = parameters.standard(robot, table, told.drive(arguments))
     found = base.find(robot, standard, table)
     samples, trajectory = _recorded(Path(arguments.motion), robot)
-    stated = _noise(arguments, robot)
+    stated = told.noise(arguments, robot)
     noise = trajectory.noise if trajectory is not None and stated is None else noise_levels(table, stated)
     root = identifiable.information_root(robot, standard, samples, noise)
     analysis = identifiable.analyse_root(standard, found, root, noise, robot, threshold=arguments.threshold, samples=len(samples))
@@ -349,3 +295,24 @@ def identifiability(arguments: argparse.Namespace) -> Outcome:
     seen = sum(bool(d["identifiable"]) for d in document["directions"])
     text = "\n".join([f"{robot.name}: {seen} of {found.count} directions practically identifiable", *(f"wrote {path}" for path in written)])
     return 0, document, text
+
+
+def identify(arguments: argparse.Namespace) -> Outcome:
+    """Parameters from recordings."""
+    from .fitting import identify
+
+    return identify(arguments, _say)
+
+
+def predict(arguments: argparse.Namespace) -> Outcome:
+    """Torque by an identified model along a recording."""
+    from .fitting import predict
+
+    return predict(arguments)
+
+
+def simulate(arguments: argparse.Namespace) -> Outcome:
+    """Record a simulated robot."""
+    from .simulate import command
+
+    return command(arguments)

@@ -192,12 +192,11 @@ def standard(robot: Robot, limits: Limits, drive: Iterable[str] = DRIVE) -> Para
 
 
 def _drive_values(robot: Robot, limits: Limits, bodies: list[Array]) -> tuple[dict[str, Array], dict[str, Array]]:
-    zero = np.zeros(robot.n)
     nominal = {
-        "rotor_inertia": zero,
+        "rotor_inertia": np.array([entry.rotor_inertia for entry in robot.entries]),
         "viscous": np.array([entry.viscous for entry in robot.entries]),
         "coulomb": np.array([entry.coulomb for entry in robot.entries]),
-        "offset": zero,
+        "offset": np.array([entry.offset for entry in robot.entries]),
     }
     fallback = {
         "rotor_inertia": 0.05 * mean_inertia(robot, limits, bodies),
@@ -205,7 +204,8 @@ def _drive_values(robot: Robot, limits: Limits, bodies: list[Array]) -> tuple[di
         "coulomb": 0.02 * limits.torque,
         "offset": 0.02 * limits.torque,
     }
-    return nominal, {kind: np.where(nominal[kind] > 0.0, nominal[kind], fallback[kind]) for kind in DRIVE}
+    known = {kind: (nominal[kind] > 0.0) & (kind != "offset") for kind in DRIVE}  # an offset is signed
+    return nominal, {kind: np.where(known[kind], nominal[kind], fallback[kind]) for kind in DRIVE}
 
 
 def mean_inertia(robot: Robot, limits: Limits, bodies: list[Array]) -> Array:

@@ -26,6 +26,8 @@ class JointEntry:
     viscous: float
     coulomb: float
     mimic: tuple[str, float, float] | None  # (master, multiplier, offset)
+    rotor_inertia: float = 0.0  # this and the next by <excite>, for which URDF has no words
+    offset: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -134,6 +136,8 @@ def _joint(source: str, element: ElementTree.Element) -> JointEntry | None:
         viscous=max(_number(source, owner, dynamics, "damping") or 0.0, 0.0),
         coulomb=max(_number(source, owner, dynamics, "friction") or 0.0, 0.0),
         mimic=follows,
+        rotor_inertia=max(_number(source, owner, element.find("excite"), "rotor_inertia") or 0.0, 0.0),
+        offset=_number(source, owner, element.find("excite"), "offset") or 0.0,
     )
 
 

@@ -14,12 +14,12 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 # Each layer may import from itself and from the ones before it.
 LAYERS = (
-    {"__init__", "errors", "urdf", "robot", "limits", "trajectory", "motion"},
+    {"__init__", "errors", "urdf", "robot", "limits", "trajectory", "motion", "plant", "trial"},
     {"parameters", "structure", "dynamics", "compiled", "symbolic", "base", "criteria", "overlap", "problem", "checks"},
-    {"evaluate", "start", "subproblem", "solver", "starts", "design", "ramps", "wording", "scenarios", "identifiability", "recording"}
-    | {"artefact"},
+    {"evaluate", "start", "subproblem", "solver", "starts", "design", "ramps", "wording", "scenarios", "identifiability", "recordings"}
+    | {"artefact", "identify"},
     {"verify", "export", "report", "files", "workflow", "plan", "validation"},
-    {"cluster", "commands", "cli"},
+    {"cluster", "arguments", "fitting", "simulate", "commands", "cli"},
 )
 
 

@@ -61,14 +61,14 @@ def parts_section(found: Identifiability) -> Section:
         "note",
     )
     if missing:
-        body += f"<h3>{escape(_heading(len(missing)))}</h3>" + bullets(_bare(d.words) for d in missing[:_SHOWN])
+        body += f"<h3>{escape(_heading(len(missing)))}</h3>" + bullets(bare(d.words) for d in missing[:_SHOWN])
         if len(missing) > _SHOWN:
-            body += folded(f"{len(missing) - _SHOWN} more that are seen even less", bullets(_bare(d.words) for d in missing[_SHOWN:]))
+            body += folded(f"{len(missing) - _SHOWN} more that are seen even less", bullets(bare(d.words) for d in missing[_SHOWN:]))
     else:
         body += paragraph("Every direction is identifiable.", "good")
     seen = [d.words for d in found.directions if d.identifiable]
     if seen:
-        body += folded(f"{plural(len(seen), 'direction')} that will be seen, the best first", bullets(map(_capital, seen)))
+        body += folded(f"{plural(len(seen), 'direction')} that will be seen, the best first", bullets(map(capital, seen)))
     return Section("parts", "Which links and joints can be identified?", answer, body)
 
 
@@ -76,11 +76,13 @@ def _heading(count: int) -> str:
     return f"{plural(count, 'direction')} will not be seen" + (", those nearest to it first" if count > 1 else "")
 
 
-def _bare(words: str) -> str:
-    return _capital(words.removeprefix("not seen: "))
+def bare(words: str) -> str:
+    """What a direction consists of, without the verdict in front."""
+    return capital(words.removeprefix("not seen: "))
 
 
-def _capital(text: str) -> str:
+def capital(text: str) -> str:
+    """With a capital first letter, the rest as it is."""
     return text[:1].upper() + text[1:]
 
 

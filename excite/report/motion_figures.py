@@ -39,6 +39,11 @@ def is_prismatic(robot: Robot) -> list[bool]:
     return [entry.kind == "prismatic" for entry in robot.entries]
 
 
+def torque_units(robot: Robot) -> list[str]:
+    """What the torque of each moving joint is measured in."""
+    return ["N" if slides else "N m" for slides in is_prismatic(robot)]
+
+
 def kinematics(scene: Scene) -> list[str]:
     """Position, velocity, acceleration and jerk of every joint with their limits: one figure, or one per quantity."""
     motion, robot = scene.motion, scene.robot

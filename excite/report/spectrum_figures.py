@@ -27,10 +27,12 @@ def spectrum(found: Identifiability) -> str:
     shown, rank = np.where(np.isfinite(variances), variances, top), np.arange(1, len(variances) + 1)
 
     def draw(figure: Any) -> None:
-        axes = grid(figure, 1, 1, margins=(0.6, 0.75, 0.3, 0.42))[0, 0]
+        axes = grid(figure, 1, 1, margins=(0.6, 0.85, 0.3, 0.42))[0, 0]
         axes.set_yscale("log")
         few_log(axes)
         for chosen, color, label in ((good, GREEN, "identifiable"), (~good, RED, "not identifiable")):
+            if not chosen.any():
+                continue
             axes.vlines(rank[chosen], min(shown.min(), found.threshold) / 3.0, shown[chosen], color=color, alpha=0.25, linewidth=1.0)
             axes.plot(rank[chosen], shown[chosen], "o", color=color, markersize=3.6, label=f"{label} ({int(chosen.sum())})")
         unseen = ~np.isfinite(variances)

@@ -1,0 +1,147 @@
+"""`excite identify` and `excite predict`: recordings and models from the command line."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import io
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from . import arguments as told
+from . import artefact, base, files, parameters, recordings
+from .errors import UnusableInput
+from .identify import identification, model, priors
+from .identify.consistent import Bounds
+from .identify.distance import Distance
+from .identify.estimators import Method
+from .identify.identification import Identification, Options
+from .limits import Limits
+from .parameters import Parameters
+from .recordings import Recording
+from .robot import Robot
+
+Array = np.ndarray
+Outcome = tuple[int, Any, str]
+
+
+def identify(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outcome:
+    """Read, identify, report."""
+    from . import report
+
+    robot = told.robot(arguments)
+    table = told.limits(arguments, robot)
+    standard = parameters.standard(robot, table, told.drive(arguments))
+    found = base.find(robot, standard, table)
+    window = (arguments.period, arguments.window)
+    say(f"reading {', '.join([*arguments.recordings, *arguments.validate])}")
+    train, held_out = ([_read(Path(path), robot, table, *window) for path in paths] for paths in (arguments.recordings, arguments.validate))
+    known = priors.trusted(Path(arguments.prior), standard) if arguments.prior else {}
+    result = identification.identify(robot, standard, found, train, held_out, _options(arguments, standard, known), say)
+    document = model.document(result, train)
+    remarks = [remark for recording in (*train, *held_out) for remark in recording.remarks]
+    contents = {
+        "model.json": artefact.dumps(document),
+        "identified.urdf": document["urdf"],
+        "report.html": report.identification_page(result, remarks),
+    }
+    written = files.write_all(Path(arguments.out), contents)
+    return 0, document | {"files": [str(path) for path in written]}, _text(result, written)
+
+
+def _read(path: Path, robot: Robot, table: Limits, period: float | None, window: str | None) -> Recording:
+    recording = recordings.read(path, robot, table)
+    if window and period is None:
+        raise UnusableInput(f"--window {window}: needs --period S, the time after which the motion repeats")
+    if period is None:
+        return recording
+    if not 0.0 < period < float(recording.t[-1] - recording.t[0]):
+        raise UnusableInput(f"--period {period:g}: should be shorter than the recording; {path} is {np.ptp(recording.t):.6g} s long")
+    first, last = told.floats("--window", window, (2,)) if window else (float(recording.t[0]), float(recording.t[-1]))
+    return dataclasses.replace(recording, sidecar=dataclasses.replace(recording.sidecar, period=period, periodic=(first, last)))
+
+
+def _options(arguments: argparse.Namespace, standard: Parameters, known: Mapping[int, float]) -> Options:
+    gamma: str | tuple[float, float] = arguments.gamma
+    if arguments.gamma not in ("evidence", "heldout"):
+        values = told.floats("--gamma", arguments.gamma, (1, 2))
+        if min(values) <= 0.0:
+            raise UnusableInput(f"--gamma {arguments.gamma}: should be positive")
+        gamma = (values[0], values[-1])
+    if arguments.band is not None and not arguments.band > 0.0:
+        raise UnusableInput(f"--band {arguments.band:g}: should be a positive frequency [Hz]")
+    if not arguments.threshold > 0.0:
+        raise UnusableInput(f"--threshold {arguments.threshold:g}: should be positive")
+    return Options(
+        method=Method(arguments.estimator),
+        distance=Distance(arguments.distance),
+        gamma=gamma,
+        band=arguments.band,
+        threshold=arguments.threshold,
+        bounds=_bounds(Path(arguments.bounds), standard) if arguments.bounds else Bounds(),
+        align=arguments.align,
+        trusted=known,
+    )
+
+
+def _bounds(path: Path, standard: Parameters) -> Bounds:
+    """Bounds of masses and centres from TOML. Raises UnusableInput for what is no such thing."""
+    try:
+        stated = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise UnusableInput(f"{path}: cannot be read as bounds ({error}); give TOML with [links.NAME] mass = [least, most]") from error
+    mass, centre = {}, {}
+    for link, entries in stated.get("links", {}).items():
+        if link not in standard.links:
+            raise UnusableInput(f"{path}: no moving link '{link}'; there are {', '.join(standard.links)}")
+        for key, shape in (("mass", (2,)), ("centre", (2, 3))):
+            if key not in entries:
+                continue
+            try:
+                values = np.array(entries[key], float)
+            except (TypeError, ValueError):
+                values = np.empty(0)
+            if values.shape != shape or not np.isfinite(values).all() or not (values[0] < values[1]).all():
+                raise UnusableInput(f"{path}: link '{link}': {key} should be [least, most], each number the smaller first")
+            if key == "mass":
+                mass[link] = (float(values[0]), float(values[1]))
+            else:
+                centre[link] = values
+    return Bounds(mass, centre)
+
+
+def _text(found: Identification, written: Sequence[Path]) -> str:
+    robot = found.model.robot
+    shown = found.validations or found.fits
+    lines = [
+        f"{robot.name}: {found.analysis.identifiable} of {found.model.base.count} directions identified; band {found.spectra.hertz:.3g} Hz",
+        f"{'held out' if found.validations else 'on the data fitted (no --validate)'}: torque error per joint",
+        f"{'joint':25}{'nominal':>11}{'identified':>12}{'noise':>11}{'relative':>10}",
+    ]
+    for prediction in shown:
+        for i, joint in enumerate(robot.joints):
+            floor = "" if prediction.floor is None else f"{prediction.floor[i]:.4g}"
+            before, after, share = prediction.error("nominal")[i], prediction.error()[i], prediction.relative()[i]
+            lines.append(f"{joint:25}{before:11.4g}{after:12.4g}{floor:>11}{100 * share:9.2f}%")
+    common, spread = found.delay.common
+    if abs(common) > 3.0 * spread and not found.options.align:
+        order = "after" if common > 0 else "before"
+        lines.append(f"torque comes {abs(1e3 * common):.3g} ms {order} position on average (--align takes that out)")
+    return "\n".join([*lines, *(f"wrote {path}" for path in written)])
+
+
+def predict(arguments: argparse.Namespace) -> Outcome:
+    """Torque along a recording at its own times."""
+    fitted = model.read(Path(arguments.model))
+    recording = recordings.read(Path(arguments.recording), fitted.robot)
+    times, torque = fitted.predict(recording)
+    stream = io.StringIO()
+    stream.write(",".join(["t", *(f"tau.{joint}" for joint in fitted.robot.joints)]) + "\n")
+    np.savetxt(stream, np.column_stack([times, torque]), fmt="%.9g", delimiter=",")
+    path = Path(arguments.out)
+    written = files.write_all(path.parent, {path.name: stream.getvalue()})[0]
+    return 0, {"file": str(written), "rows": len(times)}, f"wrote {written}"

@@ -1,0 +1,1 @@
+"""From recordings to physically consistent parameters: signals ← equations ← estimators ← consistent ← confidence ← pipeline."""

@@ -1,0 +1,139 @@
+"""One low-pass for both sides of the equation τ = Y(q, q̇, q̈) ψ, with zero phase, and exact derivatives below it.
+
+Torque and every column of the regressor pass the same filter (Gautier 1997, "decimate"): what it takes from one side it takes from
+the other. It acts on Fourier coefficients, so that derivatives are exact multiplications by iω; a periodic signal is its own
+continuation, any other is continued by reflection through its ends, and what lies within `margin` of them is dropped.
+"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import UnusableInput
+
+Array = np.ndarray
+TAPER = 0.2
+"""Part of the band over which the gain falls to zero, for signals that are not periodic: a sharp edge rings for long."""
+SETTLE = 1.5
+"""Margin in units of 1/(taper · band): there a reflected end is felt by less than a thousandth."""
+WIDER = 2.0
+"""Positions keep this many bands: torque below the band depends on motion above it, the more so where a joint reverses."""
+EDGE = 10.0
+"""The speed in Coulomb friction keeps this many bands: its steps are placed by it."""
+DENSE = 3.0
+"""The regressor is sampled at this many times twice the band before it is filtered: products of motions reach beyond it."""
+
+
+class Grid(enum.Enum):
+    """Where samples lie: as recorded, where the regressor is evaluated, or where rows are kept."""
+
+    RECORDED = enum.auto()
+    COARSE = enum.auto()
+    KEPT = enum.auto()
+
+
+@dataclass(frozen=True)
+class Band:
+    """A low-pass to `hertz` for a stretch of `count` samples at `rate` [Hz], and the sampling it leads to.
+
+    Rows are kept at twice the band; of a period just as many as have harmonics in it, so that white noise stays white.
+    """
+
+    hertz: float
+    rate: float
+    count: int
+    periodic: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.hertz < 0.5 * self.rate:
+            raise UnusableInput(f"--band {self.hertz:g}: should lie between 0 and half the recording's rate, {0.5 * self.rate:g} Hz")
+
+    def steps(self, grid: Grid) -> int:
+        """Samples of the recording per sample of a grid, of a stretch that is not periodic."""
+        coarse = max(1, int(self.rate / (2.0 * DENSE * self.hertz)))
+        if grid is Grid.RECORDED:
+            return 1
+        return coarse if grid is Grid.COARSE else coarse * max(1, int(self.rate / coarse / (2.0 * self.hertz) + 1e-9))
+
+    def samples(self, grid: Grid) -> int:
+        """Samples on a grid."""
+        if not self.periodic:
+            return -(-self.count // self.steps(grid))
+        length = self.count / self.rate
+        fewest = 2 * int(self.hertz * length + 1e-9) + 1
+        wanted = {Grid.RECORDED: self.count, Grid.COARSE: int(np.ceil(2.0 * DENSE * self.hertz * length)), Grid.KEPT: fewest}
+        return min(self.count, wanted[grid])
+
+    def rate_of(self, grid: Grid) -> float:
+        """Samples a second on a grid [Hz]."""
+        return self.samples(grid) * self.rate / self.count if self.periodic else self.rate / self.steps(grid)
+
+    @property
+    def margin(self) -> int:
+        """Samples of the recording that an end spoils, a whole number of kept steps."""
+        step = self.steps(Grid.KEPT)
+        return 0 if self.periodic else int(np.ceil(SETTLE / (TAPER * self.hertz) * self.rate / step)) * step
+
+    def gain(self, frequencies: Array, hertz: float) -> Array:
+        """1 below the taper, 0 above the band, a raised cosine between; of periodic signals sharp."""
+        f = np.abs(frequencies)
+        if self.periodic:
+            return (f <= hertz * (1.0 + 1e-9)).astype(float)
+        edge = (1.0 - TAPER) * hertz
+        return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip((f - edge) / (hertz - edge), 0.0, 1.0)))
+
+    def low(self, x: Array, to: Grid, order: int = 0, *, of: Grid = Grid.RECORDED, reach: float = 1.0) -> Array:
+        """The order-th derivative below the band, from one grid to a coarser one. Shapes (samples(of), …) -> (samples(to), …).
+
+        reach: how many bands are kept, at the most what the grid can show.
+        """
+        rate, step = self.rate_of(of), self.steps(to) // self.steps(of)
+        hertz = min(reach * self.hertz, 0.5 * rate)
+        count = len(x)
+        columns = x.reshape(count, -1).T
+        seen = np.any(columns != 0.0, axis=1)  # half of a regressor's columns are zero by structure
+        lines = np.ascontiguousarray(columns[seen])
+        if self.periodic:
+            head, kept, target = 0, self.samples(to), self.samples(to)
+        else:
+            lines, head = _continued(lines, int(np.ceil(SETTLE / (TAPER * hertz) * rate)), step)
+            kept, target = -(-count // step), lines.shape[1] // step
+        frequencies = np.fft.rfftfreq(lines.shape[1], 1.0 / rate)
+        factor = self.gain(frequencies, hertz) * (2j * np.pi * frequencies) ** order
+        spectrum = np.fft.rfft(lines)[:, : target // 2 + 1] * factor[: target // 2 + 1]
+        filtered = np.fft.irfft(spectrum, target) * (target / lines.shape[1])
+        out = np.zeros((kept, len(columns)))
+        out[:, seen] = filtered[:, head // step : head // step + kept].T
+        return out.reshape(kept, *x.shape[1:])
+
+
+def _continued(lines: Array, least: int, step: int) -> tuple[Array, int]:
+    """Lines continued at both ends by reflection through their end points and faded into a closed loop, and where they begin in it.
+
+    A loop without a jump keeps the Fourier series from ringing at the seam. Its length is one that transforms fast, in steps.
+    """
+    count = lines.shape[1]
+    head = -(-least // step) * step
+    total = step * _fast(-(-(head + count + least) // step))
+    after = total - head - count
+    reach = np.minimum(np.arange(1, max(head, after) + 1), count - 1)
+    before = 2.0 * lines[:, :1] - lines[:, reach[:head][::-1]]
+    behind = 2.0 * lines[:, -1:] - lines[:, count - 1 - reach[:after]]
+    fade = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, after + 1) / (after + 1))
+    return np.concatenate([before, lines, behind + fade * (before[:, :1] - behind[:, -1:])], axis=1), head
+
+
+def _fast(least: int) -> int:
+    """The smallest product of 2, 3 and 5 that is no smaller."""
+    best = 1 << (least - 1).bit_length()
+    five = 1
+    while five < best:
+        three = five
+        while three < best:
+            best = min(best, three << max(0, (-(-least // three) - 1).bit_length()))
+            three *= 3
+        five *= 5
+    return best

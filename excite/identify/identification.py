@@ -1,0 +1,247 @@
+"""Identification: recordings in, physically consistent parameters and how sure they are out."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .. import identifiability
+from ..base import Base
+from ..errors import UnusableInput
+from ..identifiability import Identifiability
+from ..parameters import COULOMB_WIDTH, Parameters
+from ..recordings import Recording
+from ..robot import Robot
+from . import consistent, delay, equations, estimators, signals, weight, widths
+from .consistent import Bounds, Consistent, Prior
+from .delay import Delay
+from .distance import Distance
+from .equations import Equations, Model
+from .estimators import Estimate, Method
+from .signals import Piece, Spectra
+
+Array = np.ndarray
+Progress = Callable[[str], None]
+FOLDS = 5
+SURE = 1e8
+"""γ of what a trusted prior states."""
+FREE = 1e-14
+"""γ of what the data alone should decide."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """method: how rows are weighted. distance: of the prior. gamma: (bodies, drives), or how to choose: "evidence" or
+    "heldout". band: [Hz], from the data if None. threshold: largest scale-free variance that counts as identified.
+    bounds: further constraints. align: torque is moved by the delay found. trusted: parameter -> value that is right as it stands.
+    """
+
+    method: Method = Method.WLS
+    distance: Distance = Distance.BREGMAN
+    gamma: str | tuple[float, float] = "evidence"
+    band: float | None = None
+    threshold: float = identifiability.THRESHOLD
+    bounds: Bounds = field(default_factory=Bounds)
+    align: bool = False
+    trusted: Mapping[int, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Torque of a recording against the models' below the band. measured, nominal, fitted: Shape (N, n) [N m]. time: [s].
+
+    floor: standard deviation of its noise below the band per joint, None where not known. Shape (n,).
+    """
+
+    source: str
+    time: Array
+    measured: Array
+    nominal: Array
+    fitted: Array
+    floor: Array | None
+    starts: tuple[int, ...]
+
+    def error(self, which: str = "fitted") -> Array:
+        """RMS torque error per joint. Shape (n,) [N m]."""
+        return np.sqrt(np.mean((self.measured - getattr(self, which)) ** 2, axis=0))
+
+    def relative(self, which: str = "fitted") -> Array:
+        """The same over the RMS of the torque."""
+        return self.error(which) / np.sqrt(np.mean(self.measured**2, axis=0))
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What was learnt. psi: ψ̂, physically consistent. reduced: the same with what the data can't say left as it was.
+
+    data: θ̂ by the data alone. posterior: with the prior. gamma: (bodies, drives). analysis: which directions the recordings show, in
+    the metric of `metric` and `metric_base`.
+    floor: standard deviation of torque noise below the band by repeated periods, None without. tried: (γ, held-out error) pairs.
+    """
+
+    model: Model
+    options: Options
+    spectra: Spectra
+    equations: Equations
+    data: Estimate
+    posterior: Consistent
+    reduced: Consistent
+    gamma: tuple[float, float]
+    analysis: Identifiability
+    metric: Parameters
+    metric_base: Base
+    delay: Delay
+    floor: Array | None
+    fits: tuple[Prediction, ...]
+    validations: tuple[Prediction, ...]
+    tried: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def psi(self) -> Array:
+        return self.posterior.psi
+
+
+def identify(
+    robot: Robot,
+    parameters: Parameters,
+    base: Base,
+    recordings: Sequence[Recording],
+    validate: Sequence[Recording] = (),
+    options: Options | None = None,
+    progress: Progress = lambda _: None,
+) -> Identification:
+    """Parameters from recordings. Raises UnusableInput where a recording has no torque or is too short for the band."""
+    options = options or Options()
+    model = Model(robot, parameters, base, np.full(robot.n, COULOMB_WIDTH))
+    parts = list(signals.pieces(recordings))
+    if not parts:
+        raise UnusableInput(f"{recordings[0].source}: has no stretch without a gap that is long enough; record again")
+    spectra = signals.spectra(parts, options.band)
+    progress(f"{sum(len(r) for r in recordings)} rows; band {spectra.hertz:.3g} Hz; building the equations")
+    few = signals.first(parts, widths.ENOUGH)
+    rows = equations.build(model, few, spectra.hertz)
+    model = widths.fitted(model, rows, few)
+    rows = widths.applied(model, rows, few) if len(few) == len(parts) and len(few[-1]) == len(parts[-1]) else equations.build(model, parts, spectra.hertz)
+    progress(f"{len(rows)} × {robot.n} equations in {base.count} base parameters: {options.method.value}")
+    data = estimators.estimate(rows, options.method, nuisance=_nuisance(model, parts, spectra.hertz))
+    late = delay.estimated(rows, data)
+    if options.align:
+        parts = [_moved(piece, late.seconds) for piece in parts]
+        rows = equations.build(model, parts, spectra.hertz)
+        data = estimators.estimate(rows, options.method, nuisance=_nuisance(model, parts, spectra.hertz))
+    progress("physically consistent parameters")
+    root, target = data.root @ base.matrix, data.root @ data.theta
+    prior, tried = _prior(parameters, base, root, target, options, rows, data)
+    posterior = consistent.maximum_a_posteriori(parameters, root, target, prior, options.bounds)
+    scaled, sized = _sized(parameters, base, posterior.psi)
+    analysis = identifiability.analyse_root(
+        scaled, sized, root, data.noise, robot, threshold=options.threshold, samples=sum(len(r) for r in recordings)
+    )
+    reduced = _reduced(scaled, sized, data, prior, options)
+    shift = late.seconds if options.align else None
+    own = rows if not any(rows.periods) and len(recordings) == 1 else None  # rows of single periods are not at hand
+    fits = tuple(_predicted(model, r, spectra.hertz, posterior.psi, prior.nominal, shift, own) for r in recordings)
+    validations = tuple(_predicted(model, r, spectra.hertz, posterior.psi, prior.nominal, shift) for r in validate)
+    return Identification(
+        model, options, spectra, rows, data, posterior, reduced, (prior.bodies, float(np.mean(prior.drives))),
+        analysis, scaled, sized, late, signals.floor(parts, spectra.hertz), fits, validations, tried,
+    )  # fmt: skip
+
+
+def _nuisance(model: Model, parts: Sequence[Piece], hertz: float) -> Array | None:
+    """What errors of the friction's widths do to torque. Shape (N, n, n)."""
+    friction = model.friction_columns()
+    if not friction:
+        return None
+    slopes = widths.slopes(parts, model.widths, hertz)
+    out = np.zeros((len(slopes), model.robot.n, len(friction)))
+    for k, joint in enumerate(friction.values()):
+        out[:, joint, k] = slopes[:, joint]
+    return out
+
+
+def _moved(piece: Piece, seconds: Array) -> Piece:
+    """The piece with each joint's torque taken that much later."""
+    t = np.arange(len(piece)) / piece.rate
+    length = len(piece) / piece.rate
+    columns = [np.interp(t + d, t, tau, period=length if piece.periodic else None) for d, tau in zip(seconds, piece.torque.T, strict=True)]
+    return dataclasses.replace(piece, torque=np.column_stack(columns))
+
+
+def _prior(
+    parameters: Parameters, base: Base, root: Array, target: Array, options: Options, rows: Equations, data: Estimate
+) -> tuple[Prior, tuple[tuple[float, float], ...]]:
+    """ψ₀ and γ: as given, by evidence, or by what predicts left-out blocks; what is trusted is held fast."""
+    nominal = consistent.nominal_bodies(parameters)
+    edge = 10 * parameters.bodies
+    for place, value in options.trusted.items():
+        nominal[place] = value
+    if options.trusted:
+        drives = np.full(parameters.count - edge, FREE)
+        drives[[place - edge for place in options.trusted if place >= edge]] = SURE
+        return Prior(nominal, options.distance, SURE, drives), ()
+    start = Prior(nominal, options.distance, 1.0, np.ones(parameters.count - edge))
+    if not isinstance(options.gamma, str):
+        return dataclasses.replace(start, bodies=options.gamma[0], drives=options.gamma[1] * start.drives), ()
+    bodies, loose = weight.evidence(parameters, root, target, start)
+    prior = dataclasses.replace(start, bodies=bodies, drives=loose * start.drives)
+    if options.gamma == "evidence":
+        return prior, ()
+    folds = _folds(rows, data)
+
+    def fit(gamma: float, fold: int) -> float:
+        own = np.vstack([part for k, part in enumerate(folds) if k != fold])
+        trial = dataclasses.replace(prior, bodies=gamma)
+        found = consistent.maximum_a_posteriori(parameters, own[:, :-1] @ base.matrix, own[:, -1], trial, options.bounds)
+        left = folds[fold][:, :-1] @ (base.matrix @ found.psi) - folds[fold][:, -1]
+        return float(left @ left)
+
+    chosen, tried = weight.held_out(fit, bodies, FOLDS)
+    return dataclasses.replace(prior, bodies=chosen), tuple(tried)
+
+
+def _folds(rows: Equations, data: Estimate) -> list[Array]:
+    """R and R θ̂ of each of FOLDS contiguous parts of the recordings: [R | z]. Shape (≤ p + 1, p + 1)."""
+    edges = np.linspace(0, len(rows), FOLDS + 1).astype(int)
+    parts = [rows.rows(slice(low, high)) for low, high in itertools.pairwise(edges)]
+    return [estimators.triangle(part, data.scale) for part in parts]
+
+
+def _sized(parameters: Parameters, base: Base, psi: Array) -> tuple[Parameters, Base]:
+    """The metric in which practical identifiability is judged: a drive's scale is its identified value where that is larger than the
+    stated one, which is a guess where the URDF says nothing."""
+    edge = 10 * parameters.bodies
+    scale = parameters.scale.copy()
+    index = np.arange(edge, parameters.count)
+    scale[index, index] = np.maximum(scale[index, index], np.abs(psi[edge:]))
+    sized = dataclasses.replace(parameters, scale=scale)
+    return sized, dataclasses.replace(base, geometric=scale @ np.linalg.qr((base.matrix @ scale).T)[0])
+
+
+def _reduced(parameters: Parameters, base: Base, data: Estimate, prior: Prior, options: Options) -> Consistent:
+    """The estimate that takes identified directions from the data and all others from the nominal robot (Lee, Lee & Park 2021, 4.4)."""
+    values, vectors = identifiability.spectrum(data.root @ base.matrix, base)
+    seen = values * options.threshold >= 1.0
+    # coordinates of θ in which the metric is 1 and the information diagonal
+    frame = vectors[:, seen].T @ np.linalg.inv(base.matrix @ base.geometric)
+    root = np.sqrt(values[seen])[:, None] * frame
+    weak = dataclasses.replace(prior, distance=Distance.PULLBACK, bodies=1e-3, drives=1e-3 * np.ones_like(prior.drives))
+    return consistent.maximum_a_posteriori(parameters, root @ base.matrix, root @ data.theta, weak, options.bounds)
+
+
+def _predicted(
+    model: Model, recording: Recording, hertz: float, psi: Array, nominal: Array, shift: Array | None, rows: Equations | None = None
+) -> Prediction:
+    """Measured and predicted torque of every row, not of mean periods; the noise floor where periods repeat."""
+    if rows is None:
+        parts = list(signals.pieces([recording], average=False))
+        if shift is not None:
+            parts = [_moved(piece, shift) for piece in parts]
+        rows = equations.build(model, parts, min(hertz, 0.45 * min(piece.rate for piece in parts)))
+    floor = signals.floor(list(signals.pieces([recording])), hertz)
+    fitted, before = (rows.predicted(model.base.matrix @ one) for one in (psi, nominal))
+    return Prediction(recording.source, rows.time, rows.torque, before, fitted, floor, rows.starts)

@@ -1,0 +1,175 @@
+"""Stretches of motion and torque that an identification can use: whole periods averaged, anything else as it is.
+
+The mean over P periods has 1/P of the noise variance, and the spread about it is the noise, with no model in between (Swevers et al.,
+IEEE TRA 1997): what repeats is physics.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..recordings import Recording
+
+Array = np.ndarray
+BAND_HZ = 20.0
+DROWNED = 4.0
+"""Power of torque over its noise, below which there is nothing left to fit."""
+REACH = 10.0
+"""Torque reaches to this many times the highest frequency of the motion: products of joints, reversals of friction."""
+CHUNK = 1 << 17
+"""Rows of a long stretch that are worked on at a time."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """An evenly sampled stretch. q, torque: Shape (N, n) [rad, N m]. start: its time [s]. source: the recording's name.
+
+    periods: how many were averaged; 0: not periodic. noise: each period's torque less the mean's. Shape (periods, N, n).
+    """
+
+    source: str
+    start: float
+    rate: float
+    q: Array
+    torque: Array
+    periods: int = 0
+    noise: Array | None = None
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    @property
+    def periodic(self) -> bool:
+        return self.periods > 0
+
+
+def pieces(recordings: Iterable[Recording], *, average: bool = True) -> Iterator[Piece]:
+    """The stretches of recordings, in order: the mean period of those that repeat, else every stretch without a gap."""
+    for recording in recordings:
+        side = recording.sidecar
+        if average and side.period is not None and side.periodic is not None:
+            mean = averaged(recording, side.period, side.periodic)
+            if mean is not None:
+                yield mean
+                continue
+        for part in recording.segments():
+            yield Piece(recording.source, float(part.t[0]), part.rate, part.q, part.torque)
+
+
+def first(parts: Sequence[Piece], samples: int) -> list[Piece]:
+    """The pieces from the beginning until there are that many samples; all where there are no more, in parts where one is long."""
+    out: list[Piece] = []
+    for piece in parts:
+        left = samples - sum(len(one) for one in out)
+        if left <= 0:
+            break
+        whole = piece.periodic or len(piece) <= 2 * left
+        out.append(piece if whole else dataclasses.replace(piece, q=piece.q[:left], torque=piece.torque[:left]))
+    return out
+
+
+def averaged(recording: Recording, period: float, window: tuple[float, float]) -> Piece | None:
+    """The mean over the whole periods within a window, on a grid of a whole number of samples; None where fewer than two are."""
+    first = float(recording.t[min(int(np.searchsorted(recording.t, window[0] - 1e-9)), len(recording) - 1)])
+    last = min(window[1], float(recording.t[-1]) + 1.0 / recording.rate)
+    count = int((last - first) / period + 1e-6)
+    if count < 2:
+        return None
+    samples = round(period * recording.rate)
+    q, torque = (_folded(recording.t, values, first, period, count, samples) for values in (recording.q, recording.torque))
+    mean = torque.mean(axis=0)
+    return Piece(recording.source, first, samples / period, q.mean(axis=0), mean, count, torque - mean)
+
+
+def _folded(t: Array, values: Array, first: float, period: float, count: int, samples: int) -> Array:
+    """Values at `count` periods of `samples` each. Shape (count, samples, n)."""
+    wanted = first + np.arange(count * samples) * (period / samples)
+    index = np.searchsorted(t, wanted - 0.25 * period / samples)
+    on_grid = index[-1] < len(t) and np.abs(t[index] - wanted).max() < 1e-3 * period / samples
+    if on_grid:
+        found = values[index]
+    else:
+        from scipy.interpolate import CubicSpline  # slow to import
+
+        found = CubicSpline(t, values, axis=0)(wanted)
+    return np.asarray(found).reshape(count, samples, -1)
+
+
+# -- noise and band --------------------------------------------------------------------------------------------------
+
+
+def floor(parts: Sequence[Piece], hertz: float) -> Array | None:
+    """Standard deviation of the torque noise below `hertz`, from the spread between periods; None without. Shape (n,) [N m]."""
+    power, weight = 0.0, 0
+    for piece in parts:
+        if piece.noise is None:
+            continue
+        spectrum = np.fft.rfft(piece.noise, axis=1)
+        kept = np.fft.rfftfreq(len(piece), 1.0 / piece.rate) <= hertz
+        kept[0] = False  # the mean of a period drifts with temperature; that is no noise
+        square = 2.0 * np.sum(np.abs(spectrum[:, kept]) ** 2, axis=1) / len(piece) ** 2
+        power = power + square.sum(axis=0)
+        weight += piece.periods - 1
+    return None if weight == 0 else np.sqrt(np.asarray(power) / weight)
+
+
+@dataclass(frozen=True)
+class Spectra:
+    """Power densities, joint by joint, that a band is chosen by. frequency: Shape (F,) [Hz]. torque, noise: (F, n) [(N m)²/Hz].
+
+    motion: the frequency below which 99 % of the joint velocities' power lies [Hz]. hertz: the band chosen.
+    """
+
+    frequency: Array
+    torque: Array
+    noise: Array
+    motion: float
+    hertz: float
+
+
+def spectra(parts: Sequence[Piece], hertz: float | None = None) -> Spectra:
+    """The band, from the data: 20 Hz, more where the motion is faster, less where torque drowns in its noise before.
+
+    The noise is that between periods where there are some, else the median density above half of the highest frequency.
+    """
+    from scipy import signal  # slow to import
+
+    longest = first([max(parts, key=len)], CHUNK)[0]
+    rate, size = longest.rate, min(len(longest), max(256, int(4.0 * longest.rate)))
+    frequency, torque = signal.welch(longest.torque, rate, nperseg=size, axis=0, detrend="linear")
+    speed = signal.welch(np.gradient(longest.q, 1.0 / rate, axis=0), rate, nperseg=size, axis=0)[1]
+    share = np.cumsum((speed / np.maximum(speed.sum(axis=0), 1e-300)).sum(axis=1)) / speed.shape[1]
+    motion = float(frequency[np.searchsorted(share, 0.99 * share[-1])])
+    if longest.noise is not None:
+        noise = np.mean([signal.welch(one, rate, nperseg=size, axis=0)[1] for one in longest.noise], axis=0)
+        noise *= longest.periods / (longest.periods - 1)
+    else:
+        noise = np.tile(np.median(torque[frequency >= 0.25 * rate], axis=0), (len(frequency), 1))
+    chosen = _chosen(frequency, torque, noise, motion, rate) if hertz is None else hertz
+    return Spectra(frequency, torque, noise, motion, min(chosen, 0.5 * rate * (1.0 - 1e-9)))
+
+
+def _chosen(frequency: Array, torque: Array, noise: Array, motion: float, rate: float) -> float:
+    least = min(max(REACH * motion, 5.0), 0.4 * rate)
+    above = (torque > DROWNED * noise).any(axis=1)
+    drowned = float(frequency[np.flatnonzero(above)[-1]]) if above.any() else least
+    return float(min(max(least, min(BAND_HZ, drowned)), 0.4 * rate, max(BAND_HZ, least)))
+
+
+def chunks(piece: Piece, overlap: int, multiple: int) -> Iterator[tuple[slice, slice]]:
+    """Parts of a long stretch: the rows to work on, and of those the ones that are not overlap. Starts are multiples of `multiple`."""
+    if piece.periodic or len(piece) <= CHUNK + 2 * overlap:
+        yield slice(0, len(piece)), slice(0, len(piece))
+        return
+    size, reach = CHUNK // multiple * multiple, -(-overlap // multiple) * multiple
+    starts = list(range(0, len(piece), size))
+    if len(piece) - starts[-1] <= 2 * overlap:
+        starts.pop()
+    for k, start in enumerate(starts):
+        stop = len(piece) if k == len(starts) - 1 else start + size
+        begin, end = max(0, start - reach), min(len(piece), stop + reach)
+        yield slice(begin, end), slice(start - begin, stop - begin)

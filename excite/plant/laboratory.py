@@ -1,0 +1,89 @@
+"""One call from a URDF and a trajectory to a recording and its truth; every draw comes from one seed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from . import plant as plants
+from . import record as records
+from . import reference as references
+from . import tree as trees
+from .chain import Chain
+from .drive import Control
+from .law import Law
+from .plant import Plant, Run
+from .record import Recording
+from .reference import Reference
+from .wrong import deformed
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How a robot is made and measured.
+
+    seed: of everything. rate [Hz]. noise: torque's standard deviation over the torque limit; colour: corner of its low-pass [Hz].
+    jitter [s]. encoder [rad]. model_error: how far the true bodies are from the URDF's, about (1). control: the controller.
+    """
+
+    seed: int = 0
+    rate: float = 500.0
+    noise: float = 0.005
+    colour: float | None = None
+    jitter: float = 0.0
+    encoder: float = 2e-6
+    model_error: float = 0.05
+    control: Control = Control()
+
+    def generators(self) -> list[np.random.Generator]:
+        """Independent ones for bodies, drives, measurement and effects."""
+        return np.random.default_rng(self.seed).spawn(4)
+
+
+@dataclass(frozen=True)
+class Session:
+    """A robot on the bench. run: the motion made. recording: what was measured. truth: what nobody there is told."""
+
+    plant: Plant
+    chain: Chain
+    run: Run
+    recording: Recording
+    truth: dict[str, Any]
+
+
+def robot(urdf: Path, reference: Reference, setting: Setting, laws: Sequence[Law] = ()) -> Plant:
+    """The true robot behind a URDF that is a few per cent wrong."""
+    bodies, drives, *_ = setting.generators()
+    true = deformed(trees.read(urdf), setting.model_error, bodies)
+    return plants.draw(true, reference, drives, control=setting.control, laws=laws)
+
+
+def chain(plant: Plant, setting: Setting) -> Chain:
+    """The measurement chain, sized by the torque limits."""
+    return Chain(
+        setting.rate, setting.noise * plant.limit, setting.colour, setting.encoder, plant.limit / 2048.0, setting.jitter
+    )
+
+
+def session(plant: Plant, reference: Reference, setting: Setting, facts: dict[str, Any] | None = None, run: Run | None = None) -> Session:
+    """Run a robot along a reference and measure it; `facts` enter the truth first, `run` is one already made."""
+    made = plant.run(reference) if run is None else run
+    measured = chain(plant, setting)
+    recording = records.record(made, reference, measured, setting.generators()[2])
+    own = {"seed": setting.seed, "setting": asdict(setting)}
+    return Session(plant, measured, made, recording, records.truth(plant, measured, {**(facts or {}), **own}))
+
+
+def simulate(urdf: Path, trajectory: Path, setting: Setting = Setting(), periods: int | None = None, laws: Sequence[Law] = ()) -> Session:
+    """A recording of a robot that follows `trajectory.json`, its bodies and drives drawn from the setting's seed."""
+    reference = references.read(trajectory, periods)
+    return session(robot(urdf, reference, setting, laws), reference, setting)
+
+
+def again(first: Session, reference: Reference, setting: Setting, seed: int) -> Session:
+    """The same robot on another reference or another day: only what is measured at random differs."""
+    return session(first.plant, reference, replace(setting, seed=seed))

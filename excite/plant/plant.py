@@ -1,0 +1,128 @@
+"""A robot with all its physics: it moves, and along that motion its drives give exactly the torque that the motion needs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from ..errors import UnusableInput
+from . import arm as arms
+from .arm import Arm
+from .drive import Control, Drive
+from .law import Instant, Law
+from .loop import Loop, Trace
+from .reference import Reference
+from .tree import Tree
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Plant:
+    """tree: the true bodies, without effects. limit: torque limits, Shape (n,) [N m]. laws: the hidden effects. step: of the loop [s]."""
+
+    tree: Tree
+    joints: tuple[str, ...]
+    lock: dict[str, float]
+    gravity: tuple[float, ...]
+    limit: Array
+    drive: Drive
+    control: Control
+    laws: tuple[Law, ...] = ()
+    step: float = 1e-3
+
+    def without(self) -> Plant:
+        """The same robot with nothing hidden."""
+        return replace(self, laws=())
+
+    def arm(self) -> Arm:
+        """The rigid bodies as the effects leave them; a base that moves has its coordinates before the joints."""
+        tree, gravity = self.tree, np.array(self.gravity)
+        for law in self.laws:
+            tree, gravity = law.alter(tree), law.gravity(gravity)
+        extra = tuple(name for name in tree.joints if name not in self.tree.joints)
+        return arms.build(tree, extra + self.joints, self.lock, gravity)
+
+    def run(self, reference: Reference) -> Run:
+        """Close the loop on a reference."""
+        arm, drive = self.arm(), self.drive
+        for law in self.laws:
+            drive = law.drives(drive)
+        bound = replace(self, drive=drive, laws=tuple(law.bound(arm) for law in self.laws))
+        carried = [s for law in bound.laws if (s := law.suspension()) is not None]
+        if len(carried) > 1:
+            raise UnusableInput(f"{self.tree.source}: more than one effect moves the base; leave one --effect base_compliance")
+        trace = Loop(arm, drive, self.control, bound.laws, carried[0] if carried else None, self.limit, self.step).run(reference)
+        if not np.isfinite(trace.v).all() or np.abs(trace.v).max() > 1e3:
+            raise UnusableInput(f"{self.tree.source}: the controller loses this robot; make the hidden effects smaller")
+        return Run(bound, arm, trace)
+
+
+class Run:
+    """A finished motion, smooth between the steps of the loop: speeds are cubic splines, positions their integrals.
+
+    Torques are recomputed along it, not taken from the controller: what is recorded is consistent to machine precision.
+    """
+
+    def __init__(self, plant: Plant, arm: Arm, trace: Trace) -> None:
+        self.plant, self.arm, self.trace = plant, arm, trace
+        self.end = float(trace.t[-1])
+        self._v = CubicSpline(trace.t, trace.v)
+        self._q, self._a = self._v.antiderivative(), self._v.derivative()
+        self._omega = CubicSpline(trace.t, trace.omega)
+        self._theta, self._alpha = self._omega.antiderivative(), self._omega.derivative()
+
+    def links(self, t: Array) -> tuple[Array, Array, Array]:
+        """Position, velocity, acceleration of base and links. Shapes (N, k + n)."""
+        t = np.clip(t, 0.0, self.end)
+        return self.trace.q + self._q(t), self._v(t), self._a(t)
+
+    def motors(self, t: Array) -> tuple[Array, Array, Array]:
+        """The same of the motors, at the joints' shafts. Shapes (N, n)."""
+        t = np.clip(t, 0.0, self.end)
+        return self.trace.theta + self._theta(t), self._omega(t), self._alpha(t)
+
+    def instant(self, t: Array) -> Instant:
+        """The joints at times t, with the torque that passes to the links."""
+        load = self.arm.inverse(*self.links(t))[:, self.arm.n - len(self.plant.joints) :]
+        q, v, a = self.motors(t)
+        return Instant(t, q, v, a, load)
+
+    def torque(self, t: Array) -> Array:
+        """What the drives gave. Shape (N, n) [N m]."""
+        t = np.clip(t, 0.0, self.end)
+        x, drive, at = self.instant(t), self.plant.drive, 0
+        out = x.load + drive.inertia * x.a + drive.friction(x.v)
+        for law in self.plant.laws:
+            if type(law).torque is Law.torque:
+                continue
+            z = np.column_stack([np.interp(t, self.trace.t, self.trace.z[:, i]) for i in range(at, at + law.memory)] or [np.empty((len(t), 0))])
+            at += law.memory
+            more = law.torque(x, z)
+            out = out if more is None else out + more
+        return out
+
+    def told(self, t: Array) -> tuple[Array, Array]:
+        """Position and torque as the robot tells them, before noise. Shapes (N, n)."""
+        q, ask = self.motors(t)[0], self.torque
+        for law in self.plant.laws:
+            q, ask = law.seen(q), _wrapped(law, ask)
+        return q, ask(t)
+
+
+def _wrapped(law: Law, ask: Callable[[Array], Array]) -> Callable[[Array], Array]:
+    return lambda t: law.told(ask, t)
+
+
+def draw(tree: Tree, reference: Reference, rng: np.random.Generator, *, control: Control | None = None, laws: Sequence[Law] = ()) -> Plant:
+    """A robot with drives drawn at random, sized by the tree's limits."""
+    from . import drive
+
+    lock = {str(k): float(v) for k, v in reference.robot.get("locked", {}).items()}
+    gravity = tuple(float(g) for g in reference.robot.get("gravity", arms.GRAVITY))
+    arm = arms.build(tree, reference.joints, lock, gravity)
+    speed, torque = np.array([tree.limits(name) for name in reference.joints]).T
+    return Plant(tree, reference.joints, lock, gravity, torque, drive.draw(arm, speed, torque, rng), control or Control(), tuple(laws))

@@ -1,0 +1,9 @@
+"""Recordings of a robot's motion: read from what people have, checked, repaired by stated rules."""
+
+from .block import QUANTITIES
+from .reading import read, stream
+from .recording import Recording
+from .remark import Kind, Remark
+from .sidecar import Sidecar
+
+__all__ = ["QUANTITIES", "Kind", "Recording", "Remark", "Sidecar", "read", "stream"]

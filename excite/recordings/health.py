@@ -1,0 +1,89 @@
+"""The health check: from rows as found to a recording that can be trusted, with what was done.
+
+Wrong units, a clock that cannot be repaired and mostly missing numbers are errors (`units`, `clock`, `missing`); order, repeats, jitter,
+gaps and few missing numbers are repaired by the rules stated there, remarked and warned of; `signs` are remarked only.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import ExciteWarning, UnusableInput
+from ..limits import Limits
+from ..robot import Robot
+from . import missing, signs, units
+from .block import Block
+from .clock import Clock, even
+from .recording import SHORTEST, Recording
+from .remark import Kind, Remark
+from .sidecar import KEYS, Sidecar
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Patient:
+    """What is known of a recording before its rows are looked at."""
+
+    source: str
+    robot: Robot
+    sidecar: Sidecar
+    limits: Limits | None
+
+
+@dataclass(frozen=True)
+class Window:
+    """Ordered rows, of which those with start ≤ t ≤ end are wanted and those with t ≤ done were handed out before [s].
+
+    The others are context, so that repairs come out as in the whole file. remarks: how they were ordered.
+    """
+
+    block: Block
+    start: float = -np.inf
+    end: float = np.inf
+    done: float = -np.inf
+    remarks: tuple[Remark, ...] = ()
+
+
+def recording(patient: Patient, window: Window, clock: Clock, *, whole: bool) -> Recording:
+    """Check and repair a window of rows. whole: it is the whole recording, whose channels can be judged.
+
+    Raises UnusableInput for wrong units, too few rows or too few numbers.
+    """
+    source, robot = patient.source, patient.robot
+    block, lacks = missing.fill(source, robot.joints, window.block)
+    if len(block) < (SHORTEST if whole else 2):
+        raise UnusableInput(f"{source}: has {len(block)} usable rows; give at least {SHORTEST}")
+    units.check_positions(source, block, robot, patient.limits)
+    unlike = units.check_velocities(source, block, robot)
+    gridded, uneven = even(block, clock)
+    remarks = [*block.remarks, *window.remarks, *lacks, *uneven]
+    if whole:
+        remarks += [*_unknown(patient.sidecar), *unlike, *signs.look(block, robot, patient.limits)]
+    inside = gridded.rows((gridded.t >= window.start) & (gridded.t <= window.end))
+    own = window.block.t[(window.block.t >= window.start) & (window.block.t <= window.end)]
+    return Recording(
+        source=source,
+        joints=robot.joints,
+        t=inside.t,
+        **inside.values,
+        sidecar=patient.sidecar,
+        remarks=tuple(remarks),
+        own_times=own,
+        run_in=int(np.searchsorted(inside.t, window.done, side="right")),
+    )
+
+
+def warn(source: str, remarks: Iterable[Remark]) -> None:
+    """Tell of each repair."""
+    for remark in remarks:
+        if remark.repaired:
+            warnings.warn(f"{source}: {remark.text}", ExciteWarning, stacklevel=3)
+
+
+def _unknown(sidecar: Sidecar) -> list[Remark]:
+    return [Remark(Kind.SKIPPED, f"the sidecar's '{key}' is none of {', '.join(KEYS)}; it is ignored") for key in sidecar.unknown]

@@ -1,0 +1,129 @@
+"""A recording of a robot's motion, joints in the robot's order."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..errors import UnusableInput
+from ..trajectory import Samples
+from .block import QUANTITIES
+from .clock import pieces
+from .remark import Remark
+from .sidecar import Sidecar
+
+Array = np.ndarray
+BAND_HZ = 20.0
+SHORTEST = 16
+"""Rows below which a piece is too short to be filtered."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What was measured, checked and on an even grid but for gaps. Shapes (N, n); a column is NaN where a joint lacks the quantity.
+
+    t: Shape (N,) [s]. q: position [rad or m]. dq: velocity [rad/s]. tau: torque [N m or N]. current: of the motor [A].
+    qref: commanded position. qlink: position by the encoder behind the gear. temperature: [°C].
+    remarks: what the health check found and did. own_times: times of the file's rows, in order, each once: N rows or, where the rows
+    were put on an even grid, another number. Shape (M,) [s]. run_in: leading rows that repeat the end of the block before (`stream`).
+    """
+
+    source: str
+    joints: tuple[str, ...]
+    t: Array
+    q: Array
+    dq: Array | None = None
+    tau: Array | None = None
+    current: Array | None = None
+    qref: Array | None = None
+    qlink: Array | None = None
+    temperature: Array | None = None
+    sidecar: Sidecar = field(default_factory=Sidecar)
+    remarks: tuple[Remark, ...] = ()
+    own_times: Array = field(default_factory=lambda: np.empty(0))
+    run_in: int = 0
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def step(self) -> float:
+        """Time between rows [s]."""
+        return float(np.median(np.diff(self.t)))
+
+    @property
+    def rate(self) -> float:
+        """Rows a second [Hz]."""
+        return 1.0 / self.step
+
+    def has(self, quantity: str, joint: str) -> bool:
+        """Whether a quantity of a joint was measured at all."""
+        values = getattr(self, quantity)
+        return values is not None and bool(np.isfinite(values[:, self.joints.index(joint)]).any())
+
+    @property
+    def torque(self) -> Array:
+        """Measured torque: `tau` of a joint, or else its current times its drive gain. Shape (N, n) [N m].
+
+        Raises UnusableInput, naming the joint, where there is neither or no gain.
+        """
+        out = np.empty(self.q.shape)
+        for i, joint in enumerate(self.joints):
+            if self.tau is not None and self.has("tau", joint):
+                out[:, i] = self.tau[:, i]
+            elif self.current is not None and self.has("current", joint):
+                out[:, i] = self.current[:, i] * self._gain(joint)
+            else:
+                raise UnusableInput(f"{self.source}: joint '{joint}' has no torque; record tau.{joint}, or i.{joint} with a drive_gain")
+        return out
+
+    def _gain(self, joint: str) -> float:
+        if joint not in self.sidecar.drive_gain:
+            raise UnusableInput(
+                f"{self.source}: joint '{joint}' has a current but no drive gain; put "
+                f'"drive_gain": {{"{joint}": N m/A}} into the .json beside the recording ("schema": "excite.recording/1")'
+            )
+        return self.sidecar.drive_gain[joint]
+
+    def rows(self, which: Array | slice) -> Recording:
+        """The rows that `which` selects, with the remarks as they are."""
+        chosen = {name: value[which] for name in QUANTITIES if (value := getattr(self, name)) is not None}
+        return dataclasses.replace(self, t=self.t[which], **chosen)
+
+    def between(self, start: float, end: float) -> Recording:
+        """The rows with start ≤ t ≤ end [s], and what was remarked of that time or of no time.
+
+        Raises UnusableInput where there are none.
+        """
+        inside = (self.t >= start) & (self.t <= end)
+        if not inside.any():
+            raise UnusableInput(f"{self.source}: has no rows from {start:g} to {end:g} s; it runs from {self.t[0]:g} to {self.t[-1]:g} s")
+        remarks = tuple(r for r in self.remarks if r.start is None or r.end is None or (r.start <= end and r.end >= start))
+        own = self.own_times[(self.own_times >= start) & (self.own_times <= end)]
+        repeated = int(inside[: self.run_in].sum())
+        return dataclasses.replace(self.rows(inside), remarks=remarks, own_times=own, run_in=repeated)
+
+    def segments(self, shortest: int = SHORTEST) -> Iterator[Recording]:
+        """Pieces without a gap, evenly sampled; those of fewer than `shortest` rows are left out."""
+        for piece in pieces(self.t, self.step):
+            if piece.stop - piece.start >= shortest:
+                yield dataclasses.replace(self.rows(piece), run_in=min(max(self.run_in - piece.start, 0), piece.stop - piece.start))
+
+    def samples(self, band: float = BAND_HZ) -> Samples:
+        """Positions, velocities and accelerations below `band` [Hz]: a zero-phase low-pass, then central differences, piece by piece."""
+        from scipy import signal  # slow to import
+
+        dt = self.step
+        slow = band * dt >= 0.45  # sampled too slowly for there to be anything above the band
+        filtered = [
+            piece.q if slow else signal.sosfiltfilt(signal.butter(4, band, fs=1.0 / dt, output="sos"), piece.q, axis=0)
+            for piece in self.segments()
+        ]
+        if not filtered:
+            raise UnusableInput(f"{self.source}: has no {SHORTEST} rows without a gap; record again")
+        dq = [np.gradient(q, dt, axis=0) for q in filtered]
+        ddq = [np.gradient(v, dt, axis=0) for v in dq]
+        return Samples(np.concatenate(filtered), np.concatenate(dq), np.concatenate(ddq))

@@ -1,0 +1,116 @@
+"""`excite simulate`: a robot on the bench, with what it hides; the only door between the rest of excite and its plant."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from . import files, robot
+from .errors import UnusableInput
+
+Array = np.ndarray
+
+
+def command(arguments: argparse.Namespace) -> tuple[int, Any, str]:
+    """Simulate, measure, write the recording, its sidecar, its truth and a plot."""
+    if importlib.util.find_spec("mujoco") is None:
+        raise UnusableInput("excite simulate: MuJoCo is not installed; pip install 'excite[trial]'")
+    from .plant import effect, laboratory, record, reference, severity
+
+    out = Path(arguments.out)
+    if out.suffix != ".csv":
+        raise UnusableInput(f"-o {out}: should end in .csv; its sidecar, truth and plot take the same name")
+    source, setting = robot.locate(arguments.robot), _setting(arguments)
+    motion = reference.read(Path(arguments.trajectory), arguments.periods)
+    plant = laboratory.robot(source, motion, setting)
+    effects = tuple(effect.parse(text, plant) for text in arguments.effect)
+    if arguments.severity is not None:
+        if not arguments.severity > 0.0:
+            raise UnusableInput(f"--severity {arguments.severity:g}: should be above 0")
+        chain = laboratory.chain(plant, setting)
+        effects = tuple(severity.reach(one, arguments.severity, plant, motion, chain, trusted=arguments.trusted)[0] for one in effects)
+    with_effects = effect.hide(plant, effects)
+    bare = plant.run(motion)
+    session = laboratory.session(with_effects, motion, setting, run=bare if not effects else None)
+    found = severity.of(session.run, plant, motion, session.chain)
+    trusted = severity.of(session.run, plant, motion, session.chain, trusted=True)
+    facts = {
+        "robot": {"name": arguments.robot, "source": str(source)},
+        "trajectory": arguments.trajectory,
+        "effects": [one.document() for one in effects],
+        "severity": dict(zip(plant.joints, found.joints.tolist(), strict=True)),
+        "severity_trusted": dict(zip(plant.joints, trusted.joints.tolist(), strict=True)),
+    }
+    truth = {"schema": session.truth["schema"], **facts, **session.truth}
+    contents = {
+        out.name: session.recording.csv(),
+        f"{out.stem}.json": record.dumps(session.recording.sidecar()),
+        f"{out.stem}.truth.json": record.dumps(truth),
+        f"{out.stem}.svg": _picture(session.recording, bare, effects),
+    }
+    written = [str(path) for path in files.write_all(out.parent, contents)]
+    document = {"files": written, "joints": list(plant.joints), "rows": len(session.recording.t), **facts}
+    return 0, document, _text(document, effects, found.value, trusted.value)
+
+
+def _setting(arguments: argparse.Namespace) -> Any:
+    from .plant.laboratory import Setting
+
+    for name, low in (("rate", 125.0), ("noise", 0.0), ("jitter", 0.0), ("encoder", 0.0), ("model_error", 0.0)):
+        value = getattr(arguments, name)
+        if not np.isfinite(value) or value < low or (name == "rate" and value > 1000.0):
+            remedy = "be between 125 and 1000 Hz" if name == "rate" else "be a number not below 0"
+            raise UnusableInput(f"--{name.replace('_', '-')} {value:g}: should {remedy}")
+    if arguments.colour is not None and not 0.0 < arguments.colour < 0.5 * arguments.rate:
+        raise UnusableInput(f"--colour {arguments.colour:g}: should be above 0 and below half the --rate")
+    return Setting(
+        arguments.seed, arguments.rate, arguments.noise, arguments.colour, arguments.jitter, arguments.encoder, arguments.model_error
+    )
+
+
+def _text(document: dict[str, Any], effects: tuple[Any, ...], survives: float, trusted: float) -> str:
+    lines = [
+        f"{one.name}{'' if one.joint is None else ' in ' + one.joint}: "
+        + ", ".join(f"{q.name} {one.values[q.name]:.4g}{'' if q.unit == '1' else ' ' + q.unit}" for q in one.kind.quantities)
+        for one in effects
+    ]
+    if effects:
+        lines.append(f"severity {survives:.3g} (what a refit of the base model leaves, over the noise below 20 Hz), {trusted:.3g} without refit")
+    else:
+        lines.append("nothing hidden; name what to hide: --effect NAME:JOINT[:k=v,…]")
+    return "\n".join([*lines, *(f"wrote {path}" for path in document["files"])])
+
+
+def _picture(recording: Any, bare: Any, effects: tuple[Any, ...]) -> str:
+    """Torque as recorded, without the effects, and what they change, joint by joint."""
+    from .report.figures import BLUE, GREY, ORANGE, few_ticks, grid, render, thin
+
+    joints, t = recording.joints, recording.t
+    plain = bare.torque(t)
+    change = recording.tau - plain
+    hidden = " + ".join(one.name for one in effects) or "nothing hidden"
+
+    def draw(figure: Any) -> None:
+        axes = grid(figure, len(joints), 2, margins=(0.65, 0.15, 0.45, 0.4), gaps=(0.6, 0.22))
+        for j, joint in enumerate(joints):
+            left, right = axes[j]
+            left.plot(*thin(t, recording.tau[:, j], 1200), color=BLUE, label="recorded")
+            left.plot(*thin(t, plain[:, j], 1200), color=ORANGE, label="the same robot, nothing hidden, no noise")
+            right.plot(*thin(t, change[:, j], 1200), color=GREY, label="difference")
+            left.set_ylabel("N m")
+            left.set_title(joint, loc="left", pad=3)
+            for axis in (left, right):
+                few_ticks(axis, 6)
+                axis.set_xlim(0.0, t[-1])
+                axis.tick_params(labelbottom=j == len(joints) - 1)
+        axes[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
+        axes[0, 1].set_title(f"difference: {hidden}, and noise", loc="right", pad=3)
+        for axis in axes[-1]:
+            axis.set_xlabel("t [s]")
+
+    svg = render(f"Torque with and without {hidden}", 0.85 + 1.15 * len(joints), draw)
+    return svg.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" ', 1)

@@ -1,0 +1,159 @@
+"""A case on disk: what the analyst is given in one folder, what it must not know in another."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..plant import effect as effects
+from ..plant import laboratory, record, severity
+from ..plant import tree as trees
+from ..plant.drive import Control
+from ..plant.effect import Effect
+from ..plant.effects import KINDS
+from ..plant.laboratory import Session, Setting
+from ..plant.plant import Plant
+from ..plant.reference import Reference
+from . import motion
+from .fit import oracle
+from .plan import Spec
+
+Array = np.ndarray
+NOISE, COARSE, JITTER, STEP = 0.002, 2.0 * np.pi / 2**16, 5e-5, 2e-3
+LARGEST = 8.0
+"""An effect is at most this many times its usual size, whatever severity was asked for."""
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A case before it is written. plant: the robot without what it hides. hidden: (effect, its severity alone).
+
+    sessions: the recording to learn from and the one to judge by. motion: of the first.
+    """
+
+    spec: Spec
+    urdf: str
+    plant: Plant
+    hidden: tuple[tuple[Effect, float], ...]
+    sessions: tuple[Session, Session]
+    motion: Reference
+
+
+def setting(spec: Spec) -> Setting:
+    """Measurement and controller of a case, with its trap. The true bodies are the URDF's where a prior is trusted."""
+    rng = np.random.default_rng([spec.seed, 1])
+    control = Control(position=float(rng.uniform(20.0, 40.0)), speed=float(rng.uniform(120.0, 200.0)), forward=float(rng.uniform(0.6, 0.95)))
+    if spec.trap == "changed_gains":
+        control = replace(control, position=8.0, speed=60.0, forward=0.3)
+    return Setting(
+        seed=int(rng.integers(2**31)),
+        noise=NOISE * (5.0 if spec.trap == "heavy_noise" else float(rng.uniform(0.7, 1.4))),
+        colour=8.0 if spec.trap == "coloured_noise" else None,
+        jitter=JITTER if spec.trap == "jitter" else 0.0,
+        encoder=COARSE if spec.trap == "coarse_encoder" else 2e-6,
+        model_error=0.0 if spec.trusted else 0.05,
+        control=control,
+    )
+
+
+def bench(spec: Spec, models: Path) -> Bench:
+    """Simulate a case. models: folder of the robots' URDFs. The same spec gives the same numbers."""
+    rng, chosen, path = np.random.default_rng([spec.seed, 2]), setting(spec), models / f"{spec.robot}.urdf"
+    tree = trees.read(path)
+    plant = laboratory.robot(path, _standing(tree.joints), chosen)
+    # where a prior is trusted, the handed-over URDF is right, to the last digit
+    plant = replace(plant, step=STEP, tree=tree if spec.trusted else plant.tree)
+    poor = spec.trap == "poor_excitation"
+    states = [np.random.default_rng([spec.seed, 3]), np.random.default_rng([spec.seed, 3]), np.random.default_rng([spec.seed, 4])]
+    short, train, validate = (motion.draw(plant, n, state, poor=poor) for n, state in zip((1, 2, 1), states, strict=True))
+    listed = zip(spec.names, spec.severities, strict=True)
+    hidden = tuple(_effect(spec, name, level, plant, chosen, (short, train), rng) for name, level in listed)
+    robot = effects.hide(plant, tuple(effect for effect, _ in hidden))
+    first = laboratory.session(robot, train, chosen)
+    second = laboratory.session(robot, validate, replace(chosen, seed=chosen.seed + 1))
+    return Bench(spec, tree.text, plant, hidden, (first, second), train)
+
+
+def _standing(joints: tuple[str, ...]) -> Reference:
+    """A reference that only names the joints."""
+    return Reference(joints, lambda t: (t, t, t), 0.0, 1.0, (0.0, 1.0), {})
+
+
+def given(case: Bench) -> dict[str, str]:
+    """Files of the analyst's folder: nothing in them but what a laboratory would hand over."""
+    out = {"robot.urdf": case.urdf}
+    for name, session in zip(("train", "validate"), case.sessions, strict=True):
+        out[f"{name}.csv"] = session.recording.csv()
+        out[f"{name}.json"] = record.dumps({**session.recording.sidecar(), "notes": ""})
+    if case.spec.trusted:
+        out["prior.json"] = _prior(case.plant)
+    return out
+
+
+def _effect(
+    spec: Spec, name: str, level: float, plant: Plant, chosen: Setting, motions: tuple[Reference, Reference], rng: np.random.Generator
+) -> tuple[Effect, float]:
+    """An effect of random size and place, scaled to its severity on this motion; and the severity reached."""
+    kind, n = KINDS[name], len(plant.joints)
+    first = {"payload": n // 2, "contact": n // 2, "kinematic_error": min(1, n - 1)}.get(name, 0)
+    joint = None if kind.place == "robot" or (kind.place == "either" and rng.random() < 0.3) else plant.joints[int(rng.integers(first, n))]
+    effect = effects.draw(kind, plant, joint, spec.family, rng)
+    short, whole = motions
+    along = whole if name == "thermal_drift" else short
+    chain = laboratory.chain(plant, chosen)
+    found, _, reached = severity.reach(effect, level, plant, along, chain, trusted=spec.trusted, tolerance=0.5, tries=3, largest=LARGEST)
+    return found, reached.value
+
+
+def _prior(plant: Plant) -> str:
+    drive = plant.drive
+    joints = {
+        name: {
+            "coulomb": float(drive.coulomb[j]),
+            "viscous": float(drive.viscous[j]),
+            "rotor_inertia": float(drive.inertia[j]),
+            "offset": float(drive.offset[j]),
+        }
+        for j, name in enumerate(plant.joints)
+    }
+    return record.dumps({"schema": "excite.prior/1", "trust_prior": True, "joints": joints})
+
+
+def key(case: Bench, folder: Path) -> dict[str, Any]:
+    """What the analyst must not know; `folder` holds the files it is given. held_out: RMSE of the second recording [N m]."""
+    first, second = case.sessions
+    before, after = oracle(folder, (_torque(first, case.plant), _torque(second, case.plant)))
+    whole = severity.of(first.run, case.plant, case.motion, first.chain, trusted=case.spec.trusted)
+    return {
+        "spec": asdict(case.spec),
+        "joints": list(case.plant.joints),
+        "effects": [{**effect.document(), "severity": alone} for effect, alone in case.hidden],
+        "severity": whole.joints.tolist(),
+        "held_out": {"before": before.tolist(), "oracle": after.tolist(), "noise": second.chain.floor(severity.BAND).tolist()},
+        "truth": first.truth,
+    }
+
+
+def _torque(session: Session, plant: Plant) -> Callable[[Array], Array]:
+    return lambda t: severity.hidden(session.run, plant, t).torque
+
+
+def write(case: Bench, folder: Path, secret: Path) -> None:
+    """Put a case's files and its key into their places: a case whose folder is there is whole. All files bear one date."""
+    staged = folder.with_name(f".{folder.name}")
+    shutil.rmtree(staged, ignore_errors=True)
+    staged.mkdir(parents=True)
+    for name, text in given(case).items():
+        (staged / name).write_text(text, encoding="utf-8")
+        os.utime(staged / name, (0, 0))
+    secret.parent.mkdir(parents=True, exist_ok=True)
+    secret.write_text(json.dumps(key(case, staged), allow_nan=False), encoding="utf-8")
+    os.utime(staged, (0, 0))
+    staged.rename(folder)

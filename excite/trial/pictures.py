@@ -1,0 +1,75 @@
+"""The confusion matrix and the reliability diagram, as SVG."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from ..plant.effects import CATALOGUE, OUTSIDERS
+from .score import NO_ANSWER, NOTHING, UNKNOWN
+
+Array = np.ndarray
+
+
+def _svg(width: float, height: float, draw: Callable[[Any], None]) -> str:
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context({"svg.fonttype": "none", "font.size": 7.5, "svg.hashsalt": "trial", "font.family": "DejaVu Sans"}):
+        figure = Figure(figsize=(width, height), layout="constrained")
+        draw(figure)
+        buffer = io.StringIO()
+        figure.savefig(buffer, format="svg", metadata={"Date": None})
+    return buffer.getvalue()
+
+
+def confusion(tables: Mapping[str, Mapping[str, Mapping[str, int]]]) -> str:
+    """One matrix per analyst: rows are what was hidden, columns the first name answered; shade is the row's share."""
+    rows = [NOTHING, *CATALOGUE, *OUTSIDERS]
+    columns = [NOTHING, UNKNOWN, NO_ANSWER, *CATALOGUE]
+
+    def draw(figure: Any) -> None:
+        axes = figure.subplots(1, len(tables), sharey=True, squeeze=False)[0]
+        for axis, (name, table) in zip(axes, tables.items(), strict=True):
+            counts = np.array([[table.get(r, {}).get(c, 0) for c in columns] for r in rows], float)
+            shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1.0)
+            axis.imshow(shares, cmap="Blues", vmin=0.0, vmax=1.0, aspect="equal")
+            for i, j in np.argwhere(counts > 0):
+                right = rows[i] == columns[j] or (rows[i] in OUTSIDERS and columns[j] == UNKNOWN)
+                axis.text(
+                    j, i, f"{counts[i, j]:.0f}", ha="center", va="center", fontsize=6, color="white" if shares[i, j] > 0.5 else "#1c2530",
+                    fontweight="bold" if right else "normal",
+                )
+            axis.set_xticks(range(len(columns)), columns, rotation=90)
+            axis.set_yticks(range(len(rows)), rows)
+            axis.axhline(0.5, color="#9aa4af", linewidth=0.6)
+            axis.axhline(len(CATALOGUE) + 0.5, color="#9aa4af", linewidth=0.6)
+            axis.axvline(2.5, color="#9aa4af", linewidth=0.6)
+            axis.set_title(name, loc="left")
+            axis.set_xlabel("answered first")
+        axes[0].set_ylabel("hidden")
+
+    return _svg(1.4 + 4.6 * len(tables), 6.4, draw)
+
+
+def reliability(found: Mapping[str, Mapping[str, Any]]) -> str:
+    """How often what was said with a probability was true; on the diagonal it is what it says."""
+
+    def draw(figure: Any) -> None:
+        axes = figure.subplots(1, len(found), sharey=True, squeeze=False)[0]
+        for axis, (name, calibration) in zip(axes, found.items(), strict=True):
+            axis.plot([0.5, 1.0], [0.5, 1.0], color="#9aa4af", linewidth=0.8)
+            for row in calibration["bins"]:
+                axis.plot(row["said"], row["was"], "o", color="#2f6fb5", markersize=2.5 + 1.2 * np.sqrt(row["count"]) ** 0.8)
+                axis.annotate(f"{row['count']}", (row["said"], row["was"]), xytext=(5, -9), textcoords="offset points", fontsize=6.5)
+            error = calibration["error"]
+            axis.set_title(f"{name}{'' if error is None else f', error {error:.2f}'}", loc="left")
+            axis.set_xlim(0.48, 1.02)
+            axis.set_ylim(-0.03, 1.03)
+            axis.set_xlabel("probability stated")
+        axes[0].set_ylabel("share that is true")
+
+    return _svg(0.6 + 2.6 * len(found), 2.9, draw)

@@ -1,0 +1,561 @@
+"""Recordings in: every format, every repair, every refusal."""
+
+from __future__ import annotations
+
+import json
+import re
+import warnings
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import document, joint, link, loaded, pendulum
+from hypothesis import given
+from hypothesis import strategies as st
+
+from excite import recordings
+from excite.errors import ExciteWarning, UnusableInput
+from excite.limits import resolve
+from excite.recordings import Kind, parse
+from excite.robot import load
+
+REAL = Path(__file__).resolve().parents[2] / "shared" / "recordings"
+JOINTS = ("joint_1", "joint_2")
+Array = np.ndarray
+
+
+def motion(rows: int = 400, rate: float = 100.0) -> dict[str, Array]:
+    """Columns of two joints that move, with torques. Keys as in the contract."""
+    t = np.arange(rows) / rate
+    phase = np.outer(t, [2.0, 3.0])
+    q, dq = 0.5 * np.sin(phase), 0.5 * np.array([2.0, 3.0]) * np.cos(phase)
+    tau = 3.0 * np.cos(1.7 * phase) + 1e-3 * np.sin(1e5 * phase)
+    columns = {"t": t}
+    for prefix, values in (("q", q), ("dq", dq), ("tau", tau)):
+        columns |= {f"{prefix}.{name}": values[:, i] for i, name in enumerate(JOINTS)}
+    return columns
+
+
+def write(path: Path, columns: dict[str, Array], separator: str = ",", order: list[str] | None = None) -> Path:
+    names = order or list(columns)
+    lines = [separator.join(names)]
+    lines += [separator.join(repr(float(columns[name][k])) for name in names) for k in range(len(columns[names[0]]))]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def kinds(recording: recordings.Recording) -> list[Kind]:
+    return [remark.kind for remark in recording.remarks]
+
+
+def repaired(path: Path, robot, **options) -> tuple[recordings.Recording, list[str]]:
+    """The recording and what it warned of; every warning is also a remark."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = recordings.read(path, robot, **options)
+    texts = [str(w.message) for w in caught]
+    assert texts == [f"{path}: {remark.text}" for remark in found.remarks if remark.repaired]
+    assert all(issubclass(w.category, ExciteWarning) for w in caught)
+    return found, texts
+
+
+def refused(path: Path, robot, *words: str, **options) -> str:
+    with pytest.raises(UnusableInput) as caught:
+        recordings.read(path, robot, **options)
+    text = str(caught.value)
+    assert "\n" not in text and text.startswith(str(path)), text
+    for word in words:
+        assert word in text, (word, text)
+    return text
+
+
+# -- formats -------------------------------------------------------------------------------------------------------
+
+
+@given(seed=st.integers(0, 10**6), separator=st.sampled_from([",", ";", "\t", " ", ", "]))
+def test_a_csv_comes_back_whatever_its_separator_and_order(two_link, tmp_path_factory, seed, separator):
+    rng = np.random.default_rng(seed)
+    columns = motion() | {"flag.mode": np.ones(400)}
+    path = write(tmp_path_factory.mktemp("csv") / "r.csv", columns, separator, list(rng.permutation(list(columns))))
+    found = recordings.read(path, two_link)
+    for name, values in (("q", found.q), ("dq", found.dq), ("tau", found.tau)):
+        assert (values == np.column_stack([columns[f"{name}.{joint}"] for joint in JOINTS])).all()
+    assert (found.t == columns["t"]).all() and (found.own_times == found.t).all()
+    assert found.current is None and found.qref is None and found.joints == JOINTS and not found.remarks
+    assert found.rate == pytest.approx(100.0) and len(found) == 400 and (found.torque == found.tau).all()
+
+
+def test_a_csv_of_a_spreadsheet(two_link, tmp_path):
+    """Byte order mark, quoted names, CRLF, semicolons, decimal commas, no newline at the end, text in a column nobody reads."""
+    columns = motion()
+    rows = ["\ufeff" + ";".join(f'"{name}"' for name in [*columns, "state"])]
+    rows += [";".join([*(repr(float(v[k])).replace(".", ",") for v in columns.values()), "run"]) for k in range(400)]
+    path = tmp_path / "r.csv"
+    path.write_bytes("\r\n".join(rows).encode())
+    assert (recordings.read(path, two_link).q[:, 0] == columns["q.joint_1"]).all()
+
+
+@given(seed=st.integers(0, 10**6), noise=st.binary(min_size=1, max_size=3), at=st.integers(0, 10**6))
+def test_fast_and_tolerant_parsing_agree_or_refuse(seed, noise, at):
+    rng = np.random.default_rng(seed)
+    table = rng.normal(size=(20, 3)) * 10.0 ** rng.integers(-12, 12, (20, 3))
+    text = "\n".join(",".join(repr(float(v)) for v in row) for row in table).encode() + b"\n"
+    assert parse.plain(text, 3) and (parse.rows(text, ",", 3, [2, 0]) == table[:, [2, 0]]).all()
+    at %= len(text)
+    damaged = text[:at] + noise + text[at + 1 :]
+    if parse.plain(damaged, 3):
+        slow = parse._tolerant(damaged, 3, [0, 1, 2])
+        assert np.array_equal(parse.rows(damaged, ",", 3, [0, 1, 2]), slow)
+
+
+@pytest.mark.parametrize("cell", ["2024-01-02", "1.2.3", "0x10", "1_0", "1e5.0", "2x", "1-2"])
+def test_what_starts_like_a_number_is_not_taken_for_one(two_link, tmp_path, cell):
+    path = write(tmp_path / "r.csv", motion())
+    lines = path.read_text().splitlines()
+    cells = lines[7].split(",")
+    lines[7] = ",".join([*cells[:2], cell, *cells[3:]])
+    path.write_text("\n".join(lines))
+    refused(path, two_link, "row 8", "each row should hold 7 numbers")
+
+
+@pytest.mark.parametrize("compress", [True, False])
+@pytest.mark.parametrize("form", ["columns", "matrices", "by column"])
+def test_archives(two_link, tmp_path, compress, form):
+    columns = motion()
+    arrays: dict[str, Array] = dict(columns)
+    if form != "columns":
+        order = JOINTS[::-1]
+        arrays = {"t": columns["t"], "joints": np.array(["other", *order])}
+        for name in ("q", "dq", "tau"):
+            value = np.column_stack([np.zeros(400), *(columns[f"{name}.{j}"] for j in order)])
+            arrays[name] = np.asfortranarray(value) if form == "by column" else value.astype(np.float64)
+    (np.savez_compressed if compress else np.savez)(tmp_path / "r.npz", **arrays)
+    found = recordings.read(tmp_path / "r.npz", two_link)
+    assert found.tau is not None and (found.q[:, 1] == columns["q.joint_2"]).all() and (found.tau[:, 0] == columns["tau.joint_1"]).all()
+
+
+def rtde(rows: int = 300) -> dict[str, Array]:
+    t = 1000.0 + np.arange(rows) / 500.0
+    fields = ("target_q", "actual_q", "actual_qd", "actual_current", "target_moment", "joint_temperatures")
+    phase = np.outer(t, np.linspace(1.0, 2.0, 6))
+    values = {"actual_q": np.sin(phase), "actual_qd": np.linspace(1.0, 2.0, 6) * np.cos(phase)}
+    columns = {"timestamp": t}
+    for field in fields:
+        table = values.get(field, np.cos(phase))
+        columns |= {f"{field}_{i}": table[:, i] for i in range(6)}
+    return columns | {"robot_mode": np.full(rows, 7.0)}
+
+
+@pytest.mark.parametrize("separator", [",", " "])
+def test_recordings_of_ur_rtde(tmp_path, separator):
+    robot = load("ur5e")
+    columns = rtde()
+    path = write(tmp_path / "r.csv", columns, separator)
+    found = recordings.read(path, robot)
+    assert found.joints == robot.joints and found.tau is None
+    for value, field in ((found.q, "actual_q"), (found.current, "actual_current"), (found.qref, "target_q")):
+        assert value is not None and (value[:, 5] == columns[f"{field}_5"]).all()
+    assert found.temperature is not None and found.dq is not None
+    with pytest.raises(UnusableInput, match=f"joint '{robot.joints[0]}' has a current but no drive gain"):
+        _ = found.torque
+    gains = {name: 10.0 + i for i, name in enumerate(robot.joints)}
+    (tmp_path / "r.json").write_text(json.dumps({"schema": "excite.recording/1", "drive_gain": gains}))
+    assert (recordings.read(path, robot).torque[:, 2] == 12.0 * columns["actual_current_2"]).all()
+
+
+def test_rtde_repeats_a_state_where_the_recorder_is_faster_than_the_robot(tmp_path):
+    columns = {name: np.repeat(values, 4) for name, values in rtde().items()}
+    found, texts = repaired(write(tmp_path / "r.csv", columns), load("ur5e"))
+    assert kinds(found) == [Kind.REPEATED] and "900 rows" in texts[0] and len(found) == 300
+
+
+def test_rtde_has_no_names_to_leave_joints_out_by(tmp_path):
+    robot = load("ur5e", joints=("elbow_joint", "wrist_1_joint"))
+    refused(write(tmp_path / "r.csv", rtde()), robot, "6 joints", "2 of the robot move", "rename the columns")
+    columns = rtde()
+    del columns["actual_q_4"]
+    columns["actual_q_6"] = columns["actual_q_5"]
+    refused(write(tmp_path / "r.csv", columns), load("ur5e"), "'actual_q_4'", "wrist_2_joint")
+
+
+def test_torque_of_some_joints_and_current_of_others(two_link, tmp_path):
+    columns = motion()
+    columns["i.joint_2"] = columns.pop("tau.joint_2")
+    path = write(tmp_path / "r.csv", columns)
+    (tmp_path / "r.json").write_text('{"schema": "excite.recording/1", "drive_gain": {"joint_2": -2.5}, "period": 2, "motor_side": true}')
+    found = recordings.read(path, two_link)
+    assert (found.torque == np.column_stack([columns["tau.joint_1"], -2.5 * columns["i.joint_2"]])).all()
+    assert found.sidecar.period == 2.0 and found.sidecar.motor_side and found.sidecar.periodic is None
+    del columns["i.joint_2"]
+    with pytest.raises(UnusableInput, match=r"joint 'joint_2' has no torque; record tau\.joint_2"):
+        _ = recordings.read(write(path, columns), two_link).torque
+
+
+# -- refusals ------------------------------------------------------------------------------------------------------
+
+
+def test_files_that_are_no_recordings(two_link, tmp_path):
+    refused(tmp_path / "nowhere.csv", two_link, "no such file")
+    for name, content, word in (
+        ("empty.csv", b"", "no column 't' but nothing"),
+        ("binary.csv", b"\xff\xfe\x00\x81", "is no text"),
+        ("other.csv", b"time,angle\n0,1\n", "'time', 'angle'"),
+        ("header.csv", b"t,q.joint_1,q.joint_2\n", "has no rows"),
+        ("one.csv", b"t,q.joint_1,q.joint_2\n0,1,2\n", "has 1 rows"),
+        ("short.csv", b"t,q.joint_1,q.joint_2\n" + b"".join(b"%f,0,%f\n" % (k / 100, k / 100) for k in range(9)), "9 usable rows"),
+        ("ragged.csv", b"t,q.joint_1,q.joint_2\n0,1,2\n1,2\n", "row 3: 2 cells instead of 3"),
+        ("word.csv", b"t,q.joint_1,q.joint_2\n0,1,2\n1,2,off\n", "row 3"),
+        ("broken.npz", b"PK no", "no readable .npz"),
+    ):
+        path = tmp_path / name
+        path.write_bytes(content)
+        refused(path, two_link, word)
+    with pytest.raises(UnusableInput, match="has no rows"):
+        list(recordings.stream(tmp_path / "header.csv", two_link))
+
+
+def test_a_missing_joint_comes_with_what_is_like_it(two_link, tmp_path):
+    columns = motion()
+    columns["q.joint2"] = columns.pop("q.joint_2")
+    refused(write(tmp_path / "r.csv", columns), two_link, "no column 'q.joint_2'", "(similar:", "'q.joint2'", "--joints")
+    path = tmp_path / "s.csv"
+    path.write_text("t,q.joint_1,q.joint_1\n0,0,0\n")
+    refused(path, two_link, "'q.joint_1' stands twice")
+
+
+def test_archives_that_do_not_fit(two_link, tmp_path):
+    columns = motion()
+    t, q = columns["t"], np.column_stack([columns["q.joint_1"], columns["q.joint_2"]])
+    names = np.array(JOINTS)
+    for arrays, word in (
+        ({"t": t, "q": q}, "no array 'joints'"),
+        ({"q": q, "joints": names}, "no array 't'"),
+        ({"t": t, "q": q[:, :1], "joints": names}, "1 columns for 2 joints"),
+        ({"t": t[:-1], "q": q, "joints": names}, "'q' has 400 rows and 't' 399"),
+        ({"t": t, "q": q.astype(complex), "joints": names}, "complex128"),
+        ({"t": t, "q.joint_1": q[:, 0]}, "no column 'q.joint_2'"),
+    ):
+        np.savez(tmp_path / "r.npz", **arrays)
+        refused(tmp_path / "r.npz", two_link, word)
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("{", "is no JSON"),
+        ("{}", '"schema": "excite.recording/1"'),
+        ('{"schema": "excite.recording/2"}', "excite.recording/1"),
+        ('{"schema": "excite.recording/1", "drive_gain": 3}', "drive_gain"),
+        ('{"schema": "excite.recording/1", "drive_gain": {"joint_1": 0}}', "joint 'joint_1'"),
+        ('{"schema": "excite.recording/1", "period": -1}', "period"),
+        ('{"schema": "excite.recording/1", "periodic": [3, 1]}', "start < end"),
+        ('{"schema": "excite.recording/1", "motor_side": 1}', "motor_side"),
+        ('{"schema": "excite.recording/1", "effort": "volts"}', "effort"),
+        ('{"schema": "excite.recording/1", "topic": 1}', "topic"),
+    ],
+)
+def test_sidecars_are_checked(two_link, tmp_path, text, word):
+    (tmp_path / "r.json").write_text(text)
+    with pytest.raises(UnusableInput, match=re.escape(word)) as caught:
+        recordings.read(write(tmp_path / "r.csv", motion()), two_link)
+    assert str(caught.value).startswith(str(tmp_path / "r.json"))
+
+
+def test_a_trajectory_beside_its_csv_is_no_sidecar_and_unknown_keys_are_told(two_link, tmp_path):
+    path = write(tmp_path / "r.csv", motion())
+    (tmp_path / "r.json").write_text('{"schema": "excite.trajectory/1", "period": 3}')
+    assert recordings.read(path, two_link).sidecar == recordings.Sidecar()
+    (tmp_path / "r.json").write_text('{"schema": "excite.recording/1", "gains": 3}')
+    found = recordings.read(path, two_link)
+    assert kinds(found) == [Kind.SKIPPED] and "'gains'" in found.remarks[0].text and not found.remarks[0].repaired
+
+
+# -- time ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Damage:
+    """A motion with something wrong, in a file."""
+
+    columns: dict[str, Array]
+
+    def rows(self, which: Array) -> Damage:
+        return Damage({name: values[which] for name, values in self.columns.items()})
+
+    def read(self, folder: Path, robot):
+        return repaired(write(folder / "r.csv", self.columns), robot)
+
+
+@pytest.fixture
+def damage() -> Damage:
+    return Damage(motion())
+
+
+@given(seed=st.integers(0, 10**6))
+def test_rows_in_any_order_and_repeated_come_back_in_order(two_link, tmp_path_factory, seed):
+    rng = np.random.default_rng(seed)
+    which = rng.permutation(np.concatenate([np.arange(400), rng.integers(0, 400, 30)]))
+    found, _ = Damage(motion()).rows(which).read(tmp_path_factory.mktemp("r"), two_link)
+    assert (found.t == motion()["t"]).all() and (found.q[:, 1] == motion()["q.joint_2"]).all()
+    assert kinds(found) == [Kind.ORDER, Kind.REPEATED]
+
+
+def test_jitter_is_resampled(two_link, tmp_path, damage):
+    t = damage.columns["t"] + np.random.default_rng(1).uniform(-3e-3, 3e-3, 400)
+    for name, amplitude, rate in (("joint_1", 0.5, 2.0), ("joint_2", 0.5, 3.0)):
+        damage.columns[f"q.{name}"] = amplitude * np.sin(rate * t)
+    del damage.columns["dq.joint_1"], damage.columns["dq.joint_2"]
+    damage.columns["t"] = t
+    found, texts = damage.read(tmp_path, two_link)
+    assert kinds(found) == [Kind.JITTER] and "even grid" in texts[0]
+    assert np.ptp(np.diff(found.t)) < 1e-9 and (found.own_times == t).all()
+    assert np.abs(found.q[:, 1] - 0.5 * np.sin(3.0 * found.t)).max() < 1e-6
+
+
+def test_few_missing_rows_are_filled_and_more_split(two_link, tmp_path, damage):
+    lost = np.r_[50:54, 200:230]
+    found, texts = damage.rows(np.setdiff1d(np.arange(400), lost)).read(tmp_path, two_link)
+    assert kinds(found) == [Kind.GAP, Kind.JITTER] and "4 missing rows are filled" in texts[1]
+    assert "longest 0.31 s" in texts[0] and found.remarks[0].start == pytest.approx(1.99)
+    parts = list(found.segments())
+    assert [len(part) for part in parts] == [200, 170] and parts[1].t[0] == pytest.approx(2.3)
+    assert np.abs(found.q[50:54, 0] - damage.columns["q.joint_1"][50:54]).max() < 1e-6
+    assert len(found.samples()) == 370 and [len(part) for part in found.segments(shortest=180)] == [200]
+
+
+def test_rows_without_a_time_are_dropped(two_link, tmp_path, damage):
+    damage.columns["t"][[100, 101]] = np.nan
+    found, texts = damage.read(tmp_path, two_link)
+    assert "2 rows without a time" in texts[0] and Kind.CLOCK in kinds(found) and len(found) == 400
+    damage.columns["t"][:100] = np.nan
+    refused(write(tmp_path / "r.csv", damage.columns), two_link, "102 of 400 rows have no time")
+
+
+def test_a_clock_that_starts_again(two_link, tmp_path, damage):
+    refused(
+        write(tmp_path / "r.csv", damage.rows(np.r_[0:400, 0:400]).columns), two_link, "time goes back from 3.99 to 0 s", "its own file"
+    )
+
+
+def test_a_clock_too_coarse(two_link, tmp_path, damage):
+    damage.columns["t"] = np.floor(damage.columns["t"] * 20.0) / 20.0
+    refused(write(tmp_path / "r.csv", damage.columns), two_link, "320 of 400 rows repeat the time", "more digits")
+
+
+def test_stamps_in_bunches(two_link, tmp_path, damage):
+    damage.columns["t"] = np.floor(np.arange(400) / 10) * 0.1 + (np.arange(400) % 10) * 1e-4
+    refused(write(tmp_path / "r.csv", damage.columns), two_link, "39 of 399 time steps", "time of measurement")
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms"), (1e6, "µs"), (1e9, "ns")])
+def test_time_in_other_units(two_link, tmp_path, damage, factor, unit):
+    damage.columns["t"] = damage.columns["t"] * factor
+    refused(write(tmp_path / "r.csv", damage.columns), two_link, f"is time in {unit}", f"{factor:g}")
+
+
+def test_fast_milliseconds_are_betrayed_by_the_velocities(two_link, tmp_path):
+    columns = motion(4000, 4000.0)
+    columns["t"] = columns["t"] * 1e3
+    refused(write(tmp_path / "r.csv", columns), two_link, "joint 'joint_1'", "time is in ms")
+
+
+# -- numbers -------------------------------------------------------------------------------------------------------
+
+
+def test_few_missing_numbers_are_interpolated_and_more_dropped(two_link, tmp_path, damage):
+    damage.columns["q.joint_1"][100:105] = np.nan
+    damage.columns["tau.joint_2"][200:220] = np.inf
+    damage.columns["dq.joint_1"][300:320] = np.nan
+    found, texts = damage.read(tmp_path, two_link)
+    assert kinds(found) == [Kind.MISSING] * 3 + [Kind.GAP]
+    assert "5 missing values of q, 5 interpolated" in texts[0] and "20 in longer runs left out" in texts[1] and "dropped" in texts[2]
+    assert len(found) == 380 and np.isfinite(found.q).all() and np.isfinite(found.torque).all()
+    assert found.dq is not None and np.isnan(found.dq[:, 0]).sum() == 20 and np.isfinite(found.dq[:, 1]).all()
+    assert np.abs(found.q[100:105, 0] - motion()["q.joint_1"][100:105]).max() < 2e-3
+
+
+def test_empty_cells_are_missing_numbers(two_link, tmp_path):
+    path = write(tmp_path / "r.csv", motion())
+    lines = path.read_text().splitlines()
+    for k in (50, 51):
+        cells = lines[k].split(",")
+        lines[k] = ",".join([*cells[:2], "", "", "", "", ""])
+    path.write_text("\n".join(lines))
+    found, _ = repaired(path, two_link)
+    assert set(kinds(found)) == {Kind.MISSING} and len(found) == 400
+
+
+def test_mostly_missing_numbers(two_link, tmp_path, damage):
+    damage.columns["tau.joint_1"][:] = np.nan
+    found, _ = damage.read(tmp_path, two_link)
+    assert not found.has("tau", "joint_1") and found.has("tau", "joint_2") and len(found) == 400
+    damage.columns["tau.joint_1"][:100] = 1.0
+    refused(write(tmp_path / "r.csv", damage.columns), two_link, "joint 'joint_1': 75 % of tau")
+    damage.columns["q.joint_2"][:] = np.nan
+    refused(write(tmp_path / "r.csv", damage.columns), two_link, "joint 'joint_2': 100 % of q", "--joints")
+
+
+# -- units ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_degrees(two_link, tmp_path, damage, stated):
+    for name in JOINTS:
+        damage.columns[f"q.{name}"] = np.rad2deg(damage.columns[f"q.{name}"])
+        damage.columns[f"dq.{name}"] = np.rad2deg(damage.columns[f"dq.{name}"])
+    path = write(tmp_path / "r.csv", damage.columns)
+    refused(path, two_link, "joint 'joint_1'", "degrees", "convert them to rad", limits=resolve(two_link) if stated else None)
+
+
+def test_limits_tightened_for_a_design_say_nothing_of_units(two_link, tmp_path, damage):
+    table = resolve(two_link)
+    tight = replace(table, position=0.02 * table.position)
+    found = recordings.read(write(tmp_path / "r.csv", damage.columns), two_link, tight)
+    assert kinds(found) == [Kind.OUTSIDE, Kind.OUTSIDE]
+
+
+def test_mixed_units_and_counts(two_link, tmp_path, damage):
+    columns = dict(damage.columns)
+    for name in JOINTS:
+        columns[f"dq.{name}"] = np.rad2deg(columns[f"dq.{name}"])
+    refused(write(tmp_path / "r.csv", columns), two_link, "dq is in degrees/s")
+    columns = damage.columns | {"q.joint_1": damage.columns["q.joint_1"] * 1e5}
+    refused(write(tmp_path / "r.csv", columns), two_link, "joint 'joint_1' reaches 5e+04", "encoder")
+    columns = damage.columns | {"dq.joint_2": -2.0 * damage.columns["dq.joint_2"]}
+    found = recordings.read(write(tmp_path / "r.csv", columns), two_link)
+    assert kinds(found) == [Kind.INCONSISTENT] and "-0.5 times dq" in found.remarks[0].text
+
+
+def test_reach_of_joints_without_limits_and_of_sliding_ones(tmp_path):
+    columns = {"t": np.arange(100) / 100.0, "q.swing": np.linspace(0.0, 100.0, 100)}
+    path = write(tmp_path / "r.csv", columns)
+    assert not recordings.read(path, loaded(pendulum(kind="continuous"))).remarks
+    refused(path, loaded(pendulum(inside='<limit velocity="3" effort="40"/>')), "beyond 12.57 rad", "degrees")
+    slide = loaded(document(link("base"), link("arm", 2.0), joint("swing", "base", "arm", "prismatic")))
+    refused(path, slide, "beyond 2.5 m", "in mm")
+
+
+# -- signs ---------------------------------------------------------------------------------------------------------
+
+
+def test_channels_that_look_wrong_are_remarked_and_left(two_link, tmp_path):
+    columns = motion(1000)
+    columns["tau.joint_1"] = np.clip(columns["tau.joint_1"], -2.0, 2.0)
+    columns["tau.joint_2"][300:340] = columns["tau.joint_2"][300]
+    columns["q.joint_2"] = np.round(columns["q.joint_2"] / 2e-3) * 2e-3
+    found = recordings.read(write(tmp_path / "r.csv", columns), two_link)
+    assert kinds(found) == [Kind.CLIPPED, Kind.COARSE, Kind.FROZEN] and not any(r.repaired for r in found.remarks)
+    clipped, coarse, frozen = found.remarks
+    assert "clipped at 2" in clipped.text and clipped.joint == "joint_1"
+    assert "multiples of 0.002 rad" in coarse.text and coarse.joint == "joint_2"
+    assert (frozen.start, frozen.end) == pytest.approx((3.0, 3.39)) and frozen.document()["time"] == [frozen.start, frozen.end]
+    assert found.tau is not None and (found.tau[:, 1] == columns["tau.joint_2"]).all()
+
+
+def test_joints_that_stand_still_freeze_or_leave_their_limits(two_link, tmp_path):
+    columns = motion()
+    columns["q.joint_1"] = np.full(400, 0.3)
+    columns["q.joint_2"][100:150] = columns["q.joint_2"][100]
+    columns["q.joint_2"] += 3.0
+    found = recordings.read(write(tmp_path / "r.csv", columns), two_link)
+    assert {(r.kind, r.joint) for r in found.remarks} >= {(Kind.STILL, "joint_1"), (Kind.FROZEN, "joint_2"), (Kind.OUTSIDE, "joint_2")}
+
+
+# -- parts ---------------------------------------------------------------------------------------------------------
+
+
+def test_between(two_link, tmp_path, damage):
+    found, _ = damage.rows(np.setdiff1d(np.arange(400), np.arange(200, 230))).read(tmp_path, two_link)
+    part = found.between(0.5, 1.0)
+    assert len(part) == 51 and (part.t[0], part.t[-1]) == (0.5, 1.0) and not part.remarks and (part.own_times == part.t).all()
+    assert part.tau is not None and part.tau.shape == (51, 2) and kinds(found.between(1.0, 3.0)) == [Kind.GAP]
+    with pytest.raises(UnusableInput, match="no rows from 9 to 10 s"):
+        found.between(9.0, 10.0)
+    with pytest.raises(UnusableInput, match="16 rows without a gap"):
+        found.between(0.0, 0.1).samples()
+
+
+@given(seed=st.integers(0, 10**6), rows=st.integers(256, 700), overlap=st.sampled_from([0, 1, 50, 300]))
+def test_a_stream_is_the_whole_in_blocks(two_link, tmp_path_factory, seed, rows, overlap):
+    """Late rows, repeats, short and long lacks, gaps: repaired across the blocks' borders as in the whole."""
+    rng = np.random.default_rng(seed)
+    columns = motion(2000)
+    columns["q.joint_1"][rng.integers(20, 1980, 40)] = np.nan
+    start = rng.integers(100, 1800)
+    columns["tau.joint_2"][start : start + 30] = np.nan
+    which = np.argsort(np.arange(2000) + rng.uniform(0.0, 20.0, 2000))
+    which = np.insert(which, rng.integers(0, 2000, 5), which[rng.integers(0, 2000)])
+    path = write(tmp_path_factory.mktemp("r") / "r.csv", Damage(columns).rows(np.unique(which, return_index=False)).columns)
+    late = write(path.with_name("late.csv"), Damage(columns).rows(np.argsort(np.arange(2000) + rng.uniform(0.0, 20.0, 2000))).columns)
+    for file in (path, late):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ExciteWarning)
+            whole = recordings.read(file, two_link)
+            blocks = list(recordings.stream(file, two_link, rows=rows, overlap=overlap))
+        assert blocks[0].run_in == 0
+        assert np.array_equal(np.concatenate([b.t[b.run_in :] for b in blocks]), whole.t)
+        for name in ("q", "dq", "tau"):
+            assert np.array_equal(np.concatenate([getattr(b, name)[b.run_in :] for b in blocks]), getattr(whole, name), equal_nan=True)
+        for before, after in pairwise(blocks):
+            assert after.run_in <= overlap and (overlap == 0 or after.run_in >= min(overlap, len(before)) - 31)
+            assert np.array_equal(after.q[: after.run_in], np.concatenate([b.q[b.run_in :] for b in blocks])[_before(blocks, after)])
+
+
+def _before(blocks: list[recordings.Recording], block: recordings.Recording) -> slice:
+    at = 0
+    for one in blocks:
+        if one is block:
+            return slice(at - block.run_in, at)
+        at += len(one) - one.run_in
+    raise AssertionError
+
+
+def test_a_stream_resamples_on_one_grid_and_warns_once(two_link, tmp_path):
+    columns = motion(3000)
+    t = columns["t"] = columns["t"] + np.random.default_rng(2).uniform(-1e-3, 1e-3, 3000)
+    columns["q.joint_1"] = np.sin(2.0 * t)
+    columns["dq.joint_1"] = 2.0 * np.cos(2.0 * t)
+    path = write(tmp_path / "r.csv", columns)
+    with pytest.warns(ExciteWarning) as caught:
+        blocks = list(recordings.stream(path, two_link, rows=500, overlap=20))
+    assert len(caught) == 1 and len(blocks) == 6
+    t = np.concatenate([b.t[b.run_in :] for b in blocks])
+    assert np.ptp(np.diff(t)) < 1e-9 and len(t) >= 2998
+    assert np.abs(np.concatenate([b.q[b.run_in :, 0] for b in blocks]) - np.sin(2.0 * t))[5:-5].max() < 1e-8
+    assert np.allclose(blocks[2].t[: blocks[2].run_in], blocks[1].t[-blocks[2].run_in :])
+
+
+def test_streams_refuse(two_link, tmp_path):
+    path = write(tmp_path / "r.csv", motion(1000))
+    with pytest.raises(UnusableInput, match="at least 256 rows"):
+        list(recordings.stream(path, two_link, rows=10))
+    again = write(path, Damage(motion(1000)).rows(np.r_[0:1000, 0:1000]).columns)
+    with pytest.raises(UnusableInput, match="time goes back"):
+        list(recordings.stream(again, two_link, rows=300))
+
+
+# -- real ones -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("folder", "urdf", "rate", "expected"),
+    [
+        ("emps", "emps", 1000.0, set()),
+        ("tx40", "tx40", 1000.0, set()),
+        ("kuka_kr300", "kuka_kr300", 250.0, set()),
+        ("laas_cogging", "motor", 1000.0, {Kind.JITTER}),
+    ],
+)
+def test_real_recordings(folder, urdf, rate, expected):
+    if not (REAL / folder).is_dir():
+        pytest.skip(f"no real recordings at {REAL / folder}; see its README in the project's shared folder")
+    robot = load(str(REAL / folder / f"{urdf}.urdf"))
+    for path in sorted((REAL / folder).glob("*.csv")):
+        found, _ = repaired(path, robot)
+        assert found.rate == pytest.approx(rate, rel=1e-3) and expected <= set(kinds(found)) <= expected | {Kind.GAP}
+        assert np.isfinite(found.torque).all() and len(found.samples()) > 0.99 * len(found)
+        assert (found.qlink is not None) == (folder == "kuka_kr300")
+        if found.qlink is not None:
+            assert not found.has("qlink", "axis_6") and found.has("qlink", "axis_1")

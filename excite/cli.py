@@ -172,9 +172,7 @@ def _identify(commands: Commands) -> None:
     group = sub.add_argument_group("parameters")
     group.add_argument("--without", metavar="A,B,…", default="", help="leave out of: rotor_inertia, viscous, coulomb, offset")
     group.add_argument("--parameters", choices=("inertial", "full"), default="full", help="full: with all these (default)")
-    group.add_argument(
-        "--threshold", type=float, default=1e-2, help="largest scale-free variance of what is identified"
-    )
+    group.add_argument("--threshold", type=float, default=1e-2, help="largest scale-free variance of what is identified")
     group = sub.add_argument_group("signals")
     group.add_argument("--band", type=float, metavar="HZ", help="torque below this frequency is fitted (default: from the data)")
     group.add_argument("--period", type=float, metavar="S", help="of the excitation, where the recording's .json does not say it")

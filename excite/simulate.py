@@ -79,7 +79,9 @@ def _text(document: dict[str, Any], effects: tuple[Any, ...], survives: float, t
         for one in effects
     ]
     if effects:
-        lines.append(f"severity {survives:.3g} (what a refit of the base model leaves, over the noise below 20 Hz), {trusted:.3g} without refit")
+        lines.append(
+            f"severity {survives:.3g} (what a refit of the base model leaves, over the noise below 20 Hz), {trusted:.3g} without refit"
+        )
     else:
         lines.append("nothing hidden; name what to hide: --effect NAME:JOINT[:k=v,…]")
     return "\n".join([*lines, *(f"wrote {path}" for path in document["files"])])

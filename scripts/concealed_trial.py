@@ -67,7 +67,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("act", choices=("run", "conceal", "answer", "score"))
     parser.add_argument("-o", dest="out", type=Path, required=True, metavar="DIR")
-    parser.add_argument("--cases", type=int, default=300, metavar="N", help="default %(default)s")
+    parser.add_argument("--cases", type=int, metavar="N", help="default 300")
     parser.add_argument("--quick", action="store_true", help=f"{QUICK} cases, for CI: at most five minutes on two cores")
     parser.add_argument("--family", choices=("tuning", "scored"), default="tuning", help="forms of the effects; default %(default)s")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the plan, with the family; default %(default)s")
@@ -78,8 +78,7 @@ def main() -> int:
     parser.add_argument("--backend", choices=BACKENDS, default="loky", help="joblib's; where cases are made and answered")
     parser.add_argument("--cluster", metavar="ADDRESS", help="of a Dask scheduler or Ray head that shares the folder DIR")
     arguments = parser.parse_args()
-    if arguments.quick:
-        arguments.cases = QUICK
+    arguments.cases = arguments.cases or (QUICK if arguments.quick else 300)
     try:
         with backend(arguments.backend, arguments.cluster):
             {"run": everything, "conceal": conceal, "answer": answer, "score": score}[arguments.act](arguments)

@@ -14,12 +14,12 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 # Each layer may import from itself and from the ones before it.
 LAYERS = (
-    {"__init__", "errors", "urdf", "robot", "limits", "trajectory", "motion", "plant", "trial"},
+    {"__init__", "errors", "urdf", "robot", "limits", "trajectory", "motion", "plant"},
     {"parameters", "structure", "dynamics", "compiled", "symbolic", "base", "criteria", "overlap", "problem", "checks"},
     {"evaluate", "start", "subproblem", "solver", "starts", "design", "ramps", "wording", "scenarios", "identifiability", "recordings"}
     | {"artefact", "identify"},
     {"verify", "export", "report", "files", "workflow", "plan", "validation"},
-    {"cluster", "arguments", "fitting", "simulate", "commands", "cli"},
+    {"cluster", "arguments", "fitting", "simulate", "commands", "cli", "trial"},
 )
 
 
@@ -76,6 +76,33 @@ def test_no_module_imports_itself_through_others():
     while leaves := {name for name, needs in graph.items() if not needs & set(graph)}:
         graph = {name: needs for name, needs in graph.items() if name not in leaves}
     assert not graph
+
+
+SECRET = {"plant", "trial"}
+"""What conceals physics: it shares nothing with what looks for it but errors, in either direction."""
+
+
+@pytest.mark.parametrize("path", [file for file in FILES if module(file) in SECRET], ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_the_judge_knows_nothing_of_who_is_judged(path):
+    allowed = {"plant", "errors"} if module(path) == "plant" else SECRET | {"errors"}
+    inner = {
+        n.module.split(".")[0] for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.ImportFrom) and n.module and not n.level
+    }
+    assert imported(path) <= allowed
+    assert not inner & {"excite", "pinocchio", "casadi"}
+
+
+def test_who_is_judged_knows_nothing_of_the_judge():
+    doors = {module(file) for file in FILES if module(file) not in SECRET and imported(file) & SECRET}
+    assert doors == {"simulate"}
+    users = {module(file) for file in FILES if "simulate" in imported(file)}
+    assert users == {"commands"}
+
+
+def test_the_plant_loads_nothing_that_identifies():
+    code = "import excite.trial.run, excite.trial.baselines; m = [n for n in sys.modules if n.startswith('excite.')]; import json"
+    done = subprocess.run([sys.executable, "-c", f"import sys; {code}; print(*m)"], capture_output=True, text=True, check=True)
+    assert {name.split(".")[1] for name in done.stdout.split()} == SECRET | {"errors"}
 
 
 def test_designing_needs_no_plots_and_no_yaml():

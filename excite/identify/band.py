@@ -90,24 +90,49 @@ class Band:
 
         reach: how many bands are kept, at the most what the grid can show.
         """
-        rate, step = self.rate_of(of), self.steps(to) // self.steps(of)
-        hertz = min(reach * self.hertz, 0.5 * rate)
-        count = len(x)
-        columns = x.reshape(count, -1).T
+        return self.transformed(x, of).low(to, order, reach)
+
+    def transformed(self, x: Array, of: Grid = Grid.RECORDED) -> Transformed:
+        """Fourier coefficients of signals, for several filters and derivatives of the same. Shape (samples(of), …)."""
+        columns = x.reshape(len(x), -1).T
         seen = np.any(columns != 0.0, axis=1)  # half of a regressor's columns are zero by structure
-        lines = np.ascontiguousarray(columns[seen])
-        if self.periodic:
-            head, kept, target = 0, self.samples(to), self.samples(to)
+        lines, head = np.ascontiguousarray(columns[seen]), 0
+        if not self.periodic:
+            step = self.steps(Grid.KEPT) // self.steps(of)
+            lines, head = _continued(lines, int(np.ceil(SETTLE / (TAPER * self.hertz) * self.rate_of(of))), step)
+        return Transformed(self, of, np.fft.rfft(lines), lines.shape[1], head, seen, x.shape)
+
+
+@dataclass(frozen=True)
+class Transformed:
+    """Fourier coefficients of continued signals. coefficients: Shape (lines, length // 2 + 1). head: samples put before each line.
+
+    seen: which columns are lines, the others being zero. shape: of the signals.
+    """
+
+    band: Band
+    of: Grid
+    coefficients: Array
+    length: int
+    head: int
+    seen: Array
+    shape: tuple[int, ...]
+
+    def low(self, to: Grid, order: int = 0, reach: float = 1.0) -> Array:
+        """See Band.low."""
+        rate = self.band.rate_of(self.of)
+        if self.band.periodic:
+            step, kept, target = 1, self.band.samples(to), self.band.samples(to)
         else:
-            lines, head = _continued(lines, int(np.ceil(SETTLE / (TAPER * hertz) * rate)), step)
-            kept, target = -(-count // step), lines.shape[1] // step
-        frequencies = np.fft.rfftfreq(lines.shape[1], 1.0 / rate)
-        factor = self.gain(frequencies, hertz) * (2j * np.pi * frequencies) ** order
-        spectrum = np.fft.rfft(lines)[:, : target // 2 + 1] * factor[: target // 2 + 1]
-        filtered = np.fft.irfft(spectrum, target) * (target / lines.shape[1])
-        out = np.zeros((kept, len(columns)))
-        out[:, seen] = filtered[:, head // step : head // step + kept].T
-        return out.reshape(kept, *x.shape[1:])
+            step = self.band.steps(to) // self.band.steps(self.of)
+            kept, target = -(-self.shape[0] // step), self.length // step
+        bins = target // 2 + 1
+        frequencies = np.arange(bins) * (rate / self.length)
+        factor = self.band.gain(frequencies, min(reach * self.band.hertz, 0.5 * rate)) * (2j * np.pi * frequencies) ** order
+        filtered = np.fft.irfft(self.coefficients[:, :bins] * factor, target) * (target / self.length)
+        out = np.zeros((kept, len(self.seen)))
+        out[:, self.seen] = filtered[:, self.head // step : self.head // step + kept].T
+        return out.reshape(kept, *self.shape[1:])
 
 
 def _continued(lines: Array, least: int, step: int) -> tuple[Array, int]:

@@ -1,6 +1,7 @@
 """Physically consistent parameters: min ½‖R(Bψ − θ̂)‖² + γ d(ψ, ψ₀)² with every body a body, every friction ≥ 0 (review, eq. 21).
 
-A damped Newton method inside a logarithmic barrier whose weight falls until it could cost no more than 1e-4 of a unit of log-likelihood.
+A damped Newton method inside a logarithmic barrier whose weight falls until it could cost no more than a hundredth
+of a unit of log-likelihood.
 """
 
 from __future__ import annotations
@@ -12,11 +13,13 @@ import numpy as np
 
 from ..errors import UnusableInput
 from ..parameters import Parameters, proper_body, pseudo_inertia
-from .distance import Distance, barrier, metrics, pseudo, reach, squared
+from .distance import Distance, Frame, metrics, pseudo
 
 Array = np.ndarray
 POSITIVE = ("rotor_inertia", "viscous", "coulomb")
-WEIGHTS = (1.0, 1e-2, 1e-4, 1e-6)
+WEIGHTS = (1.0, 1e-1, 1e-2, 1e-3, 1e-4)
+FLOOR = 1e-6
+"""Every body keeps P ≻ FLOOR · P₀: one on the very edge of being none cannot be reckoned with."""
 STEPS = 60
 DECREMENT = 1e-8
 NEAR = 0.05
@@ -37,13 +40,14 @@ class Prior:
     """Where ψ should stay near. nominal: ψ₀, every body made one. Shape (P,). distance: which, for bodies.
 
     bodies: γ for inertial parameters. drives: γ for each friction, rotor inertia and offset, whose nominal values are often
-    unknown. Shape (P − 10 bodies,).
+    unknown; scales: theirs. Shapes (P − 10 bodies,).
     """
 
     nominal: Array
     distance: Distance
     bodies: float
     drives: Array
+    scales: Array
 
 
 @dataclass(frozen=True)
@@ -81,7 +85,7 @@ def bodies_of(parameters: Parameters, psi: Array) -> Array:
 def metric_matrix(parameters: Parameters, prior: Prior) -> Array:
     """2γG of the prior near ψ₀, the information it is worth. Shape (P, P)."""
     edge = 10 * parameters.bodies
-    out = np.diag(np.concatenate([np.zeros(edge), 2.0 * prior.drives / np.diag(parameters.scale)[edge:] ** 2]))
+    out = np.diag(np.concatenate([np.zeros(edge), 2.0 * prior.drives / prior.scales**2]))
     for i, G in enumerate(metrics(prior.distance, bodies_of(parameters, prior.nominal))):
         out[10 * i : 10 * i + 10, 10 * i : 10 * i + 10] = 2.0 * prior.bodies * G
     return out
@@ -93,9 +97,9 @@ class _Problem:
     def __init__(self, parameters: Parameters, root: Array, target: Array, prior: Prior, rows: Array, levels: Array) -> None:
         self.parameters, self.root, self.target, self.prior = parameters, root, target, prior
         self.edge = 10 * parameters.bodies
-        self.bodies = bodies_of(parameters, prior.nominal)
+        self.frame = Frame(bodies_of(parameters, prior.nominal))
         self.rows, self.levels = rows, levels  # rows ψ > levels
-        self.scale = np.diag(parameters.scale)[self.edge :]
+        self.scale = prior.scales
         self.information = root.T @ root
 
     def slack(self, psi: Array) -> Array:
@@ -105,14 +109,17 @@ class _Problem:
         return bodies_of(self.parameters, psi)
 
     def value(self, psi: Array, weight: float) -> float:
+        """∞ outside."""
+        slack, bodies = self.slack(psi), self.split(psi)
+        if (slack.size and float(slack.min()) <= 0.0) or self.frame.least(bodies) <= FLOOR:
+            return float("inf")
         misfit = self.root @ psi - self.target
-        total = 0.5 * float(misfit @ misfit) + self.far(psi)
-        total -= weight * float(np.sum(np.log(self.slack(psi))))
-        return total + weight * float(barrier(self.split(psi)).value.sum())
+        inside = float(np.sum(np.log(slack))) - float(self.frame.barrier(bodies, FLOOR).value.sum())
+        return 0.5 * float(misfit @ misfit) + self.far(psi) - weight * inside
 
     def far(self, psi: Array) -> float:
         delta = (psi - self.prior.nominal)[self.edge :] / self.scale
-        own = squared(self.prior.distance, self.split(psi), self.bodies).value
+        own = self.frame.squared(self.prior.distance, self.split(psi)).value
         return float(self.prior.drives @ delta**2) + self.prior.bodies * float(own.sum())
 
     def derivatives(self, psi: Array, weight: float) -> tuple[Array, Array]:
@@ -124,7 +131,8 @@ class _Problem:
         gradient[self.edge :] += 2.0 * self.prior.drives * (psi - self.prior.nominal)[self.edge :] / self.scale**2
         index = np.arange(self.edge, len(psi))
         hessian[index, index] += 2.0 * self.prior.drives / self.scale**2
-        parts = ((weight, barrier(self.split(psi))), (self.prior.bodies, squared(self.prior.distance, self.split(psi), self.bodies)))
+        bodies = self.split(psi)
+        parts = ((weight, self.frame.barrier(bodies, FLOOR)), (self.prior.bodies, self.frame.squared(self.prior.distance, bodies)))
         for factor, part in parts:
             gradient[: self.edge] += factor * part.gradient.ravel()
             for i, block in enumerate(part.hessian):
@@ -136,7 +144,7 @@ class _Problem:
         change, slack = self.rows @ step, self.slack(psi)
         falling = change < 0.0
         lines = float(np.min(-slack[falling] / change[falling])) if falling.any() else np.inf
-        return min(lines, reach(self.split(psi), self.split(step)))
+        return min(lines, self.frame.reach(self.split(psi), self.split(step), FLOOR))
 
 
 def maximum_a_posteriori(parameters: Parameters, root: Array, target: Array, prior: Prior, bounds: Bounds | None = None) -> Consistent:
@@ -149,12 +157,12 @@ def maximum_a_posteriori(parameters: Parameters, root: Array, target: Array, pri
     psi = _inside(parameters, prior.nominal, bounds or Bounds())
     if rows.size and float(problem.slack(psi).min()) <= 0.0:
         raise UnusableInput("bounds of mass and centre leave no room for a body; widen them")
-    steps = 0
+    steps, ridge = 0, 1e-13 * np.eye(parameters.count)  # below rounding
     for weight in WEIGHTS:
         for _ in range(STEPS):
             gradient, hessian = problem.derivatives(psi, weight)
             scale = 1.0 / np.sqrt(np.diag(hessian))
-            step = -scale * np.linalg.solve(hessian * np.outer(scale, scale), scale * gradient)
+            step = -scale * np.linalg.solve(hessian * np.outer(scale, scale) + ridge, scale * gradient)
             decrement = -float(gradient @ step)
             steps += 1
             if decrement < (DECREMENT if weight == WEIGHTS[-1] else 1e-3):
@@ -163,11 +171,11 @@ def maximum_a_posteriori(parameters: Parameters, root: Array, target: Array, pri
     hessian = problem.derivatives(psi, 0.0)[1]
     misfit = root @ psi - target
     far = problem.far(psi) / prior.bodies if prior.bodies else 0.0
-    return Consistent(psi, _inverse(hessian), 0.5 * float(misfit @ misfit), far, steps)
+    return Consistent(psi, inverse(hessian), 0.5 * float(misfit @ misfit), far, steps)
 
 
 def _searched(problem: _Problem, psi: Array, step: Array, decrement: float, weight: float) -> Array:
-    length, now = min(1.0, 0.98 * problem.longest(psi, step)), problem.value(psi, weight)
+    length, now = min(1.0, 0.95 * problem.longest(psi, step)), problem.value(psi, weight)
     for _ in range(40):
         if problem.value(psi + length * step, weight) <= now - 1e-4 * length * decrement:
             return np.asarray(psi + length * step)
@@ -175,7 +183,8 @@ def _searched(problem: _Problem, psi: Array, step: Array, decrement: float, weig
     return psi
 
 
-def _inverse(hessian: Array) -> Array:
+def inverse(hessian: Array) -> Array:
+    """Of a symmetric matrix whose rows have very different units; 0 where it has no information."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-300))
     values, vectors = np.linalg.eigh(hessian * np.outer(scale, scale))
     kept = values > 1e-14 * values[-1]
@@ -246,3 +255,12 @@ def is_consistent(parameters: Parameters, psi: Array) -> bool:
     """Whether every body's pseudo-inertia is positive definite and every friction and rotor inertia is not negative."""
     bodies = bool((np.linalg.eigvalsh(pseudo(bodies_of(parameters, psi))) > 0.0).all())
     return bodies and all(float(psi[parameters.block(kind)].min()) >= 0.0 for kind in POSITIVE if kind in parameters.drive)
+
+
+def objective(parameters: Parameters, root: Array, target: Array, prior: Prior, psi: Array) -> float:
+    """½‖root ψ − target‖² + γ d(ψ, ψ₀)², what `maximum_a_posteriori` minimises. psi: physically consistent. Shape (P,)."""
+    edge = 10 * parameters.bodies
+    misfit = root @ psi - target
+    bodies = Frame(bodies_of(parameters, prior.nominal)).squared(prior.distance, bodies_of(parameters, psi)).value
+    drives = ((psi - prior.nominal)[edge:] / prior.scales) ** 2
+    return 0.5 * float(misfit @ misfit) + prior.bodies * float(bodies.sum()) + float(prior.drives @ drives)

@@ -21,6 +21,8 @@ from .signals import Piece
 Array = np.ndarray
 STEP = 2e-3
 """Longest step of the loop [s]."""
+IDLE = 1e-6
+"""Share of the torque below which a column of the law counts as absent: an interior-point solver leaves a trace of what it drops."""
 LOST = 1.0
 """Distance from the reference at which a loop counts as lost [rad or m]."""
 
@@ -70,7 +72,7 @@ def identified(commands: Sequence[Command], measured: Sequence[Piece], hertz: fl
         size = np.linalg.norm(A, axis=0)
         size[size == 0.0] = 1.0
         solution = optimize.lsq_linear(A / size, b, (low, np.full(6, np.inf))).x / size
-        found[:, joint] = solution
+        found[:, joint] = np.where(np.abs(solution * size) > IDLE * np.linalg.norm(b), solution, 0.0)
         explained[joint] = 1.0 - float(np.sum((b - A @ solution) ** 2)) / max(float(b @ b), 1e-300)
     constant = np.array([part[6].mean(axis=0) - np.einsum("kj,kj->j", found, part[:6].mean(axis=1)) for part in parts])
     return Law(found[:3], found[3:], constant, explained)
@@ -90,7 +92,8 @@ def _columns(command: Command, piece: Piece, hertz: float) -> Array:
 def followed(mechanism: Mechanism, law: Law, command: Command, piece: int) -> Array | None:
     """Positions of the robot under the law; of a period the second one, when the loop has settled. None where it loses the reference.
 
-    Steps of at most STEP, implicit in the gains and linearly so in friction: stable whatever their size. piece: which constant. Shape (N, n).
+    Steps of at most STEP, implicit in the gains and linearly so in friction: stable whatever their size. piece: whose constant is
+    meant. Shape (N, n) [rad or m].
     """
     q = command.motion.q
     start = (q[0], command.motion.dq[0], np.zeros(q.shape[1]))

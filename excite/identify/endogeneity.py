@@ -55,20 +55,22 @@ class Endogeneity:
         """One line."""
         test = f"Durbin-Wu-Hausman: χ² = {self.statistic:.3g} with {self.freedom} degrees of freedom, p = {self.p:.2g}"
         if self.needed:
-            return f"{test}: noise of the recorded positions biases least squares by up to {self.shift[0]:.2g} standard deviations; take instruments"
+            return f"{test}: noise of positions moves least squares by up to {self.shift[0]:.2g} standard deviations; take instruments"
         if self.significant:
-            return f"{test}: significant, but no base parameter moves by more than {self.shift[0]:.2g} standard deviations; least squares will do"
+            return f"{test}: significant, but moves nothing by more than {self.shift[0]:.2g} standard deviations; least squares will do"
         return f"{test}: no sign that least squares needs instruments"
 
 
-def durbin_wu_hausman(
-    ls: Estimate, iv: Estimate, equations: Equations, instruments: Array, nuisance: Array | None = None
-) -> Endogeneity:
-    """Test least squares against instruments. ls, iv: estimates of the same equations by both. instruments: Z. Shape (N, n, p).
-    nuisance: as for `estimate`. Shape (N, n, k).
+def durbin_wu_hausman(ls: Estimate, iv: Estimate, equations: Equations, instruments: Array, nuisance: Array | None = None) -> Endogeneity:
+    """Test least squares against instruments. ls, iv: estimates of the same equations by both. instruments, nuisance:
+    as for `estimate`. Shapes (N, n, p) or (N, n, p + k), (N, n, k).
     """
     from scipy import stats  # slow to import
 
+    if nuisance is not None:
+        if instruments.shape[2] == equations.regressor.shape[2]:
+            instruments = np.concatenate([instruments, nuisance], axis=2)
+        equations = dataclasses.replace(equations, regressor=np.concatenate([equations.regressor, nuisance], axis=2))
     fit = least_squares(equations, ls.scale)
     V, sines, strength = _unexplained(equations, fit, ls.scale, instruments)
     power = np.cumsum(sines**2) / max(float(np.sum(sines**2)), 1e-300)
@@ -78,7 +80,7 @@ def durbin_wu_hausman(
         return Endogeneity(0.0, 0, 1.0, shift, strength)
     p = equations.regressor.shape[2]
     wide = dataclasses.replace(equations, regressor=np.concatenate([equations.regressor, V[:, :, :tested]], axis=2))
-    found = estimate(wide, Method.FULL if np.count_nonzero(ls.scale) > len(ls.scale) else Method.WLS, nuisance=nuisance)
+    found = estimate(wide, Method.FULL if np.count_nonzero(ls.scale) > len(ls.scale) else Method.WLS)
     extra = found.theta[p:]
     statistic = float(extra @ np.linalg.solve(found.covariance[p:, p:], extra))
     return Endogeneity(statistic, tested, float(stats.chi2.sf(statistic, tested)), shift, strength)
@@ -91,11 +93,12 @@ def _unexplained(equations: Equations, fit: Fit, scale: Array, instruments: Arra
     Z = weighted(instruments, scale).reshape(len(rows), -1)
     size = np.linalg.norm(Z, axis=0)
     Z = Z[:, size > 0.0] / size[size > 0.0]
-    U, s, _ = np.linalg.svd(Z, full_matrices=False)
-    U = U[:, s > 1e-9 * s[0]]
+    Q, R = np.linalg.qr(Z)  # first, so that all that is long is done once
+    U, s, _ = np.linalg.svd(R)
+    U = Q @ U[:, s > 1e-9 * s[0]]
     left = rows - U @ (U.T @ rows)
     cosines = np.linalg.svd(U.T @ rows, compute_uv=False)
-    _, sines, Vt = np.linalg.svd(left, full_matrices=False)
+    _, sines, Vt = np.linalg.svd(np.linalg.qr(left)[1])
     principal = (left @ Vt.T).reshape(*equations.torque.shape, r)
     unweighted = np.einsum("ij,tjr->tir", scale, principal)
     return unweighted, sines, float(cosines[-1]) if len(cosines) == r else 0.0

@@ -45,7 +45,8 @@ class Model:
 class Equations:
     """Rows of τ = Γ θ, twice the band a second.
 
-    torque: Shape (N, n) [N m]. regressor: Γ. Shape (N, n, p). motion: of the rows. time: of each row [s]. starts: rows at
+    torque: Shape (N, n) [N m]. regressor: Γ. Shape (N, n, p). slopes: of torque by the log of Coulomb friction's width, over the
+    friction. Shape (N, n). motion: of the rows. time: of each row [s]. starts: rows at
     which a stretch begins, the first being 0. sources: name of each stretch's recording. hertz: the band. rate: rows a second.
     periods: how many periods each stretch is the mean of, 0 where it is none. repeats: per stretch what distinguishes its periods' torque
     from their mean, Fourier coefficients at the rows' frequencies above 0. Shape (periods, (N − 1)/2, n), or None.
@@ -53,6 +54,7 @@ class Equations:
 
     torque: Array
     regressor: Array
+    slopes: Array
     motion: Samples
     time: Array
     starts: tuple[int, ...]
@@ -76,7 +78,8 @@ class Equations:
 
     def rows(self, which: slice) -> Equations:
         """Some rows, as one stretch."""
-        part = dataclasses.replace(self, torque=self.torque[which], regressor=self.regressor[which], motion=self.motion.rows(which))
+        part = dataclasses.replace(self, torque=self.torque[which], regressor=self.regressor[which], slopes=self.slopes[which])
+        part = dataclasses.replace(part, motion=self.motion.rows(which))
         return dataclasses.replace(part, time=self.time[which], starts=(0,), sources=self.sources[:1], periods=(0,), repeats=(None,))
 
     def predicted(self, theta: Array) -> Array:
@@ -87,30 +90,30 @@ class Equations:
 
 def build(model: Model, pieces: Iterable[Piece], hertz: float) -> Equations:
     """The equations of all stretches below `hertz`. Raises UnusableInput when no row is left."""
-    torque, gamma, motions, times = [], [], [], []
-    starts, sources, periods, repeats, count, rate = [], [], [], [], 0, 2.0 * hertz
-    shortest = 0.0
+    parts, starts, count, shortest = list[Equations](), list[tuple[int, Piece, int]](), 0, 0.0
     for piece in pieces:
         band = Band(hertz, piece.rate, len(piece), piece.periodic)
-        rate = band.rate_of(Grid.KEPT)
-        begin = count
-        for one in _chunked(model, piece, band):
-            torque.append(one[0])
-            gamma.append(one[1])
-            motions.append(one[2])
-            times.append(one[3])
-            count += len(one[0])
-        if count > begin:
-            starts.append(begin)
-            sources.append(piece.source)
-            periods.append(piece.periods)
-            repeats.append(_repeats(piece, count - begin))
+        own = list(_chunked(model, piece, band))
+        if own:
+            starts.append((count, piece, sum(map(len, own))))
+            count += starts[-1][2]
+            parts += own
         shortest = 2.0 * band.margin / piece.rate
-    if not count:
+    if not parts:
         raise UnusableInput(f"recordings: no stretch is longer than the {shortest:.2g} s that a band of {hertz:g} Hz takes at its ends")
-    joined = Samples(*(np.concatenate([getattr(m, name) for m in motions]) for name in ("q", "dq", "ddq")))
-    stretches = (tuple(starts), tuple(sources), tuple(periods), tuple(repeats))
-    return Equations(np.concatenate(torque), np.concatenate(gamma), joined, np.concatenate(times), *stretches, hertz, rate)
+    return Equations(
+        torque=np.concatenate([part.torque for part in parts]),
+        regressor=np.concatenate([part.regressor for part in parts]),
+        slopes=np.concatenate([part.slopes for part in parts]),
+        motion=Samples(*(np.concatenate([getattr(part.motion, name) for part in parts]) for name in ("q", "dq", "ddq"))),
+        time=np.concatenate([part.time for part in parts]),
+        starts=tuple(start for start, _, _ in starts),
+        sources=tuple(piece.source for _, piece, _ in starts),
+        periods=tuple(piece.periods for _, piece, _ in starts),
+        repeats=tuple(_repeats(piece, rows) for _, piece, rows in starts),
+        hertz=hertz,
+        rate=parts[-1].rate,
+    )
 
 
 def _repeats(piece: Piece, rows: int) -> Array | None:
@@ -131,28 +134,37 @@ def kept_rows(piece: Piece, band: Band) -> Iterator[tuple[slice, slice]]:
             yield rows, kept
 
 
-def _chunked(model: Model, piece: Piece, band: Band) -> Iterator[tuple[Array, Array, Samples, Array]]:
+def _chunked(model: Model, piece: Piece, band: Band) -> Iterator[Equations]:
     for rows, kept in kept_rows(piece, band):
         part = dataclasses.replace(band, count=rows.stop - rows.start)
-        torque = part.low(piece.torque[rows], Grid.KEPT)
-        time = piece.start + rows.start / piece.rate + np.arange(len(torque)) / band.rate_of(Grid.KEPT)
-        gamma, motion = filtered(model, piece.q[rows], part)
-        yield torque[kept], gamma[kept], motion.rows(kept), time[kept]
+        torque = part.low(piece.torque[rows], Grid.KEPT)[kept]
+        time = piece.start + rows.start / piece.rate + np.arange(part.samples(Grid.KEPT))[kept] / band.rate_of(Grid.KEPT)
+        gamma, slopes, motion = filtered(model, piece.q[rows], part)
+        stretch = ((0,), (piece.source,), (piece.periods,), (None,))
+        yield Equations(torque, gamma[kept], slopes[kept], motion.rows(kept), time, *stretch, band.hertz, band.rate_of(Grid.KEPT))
 
 
-def filtered(model: Model, q: Array, band: Band) -> tuple[Array, Samples]:
-    """Γ along positions, filtered and thinned, and the motion at its rows. Shapes (M, n, p), M rows."""
-    samples = Samples(*(band.low(q, Grid.COARSE, order, reach=WIDER) for order in range(3)))
+def filtered(model: Model, q: Array, band: Band) -> tuple[Array, Array, Samples]:
+    """Γ along positions, filtered and thinned, friction's slopes and the motion at its rows. Shapes (M, n, p), (M, n), M rows."""
+    position = band.transformed(q)
+    samples = Samples(*(position.low(Grid.COARSE, order, WIDER) for order in range(3)))
     blocks = [
         regressor(model.robot, model.parameters, samples.rows(slice(start, start + BLOCK)))[:, :, model.base.independent]
         for start in range(0, len(samples), BLOCK)
     ]
     gamma = band.low(np.concatenate(blocks), Grid.KEPT, of=Grid.COARSE)
+    slopes = np.zeros(gamma.shape[:2])
     columns = model.friction_columns()
     if columns:  # from every sample of the recording: their steps are too short for the coarse grid
-        speed = band.low(q, Grid.RECORDED, 1, reach=EDGE)
-        coulomb = band.low(np.tanh(speed / model.widths), Grid.KEPT)
+        coulomb, slopes = friction(model.widths, position.low(Grid.RECORDED, 1, EDGE), band)
         for k, joint in columns.items():
             gamma[:, :, k] = 0.0
             gamma[:, joint, k] = coulomb[:, joint]
-    return gamma, Samples(*(band.low(q, Grid.KEPT, order) for order in range(3)))
+    return gamma, slopes, Samples(*(position.low(Grid.KEPT, order) for order in range(3)))
+
+
+def friction(widths: Array, speed: Array, band: Band) -> tuple[Array, Array]:
+    """Filtered tanh(q̇/width), and its slope by log width: what an error of a width adds to a joint's torque. Shapes (M, n)."""
+    step = np.tanh(speed / widths)
+    both = band.low(np.concatenate([step, -(speed / widths) * (1.0 - step**2)], axis=1), Grid.KEPT)
+    return both[:, : len(widths)], both[:, len(widths) :]

@@ -22,6 +22,8 @@ HUBER = 1.345
 PASSES = 3
 ROBUST_PASSES = 30
 SPREAD = 0.6744897501960817  # median of |x| for a standard normal x
+NOTHING = 1e-9
+"""Size of a column, relative to the largest, at which it is zero."""
 RANK = 1e-9
 """Relative singular value, columns at unit length, below which a combination of parameters counts as not shown at all."""
 BLOCK = 4096
@@ -65,11 +67,13 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Fit:
-    """Weighted least squares. theta: Shape (p,). half: H with H Hᵀ = (Σ ΓᵀΣ⁻¹Γ)⁺. Shape (p, r). leverage: trace of the hat matrix
+    """Weighted least squares. theta: Shape (p,). half: H with H Hᵀ = (Σ ΓᵀΣ⁻¹Γ)⁺. Shape (p, r). inward: takes θ to the coordinates
+    of H. Shape (r, p). leverage: trace of the hat matrix
     per joint. Shape (n,). size: norm of each weighted column. Shape (p,). hidden: directions not shown. Shape (p − r, p)."""
 
     theta: Array
     half: Array
+    inward: Array
     leverage: Array
     size: Array
     hidden: Array
@@ -94,7 +98,7 @@ def triangles(equations: Equations) -> Array:
             part = slice(start, start + BLOCK)
             own = np.concatenate([equations.regressor[part, joint][:, seen[:-1]], equations.torque[part, joint, None]], axis=1)
             R = np.asarray(np.linalg.qr(np.vstack([R, own]), mode="r"))
-        out[joint][np.ix_(range(len(R)), seen)] = R
+        out[joint][np.ix_(np.arange(len(R)), np.flatnonzero(seen))] = R
     return out
 
 
@@ -112,14 +116,16 @@ def triangle(equations: Equations, scale: Array) -> Array:
 def _solved(joined: Array, parts: Array) -> Fit:
     """Least squares by the triangle of all rows. parts: of each joint's weighted rows, for the leverages."""
     p = joined.shape[1] - 1
-    root, right = joined[:p, :p], joined[:p, p]
+    root, right = joined[:p, :p].copy(), joined[:p, p]
     size = np.linalg.norm(root, axis=0)
-    size[size == 0.0] = 1.0
+    nothing = size <= NOTHING * size.max(initial=0.0)  # rounding in the derivatives of a joint at rest is no motion
+    root[:, nothing], size[nothing] = 0.0, 1.0
     U, s, Vt = np.linalg.svd(root / size)
     rank = int(np.sum(s > RANK * max(float(s[0]), 1e-300)))
     half = (Vt[:rank].T / s[:rank]) / size[:, None]
     theta = half @ (U[:, :rank].T @ right)
-    return Fit(theta, half, np.sum((parts[:, :, :p] @ half) ** 2, axis=(1, 2)), size, Vt[rank:] / size)
+    inward = s[:rank, None] * Vt[:rank] * size
+    return Fit(theta, half, inward, np.sum((parts[:, :, :p] @ half) ** 2, axis=(1, 2)), size, Vt[rank:] / size)
 
 
 def least_squares(equations: Equations, scale: Array, weights: Array | None = None) -> Fit:
@@ -149,13 +155,14 @@ def estimate(
 ) -> Estimate:
     """θ̂ by `method`.
 
-    instruments: Z for Method.IV, correlated with Γ and not with the noise. Shape (N, n, p). nuisance: columns that explain
+    instruments: Z for Method.IV, correlated with Γ and not with the noise. Shape (N, n, p), or (N, n, p + k) with instruments of the
+    nuisances, which else are their own. nuisance: columns that explain
     torque too and are nobody's parameter, such as the slope by a friction's width: θ̂ is unbiased by them and as uncertain as
     they make it. Shape (N, n, k).
     """
     if nuisance is not None:
         wider = dataclasses.replace(equations, regressor=np.concatenate([equations.regressor, nuisance], axis=2))
-        if instruments is not None:
+        if instruments is not None and instruments.shape[2] == equations.regressor.shape[2]:
             instruments = np.concatenate([instruments, nuisance], axis=2)
         return _marginal(estimate(wider, method, instruments=instruments), equations)
     fit, scale = _reweighted(triangles(equations), 0 if method is Method.OLS else PASSES, len(equations))
@@ -169,7 +176,7 @@ def estimate(
             raise UnusableInput("instruments: the estimator needs some; see instruments.build")
         return _instrumental(equations, fit, scale, instruments)
     left = weighted(equations.torque - equations.predicted(fit.theta), scale)
-    return _assembled(method, equations, fit, fit.theta, scale, left, fit.half)
+    return _assembled(method, equations, fit, fit.theta, scale, left)
 
 
 def _marginal(wide: Estimate, equations: Equations) -> Estimate:
@@ -190,26 +197,18 @@ def _assembled(
     theta: Array,
     scale: Array,
     score: Array,
-    half: Array,
     slope: float = 1.0,
     outliers: float = 0.0,
 ) -> Estimate:
     """The estimate with its sandwich: in coordinates H the slope is `slope`, so the covariance is H S Hᵀ/slope²."""
-    inside = weighted(equations.regressor, scale) @ half
+    inside = weighted(equations.regressor, scale) @ fit.half
     spectrum, spread = colour(equations, score, inside, scale)
     spread = spread / slope**2
     residual = equations.torque - equations.predicted(theta)
-    root = np.linalg.solve(np.linalg.cholesky(spread), _left_inverse(half))
-    covariance = opened(half @ spread @ half.T, fit)
-    freedom = float(score.size - half.shape[1])
+    root = np.linalg.solve(np.linalg.cholesky(spread), fit.inward)
+    covariance = opened(fit.half @ spread @ fit.half.T, fit)
+    freedom = float(score.size - fit.half.shape[1])
     return Estimate(method, theta, root, covariance, scale, spectrum, residual, freedom, outliers)
-
-
-def _left_inverse(half: Array) -> Array:
-    """H⁺ that takes θ to the coordinates of visible directions. Shape (r, p)."""
-    size = np.linalg.norm(half, axis=1)
-    size[size == 0.0] = 1.0
-    return np.asarray(np.linalg.pinv(half / size[:, None]) / size)
 
 
 def opened(covariance: Array, fit: Fit) -> Array:
@@ -229,13 +228,13 @@ def _huber(equations: Equations, fit: Fit, scale: Array) -> Estimate:
         left = weighted(equations.torque - equations.predicted(theta), scale)
         found = least_squares(equations, scale, np.minimum(1.0, HUBER / np.maximum(np.abs(left), 1e-300)))
         moved, theta = found.theta - theta, found.theta
-        if np.linalg.norm(_left_inverse(found.half) @ moved) < 1e-4:
+        if np.linalg.norm(found.inward @ moved) < 1e-4:
             break
     left = weighted(equations.torque - equations.predicted(theta), scale)
     plain = least_squares(equations, scale)
     size = np.abs(left)
     slope, outliers = float(np.mean(size <= HUBER)), float(np.mean(size > 2.0 * HUBER))
-    return _assembled(Method.HUBER, equations, plain, theta, scale, np.clip(left, -HUBER, HUBER), plain.half, slope, outliers)
+    return _assembled(Method.HUBER, equations, plain, theta, scale, np.clip(left, -HUBER, HUBER), slope, outliers)
 
 
 def _instrumental(equations: Equations, fit: Fit, scale: Array, instruments: Array) -> Estimate:
@@ -248,10 +247,10 @@ def _instrumental(equations: Equations, fit: Fit, scale: Array, instruments: Arr
         raise UnusableInput("instruments: show less of the robot than its recorded motion does; take another estimator")
     theta = fit.half @ np.linalg.solve(product, np.einsum("tip,ti->p", Z, torque, optimize=True))
     left = weighted(equations.torque - equations.predicted(theta), scale)
-    spectrum = colour(equations, left, inside, scale)
+    spectrum, scores = colour(equations, left, inside, scale, Z)
     inverse = np.linalg.inv(product)
-    spread = inverse @ score_covariance(equations, Z, spectrum) @ inverse.T
-    root = np.linalg.solve(np.linalg.cholesky(spread), _left_inverse(fit.half))
+    spread = inverse @ scores @ inverse.T
+    root = np.linalg.solve(np.linalg.cholesky(spread), fit.inward)
     covariance = opened(fit.half @ spread @ fit.half.T, fit)
     residual = equations.torque - equations.predicted(theta)
     return Estimate(Method.IV, theta, root, covariance, scale, spectrum, residual, float(left.size - fit.half.shape[1]))

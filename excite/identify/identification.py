@@ -78,7 +78,7 @@ class Prediction:
 class Identification:
     """What was learnt. psi: ψ̂, physically consistent. reduced: the same with what the data can't say left as it was.
 
-    data: θ̂ by the data alone. posterior: with the prior. gamma: (bodies, drives). analysis: which directions the recordings show, in
+    data: θ̂ by the data alone. posterior: with the prior. analysis: which directions the recordings show, in
     the metric of `metric` and `metric_base`.
     floor: standard deviation of torque noise below the band by repeated periods, None without. tried: (γ, held-out error) pairs.
     """
@@ -90,7 +90,7 @@ class Identification:
     data: Estimate
     posterior: Consistent
     reduced: Consistent
-    gamma: tuple[float, float]
+    prior: Prior
     analysis: Identifiability
     metric: Parameters
     metric_base: Base
@@ -103,6 +103,21 @@ class Identification:
     @property
     def psi(self) -> Array:
         return self.posterior.psi
+
+    @property
+    def gamma(self) -> tuple[float, float]:
+        """γ of bodies and, on average, of drives."""
+        return self.prior.bodies, float(np.mean(self.prior.drives)) if len(self.prior.drives) else 0.0
+
+    def decided(self) -> Array:
+        """Share of each direction's value that the data decided: λ/(λ + 2γ), or with several γ what the prior says of θ = Bψ. Shape (p,)."""
+        base = self.model.base
+        values, vectors = identifiability.spectrum(self.data.root @ base.matrix, self.metric_base)
+        ways = base.matrix @ self.metric_base.geometric @ vectors
+        known = consistent.metric_matrix(self.model.parameters, self.prior)
+        spread = base.matrix @ consistent.inverse(known) @ base.matrix.T
+        prior = np.einsum("ik,ij,jk->k", ways, consistent.inverse(spread), ways)
+        return np.asarray(values / np.maximum(values + prior, 1e-300))
 
 
 def identify(
@@ -125,14 +140,15 @@ def identify(
     few = signals.first(parts, widths.ENOUGH)
     rows = equations.build(model, few, spectra.hertz)
     model = widths.fitted(model, rows, few)
-    rows = widths.applied(model, rows, few) if len(few) == len(parts) and len(few[-1]) == len(parts[-1]) else equations.build(model, parts, spectra.hertz)
+    enough = sum(map(len, few)) == sum(map(len, parts))
+    rows = widths.applied(model, rows, few) if enough else equations.build(model, parts, spectra.hertz)
     progress(f"{len(rows)} × {robot.n} equations in {base.count} base parameters: {options.method.value}")
-    data = estimators.estimate(rows, options.method, nuisance=_nuisance(model, parts, spectra.hertz))
+    data = estimators.estimate(rows, options.method, nuisance=_nuisance(model, rows))
     late = delay.estimated(rows, data)
     if options.align:
         parts = [_moved(piece, late.seconds) for piece in parts]
         rows = equations.build(model, parts, spectra.hertz)
-        data = estimators.estimate(rows, options.method, nuisance=_nuisance(model, parts, spectra.hertz))
+        data = estimators.estimate(rows, options.method, nuisance=_nuisance(model, rows))
     progress("physically consistent parameters")
     root, target = data.root @ base.matrix, data.root @ data.theta
     prior, tried = _prior(parameters, base, root, target, options, rows, data)
@@ -147,20 +163,18 @@ def identify(
     fits = tuple(_predicted(model, r, spectra.hertz, posterior.psi, prior.nominal, shift, own) for r in recordings)
     validations = tuple(_predicted(model, r, spectra.hertz, posterior.psi, prior.nominal, shift) for r in validate)
     return Identification(
-        model, options, spectra, rows, data, posterior, reduced, (prior.bodies, float(np.mean(prior.drives))),
+        model, options, spectra, rows, data, posterior, reduced, prior,
         analysis, scaled, sized, late, signals.floor(parts, spectra.hertz), fits, validations, tried,
     )  # fmt: skip
 
 
-def _nuisance(model: Model, parts: Sequence[Piece], hertz: float) -> Array | None:
+def _nuisance(model: Model, rows: Equations) -> Array | None:
     """What errors of the friction's widths do to torque. Shape (N, n, n)."""
-    friction = model.friction_columns()
-    if not friction:
+    joints = list(model.friction_columns().values())
+    if not joints:
         return None
-    slopes = widths.slopes(parts, model.widths, hertz)
-    out = np.zeros((len(slopes), model.robot.n, len(friction)))
-    for k, joint in enumerate(friction.values()):
-        out[:, joint, k] = slopes[:, joint]
+    out = np.zeros((len(rows), rows.n, len(joints)))
+    out[:, joints, range(len(joints))] = rows.slopes[:, joints]
     return out
 
 
@@ -177,18 +191,18 @@ def _prior(
 ) -> tuple[Prior, tuple[tuple[float, float], ...]]:
     """ψ₀ and γ: as given, by evidence, or by what predicts left-out blocks; what is trusted is held fast."""
     nominal = consistent.nominal_bodies(parameters)
-    edge = 10 * parameters.bodies
+    edge, scales = 10 * parameters.bodies, weight.scales(parameters)
     for place, value in options.trusted.items():
         nominal[place] = value
     if options.trusted:
         drives = np.full(parameters.count - edge, FREE)
         drives[[place - edge for place in options.trusted if place >= edge]] = SURE
-        return Prior(nominal, options.distance, SURE, drives), ()
-    start = Prior(nominal, options.distance, 1.0, np.ones(parameters.count - edge))
+        return Prior(nominal, options.distance, SURE, drives, scales), ()
+    start = Prior(nominal, options.distance, 1.0, np.ones(parameters.count - edge), scales)
     if not isinstance(options.gamma, str):
         return dataclasses.replace(start, bodies=options.gamma[0], drives=options.gamma[1] * start.drives), ()
-    bodies, loose = weight.evidence(parameters, root, target, start)
-    prior = dataclasses.replace(start, bodies=bodies, drives=loose * start.drives)
+    bodies, drives = weight.evidence(parameters, root, target, start)
+    prior = dataclasses.replace(start, bodies=bodies, drives=drives)
     if options.gamma == "evidence":
         return prior, ()
     folds = _folds(rows, data)
@@ -229,7 +243,9 @@ def _reduced(parameters: Parameters, base: Base, data: Estimate, prior: Prior, o
     # coordinates of θ in which the metric is 1 and the information diagonal
     frame = vectors[:, seen].T @ np.linalg.inv(base.matrix @ base.geometric)
     root = np.sqrt(values[seen])[:, None] * frame
-    weak = dataclasses.replace(prior, distance=Distance.PULLBACK, bodies=1e-3, drives=1e-3 * np.ones_like(prior.drives))
+    edge = 10 * parameters.bodies
+    same = np.full(len(prior.drives), 1e-3)
+    weak = Prior(prior.nominal, Distance.PULLBACK, 1e-3, same, np.diag(parameters.scale)[edge:])
     return consistent.maximum_a_posteriori(parameters, root @ base.matrix, root @ data.theta, weak, options.bounds)
 
 

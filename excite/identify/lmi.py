@@ -14,22 +14,27 @@ import numpy as np
 
 from ..errors import UnusableInput
 from ..parameters import Parameters
-from .consistent import POSITIVE, Bounds, Consistent, Prior, bodies_of, metric_matrix
-from .distance import UNITS, Distance, metrics, pseudo, squared
+from . import consistent
+from .consistent import POSITIVE, Bounds, Consistent, Prior, bodies_of, metric_matrix, objective
+from .distance import UNITS, Distance, metrics, pseudo
 
 Array = np.ndarray
 AGREED = 1e-4
-"""Difference of the objective, relative to its size where that is above 1, up to which two solvers say the same."""
+"""Difference of the objective, relative to its size where that is above 1, up to which two solvers say the same, besides the barrier."""
 INSTALL = "pip install 'excite[lmi]'"
 
 
 @dataclass(frozen=True)
 class Check:
-    """psi: by the conic solver. Shape (P,). objective: ½‖Rψ − z‖² + γ d² of it. own: the same of the estimate that is checked."""
+    """psi: by the conic solver. Shape (P,). objective: ½‖Rψ − z‖² + γ d² of it. own: the same of the estimate that is checked.
+
+    barrier: what that one's barrier may cost, its last weight times the number of its terms (Boyd & Vandenberghe 2004, 11.2.2).
+    """
 
     psi: Array
     objective: float
     own: float
+    barrier: float
 
     @property
     def gap(self) -> float:
@@ -38,28 +43,20 @@ class Check:
 
     @property
     def agrees(self) -> bool:
-        """Whether the two differ by no more than AGREED."""
-        return abs(self.gap) <= AGREED
+        """Whether the two differ by no more than AGREED and, upwards, what the barrier may cost."""
+        return -AGREED <= self.gap <= AGREED + self.barrier / max(1.0, abs(self.objective))
 
 
-def check(
-    parameters: Parameters, root: Array, target: Array, prior: Prior, found: Consistent, bounds: Bounds | None = None
-) -> Check:
+def check(parameters: Parameters, root: Array, target: Array, prior: Prior, found: Consistent, bounds: Bounds | None = None) -> Check:
     """Solve the problem of `consistent.maximum_a_posteriori` again and compare. Arguments as there; found: what it returned.
 
     Raises UnusableInput without cvxpy and Clarabel, for the Riemannian distance, and where no body obeys the bounds.
     """
     psi = solve(parameters, root, target, prior, bounds)
-    return Check(psi, objective(parameters, root, target, prior, psi), objective(parameters, root, target, prior, found.psi))
-
-
-def objective(parameters: Parameters, root: Array, target: Array, prior: Prior, psi: Array) -> float:
-    """½‖Rψ − z‖² + γ d². psi: Shape (P,)."""
-    edge = 10 * parameters.bodies
-    misfit = root @ psi - target
-    bodies = squared(prior.distance, bodies_of(parameters, psi), bodies_of(parameters, prior.nominal)).value
-    drives = ((psi - prior.nominal)[edge:] / np.diag(parameters.scale)[edge:]) ** 2
-    return 0.5 * float(misfit @ misfit) + prior.bodies * float(bodies.sum()) + float(prior.drives @ drives)
+    lines = sum(len(parameters.joints) for kind in POSITIVE if kind in parameters.drive)
+    lines += 0 if bounds is None else 2 * len(bounds.mass) + 6 * len(bounds.centre)
+    theirs, own = (objective(parameters, root, target, prior, one) for one in (psi, found.psi))
+    return Check(psi, theirs, own, consistent.WEIGHTS[-1] * (4 * parameters.bodies + lines))
 
 
 def solve(parameters: Parameters, root: Array, target: Array, prior: Prior, bounds: Bounds | None = None) -> Array:
@@ -73,7 +70,7 @@ def solve(parameters: Parameters, root: Array, target: Array, prior: Prior, boun
     half = _half(parameters, root, prior)
     x = cp.Variable(parameters.count)
     psi = prior.nominal + half @ x
-    R = np.linalg.qr(np.column_stack([root @ half, target - root @ prior.nominal]), mode="r")[: parameters.count]
+    R: Array = np.linalg.qr(np.column_stack([root @ half, target - root @ prior.nominal]), mode="r")  # type: ignore[assignment]
     cost = 0.5 * cp.sum_squares(R[:, :-1] @ x - R[:, -1]) + _distance(parameters, prior, half, psi, x)
     problem = cp.Problem(cp.Minimize(cost), _limits(parameters, prior, psi, bounds or Bounds()))
     problem.solve(solver=cp.CLARABEL, tol_gap_abs=1e-9, tol_gap_rel=1e-9, tol_feas=1e-9)
@@ -93,7 +90,7 @@ def _distance(parameters: Parameters, prior: Prior, half: Array, psi: Any, x: An
     import cvxpy as cp
 
     edge, bodies = 10 * parameters.bodies, bodies_of(parameters, prior.nominal)
-    units = np.sqrt(prior.drives) / np.diag(parameters.scale)[edge:]
+    units = np.sqrt(prior.drives) / prior.scales
     cost = cp.sum_squares((units[:, None] * half[edge:]) @ x) if parameters.drive else 0.0
     if prior.bodies == 0.0:
         return cost
@@ -119,8 +116,8 @@ def _scaled(prior: Prior, psi: Any, body: int) -> Any:
 
 
 def _limits(parameters: Parameters, prior: Prior, psi: Any, bounds: Bounds) -> list[Any]:
-    """Bodies that are bodies, friction that brakes, and the bounds given."""
-    limits = [_scaled(prior, psi, i) >> 0 for i in range(parameters.bodies)]
+    """Bodies that are bodies by as much as `consistent` wants, friction that brakes, and the bounds given."""
+    limits = [_scaled(prior, psi, i) >> consistent.FLOOR * np.eye(4) for i in range(parameters.bodies)]
     scale = np.diag(parameters.scale)
     for kind in POSITIVE:
         if kind in parameters.drive:

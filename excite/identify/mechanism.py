@@ -108,7 +108,10 @@ def of(model: Model, psi: Array) -> Mechanism:
 
 
 def softened(mechanism: Mechanism, q: Array, step: float, stiffest: float = 2.0) -> Array:
-    """Widths of friction no narrower than an explicit step [s] carries: step · F_c (M⁻¹)_jj / width ≤ `stiffest` at states q. Shape (n,)."""
+    """Widths of friction no narrower than an explicit step [s] carries: step · F_c (M⁻¹)_jj / width ≤ `stiffest` at poses q.
+
+    stiffest: what the stability limit of classical Runge-Kutta, 2.78, leaves for other joints' part. Shapes (W, n) -> (n,).
+    """
     mobility = np.linalg.inv(mechanism.masses(q)).diagonal(axis1=1, axis2=2).max(axis=0)
     return np.maximum(mechanism.widths, step * mechanism.coulomb * mobility / stiffest)
 

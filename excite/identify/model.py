@@ -93,9 +93,9 @@ def document(found: Identification, recordings: Sequence[Recording]) -> dict[str
         "threshold": found.options.threshold,
         "prior": {
             "distance": found.options.distance.value,
-            "gamma": {"bodies": found.gamma[0], "drives": found.gamma[1]},
+            "gamma": {"bodies": found.prior.bodies, **_by_kind(found)},
             "chosen_by": found.options.gamma if isinstance(found.options.gamma, str) else "given",
-            "scales": dict(zip(parameters.names[edge:], np.diag(parameters.scale)[edge:], strict=True)),
+            "scales": dict(zip(parameters.names[edge:], found.prior.scales.tolist(), strict=True)),
         },
         "consistency": {"misfit": found.posterior.misfit, "distance_squared": found.posterior.distance},
         "method": found.options.method.value,
@@ -127,6 +127,12 @@ def _standard(found: Identification) -> list[dict[str, Any]]:
     return [dict(zip(keys, row, strict=True)) for row in zip(*columns, strict=True)]
 
 
+def _by_kind(found: Identification) -> dict[str, list[float]]:
+    """γ of each kind of drive parameter, joint by joint."""
+    n = found.model.robot.n
+    return {kind: found.prior.drives[k * n : k * n + n].tolist() for k, kind in enumerate(found.model.parameters.drive)}
+
+
 def base_parameters(found: Identification) -> list[dict[str, Any]]:
     """θ: nominal, by the data alone with its 95 % interval, and as the consistent model has it."""
     base, data = found.model.base, found.data
@@ -150,16 +156,16 @@ def base_parameters(found: Identification) -> list[dict[str, Any]]:
 
 def _directions(found: Identification) -> list[dict[str, Any]]:
     """Each direction of I·H₀⁻¹, how well it is known, and how much of the model's value in it the data decided."""
-    gamma = 2.0 * found.gamma[0]
+    shares = found.decided()
     return [
         {
             "variance": d.variance,
             "identifiable": d.identifiable,
-            "data_share": float(v / (v + gamma)),
+            "data_share": float(share),
             "words": d.words,
             "weights": dict(d.weights),
         }
-        for d, v in zip(found.analysis.directions, found.analysis.eigenvalues, strict=True)
+        for d, share in zip(found.analysis.directions, shares, strict=True)
     ]
 
 

@@ -22,7 +22,7 @@ RESOLUTION = 0.1
 """Width of a spectrum's bins, at the least [Hz]."""
 FREEDOM = 12.0
 """Degrees of freedom that a density is averaged over, at the least."""
-WINDOW = 4096
+WINDOW = 2048
 """Rows of a long stretch that are transformed together."""
 DOUBT = 1e-3
 """Probability, were the model right, of a residual so much larger than the spread between periods that the spread is left out."""
@@ -61,7 +61,8 @@ def colour(equations: Equations, series: Array, rows: Array, scale: Array, instr
     grams = np.zeros((count, n, scores.shape[2], scores.shape[2]))
     inverse = np.linalg.inv(scale)
     for part, length, (periods, deviations) in _windows(equations):
-        points = length if periods else 2 * length  # the noise of a mean period goes round, any other ends
+        # the noise of a mean period goes round; of a long window the ends don't matter
+        points = length if periods or length >= WINDOW // 2 else 2 * length
         where = np.minimum((np.arange(points // 2 + 1) / points * 2.0 * count).astype(int), count - 1)
         sides = np.full(len(where), 2.0)
         sides[0], sides[-1] = 1.0, 2.0 if points % 2 else 1.0

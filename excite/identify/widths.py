@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
 from .band import EDGE, Band, Grid
 from .equations import Equations, Model, kept_rows
+from .equations import friction as friction_of
 from .signals import Piece
 
 Array = np.ndarray
-CANDIDATES = 5e-4 * 1.25 ** np.arange(21)
-"""From half a mrad/s to 43."""
+CANDIDATES = 1e-4 * 1.3 ** np.arange(21)
+"""From a tenth of a mrad/s (mm/s) to 19: a wider step is no Coulomb friction any more."""
+GAIN = 2.0
+"""Log-likelihood, rows taken as independent, that a width must gain over the usual one."""
 ENOUGH = 1 << 16
 """Samples of a recording that settle the widths."""
 
@@ -38,7 +41,10 @@ def fitted(model: Model, equations: Equations, pieces: Sequence[Piece]) -> Model
             amplitude = float(free @ left) / size if size > 1e-9 * float(column @ column) else 0.0
             return float(left @ left) - max(amplitude, 0.0) ** 2 * size
 
-        widths[joint] = min(tried, key=lambda width: unexplained(tried[width][:, joint]))
+        best = min(tried, key=lambda width: unexplained(tried[width][:, joint]))
+        now, then = unexplained(gamma[:, k]), unexplained(tried[best][:, joint])
+        if 0.5 * len(torque) * np.log(max(now, 1e-300) / max(then, 1e-300)) > GAIN:
+            widths[joint] = best
     return dataclasses.replace(model, widths=widths)
 
 
@@ -46,14 +52,15 @@ def _tried(pieces: Sequence[Piece], hertz: float) -> dict[float, Array]:
     """Filtered tanh(q̇/width) for every candidate at the rows of the equations."""
     out: dict[float, list[Array]] = {float(width): [] for width in CANDIDATES}
     for piece in pieces:
-        for part, kept, speed in _speeds(piece, Band(hertz, piece.rate, len(piece), piece.periodic)):
+        for part, kept, speed in _speeds(piece, hertz):
             for width, columns in out.items():
                 columns.append(part.low(np.tanh(speed / width), Grid.KEPT)[kept])
     return {width: np.concatenate(columns) for width, columns in out.items()}
 
 
-def _speeds(piece: Piece, band: Band) -> Iterator[tuple[Band, slice, Array]]:
+def _speeds(piece: Piece, hertz: float) -> Iterator[tuple[Band, slice, Array]]:
     """Chunk by chunk its band, the rows kept, and speed at every sample."""
+    band = Band(hertz, piece.rate, len(piece), piece.periodic)
     for rows, kept in kept_rows(piece, band):
         part = dataclasses.replace(band, count=rows.stop - rows.start)
         yield part, kept, part.low(piece.q[rows], Grid.RECORDED, 1, reach=EDGE)
@@ -64,25 +71,16 @@ def applied(model: Model, rows: Equations, pieces: Iterable[Piece]) -> Equations
     friction = model.friction_columns()
     if not friction:
         return rows
-    gamma, fresh = rows.regressor.copy(), columns(pieces, model.widths, rows.hertz)
+    gamma, fresh = (
+        rows.regressor.copy(),
+        [
+            (coulomb[kept], slopes[kept])
+            for piece in pieces
+            for part, kept, speed in _speeds(piece, rows.hertz)
+            for coulomb, slopes in [friction_of(model.widths, speed, part)]
+        ],
+    )
+    coulomb, slopes = (np.concatenate(column) for column in zip(*fresh, strict=True))
     for k, joint in friction.items():
-        gamma[:, joint, k] = fresh[:, joint]
-    return dataclasses.replace(rows, regressor=gamma)
-
-
-def columns(pieces: Iterable[Piece], width: float | Array, hertz: float) -> Array:
-    """Filtered tanh(q̇/width) of all joints at the rows of the equations. Shape (N, n)."""
-    return _rows(pieces, hertz, lambda speed: np.tanh(speed / width))
-
-
-def slopes(pieces: Iterable[Piece], widths: Array, hertz: float) -> Array:
-    """Filtered ∂tanh(q̇/width)/∂ log width: what an error of a width adds to its joint's torque. Shape (N, n)."""
-    return _rows(pieces, hertz, lambda speed: -speed / widths / np.cosh(np.clip(speed / widths, -300.0, 300.0)) ** 2)
-
-
-def _rows(pieces: Iterable[Piece], hertz: float, function: Callable[[Array], Array]) -> Array:
-    parts = []
-    for piece in pieces:
-        band = Band(hertz, piece.rate, len(piece), piece.periodic)
-        parts += [part.low(function(speed), Grid.KEPT)[kept] for part, kept, speed in _speeds(piece, band)]
-    return np.concatenate(parts)
+        gamma[:, joint, k] = coulomb[:, joint]
+    return dataclasses.replace(rows, regressor=gamma, slopes=slopes)

@@ -27,7 +27,7 @@ class Chain:
 
     def times(self, duration: float) -> Array:
         """What the clock shows: k/rate, to the end [s]."""
-        return np.arange(int(round(duration * self.rate)) + 1) / self.rate
+        return np.arange(round(duration * self.rate) + 1) / self.rate
 
     def sampled(self, t: Array, rng: np.random.Generator) -> Array:
         """When the samples really were taken."""
@@ -46,7 +46,11 @@ class Chain:
         """RMS of the torque's noise below `band` [Hz], as a brick wall would leave it. Shape (n,) [N m]."""
         nyquist = 0.5 * self.rate
         f = np.linspace(0.0, nyquist, 4000)
-        power = np.ones_like(f) if self.colour is None else np.abs(signal.freqz(*_low_pass(self.colour, self.rate), worN=f, fs=self.rate)[1]) ** 2
+        power = (
+            np.ones_like(f)
+            if self.colour is None
+            else np.abs(signal.freqz(*_low_pass(self.colour, self.rate), worN=f, fs=self.rate)[1]) ** 2
+        )
         share = power[f <= band].sum() / power.sum()
         step = 0.0 if self.torque is None else self.torque
         return np.sqrt(share * self.noise**2 + min(1.0, band / nyquist) * np.square(step) / 12.0)

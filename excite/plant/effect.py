@@ -20,7 +20,10 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Effect:
-    """name: of the contract. joint: None for the whole robot. family: of forms. values: all parameters. source: the joint a coupling comes from."""
+    """name: of the contract. joint: None for the whole robot. family: of forms. values: all parameters.
+
+    source: the joint that a coupling comes from.
+    """
 
     name: str
     joint: str | None

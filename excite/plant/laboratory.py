@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from .law import Law
 from .plant import Plant, Run
 from .record import Recording
 from .reference import Reference
+from .tree import Tree
 from .wrong import deformed
 
 
@@ -37,7 +38,7 @@ class Setting:
     jitter: float = 0.0
     encoder: float = 2e-6
     model_error: float = 0.05
-    control: Control = Control()
+    control: Control = field(default_factory=Control)
 
     def generators(self) -> list[np.random.Generator]:
         """Independent ones for bodies, drives, measurement and effects."""
@@ -58,15 +59,25 @@ class Session:
 def robot(urdf: Path, reference: Reference, setting: Setting, laws: Sequence[Law] = ()) -> Plant:
     """The true robot behind a URDF that is a few per cent wrong."""
     bodies, drives, *_ = setting.generators()
-    true = deformed(trees.read(urdf), setting.model_error, bodies)
+    true = deformed(_carrying(trees.read(urdf), reference), setting.model_error, bodies)
     return plants.draw(true, reference, drives, control=setting.control, laws=laws)
+
+
+def _carrying(tree: Tree, reference: Reference) -> Tree:
+    """The tree with the body that the trajectory was designed with."""
+    stated = reference.robot.get("payload")
+    if stated is None:
+        return tree
+    xx, xy, yy, xz, yz, zz = (float(v) for v in stated["inertia"])
+    tensor, point = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), np.array([*stated["centre"], 1.0], float)
+    more = float(stated["mass"]) * np.outer(point, point)
+    more[:3, :3] += 0.5 * np.trace(tensor) * np.eye(3) - tensor
+    return tree.with_body(str(stated["link"]), tree.body(str(stated["link"])) + more)
 
 
 def chain(plant: Plant, setting: Setting) -> Chain:
     """The measurement chain, sized by the torque limits."""
-    return Chain(
-        setting.rate, setting.noise * plant.limit, setting.colour, setting.encoder, plant.limit / 2048.0, setting.jitter
-    )
+    return Chain(setting.rate, setting.noise * plant.limit, setting.colour, setting.encoder, plant.limit / 2048.0, setting.jitter)
 
 
 def session(plant: Plant, reference: Reference, setting: Setting, facts: dict[str, Any] | None = None, run: Run | None = None) -> Session:

@@ -170,13 +170,13 @@ class Loop:
             d, dd = theta - q, w - v
             pull, stiff, damp = spring.pull(d, dd)
             both = 1.0 / heavy + yields
-            # implicit in wind-up and its rate: pull is taken at the end of the step
+            # the pull is taken at the middle of the step, so a spring without damper neither gains nor loses
             rate = (push - drag) / heavy - free
-            change = dt * (rate - (pull + stiff * dt * dd) * both) / (1.0 + dt * (damp + dt * stiff) * both)
-            force = pull + stiff * dt * (dd + change) + damp * change
-            w += dt * (push - drag - force) / heavy
-            v += dt * (free + yields * force)
-            theta, q = theta + dt * w, q + dt * v
+            change = dt * (rate - (pull + 0.5 * stiff * dt * dd) * both) / (1.0 + 0.5 * dt * (damp + 0.5 * dt * stiff) * both)
+            force = pull + 0.5 * stiff * dt * (dd + 0.5 * change) + 0.5 * damp * change
+            faster, quicker = dt * (push - drag - force) / heavy, dt * (free + yields * force)
+            theta, q = theta + dt * (w + 0.5 * faster), q + dt * (v + 0.5 * quicker)
+            w, v = w + faster, v + quicker
             total += force
         self.theta[j], omega[j] = theta, w
         return total / count

@@ -44,21 +44,31 @@ class Plant:
         for law in self.laws:
             tree, gravity = law.alter(tree), law.gravity(gravity)
         extra = tuple(name for name in tree.joints if name not in self.tree.joints)
-        return arms.build(tree, extra + self.joints, self.lock, gravity)
+        return arms.build(tree, extra + self.joints, self.lock, tuple(gravity))
 
     def run(self, reference: Reference) -> Run:
         """Close the loop on a reference."""
+        self._require_room()
         arm, drive = self.arm(), self.drive
         for law in self.laws:
             drive = law.drives(drive)
         bound = replace(self, drive=drive, laws=tuple(law.bound(arm) for law in self.laws))
         carried = [s for law in bound.laws if (s := law.suspension()) is not None]
-        if len(carried) > 1:
-            raise UnusableInput(f"{self.tree.source}: more than one effect moves the base; leave one --effect base_compliance")
         trace = Loop(arm, drive, self.control, bound.laws, carried[0] if carried else None, self.limit, self.step).run(reference)
         if not np.isfinite(trace.v).all() or np.abs(trace.v).max() > 1e3:
             raise UnusableInput(f"{self.tree.source}: the controller loses this robot; make the hidden effects smaller")
         return Run(bound, arm, trace)
+
+    def _require_room(self) -> None:
+        """A base moves on one set of springs, a joint winds up in one."""
+        if sum(type(law).suspension is not Law.suspension for law in self.laws) > 1:
+            raise UnusableInput(f"{self.tree.source}: more than one effect moves the base; leave one --effect base_compliance")
+        wound = [spring.joint for law in self.laws if (spring := law.spring()) is not None]
+        for j in set(wound):
+            if wound.count(j) > 1:
+                raise UnusableInput(
+                    f"{self.tree.source}: joint '{self.joints[j]}' has more than one spring; give it elasticity or backlash, not both"
+                )
 
 
 class Run:
@@ -99,7 +109,9 @@ class Run:
         for law in self.plant.laws:
             if type(law).torque is Law.torque:
                 continue
-            z = np.column_stack([np.interp(t, self.trace.t, self.trace.z[:, i]) for i in range(at, at + law.memory)] or [np.empty((len(t), 0))])
+            z = np.column_stack(
+                [np.interp(t, self.trace.t, self.trace.z[:, i]) for i in range(at, at + law.memory)] or [np.empty((len(t), 0))]
+            )
             at += law.memory
             more = law.torque(x, z)
             out = out if more is None else out + more
@@ -107,7 +119,8 @@ class Run:
 
     def told(self, t: Array) -> tuple[Array, Array]:
         """Position and torque as the robot tells them, before noise. Shapes (N, n)."""
-        q, ask = self.motors(t)[0], self.torque
+        q = self.motors(t)[0]
+        ask: Callable[[Array], Array] = self.torque
         for law in self.plant.laws:
             q, ask = law.seen(q), _wrapped(law, ask)
         return q, ask(t)

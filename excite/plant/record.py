@@ -59,9 +59,7 @@ def record(run: Run, reference: Reference, chain: Chain, rng: np.random.Generato
     clock, noise = rng.spawn(2)
     q, tau = run.told(chain.sampled(t, clock))
     window = (reference.periodic[0] + min(SETTLE, 0.1 * reference.period), reference.periodic[1])
-    return Recording(
-        reference.joints, t, chain.positions(q), chain.torques(tau, noise), reference.at(t)[0], reference.period, window
-    )
+    return Recording(reference.joints, t, chain.positions(q), chain.torques(tau, noise), reference.at(t)[0], reference.period, window)
 
 
 def truth(plant: Plant, chain: Chain, facts: Mapping[str, Any]) -> dict[str, Any]:

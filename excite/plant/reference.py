@@ -52,7 +52,8 @@ def _reference(document: Mapping[str, Any], periods: int | None) -> Reference:
     period, extra = float(document["period"]), 0.0
     if periods is not None:
         extra = (periods - int(document["periods"])) * period
-    wave = fourier(*(np.array(document[key], float) for key in ("sine", "cosine", "offset")), period)
+    sine, cosine, offset = (np.array(document[key], float) for key in ("sine", "cosine", "offset"))
+    wave = fourier(sine, cosine, offset, period)
     parts: list[tuple[float, float, Callable[[Array], tuple[Array, Array, Array]]]] = []
     shift, window = 0.0, (0.0, 0.0)
     for segment in document["segments"]:

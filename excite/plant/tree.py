@@ -111,7 +111,9 @@ class Tree:
         element = self.joint(joint).find("limit")
         values = tuple(0.0 if element is None else float(element.get(key, "0")) for key in ("velocity", "effort"))
         if min(values) <= 0.0:
-            raise UnusableInput(f"{self.source}: joint '{joint}' has no velocity or torque limit; a simulated drive needs both in its <limit>")
+            raise UnusableInput(
+                f"{self.source}: joint '{joint}' has no velocity or torque limit; a simulated drive needs both in its <limit>"
+            )
         return values[0], values[1]
 
     def _link(self, name: str) -> ElementTree.Element:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..identify.distance import Distance, squared
+from ..identify.distance import Distance, Frame
 from ..parameters import pseudo_inertia
 from .figures import BLUE, GREY, INK, SOFT, render
 from .motion_figures import short
@@ -67,7 +67,7 @@ class Change:
     @property
     def distance(self) -> float:
         """Affine-invariant distance of the two: 0.07 where a mass changed by about 10 %."""
-        return float(np.sqrt(max(squared(Distance.RIEMANNIAN, self.after.phi[None], self.before.phi[None]).value[0], 0.0)))
+        return float(np.sqrt(max(Frame(self.before.phi[None]).squared(Distance.RIEMANNIAN, self.after.phi[None]).value[0], 0.0)))
 
     @property
     def shift(self) -> float:

@@ -6,10 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from .. import identifiability
 from ..identify import confidence, consistent
-from ..identify.consistent import Prior
-from ..identify.identification import FREE, SURE, Identification
+from ..identify.identification import Identification
 from ..identify.model import UNITS, base_parameters
 from ..wording import percent, spoken
 from . import ellipsoid_figures, parameter_figures, spectrum_figures
@@ -39,7 +37,8 @@ def parameters_section(found: Identification) -> Section:
     body += paragraph(
         "One scale for all: 100 % is what a change by the whole of the robot's own masses, lengths and friction amounts to in that "
         "parameter (the metric's unit); a drive's parameter that the URDF does not state may go from 0 to 100 %. Bars that run out of the "
-        "picture, with pale names: the recording does not show that parameter alone. Intervals: of the data alone, 95 %, for noise of the colour found.",
+        "picture, with pale names: the recording does not show that parameter alone. Intervals: of the data alone, 95 %, for noise of the "
+        "colour found.",
         "note",
     )
     rows = [_row(e, parameters) for e in entries]
@@ -109,35 +108,9 @@ def _drives(found: Identification) -> str:
 # -- directions ----------------------------------------------------------------------------------------------
 
 
-def prior_information(found: Identification) -> Array:
-    """2γG, what the prior was worth. Shape (P, P)."""
-    parameters, trusted = found.model.parameters, found.options.trusted
-    edge = 10 * parameters.bodies
-    drives = np.full(parameters.count - edge, FREE if trusted else found.gamma[1])
-    drives[[place - edge for place in trusted if place >= edge]] = SURE
-    nominal = consistent.nominal_bodies(parameters)
-    return consistent.metric_matrix(parameters, Prior(nominal, found.options.distance, found.gamma[0], drives))
-
-
-def decided(found: Identification) -> Array:
-    """Share of each direction's value that the data decided: λ/(λ + 2γ), or with several γ what the prior says of θ = Bψ. Shape (p,)."""
-    base = found.model.base
-    values, vectors = identifiability.spectrum(found.data.root @ base.matrix, found.metric_base)
-    ways = base.matrix @ found.metric_base.geometric @ vectors
-    spread = base.matrix @ _inverse(prior_information(found)) @ base.matrix.T
-    prior = np.einsum("ik,ij,jk->k", ways, _inverse(spread), ways)
-    return np.asarray(values / np.maximum(values + prior, 1e-300))
-
-
-def _inverse(matrix: Array) -> Array:
-    """Of a positive definite matrix whose rows have very different units."""
-    scale = 1.0 / np.sqrt(np.diag(matrix))
-    return np.asarray(np.linalg.inv(matrix * np.outer(scale, scale)) * np.outer(scale, scale))
-
-
 def directions_section(found: Identification) -> Section:
     """Which directions did the recording show, which did the prior decide?"""
-    analysis, shares = found.analysis, decided(found)
+    analysis, shares = found.analysis, found.decided()
     count, ours = len(shares), int(np.sum(shares > 0.5))
     sharp = percent(float(np.sqrt(analysis.threshold)))
     answer = f"The recording identifies {analysis.identifiable} of {plural(count, 'direction')} to ±{sharp} or better; "
@@ -176,10 +149,11 @@ def bodies_section(found: Identification) -> Section:
     most = max(changes, key=lambda c: c.distance)
     noticed = sum(c.distance > _NOTICED for c in changes)
     if most.distance <= _NOTICED:
-        answer = f"Hardly: the most that changed is {most.link}, by {most.distance:.2f} in the metric (a mass by 10 % is 0.07)."
+        size = f"by {most.distance:.2f}" if most.distance >= 0.01 else "by less than 0.01"
+        answer = f"Hardly: {most.link} changed most, {size} in the metric (a mass by 10 % is 0.07)."
     else:
         answer = f"{noticed} of {'1 body' if len(changes) == 1 else f'{len(changes)} bodies'} changed noticeably, {most.link} most: "
-        answer += f"{number(most.before.mass, 3)} → {number(most.after.mass, 3)} kg, its centre of mass by {1e3 * most.shift:.0f} mm"
+        answer += f"{number(most.before.mass, 3)} → {number(most.after.mass, 3)} kg, its centre of mass by {1e3 * most.shift:.0f}\u00a0mm"
         answer += "." if most.share is None else f"; the recording shows {100.0 * most.share:.0f} % of what torque can tell of it."
     rows = [
         (
@@ -194,9 +168,10 @@ def bodies_section(found: Identification) -> Section:
     ]
     head = ("link", "mass [kg]", "centre moved [mm]", "half axes [mm]", "distance", "shown")
     note = (
-        "Solid ellipsoids of uniform density with the link's mass, centre of mass and inertia, in the frame of the joint that moves it, links "
-        "fixed to it included. Distance: affine-invariant; a mass by 10 % is 0.07. Shown: of what torque can tell of the link, which is never "
-        "all of it, the part that the recording does. Where that is small the prior drew the body, and a change may belong to a neighbour."
+        "Solid ellipsoids of uniform density with the link's mass, centre of mass and inertia, in the frame of the joint that moves it, "
+        "links fixed to it included. Distance: affine-invariant; a mass by 10 % is 0.07. Shown: of what torque can tell of the link, which "
+        "is never all of it, the part that the recording does. Where that is small the prior drew the body, and a change may belong to a "
+        "neighbour."
     )
     if found.model.parameters.repaired:
         note += f" No proper body in the URDF: {', '.join(found.model.parameters.repaired)}; a small substitute is drawn as nominal."

@@ -67,7 +67,7 @@ def _forest(axes: Any, group: Sequence[Moved]) -> None:
         axes.plot(np.clip(entry.value, -limit, limit), row, "D", color=ORANGE, markersize=5.0, markerfacecolor="none", markeredgewidth=0.9)
     axes.set_xlim(-limit, limit)
     few_ticks(axes, 5, 5)
-    axes.xaxis.set_major_formatter(lambda value, _: f"{100.0 * value:+.3g} %".replace("-", "−") if value else "nominal")
+    axes.xaxis.set_major_formatter(lambda value, _: f"{100.0 * value:+.5g} %".replace("-", "−") if value else "nominal")
     vague = [entry.data is None or entry.half > 1.0 for entry in group]
     axes.set_yticks(range(len(group)), [e.name for e in group], fontsize=6.8)
     for label, pale in zip(axes.get_yticklabels(), vague, strict=True):

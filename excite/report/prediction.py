@@ -31,7 +31,8 @@ def section(found: Identification) -> Section:
     points = fit_figures.drawn_points(shown, robot.n)
     body = "" if held_out else banner("These are the recordings the model was fitted to: a small error here says little.", "warn")
     fitted = {one.source for one in found.fits}
-    if any(one.source in fitted for one in found.validations):
+    cheated = any(one.source in fitted for one in found.validations)
+    if cheated:
         body += banner("A recording that the model was fitted to is among those held out: its error says little.", "warn")
     parts = [f"<h3>{escape(one.source)}</h3>{_table(one, robot)}{figure(fit_figures.traces(one, robot, points))}" for one in shown]
     body += "".join(parts[:_UNFOLDED])
@@ -42,8 +43,9 @@ def section(found: Identification) -> Section:
         tables = "".join(f"<h3>{escape(one.source)}</h3>{_table(one, robot)}" for one in found.fits)
         body += folded("The same table for the recordings it was fitted to", tables)
         text, tone = verdict(shown, robot)
-        return Section("prediction", _QUESTION, text, body, tone)
-    answer = f"Not known, for no recording was held out: give one of another motion with --validate. The fit itself {_span(shown, robot)}."
+        return Section("prediction", _QUESTION, text, body, "warn" if cheated and tone == "good" else tone)
+    answer = "Not known, for no recording was held out: give one of another motion with --validate. "
+    answer += f"The error of the fit {_span(shown, robot)}."
     return Section("prediction", _QUESTION, answer, body, "warn")
 
 
@@ -98,9 +100,9 @@ def _table(one: Prediction, robot: Robot) -> str:
             (
                 escape(joint),
                 unit,
-                number(before[k], 3),
-                f'<b class="{tone}">{number(after[k], 3)}</b>',
-                number(floor, 3),
+                _torque(before[k]),
+                f'<b class="{tone}">{_torque(after[k])}</b>',
+                _torque(floor),
                 "–" if ratio is None else f"{ratio:.2f}",
                 escape(percent(relative_before[k])),
                 f'<b class="{tone}">{escape(percent(relative[k]))}</b>',
@@ -108,6 +110,11 @@ def _table(one: Prediction, robot: Robot) -> str:
         )
     head = ("joint", "unit", "RMSE before", "RMSE after", "noise floor", "after / floor", "relative before", "relative after")
     return table(head, rows, (2, 3, 4, 5, 6, 7))
+
+
+def _torque(value: float | None) -> str:
+    """Three digits, four where three would take a power of ten."""
+    return number(value, 4 if value is not None and value >= 1000.0 else 3)
 
 
 def _note(predictions: Sequence[Prediction], found: Identification) -> str:

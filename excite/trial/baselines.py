@@ -21,6 +21,7 @@ from .scene import Problem, load
 Array = np.ndarray
 ANALYSTS = ("greedy", "stribeck", "blackbox")
 STEPS, LEVEL = 4, 1e-3
+FEATURES, RIDGES = 200, (0.1, 1.0, 10.0, 100.0, 1e3)
 
 
 @dataclass
@@ -117,13 +118,24 @@ def _answer(problem: Problem, chosen: list[Chosen], certainty: float | None = No
     for one in chosen:
         c, m = one.trial.candidate, one.trial.columns[0].shape[2]
         parameters = {
-            name: {"value": turn(float(solution[at + k])), "std": abs(turn(float(solution[at + k] + spread[at + k])) - turn(float(solution[at + k]))), "unit": unit}
+            name: {
+                "value": turn(float(solution[at + k])),
+                "std": abs(turn(float(solution[at + k] + spread[at + k])) - turn(float(solution[at + k]))),
+                "unit": unit,
+            }
             for name, unit, k, turn in c.stated
         } | {name: {"value": value, "std": None, "unit": unit} for name, unit, value in c.fixed}
         probability = certainty if certainty is not None else float(np.clip(1.0 / (1.0 + np.exp(-0.5 * one.bic)), 0.5, 0.999))
         where = {"statement": f"{c.name} in {c.joint}", "regime": "", "time": None if c.time is None else list(c.time)}
         findings.append(
-            {"effect": c.name, "joint": c.joint, "probability": probability, "equivalents": list(one.rivals), "where": where, "parameters": parameters}
+            {
+                "effect": c.name,
+                "joint": c.joint,
+                "probability": probability,
+                "equivalents": list(one.rivals),
+                "where": where,
+                "parameters": parameters,
+            }
         )
         at += m
     return _document(problem, findings, [], after)
@@ -133,19 +145,20 @@ def _solve(problem: Problem, columns: Array) -> tuple[Array, Array]:
     """Coefficients that explain the training residual, and their standard deviations. Shapes (P,), (P,)."""
     if not columns.shape[2]:
         return np.zeros(0), np.zeros(0)
-    y = (columns / problem.noise[:, None]).reshape(-1, columns.shape[2])
-    size = np.sqrt(np.square(y).mean(axis=0))
-    size[size <= 1e-12 * size.max()] = np.inf
-    u, s, vt = linalg.svd(y / size, full_matrices=False)
-    keep = s > 1e-7 * s[0]
-    inverse = (vt[keep].T / s[keep]) / size[:, None]
-    return inverse @ (u[:, keep].T @ (problem.rest[0] / problem.noise).ravel()), np.sqrt(np.square(inverse).sum(axis=1))
+    basis, solve = fit.span((columns / problem.noise[:, None]).reshape(-1, columns.shape[2]))
+    return solve @ (basis.T @ (problem.rest[0] / problem.noise).ravel()), np.sqrt(np.square(solve).sum(axis=1))
 
 
 def _document(problem: Problem, findings: list[dict[str, Any]], unknown: list[dict[str, Any]], after: Array) -> dict[str, Any]:
     before, left = fit.rmse(problem.rest[1]), fit.rmse(after)
     joints = {
-        name: {"noise_floor": None, "noise_floor_method": None, "rmse_before": float(before[j]), "rmse_after": float(left[j]), "unexplained_share": None}
+        name: {
+            "noise_floor": None,
+            "noise_floor_method": None,
+            "rmse_before": float(before[j]),
+            "rmse_after": float(left[j]),
+            "unexplained_share": None,
+        }
         for j, name in enumerate(problem.joints)
     }
     verdict = "explained" if findings else "unexplained" if unknown else "no-mismatch"
@@ -160,48 +173,56 @@ def _document(problem: Problem, findings: list[dict[str, Any]], unknown: list[di
     }
 
 
-def blackbox(problem: Problem, rng: np.random.Generator) -> dict[str, Any]:
-    """Random Fourier features of each joint's state and torque, ridge-regressed onto its residual; it names nothing."""
+def blackbox(problem: Problem, period: float, rng: np.random.Generator) -> dict[str, Any]:
+    """Random Fourier features of each joint's state and torque, ridge-regressed onto its residual; it names nothing.
+
+    Cross-fitted over four stretches of the period, each left out in all its repeats at once.
+    """
     unknown, after = [], problem.rest[1].copy()
+    fold = np.floor(4.0 * np.mod(problem.train.low(problem.train.data.t), period) / period).astype(int)
     for j, joint in enumerate(problem.joints):
         first, second = (_state(scene, j) for scene in (problem.train, problem.validate))
         middle, size = first.mean(axis=0), first.std(axis=0) + 1e-12
-        ways, shifts = rng.standard_normal((first.shape[1], 300)) * 0.5, rng.uniform(0.0, 2.0 * np.pi, 300)
+        ways, shifts = rng.standard_normal((first.shape[1], FEATURES)) * 0.3, rng.uniform(0.0, 2.0 * np.pi, FEATURES)
         x, held = (np.cos((s - middle) / size @ ways + shifts) for s in (first, second))
         target = problem.rest[0][:, j]
-        half = np.arange(len(x)) < len(x) // 2
-        costs = {ridge: sum(_cross(x, target, fold, ridge) for fold in (half, ~half)) for ridge in (1e-1, 1.0, 10.0, 100.0, 1e3)}
-        ridge = min(costs, key=lambda key: costs[key])
-        predicted = held @ _ridge(x, target, ridge)
-        share = 1.0 - costs[ridge] / float(np.square(target).sum())
+        costs = sum(_costs(x[fold != k], target[fold != k], x[fold == k], target[fold == k]) for k in range(4))
+        best = int(np.argmin(costs))
+        share = 1.0 - float(np.asarray(costs)[best]) / float(np.square(target).sum())
         if share > 0.1:
-            after[:, j] -= predicted
-            unknown.append({"joint": joint, "where": {"statement": f"repeatable torque in {joint}"}, "share": share, "probability": min(0.99, 0.5 + share)})
+            after[:, j] -= held @ _ridges(x, target)[:, best]
+            where = {"statement": f"repeatable torque in {joint}"}
+            unknown.append({"joint": joint, "where": where, "share": share, "probability": min(0.99, 0.5 + share)})
     return _document(problem, [], unknown, after)
 
 
 def _state(scene: Any, j: int) -> Array:
     d = scene.data
-    return np.asarray(scene.low(np.column_stack([d.q[:, j], d.v[:, j], np.tanh(d.v[:, j] / 0.02), d.a[:, j], d.tau[:, j], np.delete(d.v, j, axis=1)])))
+    return np.asarray(
+        scene.low(np.column_stack([d.q[:, j], d.v[:, j], np.tanh(d.v[:, j] / 0.02), d.a[:, j], d.tau[:, j], np.delete(d.v, j, axis=1)]))
+    )
 
 
-def _ridge(x: Array, y: Array, ridge: float) -> Array:
-    return np.asarray(linalg.solve(x.T @ x + ridge * np.eye(x.shape[1]), x.T @ y, assume_a="pos"))
+def _ridges(x: Array, y: Array) -> Array:
+    """Ridge regressions, one per strength. Shape (features, len(RIDGES))."""
+    values, vectors = np.linalg.eigh(x.T @ x)
+    return np.asarray(vectors @ ((vectors.T @ (x.T @ y))[:, None] / (values[:, None] + np.array(RIDGES))))
 
 
-def _cross(x: Array, y: Array, fold: Array, ridge: float) -> float:
-    return float(np.square(y[fold] - x[fold] @ _ridge(x[~fold], y[~fold], ridge)).sum())
+def _costs(x: Array, y: Array, held: Array, out: Array) -> Array:
+    """Sum of squares left on what was held out, per strength."""
+    return np.asarray(np.square(out[:, None] - held @ _ridges(x, y)).sum(axis=0))
 
 
 def answers(folder: Path) -> dict[str, dict[str, Any]]:
     """What each baseline says of a case."""
-    problem = load(folder)
+    problem, sidecar = load(folder), json.loads((folder / "train.json").read_text(encoding="utf-8"))
     trials = [_trial(problem, candidate) for candidate in candidates(problem)]
     only = [trial for trial in trials if trial.candidate.name == "stribeck"]
     return {
         "greedy": _answer(problem, greedy(problem, trials)),
         "stribeck": _answer(problem, greedy(problem, only, 1, always=True), 0.9),
-        "blackbox": blackbox(problem, np.random.default_rng(0)),
+        "blackbox": blackbox(problem, float(sidecar["period"]), np.random.default_rng(0)),
     }
 
 

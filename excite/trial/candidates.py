@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..plant import arm as arms
 from ..plant.regressor import bodies
+from .fit import OUT
 from .scene import Problem, Scene
 
 Array = np.ndarray
@@ -60,37 +62,51 @@ def _friction(j: int, joint: str) -> Iterator[Candidate]:
             "stribeck",
             joint,
             j,
-            lambda s, speed=speed: (sign(s, j) * np.exp(-np.square(v(s) / speed)))[:, None],  # type: ignore[misc]
+            partial(_stribeck, j=j, speed=speed),
             (("amplitude", "N m", 0, same),),
             (("velocity", "rad/s", speed),),
         )
     yield Candidate("asymmetric_viscous", joint, j, lambda s: np.abs(v(s))[:, None])
     yield Candidate("drag", joint, j, lambda s: (v(s) * np.abs(v(s)))[:, None], (("coefficient", "N m s²/rad²", 0, same),))
     yield Candidate("nonlinear_viscous", joint, j, lambda s: (v(s) ** 3)[:, None], (), (("exponent", "1", 3.0),))
-    yield Candidate(
-        "nonlinear_viscous", joint, j, lambda s: (sign(s, j) * np.sqrt(np.abs(v(s))))[:, None], (), (("exponent", "1", 0.5),)
-    )
+    yield Candidate("nonlinear_viscous", joint, j, lambda s: (sign(s, j) * np.sqrt(np.abs(v(s))))[:, None], (), (("exponent", "1", 0.5),))
     yield Candidate("load_friction", joint, j, lambda s: (sign(s, j) * np.abs(_load(s, j)))[:, None], (("mu", "1", 0, same),))
     yield Candidate(
-        "position_friction", joint, j, lambda s: sign(s, j)[:, None] * np.column_stack([f(k * s.data.q[:, j]) for k in (1, 2) for f in (np.cos, np.sin)])
+        "position_friction",
+        joint,
+        j,
+        lambda s: sign(s, j)[:, None] * np.column_stack([f(k * s.data.q[:, j]) for k in (1, 2) for f in (np.cos, np.sin)]),
     )
     yield Candidate("thermal_drift", joint, j, lambda s: np.exp(-s.data.t / 10.0)[:, None] * np.column_stack([v(s), sign(s, j)]))
     for way in (1e-3, 5e-3):
-        yield Candidate("hysteresis", joint, j, lambda s, way=way: _dahl(s, j, way)[:, None], (("amplitude", "N m", 0, same),))  # type: ignore[misc]
+        yield Candidate("hysteresis", joint, j, partial(_dahl, j=j, way=way), (("amplitude", "N m", 0, same),))
 
 
 def _load(s: Scene, j: int) -> Array:
     return np.asarray(s.load[:, j])
 
 
+def _stribeck(s: Scene, j: int, speed: float) -> Array:
+    return np.asarray(sign(s, j) * np.exp(-np.square(s.data.v[:, j] / speed)))[:, None]
+
+
+def _coupled(s: Scene, i: int) -> Array:
+    return np.column_stack([s.data.v[:, i], sign(s, i)])
+
+
+def _waver(s: Scene, j: int, k: int) -> Array:
+    """Inertial torque of a wave in the position read."""
+    return np.asarray(s.mass[:, j, None] * np.column_stack([_rate(s, _rate(s, f(k * s.data.q[:, j]))) for f in (np.cos, np.sin)]))
+
+
 def _dahl(s: Scene, j: int, way: float) -> Array:
-    """Dahl's friction state less its sign: what memory adds."""
+    """Dahl's friction state less its sign: what memory adds. Shape (N, 1)."""
     q, z, out = s.data.q[:, j], 0.0, np.zeros(len(s.data.t))
     keep, towards = np.exp(-np.abs(np.diff(q)) / way), np.sign(np.diff(q))
     for k in range(len(keep)):
         z = towards[k] + (z - towards[k]) * keep[k]
         out[k + 1] = z
-    return out - sign(s, j)
+    return np.asarray(out - sign(s, j))[:, None]
 
 
 def _rate(s: Scene, x: Array) -> Array:
@@ -117,17 +133,22 @@ def _drive(j: int, joint: str, problem: Problem) -> Iterator[Candidate]:
     yield Candidate("spring", joint, j, lambda s: np.column_stack([s.data.q[:, j], np.sin(s.data.q[:, j]), np.cos(s.data.q[:, j])]))
     for i, _ in enumerate(problem.joints):
         if abs(i - j) == 1:
-            yield Candidate("coupling", joint, j, lambda s, i=i: np.column_stack([s.data.v[:, i], sign(s, i)]), (("viscous", "N m s/rad", 0, same),))  # type: ignore[misc]
+            yield Candidate("coupling", joint, j, partial(_coupled, i=i), (("viscous", "N m s/rad", 0, same),))
     order = _order(problem, j)
     yield Candidate(
-        "torque_ripple", joint, j, lambda s: np.column_stack([np.cos(order * s.data.q[:, j]), np.sin(order * s.data.q[:, j])]), (), (("order", "1/turn", order),)
+        "torque_ripple",
+        joint,
+        j,
+        lambda s: np.column_stack([np.cos(order * s.data.q[:, j]), np.sin(order * s.data.q[:, j])]),
+        (),
+        (("order", "1/turn", order),),
     )
     for k in (1, 2, 3, 4):
         yield Candidate(
             "encoder_error",
             joint,
             j,
-            lambda s, k=k: s.mass[:, j, None] * np.column_stack([_rate(s, _rate(s, f(k * s.data.q[:, j]))) for f in (np.cos, np.sin)]),  # type: ignore[misc]
+            partial(_waver, j=j, k=k),
             (),
             (("order", "1/turn", float(k)),),
         )
@@ -144,8 +165,8 @@ def _smooth(s: Scene, j: int) -> Array:
 def _order(problem: Problem, j: int) -> float:
     """The order at which the residual has its largest line in the angle's spectrum."""
     s, rest = problem.train, problem.rest[0][:, j]
-    edge = (len(s.data.t) - len(s.low(s.data.q))) and round(0.5 / float(np.median(np.diff(s.data.t))))
-    every = max(1, round(1.0 / float(np.median(np.diff(s.data.t))) / 50.0))
+    dt = float(np.median(np.diff(s.data.t)))
+    edge, every = round(0.5 / dt), max(1, round(1.0 / (dt * OUT)))
     q = s.data.q[edge:-edge:every, j]
     orders = np.arange(5.0, 80.0, 0.25)
     power = np.abs(np.exp(-1j * np.multiply.outer(orders, q)) @ rest)
@@ -188,9 +209,9 @@ def _robot(problem: Problem) -> Iterator[Candidate]:
 
     yield Candidate("gravity_tilt", None, None, tilt, (("roll", "rad", 0, lambda c: -c), ("pitch", "rad", 1, same)))
     for j, joint in enumerate(arm.joints):
-        yield Candidate("payload", joint, None, lambda s, j=j: _body(s, j), (("mass", "kg", 0, same),))  # type: ignore[misc]
+        yield Candidate("payload", joint, None, partial(_body, j=j), (("mass", "kg", 0, same),))
         if j:
-            yield Candidate("kinematic_error", joint, None, lambda s, joint=joint: _frame(s, joint))  # type: ignore[misc]
+            yield Candidate("kinematic_error", joint, None, partial(_frame, joint=joint))
 
 
 def _body(s: Scene, j: int) -> Array:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -58,7 +59,12 @@ def low(x: Array, t: Array) -> Array:
     rate = 1.0 / float(np.median(np.diff(t)))
     every = max(1, round(rate / OUT))
     edge = round(0.5 * rate)
-    return np.asarray(signal.sosfiltfilt(signal.butter(4, BAND, fs=rate, output="sos"), x, axis=0)[edge:-edge:every])
+    return np.asarray(signal.sosfiltfilt(_filter(round(rate, 6)), x, axis=0)[edge:-edge:every])
+
+
+@lru_cache
+def _filter(rate: float) -> Array:
+    return np.asarray(signal.butter(4, BAND, fs=rate, output="sos"))
 
 
 def arm_of(urdf: Path, joints: tuple[str, ...]) -> Arm:
@@ -110,15 +116,27 @@ def fit(y: Array, tau: Array, rounds: int = 2) -> Base:
     """Weighted least squares, weights from the fit before. y: Shape (N, n, P), tau: (N, n), both in the band."""
     noise = np.std(tau, axis=0) + 1e-12
     for _ in range(rounds):
-        flat, target = (y / noise[:, None]).reshape(-1, y.shape[2]), (tau / noise).ravel()
-        size = np.sqrt(np.square(flat).mean(axis=0))
-        size[size <= 1e-12 * size.max()] = np.inf
-        u, s, vt = linalg.svd(flat / size, full_matrices=False)
-        keep = s > 1e-7 * s[0]
-        solution = (vt[keep].T @ ((u[:, keep].T @ target) / s[keep])) / size
-        rest = (target - u[:, keep] @ (u[:, keep].T @ target)).reshape(tau.shape)
+        target = (tau / noise).ravel()
+        basis, solve = span((y / noise[:, None]).reshape(-1, y.shape[2]))
+        part = basis.T @ target
+        rest = (target - basis @ part).reshape(tau.shape)
         used, noise = noise, noise * np.std(rest, axis=0)
-    return Base(solution, used, u[:, keep], rest)
+    return Base(solve @ part, used, basis, rest)
+
+
+def span(y: Array) -> tuple[Array, Array]:
+    """Orthonormal basis of the columns' span, whatever their rank, and what turns its coefficients into theirs: y (S c) = Q c.
+
+    Shapes (N, P) -> (N, r), (P, r). By QR with pivoting, columns scaled to equal size.
+    """
+    size = np.sqrt(np.square(y).mean(axis=0))
+    kept = np.flatnonzero(size > 1e-12 * size.max())
+    q, triangle, order = linalg.qr(y[:, kept] / size[kept], mode="economic", pivoting=True)
+    rank = int((np.abs(np.diag(triangle)) > 1e-8 * abs(triangle[0, 0])).sum())
+    solve = np.zeros((y.shape[1], rank))
+    chosen = kept[order[:rank]]
+    solve[chosen] = linalg.solve_triangular(triangle[:rank, :rank], np.eye(rank)) / size[chosen, None]
+    return q[:, :rank], solve
 
 
 def rmse(x: Array) -> Array:

@@ -40,7 +40,13 @@ def confusion(tables: Mapping[str, Mapping[str, Mapping[str, int]]]) -> str:
             for i, j in np.argwhere(counts > 0):
                 right = rows[i] == columns[j] or (rows[i] in OUTSIDERS and columns[j] == UNKNOWN)
                 axis.text(
-                    j, i, f"{counts[i, j]:.0f}", ha="center", va="center", fontsize=6, color="white" if shares[i, j] > 0.5 else "#1c2530",
+                    j,
+                    i,
+                    f"{counts[i, j]:.0f}",
+                    ha="center",
+                    va="center",
+                    fontsize=6,
+                    color="white" if shares[i, j] > 0.5 else "#1c2530",
                     fontweight="bold" if right else "normal",
                 )
             axis.set_xticks(range(len(columns)), columns, rotation=90)
@@ -52,7 +58,7 @@ def confusion(tables: Mapping[str, Mapping[str, Mapping[str, int]]]) -> str:
             axis.set_xlabel("answered first")
         axes[0].set_ylabel("hidden")
 
-    return _svg(1.4 + 4.6 * len(tables), 6.4, draw)
+    return _svg(1.4 + 4.6 * len(tables), 6.9, draw)
 
 
 def reliability(found: Mapping[str, Mapping[str, Any]]) -> str:

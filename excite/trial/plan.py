@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import TypeVar
 
 import numpy as np
@@ -66,6 +67,7 @@ class Plan:
         singles = _rounds(REFIT, rng)
         with_prior = _rounds(PRIOR_ONLY, rng)
         pairs, odd = _rounds(CONFUSABLE, rng), _rounds(OUTSIDERS, rng)
+        mixed = _rounds([pair for pair in combinations(REFIT, 2) if set(pair) != {"elasticity", "backlash"}], rng)
         levels = _rounds(SEVERITIES, rng)
         traps = {True: _rounds(TRAPS, rng), False: _rounds(TRAPS, rng)}
         robots = {sort: _rounds(self.robots, rng) for sort in ("null", "single", "pair", "outsider")}
@@ -75,16 +77,14 @@ class Plan:
             if sort == "single":
                 names = (next(with_prior if trusted else singles),)
             elif sort == "pair":
-                names = next(pairs) if rng.random() < 0.6 else tuple(rng.choice(REFIT, 2, replace=False).tolist())
+                names = next(pairs) if rng.random() < 0.6 else next(mixed)
             elif sort == "outsider":
                 names = (next(odd),)
             level = next(levels)
             severities = () if not names else (level,) * len(names)
             trap = next(traps[sort == "null"])
             seed = int(rng.integers(2**31))
-            out.append(
-                Spec(number, f"{tags[number]:06x}", next(robots[sort]), sort, trusted, names, severities, trap, self.family, seed)
-            )
+            out.append(Spec(number, f"{tags[number]:06x}", next(robots[sort]), sort, trusted, names, severities, trap, self.family, seed))
         return out
 
     def _sorts(self) -> list[tuple[str, bool]]:

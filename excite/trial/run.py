@@ -6,6 +6,7 @@ import json
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from .score import Mark, confusion, mark, score
 
 MODELS = Path(__file__).resolve().parents[1] / "models"
 Say = Callable[[str], None]
+BATCH = 24
 
 
 @dataclass(frozen=True)
@@ -90,8 +92,14 @@ def answer(place: Place, analysts: Sequence[Analyst], jobs: int, say: Say) -> No
 
 
 def _spread(task: Callable[..., Any], work: Iterable[tuple[Any, ...]], jobs: int) -> Iterable[Any]:
-    """Results in the order of the work, as they come; where they are computed is joblib's configuration."""
-    return joblib.Parallel(n_jobs=jobs, return_as="generator")(joblib.delayed(task)(*one) for one in work)
+    """Results in the order of the work, batch by batch; where they are computed is joblib's configuration.
+
+    Batches, because not every back end (Ray, multiprocessing) hands over results as they come, and an hour of silence is long.
+    """
+    todo = iter(work)
+    with joblib.Parallel(n_jobs=jobs) as pool:
+        while batch := list(islice(todo, BATCH)):
+            yield from pool(joblib.delayed(task)(*one) for one in batch)
 
 
 def marks(place: Place) -> dict[str, list[Mark]]:
@@ -115,7 +123,12 @@ def report(place: Place) -> str:
     scores = {name: score(of) for name, of in found.items()}
     tables = {name: confusion(of) for name, of in found.items()}
     text = table(scores)
-    document = {"schema": "excite.trial/1", "sealed": place.sealed.read_text(encoding="utf-8").strip(), "scores": scores, "confusion": tables}
+    document = {
+        "schema": "excite.trial/1",
+        "sealed": place.sealed.read_text(encoding="utf-8").strip(),
+        "scores": scores,
+        "confusion": tables,
+    }
     (place.root / "score.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
     (place.root / "score.md").write_text(text + "\n", encoding="utf-8")
     (place.root / "confusion.svg").write_text(pictures.confusion(tables), encoding="utf-8")
@@ -130,6 +143,7 @@ ROWS = (
     ("false_alarms", "false alarms on nulls"),
     ("abstained", "abstains, or no answer, where something is hidden"),
     ("right_first", "right name first"),
+    ("right_first_trusted", "… where a prior is trusted"),
     ("within_equivalents", "truth within the first and its equivalents"),
     ("equivalents", "… how many equivalents then"),
     ("right_joint", "right joint, where rightly named"),

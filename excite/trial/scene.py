@@ -11,7 +11,6 @@ import numpy as np
 
 from ..plant import tree as trees
 from ..plant.arm import Arm
-
 from . import fit
 from .fit import Data
 

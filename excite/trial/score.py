@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -56,7 +57,7 @@ def equal(name: str, other: str) -> bool:
 def mark(case: Mapping[str, Any], entry: Mapping[str, Any]) -> Mark:
     """Compare an answer with a case's key."""
     spec, answer = case["spec"], entry["answer"]
-    answered = isinstance(answer, dict) and isinstance(answer.get("findings"), list) and isinstance(answer.get("unknown"), list)
+    answered = _readable(answer)
     findings = answer["findings"] if answered else []
     named = tuple((str(f["effect"]), f.get("joint"), float(f["probability"]), tuple(f.get("equivalents", ()))) for f in findings)
     truth = tuple(e["effect"] for e in case["effects"])
@@ -77,6 +78,16 @@ def mark(case: Mapping[str, Any], entry: Mapping[str, Any]) -> Mark:
         errors=tuple(error for f, e in right if f.get("joint") == e["joint"] for error in _errors(f, e)),
         gain=_gain(case, answer) if answered and known else None,
         seconds=float(entry["seconds"]),
+    )
+
+
+def _readable(answer: Any) -> bool:
+    """Whether an answer is one: findings with a name and a probability each, unknowns, joints."""
+    if not isinstance(answer, dict) or not all(isinstance(answer.get(key), list) for key in ("findings", "unknown")):
+        return False
+    whole = all(isinstance(f, dict) and isinstance(f.get("effect"), str) for f in answer["findings"])
+    return (
+        whole and all(isinstance(f.get("probability"), (int, float)) for f in answer["findings"]) and isinstance(answer.get("joints"), dict)
     )
 
 
@@ -151,6 +162,7 @@ def score(marks: Sequence[Mark]) -> dict[str, Any]:
         "both_of_two": _share(all(any(equal(n[0], t) for n in m.named) for t in m.truth) for m in pairs),
         "unknown_where_it_is": _share(m.unknown for m in outsiders),
         "right_first_single": _share(_right(m) for m in singles),
+        "right_first_trusted": _share(_right(m) for m in singles if m.trusted),
         "held_out_gain": {"value": float(np.median(gains)) if gains else None, "count": len(gains)},
         "calibration": calibration(marks),
         "seconds": float(np.median([m.seconds for m in marks])) if marks else None,
@@ -188,7 +200,7 @@ def calibration(marks: Iterable[Mark], bins: int = 5) -> dict[str, Any]:
     """Reliability from 0.5 to 1, and the expected calibration error."""
     probability, right = stated(marks)
     edges, rows = np.linspace(0.5, 1.0, bins + 1), []
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges):
         here = (probability >= low) & ((probability < high) | (high == 1.0))
         if here.any():
             rows.append({"said": float(probability[here].mean()), "was": float(right[here].mean()), "count": int(here.sum())})

@@ -38,19 +38,18 @@ class Push(Law):
         return replace(self, arm=arm)
 
     def torque(self, x: Instant, z: Array) -> Array:
-        t, out = np.atleast_1d(x.t), np.zeros(x.q.shape)
+        t, q = np.atleast_1d(x.t), np.atleast_2d(x.q)
         u = (t - self.start) / (self.end - self.start)
-        inside = (u > 0.0) & (u < 1.0)
-        if self.arm is None or not inside.any():
-            return out
-        u, flat = u[inside], out.reshape(len(t), -1)
-        size = self.force * (np.minimum(1.0, 8.0 * np.minimum(u, 1.0 - u)) if self.plateau else np.sin(np.pi * u))
-        turn = self.heading + (u if self.plateau else 0.0 * u)
-        way = np.column_stack([np.cos(turn), np.sin(turn), -0.5 + 0.0 * u]) / np.sqrt(1.25)
-        base = self.arm.n - out.shape[-1]
-        q = np.hstack([np.zeros((len(u), base)), x.q.reshape(len(t), -1)[inside]])
-        flat[inside] = -np.einsum("ki,kij->kj", size[:, None] * way, self.arm.jacobian(q, self.joint))[:, base:]
-        return flat.reshape(out.shape)
+        inside, out = (u > 0.0) & (u < 1.0), np.zeros(q.shape)
+        if self.arm is not None and inside.any():
+            u = u[inside]
+            size = self.force * (np.minimum(1.0, 8.0 * np.minimum(u, 1.0 - u)) if self.plateau else np.sin(np.pi * u))
+            turn = self.heading + (u if self.plateau else 0.0 * u)
+            way = np.column_stack([np.cos(turn), np.sin(turn), -0.5 + 0.0 * u]) / np.sqrt(1.25)
+            base = self.arm.n - q.shape[1]
+            lever = self.arm.jacobian(np.hstack([np.zeros((len(u), base)), q[inside]]), self.joint)[:, :, base:]
+            out[inside] = -np.einsum("ki,kij->kj", size[:, None] * way, lever)
+        return out.reshape(np.shape(x.q))
 
 
 @dataclass(frozen=True)

@@ -239,12 +239,12 @@ AMPLITUDE = Quantity("amplitude", "N m", 0.005, 0.03, "torque")
 KINDS = (
     Kind(
         "asymmetric_viscous",
-        (Quantity("positive", "N m s/rad", 0.005, 0.015, "viscous"), Quantity("negative", "N m s/rad", -0.015, -0.005, "viscous")),
+        (Quantity("positive", "N m s/rad", 0.002, 0.006, "viscous"), Quantity("negative", "N m s/rad", -0.006, -0.002, "viscous")),
         {"tuning": asymmetric_blend, "scored": asymmetric_bent},
     ),
     Kind(
         "stribeck",
-        (AMPLITUDE, Quantity("velocity", "rad/s", 0.03, 0.3, power=0.0)),
+        (AMPLITUDE, Quantity("velocity", "rad/s", 0.02, 0.3, power=0.0)),
         {"tuning": stribeck_rational, "scored": stribeck_sech},
     ),
     Kind(
@@ -255,7 +255,7 @@ KINDS = (
     Kind("load_friction", (Quantity("mu", "1", 0.03, 0.3),), {"tuning": load_power, "scored": load_quadrants}),
     Kind(
         "position_friction",
-        (Quantity("amplitude", "N m", 0.003, 0.02, "torque"), Quantity("waves", "1", 1.0, 2.0, power=0.0, stated=False), angle()),
+        (Quantity("amplitude", "N m", 0.002, 0.01, "torque"), Quantity("waves", "1", 1.0, 2.0, power=0.0, stated=False), angle()),
         {"tuning": position_triangle, "scored": position_bumps},
     ),
     Kind(

@@ -36,7 +36,14 @@ class Quantity:
 
     def range(self, torque: float, speed: float) -> tuple[float, float]:
         """Usual size at a joint of these limits [N m, rad/s]."""
-        by = {"1": 1.0, "torque": torque, "viscous": torque / speed, "square": torque / speed**2, "speed": speed, "inertia": torque / 150.0}[self.of]
+        by = {
+            "1": 1.0,
+            "torque": torque,
+            "viscous": torque / speed,
+            "square": torque / speed**2,
+            "speed": speed,
+            "inertia": torque / 150.0,
+        }[self.of]
         return self.low * by, self.high * by
 
     def middle(self, torque: float, speed: float) -> float:

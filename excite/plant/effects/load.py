@@ -127,16 +127,20 @@ KINDS = (
     ),
     Kind(
         "kinematic_error",
-        (Quantity("angle", "rad", 1e-3, 4e-3), Quantity("length", "m", 3e-4, 3e-3)),
+        (Quantity("angle", "rad", 2e-4, 3.5e-3), Quantity("length", "m", 1e-4, 2e-3)),
         {
             "tuning": lambda site, p: _frame(site, p, np.array([1.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])),
             "scored": lambda site, p: _frame(site, p, np.array([0.6, 0.8, 0.0]), np.array([0.0, 0.8, 0.6])),
         },
     ),
-    Kind("rotor_inertia", (Quantity("inertia", "kg m²", 0.1, 0.5, "inertia"),), {
+    Kind(
+        "rotor_inertia",
+        (Quantity("inertia", "kg m²", 0.1, 0.5, "inertia"),),
+        {
             "tuning": lambda site, p: Rotor(site, p["inertia"], 0.0),
             "scored": lambda site, p: Rotor(site, p["inertia"], 0.1),
-        }),
+        },
+    ),
     Kind("torque_offset", (Quantity("offset", "N m", 0.003, 0.02, "torque"),), {"tuning": offset, "scored": offset_wandering}),
     Kind(
         "spring",

@@ -118,7 +118,7 @@ def ripple_loaded(site: Site, p: Values) -> Law:
 KINDS = (
     Kind(
         "elasticity",
-        (Quantity("stiffness", "N m/rad", 100.0, 1000.0, "torque", power=-1.0),),
+        (Quantity("stiffness", "N m/rad", 50.0, 400.0, "torque", power=-1.0),),
         {"tuning": lambda site, p: Hardening(site, p["stiffness"]), "scored": lambda site, p: StrainWave(site, p["stiffness"])},
         vanishes=True,
     ),
@@ -133,7 +133,7 @@ KINDS = (
     ),
     Kind(
         "torque_ripple",
-        (Quantity("order", "1/turn", 6.0, 60.0, power=0.0), Quantity("amplitude", "N m", 0.005, 0.03, "torque"), angle()),
+        (Quantity("order", "1/turn", 6.0, 60.0, power=0.0), Quantity("amplitude", "N m", 0.005, 0.05, "torque"), angle()),
         {"tuning": ripple_pair, "scored": ripple_loaded},
     ),
 )

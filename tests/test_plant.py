@@ -1,0 +1,383 @@
+"""The simulated robot against Pinocchio, against itself, and against the arithmetic of energy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+pytest.importorskip("mujoco")
+
+from excite.errors import UnusableInput
+from excite.plant import arm as arms
+from excite.plant import effect as effects
+from excite.plant import laboratory, reference, regressor, severity
+from excite.plant import tree as trees
+from excite.plant.chain import Chain, coloured
+from excite.plant.drive import Control
+from excite.plant.effects import CATALOGUE, FAMILIES, KINDS
+from excite.plant.laboratory import Setting
+from excite.plant.record import ten
+from excite.plant.reference import Reference
+from excite.plant.wrong import deformed
+
+MODELS, TRAJECTORIES = Path(arms.__file__).parents[1] / "models", Path(__file__).parents[1] / "trajectories"
+NAMES = {
+    "payload",
+    "gravity_tilt",
+    "rotor_inertia",
+    "torque_offset",
+    "asymmetric_viscous",
+    "stribeck",
+    "nonlinear_viscous",
+    "load_friction",
+    "position_friction",
+    "hysteresis",
+    "backlash",
+    "elasticity",
+    "torque_ripple",
+    "spring",
+    "coupling",
+    "torque_gain",
+    "torque_saturation",
+    "delay",
+    "thermal_drift",
+    "encoder_error",
+    "kinematic_error",
+    "base_compliance",
+    "contact",
+    "drag",
+    "friction",
+}
+
+
+def urdf(name: str) -> Path:
+    return MODELS / f"{name}.urdf"
+
+
+def swing(seconds: float = 2.0, seed: int = 0, n: int = 2) -> Reference:
+    """A quick motion of two_link, or of n joints like it."""
+    rng = np.random.default_rng(seed)
+    sine, cosine = 1.2 * rng.standard_normal((2, n, 3))
+    return reference.blended(trees.read(urdf("two_link")).joints, sine, cosine, np.array([-1.4, 0.6]), seconds - 0.6, 1, 0.3)
+
+
+@pytest.fixture(scope="module")
+def bench():
+    motion, setting = swing(), Setting(seed=3)
+    plant = laboratory.robot(urdf("two_link"), motion, setting)
+    return plant, motion, setting, laboratory.session(plant, motion, setting)
+
+
+@pytest.fixture(scope="module")
+def quick():
+    """The same, shorter and in coarser steps: enough to see whether two runs are equal."""
+    motion, setting = swing(1.2), Setting(seed=3)
+    plant = replace(laboratory.robot(urdf("two_link"), motion, setting), step=2e-3)
+    return plant, motion, setting, laboratory.session(plant, motion, setting)
+
+
+def hidden(plant, text: str):
+    return effects.hide(plant, (effects.parse(text, plant),))
+
+
+# -- rigid bodies --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["two_link", "tx40", "ur10e", "panda", "iiwa14"])
+def test_base_physics_agrees_with_pinocchio(name):
+    rng = np.random.default_rng(1)
+    tree = deformed(trees.read(urdf(name)), 0.05, rng)
+    arm = arms.build(tree, tree.joints)
+    q, v, a = rng.uniform(-2, 2, (20, arm.n)), rng.normal(size=(20, arm.n)), 5 * rng.normal(size=(20, arm.n))
+    model = pin.buildModelFromXML(tree.text)
+    data = model.createData()
+    assert tuple(model.names[1:]) == arm.joints
+    expected = np.array([pin.rnea(model, data, *row) for row in zip(q, v, a, strict=True)])
+    assert np.abs(arm.inverse(q, v, a) - expected).max() < 1e-8
+    for row in range(3):
+        mass, bias = arm.terms(q[row], v[row])
+        assert np.abs(mass @ a[row] + bias - expected[row]).max() < 1e-8
+
+
+def test_a_prismatic_joint_too_and_locked_ones():
+    from tests.conftest import document, joint, link, random_link
+
+    rng = np.random.default_rng(2)
+    text = document(
+        link("base"),
+        random_link(rng, "a"),
+        random_link(rng, "b"),
+        random_link(rng, "c"),
+        joint("j1", "base", "a", "revolute", (0.1, 0, 0.3), (0.3, 0.2, 0.1), (0, 1, 0)),
+        joint("j2", "a", "b", "prismatic", (0.2, 0.1, 0), (0.1, -0.4, 0), (0.6, 0, 0.8)),
+        joint("j3", "b", "c", "continuous", (0, 0.2, 0), (0, 0, 1.0), (0, 0, 1)),
+    )
+    tree = trees.Tree("text", trees.ElementTree.fromstring(text))
+    whole, locked = arms.build(tree, tree.joints), arms.build(tree, ("j1", "j2"), {"j3": 0.7})
+    q, v, a = rng.normal(size=(3, 10, 2))
+    wide = [np.column_stack([x, np.full(10, fill)]) for x, fill in ((q, 0.7), (v, 0.0), (a, 0.0))]
+    np.testing.assert_allclose(locked.inverse(q, v, a), whole.inverse(*wide)[:, :2], atol=1e-10)
+    y = regressor.bodies(whole, *wide)
+    parameters = np.concatenate([ten(tree, name) for name in "abc"])
+    np.testing.assert_allclose(y @ parameters, whole.inverse(*wide), atol=1e-10)
+
+
+@pytest.mark.parametrize("name", ["ur10e", "panda"])
+def test_regressor_times_parameters_is_the_torque(name):
+    rng = np.random.default_rng(3)
+    tree = trees.read(urdf(name))
+    arm = arms.build(tree, tree.joints)
+    q, v, a = rng.normal(size=(3, 15, arm.n))
+    y = regressor.bodies(arm, q, v, a)
+    moving = [str(arm.model.body(b).name) for b in range(1, arm.model.nbody) if arm.model.body_weldid[b] != 0]
+    np.testing.assert_allclose(y @ np.concatenate([ten(tree, link) for link in moving]), arm.inverse(q, v, a), atol=1e-9)
+
+
+def test_wrong_bodies_are_bodies_and_differ_by_what_is_stated():
+    tree = trees.read(urdf("ur10e"))
+    other = deformed(tree, 0.05, np.random.default_rng(0))
+    masses = []
+    for link in tree.links:
+        assert np.linalg.eigvalsh(other.body(link)).min() > 0.0
+        masses.append(other.body(link)[3, 3] / tree.body(link)[3, 3] - 1.0)
+    assert 0.01 < np.std(masses) < 0.12
+    assert deformed(tree, 0.0, np.random.default_rng(0)).body("forearm_link") == pytest.approx(tree.body("forearm_link"), rel=1e-12)
+
+
+# -- the loop ------------------------------------------------------------------------------------------------------
+
+
+def test_recorded_torque_is_what_the_motion_needs(bench):
+    plant, motion, _, session = bench
+    t = np.linspace(0.0, motion.duration, 300)
+    q, v, a = session.run.motors(t)
+    expected = plant.arm().inverse(q, v, a) + plant.drive.inertia * a + plant.drive.friction(v)
+    assert np.abs(session.run.torque(t) - expected).max() < 1e-10
+    h = 1e-5
+    after, before = session.run.motors(t[1:-1] + h)[0], session.run.motors(t[1:-1] - h)[0]
+    np.testing.assert_allclose((after - before) / (2 * h), v[1:-1], atol=1e-6)
+
+
+def test_work_is_energy_plus_loss(bench):
+    plant, motion, _, session = bench
+    t = np.linspace(0.0, motion.duration, 12001)
+    q, v, _ = session.run.motors(t)
+    arm, drive = plant.arm(), plant.drive
+    energy = arm.energy(q, v) + 0.5 * np.square(v) @ drive.inertia
+    work = np.concatenate([[0.0], np.cumsum(np.diff(t) * 0.5 * ((p := (session.run.torque(t) * v).sum(axis=1))[1:] + p[:-1]))])
+    loss = np.concatenate([[0.0], np.cumsum(np.diff(t) * 0.5 * ((p := (drive.friction(v) * v).sum(axis=1))[1:] + p[:-1]))])
+    assert np.ptp(energy) > 1.0
+    assert np.abs(work - loss - (energy - energy[0])).max() < 1e-3 * np.ptp(energy)
+
+
+def test_two_masses_without_drive_keep_their_energy(bench):
+    """Let a wound-up elastic joint swing with no friction, no controller and no damping: only the scheme's own loss is left."""
+    from excite.plant.effects.transmission import Hardening
+    from excite.plant.loop import Loop
+
+    plant, *_ = bench
+    zero = np.zeros(2)
+    drive = replace(plant.drive, viscous=zero, coulomb=zero, offset=zero)
+    law = Hardening(effects.site(plant, "joint_2"), 500.0)
+    law.__dict__["damping"] = 0.0
+    off = Control(position=0.0, speed=0.0, integral=0.0, forward=0.0)
+    loop = Loop(arms.build(plant.tree, plant.joints, gravity=(0.0, 0.0, 0.0)), drive, off, (law,), None, plant.limit, 1e-3)
+    loop._begin(np.array([0.3, 0.5]))
+    loop.u, loop.theta[1] = zero, loop.theta[1] + 0.05
+    energies = []
+    for step in range(400):
+        wind = loop.theta[1] - loop.q[1]
+        spring = 500.0 * (wind**2 / 2 + wind**4 / 4 * (500.0 / (2 * plant.limit[1])) ** 2)
+        kinetic = (
+            loop.arm.energy(loop.q[None], loop.v[None])[0]
+            + 0.5 * drive.inertia[0] * loop.v[0] ** 2
+            + 0.5 * drive.inertia[1] * loop.omega[1] ** 2
+        )
+        energies.append(spring + kinetic)
+        loop._advance(step * 1e-3)
+    assert max(energies) < 1.02 * energies[0]
+    assert min(energies) > 0.5 * energies[0]
+
+
+def test_the_loop_tracks_with_an_error_that_softer_gains_make_larger(bench):
+    plant, motion, _, session = bench
+    error = np.abs(session.recording.q - session.recording.qref).max()
+    soft = replace(plant, control=Control(position=8.0, speed=60.0, forward=0.3)).run(motion)
+    softer = np.abs(soft.told(session.recording.t)[0] - session.recording.qref).max()
+    assert 1e-5 < error < 5e-3 < softer < 0.3
+
+
+def test_finer_steps_change_little(bench):
+    plant, motion, _, session = bench
+    fine = replace(plant, step=2.5e-4).run(motion)
+    t = session.recording.t
+    assert np.abs(fine.motors(t)[0] - session.run.motors(t)[0]).max() < 2e-4
+
+
+def test_a_spring_passes_on_what_its_law_says(bench):
+    plant, motion, *_ = bench
+    chosen = hidden(plant, "elasticity:joint_2:stiffness=2000")
+    run, t = chosen.run(motion), np.linspace(0.6, motion.duration - 0.6, 400)
+    law, load = run.plant.laws[0].spring(), run.instant(t).load[:, 1]
+    link, motor = run.links(t), run.motors(t)
+    pulled = [law.pull(d, rate)[0] for d, rate in zip(motor[0][:, 1] - link[0][:, 1], motor[1][:, 1] - link[1][:, 1], strict=True)]
+    assert np.sqrt(np.mean(np.square(pulled - load))) < 0.08 * np.std(load)
+
+
+def test_a_base_moves_as_its_springs_let_it(bench):
+    plant, motion, *_ = bench
+    run = hidden(plant, "base_compliance::frequency=8").run(motion)
+    t = np.linspace(0.5, motion.duration - 0.5, 300)
+    q, v, a = run.links(t)
+    own = run.arm.inverse(q, v, a)[:, :2]
+    law = run.plant.laws[0].suspension()
+    carried = -law.stiffness * q[:, :2] - law.damping * v[:, :2]
+    assert np.abs(q[:, :2]).max() > 1e-4
+    assert np.sqrt(np.mean(np.square(own - carried))) < 0.05 * np.std(own)
+
+
+# -- effects -------------------------------------------------------------------------------------------------------
+
+
+def test_every_name_of_the_contract_is_there():
+    assert set(CATALOGUE) == NAMES
+    assert all(set(kind.forms) == set(FAMILIES) for kind in KINDS.values())
+
+
+@pytest.mark.parametrize("name", list(KINDS))
+def test_an_effect_of_size_zero_changes_nothing_and_one_of_its_usual_size_does(quick, name):
+    plant, motion, setting, bare = quick
+    kind, csv = KINDS[name], bare.recording.csv()
+    place = "" if kind.place == "robot" else "joint_2"
+    extra = ",start=0.3,end=0.9" if name == "contact" else ""
+    for family in FAMILIES:
+        effect = effects.parse(f"{name}:{place}:form={family}{extra}", plant)
+        nothing = laboratory.session(effects.hide(plant, (effect.sized(0.0),)), motion, setting)
+        assert nothing.recording.csv() == csv
+        run = effects.hide(plant, (effect,)).run(motion)
+        told = run.told(bare.recording.t)
+        before = bare.run.told(bare.recording.t)
+        least = 1e-6 * plant.limit
+        assert (np.abs(told[1] - before[1]) > least).any()
+        assert np.isfinite(told[1]).all()
+
+
+def test_forms_of_the_two_families_differ(bench):
+    plant, motion, *_ = bench
+    t = np.linspace(0.6, motion.duration - 0.6, 200)
+    x = plant.run(motion).instant(t)
+    for name in ("stribeck", "drag", "load_friction", "spring", "torque_ripple", "position_friction"):
+        one, other = (effects.parse(f"{name}:joint_2:form={family}", plant).law(plant).torque(x, np.zeros((200, 0))) for family in FAMILIES)
+        assert np.std(one - other) > 0.03 * np.std(one)
+
+
+@pytest.mark.parametrize("form", FAMILIES)
+def test_hysteresis_remembers_and_dissipates(bench, form):
+    plant, *_ = bench
+    law = effects.parse(f"hysteresis:joint_2:amplitude=1,stiffness=500,form={form}", plant).law(plant)
+    t = np.arange(4000) * 1e-3
+    q, v = 0.02 * np.sin(2 * np.pi * t), 0.02 * 2 * np.pi * np.cos(2 * np.pi * t)
+    z, torque = np.zeros(law.memory), []
+    for speed in v:
+        x = laboratory.plants.Instant(np.asarray(0.0), np.zeros(2), np.array([0.0, speed]), np.zeros(2), np.zeros(2))
+        z = law.advance(x, z, 1e-3)
+        torque.append(law.torque(x, z)[1])
+    torque = np.array(torque)
+    assert 0.8 < np.abs(torque).max() <= 1.0 + 1e-9
+    assert (torque * v)[2000:].sum() * 1e-3 > 0.03  # J over two cycles
+    assert torque[0] == pytest.approx(500.0 * q[1], rel=0.1)
+
+
+def test_severity_is_zero_for_what_a_refit_absorbs_and_scales(bench):
+    plant, motion, setting, bare = bench
+    chain = laboratory.chain(plant, setting)
+    assert severity.of(bare.run, plant, motion, chain).value < 1e-6
+    run = hidden(plant, "payload:joint_2:mass=1").run(motion)
+    assert severity.of(run, plant, motion, chain, trusted=True).value > 3.0
+    assert severity.of(run, plant, motion, chain).value < 1e-6
+    effect = effects.parse("position_friction:joint_2", plant)
+    _, _, reached = severity.reach(effect, 3.0, plant, motion, chain)
+    assert reached.value == pytest.approx(3.0, rel=0.16)
+
+
+def test_a_robot_that_is_lost_is_said_to_be(bench):
+    plant, motion, *_ = bench
+    with pytest.raises(UnusableInput, match="smaller"):
+        hidden(plant, "coupling:joint_2:inertia=50").run(motion)
+
+
+# -- reference and measurement -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["two_link", "ur10e"])
+def test_a_trajectory_is_replayed_as_designed(name):
+    from excite import artefact
+
+    path = TRAJECTORIES / f"{name}.json"
+    designed, replayed = artefact.read(path).motion, reference.read(path)
+    t = np.linspace(0.0, designed.duration, 777)
+    for order, values in enumerate(replayed.at(t)[:2]):
+        np.testing.assert_allclose(values, designed.at(t, order), atol=1e-9)
+    more = reference.read(path, designed.periods + 1)
+    assert more.duration == pytest.approx(designed.duration + designed.fourier.period)
+    assert np.abs(np.diff(more.at(np.linspace(0, more.duration, 5000))[0], axis=0)).max() < 0.05
+
+
+def test_the_body_a_trajectory_was_designed_with_is_carried():
+    stated = {"link": "link_2", "mass": 1.5, "centre": [0.1, 0.0, 0.05], "inertia": [0.01, 0.001, 0.02, 0.0, 0.0, 0.015]}
+    tree = trees.read(urdf("two_link"))
+    name = tree.child("joint_2")
+    motion = replace(swing(), robot={"payload": {**stated, "link": name}})
+    plant = laboratory.robot(urdf("two_link"), motion, Setting(model_error=0.0))
+    from excite.robot import Payload, load
+
+    model = load("two_link", payload=Payload(name, 1.5, (0.1, 0.0, 0.05), (0.01, 0.001, 0.02, 0.0, 0.0, 0.015))).model
+    q, v, a = np.random.default_rng(0).normal(size=(3, 5, 2))
+    expected = [pin.rnea(model, model.createData(), *row) for row in zip(q, v, a, strict=True)]
+    np.testing.assert_allclose(plant.arm().inverse(q, v, a), expected, atol=1e-10)
+
+
+def test_what_the_plant_cannot_read_is_refused(tmp_path):
+    from tests.conftest import document, joint, link
+
+    mimic = tmp_path / "mimic.urdf"
+    parts = (link("b"), link("x", 1.0), link("y", 1.0), joint("j", "b", "x"), joint("k", "x", "y", inside='<mimic joint="j"/>'))
+    mimic.write_text(document(*parts))
+    with pytest.raises(UnusableInput, match="'k' is a mimic"):
+        trees.read(mimic)
+    (tmp_path / "no.urdf").write_text("<sdf/>")
+    with pytest.raises(UnusableInput, match="not <robot>"):
+        trees.read(tmp_path / "no.urdf")
+    with pytest.raises(UnusableInput, match="no velocity or torque limit"):
+        trees.Tree("text", trees.ElementTree.fromstring(document(link("b"), link("x", 1.0), joint("j", "b", "x", inside="")))).limits("j")
+
+
+def test_noise_has_its_size_and_colour():
+    rng = np.random.default_rng(0)
+    for colour in (None, 8.0):
+        chain = Chain(500.0, np.array([2.0]), colour)
+        noise = 2.0 * coloured((200_000, 1), 500.0, colour, rng)
+        assert np.std(noise) == pytest.approx(2.0, rel=0.05)
+        spectrum = np.abs(np.fft.rfft(noise[:, 0])) ** 2
+        below = spectrum[: int(len(spectrum) * 20.0 / 250.0)].sum() / spectrum.sum()
+        assert chain.floor(20.0)[0] == pytest.approx(2.0 * np.sqrt(below), rel=0.05)
+
+
+def test_the_chain_quantises_and_jitters(bench):
+    plant, motion, setting, bare = bench
+    coarse = laboratory.session(plant, motion, replace(setting, encoder=1e-3), run=bare.run)
+    assert np.abs(coarse.recording.q / 1e-3 - np.round(coarse.recording.q / 1e-3)).max() < 1e-6
+    late = laboratory.session(plant, motion, replace(setting, jitter=1e-3), run=bare.run)
+    assert (late.recording.t == bare.recording.t).all() and 1e-4 < np.abs(late.recording.q - bare.recording.q).max() < 2e-2
+    assert len(bare.recording.csv().splitlines()[1]) == len(bare.recording.csv().splitlines()[-1])
+
+
+def test_one_seed_gives_one_recording():
+    motion, setting = swing(1.5), Setting(seed=11)
+    first, second = (laboratory.session(laboratory.robot(urdf("two_link"), motion, setting), motion, setting) for _ in range(2))
+    assert first.recording.csv() == second.recording.csv() and first.truth == second.truth
+    assert first.truth["seed"] == 11

@@ -1,0 +1,111 @@
+"""`excite simulate` as a person uses it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco")
+
+from excite import recordings
+from excite.cli import main
+from excite.plant.effects import KINDS
+from excite.robot import load
+
+TRAJECTORY = Path(__file__).parents[1] / "trajectories" / "two_link.json"
+
+
+def simulate(*arguments: str) -> list[str]:
+    return ["simulate", "two_link", str(TRAJECTORY), "--periods", "1", *arguments]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("simulated")
+    assert main(simulate("--effect", "load_friction:joint_2:mu=0.2", "--seed", "4", "-o", str(folder / "rec.csv"))) == 0
+    return folder
+
+
+def test_one_command_gives_a_recording_its_sidecar_its_truth_and_a_plot(folder):
+    assert {p.name for p in folder.iterdir()} == {"rec.csv", "rec.json", "rec.truth.json", "rec.svg"}
+    header = (folder / "rec.csv").read_text().split("\n", 1)[0]
+    assert header == "t," + ",".join(f"{kind}.joint_{i}" for kind in ("q", "tau", "qref") for i in (1, 2))
+    sidecar = json.loads((folder / "rec.json").read_text())
+    assert sidecar["schema"] == "excite.recording/1" and sidecar["motor_side"] is True
+    assert sidecar["periodic"][1] - sidecar["periodic"][0] <= sidecar["period"]
+    truth = json.loads((folder / "rec.truth.json").read_text())
+    assert truth["schema"] == "excite.truth/1" and truth["seed"] == 4
+    effect = truth["effects"][0]
+    assert (effect["effect"], effect["joint"], effect["parameters"]["mu"]) == ("load_friction", "joint_2", {"value": 0.2, "unit": "1"})
+    assert truth["severity"]["joint_2"] > 5 * truth["severity"]["joint_1"]
+    assert truth["severity_trusted"]["joint_2"] > truth["severity"]["joint_2"]
+    assert "load_friction" in (folder / "rec.svg").read_text() and 'xmlns="http://www.w3.org/2000/svg"' in (folder / "rec.svg").read_text()
+
+
+def test_the_rest_of_excite_reads_it(folder):
+    recording = recordings.read(folder / "rec.csv", load("two_link"))
+    assert len(recording.t) > 1000 and np.isfinite(recording.q).all()
+
+
+def test_json_says_what_was_written(tmp_path, capsys):
+    assert main(simulate("--rate", "250", "--json", "-o", str(tmp_path / "plain.csv"))) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["effects"] == [] and len(document["files"]) == 4
+    rows = (tmp_path / "plain.csv").read_text().splitlines()
+    assert len(rows) - 1 == document["rows"] and float(rows[2].split(",")[0]) == 0.004
+
+
+def test_severity_is_reached(tmp_path, capsys):
+    arguments = ("--effect", "torque_ripple:joint_1", "--severity", "10", "--json", "-o", str(tmp_path / "rec.csv"))
+    assert main(simulate(*arguments)) == 0
+    assert json.loads(capsys.readouterr().out)["severity"]["joint_1"] == pytest.approx(10.0, rel=0.2)
+
+
+def test_a_misspelt_effect_lists_all_and_their_parameters(tmp_path, capsys):
+    assert main(simulate("--effect", "stribek:joint_1", "-o", str(tmp_path / "rec.csv"))) == 2
+    said = capsys.readouterr().err
+    assert len(said.strip().splitlines()) == 1 and "did you mean stribeck" in said
+    for name, kind in KINDS.items():
+        assert f"{name}({', '.join(f'{q.name} [{q.unit}]' for q in kind.quantities)})" in said
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--effect", "stribeck:joint_9"), "joint_1, joint_2"),
+        (("--effect", "stribeck"), "joint_1, joint_2"),
+        (("--effect", "stribeck:joint_1:vel=2"), "it has: amplitude [N m], velocity [rad/s]"),
+        (("--effect", "stribeck:joint_1:velocity"), "PARAMETER=VALUE"),
+        (("--effect", "stribeck:joint_1:velocity=fast"), "no number"),
+        (("--effect", "stribeck:joint_1:velocity=nan"), "finite"),
+        (("--effect", "backlash:joint_1:width=-1"), "not below 0"),
+        (("--effect", "elasticity:joint_1:stiffness=0"), "above 0"),
+        (("--effect", "gravity_tilt:joint_1"), "whole robot"),
+        (("--effect", "coupling:joint_1:from=joint_1"), "another joint"),
+        (("--effect", "stribeck:joint_1:form=mine"), "tuning, scored"),
+        (("--effect", "base_compliance", "--effect", "base_compliance"), "more than one effect moves the base"),
+        (("--effect", "elasticity:joint_1", "--effect", "backlash:joint_1"), "not both"),
+        (("--rate", "5000"), "125 and 1000"),
+        (("--noise", "-1"), "not below 0"),
+        (("--colour", "900"), "--colour 900"),
+        (("--periods", "0"), "at least 1"),
+        (("--severity", "0", "--effect", "drag:joint_1"), "above 0"),
+    ],
+)
+def test_wrong_use_is_one_line_with_the_remedy(tmp_path, capsys, arguments, words):
+    assert main(simulate(*arguments, "-o", str(tmp_path / "rec.csv"))) == 2
+    said = capsys.readouterr().err
+    assert words in said and len(said.strip().splitlines()) == 1
+
+
+def test_other_files_and_names_are_refused(tmp_path, capsys):
+    assert main(simulate("-o", str(tmp_path / "rec.txt"))) == 2
+    assert main(["simulate", "no_robot", str(TRAJECTORY), "-o", str(tmp_path / "rec.csv")]) == 2
+    assert main(["simulate", "two_link", str(tmp_path / "none.json"), "-o", str(tmp_path / "rec.csv")]) == 2
+    assert main(["simulate", "ur10e", str(TRAJECTORY), "-o", str(tmp_path / "rec.csv")]) == 2
+    said = capsys.readouterr().err.strip().splitlines()
+    assert len(said) == 4 and "joint_1" in said[3]

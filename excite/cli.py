@@ -182,6 +182,10 @@ def _identify(commands: Commands) -> None:
     group.add_argument("--estimator", choices=("ols", "wls", "full", "huber", "iv"), default="wls", help="default %(default)s")
     group.add_argument("--distance", choices=("riemannian", "bregman", "pullback", "euclidean"), default="bregman", help="of bodies")
     group.add_argument("--gamma", default="evidence", metavar="G", help="weight of the nominal robot: evidence, heldout or numbers")
+    group.add_argument("--hausman", action="store_true", help="test whether instruments are needed; takes the commanded motion, qref")
+    group.add_argument("--simulate", action="store_true", help="also judge the model by positions simulated ahead")
+    group.add_argument("--refine", action="store_true", help="refine the parameters against positions simulated ahead")
+    group.add_argument("--check-lmi", action="store_true", help="solve for consistent parameters by a conic solver too, and compare")
     group.add_argument("--prior", metavar="FILE", help="what is right as it stands: excite.prior/1 or a model.json")
     group.add_argument("--bounds", metavar="FILE", help="TOML: [links.NAME] mass = [least, most], centre = [[x, y, z], [x, y, z]]")
 

@@ -15,7 +15,7 @@ import numpy as np
 from . import arguments as told
 from . import artefact, base, files, parameters, recordings
 from .errors import UnusableInput
-from .identify import identification, model, priors
+from .identify import identification, lmi, model, priors
 from .identify.consistent import Bounds
 from .identify.distance import Distance
 from .identify.estimators import Method
@@ -43,6 +43,9 @@ def identify(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outco
     known = priors.trusted(Path(arguments.prior), standard) if arguments.prior else {}
     result = identification.identify(robot, standard, found, train, held_out, _options(arguments, standard, known), say)
     document = model.document(result, train)
+    checked = _lmi(result) if arguments.check_lmi else None
+    if checked is not None:
+        document["lmi"] = {"gap": checked.gap, "agrees": checked.agrees}
     remarks = [remark for recording in (*train, *held_out) for remark in recording.remarks]
     contents = {
         "model.json": artefact.dumps(document),
@@ -50,7 +53,11 @@ def identify(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outco
         "report.html": report.identification_page(result, remarks),
     }
     written = files.write_all(Path(arguments.out), contents)
-    return 0, document | {"files": [str(path) for path in written]}, _text(result, written)
+    facts = [one.words for one in (result.endogeneity, result.simulation) if one is not None]
+    if checked is not None:
+        facts.append(f"conic solver: {'agrees' if checked.agrees else 'DISAGREES'}, objective {checked.gap:+.2g} relative")
+    code = 1 if checked is not None and not checked.agrees else 0
+    return code, document | {"files": [str(path) for path in written]}, _text(result, facts, written)
 
 
 def _read(path: Path, robot: Robot, table: Limits, period: float | None, window: str | None) -> Recording:
@@ -85,6 +92,9 @@ def _options(arguments: argparse.Namespace, standard: Parameters, known: Mapping
         bounds=_bounds(Path(arguments.bounds), standard) if arguments.bounds else Bounds(),
         align=arguments.align,
         trusted=known,
+        hausman=arguments.hausman,
+        simulate=arguments.simulate,
+        refine=arguments.refine,
     )
 
 
@@ -114,7 +124,13 @@ def _bounds(path: Path, standard: Parameters) -> Bounds:
     return Bounds(mass, centre)
 
 
-def _text(found: Identification, written: Sequence[Path]) -> str:
+def _lmi(found: Identification) -> lmi.Check:
+    data, subject = found.data, found.model
+    root = data.root @ subject.base.matrix
+    return lmi.check(subject.parameters, root, data.root @ data.theta, found.prior, found.posterior, found.options.bounds)
+
+
+def _text(found: Identification, facts: Sequence[str], written: Sequence[Path]) -> str:
     robot = found.model.robot
     shown = found.validations or found.fits
     lines = [
@@ -131,7 +147,7 @@ def _text(found: Identification, written: Sequence[Path]) -> str:
     if abs(common) > 3.0 * spread and not found.options.align:
         order = "after" if common > 0 else "before"
         lines.append(f"torque comes {abs(1e3 * common):.3g} ms {order} position on average (--align takes that out)")
-    return "\n".join([*lines, *(f"wrote {path}" for path in written)])
+    return "\n".join([*lines, *facts, *(f"wrote {path}" for path in written)])
 
 
 def predict(arguments: argparse.Namespace) -> Outcome:

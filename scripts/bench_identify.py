@@ -127,10 +127,7 @@ def poor_motions(fourier: Fourier) -> dict[str, tuple[Fourier, float]]:
     still = Fourier(0.0 * fourier.sine, 0.0 * fourier.cosine, fourier.offset, fourier.period)
     return {
         "two periods": (fourier, 2.0 * fourier.period),
-        f"joint {fourier.n // 2 + 1} hardly moves": (
-            Fourier(stiff * fourier.sine, stiff * fourier.cosine, fourier.offset, fourier.period),
-            10.0,
-        ),
+        f"joint {fourier.n // 2 + 1} hardly moves": (stuck, 10.0),
         "2 s": (fourier, 2.0),
         "stands still": (still, 10.0),
     }

@@ -60,9 +60,7 @@ class Bench:
         generators = np.random.default_rng([seed, 5]).spawn(2)
         made = [
             taken(record.record(session.run, reference, session.chain, rng), kind)
-            for session, reference, rng, kind in zip(
-                (self.train, self.held_out), self.references, generators, KINDS, strict=True
-            )
+            for session, reference, rng, kind in zip((self.train, self.held_out), self.references, generators, KINDS, strict=True)
         ]
         return identification.identify(machine, standard, base.find(machine, standard, table), made[:1], made[1:], Options())
 
@@ -113,9 +111,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path("out/coverage"))
     arguments = parser.parse_args()
     arguments.folder.mkdir(parents=True, exist_ok=True)
-    print(
-        "| robot | noise | directions | pooled | lowest | highest | base parameters, pooled | held-out error over floor, worst joint |"
-    )
+    print("| robot | noise | directions | pooled | lowest | highest | base parameters, pooled | held-out error over floor, worst joint |")
     print("|---|---|---:|---:|---:|---:|---:|---:|")
     for name in arguments.robots:
         for colour in (None, CORNER):

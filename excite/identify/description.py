@@ -7,6 +7,7 @@ has no words, stand in an <excite> element of the joint, which other programs pa
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 
@@ -22,6 +23,7 @@ Array = np.ndarray
 def identified(robot: Robot, parameters: Parameters, psi: Array, widths: Array) -> str:
     """URDF text of `robot` with parameters ψ. Loaded again with the same joints, it gives the same torque."""
     raw = locate(robot.source).read_text(encoding="utf-8", errors="replace")
+    before = re.match(r"\s*(<\?xml.*?\?>)?((\s|<!--.*?-->)*)<", raw, re.DOTALL)  # comments there belong to no element
     root = ElementTree.fromstring(raw, ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True)))
     _lock(root, robot)
     bodies = {link: psi[10 * i : 10 * i + 10] for i, link in enumerate(parameters.links)}
@@ -38,7 +40,8 @@ def identified(robot: Robot, parameters: Parameters, psi: Array, widths: Array) 
             place = robot.joints.index(str(joint.get("name")))
             _drive(joint, {kind: float(psi[parameters.block(kind)][place]) for kind in parameters.drive}, float(widths[place]))
     ElementTree.indent(root)
-    return '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+    comments = "" if before is None else before[2].strip()
+    return '<?xml version="1.0"?>\n' + (comments + "\n" if comments else "") + ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
 def _lock(root: ElementTree.Element, robot: Robot) -> None:

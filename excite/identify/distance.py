@@ -50,7 +50,10 @@ def metrics(kind: Distance, nominal: Array) -> Array:
 
 @dataclass(frozen=True)
 class Frame:
-    """Nominal bodies and the frames in which they are 1. nominal: physically consistent. Shape (b, 10). units: ∂M/∂φ. Shape (b, 10, 4, 4)."""
+    """Nominal bodies and the frames in which they are 1.
+
+    nominal: physically consistent. Shape (b, 10). units: ∂M/∂φ. Shape (b, 10, 4, 4).
+    """
 
     nominal: Array
     units: Array = field(init=False)

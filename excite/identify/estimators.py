@@ -67,9 +67,12 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Fit:
-    """Weighted least squares. theta: Shape (p,). half: H with H Hᵀ = (Σ ΓᵀΣ⁻¹Γ)⁺. Shape (p, r). inward: takes θ to the coordinates
-    of H. Shape (r, p). leverage: trace of the hat matrix
-    per joint. Shape (n,). size: norm of each weighted column. Shape (p,). hidden: directions not shown. Shape (p − r, p)."""
+    """Weighted least squares.
+
+    theta: Shape (p,). half: H with H Hᵀ = (Σ ΓᵀΣ⁻¹Γ)⁺. Shape (p, r). inward: takes θ to the coordinates of H. Shape (r, p).
+    leverage: trace of the hat matrix per joint. Shape (n,). size: norm of each weighted column. Shape (p,). hidden: directions
+    not shown. Shape (p − r, p).
+    """
 
     theta: Array
     half: Array

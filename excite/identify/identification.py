@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,12 +17,14 @@ from ..identifiability import Identifiability
 from ..parameters import COULOMB_WIDTH, Parameters
 from ..recordings import Recording
 from ..robot import Robot
-from . import consistent, delay, equations, estimators, signals, weight, widths
+from . import consistent, delay, equations, estimators, forward, instruments, refinement, signals, weight, widths
 from .consistent import Bounds, Consistent, Prior
 from .delay import Delay
 from .distance import Distance
+from .endogeneity import Endogeneity, durbin_wu_hausman
 from .equations import Equations, Model
 from .estimators import Estimate, Method
+from .forward import SimulationError
 from .signals import Piece, Spectra
 
 Array = np.ndarray
@@ -38,6 +41,7 @@ class Options:
     """method: how rows are weighted. distance: of the prior. gamma: (bodies, drives), or how to choose: "evidence" or
     "heldout". band: [Hz], from the data if None. threshold: largest scale-free variance that counts as identified.
     bounds: further constraints. align: torque is moved by the delay found. trusted: parameter -> value that is right as it stands.
+    hausman: test whether instruments are needed. simulate, refine: positions simulated ahead, and the model refined against them.
     """
 
     method: Method = Method.WLS
@@ -48,6 +52,9 @@ class Options:
     bounds: Bounds = field(default_factory=Bounds)
     align: bool = False
     trusted: Mapping[int, float] = field(default_factory=dict)
+    hausman: bool = False
+    simulate: bool = False
+    refine: bool = False
 
 
 @dataclass(frozen=True)
@@ -99,6 +106,8 @@ class Identification:
     fits: tuple[Prediction, ...]
     validations: tuple[Prediction, ...]
     tried: tuple[tuple[float, float], ...] = ()
+    endogeneity: Endogeneity | None = None
+    simulation: SimulationError | None = None
 
     @property
     def psi(self) -> Array:
@@ -110,7 +119,7 @@ class Identification:
         return self.prior.bodies, float(np.mean(self.prior.drives)) if len(self.prior.drives) else 0.0
 
     def decided(self) -> Array:
-        """Share of each direction's value that the data decided: λ/(λ + 2γ), or with several γ what the prior says of θ = Bψ. Shape (p,)."""
+        """Share of each direction's value that the data decided: λ/(λ + 2γ), or with several γ what the prior says of θ. Shape (p,)."""
         base = self.model.base
         values, vectors = identifiability.spectrum(self.data.root @ base.matrix, self.metric_base)
         ways = base.matrix @ self.metric_base.geometric @ vectors
@@ -118,6 +127,17 @@ class Identification:
         spread = base.matrix @ consistent.inverse(known) @ base.matrix.T
         prior = np.einsum("ik,ij,jk->k", ways, consistent.inverse(spread), ways)
         return np.asarray(values / np.maximum(values + prior, 1e-300))
+
+
+@dataclass(frozen=True)
+class _Data:
+    """The recordings as equations, and the parameters by the data alone."""
+
+    model: Model
+    parts: list[Piece]
+    rows: Equations
+    estimate: Estimate
+    delay: Delay
 
 
 def identify(
@@ -137,35 +157,91 @@ def identify(
         raise UnusableInput(f"{recordings[0].source}: has no stretch without a gap that is long enough; record again")
     spectra = signals.spectra(parts, options.band)
     progress(f"{sum(len(r) for r in recordings)} rows; band {spectra.hertz:.3g} Hz; building the equations")
+    own = _data(model, parts, spectra.hertz, options)
+    progress(f"{len(own.rows)} × {robot.n} equations in {base.count} base parameters; physically consistent ones")
+    data, rows = own.estimate, own.rows
+    prior, tried = _prior(parameters, base, rows, data, options)
+    posterior = _posterior(parameters, base, data, prior, options)
+    endogeneity = None
+    if options.method is Method.IV or options.hausman:
+        progress("instruments from a simulated robot that follows the reference")
+        instrumented, endogeneity = _instrumented(own, recordings, posterior.psi)
+        if options.method is Method.IV:
+            data = instrumented
+            prior, tried = _prior(parameters, base, rows, data, options)
+            posterior = _posterior(parameters, base, data, prior, options)
+    simulation = None
+    if options.simulate or options.refine:
+        progress("simulating ahead")
+        posterior, simulation = _simulated(own, data, posterior, prior, options, spectra.hertz)
+    scaled, sized = _sized(parameters, base, posterior.psi)
+    analysis = identifiability.analyse_root(
+        scaled, sized, data.root @ base.matrix, data.noise, robot, threshold=options.threshold, samples=sum(len(r) for r in recordings)
+    )
+    shift = own.delay.seconds if options.align else None
+    same = rows if not any(rows.periods) and len(recordings) == 1 else None  # rows of single periods are not at hand
+    predict = functools.partial(_predicted, own.model, hertz=spectra.hertz, psi=posterior.psi, nominal=prior.nominal, shift=shift)
+    return Identification(
+        model=own.model,
+        options=options,
+        spectra=spectra,
+        equations=rows,
+        data=data,
+        posterior=posterior,
+        reduced=_reduced(scaled, sized, data, prior, options),
+        prior=prior,
+        analysis=analysis,
+        metric=scaled,
+        metric_base=sized,
+        delay=own.delay,
+        floor=signals.floor(parts, spectra.hertz),
+        fits=tuple(predict(r, rows=same) for r in recordings),
+        validations=tuple(predict(r) for r in validate),
+        tried=tried,
+        endogeneity=endogeneity,
+        simulation=simulation,
+    )
+
+
+def _data(model: Model, parts: list[Piece], hertz: float, options: Options) -> _Data:
+    """Equations with friction as wide as the data has it, and θ̂ by the data alone."""
     few = signals.first(parts, widths.ENOUGH)
-    rows = equations.build(model, few, spectra.hertz)
+    rows = equations.build(model, few, hertz)
     model = widths.fitted(model, rows, few)
     enough = sum(map(len, few)) == sum(map(len, parts))
-    rows = widths.applied(model, rows, few) if enough else equations.build(model, parts, spectra.hertz)
-    progress(f"{len(rows)} × {robot.n} equations in {base.count} base parameters: {options.method.value}")
-    data = estimators.estimate(rows, options.method, nuisance=_nuisance(model, rows))
+    rows = widths.applied(model, rows, few) if enough else equations.build(model, parts, hertz)
+    method = Method.WLS if options.method is Method.IV else options.method  # instruments need a model first
+    data = estimators.estimate(rows, method, nuisance=_nuisance(model, rows))
     late = delay.estimated(rows, data)
     if options.align:
         parts = [_moved(piece, late.seconds) for piece in parts]
-        rows = equations.build(model, parts, spectra.hertz)
-        data = estimators.estimate(rows, options.method, nuisance=_nuisance(model, rows))
-    progress("physically consistent parameters")
-    root, target = data.root @ base.matrix, data.root @ data.theta
-    prior, tried = _prior(parameters, base, root, target, options, rows, data)
-    posterior = consistent.maximum_a_posteriori(parameters, root, target, prior, options.bounds)
-    scaled, sized = _sized(parameters, base, posterior.psi)
-    analysis = identifiability.analyse_root(
-        scaled, sized, root, data.noise, robot, threshold=options.threshold, samples=sum(len(r) for r in recordings)
-    )
-    reduced = _reduced(scaled, sized, data, prior, options)
-    shift = late.seconds if options.align else None
-    own = rows if not any(rows.periods) and len(recordings) == 1 else None  # rows of single periods are not at hand
-    fits = tuple(_predicted(model, r, spectra.hertz, posterior.psi, prior.nominal, shift, own) for r in recordings)
-    validations = tuple(_predicted(model, r, spectra.hertz, posterior.psi, prior.nominal, shift) for r in validate)
-    return Identification(
-        model, options, spectra, rows, data, posterior, reduced, prior,
-        analysis, scaled, sized, late, signals.floor(parts, spectra.hertz), fits, validations, tried,
-    )  # fmt: skip
+        rows = equations.build(model, parts, hertz)
+        data = estimators.estimate(rows, method, nuisance=_nuisance(model, rows))
+    return _Data(model, parts, rows, data, late)
+
+
+def _posterior(parameters: Parameters, base: Base, data: Estimate, prior: Prior, options: Options) -> Consistent:
+    return consistent.maximum_a_posteriori(parameters, data.root @ base.matrix, data.root @ data.theta, prior, options.bounds)
+
+
+def _instrumented(own: _Data, recordings: Sequence[Recording], psi: Array) -> tuple[Estimate, Endogeneity]:
+    """θ̂ by instruments, and the test whether they are needed. Raises UnusableInput where a recording has no reference motion."""
+    found = instruments.build(own.model, recordings, own.rows.hertz, psi)
+    nuisance, its = _nuisance(own.model, own.rows), _nuisance(own.model, found.equations)
+    rows = found.rows if its is None else np.concatenate([found.rows, its], axis=2)
+    estimate = estimators.estimate(own.rows, Method.IV, instruments=rows, nuisance=nuisance)
+    return estimate, durbin_wu_hausman(own.estimate, estimate, own.rows, rows, nuisance)
+
+
+def _simulated(
+    own: _Data, data: Estimate, posterior: Consistent, prior: Prior, options: Options, hertz: float
+) -> tuple[Consistent, SimulationError | None]:
+    """Positions simulated ahead by the model, refined against them if asked; nothing where no window is long enough."""
+    groups, share = forward.cut(own.parts, hertz)
+    if options.refine:
+        refined = refinement.refine(own.model, groups, posterior.psi, data, prior, options.bounds)
+        posterior = dataclasses.replace(posterior, psi=refined.psi)
+    return posterior, forward.error(own.model, posterior.psi, prior.nominal, groups, share) if groups else None
 
 
 def _nuisance(model: Model, rows: Equations) -> Array | None:
@@ -187,7 +263,7 @@ def _moved(piece: Piece, seconds: Array) -> Piece:
 
 
 def _prior(
-    parameters: Parameters, base: Base, root: Array, target: Array, options: Options, rows: Equations, data: Estimate
+    parameters: Parameters, base: Base, rows: Equations, data: Estimate, options: Options
 ) -> tuple[Prior, tuple[tuple[float, float], ...]]:
     """ψ₀ and γ: as given, by evidence, or by what predicts left-out blocks; what is trusted is held fast."""
     nominal = consistent.nominal_bodies(parameters)
@@ -201,7 +277,7 @@ def _prior(
     start = Prior(nominal, options.distance, 1.0, np.ones(parameters.count - edge), scales)
     if not isinstance(options.gamma, str):
         return dataclasses.replace(start, bodies=options.gamma[0], drives=options.gamma[1] * start.drives), ()
-    bodies, drives = weight.evidence(parameters, root, target, start)
+    bodies, drives = weight.evidence(parameters, data.root @ base.matrix, data.root @ data.theta, start)
     prior = dataclasses.replace(start, bodies=bodies, drives=drives)
     if options.gamma == "evidence":
         return prior, ()
@@ -250,7 +326,7 @@ def _reduced(parameters: Parameters, base: Base, data: Estimate, prior: Prior, o
 
 
 def _predicted(
-    model: Model, recording: Recording, hertz: float, psi: Array, nominal: Array, shift: Array | None, rows: Equations | None = None
+    model: Model, recording: Recording, *, hertz: float, psi: Array, nominal: Array, shift: Array | None, rows: Equations | None = None
 ) -> Prediction:
     """Measured and predicted torque of every row, not of mean periods; the noise floor where periods repeat."""
     if rows is None:

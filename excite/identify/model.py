@@ -21,7 +21,9 @@ from ..trajectory import Samples
 from . import confidence
 from .band import EDGE, WIDER, Band, Grid
 from .description import identified
+from .endogeneity import Endogeneity
 from .equations import BLOCK
+from .forward import SimulationError
 from .identification import Identification, Prediction
 
 Array = np.ndarray
@@ -113,6 +115,8 @@ def document(found: Identification, recordings: Sequence[Recording]) -> dict[str
         "recordings": [r.source for r in recordings],
         "fit": [judged(p, robot.joints) for p in found.fits],
         "validation": [judged(p, robot.joints) for p in found.validations],
+        "endogeneity": None if found.endogeneity is None else _endogeneity(found.endogeneity),
+        "simulation": None if found.simulation is None else _simulation(found.simulation, robot.joints),
         "effects": [],
         "versions": artefact.versions(),
     }
@@ -125,6 +129,16 @@ def _standard(found: Identification) -> list[dict[str, Any]]:
     columns = (parameters.names, parameters.owners(), parameters.nominal, found.psi, found.reduced.psi, deviation, units)
     keys = ("name", "of", "nominal", "value", "reduced", "std", "unit")
     return [dict(zip(keys, row, strict=True)) for row in zip(*columns, strict=True)]
+
+
+def _endogeneity(test: Endogeneity) -> dict[str, Any]:
+    facts = {"statistic": test.statistic, "freedom": test.freedom, "p": test.p, "needed": test.needed}
+    return facts | {"words": test.words}
+
+
+def _simulation(error: SimulationError, joints: Sequence[str]) -> dict[str, Any]:
+    rows = {key: dict(zip(joints, getattr(error, key)[-1].tolist(), strict=True)) for key in ("fitted", "nominal")}
+    return {"ahead": float(error.lag[-1]), "windows": error.windows, "share": error.share, **rows}
 
 
 def _by_kind(found: Identification) -> dict[str, list[float]]:

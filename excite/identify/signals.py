@@ -20,6 +20,8 @@ DROWNED = 4.0
 """Power of torque over its noise, below which there is nothing left to fit."""
 REACH = 10.0
 """Torque reaches to this many times the highest frequency of the motion: products of joints, reversals of friction."""
+HIGHEST = 50.0
+"""Above this a rigid body is no model of an arm [Hz]."""
 CHUNK = 1 << 17
 """Rows of a long stretch that are worked on at a time."""
 
@@ -150,11 +152,11 @@ def spectra(parts: Sequence[Piece], hertz: float | None = None) -> Spectra:
     else:
         noise = np.tile(np.median(torque[frequency >= 0.25 * rate], axis=0), (len(frequency), 1))
     chosen = _chosen(frequency, torque, noise, motion, rate) if hertz is None else hertz
-    return Spectra(frequency, torque, noise, motion, min(chosen, 0.5 * rate * (1.0 - 1e-9)))
+    return Spectra(frequency, torque, noise, motion, chosen)
 
 
 def _chosen(frequency: Array, torque: Array, noise: Array, motion: float, rate: float) -> float:
-    least = min(max(REACH * motion, 5.0), 0.4 * rate)
+    least = min(max(REACH * motion, 5.0), HIGHEST, 0.4 * rate)
     above = (torque > DROWNED * noise).any(axis=1)
     drowned = float(frequency[np.flatnonzero(above)[-1]]) if above.any() else least
     return float(min(max(least, min(BAND_HZ, drowned)), 0.4 * rate, max(BAND_HZ, least)))

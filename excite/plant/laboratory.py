@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -93,8 +93,3 @@ def simulate(urdf: Path, trajectory: Path, setting: Setting = Setting(), periods
     """A recording of a robot that follows `trajectory.json`, its bodies and drives drawn from the setting's seed."""
     reference = references.read(trajectory, periods)
     return session(robot(urdf, reference, setting, laws), reference, setting)
-
-
-def again(first: Session, reference: Reference, setting: Setting, seed: int) -> Session:
-    """The same robot on another reference or another day: only what is measured at random differs."""
-    return session(first.plant, reference, replace(setting, seed=seed))

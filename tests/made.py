@@ -1,0 +1,67 @@
+"""Recordings of robots of known parameters, made by Pinocchio's inverse dynamics and not by a regressor."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from excite.identify import consistent
+from excite.identify.equations import Model
+from excite.parameters import Parameters
+from excite.recordings import Recording, Sidecar
+from excite.trajectory import Fourier
+
+Array = np.ndarray
+PERIOD, RATE = 5.2, 500.0
+WIDTH = 0.004
+
+
+def perturbed(standard: Parameters, rng: np.random.Generator, size: float = 0.1) -> Array:
+    psi = consistent.nominal_bodies(standard)
+    edge = 10 * standard.bodies
+    psi[:edge] += size * standard.scale[:edge, :edge] @ rng.normal(size=edge)
+    for kind, value in (("rotor_inertia", 0.3), ("viscous", 0.8), ("coulomb", 1.5), ("offset", 0.2)):
+        psi[standard.block(kind)] = value * rng.uniform(0.5, 1.5, len(standard.joints))
+    assert consistent.is_consistent(standard, psi)
+    return psi
+
+
+def torque(model: Model, psi: Array, q: Array, dq: Array, ddq: Array) -> Array:
+    """Inverse dynamics of a model with those bodies, by Pinocchio's rnea and not by a regressor."""
+    machine, standard = model.robot, model.parameters
+    own = machine.model.copy()
+    for i in range(standard.bodies):
+        own.inertias[i + 1] = pin.Inertia.FromDynamicParameters(psi[10 * i : 10 * i + 10])
+    data = own.createData()
+    rigid = np.array([pin.rnea(own, data, *state) for state in zip(q, dq, ddq, strict=True)])
+    drive = {kind: psi[standard.block(kind)] for kind in standard.drive}
+    return rigid + drive["rotor_inertia"] * ddq + drive["viscous"] * dq + drive["coulomb"] * np.tanh(dq / WIDTH) + drive["offset"]
+
+
+def motion(n: int, seed: int = 0, period: float = PERIOD) -> Fourier:
+    rng = np.random.default_rng(seed)
+    return Fourier(rng.normal(0.0, 0.7, (n, 4)), rng.normal(0.0, 0.7, (n, 4)), np.zeros(n), period)
+
+
+def recorded(model: Model, psi: Array, fourier: Fourier, periods: float, noise: float, **side: object) -> Recording:
+    t = np.arange(round(periods * fourier.period * RATE) + 1) / RATE
+    s = fourier.samples(t)
+    exact = torque(model, psi, s.q, s.dq, s.ddq)
+    rng = np.random.default_rng(1)
+    sidecar = Sidecar(**({"period": fourier.period, "periodic": (0.0, float(t[-1]))} | side))  # type: ignore[arg-type]
+    return Recording("made.csv", model.robot.joints, t, s.q, tau=exact + noise * rng.normal(size=exact.shape), sidecar=sidecar, own_times=t)
+
+
+def written(recording: Recording, path: Path, decimals: int = 9) -> Path:
+    """The contract's CSV and its sidecar."""
+    names = [f"{kind}.{joint}" for kind in ("q", "tau") for joint in recording.joints]
+    table = np.hstack([recording.t[:, None], recording.q, recording.torque])
+    np.savetxt(path, table, fmt=f"%.{decimals}g", delimiter=",", header=",".join(["t", *names]), comments="")
+    side = recording.sidecar
+    if side.period is not None and side.periodic is not None:
+        stated = {"schema": "excite.recording/1", "period": side.period, "periodic": list(side.periodic)}
+        path.with_suffix(".json").write_text(json.dumps(stated), encoding="utf-8")
+    return path

@@ -1,0 +1,180 @@
+"""`excite identify` and `excite predict` as a person uses them, and what they say of bad input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import states, text_of
+from made import WIDTH, motion, perturbed, recorded, written
+
+from excite import base, cli, dynamics, limits, parameters, robot
+from excite.identify import consistent, model
+from excite.identify.equations import Model
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two recordings of a two-link robot that is not quite its URDF, and the model that was identified from them."""
+    folder = tmp_path_factory.mktemp("identify")
+    machine = robot.load("two_link")
+    table = limits.resolve(machine)
+    standard = parameters.standard(machine, table)
+    subject = Model(machine, standard, base.find(machine, standard, table), np.full(2, WIDTH))
+    psi = perturbed(standard, np.random.default_rng(4))
+    for name, seed in (("train", 2), ("other", 5)):
+        written(recorded(subject, psi, motion(2, seed), 3, 0.2), folder / f"{name}.csv")
+    assert run("identify", "two_link", folder / "train.csv", "--validate", folder / "other.csv", "-o", folder / "out") == 0
+    return folder
+
+
+def run(*words: object) -> int:
+    return cli.main([str(word) for word in words])
+
+
+def told(capsys: pytest.CaptureFixture[str], *words: object) -> str:
+    """The one line that a refused command says."""
+    capsys.readouterr()
+    assert run(*words) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    return next(line for line in err.splitlines() if line.startswith("excite:"))
+
+
+def test_the_files_are_written_and_the_json_says_what_they_say(folder, capsys):
+    capsys.readouterr()
+    assert run("identify", "two_link", folder / "train.csv", "--validate", folder / "other.csv", "-o", folder / "again", "--json") == 0
+    document = json.loads(capsys.readouterr().out)
+    stored = json.loads((folder / "again" / "model.json").read_text())
+    assert document["schema"] == stored["schema"] == "excite.model/1" and document["base_parameters"] == stored["base_parameters"]
+    assert {Path(name).name for name in document["files"]} == {"model.json", "identified.urdf", "report.html"}
+    errors = stored["validation"][0]["joints"]
+    assert all(row["rmse"] < 0.5 * row["rmse_nominal"] and row["noise_floor"] > 0 for row in errors.values())
+    for parameter in stored["base_parameters"]:
+        if parameter["interval"] is not None:
+            assert parameter["interval"][0] < parameter["data"] < parameter["interval"][1]
+
+
+def test_a_prediction_has_the_recordings_own_times(folder):
+    assert run("predict", folder / "out" / "model.json", folder / "other.csv", "-o", folder / "tau.csv") == 0
+    predicted = np.genfromtxt(folder / "tau.csv", delimiter=",", names=True, deletechars="")
+    measured = np.genfromtxt(folder / "other.csv", delimiter=",", names=True, deletechars="")
+    assert np.allclose(predicted["t"], measured["t"])
+    for joint in ("joint_1", "joint_2"):
+        inner = slice(300, -300)
+        left = predicted[f"tau.{joint}"][inner] - measured[f"tau.{joint}"][inner]
+        assert np.sqrt(np.mean(left**2)) < 0.35
+
+
+def test_the_identified_urdf_gives_the_same_torque(folder):
+    fitted = model.read(folder / "out" / "model.json")
+    again = robot.load(str(folder / "out" / "identified.urdf"))
+    standard = parameters.standard(again, limits.resolve(again))
+    samples = states(2)
+    assert np.allclose(standard.nominal, fitted.psi, rtol=1e-9, atol=1e-12)
+    assert np.allclose(
+        dynamics.regressor(again, standard, samples) @ standard.nominal, dynamics.regressor(again, standard, samples) @ fitted.psi
+    )
+
+
+def test_locked_joints_meshes_and_comments_survive(tmp_path):
+    """A locked joint becomes fixed where it was locked, and what hangs on it belongs to the body before it."""
+    from excite.identify.description import identified
+
+    machine = robot.load("ur10e", lock={"wrist_2_joint": 0.7, "wrist_3_joint": -0.3})
+    table = limits.resolve(machine)
+    standard = parameters.standard(machine, table)
+    psi = perturbed(standard, np.random.default_rng(1))
+    path = tmp_path / "identified.urdf"
+    path.write_text(identified(machine, standard, psi, np.full(machine.n, 0.003)))
+    assert path.read_text().count("<!--") == text_of("ur10e").count("<!--")
+    again = robot.load(str(path))
+    assert again.joints == machine.joints
+    own = parameters.standard(again, limits.resolve(again))
+    samples = states(machine.n)
+    before, after = dynamics.regressor(machine, standard, samples) @ psi, dynamics.regressor(again, own, samples) @ own.nominal
+    assert np.allclose(before, after, rtol=1e-9, atol=1e-9)
+
+
+def test_a_prior_and_bounds_are_kept(folder):
+    bounds = folder / "bounds.toml"
+    bounds.write_text("[links.link_2]\nmass = [2.2, 2.4]\n")
+    assert run("identify", "two_link", folder / "train.csv", "--bounds", bounds, "-o", folder / "bounded") == 0
+    assert 2.2 <= model.read(folder / "bounded" / "model.json").psi[10] <= 2.4
+    prior = folder / "prior.json"
+    prior.write_text(json.dumps({"schema": "excite.prior/1", "trust_prior": True, "joints": {"joint_1": {"coulomb": 1.25}}}))
+    assert run("identify", "two_link", folder / "train.csv", "--prior", prior, "-o", folder / "trusted") == 0
+    fitted = model.read(folder / "trusted" / "model.json")
+    machine = robot.load("two_link")
+    standard = parameters.standard(machine, limits.resolve(machine))
+    assert np.allclose(fitted.psi[:20], consistent.nominal_bodies(standard)[:20], rtol=1e-3, atol=1e-4)
+    assert fitted.psi[standard.block("coulomb")][0] == pytest.approx(1.25, rel=1e-3)
+    assert run("identify", "two_link", folder / "train.csv", "--prior", folder / "out" / "model.json", "-o", folder / "same") == 0
+
+
+@pytest.mark.parametrize("estimator", ["ols", "full", "huber"])
+def test_every_estimator_runs(folder, estimator):
+    out = folder / estimator
+    assert run("identify", "two_link", folder / "train.csv", "--estimator", estimator, "--distance", "riemannian", "-o", out) == 0
+    assert json.loads((out / "model.json").read_text())["method"] == estimator
+
+
+def test_bad_input_is_one_line_that_names_the_remedy(folder, capsys, tmp_path):
+    train, out = folder / "train.csv", tmp_path / "none"
+    go = ("identify", "two_link", train, "-o", out)
+    cases = {
+        ("identify", "two_link", folder / "absent.csv", "-o", out): "absent.csv",
+        (*go, "--band", "-3"): "--band -3",
+        (*go, "--band", "400"): "half the recording's rate",
+        (*go, "--gamma", "much"): "--gamma",
+        (*go, "--gamma", "0"): "positive",
+        (*go, "--window", "0,1"): "--period",
+        (*go, "--period", "1000"): "shorter than the recording",
+        (*go, "--prior", folder / "train.csv"): "prior",
+        (*go, "--bounds", folder / "absent.toml"): "absent.toml",
+        ("predict", folder / "train.json", train, "-o", tmp_path / "x.csv"): "excite.model/1",
+        ("predict", folder / "absent.json", train, "-o", tmp_path / "x.csv"): "absent.json",
+    }
+    for words, part in cases.items():
+        assert part in told(capsys, *words), words
+    assert not out.exists() and not (tmp_path / "x.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "part"),
+    [
+        ("[links.nobody]\nmass = [1, 2]\n", "no moving link 'nobody'"),
+        ("[links.link_2]\nmass = [3, 2]\n", "mass should be"),
+        ("[links.link_2]\ncentre = [1, 2, 3]\n", "centre should be"),
+        ("links", "cannot be read as bounds"),
+    ],
+)
+def test_bad_bounds(folder, capsys, tmp_path, text, part):
+    path = tmp_path / "bounds.toml"
+    path.write_text(text)
+    assert part in told(capsys, "identify", "two_link", folder / "train.csv", "--bounds", path, "-o", tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("stated", "part"),
+    [
+        ({"schema": "excite.prior/2"}, "excite.prior/2"),
+        ({"schema": "excite.prior/1", "trust_prior": False}, "trust_prior"),
+        ({"schema": "excite.prior/1", "trust_prior": True, "joints": {"elbow": {}}}, "no joint 'elbow'"),
+        ({"schema": "excite.prior/1", "trust_prior": True, "joints": {"joint_1": {"backlash": 1}}}, "no parameter 'backlash'"),
+        ({"schema": "excite.prior/1", "trust_prior": True, "joints": {"joint_1": {"coulomb": "much"}}}, "no number"),
+    ],
+)
+def test_bad_priors(folder, capsys, tmp_path, stated, part):
+    path = tmp_path / "prior.json"
+    path.write_text(json.dumps(stated))
+    assert part in told(capsys, "identify", "two_link", folder / "train.csv", "--prior", path, "-o", tmp_path / "out")
+
+
+def test_a_recording_shorter_than_the_band_takes_is_refused(folder, capsys, tmp_path):
+    lines = (folder / "train.csv").read_text().splitlines()
+    path = tmp_path / "short.csv"
+    path.write_text("\n".join(lines[:100]) + "\n")
+    assert "stretch" in told(capsys, "identify", "two_link", path, "-o", tmp_path / "out")

@@ -45,6 +45,7 @@ def parser() -> argparse.ArgumentParser:
     _identifiability(commands)
     _identify(commands)
     _predict(commands)
+    _diagnose(commands)
     _simulate(commands)
     return top
 
@@ -195,6 +196,16 @@ def _predict(commands: Commands) -> None:
     sub.add_argument("model", metavar="MODEL", help="the model.json of 'excite identify'")
     sub.add_argument("recording", metavar="RECORDING")
     sub.add_argument("-o", dest="out", metavar="FILE.csv", required=True)
+
+
+def _diagnose(commands: Commands) -> None:
+    sub = _command(commands, "diagnose", "say what the model leaves out, where, how much, and how sure that is")
+    sub.add_argument("-o", dest="out", metavar="DIR", required=True, help="folder for diagnosis.json, model.json, report.html")
+    _robot_options(sub)
+    sub.add_argument("recordings", metavar="RECORDING", nargs="+", help="recordings that the model is fitted to")
+    sub.add_argument("--validate", metavar="RECORDING", nargs="+", default=[], help="recordings to judge by (needed)")
+    sub.add_argument("--prior", metavar="FILE", help="what is right as it stands: excite.prior/1 or a model.json")
+    sub.add_argument("--band", type=float, default=20.0, metavar="HZ", help="torque below this frequency is looked at (default %(default)s)")
 
 
 def _simulate(commands: Commands) -> None:

@@ -311,6 +311,13 @@ def predict(arguments: argparse.Namespace) -> Outcome:
     return predict(arguments)
 
 
+def diagnose(arguments: argparse.Namespace) -> Outcome:
+    """What the model leaves out."""
+    from .diagnosing import diagnose
+
+    return diagnose(arguments, _say)
+
+
 def simulate(arguments: argparse.Namespace) -> Outcome:
     """Record a simulated robot."""
     from .simulate import command

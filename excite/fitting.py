@@ -15,7 +15,7 @@ import numpy as np
 from . import arguments as told
 from . import artefact, base, files, parameters, recordings
 from .errors import UnusableInput
-from .identify import identification, lmi, model, priors
+from .identify import consistent, identification, lmi, model, priors
 from .identify.consistent import Bounds
 from .identify.distance import Distance
 from .identify.estimators import Method
@@ -125,9 +125,11 @@ def _bounds(path: Path, standard: Parameters) -> Bounds:
 
 
 def _lmi(found: Identification) -> lmi.Check:
-    data, subject = found.data, found.model
-    root = data.root @ subject.base.matrix
-    return lmi.check(subject.parameters, root, data.root @ data.theta, found.prior, found.posterior, found.options.bounds)
+    data, subject, bounds = found.data, found.model, found.options.bounds
+    root, target, own = data.root @ subject.base.matrix, data.root @ data.theta, found.posterior
+    if found.options.refine:  # a refined model no longer minimises what the conic solver does: compare where it started
+        own = consistent.maximum_a_posteriori(subject.parameters, root, target, found.prior, bounds)
+    return lmi.check(subject.parameters, root, target, found.prior, own, bounds)
 
 
 def _text(found: Identification, facts: Sequence[str], written: Sequence[Path]) -> str:

@@ -21,7 +21,7 @@ from excite.trial import run
 from excite.trial.answer import BASELINES, Analyst, baselines
 from excite.trial.plan import ROBOTS, Plan
 
-QUICK = 32
+QUICK = 24
 
 
 def say(text: str) -> None:

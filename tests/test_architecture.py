@@ -17,9 +17,9 @@ LAYERS = (
     {"__init__", "errors", "urdf", "robot", "limits", "trajectory", "motion", "plant"},
     {"parameters", "structure", "dynamics", "compiled", "symbolic", "base", "criteria", "overlap", "problem", "checks"},
     {"evaluate", "start", "subproblem", "solver", "starts", "design", "ramps", "wording", "scenarios", "identifiability", "recordings"}
-    | {"artefact", "identify"},
+    | {"artefact", "identify", "diagnose"},
     {"verify", "export", "report", "files", "workflow", "plan", "validation"},
-    {"cluster", "arguments", "fitting", "simulate", "commands", "cli", "trial"},
+    {"cluster", "arguments", "diagnosing", "fitting", "simulate", "commands", "cli", "trial"},
 )
 
 

@@ -10,7 +10,7 @@ import pytest
 from conftest import states, text_of
 from made import WIDTH, motion, perturbed, recorded, written
 
-from excite import base, cli, dynamics, limits, parameters, robot
+from excite import base, cli, dynamics, limits, parameters, robot, workflow
 from excite.identify import consistent, model
 from excite.identify.equations import Model
 
@@ -121,6 +121,24 @@ def test_every_estimator_runs(folder, estimator):
     assert json.loads((out / "model.json").read_text())["method"] == estimator
 
 
+def test_a_refined_model_is_checked_where_it_started(folder):
+    """What the refinement moved no longer minimises what the conic solver minimises."""
+    pytest.importorskip("cvxpy")
+    out = folder / "refined"
+    assert run("identify", "two_link", folder / "train.csv", "--refine", "--check-lmi", "-o", out) == 0
+    assert json.loads((out / "model.json").read_text())["lmi"]["agrees"]
+
+
+def test_what_a_recording_left_open_is_designed_for(folder, capsys, tmp_path, monkeypatch):
+    """The command of the report: what earlier recordings showed, the new motion and the one to validate with need not show again."""
+    quick = ("--starts", "1", "--iterations", "15", "--harmonics", "3", "--samples", "60")
+    monkeypatch.setattr(workflow, "SINGULAR", 0.1)
+    assert run("design", "two_link", *quick, "-o", tmp_path / "alone") == 1
+    assert "does not show all" in capsys.readouterr().err
+    assert run("design", "two_link", *quick, "--given", folder / "train.csv", "--validation", "-o", tmp_path / "next") == 0
+    assert (tmp_path / "next" / "validation" / "trajectory.json").exists()
+
+
 def test_bad_input_is_one_line_that_names_the_remedy(folder, capsys, tmp_path):
     train, out = folder / "train.csv", tmp_path / "none"
     go = ("identify", "two_link", train, "-o", out)
@@ -136,6 +154,7 @@ def test_bad_input_is_one_line_that_names_the_remedy(folder, capsys, tmp_path):
         (*go, "--bounds", folder / "absent.toml"): "absent.toml",
         ("predict", folder / "train.json", train, "-o", tmp_path / "x.csv"): "excite.model/1",
         ("predict", folder / "absent.json", train, "-o", tmp_path / "x.csv"): "absent.json",
+        ("predict", folder / "out" / "model.json", folder / "train.json", "-o", tmp_path / "x.csv"): "no recording but JSON",
     }
     for words, part in cases.items():
         assert part in told(capsys, *words), words

@@ -68,6 +68,8 @@ def stream(path: Path, robot: Robot, limits: Limits | None = None, *, rows: int 
 def _blocks(path: Path, patient: Patient) -> Iterator[Block]:
     if not path.exists():
         raise UnusableInput(f"{path}: no such file; give a recording: {FORMATS}")
+    if path.suffix == ".json":
+        raise UnusableInput(f"{path}: is no recording but JSON; give the file beside it: {FORMATS}")
     if bag.is_bag(path):
         yield from bag.blocks(path, patient.robot, patient.sidecar)
         return

@@ -6,11 +6,20 @@ from pathlib import Path
 from typing import Any
 
 from .design import design_page
+from .diagnosis import diagnosis_page
 from .identifiability import identifiability_page
 from .identification import identification_page
 from .record import DesignRecord
 
-__all__ = ["DesignRecord", "design_page", "design_report", "identifiability_page", "identifiability_report", "identification_page"]
+__all__ = [
+    "DesignRecord",
+    "design_page",
+    "design_report",
+    "diagnosis_page",
+    "identifiability_page",
+    "identifiability_report",
+    "identification_page",
+]
 
 
 def design_report(path: Path, *subject: Any, **options: Any) -> None:

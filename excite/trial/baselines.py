@@ -176,17 +176,17 @@ def _document(problem: Problem, findings: list[dict[str, Any]], unknown: list[di
 def blackbox(problem: Problem, period: float, rng: np.random.Generator) -> dict[str, Any]:
     """Random Fourier features of each joint's state and torque, ridge-regressed onto its residual; it names nothing.
 
-    Cross-fitted over four stretches of the period, each left out in all its repeats at once.
+    Cross-fitted over eight stretches of the period, each left out in all its repeats at once.
     """
     unknown, after = [], problem.rest[1].copy()
-    fold = np.floor(4.0 * np.mod(problem.train.low(problem.train.data.t), period) / period).astype(int)
+    fold = np.floor(8.0 * np.mod(problem.train.low(problem.train.data.t), period) / period).astype(int)
     for j, joint in enumerate(problem.joints):
         first, second = (_state(scene, j) for scene in (problem.train, problem.validate))
         middle, size = first.mean(axis=0), first.std(axis=0) + 1e-12
         ways, shifts = rng.standard_normal((first.shape[1], FEATURES)) * 0.3, rng.uniform(0.0, 2.0 * np.pi, FEATURES)
         x, held = (np.cos((s - middle) / size @ ways + shifts) for s in (first, second))
         target = problem.rest[0][:, j]
-        costs = sum(_costs(x[fold != k], target[fold != k], x[fold == k], target[fold == k]) for k in range(4))
+        costs = sum(_costs(x[fold != k], target[fold != k], x[fold == k], target[fold == k]) for k in range(8))
         best = int(np.argmin(costs))
         share = 1.0 - float(np.asarray(costs)[best]) / float(np.square(target).sum())
         if share > 0.1:
@@ -198,9 +198,9 @@ def blackbox(problem: Problem, period: float, rng: np.random.Generator) -> dict[
 
 def _state(scene: Any, j: int) -> Array:
     d = scene.data
-    return np.asarray(
-        scene.low(np.column_stack([d.q[:, j], d.v[:, j], np.tanh(d.v[:, j] / 0.02), d.a[:, j], d.tau[:, j], np.delete(d.v, j, axis=1)]))
-    )
+    near = [i for i in (j - 1, j + 1) if 0 <= i < d.v.shape[1]]
+    own = [d.q[:, j], d.v[:, j], np.tanh(d.v[:, j] / 0.02), d.a[:, j], scene.load[:, j]]
+    return np.asarray(scene.low(np.column_stack([*own, d.v[:, near]])))
 
 
 def _ridges(x: Array, y: Array) -> Array:

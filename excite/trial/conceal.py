@@ -28,7 +28,7 @@ from .plan import Spec
 
 Array = np.ndarray
 NOISE, COARSE, JITTER, STEP = 0.002, 2.0 * np.pi / 2**16, 5e-5, 2e-3
-LARGEST = 8.0
+LARGEST, DRAWS = 10.0, 3
 """An effect is at most this many times its usual size, whatever severity was asked for."""
 
 
@@ -124,18 +124,28 @@ def _effect(
     joint: str | None,
     rng: np.random.Generator,
 ) -> tuple[Effect, float]:
-    """An effect of random size and place (`joint` where it may sit there), scaled to its severity; and the severity reached."""
-    kind, n = KINDS[name], len(plant.joints)
+    """An effect of random size and place (`joint` first, where it may sit there), scaled to its severity; and the severity reached.
+
+    Where a joint shows too little of it whatever its size (a wrist that hardly loads its spring), another draw is made.
+    """
+    kind, n, (short, whole) = KINDS[name], len(plant.joints), motions
     first = {"payload": n // 2, "contact": n // 2, "kinematic_error": min(1, n - 1)}.get(name, 0)
-    drawn, all_late = plant.joints[int(rng.integers(first, n))], rng.random() < 0.3
-    where = joint if joint in plant.joints[first:] else drawn
-    place = None if kind.place == "robot" or (kind.place == "either" and all_late) else where
-    effect = effects.draw(kind, plant, place, spec.family, rng)
-    short, whole = motions
-    along = whole if name == "thermal_drift" else short
-    chain = laboratory.chain(plant, chosen)
-    found, _, reached = severity.reach(effect, level, plant, along, chain, trusted=spec.trusted, tolerance=0.5, tries=3, largest=LARGEST)
-    return found, reached.value
+    chain, along = laboratory.chain(plant, chosen), whole if name == "thermal_drift" else short
+    all_late = rng.random() < 0.3
+    found: list[tuple[float, Effect, float]] = []
+    for draw in range(DRAWS):
+        drawn = plant.joints[int(rng.integers(first, n))]
+        where = joint if draw == 0 and joint in plant.joints[first:] else drawn
+        place = None if kind.place == "robot" or (kind.place == "either" and all_late) else where
+        effect = effects.draw(kind, plant, place, spec.family, rng)
+        sized, _, reached = severity.reach(
+            effect, level, plant, along, chain, trusted=spec.trusted, tolerance=0.5, tries=3, largest=LARGEST
+        )
+        found.append((abs(float(np.log(max(reached.value, 1e-9) / level))), sized, reached.value))
+        if found[-1][0] < np.log(2.0):
+            break
+    _, best, value = min(found, key=lambda entry: entry[0])
+    return best, value
 
 
 def _prior(plant: Plant) -> str:

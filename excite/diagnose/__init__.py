@@ -1,0 +1,1 @@
+"""What a robot model leaves out: track ← catalogue ← search ← judge ← diagnosis."""

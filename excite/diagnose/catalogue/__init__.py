@@ -1,0 +1,16 @@
+"""The effects that can be named, a file a family; adding one takes an `Effect` in a file's EFFECTS."""
+
+from __future__ import annotations
+
+from ..effect import Effect
+from . import electrical, environment, friction, load, sensing, transmission
+
+EFFECTS: tuple[Effect, ...] = (
+    *friction.EFFECTS,
+    *transmission.EFFECTS,
+    *load.EFFECTS,
+    *electrical.EFFECTS,
+    *sensing.EFFECTS,
+    *environment.EFFECTS,
+)
+BY_NAME = {effect.name: effect for effect in EFFECTS}

@@ -1,0 +1,144 @@
+"""Bodies, drives and geometry that differ from the model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from ...dynamics import regressor
+from ...identify.band import Grid
+from ...parameters import pseudo_inertia
+from ..effect import Columns, Effect, Shape, column, named
+from ..track import Track
+
+Array = np.ndarray
+FAR = 1.5
+"""Distance of a payload's centre from its link's frame, at the most [m]."""
+ANGLE, LENGTH = 1e-4, 1e-5
+"""Changes of geometry that a column is the secant of [rad, m]."""
+
+
+def _bodies(place: int, count: int) -> Columns:
+    """Columns of a link's first inertial parameters."""
+
+    def build(track: Track) -> Array:
+        Y = regressor(track.body.robot, track.body.parameters, track.coarse)[:, :, 10 * place : 10 * place + count]
+        return track.reduce(Y, Grid.COARSE)
+
+    return build
+
+
+def _a_body(c: Array) -> bool:
+    """Whether coefficients are a body's: mass positive, its centre within arm's reach, its inertia one that a body can have."""
+    if c[0] <= 0.0 or np.linalg.norm(c[1:4]) > FAR * c[0]:
+        return False
+    if len(c) == 4:
+        return True
+    values = np.linalg.eigvalsh(pseudo_inertia(c))
+    return bool(values[0] > -0.05 * values[-1])
+
+
+def _payload(tracks: Sequence[Track]) -> Iterator[Shape]:
+    def parameters(c: Array) -> dict[str, float]:
+        centre = c[1:4] / c[0] if abs(c[0]) > 1e-9 else np.full(3, np.nan)
+        return {"mass": float(c[0]), "com_x": float(centre[0]), "com_y": float(centre[1]), "com_z": float(centre[2])}
+
+    links = len(tracks[0].body.parameters.links)
+    for place in range(links):
+        for count in (4, 10):
+            shape = {"inertias": float(count == 10)}
+            yield Shape("payload", min(place, tracks[0].n - 1), _bodies(place, count), parameters, _a_body, shape)
+
+
+def _tilt(tracks: Sequence[Track]) -> Iterator[Shape]:
+    def build(track: Track) -> Array:
+        # g turns by roll about x and pitch about y: δg = ω × g
+        down = float(np.linalg.norm(track.body.model.gravity.linear))
+        columns = np.stack([-down * track.gravity[:, :, 1], down * track.gravity[:, :, 0]], axis=2)
+        return track.reduce(columns, Grid.COARSE)
+
+    yield Shape("gravity_tilt", None, build, lambda c: {"roll": float(c[0]), "pitch": float(c[1])}, lambda c: bool(np.abs(c).max() < 0.3))
+
+
+def _rotor(tracks: Sequence[Track]) -> Iterator[Shape]:
+    for j in range(tracks[0].n):
+        yield Shape("rotor_inertia", j, column(j, lambda t, j: t.fine.ddq[:, j]), named("inertia"))
+
+
+def _geometry(joint: int, angle: bool) -> Columns:
+    """Torque by turning or moving what a joint carries, in the joint's frame, along two directions across or three along its axes."""
+
+    def build(track: Track) -> Array:
+        robot, columns = track.body.robot, []
+        s = track.coarse
+        Q, V, A = robot.expand(s.q), s.dq @ robot.spread.T, s.ddq @ robot.spread.T
+        after = [i for i in range(1, track.body.model.njoints) if track.body.model.parents[i] == joint + 1]
+        for axis in range(3):
+            model = track.body.model.copy()
+            twist = np.zeros(6)
+            twist[(3 if angle else 0) + axis] = ANGLE if angle else LENGTH
+            change = pin.exp6(twist)
+            for i in after:
+                model.jointPlacements[i] = change * model.jointPlacements[i]
+            model.inertias[joint + 1] = change.act(model.inertias[joint + 1])
+            data = model.createData()
+            torque = np.array([pin.rnea(model, data, *state) for state in zip(Q, V, A, strict=True)]) @ robot.spread
+            columns.append((torque - track.rigid) / (ANGLE if angle else LENGTH))
+        return track.reduce(np.stack(columns, axis=2), Grid.COARSE)
+
+    return build
+
+
+def _kinematic(tracks: Sequence[Track]) -> Iterator[Shape]:
+    def small(c: Array) -> bool:
+        return bool(np.linalg.norm(c) < 0.2)
+
+    for j in range(min(tracks[0].n, tracks[0].body.model.njoints - 1)):
+        yield Shape("kinematic_error", j, _geometry(j, True), lambda c: {"angle": float(np.linalg.norm(c))}, small, {"angle": 1.0})
+        yield Shape("kinematic_error", j, _geometry(j, False), lambda c: {"length": float(np.linalg.norm(c))}, small, {"angle": 0.0})
+
+
+EFFECTS = (
+    Effect(
+        "payload",
+        "Y_L δφ_L: a link's ten parameters",
+        _payload,
+        {"mass": "kg", "com_x": "m", "com_y": "m", "com_z": "m"},
+        "many joints, in a ratio that the kinematics fix",
+        ("torque_gain", "gravity_tilt"),
+        "static poses and fast ones, with and without the load",
+        prior_only=True,
+    ),
+    Effect(
+        "gravity_tilt",
+        "∂τ/∂g (ω × g)",
+        _tilt,
+        {"roll": "rad", "pitch": "rad"},
+        "joint 1 of an upright arm feels gravity",
+        ("spring",),
+        "joint 1 a full turn, arm stretched",
+        prior_only=True,
+    ),
+    Effect(
+        "rotor_inertia",
+        "I_a q̈",
+        _rotor,
+        {"inertia": "kg m²"},
+        "like the joint's own acceleration, at any pose",
+        ("payload",),
+        "small fast motion at several poses",
+        prior_only=True,
+    ),
+    Effect(
+        "kinematic_error",
+        "Σ δ_k ∂τ/∂(placement)_k",
+        _kinematic,
+        {"angle": "rad", "length": "m"},
+        "small cross terms of gravity and inertia",
+        ("payload",),
+        "poses, and an external measurement of them",
+        prior_only=True,
+    ),
+)

@@ -1,0 +1,218 @@
+"""Diagnosis: is something missing, where, what, how much, and how do we know."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..base import Base
+from ..errors import UnusableInput
+from ..identify import consistent, identification, signals
+from ..identify.identification import Identification
+from ..parameters import Parameters
+from ..recordings import Recording
+from ..robot import Robot
+from . import judge, search, track
+from .catalogue import EFFECTS
+from .effect import Shape
+from .judge import Hypothesis, Verdict
+from .search import Design
+from .track import Track
+
+Array = np.ndarray
+Progress = Callable[[str], None]
+BAND_HZ = 20.0
+QUIET = 1.2
+"""RMSE over the noise floor at which a joint counts as explained."""
+MISFIT = {"periods": 0.1, "differences": 0.3}
+"""Share of the residual taken for a form that is not quite the catalogue's, by how the noise is known."""
+UNSAID = 0.45
+"""Share of the excess over the noise that may stay unexplained beside a finding before it is called unknown."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """band: [Hz]. trusted: parameter -> value that is right as it stands (a prior); nothing of it is refit. names: effects to look for."""
+
+    band: float = BAND_HZ
+    trusted: Mapping[int, float] = field(default_factory=dict)
+    names: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """floor: noise below the band per joint [N m], how it was found: `method`. before, after: RMSE on held-out recordings. Shapes (n,).
+
+    tracks: stretches of the recordings fitted, and of those held out. identified: the base model. residuals: held-out torque less the
+    base model's and less that with the findings. Shape (N, n) each.
+    """
+
+    identified: Identification
+    options: Options
+    tracks: tuple[list[Track], list[Track]]
+    design: Design
+    verdict: Verdict
+    floor: Array
+    method: str
+    before: Array
+    after: Array
+    residuals: tuple[Array, Array]
+
+    @property
+    def unexplained(self) -> Array:
+        """1 − (floor/after)² per joint."""
+        return np.maximum(1.0 - (self.floor / np.maximum(self.after, 1e-300)) ** 2, 0.0)
+
+    @property
+    def unknown(self) -> list[int]:
+        """Joints where something repeatable is left that no name takes."""
+        excess = np.maximum(self.before**2 - self.floor**2, 0.0)
+        left = np.maximum(self.after**2 - self.floor**2, 0.0)
+        loud = self.after > 1.5 * self.floor if self.verdict.chosen else self.before > 1.5 * self.floor
+        return [int(j) for j in np.flatnonzero(loud & (left > UNSAID * np.maximum(excess, 1e-300)))]
+
+    @property
+    def name(self) -> str:
+        """The verdict."""
+        if not self.verdict.chosen:
+            return "unexplained" if self.unknown else "no-mismatch"
+        return "partly-explained" if self.unknown or bool((self.after > QUIET * self.floor).any()) else "explained"
+
+
+def diagnose(
+    robot: Robot,
+    parameters: Parameters,
+    base: Base,
+    train: Sequence[Recording],
+    validate: Sequence[Recording],
+    options: Options | None = None,
+    progress: Progress = lambda _: None,
+) -> Diagnosis:
+    """Find what the base model leaves out. Raises UnusableInput where there is nothing to judge by."""
+    options = options or Options()
+    if not validate:
+        raise UnusableInput("--validate: a diagnosis needs a recording to judge by; give one that is not among those it is fitted to")
+    identified = identification.identify(
+        robot, parameters, base, train, validate, identification.Options(band=options.band, trusted=options.trusted), progress
+    )
+    fitted = track.body(robot, parameters, identified.psi)
+    model, theta = identified.model, base.matrix @ identified.psi
+    pieces = [list(signals.pieces(group, average=False)) for group in (train, validate)]
+    halves = tuple(track.tracks(model, fitted, theta, parts, options.band) for parts in pieces)
+    for group, own in zip((train, validate), halves, strict=True):
+        if not own:
+            raise UnusableInput(f"{group[0].source}: is too short for a band of {options.band:g} Hz; record at least two seconds")
+    floor, method = _floor(identified, train, validate, options.band, halves)
+    progress("columns of the catalogue")
+    misfit = MISFIT[method] * np.sqrt(np.mean(identified.data.residual**2, axis=0))
+    scale = np.sqrt(floor**2 + misfit**2)
+    shapes, widths, columns = _columns(halves, options, scale)
+    first, second = (_half(own, identified, options, scale) for own in halves)
+    one = search.design((first, second), shapes, widths, columns)
+    progress(f"{len(shapes)} shapes of {len(EFFECTS)} effects, alone and in pairs")
+    verdict = judge.judged(one)
+    before, after = _held_out(one, verdict, scale)
+    return Diagnosis(identified, options, (halves[0], halves[1]), one, verdict, floor, method, _rms(before), _rms(after), (before, after))
+
+
+def _floor(
+    identified: Identification, train: Sequence[Recording], validate: Sequence[Recording], hertz: float, halves: Sequence[list[Track]]
+) -> tuple[Array, str]:
+    """Noise below the band: what differs between periods, else what the spectrum shows above the motion."""
+    spread = signals.floor(list(signals.pieces([*train, *validate])), hertz)
+    if spread is not None:
+        return np.maximum(spread, 1e-12), "periods"
+    noise = identified.spectra.noise
+    frequency = identified.spectra.frequency
+    inside = frequency <= hertz
+    power = np.trapezoid(noise[inside], frequency[inside], axis=0)
+    return np.sqrt(np.maximum(power, 1e-24)), "differences"
+
+
+def _half(tracks: list[Track], identified: Identification, options: Options, scale: Array) -> search.Half:
+    """Base columns and what they explain: all parameters, or beside a trusted prior those that it leaves free."""
+    base, parameters = identified.model.base, identified.model.parameters
+    places = np.arange(base.count)
+    if options.trusted:
+        drives = 10 * parameters.bodies
+        places = np.array([k for k, place in enumerate(base.independent) if place >= drives and int(place) not in options.trusted], int)
+    columns, torque = [], []
+    for one in tracks:
+        slopes = np.zeros((len(one), one.n, one.n))
+        slopes[:, range(one.n), range(one.n)] = one.slopes
+        columns.append(np.concatenate([one.gamma[:, :, places], slopes], axis=2))
+        torque.append(one.torque - one.gamma @ one.theta if options.trusted else one.torque)
+    return search.half(columns, torque, scale, _known(identified, options, columns[0].shape[2]))
+
+
+def _known(identified: Identification, options: Options, width: int) -> tuple[Array, Array]:
+    """What the identification's prior says of the base parameters, as rows: a short recording alone would not predict another."""
+    if options.trusted:
+        return np.zeros((0, width)), np.zeros(0)
+    base, prior = identified.model.base, identified.prior
+    spread = base.matrix @ consistent.inverse(consistent.metric_matrix(identified.model.parameters, prior)) @ base.matrix.T
+    values, vectors = np.linalg.eigh(consistent.inverse(spread))
+    root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    rows = np.zeros((base.count, width))
+    rows[:, : base.count] = root
+    return rows, root @ (base.matrix @ prior.nominal)
+
+
+def _columns(halves: Sequence[list[Track]], options: Options, floor: Array) -> tuple[list[Shape], list[int], tuple[Array, Array]]:
+    """Columns of every shape on both halves, over the floor; shapes that say nothing on either are left out."""
+    everything = [*halves[0], *halves[1]]
+    shapes, widths = list[Shape](), list[int]()
+    parts: tuple[list[Array], list[Array]] = ([], [])
+    for effect in EFFECTS:
+        if (effect.prior_only and not options.trusted) or (options.names and effect.name not in options.names):
+            continue
+        for shape in effect.shapes(everything):
+            both = []
+            for half in halves:
+                stacked = np.concatenate([shape.columns(one) / floor[:, None] for one in half])
+                both.append(stacked.reshape(-1, stacked.shape[2]))
+            if not all(np.isfinite(x).all() for x in both) or not any(np.abs(x).max(initial=0.0) > 1e-9 for x in both):
+                continue
+            shapes.append(shape)
+            widths.append(both[0].shape[1])
+            parts[0].append(both[0])
+            parts[1].append(both[1])
+    return shapes, widths, (np.concatenate(parts[0], axis=1), np.concatenate(parts[1], axis=1))
+
+
+def _held_out(one: Design, verdict: Verdict, scale: Array) -> tuple[Array, Array]:
+    """Torque of the second half that the base model fitted to the first leaves, and with the findings. Shapes (N, n) [N m]."""
+    before = one.across[0].reshape(-1, len(scale)) * scale
+    if verdict.together is None:
+        return before, before
+    which = one.which(verdict.together.shapes)
+    added = one.carried[0][:, which] @ verdict.together.halves[0]
+    return before, before - added.reshape(before.shape) * scale
+
+
+def _rms(x: Array) -> Array:
+    return np.sqrt(np.mean(x**2, axis=0))
+
+
+def hypothesis_parameters(one: Design, verdict: Verdict, number: int) -> dict[str, tuple[float, float]]:
+    """The contract's parameters of a finding: value and standard deviation by the two halves' agreement and the fit's own."""
+    together = verdict.together
+    assert together is not None
+    start = sum(one.places[h.shape].stop - one.places[h.shape].start for h in verdict.chosen[:number])
+    shape = one.shapes[verdict.chosen[number].shape]
+    part = slice(start, start + one.places[verdict.chosen[number].shape].stop - one.places[verdict.chosen[number].shape].start)
+    value = shape.parameters(together.coefficients[part])
+    others = [shape.parameters(half[part]) for half in together.halves]
+    draws = np.random.default_rng(0).normal(size=(200, part.stop - part.start)) * together.deviation[part] + together.coefficients[part]
+    cloud = [shape.parameters(draw) for draw in draws]
+    out = {}
+    for key, mean in value.items():
+        own = float(np.nanstd([c[key] for c in cloud]))
+        halves = abs(others[0][key] - others[1][key]) / 2.0
+        out[key] = (mean, float(np.hypot(own, halves)))
+    return out
+
+
+__all__ = ["Diagnosis", "Hypothesis", "Options", "diagnose", "hypothesis_parameters"]

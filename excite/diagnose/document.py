@@ -1,0 +1,122 @@
+"""`diagnosis.json`: the contract's document of a diagnosis."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from .catalogue import BY_NAME
+from .diagnosis import Diagnosis, hypothesis_parameters
+from .effect import Shape
+from .judge import Hypothesis
+
+SCHEMA = "excite.diagnosis/1"
+REGIMES = {
+    "stribeck": "speed",
+    "nonlinear_viscous": "speed",
+    "drag": "speed",
+    "asymmetric_viscous": "direction",
+    "load_friction": "load",
+    "torque_saturation": "load",
+    "position_friction": "position",
+    "spring": "position",
+    "torque_ripple": "order",
+    "encoder_error": "order",
+    "hysteresis": "reversal",
+    "backlash": "reversal",
+    "thermal_drift": "run time",
+    "contact": "time",
+    "delay": "frequency",
+    "elasticity": "frequency",
+    "base_compliance": "frequency",
+    "coupling": "other joints",
+}
+
+
+def document(found: Diagnosis) -> dict[str, Any]:
+    """Everything that a diagnosis says."""
+    joints = found.identified.model.robot.joints
+    share = 1.0 - (found.floor / np.maximum(found.before, 1e-300)) ** 2
+    rows = {
+        joint: {
+            "noise_floor": float(found.floor[i]),
+            "noise_floor_method": found.method,
+            "rmse_before": float(found.before[i]),
+            "rmse_after": float(found.after[i]),
+            "systematic_share": float(max(share[i], 0.0)),
+            "unexplained_share": float(found.unexplained[i]),
+        }
+        for i, joint in enumerate(joints)
+    }
+    findings = [_finding(found, i) for i in range(len(found.verdict.chosen))]
+    return {
+        "schema": SCHEMA,
+        "verdict": found.name,
+        "findings": sorted(findings, key=lambda f: -f["probability"]),
+        "joints": rows,
+        "unknown": [_unknown(found, j) for j in found.unknown],
+        "considered": [_considered(found, h) for h in found.verdict.considered],
+        "band_hz": found.options.band,
+    }
+
+
+def _joint(found: Diagnosis, joint: int | None) -> str | None:
+    return None if joint is None else found.identified.model.robot.joints[joint]
+
+
+def _where(found: Diagnosis, shape: Shape) -> dict[str, Any]:
+    place = "all joints" if shape.joint is None else f"joint '{_joint(found, shape.joint)}'"
+    where: dict[str, Any] = {
+        "statement": f"{place}: {BY_NAME[shape.effect].signature}",
+        "regime": REGIMES.get(shape.effect, "all"),
+        "time": None if shape.interval is None else list(shape.interval),
+    }
+    if shape.interval is not None:
+        where["recording"] = next((t.piece.source for half in found.tracks for t in half), "")
+    return where
+
+
+def _finding(found: Diagnosis, number: int) -> dict[str, Any]:
+    hypothesis = found.verdict.chosen[number]
+    shape, effect = found.design.shapes[hypothesis.shape], BY_NAME[hypothesis.effect]
+    values = hypothesis_parameters(found.design, found.verdict, number)
+    out: dict[str, Any] = {
+        "effect": hypothesis.effect,
+        "joint": _joint(found, hypothesis.joint),
+        "probability": found.verdict.probability[number],
+        "equivalents": list(found.verdict.equivalents[number]),
+        "where": _where(found, shape),
+        "parameters": {key: {"value": v, "std": s, "unit": effect.units.get(key, "")} for key, (v, s) in values.items() if np.isfinite(v)},
+        "evidence": {"severity": hypothesis.size, "held_out_gain": hypothesis.trial.gain},
+        "experiment": effect.experiment,
+    }
+    if shape.other is not None:
+        out["from"] = _joint(found, shape.other)
+    return out
+
+
+def _considered(found: Diagnosis, hypothesis: Hypothesis) -> dict[str, Any]:
+    shape, effect = found.design.shapes[hypothesis.shape], BY_NAME[hypothesis.effect]
+    values = shape.parameters(hypothesis.trial.coefficients)
+    return {
+        "effect": hypothesis.effect,
+        "joint": _joint(found, hypothesis.joint),
+        "probability": 0.0,
+        "equivalents": [],
+        "where": _where(found, shape),
+        "parameters": {key: {"value": v, "std": None, "unit": effect.units.get(key, "")} for key, v in values.items() if np.isfinite(v)},
+        "evidence": {"severity": hypothesis.size, "held_out_gain": hypothesis.trial.gain},
+        "experiment": effect.experiment,
+    }
+
+
+def _unknown(found: Diagnosis, joint: int) -> dict[str, Any]:
+    name = found.identified.model.robot.joints[joint]
+    share = float(found.unexplained[joint])
+    return {
+        "joint": name,
+        "where": {"statement": f"joint '{name}': torque that repeats and that no effect of the catalogue takes"},
+        "share": share,
+        "probability": float(np.clip(0.5 + 0.5 * share, 0.5, 0.99)),
+    }

@@ -1,0 +1,163 @@
+"""Recordings as a diagnosis sees them: motion, measured torque and what the base model makes of them, on one band."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from ..identify.band import EDGE, WIDER, Band, Grid
+from ..identify.equations import Model, filtered
+from ..identify.signals import Piece
+from ..parameters import Parameters
+from ..robot import Robot
+from ..trajectory import Samples
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Body:
+    """The rigid robot that the base fit found. model: Pinocchio's, with its inertias. psi: ψ̂. Shape (P,)."""
+
+    robot: Robot
+    parameters: Parameters
+    model: pin.Model
+    psi: Array
+
+    def drive(self, kind: str) -> Array:
+        """A drive parameter of every joint, 0 where the base model has none. Shape (n,)."""
+        if kind not in self.parameters.drive:
+            return np.zeros(self.robot.n)
+        return np.asarray(self.psi[self.parameters.block(kind)])
+
+
+def body(robot: Robot, parameters: Parameters, psi: Array) -> Body:
+    """The robot with bodies ψ."""
+    model = robot.model.copy()
+    for i in range(parameters.bodies):
+        model.inertias[i + 1] = pin.Inertia.FromDynamicParameters(psi[10 * i : 10 * i + 10])
+    return Body(robot, parameters, model, psi)
+
+
+@dataclass(frozen=True)
+class Track:
+    """One stretch of a recording. torque: measured, below the band, at the kept rows. Shape (N, n). gamma: Γ there. Shape (N, n, p).
+
+    theta: θ̂ of the base fit. slopes: of torque by the log of
+    friction's width. Shape (N, n). time: of the kept rows [s]. piece: as recorded. body: the base fit.
+    """
+
+    piece: Piece
+    band: Band
+    body: Body
+    widths: Array
+    theta: Array
+    torque: Array
+    gamma: Array
+    slopes: Array
+    kept: slice
+    time: Array
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def n(self) -> int:
+        return int(self.torque.shape[1])
+
+    @functools.cached_property
+    def fine(self) -> Samples:
+        """Motion at every sample of the recording. Shapes (M, n)."""
+        position = self.band.transformed(self.piece.q)
+        return Samples(position.low(Grid.RECORDED, 0, WIDER), position.low(Grid.RECORDED, 1, EDGE), position.low(Grid.RECORDED, 2, WIDER))
+
+    @functools.cached_property
+    def coarse(self) -> Samples:
+        """Motion where rigid-body dynamics are evaluated. Shapes (C, n)."""
+        position = self.band.transformed(self.piece.q)
+        return Samples(*(position.low(Grid.COARSE, order, WIDER) for order in range(3)))
+
+    @functools.cached_property
+    def clock(self) -> Array:
+        """Times of every sample [s]. Shape (M,)."""
+        return self.piece.start + np.arange(len(self.piece)) / self.piece.rate
+
+    def reduce(self, x: Array, of: Grid = Grid.RECORDED) -> Array:
+        """Below the band, at the kept rows. Shapes (M or C, …) -> (N, …)."""
+        return self.band.low(x, Grid.KEPT, of=of)[self.kept]
+
+    def upsampled(self, x: Array) -> Array:
+        """From the coarse grid to every sample. Shapes (C, k) -> (M, k)."""
+        t = np.arange(len(x)) / self.band.rate_of(Grid.COARSE)
+        fine = np.arange(len(self.piece)) / self.piece.rate
+        return np.column_stack([np.interp(fine, t, column) for column in x.T])
+
+    @functools.cached_property
+    def rigid(self) -> Array:
+        """Torque of the rigid bodies alone, without drives, at the coarse samples. Shape (C, n)."""
+        return self._inverse(self.coarse.q, self.coarse.dq, self.coarse.ddq)
+
+    @functools.cached_property
+    def transmitted(self) -> Array:
+        """What the gear carries: the rigid bodies' torque at every sample. Shape (M, n)."""
+        return self.upsampled(self.rigid)
+
+    @functools.cached_property
+    def motor(self) -> Array:
+        """What the base model says the drive makes: rigid, rotor, friction, offset, at every sample. Shape (M, n)."""
+        s, drive = self.fine, self.body.drive
+        friction = drive("viscous") * s.dq + drive("coulomb") * np.tanh(s.dq / self.widths)
+        return self.transmitted + drive("rotor_inertia") * s.ddq + friction + drive("offset")
+
+    def _inverse(self, q: Array, dq: Array, ddq: Array) -> Array:
+        robot, data = self.body.robot, self.body.model.createData()
+        Q, V, A = robot.expand(q), dq @ robot.spread.T, ddq @ robot.spread.T
+        out = np.array([pin.rnea(self.body.model, data, *state) for state in zip(Q, V, A, strict=True)])
+        return out @ robot.spread
+
+    @functools.cached_property
+    def derivatives(self) -> tuple[Array, Array, Array]:
+        """∂τ/∂q, ∂τ/∂q̇ and M of the rigid bodies at the coarse samples. Three arrays of shape (C, n, n)."""
+        robot, model = self.body.robot, self.body.model
+        data, s = model.createData(), self.coarse
+        out = np.empty((3, len(s), robot.n, robot.n))
+        for t, (q, v, a) in enumerate(zip(robot.expand(s.q), s.dq @ robot.spread.T, s.ddq @ robot.spread.T, strict=True)):
+            by_q, by_v, mass = pin.computeRNEADerivatives(model, data, q, v, a)
+            full = np.triu(mass) + np.triu(mass, 1).T
+            for k, matrix in enumerate((by_q, by_v, full)):
+                out[k, t] = robot.spread.T @ matrix @ robot.spread
+        return out[0], out[1], out[2]
+
+    @functools.cached_property
+    def gravity(self) -> Array:
+        """Torque of a unit acceleration of the base against x, y and z: −∂τ/∂g. Shape (C, n, 3)."""
+        robot = self.body.robot
+        out = np.empty((len(self.coarse), robot.n, 3))
+        q, rest = self.coarse.q, np.zeros_like(self.coarse.q)
+        for axis in range(3):
+            model = self.body.model.copy()
+            model.gravity.linear = -np.eye(3)[axis]
+            data = model.createData()
+            torque = [pin.rnea(model, data, one, still, still) for one, still in zip(robot.expand(q), rest @ robot.spread.T, strict=True)]
+            out[:, :, axis] = np.array(torque) @ robot.spread
+        return out
+
+
+def tracks(model: Model, fitted: Body, theta: Array, pieces: Sequence[Piece], hertz: float) -> list[Track]:
+    """Every stretch that is long enough for the band."""
+    out = []
+    for piece in pieces:
+        band = Band(hertz, piece.rate, len(piece))
+        step, margin = band.steps(Grid.KEPT), band.margin
+        kept = slice(margin // step, -(-(len(piece) - margin) // step))
+        if len(piece) <= 2 * margin + 8 * step:
+            continue
+        gamma, slopes, _ = filtered(model, piece.q, band)
+        torque = band.low(piece.torque, Grid.KEPT)
+        time = piece.start + np.arange(len(torque)) * step / piece.rate
+        out.append(Track(piece, band, fitted, model.widths, theta, torque[kept], gamma[kept], slopes[kept], kept, time[kept]))
+    return out

@@ -1,0 +1,57 @@
+"""`excite diagnose` from the command line."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from . import arguments as told
+from . import artefact, base, files, parameters, recordings
+from .diagnose import diagnosis
+from .diagnose.document import document
+from .errors import UnusableInput
+from .identify import model, priors
+
+Outcome = tuple[int, Any, str]
+
+
+def diagnose(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outcome:
+    """Read, diagnose, report."""
+    from . import report
+
+    robot = told.robot(arguments)
+    table = told.limits(arguments, robot)
+    standard = parameters.standard(robot, table, parameters.DRIVE)
+    found = base.find(robot, standard, table)
+    train, held_out = ([recordings.read(Path(path), robot, table) for path in paths] for paths in (arguments.recordings, arguments.validate))
+    for one in held_out:
+        for other in train:
+            if len(one) == len(other) and np.array_equal(one.q, other.q):
+                raise UnusableInput(f"{one.source}: is the same motion as {other.source}, sample by sample; validate with another recording")
+    known = priors.trusted(Path(arguments.prior), standard) if arguments.prior else {}
+    result = diagnosis.diagnose(robot, standard, found, train, held_out, diagnosis.Options(arguments.band, known), say)
+    told_all = document(result)
+    contents = {
+        "diagnosis.json": artefact.dumps(told_all),
+        "model.json": artefact.dumps(model.document(result.identified, train)),
+        "report.html": report.diagnosis_page(result, told_all),
+    }
+    written = files.write_all(Path(arguments.out), contents)
+    return 0, told_all | {"files": [str(path) for path in written]}, _text(told_all, [str(path) for path in written])
+
+
+def _text(stated: dict[str, Any], written: list[str]) -> str:
+    lines = [f"verdict: {stated['verdict']}"]
+    for one in stated["findings"]:
+        place = one["joint"] or "the whole robot"
+        values = ", ".join(f"{key} {v['value']:.4g} ± {v['std']:.2g} {v['unit']}" for key, v in one["parameters"].items())
+        alike = f" (or {', '.join(one['equivalents'])})" if one["equivalents"] else ""
+        lines.append(f"{one['effect']}{alike} at {place}, probability {one['probability']:.2f}: {values}")
+    lines += [f"unknown at {one['joint']}: {100 * one['share']:.0f} % of what is left repeats" for one in stated["unknown"]]
+    lines.append(f"{'joint':25}{'before':>11}{'after':>11}{'noise':>11}")
+    lines += [f"{j:25}{v['rmse_before']:11.4g}{v['rmse_after']:11.4g}{v['noise_floor']:11.4g}" for j, v in stated["joints"].items()]
+    return "\n".join([*lines, *(f"wrote {path}" for path in written)])

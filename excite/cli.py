@@ -18,6 +18,18 @@ EXAMPLES = """examples:
   excite export out/ur10e/trajectory.json --format urscript -o ur10e.script
   excite identify ur10e monday.csv --validate tuesday.csv -o out/model
   excite predict out/model/model.json wednesday.csv -o torque.csv
+  excite design ur10e --given monday.csv --validation -o out/next
+"""
+
+
+RECORDINGS = """recordings:
+  A CSV has columns t, q.<joint> and tau.<joint> [s, rad or m, N m or N], or i.<joint> [A] with a drive_gain per joint; dq, qref,
+  qlink and temp are read too. run.json beside run.csv says what columns cannot: {"schema": "excite.recording/1", "period": 6.2,
+  "periodic": [0.8, 25.6], "drive_gain": {"elbow": 0.11}}. A noise floor takes two whole periods within that window.
+
+examples:
+  excite identify ur10e monday.csv --validate tuesday.csv -o out/model
+  excite identify arm.urdf a.csv b.csv --validate c.csv --period 8 --bounds masses.toml --check-lmi -o out/model
 """
 
 
@@ -32,7 +44,7 @@ def parser() -> argparse.ArgumentParser:
     """The whole command line."""
     top = _Parser(
         prog="excite",
-        description="Optimal excitation trajectories for robot identification.",
+        description="Excitation trajectories for robots, and physically consistent parameters from what was recorded.",
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -166,6 +178,7 @@ def _identifiability(commands: Commands) -> None:
 
 def _identify(commands: Commands) -> None:
     sub = _command(commands, "identify", "find physically consistent parameters from recordings, and say how sure they are")
+    sub.epilog, sub.formatter_class = RECORDINGS, argparse.RawDescriptionHelpFormatter
     sub.add_argument("-o", dest="out", metavar="DIR", required=True, help="folder for model.json, identified.urdf, report.html")
     _robot_options(sub)
     sub.add_argument("recordings", metavar="RECORDING", nargs="+", help="CSV, .npz, rosbag2 folder, .mcap or ur_rtde CSV")
@@ -173,17 +186,36 @@ def _identify(commands: Commands) -> None:
     group = sub.add_argument_group("parameters")
     group.add_argument("--without", metavar="A,B,…", default="", help="leave out of: rotor_inertia, viscous, coulomb, offset")
     group.add_argument("--parameters", choices=("inertial", "full"), default="full", help="full: with all these (default)")
-    group.add_argument("--threshold", type=float, default=1e-2, help="largest scale-free variance of what is identified")
+    group.add_argument(
+        "--threshold", type=float, default=1e-2, help="largest scale-free variance of what counts as identified (default %(default)s)"
+    )
     group = sub.add_argument_group("signals")
     group.add_argument("--band", type=float, metavar="HZ", help="torque below this frequency is fitted (default: from the data)")
     group.add_argument("--period", type=float, metavar="S", help="of the excitation, where the recording's .json does not say it")
     group.add_argument("--window", metavar="T0,T1", help="where it repeats, with --period (default: the whole recording) [s]")
     group.add_argument("--align", action="store_true", help="move each joint's torque by the delay that is found")
     group = sub.add_argument_group("estimation")
-    group.add_argument("--estimator", choices=("ols", "wls", "full", "huber", "iv"), default="wls", help="default %(default)s")
-    group.add_argument("--distance", choices=("riemannian", "bregman", "pullback", "euclidean"), default="bregman", help="of bodies")
-    group.add_argument("--gamma", default="evidence", metavar="G", help="weight of the nominal robot: evidence, heldout or numbers")
-    group.add_argument("--hausman", action="store_true", help="test whether instruments are needed; takes the commanded motion, qref")
+    group.add_argument(
+        "--estimator",
+        choices=("ols", "wls", "full", "huber", "iv"),
+        default="wls",
+        help="all rows alike; weighted by each joint's noise; by its covariance; robust to outliers; instruments (default %(default)s)",
+    )
+    group.add_argument(
+        "--distance",
+        choices=("riemannian", "bregman", "pullback", "euclidean"),
+        default="bregman",
+        help="how far a body is from the nominal one (default %(default)s)",
+    )
+    group.add_argument(
+        "--gamma",
+        default="evidence",
+        metavar="G",
+        help="weight of the nominal robot: evidence, heldout (blocks left out), a number, or two for bodies,drives (default %(default)s)",
+    )
+    group.add_argument(
+        "--hausman", action="store_true", help="test whether instruments are needed; takes the commanded motion, qref.<joint>"
+    )
     group.add_argument("--simulate", action="store_true", help="also judge the model by positions simulated ahead")
     group.add_argument("--refine", action="store_true", help="refine the parameters against positions simulated ahead")
     group.add_argument("--check-lmi", action="store_true", help="solve for consistent parameters by a conic solver too, and compare")
@@ -194,8 +226,8 @@ def _identify(commands: Commands) -> None:
 def _predict(commands: Commands) -> None:
     sub = _command(commands, "predict", "predict torque along a recording by an identified model")
     sub.add_argument("model", metavar="MODEL", help="the model.json of 'excite identify'")
-    sub.add_argument("recording", metavar="RECORDING")
-    sub.add_argument("-o", dest="out", metavar="FILE.csv", required=True)
+    sub.add_argument("recording", metavar="RECORDING", help="the motion; a designed trajectory.csv will do too")
+    sub.add_argument("-o", dest="out", metavar="FILE.csv", required=True, help="t,tau.<joint>… at the recording's own times")
 
 
 def _diagnose(commands: Commands) -> None:
@@ -205,7 +237,7 @@ def _diagnose(commands: Commands) -> None:
     sub.add_argument("recordings", metavar="RECORDING", nargs="+", help="recordings that the model is fitted to")
     sub.add_argument("--validate", metavar="RECORDING", nargs="+", default=[], help="recordings to judge by (needed)")
     sub.add_argument("--prior", metavar="FILE", help="what is right as it stands: excite.prior/1 or a model.json")
-    sub.add_argument("--band", type=float, default=20.0, metavar="HZ", help="torque below this frequency is looked at (default %(default)s)")
+    sub.add_argument("--band", type=float, default=20.0, metavar="HZ", help="torque below this is looked at (default %(default)s)")
 
 
 def _simulate(commands: Commands) -> None:

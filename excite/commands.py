@@ -122,12 +122,11 @@ def _design(arguments: argparse.Namespace) -> Outcome:
     planned = None if arguments.time is None else plan.budgeted(robot, table, options, wish, arguments.time, start=start, given=given)
     if planned is not None:
         notes["plan"] = planned.facts()
-    run = partial(
-        workflow.run, robot, table, start=start, given=given, notes=notes, force=arguments.force, speed=arguments.speed, progress=_say
-    )
+    run = partial(workflow.run, robot, table, start=start, notes=notes, force=arguments.force, speed=arguments.speed, progress=_say)
 
     def deliver(apart: Apart | None = None) -> workflow.Delivery:
-        one = partial(run, apart=apart)
+        # a motion to judge by should show everything, known or not
+        one = partial(run, apart=apart, given=given if apart is None else None)
         return one(options) if planned is None else plan.deliver(planned, options, one)
 
     delivery = deliver()

@@ -27,11 +27,12 @@ def diagnose(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outco
     table = told.limits(arguments, robot)
     standard = parameters.standard(robot, table, parameters.DRIVE)
     found = base.find(robot, standard, table)
-    train, held_out = ([recordings.read(Path(path), robot, table) for path in paths] for paths in (arguments.recordings, arguments.validate))
+    both = (arguments.recordings, arguments.validate)
+    train, held_out = ([recordings.read(Path(path), robot, table) for path in paths] for paths in both)
     for one in held_out:
         for other in train:
             if len(one) == len(other) and np.array_equal(one.q, other.q):
-                raise UnusableInput(f"{one.source}: is the same motion as {other.source}, sample by sample; validate with another recording")
+                raise UnusableInput(f"{one.source}: is the same motion as {other.source}; validate with another recording")
     known = priors.trusted(Path(arguments.prior), standard) if arguments.prior else {}
     result = diagnosis.diagnose(robot, standard, found, train, held_out, diagnosis.Options(arguments.band, known), say)
     told_all = document(result)

@@ -16,6 +16,8 @@ TIGHT = 0.04
 """Rows with less room than this take part from the beginning."""
 PAD = 32
 TOLERANCE = 1e-6
+# HiGHS now: highspy, which cvxpy imports, has another version under the same name, and CasADi would crash on that one.
+ca.load_conic("highs")
 _SETTINGS: dict[str, dict[str, object]] = {
     "daqp": {"daqp": {"eps_prox": 1e-6}},
     "highs": {"highs": {"output_flag": False, "time_limit": 1.0}},

@@ -23,8 +23,10 @@ import pinocchio as pin
 
 from excite import artefact, base, identifiability, limits, parameters, robot, workflow
 from excite.identify import confidence, identification
+from excite.identify.band import Band
 from excite.identify.identification import Identification, Options
 from excite.plant import laboratory, record
+from excite.plant.chain import Chain
 from excite.plant.laboratory import Session, Setting
 from excite.problem import Options as DesignOptions
 from excite.recordings import Recording, Sidecar
@@ -100,7 +102,15 @@ def one(setup: Bench, seed: int, frame: Array) -> tuple[Array, Array, Array]:
     half = confidence.half_widths(found.data, frame)
     own = confidence.half_widths(found.data, np.eye(len(off)))
     validation = found.validations[0]
-    return frame @ off / half, off / own, validation.error() / setup.held_out.chain.floor(found.spectra.hertz)
+    return frame @ off / half, off / own, validation.error() / floor(setup.held_out.chain, found.spectra.hertz)
+
+
+def floor(chain: Chain, hertz: float) -> Array:
+    """RMS of the torque's noise as the estimator's filter leaves it, whose edge is not sharp. Shape (n,) [N m]."""
+    edges = np.linspace(0.0, hertz, 201)[1:]
+    power = np.diff([chain.floor(f) ** 2 for f in edges], axis=0, prepend=0.0)
+    gain = Band(hertz, chain.rate, 1).gain(edges, hertz)
+    return np.sqrt(np.sum(gain[:, None] ** 2 * power, axis=0))
 
 
 def main() -> None:

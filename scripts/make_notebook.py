@@ -1,4 +1,4 @@
-"""Write `notebooks/first_trajectory.ipynb`: cells as text here, so that changes can be read in a diff."""
+"""Write the notebooks: cells as text here, so that changes can be read in a diff."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import nbformat
 
-CELLS = [
+FIRST_TRAJECTORY = [
     (
         "markdown",
         """# A first excitation trajectory
@@ -16,7 +16,8 @@ Run from the repository's `notebooks/` folder after `scripts/excite robots` has 
     ),
     (
         "code",
-        """import numpy as np
+        """%matplotlib inline
+import numpy as np
 from IPython.display import display
 from matplotlib.figure import Figure
 
@@ -53,8 +54,13 @@ of physically consistent parameters, and for D-optimality.""",
 for criterion, delivery in results.items():
     scores = delivery.trajectory.criteria["optimum"]["geometric"]
     worst = delivery.certificate.worst()
-    print(criterion.name, {k: float(f"{v:.4g}") for k, v in scores.items()}, "certified:", delivery.certificate.ok,
-          f"| nearest limit: {worst.limit} of {worst.joint}, {100 * worst.room:.2f} % left")""",
+    print(
+        criterion.name,
+        {k: float(f"{v:.4g}") for k, v in scores.items()},
+        "certified:",
+        delivery.certificate.ok,
+        f"| nearest limit: {worst.limit} of {worst.joint}, {100 * worst.room:.2f} % left",
+    )""",
     ),
     (
         "code",
@@ -104,15 +110,184 @@ scripts/excite export out/two_link/trajectory.json --format ros2-joint-trajector
     ),
 ]
 
+IDENTIFY_AND_DESIGN_AGAIN = [
+    (
+        "markdown",
+        """# From recordings to parameters, and what to record next
 
-def main() -> None:
+Design a motion, record a robot that follows it, identify the robot, and let what is still unknown decide the next motion.
+The robot here is simulated by `excite.plant` (`pip install 'excite[trial]'`), which shares no code with the estimator: its
+bodies are about 5 % off the URDF, its friction, rotor inertia and offsets are in no file. Record your own instead where you have one.""",
+    ),
+    (
+        "code",
+        """%matplotlib inline
+import json
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from IPython.display import display
+from matplotlib.figure import Figure
+
+from excite import artefact, base, limits, parameters, recordings, robot, workflow
+from excite.identify import identification
+from excite.plant import laboratory
+from excite.problem import Options
+
+arm = robot.load("ur10e")
+bounds = limits.resolve(arm)
+psi = parameters.standard(arm, bounds)
+theta = base.find(arm, psi, bounds)
+folder = Path(tempfile.mkdtemp())""",
+    ),
+    (
+        "markdown",
+        """## Design and record
+
+Two motions: one to fit, one of another seed to judge the model by. Short searches, so that this page runs in seconds.
+Three periods each: the first half second is left out until the loop has settled, and a noise floor takes two whole ones. A recording is a
+CSV of `t`, `q.<joint>` and `tau.<joint>`; the `.json` beside it says after what time the motion repeats.""",
+    ),
+    (
+        "code",
+        """def design(name, given=None, **options):
+    delivery = workflow.run(arm, bounds, Options(period=5.0, periods=3, starts=1, iterations=40, **options), given=given)
+    (folder / f"{name}.json").write_text(artefact.dumps(delivery.trajectory.document()))
+    print(f"{name}: {delivery.trajectory.motion.duration:.1f} s, certified: {delivery.certificate.ok}")
+
+
+def record(name):
+    setting = laboratory.Setting(seed=3, rate=250.0)
+    measured = laboratory.simulate(robot.locate("ur10e"), folder / f"{name}.json", setting).recording
+    (folder / f"{name}_recorded.csv").write_text(measured.csv())
+    (folder / f"{name}_recorded.json").write_text(json.dumps(measured.sidecar()))
+    return recordings.read(folder / f"{name}_recorded.csv", arm, bounds)
+
+
+design("first")
+design("judge", seed=7)
+first, judge = record("first"), record("judge")""",
+    ),
+    (
+        "markdown",
+        """## Identify, and predict a motion that was not used
+
+Every link comes out as a body that could be built. The noise floor is what differs between repeated periods, by the same filter: no
+model can be below it but by chance.""",
+    ),
+    (
+        "code",
+        """def report(found):
+    held_out = found.validations[0]
+    print(f"{found.analysis.identifiable} of {theta.count} directions identified, band {found.spectra.hertz:g} Hz")
+    print(f"{'torque error, held out [N m]':30}{'URDF':>9}{'identified':>12}{'noise floor':>13}")
+    for row in zip(arm.joints, held_out.error("nominal"), held_out.error(), held_out.floor, strict=True):
+        print("{:30}{:9.3g}{:12.3g}{:13.3g}".format(*row))
+
+
+before = identification.identify(arm, psi, theta, [first], [judge])
+report(before)""",
+    ),
+    (
+        "code",
+        """held_out = before.validations[0]
+figure = Figure(figsize=(9, 4.5), layout="constrained")
+axes = figure.subplots(2, 2, sharex=True, height_ratios=(2, 1))
+for column, joint in zip(axes.T, (1, 4), strict=True):
+    column[0].plot(held_out.time, held_out.measured[:, joint], color="0.2", label="measured")
+    column[0].plot(held_out.time, held_out.nominal[:, joint], color="0.7", label="by the URDF")
+    column[0].plot(held_out.time, held_out.fitted[:, joint], color="tab:blue", linestyle="--", label="identified")
+    column[0].set(title=arm.joints[joint], ylabel="torque [N m]")
+    column[1].plot(held_out.time, held_out.measured[:, joint] - held_out.fitted[:, joint], color="tab:orange", linewidth=0.7)
+    for sign in (-2.0, 2.0):
+        column[1].axhline(sign * held_out.floor[joint], color="0.4", linestyle=":")
+    column[1].set(xlabel="time [s]", ylabel="residual [N m]")
+figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=3, frameon=False)
+axes[1, 1].set_title("dotted: two noise floors", fontsize="small")
+display(figure)""",
+    ),
+    (
+        "markdown",
+        """## What is still missing
+
+Directions of the parameters, the worst first: what one would fit there by the data alone. In the model, the prior decides these.""",
+    ),
+    (
+        "code",
+        """weak = [d for d in before.analysis.directions if not d.identifiable]
+for direction in weak[::-1][:6]:
+    print("-", direction.words)""",
+    ),
+    (
+        "markdown",
+        """## Design again, for what is missing
+
+`given` is the information of the first recording. The search then no longer pays for what is known. The noise that the
+recording has shown replaces the assumed one, at the density of the trajectory's 100 rows a second.""",
+    ),
+    (
+        "code",
+        """root = before.data.root @ theta.matrix
+noise = before.data.noise * np.sqrt(0.5 * 100.0 / before.spectra.hertz)
+design("second", given=root.T @ root, noise=tuple(noise))
+after = identification.identify(arm, psi, theta, [first, record("second")], [judge])
+report(after)""",
+    ),
+    (
+        "markdown",
+        """Was it worth another motion, or would the first one once more have done? Repeating it halves every variance.""",
+    ),
+    (
+        "code",
+        """once, both = (1.0 / found.analysis.eigenvalues for found in (before, after))
+figure = Figure(figsize=(8, 3.2), layout="constrained")
+left, right = figure.subplots(1, 2, width_ratios=(2, 1))
+left.semilogy(once, "o", color="0.6", label="first recording")
+left.semilogy(0.5 * once, "--", color="0.6", label="the same motion once more")
+left.semilogy(both, "o", color="tab:blue", markersize=4, label="first and second")
+left.axhline(before.options.threshold, color="tab:red", linewidth=1)
+left.set(xlabel="direction, the best seen first", ylabel="scale-free variance 1/λ")
+left.legend(frameon=False)
+errors = [found.validations[0].error() / found.validations[0].floor for found in (before, after)]
+for place, (error, colour) in enumerate(zip(errors, ("0.6", "tab:blue"), strict=True)):
+    right.barh(np.arange(arm.n) + 0.4 * place, error, 0.4, color=colour)
+right.axvline(1.0, color="tab:red", linewidth=1)
+right.set(yticks=np.arange(arm.n) + 0.2, yticklabels=arm.joints, xlabel="held-out error over noise floor")
+right.invert_yaxis()
+display(figure)
+worst = slice(-len(weak), None)
+print(f"the {len(weak)} weak directions, median variance: {np.median(once[worst]):.3g} → {np.median(both[worst]):.3g}", end="")
+print(f", by the same motion once more {np.median(0.5 * once[worst]):.3g}")
+print("held-out error over the noise floor, RMS over joints: {:.3f} → {:.3f}".format(*(np.sqrt(np.mean(e**2)) for e in errors)))""",
+    ),
+    (
+        "markdown",
+        """The command line does the same, with a report that draws all of this and more:
+
+```
+scripts/excite identify ur10e first.csv --validate judge.csv -o out/model
+scripts/excite design ur10e --given first.csv --validation -o out/second
+scripts/excite identify ur10e first.csv second.csv --validate judge.csv -o out/better
+```""",
+    ),
+]
+
+NOTEBOOKS = {"first_trajectory": FIRST_TRAJECTORY, "identify_and_design_again": IDENTIFY_AND_DESIGN_AGAIN}
+
+
+def written(name: str, cells: list[tuple[str, str]]) -> None:
     notebook = nbformat.v4.new_notebook()
-    for number, (kind, text) in enumerate(CELLS):
+    for number, (kind, text) in enumerate(cells):
         cell = nbformat.v4.new_markdown_cell(text) if kind == "markdown" else nbformat.v4.new_code_cell(text)
         cell["id"] = f"cell-{number}"
         notebook.cells.append(cell)
-    target = Path(__file__).resolve().parent.parent / "notebooks" / "first_trajectory.ipynb"
-    nbformat.write(notebook, target)
+    nbformat.write(notebook, Path(__file__).resolve().parent.parent / "notebooks" / f"{name}.ipynb")
+
+
+def main() -> None:
+    for name, cells in NOTEBOOKS.items():
+        written(name, cells)
 
 
 if __name__ == "__main__":

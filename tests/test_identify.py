@@ -16,7 +16,7 @@ from made import PERIOD, RATE, WIDTH, motion, perturbed, recorded
 from excite import base, limits, parameters, robot
 from excite.errors import UnusableInput
 from excite.identify import confidence, consistent, distance, equations, estimators, identification, signals, widths
-from excite.identify.band import Band, Grid
+from excite.identify.band import TAPER, Band, Grid
 from excite.identify.consistent import Bounds, Prior
 from excite.identify.distance import Distance
 from excite.identify.equations import Equations, Model
@@ -84,6 +84,8 @@ def test_whole_periods_are_averaged_and_their_spread_is_the_noise(model, truth):
     assert (piece.periods, len(piece)) == (8, round(PERIOD * RATE))
     in_band = 0.5 * np.sqrt(20.0 / (RATE / 2))
     assert np.allclose(signals.floor([piece], 20.0), in_band, rtol=0.1)
+    left = np.sqrt(1.0 - TAPER * 5.0 / 8.0)  # mean square of half a raised cosine: 3/8
+    assert np.allclose(signals.floor([piece], 20.0, tapered=True), left * signals.floor([piece], 20.0), rtol=0.02)
 
 
 def test_a_period_that_is_no_whole_number_of_samples_is_interpolated(model, truth):
@@ -301,7 +303,7 @@ def test_held_out_torque_is_predicted_to_the_noise(model, truth):
     train, other = recorded(model, truth, motion(2), 8, 0.3), recorded(model, truth, motion(2, seed=5), 8, 0.3)
     found = identified(model, train, other)
     (prediction,) = found.validations
-    assert np.all(prediction.error() <= 1.05 * prediction.floor)
+    assert np.all(prediction.error() <= 1.05 * prediction.floor) and np.all(prediction.error() >= 0.95 * prediction.floor)
     assert np.all(prediction.error("nominal") > 2.0 * prediction.floor)
     assert consistent.is_consistent(model.parameters, found.psi)
     assert np.all(np.abs(found.delay.seconds) < 5 * found.delay.deviation + 2e-4)

@@ -130,13 +130,16 @@ def test_a_refined_model_is_checked_where_it_started(folder):
 
 
 def test_what_a_recording_left_open_is_designed_for(folder, capsys, tmp_path, monkeypatch):
-    """The command of the report: what earlier recordings showed, the new motion and the one to validate with need not show again."""
+    """The command of the report. What earlier recordings showed the new motion need not show again; the one to judge by shows it all."""
     quick = ("--starts", "1", "--iterations", "15", "--harmonics", "3", "--samples", "60")
+    given = ("--given", folder / "train.csv")
+    assert run("design", "two_link", *quick, *given, "--validation", "--json", "-o", tmp_path / "next") == 0
+    values = json.loads(capsys.readouterr().out)["validation"]["criterion"]
+    assert values["second"] < 2.0 * values["first"]
     monkeypatch.setattr(workflow, "SINGULAR", 0.1)
     assert run("design", "two_link", *quick, "-o", tmp_path / "alone") == 1
     assert "does not show all" in capsys.readouterr().err
-    assert run("design", "two_link", *quick, "--given", folder / "train.csv", "--validation", "-o", tmp_path / "next") == 0
-    assert (tmp_path / "next" / "validation" / "trajectory.json").exists()
+    assert run("design", "two_link", *quick, *given, "-o", tmp_path / "more") == 0
 
 
 def test_bad_input_is_one_line_that_names_the_remedy(folder, capsys, tmp_path):

@@ -17,3 +17,5 @@ def test_notebook_runs(path):
     NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(FOLDER)}}).execute()
     texts = [o.get("text", "") for cell in notebook.cells if cell.cell_type == "code" for o in cell.outputs]
     assert any("certified: True" in text for text in texts)
+    shown = [o.get("data", {}) for cell in notebook.cells if cell.cell_type == "code" for o in cell.outputs]
+    assert sum("image/png" in data for data in shown) == sum("display(figure)" in cell.source for cell in notebook.cells) > 0

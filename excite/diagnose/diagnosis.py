@@ -11,6 +11,7 @@ from ..base import Base
 from ..errors import UnusableInput
 from ..identify import consistent, identification, signals
 from ..identify.identification import Identification
+from ..identify.signals import Piece
 from ..parameters import Parameters
 from ..recordings import Recording
 from ..robot import Robot
@@ -28,6 +29,9 @@ QUIET = 1.2
 """RMSE over the noise floor at which a joint counts as explained."""
 MISFIT = {"periods": 0.1, "differences": 0.3}
 """Share of the residual taken for a form that is not quite the catalogue's, by how the noise is known."""
+RISING = 10.0
+LOUD = 2.0
+"""RMSE over the noise floor from which what is left is called something."""
 UNSAID = 0.45
 """Share of the excess over the noise that may stay unexplained beside a finding before it is called unknown."""
 
@@ -70,7 +74,7 @@ class Diagnosis:
         """Joints where something repeatable is left that no name takes."""
         excess = np.maximum(self.before**2 - self.floor**2, 0.0)
         left = np.maximum(self.after**2 - self.floor**2, 0.0)
-        loud = self.after > 1.5 * self.floor if self.verdict.chosen else self.before > 1.5 * self.floor
+        loud = self.after > LOUD * self.floor
         return [int(j) for j in np.flatnonzero(loud & (left > UNSAID * np.maximum(excess, 1e-300)))]
 
     @property
@@ -120,15 +124,35 @@ def diagnose(
 def _floor(
     identified: Identification, train: Sequence[Recording], validate: Sequence[Recording], hertz: float, halves: Sequence[list[Track]]
 ) -> tuple[Array, str]:
-    """Noise below the band: what differs between periods, else what the spectrum shows above the motion."""
-    spread = signals.floor(list(signals.pieces([*train, *validate])), hertz)
-    if spread is not None:
-        return np.maximum(spread, 1e-12), "periods"
-    noise = identified.spectra.noise
+    """Noise below the band: what differs between periods, else what the spectrum shows above the motion; and what noise of the positions
+    makes of the model's torque, which repeats with the motion where an encoder is coarse."""
+    pieces = list(signals.pieces([*train, *validate]))
+    spread, method = signals.floor(pieces, hertz, drift=_slow(pieces, hertz)), "periods"
+    if spread is None:
+        spread = signals.overlap_floor([*train, *validate], hertz)
+    if spread is None:
+        spread, method = _above(identified, hertz), "differences"
+    encoder = np.sqrt(np.mean([track.encoder_torque(identified.model, one) ** 2 for half in halves for one in half[:2]], axis=0))
+    return np.sqrt(np.maximum(spread, 1e-12) ** 2 + encoder**2), method
+
+
+def _above(identified: Identification, hertz: float) -> Array:
+    """Noise of the density that the torque has above the motion."""
     frequency = identified.spectra.frequency
     inside = frequency <= hertz
-    power = np.trapezoid(noise[inside], frequency[inside], axis=0)
-    return np.sqrt(np.maximum(power, 1e-24)), "differences"
+    return np.sqrt(np.maximum(np.trapezoid(identified.spectra.noise[inside], frequency[inside], axis=0), 1e-24))
+
+
+def _slow(pieces: Sequence[Piece], hertz: float) -> bool:
+    """Whether the noise is so slow that the means of periods differ by it: its density still rises at the lowest harmonics."""
+    rising = []
+    for piece in pieces:
+        if piece.noise is None:
+            continue
+        power = (np.abs(np.fft.rfft(piece.noise, axis=1)) ** 2).mean(axis=(0, 2))
+        frequency = np.fft.rfftfreq(len(piece), 1.0 / piece.rate)
+        rising.append(power[1:4].mean() > RISING * np.median(power[(frequency > 0.0) & (frequency <= hertz)]))
+    return bool(rising) and all(rising)
 
 
 def _half(tracks: list[Track], identified: Identification, options: Options, scale: Array) -> search.Half:

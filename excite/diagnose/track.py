@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from ..identify.band import EDGE, WIDER, Band, Grid
+from ..identify.band import WIDER, Band, Grid, edge, encoder_noise
 from ..identify.equations import Model, filtered
 from ..identify.signals import Piece
 from ..parameters import Parameters
@@ -72,8 +72,8 @@ class Track:
     @functools.cached_property
     def fine(self) -> Samples:
         """Motion at every sample of the recording. Shapes (M, n)."""
-        position = self.band.transformed(self.piece.q)
-        return Samples(position.low(Grid.RECORDED, 0, WIDER), position.low(Grid.RECORDED, 1, EDGE), position.low(Grid.RECORDED, 2, WIDER))
+        position, sharp = self.band.transformed(self.piece.q), edge(self.piece.q, self.band)
+        return Samples(position.low(Grid.RECORDED, 0, WIDER), position.low(Grid.RECORDED, 1, sharp), position.low(Grid.RECORDED, 2, WIDER))
 
     @functools.cached_property
     def coarse(self) -> Samples:
@@ -161,3 +161,13 @@ def tracks(model: Model, fitted: Body, theta: Array, pieces: Sequence[Piece], he
         time = piece.start + np.arange(len(torque)) * step / piece.rate
         out.append(Track(piece, band, fitted, model.widths, theta, torque[kept], gamma[kept], slopes[kept], kept, time[kept]))
     return out
+
+
+def encoder_torque(model: Model, one: Track) -> Array:
+    """RMS torque below the band that as much noise again on the positions would make of the base model. Shape (n,) [N m]."""
+    noise = encoder_noise(one.piece.q)
+    if not noise.any():
+        return np.zeros(one.n)
+    rng = np.random.default_rng(0)
+    gamma, _, _ = filtered(model, one.piece.q + noise * rng.normal(size=one.piece.q.shape), one.band)
+    return np.asarray(np.sqrt(np.mean(((gamma[one.kept] - one.gamma) @ one.theta) ** 2, axis=0)))

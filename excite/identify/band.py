@@ -23,6 +23,8 @@ WIDER = 2.0
 """Positions keep this many bands: torque below the band depends on motion above it, the more so where a joint reverses."""
 EDGE = 10.0
 """The speed in Coulomb friction keeps this many bands: its steps are placed by it."""
+QUIET = 1e-3
+"""Noise of a speed that blurs no friction step [rad/s]."""
 DENSE = 3.0
 """The regressor is sampled at this many times twice the band before it is filtered: products of motions reach beyond it."""
 
@@ -162,3 +164,31 @@ def _fast(least: int) -> int:
             three *= 3
         five *= 5
     return best
+
+
+def encoder_noise(positions: Array) -> Array:
+    """Standard deviation of positions by the encoder's resolution, step/√12. Shapes (M, n) -> (n,) [rad or m]."""
+    out = np.zeros(positions.shape[1])
+    for joint, q in enumerate(positions.T):
+        steps = np.abs(np.diff(q))
+        steps = steps[steps > 0.0]
+        if len(steps):
+            out[joint] = np.percentile(steps, 1.0) / np.sqrt(12.0) if _stepped(q) else 0.0
+    return out
+
+
+def _stepped(q: Array) -> bool:
+    """Whether many samples repeat the one before: a resolution that shows."""
+    return bool(np.mean(np.diff(q) == 0.0) > 0.02)
+
+
+def edge(positions: Array, band: Band) -> float:
+    """How many bands the speed in Coulomb friction may keep: EDGE, or as many as leave it quieter than QUIET with a coarse encoder.
+
+    White noise σ of positions makes σ 2πf √(2f/3f_s) of speed below f.
+    """
+    noise = float(encoder_noise(positions).max(initial=0.0))
+    if noise == 0.0:
+        return EDGE
+    f = (QUIET / (2.0 * np.pi * noise) * np.sqrt(1.5 * band.rate)) ** (2.0 / 3.0)
+    return float(np.clip(f / band.hertz, 1.0, EDGE))

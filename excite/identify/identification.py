@@ -166,10 +166,9 @@ def identify(
     if options.method is Method.IV or options.hausman:
         progress("instruments from a simulated robot that follows the reference")
         instrumented, endogeneity = _instrumented(own, recordings, posterior.psi)
-        if options.method is Method.IV:
-            data = instrumented
-            prior, tried = _prior(parameters, base, rows, data, options)
-            posterior = _posterior(parameters, base, data, prior, options)
+        data = instrumented if options.method is Method.IV else data
+        prior, tried = _prior(parameters, base, rows, data, options)
+        posterior = _posterior(parameters, base, data, prior, options)
     simulation = None
     if options.simulate or options.refine:
         progress("simulating ahead")
@@ -178,9 +177,8 @@ def identify(
     analysis = identifiability.analyse_root(
         scaled, sized, data.root @ base.matrix, data.noise, robot, threshold=options.threshold, samples=sum(len(r) for r in recordings)
     )
-    shift = own.delay.seconds if options.align else None
+    predict = _predictor(own, posterior.psi, prior.nominal, options)
     same = rows if not any(rows.periods) and len(recordings) == 1 else None  # rows of single periods are not at hand
-    predict = functools.partial(_predicted, own.model, hertz=spectra.hertz, psi=posterior.psi, nominal=prior.nominal, shift=shift)
     return Identification(
         model=own.model,
         options=options,
@@ -218,6 +216,11 @@ def _data(model: Model, parts: list[Piece], hertz: float, options: Options) -> _
         rows = equations.build(model, parts, hertz)
         data = estimators.estimate(rows, method, nuisance=_nuisance(model, rows))
     return _Data(model, parts, rows, data, late)
+
+
+def _predictor(own: _Data, psi: Array, nominal: Array, options: Options) -> Callable[..., Prediction]:
+    shift = own.delay.seconds if options.align else None
+    return functools.partial(_predicted, own.model, hertz=own.rows.hertz, psi=psi, nominal=nominal, shift=shift)
 
 
 def _posterior(parameters: Parameters, base: Base, data: Estimate, prior: Prior, options: Options) -> Consistent:
@@ -334,6 +337,6 @@ def _predicted(
         if shift is not None:
             parts = [_moved(piece, shift) for piece in parts]
         rows = equations.build(model, parts, min(hertz, 0.45 * min(piece.rate for piece in parts)))
-    floor = signals.floor(list(signals.pieces([recording])), hertz)
+    floor = signals.floor(list(signals.pieces([recording])), hertz, tapered=True)
     fitted, before = (rows.predicted(model.base.matrix @ one) for one in (psi, nominal))
     return Prediction(recording.source, rows.time, rows.torque, before, fitted, floor, rows.starts)

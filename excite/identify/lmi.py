@@ -65,7 +65,10 @@ def solve(parameters: Parameters, root: Array, target: Array, prior: Prior, boun
         raise UnusableInput("linear matrix inequalities: the Riemannian distance is not convex in the parameters; take bregman or pullback")
     if importlib.util.find_spec("cvxpy") is None or importlib.util.find_spec("clarabel") is None:
         raise UnusableInput(f"linear matrix inequalities: cvxpy and Clarabel are not installed; {INSTALL}")
-    import cvxpy as cp  # slow to import
+    import casadi  # both slow to import
+
+    casadi.load_conic("highs")  # its own HiGHS, before cvxpy loads another (see `subproblem`)
+    import cvxpy as cp
 
     half = _half(parameters, root, prior)
     x = cp.Variable(parameters.count)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from .band import EDGE, Band, Grid
+from .band import Band, Grid, edge
 from .equations import Equations, Model, kept_rows
 from .equations import friction as friction_of
 from .signals import Piece
@@ -63,7 +63,7 @@ def _speeds(piece: Piece, hertz: float) -> Iterator[tuple[Band, slice, Array]]:
     band = Band(hertz, piece.rate, len(piece), piece.periodic)
     for rows, kept in kept_rows(piece, band):
         part = dataclasses.replace(band, count=rows.stop - rows.start)
-        yield part, kept, part.low(piece.q[rows], Grid.RECORDED, 1, reach=EDGE)
+        yield part, kept, part.low(piece.q[rows], Grid.RECORDED, 1, reach=edge(piece.q[rows], part))
 
 
 def applied(model: Model, rows: Equations, pieces: Iterable[Piece]) -> Equations:

@@ -2,31 +2,383 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..artefact import versions
-from ..diagnose.diagnosis import Diagnosis
-from .page import Section, escape, number, page, table
+from ..diagnose import atlas
+from ..diagnose.atlas import SIGNIFICANT, Atlas
+from ..diagnose.catalogue import BY_NAME, EFFECTS
+from ..diagnose.diagnosis import QUIET, Diagnosis
+from ..diagnose.isolability import ALIKE, Candidate, isolability
+from ..recordings import Recording
+from ..wording import listed, percent
+from . import atlas_figures, diagnosis_figures
+from .diagnosis_figures import told
+from .fit_figures import EXCERPT, drawn_points
+from .motion_figures import torque_units
+from .page import Section, banner, bullets, cards, escape, figure, folded, meter, number, page, paragraph, plural, table
+
+Array = np.ndarray
+Stated = Mapping[str, Any]
+_UNFOLDED = 3
+_VERDICTS = {
+    "no-mismatch": ("Nothing that these recordings could show is missing from the model.", "good"),
+    "explained": ("Something was missing, and the findings explain it down to the noise.", "good"),
+    "partly-explained": ("Something is missing; the findings explain part of it.", "warn"),
+    "unexplained": ("Something is missing, and no effect of the catalogue takes it.", "bad"),
+}
+_FLOORS = {
+    "periods": "what differs between repeated periods",
+    "differences": "the torque's spectrum above the motion, taken to be white below: no period was recorded twice, so it may be too low",
+}
 
 
-def diagnosis_page(found: Diagnosis, stated: Mapping[str, Any]) -> str:
-    """The report of `excite diagnose` as HTML. stated: the document of the diagnosis, `diagnose.document.document`."""
+def diagnosis_page(found: Diagnosis, stated: Stated, recordings: Sequence[Recording] = ()) -> str:
+    """The report of `excite diagnose` as HTML.
+
+    stated: the document of the diagnosis, `diagnose.document.document`. recordings: those held out, for temperatures recorded with them.
+    """
+    looked = atlas.look(found, recordings)
+    sections = [
+        _missing(found, stated),
+        _what(found, stated),
+        _where(found, looked),
+        _better(found, stated),
+        _apart(found, stated),
+        _next(found, stated),
+        _made(found, looked),
+    ]
+    lede = "What the robot's model leaves out: where it shows, what it is, how large it is, and how we know."
     robot = found.identified.model.robot
+    return page(f"Diagnosis of {robot.name}", lede, _head(found, stated), sections, f"excite {versions()['excite']}")
+
+
+def _head(found: Diagnosis, stated: Stated) -> str:
+    text, tone = _VERDICTS[stated["verdict"]]
+    ratio = found.after / found.floor
+    torque = np.sqrt(np.mean(np.concatenate([t.torque for t in found.tracks[1]]) ** 2, axis=0))
+    relative = [float(np.max(x / np.maximum(torque, 1e-300))) for x in (found.before, found.after)]
+    change = f"{percent(relative[0])} → {percent(relative[1])}" if stated["findings"] else percent(relative[0])
+    entries = [
+        (stated["verdict"], "verdict"),
+        (str(len(stated["findings"])), "finding" if len(stated["findings"]) == 1 else "findings"),
+        (change, "held-out error over RMS torque, worst joint"),
+        (f"{number(float(ratio.max()), 3)}", "noise floors, worst joint, after"),
+        (f"{len(stated['unknown'])} of {len(found.floor)}", "joints with something unknown"),
+    ]
+    return cards(entries) + banner(text, tone)
+
+
+def _place(joint: str | None) -> str:
+    return joint or "the whole robot"
+
+
+def _named(effect: str, joint: str | None) -> str:
+    """'stribeck at joint_2'."""
+    return f"{told(effect)} at {joint}" if joint else f"{told(effect)} of the whole robot"
+
+
+# -- is anything missing ---------------------------------------------------------------------------------------------
+
+
+def _missing(found: Diagnosis, stated: Stated) -> Section:
+    joints = stated["joints"]
+    loud = [j for j, v in joints.items() if v["rmse_before"] > QUIET * v["noise_floor"]]
+    if not loud:
+        answer = f"No: on what was held out every joint's residual is within {QUIET:g} noise floors of the base model."
+    else:
+        worst = max(loud, key=lambda j: joints[j]["rmse_before"] / joints[j]["noise_floor"])
+        ratio = number(joints[worst]["rmse_before"] / joints[worst]["noise_floor"], 3)
+        answer = f"{'Yes' if stated['findings'] or stated['unknown'] else 'Hardly'}: the base model leaves more than noise in "
+        answer += f"{_some(loud)}, the most in {worst}: {ratio} noise floors, {percent(joints[worst]['systematic_share'])} of its power."
+    rows = []
+    for joint, v in joints.items():
+        ratio_before, ratio_after = v["rmse_before"] / v["noise_floor"], v["rmse_after"] / v["noise_floor"]
+        after = f"{meter(v['unexplained_share'])} {escape(percent(v['unexplained_share']))}" if stated["findings"] else "–"
+        rows.append(
+            (
+                escape(joint),
+                f"{meter(v['systematic_share'])} {escape(percent(v['systematic_share']))}",
+                number(ratio_before, 3),
+                after,
+                number(ratio_after, 3) if stated["findings"] else "–",
+            )
+        )
+    head = ("joint", "systematic share, base model", "noise floors", "unexplained with the findings", "noise floors")
+    body = table(head, rows, (2, 4))
+    body += paragraph(f"The noise floor is {_FLOORS.get(found.method, found.method)}. Systematic: 1 − (floor / RMSE)².", "note")
+    return Section("missing", "Is anything missing?", answer, body, _VERDICTS[stated["verdict"]][1])
+
+
+def _some(joints: Sequence[str]) -> str:
+    return listed(list(joints)) if len(joints) <= 3 else f"{len(joints)} joints"
+
+
+# -- what ------------------------------------------------------------------------------------------------------------
+
+
+def _what(found: Diagnosis, stated: Stated) -> Section:
+    findings = stated["findings"]
+    if findings:
+        named = [f"{_named(f['effect'], f['joint'])} (probability {number(f['probability'], 2)})" for f in findings]
+        answer = listed(named)
+        answer = answer[0].upper() + answer[1:] + "."
+    elif stated["unknown"]:
+        answer = f"Not known: {_some([u['joint'] for u in stated['unknown']])} shows torque that repeats, but no name predicts it."
+    else:
+        answer = "Nothing is asserted: no effect of the catalogue predicts what was held out better than the base model by enough."
+    body = "".join(_finding(one) for one in findings)
+    if stated["unknown"]:
+        body += "<h3>Left without a name</h3>"
+        body += bullets(f"{u['joint']}: {percent(u['share'])} of what is left is more than noise" for u in stated["unknown"])
+    if findings or stated["considered"]:
+        body += "<h3>What else was considered</h3>" + figure(diagnosis_figures.bars(stated))
+        note = "Blue: asserted. An effect that gains much alone may be another one's shadow: it counts only if it gains beside the others."
+        body += paragraph(note, "note")
+        body += folded("The same as a table", _considered(stated["considered"]))
+    return Section("what", "What is it?", answer, body, "" if findings else "warn" if stated["unknown"] else "good")
+
+
+def _finding(one: Stated) -> str:
+    effect = BY_NAME[one["effect"]]
+    source = f" (from {one['from']})" if one.get("from") else ""
+    body = f"<h3>{escape(told(one['effect']))}: {escape(_place(one['joint']))}{escape(source)}</h3>"
+    signature = effect.signature
+    body += paragraph(f"{effect.source}. {signature[0].upper()}{signature[1:]}.", "lede")
     rows = [
         (
-            escape(one["effect"]),
-            escape(one["joint"] or "the whole robot"),
-            number(one["probability"], 2),
-            escape(", ".join(f"{k} {number(v['value'])} ± {number(v['std'], 2)} {v['unit']}" for k, v in one["parameters"].items())),
+            escape(key.replace("_", " ")),
+            number(v["value"]),
+            "± " + number(v["std"], 2) if v["std"] is not None else "–",
+            _interval(v),
+            escape(v["unit"]),
         )
-        for one in stated["findings"]
+        for key, v in one["parameters"].items()
     ]
-    joints = [
-        (escape(j), number(v["rmse_before"]), number(v["rmse_after"]), number(v["noise_floor"])) for j, v in stated["joints"].items()
+    body += table(("parameter", "value", "standard error", "95 % interval", "unit"), rows, (1, 2, 3))
+    facts = [
+        f"Probability {number(one['probability'], 2)} that it is this"
+        + (
+            f" or {listed([told(e) for e in one['equivalents']])}, which these recordings cannot tell from it."
+            if one["equivalents"]
+            else "."
+        )
     ]
-    body = table(("effect", "joint", "probability", "parameters"), rows) if rows else ""
-    body += table(("joint", "RMSE before", "RMSE after", "noise floor"), joints, (1, 2, 3))
-    sections = [Section("missing", "Is anything missing?", f"The verdict: {stated['verdict']}.", body)]
-    lede = "What the robot's model leaves out: where, what, how much, and how do we know."
-    return page(f"Diagnosis of {robot.name}", lede, "", sections, f"excite {versions()['excite']}")
+    time = one["where"]["time"]
+    if time is not None:
+        facts.append(f"Only from {number(time[0])} to {number(time[1])} s of {Path(one['where']['recording']).name}.")
+    facts.append(f"What would tell it from others ({listed([told(c) for c in effect.confused])}): {one['experiment']}."
+                 if effect.confused else f"What would confirm it: {one['experiment']}.")  # fmt: skip
+    return body + bullets(facts)
+
+
+def _interval(v: Stated) -> str:
+    std = v["std"]
+    if std is None or not np.isfinite(std):
+        return "–"
+    if std < 1e-6 * abs(v["value"]):
+        return "on a grid"
+    return f"{number(v['value'] - 1.96 * std, 3)} … {number(v['value'] + 1.96 * std, 3)}"
+
+
+def _considered(considered: Sequence[Stated]) -> str:
+    rows = [
+        (
+            escape(told(c["effect"])),
+            escape(_place(c["joint"])),
+            number(c["evidence"]["held_out_gain"]),
+            number(c["evidence"]["severity"], 3),
+            escape(", ".join(f"{k} {number(v['value'], 3)} {v['unit']}" for k, v in c["parameters"].items())),
+        )
+        for c in considered
+    ]
+    return table(("effect", "joint", "held-out gain", "severity", "parameters, alone"), rows, (2, 3))
+
+
+# -- where -----------------------------------------------------------------------------------------------------------
+
+
+def _where(found: Diagnosis, looked: Atlas) -> Section:
+    robot, changed = found.identified.model.robot, bool(found.verdict.chosen)
+    shown = looked.shown
+    if not looked.panels:
+        return Section("where", "Where does it show?", "Nowhere that could be looked at: no joint moves.", "", "warn")
+    if shown:
+        first = shown[0]
+        gone = sum(p.p_after >= SIGNIFICANT for p in shown)
+        answer = f"The clearest is {robot.joints[first.joint]} against {first.against}, which shows {percent(first.share_before)} of its "
+        answer += f"residual; {plural(len(shown), 'curve')} of {len(looked.panels)} {'is' if len(shown) == 1 else 'are'} not noise"
+        answer += f", {gone} of them {'is' if gone == 1 else 'are'} with the findings." if changed else "."
+    else:
+        answer = f"Nowhere: none of {plural(len(looked.panels), 'curve')} of the held-out residual differs from noise."
+    body = figure(atlas_figures.overview(looked, robot.joints))
+    body += paragraph(
+        f"Shade: share of the joint's held-out residual that repeats with it; blank: may be noise (p ≥ {SIGNIFICANT:g} with every look "
+        "counted). "
+        + ("Orange dot: still there with the findings. " if changed else "")
+        + "One cause shows in many columns: the motion ties them together. "
+        "Along the motion: positive brakes, as friction does.",
+        "note",
+    )
+    units = torque_units(robot)
+    loud = sorted({p.joint for p in shown}, key=lambda j: -max(p.score_before for p in shown if p.joint == j))
+    rest = [j for j in range(robot.n) if j not in loud and looked.of(j)]
+    named = {h.joint for h in found.verdict.chosen if h.joint is not None}
+    first_joints = sorted(loud, key=lambda j: j not in named)[: max(_UNFOLDED, len(named & set(loud)))]
+    pictures = {
+        j: f"<h3>{escape(robot.joints[j])}</h3>"
+        + figure(atlas_figures.joint_figure(looked.of(j), robot.joints[j], units[j], float(found.floor[j]), changed=changed))
+        for j in [*loud, *rest]
+    }
+    body += "".join(pictures[j] for j in first_joints)
+    others = [j for j in pictures if j not in first_joints]
+    if others:
+        body += folded(f"The other {plural(len(others), 'joint')}", "".join(pictures[j] for j in others))
+    return Section("where", "Where does it show?", answer, body)
+
+
+# -- does it predict -------------------------------------------------------------------------------------------------
+
+
+def _better(found: Diagnosis, stated: Stated) -> Section:
+    robot, question = found.identified.model.robot, "Does the model with it predict better?"
+    shown = list(diagnosis_figures.predictions(found))
+    points = drawn_points(shown, robot.n)
+    gain = 1.0 - found.after / found.before
+    best, worst = int(np.argmax(gain)), int(np.argmin(gain))
+    if not found.verdict.chosen:
+        answer, tone = "There is nothing to compare: no finding joined the base model, whose error is shown.", ""
+    else:
+        answer = f"{'Yes' if gain[best] > 0.02 else 'No'}: held out, {robot.joints[best]}'s RMSE falls by {percent(max(gain[best], 0.0))}, "
+        answer += f"to {number(found.after[best], 3)} {torque_units(robot)[best]}"
+        answer += f"; {robot.joints[worst]}'s rises by {percent(-gain[worst])}." if gain[worst] < -0.005 else "; no joint gets worse."
+        tone = "good" if gain[best] > 0.02 and gain[worst] >= -0.005 else "warn"
+    body = _errors(found, stated)
+    parts = [f"<h3>{escape(one.source)}</h3>" + figure(diagnosis_figures.traces(one, found, points)) for one in shown]
+    body += "".join(parts[:2])
+    if len(parts) > 2:
+        body += folded(plural(len(parts) - 2, "more recording"), "".join(parts[2:]))
+    note = f"Torque below {number(stated['band_hz'], 3)} Hz, the same filter on both sides; base model and findings fitted to the other "
+    note += "recordings. "
+    if any(one.time[-1] - one.time[0] > EXCERPT for one in shown):
+        note += f"Of recordings longer than {EXCERPT:g} s the stretch around the largest error is drawn; the table is of all of it."
+    return Section("better", question, answer, body + paragraph(note.strip(), "note"), tone)
+
+
+def _errors(found: Diagnosis, stated: Stated) -> str:
+    robot = found.identified.model.robot
+    torque = np.sqrt(np.mean(np.concatenate([t.torque for t in found.tracks[1]]) ** 2, axis=0))
+    changed, rows = bool(stated["findings"]), []
+    for k, (joint, unit) in enumerate(zip(robot.joints, torque_units(robot), strict=True)):
+        before, after, floor = float(found.before[k]), float(found.after[k]), float(found.floor[k])
+        tone = "bad" if after > 1.005 * before else "good" if after < 0.98 * before else ""
+        rows.append(
+            (
+                escape(joint),
+                unit,
+                number(before),
+                f'<b class="{tone}">{number(after)}</b>' if changed else "–",
+                number(floor),
+                number(after / floor, 3),
+                escape(percent(before / max(torque[k], 1e-300))),
+                escape(percent(after / max(torque[k], 1e-300))) if changed else "–",
+            )
+        )
+    head = ("joint", "unit", "RMSE before", "RMSE after", "noise floor", "after / floor", "relative before", "relative after")
+    return table(head, rows, (2, 3, 4, 5, 6, 7))
+
+
+# -- what cannot be told apart ---------------------------------------------------------------------------------------
+
+
+def _apart(found: Diagnosis, stated: Stated) -> Section:
+    robot, one = found.identified.model.robot, isolability(found.design)
+    pairs = one.pairs()
+
+    def said(c: Candidate) -> str:
+        return _named(c.effect, None if c.joint is None else robot.joints[c.joint])
+
+    tested = {c.effect for c in one.candidates}
+    wanted = [e.name for e in EFFECTS if not found.options.names or e.name in found.options.names]
+    absorbed = [n for n in wanted if n not in tested and BY_NAME[n].prior_only and not found.options.trusted]
+    silent = [n for n in wanted if n not in tested and n not in absorbed]
+    if pairs:
+        answer = f"{plural(len(pairs), 'pair')} of {len(one.candidates)} effects and joints, above all {said(pairs[0][0])} and "
+        answer += f"{said(pairs[0][1])} (canonical correlation {number(pairs[0][2], 2)})."
+    else:
+        answer = f"No pair of {len(one.candidates)} effects and joints is more alike than {ALIKE:g}."
+    body = ""
+    if absorbed:
+        words = listed([told(n) for n in absorbed])
+        body += banner(f"Refitting the base model takes these up whole; only a trusted prior (--prior) would show them: {words}.", "warn")
+    if silent:
+        body += paragraph(f"This motion says nothing about: {listed([told(n) for n in silent])}.")
+    if pairs:
+        body += bullets(f"{said(a)} and {said(b)}: {number(value, 3)}" for a, b, value in pairs[:8])
+    named = [h.joint for h in found.verdict.chosen if h.joint is not None]
+    order = list(dict.fromkeys([*named, *np.argsort(-found.before / found.floor).tolist()]))
+    pictures = [
+        f"<h3>{escape(robot.joints[j])}</h3>" + figure(diagnosis_figures.alike(one, j, robot.joints[j]))
+        for j in order
+        if len(one.of(j)) > 1
+    ]
+    body += "".join(pictures[:1])
+    if pictures[1:]:
+        body += folded(f"The other {plural(len(pictures) - 1, 'joint')}", "".join(pictures[1:]))
+    note = "Largest canonical correlation between the torques of two effects, each in the shape that fits best, once the base model is "
+    note += "refit: at 1 no data of this motion can tell them apart; it says nothing about whether either is there."
+    return Section("apart", "What cannot be told apart by these recordings?", answer, body + paragraph(note, "note"))
+
+
+# -- what next, how --------------------------------------------------------------------------------------------------
+
+
+def _next(found: Diagnosis, stated: Stated) -> Section:
+    lines = []
+    for one in stated["findings"]:
+        for name in one["equivalents"]:
+            told_apart = f"To tell {told(one['effect'])} from {told(name)} at {_place(one['joint'])}: "
+            lines.append(told_apart + f"{one['experiment']}; and {BY_NAME[name].experiment}.")
+        if not one["equivalents"]:
+            lines.append(f"To pin down {_named(one['effect'], one['joint'])}: {one['experiment']}.")
+    lines += [
+        f"For what has no name in {one['joint']}: that joint alone, slowly to and fro over its range, then faster."
+        for one in stated["unknown"]
+    ]
+    if found.method != "periods":
+        lines.append(
+            "Repeat the same period a few times in one recording: what differs between periods is noise, and the floor becomes known."
+        )
+    if lines:
+        answer = "Record " + ("what would decide between the names that are left" if stated["findings"] else "a motion that isolates it")
+        answer += ", in the order below."
+    else:
+        answer = "Nothing needs to be recorded for these joints and this band; other speeds, loads or temperatures may show more."
+    return Section("next", "What to do next?", answer, bullets(lines) if lines else "")
+
+
+def _made(found: Diagnosis, looked: Atlas) -> Section:
+    identified, robot = found.identified, found.identified.model.robot
+    sources = [list(dict.fromkeys(t.piece.source for t in half)) for half in found.tracks]
+    answer = (
+        f"{plural(len(found.design.shapes), 'shape')} of {len(EFFECTS)} effects, alone and together, each refit with the base model on "
+    )
+    answer += f"{plural(len(sources[0]), 'recording')} and judged on {plural(len(sources[1]), 'other')}."
+    facts = {
+        "robot": f"{robot.name} ({robot.source})",
+        "SHA-256 of the URDF": robot.sha256,
+        "fitted to": ", ".join(sources[0]),
+        "held out": ", ".join(sources[1]),
+        "rows": f"{sum(map(len, found.tracks[0]))} fitted, {sum(map(len, found.tracks[1]))} held out, × {plural(robot.n, 'joint')}",
+        "band": f"{number(found.options.band)} Hz",
+        "base model": f"{identified.model.base.count} parameters, "
+        + (f"{plural(len(found.options.trusted), 'value')} held fast by --prior" if found.options.trusted else "all refit"),
+        "noise floor": _FLOORS.get(found.method, found.method),
+        "p-values": f"{atlas.DRAWS} nulls by random signs of {looked.blocks} blocks; the largest of {len(looked.panels)} counts",
+        "versions": ", ".join(f"{k} {v}" for k, v in versions().items()),
+    }
+    return Section("made", "How was it made?", answer, table(("what", "value"), [(escape(k), escape(v)) for k, v in facts.items()]))

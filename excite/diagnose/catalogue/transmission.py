@@ -76,20 +76,20 @@ def _orders(tracks: Sequence[Track], joint: int, most: int = 12) -> list[float]:
     speed = np.interp(track.time, track.clock, track.fine.dq[:, joint])
     step = 2.0 * np.pi / turn / 3.0
     orders = np.arange(max(3.0, 2.0 * step), 300.0, max(step, 0.05))
-    power = np.empty(len(orders))
-    for i, k in enumerate(orders):
-        seen = np.abs(k * speed) < 2.0 * np.pi * track.band.hertz  # the rest is above the band
+
+    def power(order: float) -> float:
+        seen = np.abs(order * speed) < 2.0 * np.pi * track.band.hertz  # the rest is above the band
         if seen.sum() < 0.05 * len(seen):
-            power[i] = 0.0
-            continue
-        c, s = np.cos(k * q) * seen, np.sin(k * q) * seen
-        power[i] = ((left @ c) ** 2 + (left @ s) ** 2) / seen.sum()
+            return 0.0
+        return float(((left @ (np.cos(order * q) * seen)) ** 2 + (left @ (np.sin(order * q) * seen)) ** 2) / seen.sum())
+
+    found = np.array([power(order) for order in orders])
     out: list[float] = []
-    for i in np.argsort(-power):
+    for i in np.argsort(-found):
         if len(out) >= most:
             break
-        if power[i] > 0.0 and all(abs(orders[i] - other) > 1.5 * step for other in out):
-            out += [float(orders[i])]
+        if found[i] > 0.0 and all(abs(orders[i] - other) > 1.5 * step for other in out):
+            out.append(float(max(orders[i] + step * np.linspace(-1.0, 1.0, 41), key=power)))
     return out
 
 
@@ -111,6 +111,11 @@ def _spring(tracks: Sequence[Track]) -> Iterator[Shape]:
             yield Shape("spring", j, column(j, pose(form)), parameters, values={"form": float(number)})
 
 
+def _rubs(c: Array) -> bool:
+    """Whether a coupling takes energy and has mass."""
+    return bool(c[0] > 0.0 and c[1] > 0.0 and c[2] > -0.1 * (c[0] + c[1]))
+
+
 def _coupling(tracks: Sequence[Track]) -> Iterator[Shape]:
     def turned(other: int, sign: float) -> Callable[[Track, int], Array]:
         """Friction of the sum or difference of two speeds, or of the other one's alone (sign 0), and its inertia."""
@@ -125,9 +130,8 @@ def _coupling(tracks: Sequence[Track]) -> Iterator[Shape]:
     for i in range(n):
         for j in range(max(0, i - 2), min(n, i + 3)):
             for sign in (1.0, -1.0, 0.0) if i != j else ():
-                yield Shape(
-                    "coupling", i, column(i, turned(j, sign)), named("viscous", "coulomb", "inertia"), values={"sign": sign}, other=j
-                )
+                told = named("viscous", "coulomb", "inertia")
+                yield Shape("coupling", i, column(i, turned(j, sign)), told, _rubs, {"sign": sign}, other=j)
 
 
 EFFECTS = (

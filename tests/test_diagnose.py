@@ -1,0 +1,202 @@
+"""Diagnosis of simulated two-link robots with one thing planted, and of bad input."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from made import WIDTH, motion, perturbed, recorded, written
+
+from excite import base, cli, limits, parameters, robot
+from excite.diagnose import diagnosis
+from excite.diagnose.catalogue import BY_NAME, EFFECTS
+from excite.diagnose.diagnosis import Diagnosis, Options
+from excite.diagnose.document import document
+from excite.errors import UnusableInput
+from excite.identify.equations import Model
+from excite.recordings import Recording
+
+Array = np.ndarray
+CONTRACT = tuple(
+    [
+        "payload",
+        "gravity_tilt",
+        "rotor_inertia",
+        "torque_offset",
+        "asymmetric_viscous",
+        "stribeck",
+        "nonlinear_viscous",
+        "load_friction",
+        "position_friction",
+        "hysteresis",
+        "backlash",
+        "elasticity",
+        "torque_ripple",
+        "spring",
+        "coupling",
+        "torque_gain",
+        "torque_saturation",
+        "delay",
+        "thermal_drift",
+        "encoder_error",
+        "kinematic_error",
+        "base_compliance",
+        "contact",
+        "drag",
+        "friction",
+    ]
+)
+Plant = Callable[[Array, Array, Array, Array], Array]  # t, q, dq, tau -> torque added to the recording
+
+
+@pytest.fixture(scope="module")
+def subject() -> Model:
+    machine = robot.load("two_link")
+    table = limits.resolve(machine)
+    standard = parameters.standard(machine, table)
+    return Model(machine, standard, base.find(machine, standard, table), np.full(2, WIDTH))
+
+
+def recordings_of(subject: Model, plant: Plant | None) -> tuple[Recording, Recording]:
+    psi = perturbed(subject.parameters, np.random.default_rng(4))
+    out = []
+    for seed in (2, 5):
+        fourier = motion(2, seed)
+        one = recorded(subject, psi, fourier, 4, 0.0)
+        s = fourier.samples(one.t)
+        added = np.zeros_like(one.q) if plant is None else plant(one.t, s.q, s.dq, one.tau)
+        noise = 0.1 * np.random.default_rng(seed).normal(size=one.q.shape)
+        out.append(dataclasses.replace(one, tau=one.tau + added + noise, source=f"{seed}.csv"))
+    return out[0], out[1]
+
+
+def found(subject: Model, plant: Plant | None, **options: object) -> Diagnosis:
+    train, held_out = recordings_of(subject, plant)
+    return diagnosis.diagnose(
+        subject.robot,
+        subject.parameters,
+        subject.base,
+        [train],
+        [held_out],
+        Options(**options),  # type: ignore[arg-type]
+    )
+
+
+def on(joint: int, column: Array) -> Array:
+    out = np.zeros((len(column), 2))
+    out[:, joint] = column
+    return out
+
+
+PLANTED: dict[str, tuple[Plant, int | None]] = {
+    "asymmetric_viscous": (lambda t, q, dq, tau: on(1, 0.35 * np.abs(dq[:, 1])), 1),
+    "stribeck": (lambda t, q, dq, tau: on(0, 1.5 * np.tanh(dq[:, 0] / WIDTH) * np.exp(-((np.abs(dq[:, 0]) / 0.12) ** 2))), 0),
+    "torque_ripple": (lambda t, q, dq, tau: on(1, 0.5 * np.cos(23.0 * q[:, 1] + 0.4)), 1),
+    "spring": (lambda t, q, dq, tau: on(1, 1.7 * q[:, 1]), 1),
+    "position_friction": (lambda t, q, dq, tau: on(0, 0.8 * np.tanh(dq[:, 0] / WIDTH) * np.cos(2.0 * q[:, 0] + 1.0)), 0),
+    "delay": (lambda t, q, dq, tau: np.column_stack([np.interp(t - 0.006, t, c) for c in tau.T]) - tau, None),
+}
+
+
+@pytest.mark.parametrize("name", list(PLANTED))
+def test_what_was_planted_is_named_and_modelled(subject, name):
+    plant, joint = PLANTED[name]
+    result = found(subject, plant)
+    assert result.verdict.chosen and result.verdict.chosen[0].effect == name
+    assert joint is None or result.verdict.chosen[0].joint == joint
+    assert len(result.verdict.chosen) == 1 and not result.unknown
+    assert np.all(result.after < 1.4 * result.floor) and np.any(result.before > 1.5 * result.floor)
+
+
+def test_nothing_planted_nothing_found(subject):
+    result = found(subject, None)
+    assert result.name == "no-mismatch" and not result.verdict.chosen and not result.unknown
+    assert np.allclose(result.after, result.floor, rtol=0.25)
+
+
+def test_parameters_come_with_intervals_that_hold_the_truth(subject):
+    result = found(subject, PLANTED["torque_ripple"][0])
+    value, std = diagnosis.hypothesis_parameters(result.design, result.verdict, 0)["amplitude"]
+    assert value == pytest.approx(0.5, rel=0.1) and std < 0.05
+
+
+def test_two_effects_are_both_named(subject):
+    def both(t: Array, q: Array, dq: Array, tau: Array) -> Array:
+        return PLANTED["stribeck"][0](t, q, dq, tau) + PLANTED["spring"][0](t, q, dq, tau)
+
+    assert {h.effect for h in found(subject, both).verdict.chosen} == {"stribeck", "spring"}
+
+
+def test_what_no_name_takes_is_unknown(subject):
+    """A torque that repeats with the motion but follows no law of the catalogue: a random function of both positions."""
+    rng = np.random.default_rng(3)
+    waves, phases = rng.normal(0.0, 9.0, (60, 2)), rng.uniform(0.0, 6.28, 60)
+
+    def odd(t: Array, q: Array, dq: Array, tau: Array) -> Array:
+        return on(0, 0.6 * np.cos(q @ waves.T + phases).sum(axis=1) / np.sqrt(30.0))
+
+    result = found(subject, odd)
+    assert 0 in result.unknown and result.name in ("unexplained", "partly-explained")
+
+
+def test_a_trusted_prior_shows_what_a_refit_absorbs(subject):
+    psi = perturbed(subject.parameters, np.random.default_rng(4))
+    trusted = dict(enumerate(psi.tolist()))
+    plant: Plant = lambda t, q, dq, tau: on(1, np.full(len(t), 1.0))  # noqa: E731
+    assert not found(subject, plant).verdict.chosen
+    result = found(subject, plant, trusted=trusted)
+    assert result.verdict.chosen[0].effect == "torque_offset" and result.verdict.chosen[0].joint == 1
+    assert diagnosis.hypothesis_parameters(result.design, result.verdict, 0)["offset"][0] == pytest.approx(1.0, rel=0.05)
+
+
+def test_the_catalogue_is_the_contracts():
+    assert sorted(BY_NAME) == sorted(CONTRACT) and len(EFFECTS) == len(CONTRACT)
+    for effect in EFFECTS:
+        assert effect.units and effect.signature and effect.experiment and effect.source
+        assert set(effect.confused) <= set(CONTRACT)
+
+
+def test_every_shape_gives_finite_columns_and_named_parameters(subject):
+    result = found(subject, PLANTED["spring"][0], trusted=dict(enumerate(perturbed(subject.parameters, np.random.default_rng(4)).tolist())))
+    seen = {shape.effect for shape in result.design.shapes}
+    assert seen >= set(CONTRACT) - {"contact", "kinematic_error"}
+    for shape, place in zip(result.design.shapes, result.design.places, strict=True):
+        values = shape.parameters(np.full(place.stop - place.start, 0.3))
+        assert set(values) <= set(BY_NAME[shape.effect].units), shape.effect
+
+
+def test_the_document_is_the_contracts(subject):
+    stated = json.loads(json.dumps(document(found(subject, PLANTED["stribeck"][0]))))
+    assert stated["schema"] == "excite.diagnosis/1" and stated["verdict"] in ("explained", "partly-explained")
+    (one,) = stated["findings"]
+    assert one["effect"] == "stribeck" and one["joint"] == "joint_1" and 0.5 <= one["probability"] <= 1.0
+    assert set(one["parameters"]) == {"amplitude", "velocity"} and one["parameters"]["amplitude"]["unit"] == "N m"
+    assert set(stated["joints"]["joint_1"]) >= {"noise_floor", "noise_floor_method", "rmse_before", "rmse_after", "unexplained_share"}
+    assert stated["band_hz"] == 20.0 and stated["considered"]
+
+
+def test_the_command_and_what_it_refuses(subject, tmp_path, capsys):
+    train, held_out = recordings_of(subject, PLANTED["asymmetric_viscous"][0])
+    first, second = written(train, tmp_path / "a.csv"), written(held_out, tmp_path / "b.csv")
+    go = ["diagnose", "two_link", str(first), "-o", str(tmp_path / "out")]
+    assert cli.main([*go, "--validate", str(second)]) == 0
+    assert "asymmetric_viscous" in capsys.readouterr().out
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"diagnosis.json", "model.json", "report.html"}
+    for words, part in (
+        ([], "--validate"),
+        (["--validate", str(first)], "same motion"),
+        (["--validate", str(tmp_path / "no.csv")], "no.csv"),
+    ):
+        assert cli.main([*go[:-1], str(tmp_path / "none"), *words]) == 2
+        assert part in capsys.readouterr().err
+    assert not (tmp_path / "none").exists()
+
+
+def test_a_recording_too_short_is_refused(subject):
+    train, held_out = recordings_of(subject, None)
+    short = dataclasses.replace(held_out.between(0.0, 0.6), sidecar=dataclasses.replace(held_out.sidecar, period=None, periodic=None))
+    with pytest.raises(UnusableInput, match=r"short|stretch"):
+        diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [short])

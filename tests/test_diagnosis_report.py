@@ -1,0 +1,100 @@
+"""The report of a diagnosis: every question answered, with and without findings, and what it says is what was found."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from functools import cache
+
+import numpy as np
+import pytest
+from made import WIDTH, motion, perturbed, recorded
+from test_report import answer, check_page, section
+
+from excite import base, limits, parameters, robot
+from excite.diagnose import diagnosis
+from excite.diagnose.diagnosis import Diagnosis
+from excite.diagnose.document import document
+from excite.identify.equations import Model
+from excite.report import diagnosis_page
+from excite.report.atlas_figures import plain, probability
+
+QUESTIONS = {
+    "missing": "Is anything missing?",
+    "what": "What is it?",
+    "where": "Where does it show?",
+    "better": "Does the model with it predict better?",
+    "apart": "What cannot be told apart by these recordings?",
+    "next": "What to do next?",
+    "made": "How was it made?",
+}
+
+
+@cache
+def found(amplitude: float) -> Diagnosis:
+    """Two links whose second joint has Stribeck friction of that amplitude."""
+    machine = robot.load("two_link")
+    table = limits.resolve(machine)
+    standard = parameters.standard(machine, table)
+    own = base.find(machine, standard, table)
+    model = Model(machine, standard, own, np.full(machine.n, WIDTH))
+    psi = perturbed(standard, np.random.default_rng(3))
+    both = []
+    for seed, name in ((1, "train.csv"), (2, "validate.csv")):
+        one = recorded(model, psi, motion(2, seed), 3.0, 0.1)
+        dq = np.gradient(one.q, 1.0 / one.rate, axis=0)[:, 1]
+        extra = np.column_stack([0.0 * dq, amplitude * np.exp(-((dq / 0.3) ** 2)) * np.tanh(dq / WIDTH)])
+        both.append(dataclasses.replace(one, source=name, tau=one.tau + extra))
+    options = diagnosis.Options(names=("stribeck", "drag", "asymmetric_viscous", "delay", "spring"))
+    return diagnosis.diagnose(machine, standard, own, both[:1], both[1:], options)
+
+
+@cache
+def page(amplitude: float) -> str:
+    return diagnosis_page(found(amplitude), document(found(amplitude)))
+
+
+@pytest.mark.parametrize("amplitude", [0.0, 2.0])
+def test_it_stands_alone_and_answers_every_question(amplitude: float) -> None:
+    text = page(amplitude)
+    check_page(text)
+    assert re.findall(r'<section id="(\w+)"', text) == list(QUESTIONS)
+    for key, question in QUESTIONS.items():
+        assert f"<h2>{question}</h2>" in section(text, key)
+        assert answer(text, key).endswith(".") and len(answer(text, key)) > 20, key
+
+
+def test_a_finding_is_told_with_its_parameters_and_its_picture() -> None:
+    text, stated = page(2.0), document(found(2.0))
+    first = stated["findings"][0]
+    assert (first["effect"], first["joint"]) == ("stribeck", "joint_2")
+    assert answer(text, "what").startswith("Stribeck at joint_2")
+    assert "amplitude" in section(text, "what") and "95 % interval" in section(text, "what").replace("\u00a0", " ")
+    assert first["experiment"] in section(text, "next")
+    assert "joint_2 against speed" in answer(text, "where")
+    assert answer(text, "better").startswith("Yes")
+    assert "with the findings" in section(text, "where")
+
+
+def test_nothing_missing_is_said_and_nothing_else_is_claimed() -> None:
+    text, stated = page(0.0), document(found(0.0))
+    assert stated["verdict"] == "no-mismatch"
+    assert answer(text, "missing").startswith("No: ")
+    assert answer(text, "what").startswith("Nothing is asserted")
+    assert answer(text, "where").startswith("Nowhere: ")
+    assert "with the findings" not in section(text, "where")
+
+
+def test_what_a_refit_absorbs_is_named_and_names_that_are_markup_stay_text() -> None:
+    one = dataclasses.replace(found(2.0), options=diagnosis.Options())
+    model = one.identified.model
+    evil = dataclasses.replace(model.robot, name="<b>x</b>")
+    changed = dataclasses.replace(one.identified, model=dataclasses.replace(model, robot=evil))
+    text = diagnosis_page(dataclasses.replace(one, identified=changed), document(one))
+    assert "<b>x</b>" not in text and "&lt;b&gt;x" in text
+    assert "--prior" in section(text, "apart") and "payload" in section(text, "apart")
+
+
+def test_small_numbers_survive_the_drawing() -> None:
+    assert (plain(0.005), plain(-0.25), plain(20.0)) == (".005", "−.25", "20")
+    assert (probability(0.001), probability(0.034)) == ("p ≤ .001", "p = .034")

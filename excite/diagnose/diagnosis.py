@@ -30,6 +30,8 @@ QUIET = 1.2
 MISFIT = {"periods": 0.1, "differences": 0.3}
 """Share of the residual taken for a form that is not quite the catalogue's, by how the noise is known."""
 RISING = 10.0
+MUCH = 0.15
+"""The same over the torque itself, where no period repeats to show the noise."""
 LOUD = 2.0
 """RMSE over the noise floor from which what is left is called something."""
 UNSAID = 0.45
@@ -75,6 +77,9 @@ class Diagnosis:
         excess = np.maximum(self.before**2 - self.floor**2, 0.0)
         left = np.maximum(self.after**2 - self.floor**2, 0.0)
         loud = self.after > LOUD * self.floor
+        if self.method != "periods":  # nothing repeats: the floor is a guess from below, and only much is worth a word
+            torque = np.concatenate([one.torque for one in self.tracks[1]])
+            loud &= self.after > MUCH * np.sqrt(np.mean(torque**2, axis=0))
         return [int(j) for j in np.flatnonzero(loud & (left > UNSAID * np.maximum(excess, 1e-300)))]
 
     @property

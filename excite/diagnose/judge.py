@@ -50,17 +50,22 @@ class Verdict:
     considered: tuple[Hypothesis, ...]
 
 
-def singles(one: Design) -> list[Hypothesis]:
-    """Every effect at every joint in its best plausible shape, the best first."""
+def singles(one: Design, beside: tuple[int, ...] = ()) -> list[Hypothesis]:
+    """Every effect at every joint in its best plausible shape, alone or beside shapes that are there already, the best first."""
     best: dict[tuple[str, int | None], Hypothesis] = {}
     for i, shape in enumerate(one.shapes):
-        found = trial(one, [i])
-        if not found.plausible or not agrees(one, found):
+        if i in beside:
             continue
+        found = trial(one, [*beside, i])
         key = (shape.effect, shape.joint)
-        if key not in best or found.gain > best[key].trial.gain:
-            best[key] = Hypothesis(shape.effect, shape.joint, i, found, size(one, found))
+        if (key in best and found.gain <= best[key].trial.gain) or not found.plausible or not agrees(one, found):
+            continue
+        best[key] = Hypothesis(shape.effect, shape.joint, i, found, size(one, found, slice(-_width(one, i), None)))
     return sorted(best.values(), key=lambda h: -h.trial.gain)
+
+
+def _width(one: Design, shape: int) -> int:
+    return one.places[shape].stop - one.places[shape].start
 
 
 def size(one: Design, found: Trial, part: slice | None = None) -> float:
@@ -96,7 +101,7 @@ def judged(one: Design) -> Verdict:
         alike, probability = _equivalents(best, ranked)
         others = tuple(h for h in ranked[1:9] if h.effect not in alike)
         return Verdict((best,), best.trial, (probability,), (alike,), others)
-    parts, together = _more(one, ranked, *pair)
+    parts, together = _more(one, *pair)
     notes = [_equivalents_beside(one, parts, k, ranked, together) for k in range(len(parts))]
     order = sorted(range(len(parts)), key=lambda k: -parts[k].trial.gain)
     return Verdict(
@@ -108,18 +113,13 @@ def judged(one: Design) -> Verdict:
     )
 
 
-def _more(
-    one: Design, ranked: Sequence[Hypothesis], parts: tuple[Hypothesis, ...], together: Trial
-) -> tuple[tuple[Hypothesis, ...], Trial]:
+def _more(one: Design, parts: tuple[Hypothesis, ...], together: Trial) -> tuple[tuple[Hypothesis, ...], Trial]:
     """Further effects, one at a time, while each predicts enough better and is of a size that counts."""
     while len(parts) < MOST:
-        chosen = [part.shape for part in parts]
-        tried = [(trial(one, [*chosen, h.shape]), h) for h in ranked[:80] if h.shape not in chosen]
-        found, h = max(((t, h) for t, h in tried if t.plausible), key=lambda pair: pair[0].gain, default=(together, ranked[0]))
-        width = one.places[h.shape].stop - one.places[h.shape].start
-        if found.gain - together.gain < max(NATS, THIRD * together.gain) or size(one, found, slice(-width, None)) < SMALLEST:
+        beside = singles(one, tuple(part.shape for part in parts))
+        if not beside or beside[0].trial.gain - together.gain < max(NATS, THIRD * together.gain) or beside[0].size < SMALLEST:
             break
-        parts, together = (*parts, h), found
+        parts, together = (*parts, beside[0]), beside[0].trial
     return parts, together
 
 
@@ -130,14 +130,14 @@ def _counts(gain: float, size: float) -> bool:
 def _best_pair(one: Design, ranked: Sequence[Hypothesis]) -> tuple[tuple[Hypothesis, Hypothesis], Trial] | None:
     """The pair that predicts best, if it predicts enough better than the best single and both parts are of a size that counts."""
     single = ranked[0].trial.gain
-    beside = sorted(ranked[:80], key=lambda h: -trial(one, [ranked[0].shape, h.shape]).gain if h is not ranked[0] else 0.0)
-    front = list({id(h): h for h in (*ranked[: FRONT // 2], *beside[: FRONT // 2])}.values())
+    beside = singles(one, (ranked[0].shape,))
+    front = list({h.shape: h for h in (*ranked[: FRONT // 2], *beside[: FRONT // 2])}.values())
     best: tuple[float, tuple[Hypothesis, Hypothesis], Trial] | None = None
     for i, a in enumerate(front):
         for b in front[i + 1 :]:
             found = trial(one, [a.shape, b.shape])
             if best is None or found.gain > best[0]:
-                width = one.places[a.shape].stop - one.places[a.shape].start
+                width = _width(one, a.shape)
                 sizes = size(one, found, slice(0, width)), size(one, found, slice(width, None))
                 if found.plausible and min(sizes) > SMALLEST:
                     best = (found.gain, (a, b), found)

@@ -215,7 +215,8 @@ def _binned(
         use &= x > 0.0
     if use.sum() < 3 * LEAST_ROWS or np.ptp(x[use]) <= 1e-9 * max(1.0, float(np.abs(x[use]).max())):
         return None
-    edges = np.unique(np.quantile(x[use], np.linspace(0.0, 1.0, min(bins, int(use.sum()) // LEAST_ROWS) + 1)))
+    bins = max(3, min(bins, len(rows.starts) // 2, int(use.sum()) // LEAST_ROWS))
+    edges = np.unique(np.quantile(x[use], np.linspace(0.0, 1.0, bins + 1)))
     return _averaged(rows, joint, (against, unit), np.where(use, np.searchsorted(edges[1:-1], x, side="right"), -1), x, way, logarithmic)
 
 
@@ -233,7 +234,7 @@ def _averaged(
     weights = inside / counts * (1.0 if way is None else way[:, None])
     centres = np.array([x[index == b].mean() for b in kept])
     kind = Kind.MEAN if way is None else Kind.ALONG
-    centred = way is not None or names[0].startswith("speed")
+    centred = way is not None or names[0].startswith("speed of ")
     return Look(joint, *names, kind, centres, weights.__getitem__, np.ones(len(kept)), counts, centred, logarithmic)
 
 

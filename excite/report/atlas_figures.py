@@ -20,6 +20,7 @@ _COLUMNS = 4
 _TOTAL = WIDTH * 72.0
 _LEFT, _RIGHT, _GAP, _TOP, _HEIGHT, _STEP = 32.0, 6.0, 32.0, 44.0, 74.0, 128.0
 _OTHER = "speed of "
+_ORDER = ("speed", "direction", "load", "load, along the motion", "position", "position, along the motion", "order")
 _PHASES = {-2.0: "− faster", -1.0: "− slower", 1.0: "+ slower", 2.0: "+ faster"}
 
 
@@ -33,7 +34,8 @@ def drawn(panels: Sequence[Panel]) -> list[Panel]:
 def overview(atlas: Atlas, joints: Sequence[str]) -> str:
     """Joints across what the residual was looked at against: shaded by how much of it shows there, blank where it may be noise."""
     rows = {j: {_column(p): p for p in drawn(atlas.of(j))} for j in range(len(joints))}
-    columns = list(dict.fromkeys(name for row in rows.values() for name in row))
+    known = dict.fromkeys(name for row in sorted(rows.values(), key=len, reverse=True) for name in row)
+    columns = [*(name for name in _ORDER if name in known), *(name for name in known if name not in _ORDER)]
     values, words = np.full((len(joints), len(columns)), np.nan), [[""] * len(columns) for _ in joints]
     marked = np.zeros(values.shape, bool)
     for j, row in rows.items():
@@ -83,7 +85,7 @@ class Frame:
     def of(cls, panel: Panel, x: float, y: float, width: float, reach: float) -> Frame:
         """The frame that a panel's curve fills."""
         at = places(panel)
-        pad = 0.04 * float(np.ptp(at))
+        pad = 0.4 if panel.against == "direction" else 0.04 * float(np.ptp(at))
         amplitude = panel.kind is Kind.AMPLITUDE
         return cls(x, y, width, float(at.min()) - pad, float(at.max()) + pad, 0.0 if amplitude else -reach, reach)
 

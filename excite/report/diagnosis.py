@@ -212,7 +212,7 @@ def _where(found: Diagnosis, looked: Atlas) -> Section:
         gone = sum(p.p_after >= SIGNIFICANT for p in shown)
         answer = f"The clearest is {robot.joints[first.joint]} against {first.against}, which shows {percent(first.share_before)} of its "
         answer += f"residual; {plural(len(shown), 'curve')} of {len(looked.panels)} {'is' if len(shown) == 1 else 'are'} not noise"
-        answer += f", {gone} of them {'is' if gone == 1 else 'are'} with the findings." if changed else "."
+        answer += f"; with the findings {gone} of them {'is' if gone == 1 else 'are'}." if changed else "."
     else:
         answer = f"Nowhere: none of {plural(len(looked.panels), 'curve')} of the held-out residual differs from noise."
     body = figure(atlas_figures.overview(looked, robot.joints))

@@ -39,7 +39,7 @@ def diagnose(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outco
     contents = {
         "diagnosis.json": artefact.dumps(told_all),
         "model.json": artefact.dumps(model.document(result.identified, train)),
-        "report.html": report.diagnosis_page(result, told_all),
+        "report.html": report.diagnosis_page(result, told_all, held_out),
     }
     written = files.write_all(Path(arguments.out), contents)
     return 0, told_all | {"files": [str(path) for path in written]}, _text(told_all, [str(path) for path in written])

@@ -29,6 +29,8 @@ QUIET = 1.2
 """RMSE over the noise floor at which a joint counts as explained."""
 MISFIT = {"periods": 0.1, "differences": 0.3}
 """Share of the residual taken for a form that is not quite the catalogue's, by how the noise is known."""
+GRID = {"order": 0.01, "velocity": 0.25, "time_constant": 0.5, "frequency": 0.15, "exponent": 0.2}
+"""Standard error, relative, of a value that is the best of a few that were tried."""
 RISING = 10.0
 MUCH = 0.15
 """The same over the torque itself, where no period repeats to show the noise."""
@@ -240,7 +242,8 @@ def hypothesis_parameters(one: Design, verdict: Verdict, number: int) -> dict[st
     for key, mean in value.items():
         own = float(np.nanstd([c[key] for c in cloud]))
         halves = abs(others[0][key] - others[1][key]) / 2.0
-        out[key] = (mean, float(np.hypot(own, halves)))
+        on_grid = 0.0 if own > 0.0 or key not in shape.values else GRID.get(key, 0.2) * abs(mean)
+        out[key] = (mean, float(np.sqrt(own**2 + halves**2 + on_grid**2)))
     return out
 
 

@@ -367,7 +367,7 @@ def _made(found: Diagnosis, looked: Atlas) -> Section:
     answer = (
         f"{plural(len(found.design.shapes), 'shape')} of {len(EFFECTS)} effects, alone and together, each refit with the base model on "
     )
-    answer += f"{plural(len(sources[0]), 'recording')} and judged on {plural(len(sources[1]), 'other')}."
+    answer += f"{plural(len(sources[0]), 'recording')} and judged on {plural(len(sources[1]), 'other recording')}."
     facts = {
         "robot": f"{robot.name} ({robot.source})",
         "SHA-256 of the URDF": robot.sha256,

@@ -31,7 +31,8 @@ def _late(joint: int | None) -> Columns:
 
 
 def _delay(tracks: Sequence[Track]) -> Iterator[Shape]:
-    for joint in (None, *range(tracks[0].n)):
+    alone = tracks[0].n == 1  # the joint is the whole robot
+    for joint in (*(() if alone else (None,)), *range(tracks[0].n)):
         yield Shape("delay", joint, _late(joint), named("seconds"), within(-0.05, 0.05))
 
 

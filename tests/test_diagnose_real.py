@@ -1,0 +1,61 @@
+"""Diagnosis of real machines whose truth others have published, and the tool is not told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from excite import base, limits, parameters, recordings, robot
+from excite.diagnose import diagnosis
+from excite.diagnose.diagnosis import Diagnosis, Options
+from excite.errors import ExciteWarning
+from excite.identify import priors
+
+REAL = Path(__file__).resolve().parent.parent.parent / "shared" / "recordings"
+pytestmark = pytest.mark.skipif(not REAL.is_dir(), reason=f"no real recordings at {REAL}")
+
+
+def diagnosed(folder: str, train: tuple[str, ...], held_out: str, prior: str | None = None, band: float = 20.0) -> Diagnosis:
+    place = REAL / folder
+    machine = robot.load(str(place / f"{folder}.urdf"))
+    table = limits.resolve(machine)
+    standard = parameters.standard(machine, table)
+    first, last = ([recordings.read(place / f"{name}.csv", machine, table) for name in names] for names in (train, (held_out,)))
+    known = priors.trusted(place / prior, standard) if prior else {}
+    return diagnosis.diagnose(machine, standard, base.find(machine, standard, table), first, last, Options(band, known))
+
+
+def relative(found: Diagnosis) -> np.ndarray:
+    torque = np.concatenate([one.torque for one in found.tracks[1]])
+    return np.asarray(found.after / np.sqrt(np.mean(torque**2, axis=0)))
+
+
+def values(found: Diagnosis, effect: str, joint: int | None) -> dict[str, float]:
+    number = next(i for i, h in enumerate(found.verdict.chosen) if (h.effect, h.joint) == (effect, joint))
+    return {key: value for key, (value, _) in diagnosis.hypothesis_parameters(found.design, found.verdict, number).items()}
+
+
+def test_emps_rubs_more_one_way_than_the_other():
+    found = diagnosed("emps", ("train",), "validate_pulses", band=25.0)
+    viscous = values(found, "asymmetric_viscous", 0)
+    assert viscous["positive"] == pytest.approx(167.0, rel=0.05) and viscous["negative"] == pytest.approx(240.0, rel=0.05)
+    assert relative(found)[0] <= 0.030
+
+
+@pytest.mark.filterwarnings(f"ignore::{ExciteWarning.__module__}.{ExciteWarning.__name__}")
+def test_tx40_turns_its_last_motor_with_two_joints():
+    found = diagnosed("tx40", ("train",), "validate")
+    assert {(h.effect, h.joint) for h in found.verdict.chosen} >= {("coupling", 4), ("coupling", 5)}
+    friction = values(found, "coupling", 4)
+    assert friction["viscous"] == pytest.approx(0.62, rel=0.15) and friction["coulomb"] == pytest.approx(1.95, rel=0.15)
+    assert relative(found)[4] <= 0.43
+
+
+def test_kuka_carries_a_load_and_has_a_spring():
+    found = diagnosed("kuka_kr300", ("traj_A", "traj_B"), "traj_C", prior="prior.json")
+    names = {(h.effect, h.joint) for h in found.verdict.chosen}
+    assert ("payload", 5) in names and ("spring", 1) in names
+    assert values(found, "payload", 5)["mass"] == pytest.approx(150.0, rel=0.25)
+    assert relative(found)[1] < 0.2

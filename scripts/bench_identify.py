@@ -167,7 +167,7 @@ def poor(name: str) -> None:
 # -- speed -----------------------------------------------------------------------------------------------------------
 
 
-def speed(rows: int = 1_000_000) -> None:
+def speed(rows: int = 1_000_000, rate: float = 1000.0) -> None:
     model, table = model_of(robot.load("panda"))
     fourier = artefact.read(TRAJECTORIES / "panda.json").motion.fourier
     rng = np.random.default_rng(0)
@@ -179,7 +179,7 @@ def speed(rows: int = 1_000_000) -> None:
         with path.open("w", encoding="utf-8") as stream:
             stream.write(",".join(["t", *names]) + "\n")
             for start in range(0, rows, 10_000):
-                t = (start + np.arange(10_000)) / RATE
+                t = (start + np.arange(10_000)) / rate
                 s = fourier.at(t)
                 tau = np.column_stack([np.interp(t % (7 * fourier.period), piece.t, c) for c in piece.tau.T])
                 block = np.hstack([t[:, None], s, tau + NOISE * table.torque * rng.normal(size=tau.shape)])

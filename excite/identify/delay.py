@@ -12,6 +12,8 @@ from .equations import Equations
 from .estimators import Estimate, least_squares
 
 Array = np.ndarray
+MOST = 20_000
+"""Rows that settle a delay."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,7 @@ class Delay:
 
 def estimated(equations: Equations, estimate: Estimate) -> Delay:
     """Delays from columns −dτ̂/dt added to the regressor, one a joint."""
+    equations = equations if len(equations) <= MOST else equations.rows(slice(0, MOST))
     n, p = equations.n, equations.regressor.shape[2]
     slope = np.zeros_like(equations.torque)
     fitted = equations.predicted(estimate.theta)

@@ -133,6 +133,9 @@ def _solved(joined: Array, parts: Array) -> Fit:
 
 def least_squares(equations: Equations, scale: Array, weights: Array | None = None) -> Fit:
     """argmin ‖W^½ C⁻¹(τ − Γθ)‖², of least norm in units of the columns' sizes where columns depend on one another."""
+    if weights is None and np.count_nonzero(scale) == len(scale):
+        parts = triangles(equations) / np.diag(scale)[:, None, None]
+        return _solved(_stacked(parts), parts)
     white = dataclasses.replace(equations, torque=weighted(equations.torque, scale), regressor=weighted(equations.regressor, scale))
     if weights is not None:
         root = np.sqrt(weights)
@@ -204,7 +207,7 @@ def _assembled(
     outliers: float = 0.0,
 ) -> Estimate:
     """The estimate with its sandwich: in coordinates H the slope is `slope`, so the covariance is H S Hᵀ/slope²."""
-    inside = weighted(equations.regressor, scale) @ fit.half
+    inside = weighted(equations.regressor @ fit.half, scale)
     spectrum, spread = colour(equations, score, inside, scale)
     spread = spread / slope**2
     residual = equations.torque - equations.predicted(theta)

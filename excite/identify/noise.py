@@ -19,7 +19,8 @@ from .equations import Equations
 
 Array = np.ndarray
 RESOLUTION = 0.1
-"""Width of a spectrum's bins, at the least [Hz]."""
+"""Width of a spectrum's bins, at the least [Hz]; of LONG recordings five times as much."""
+LONG = 10_000
 FREEDOM = 12.0
 """Degrees of freedom that a density is averaged over, at the least."""
 WINDOW = 2048
@@ -55,7 +56,8 @@ def colour(equations: Equations, series: Array, rows: Array, scale: Array, instr
     """
     n, rate = equations.n, equations.rate
     longest = max(length for _, length, _ in _windows(equations))
-    count = max(2, int(0.5 * rate / max(RESOLUTION, rate / longest)))
+    finest = RESOLUTION if len(equations) < LONG else 5.0 * RESOLUTION
+    count = max(2, int(0.5 * rate / max(finest, rate / longest)))
     power, freedom, spread, repeats = (np.zeros((count, n)) for _ in range(4))
     scores = rows if instruments is None else instruments
     grams = np.zeros((count, n, scores.shape[2], scores.shape[2]))
@@ -77,7 +79,8 @@ def colour(equations: Equations, series: Array, rows: Array, scale: Array, instr
             Z = Z * np.sqrt(sides / points)[:, None]
             for k, first in zip(*np.unique(where, return_index=True), strict=True):
                 block = Z[first : first + int(np.sum(where == k))]
-                grams[k, joint] += (block.conj().T @ block).real
+                parted = np.vstack([block.real, block.imag])
+                grams[k, joint] += parted.T @ parted
         if deviations is not None:
             between = np.abs(deviations @ inverse.T) ** 2 / length / periods
             np.add.at(spread, where[1 : 1 + between.shape[1]], between.sum(axis=0))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -47,6 +47,7 @@ class Estimate:
     information there is in θ. Shape (r, p). covariance: of θ̂, ∞ on the diagonal where a hidden direction has part. Shape (p, p).
     scale: C with Σ = C Cᵀ, noise over the joints. Shape (n, n) [N m]. colour: of weighted residuals. residual: τ − Γ θ̂. Shape (N, n).
     freedom: rows less parameters. outliers: share of rows whose weight robust estimation halved or more.
+    beside: coefficients of the nuisances.
     """
 
     method: Method
@@ -58,6 +59,7 @@ class Estimate:
     residual: Array
     freedom: float
     outliers: float = 0.0
+    beside: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def noise(self) -> Array:
@@ -193,7 +195,7 @@ def _marginal(wide: Estimate, equations: Equations) -> Estimate:
     nuisances = np.linalg.matrix_rank(wide.root[:, p:])
     root = Q[:, nuisances:].T @ wide.root[:, :p]
     theta, covariance = wide.theta[:p], wide.covariance[:p, :p]
-    return dataclasses.replace(wide, theta=theta, root=root, covariance=covariance)
+    return dataclasses.replace(wide, theta=theta, root=root, covariance=covariance, beside=wide.theta[p:])
 
 
 def _assembled(

@@ -30,6 +30,8 @@ from .signals import Piece, Spectra
 Array = np.ndarray
 Progress = Callable[[str], None]
 FOLDS = 5
+WIDTH_STEPS = 2
+"""Gauss-Newton steps of the friction's widths, from the best of a grid."""
 SURE = 1e8
 """γ of what a trusted prior states."""
 FREE = 1e-14
@@ -210,6 +212,10 @@ def _data(model: Model, parts: list[Piece], hertz: float, options: Options) -> _
     rows = widths.applied(model, rows, few) if enough else equations.build(model, parts, hertz)
     method = Method.WLS if options.method is Method.IV else options.method  # instruments need a model first
     data = estimators.estimate(rows, method, nuisance=_nuisance(model, rows))
+    for _ in range(WIDTH_STEPS if enough else 0):
+        model = widths.stepped(model, data)
+        rows = widths.applied(model, rows, parts)
+        data = estimators.estimate(rows, method, nuisance=_nuisance(model, rows))
     late = delay.estimated(rows, data)
     if options.align:
         parts = [_moved(piece, late.seconds) for piece in parts]

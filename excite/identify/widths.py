@@ -10,6 +10,7 @@ import numpy as np
 from .band import Band, Grid, edge
 from .equations import Equations, Model, kept_rows
 from .equations import friction as friction_of
+from .estimators import Estimate
 from .signals import Piece
 
 Array = np.ndarray
@@ -17,6 +18,8 @@ CANDIDATES = 1e-4 * 1.3 ** np.arange(21)
 """From a tenth of a mrad/s (mm/s) to 19: a wider step is no Coulomb friction any more."""
 GAIN = 2.0
 """Log-likelihood, rows taken as independent, that a width must gain over the usual one."""
+FARTHEST = 0.4
+"""Change of a width's logarithm in one step, at the most."""
 ENOUGH = 1 << 16
 """Samples of a recording that settle the widths."""
 
@@ -64,6 +67,15 @@ def _speeds(piece: Piece, hertz: float) -> Iterator[tuple[Band, slice, Array]]:
     for rows, kept in kept_rows(piece, band):
         part = dataclasses.replace(band, count=rows.stop - rows.start)
         yield part, kept, part.low(piece.q[rows], Grid.RECORDED, 1, reach=edge(piece.q[rows], part))
+
+
+def stepped(model: Model, data: Estimate) -> Model:
+    """The model after a Gauss-Newton step of its widths: the slope's coefficient is the friction times the change of log width."""
+    widths = model.widths.copy()
+    for step, (k, joint) in zip(data.beside, model.friction_columns().items(), strict=True):
+        if data.theta[k] > 0.0:
+            widths[joint] *= np.exp(np.clip(step / data.theta[k], -FARTHEST, FARTHEST))
+    return dataclasses.replace(model, widths=np.clip(widths, CANDIDATES[0], CANDIDATES[-1]))
 
 
 def applied(model: Model, rows: Equations, pieces: Iterable[Piece]) -> Equations:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .catalogue import BY_NAME
 from .search import Design, Trial, trial
 
 Array = np.ndarray
@@ -180,8 +179,3 @@ def _probability(gain: float, others: Sequence[float], alike: int) -> float:
     heat = max(2.0, 0.5 * ALIKE * gain)
     weights = np.exp(np.clip((np.array([gain, *others]) - gain) / heat, -60.0, 0.0))
     return float(np.clip(alike * weights[0] / (alike * weights[0] + weights[1:].sum()), 0.5, 0.99))
-
-
-def told(hypothesis: Hypothesis) -> str:
-    """What its torque looks like, in words."""
-    return BY_NAME[hypothesis.effect].signature

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from ..identify.band import WIDER, Band, Grid, edge, encoder_noise
+from ..identify.band import WIDER, Band, Grid, encoder_noise, friction_speed
 from ..identify.equations import Model, filtered
 from ..identify.signals import Piece
 from ..parameters import Parameters
@@ -72,8 +72,9 @@ class Track:
     @functools.cached_property
     def fine(self) -> Samples:
         """Motion at every sample of the recording. Shapes (M, n)."""
-        position, sharp = self.band.transformed(self.piece.q), edge(self.piece.q, self.band)
-        return Samples(position.low(Grid.RECORDED, 0, WIDER), position.low(Grid.RECORDED, 1, sharp), position.low(Grid.RECORDED, 2, WIDER))
+        position = self.band.transformed(self.piece.q)
+        speed = friction_speed(self.piece.q, self.band, position)
+        return Samples(position.low(Grid.RECORDED, 0, WIDER), speed, position.low(Grid.RECORDED, 2, WIDER))
 
     @functools.cached_property
     def coarse(self) -> Samples:

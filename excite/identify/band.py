@@ -182,11 +182,16 @@ def _stepped(q: Array) -> bool:
     return bool(np.mean(np.diff(q) == 0.0) > 0.02)
 
 
-def edge(positions: Array, band: Band) -> float:
-    """How many bands the speed in Coulomb friction may keep: EDGE, or as many as leave it quieter than QUIET with a coarse encoder.
+def friction_speed(positions: Array, band: Band, transformed: Transformed | None = None) -> Array:
+    """The speed that Coulomb friction sees, at every sample. transformed: of the positions, where it is at hand. Shapes (M, n).
 
-    White noise σ of positions makes σ 2πf √(2f/3f_s) of speed below f.
+    It keeps EDGE bands, or as many as leave it quieter than QUIET with a coarse encoder.
     """
+    return (transformed or band.transformed(positions)).low(Grid.RECORDED, 1, _edge(positions, band))
+
+
+def _edge(positions: Array, band: Band) -> float:
+    """How many bands that speed may keep: white noise σ of positions makes σ 2πf √(2f/3f_s) of speed below f."""
     noise = float(encoder_noise(positions).max(initial=0.0))
     if noise == 0.0:
         return EDGE

@@ -14,7 +14,7 @@ from ..errors import UnusableInput
 from ..parameters import Parameters
 from ..robot import Robot
 from ..trajectory import Samples
-from .band import WIDER, Band, Grid, edge
+from .band import WIDER, Band, Grid, friction_speed
 from .signals import Piece, chunks
 
 Array = np.ndarray
@@ -156,7 +156,7 @@ def filtered(model: Model, q: Array, band: Band) -> tuple[Array, Array, Samples]
     slopes = np.zeros(gamma.shape[:2])
     columns = model.friction_columns()
     if columns:  # from every sample of the recording: their steps are too short for the coarse grid
-        coulomb, slopes = friction(model.widths, position.low(Grid.RECORDED, 1, edge(q, band)), band)
+        coulomb, slopes = friction(model.widths, friction_speed(q, band, position), band)
         for k, joint in columns.items():
             gamma[:, :, k] = 0.0
             gamma[:, joint, k] = coulomb[:, joint]

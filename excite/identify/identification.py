@@ -168,9 +168,10 @@ def identify(
     if options.method is Method.IV or options.hausman:
         progress("instruments from a simulated robot that follows the reference")
         instrumented, endogeneity = _instrumented(own, recordings, posterior.psi)
-        data = instrumented if options.method is Method.IV else data
-        prior, tried = _prior(parameters, base, rows, data, options)
-        posterior = _posterior(parameters, base, data, prior, options)
+        if options.method is Method.IV:
+            data = instrumented
+            prior, tried = _prior(parameters, base, rows, data, options)
+            posterior = _posterior(parameters, base, data, prior, options)
     simulation = None
     if options.simulate or options.refine:
         progress("simulating ahead")

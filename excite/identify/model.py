@@ -19,7 +19,7 @@ from ..recordings import Recording
 from ..robot import Robot, load
 from ..trajectory import Samples
 from . import confidence
-from .band import EDGE, WIDER, Band, Grid
+from .band import WIDER, Band, Grid, friction_speed
 from .description import identified
 from .endogeneity import Endogeneity
 from .equations import BLOCK
@@ -65,8 +65,9 @@ class FittedModel:
         times, torques = [], []
         for piece in recording.segments():
             band = Band(min(self.hertz, 0.45 * piece.rate), piece.rate, len(piece))
-            motion = Samples(*(band.low(piece.q, Grid.RECORDED, order, reach=WIDER) for order in range(3)))
-            torque = band.low(self.torque(motion, band.low(piece.q, Grid.RECORDED, 1, reach=EDGE)), Grid.RECORDED)
+            position = band.transformed(piece.q)
+            motion = Samples(*(position.low(Grid.RECORDED, order, WIDER) for order in range(3)))
+            torque = band.low(self.torque(motion, friction_speed(piece.q, band, position)), Grid.RECORDED)
             own = recording.own_times[(recording.own_times >= piece.t[0] - 1e-9) & (recording.own_times <= piece.t[-1] + 1e-9)]
             times.append(own)
             torques.append(np.column_stack([np.interp(own, piece.t, column) for column in torque.T]))

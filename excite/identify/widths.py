@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from .band import Band, Grid, edge
+from .band import Band, Grid, friction_speed
 from .equations import Equations, Model, kept_rows
 from .equations import friction as friction_of
 from .estimators import Estimate
@@ -66,7 +66,7 @@ def _speeds(piece: Piece, hertz: float) -> Iterator[tuple[Band, slice, Array]]:
     band = Band(hertz, piece.rate, len(piece), piece.periodic)
     for rows, kept in kept_rows(piece, band):
         part = dataclasses.replace(band, count=rows.stop - rows.start)
-        yield part, kept, part.low(piece.q[rows], Grid.RECORDED, 1, reach=edge(piece.q[rows], part))
+        yield part, kept, friction_speed(piece.q[rows], part)
 
 
 def stepped(model: Model, data: Estimate) -> Model:

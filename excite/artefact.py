@@ -129,15 +129,21 @@ def dumps(document: Any) -> str:
     return json.dumps(plain(document), indent=1, allow_nan=False, ensure_ascii=False)
 
 
-def read(path: Path) -> Trajectory:
-    """Read `trajectory.json`. Raises UnusableInput when it is missing, broken or of another schema."""
+def stated(path: Path, schemas: tuple[str, ...], what: str, remedy: str) -> dict[str, Any]:
+    """A JSON document of one of some schemas. Raises UnusableInput, saying `what` it is no good as and the `remedy`."""
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise UnusableInput(f"{path}: cannot be read as a trajectory ({error}); give the trajectory.json of 'excite design'") from error
-    if not isinstance(document, dict) or document.get("schema") != SCHEMA:
-        found = document.get("schema") if isinstance(document, dict) else None
-        raise UnusableInput(f"{path}: its schema is {found!r}, not {SCHEMA!r}; give the trajectory.json of 'excite design'")
+        raise UnusableInput(f"{path}: cannot be read as a {what} ({error}); give {remedy}") from error
+    found = document.get("schema") if isinstance(document, dict) else None
+    if not isinstance(document, dict) or found not in schemas:
+        raise UnusableInput(f"{path}: its schema is {found!r}, not {schemas[0]!r}; give {remedy}")
+    return document
+
+
+def read(path: Path) -> Trajectory:
+    """Read `trajectory.json`. Raises UnusableInput when it is missing, broken or of another schema."""
+    document = stated(path, (SCHEMA,), "trajectory", "the trajectory.json of 'excite design'")
     try:
         return _from_document(document)
     except (KeyError, TypeError, ValueError, IndexError) as error:

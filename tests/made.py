@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
+from excite import base, limits, parameters, robot
 from excite.identify import consistent
 from excite.identify.equations import Model
 from excite.parameters import Parameters
@@ -17,6 +18,14 @@ from excite.trajectory import Fourier
 Array = np.ndarray
 PERIOD, RATE = 5.2, 500.0
 WIDTH = 0.004
+
+
+def two_links() -> Model:
+    """The built-in two-link robot with all parameters, and friction steps of WIDTH."""
+    machine = robot.load("two_link")
+    table = limits.resolve(machine)
+    standard = parameters.standard(machine, table)
+    return Model(machine, standard, base.find(machine, standard, table), np.full(machine.n, WIDTH))
 
 
 def perturbed(standard: Parameters, rng: np.random.Generator, size: float = 0.1) -> Array:

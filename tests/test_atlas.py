@@ -7,14 +7,13 @@ from functools import cache
 
 import numpy as np
 import pytest
-from made import WIDTH, motion, perturbed, recorded
+from made import motion, perturbed, recorded, two_links
 
-from excite import base, limits, parameters, robot
+from excite import robot
 from excite.diagnose import atlas, diagnosis, looks
 from excite.diagnose.diagnosis import Diagnosis
 from excite.diagnose.isolability import isolability
 from excite.diagnose.judge import Verdict
-from excite.identify.equations import Model
 from excite.recordings import Recording
 
 NOISE = 0.1
@@ -41,18 +40,14 @@ def plant(recording: Recording, extra: str) -> Recording:
 @cache
 def found(extra: str = "") -> Diagnosis:
     """A diagnosis with nothing looked for, so that what is planted stays in the residual."""
-    machine = robot.load("two_link")
-    table = limits.resolve(machine)
-    standard = parameters.standard(machine, table)
-    own = base.find(machine, standard, table)
-    model = Model(machine, standard, own, np.full(machine.n, WIDTH))
-    psi = perturbed(standard, np.random.default_rng(3))
+    model = two_links()
+    psi = perturbed(model.parameters, np.random.default_rng(3))
     both = []
     for seed, name in ((1, "train.csv"), (2, "validate.csv")):
         one = recorded(model, psi, motion(2, seed, 9.0), 2.5, NOISE, period=None, periodic=None)
         both.append(plant(dataclasses.replace(one, source=name), extra))
     options = diagnosis.Options(names=("drag",))
-    done = diagnosis.diagnose(machine, standard, own, both[:1], both[1:], options)
+    done = diagnosis.diagnose(model.robot, model.parameters, model.base, both[:1], both[1:], options)
     none = Verdict((), None, (), (), done.verdict.considered)
     return dataclasses.replace(done, verdict=none, after=done.before, residuals=(done.residuals[0], done.residuals[0]))
 

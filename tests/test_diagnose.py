@@ -8,9 +8,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from made import WIDTH, motion, perturbed, recorded, written
+from contract import EFFECT_NAMES
+from made import WIDTH, motion, perturbed, recorded, two_links, written
 
-from excite import base, cli, limits, parameters, robot
+from excite import cli
 from excite.diagnose import diagnosis
 from excite.diagnose.catalogue import BY_NAME, EFFECTS
 from excite.diagnose.diagnosis import Diagnosis, Options
@@ -20,42 +21,12 @@ from excite.identify.equations import Model
 from excite.recordings import Recording
 
 Array = np.ndarray
-CONTRACT = (
-    "payload",
-    "gravity_tilt",
-    "rotor_inertia",
-    "torque_offset",
-    "asymmetric_viscous",
-    "stribeck",
-    "nonlinear_viscous",
-    "load_friction",
-    "position_friction",
-    "hysteresis",
-    "backlash",
-    "elasticity",
-    "torque_ripple",
-    "spring",
-    "coupling",
-    "torque_gain",
-    "torque_saturation",
-    "delay",
-    "thermal_drift",
-    "encoder_error",
-    "kinematic_error",
-    "base_compliance",
-    "contact",
-    "drag",
-    "friction",
-)
 Plant = Callable[[Array, Array, Array, Array], Array]  # t, q, dq, tau -> torque added to the recording
 
 
 @pytest.fixture(scope="module")
 def subject() -> Model:
-    machine = robot.load("two_link")
-    table = limits.resolve(machine)
-    standard = parameters.standard(machine, table)
-    return Model(machine, standard, base.find(machine, standard, table), np.full(2, WIDTH))
+    return two_links()
 
 
 def recordings_of(subject: Model, plant: Plant | None) -> tuple[Recording, Recording]:
@@ -151,16 +122,16 @@ def test_a_trusted_prior_shows_what_a_refit_absorbs(subject):
 
 
 def test_the_catalogue_is_the_contracts():
-    assert sorted(BY_NAME) == sorted(CONTRACT) and len(EFFECTS) == len(CONTRACT)
+    assert sorted(BY_NAME) == sorted(EFFECT_NAMES) and len(EFFECTS) == len(EFFECT_NAMES)
     for effect in EFFECTS:
         assert effect.units and effect.signature and effect.experiment and effect.source
-        assert set(effect.confused) <= set(CONTRACT)
+        assert set(effect.confused) <= set(EFFECT_NAMES)
 
 
 def test_every_shape_gives_finite_columns_and_named_parameters(subject):
     result = found(subject, PLANTED["spring"][0], trusted=dict(enumerate(perturbed(subject.parameters, np.random.default_rng(4)).tolist())))
     seen = {shape.effect for shape in result.design.shapes}
-    assert seen >= set(CONTRACT) - {"contact", "kinematic_error"}
+    assert seen >= set(EFFECT_NAMES) - {"contact", "kinematic_error"}
     for shape, place in zip(result.design.shapes, result.design.places, strict=True):
         values = shape.parameters(np.full(place.stop - place.start, 0.3))
         assert set(values) <= set(BY_NAME[shape.effect].units), shape.effect

@@ -8,14 +8,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from made import WIDTH, motion, perturbed, recorded
+from made import WIDTH, motion, perturbed, recorded, two_links
 from test_report import answer, check_page, section
 
-from excite import base, limits, parameters, robot
 from excite.diagnose import diagnosis
 from excite.diagnose.diagnosis import Diagnosis
 from excite.diagnose.document import document
-from excite.identify.equations import Model
 from excite.report import diagnosis_page
 from excite.report.atlas_figures import plain, probability
 
@@ -33,12 +31,8 @@ QUESTIONS = {
 @cache
 def found(amplitude: float) -> Diagnosis:
     """Two links whose second joint has Stribeck friction of that amplitude."""
-    machine = robot.load("two_link")
-    table = limits.resolve(machine)
-    standard = parameters.standard(machine, table)
-    own = base.find(machine, standard, table)
-    model = Model(machine, standard, own, np.full(machine.n, WIDTH))
-    psi = perturbed(standard, np.random.default_rng(3))
+    model = two_links()
+    psi = perturbed(model.parameters, np.random.default_rng(3))
     both = []
     for seed, name in ((1, "train.csv"), (2, "validate.csv")):
         one = recorded(model, psi, motion(2, seed), 3.0, 0.1)
@@ -46,7 +40,7 @@ def found(amplitude: float) -> Diagnosis:
         extra = np.column_stack([0.0 * dq, amplitude * np.exp(-((dq / 0.3) ** 2)) * np.tanh(dq / WIDTH)])
         both.append(dataclasses.replace(one, source=name, tau=one.tau + extra))
     options = diagnosis.Options(names=("stribeck", "drag", "asymmetric_viscous", "delay", "spring"))
-    return diagnosis.diagnose(machine, standard, own, both[:1], both[1:], options)
+    return diagnosis.diagnose(model.robot, model.parameters, model.base, both[:1], both[1:], options)
 
 
 @cache

@@ -11,7 +11,7 @@ import pytest
 from conftest import loaded, random_urdf, slope
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made import PERIOD, RATE, WIDTH, motion, perturbed, recorded
+from made import PERIOD, RATE, WIDTH, motion, perturbed, recorded, two_links
 
 from excite import base, limits, parameters, robot
 from excite.errors import UnusableInput
@@ -31,10 +31,7 @@ Array = np.ndarray
 
 @pytest.fixture(scope="module")
 def model() -> Model:
-    machine = robot.load("two_link")
-    table = limits.resolve(machine)
-    standard = parameters.standard(machine, table)
-    return Model(machine, standard, base.find(machine, standard, table), np.full(machine.n, WIDTH))
+    return two_links()
 
 
 @pytest.fixture(scope="module")

@@ -8,22 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import states, text_of
-from made import WIDTH, motion, perturbed, recorded, written
+from made import motion, perturbed, recorded, two_links, written
 
-from excite import base, cli, dynamics, limits, parameters, robot, workflow
+from excite import cli, dynamics, limits, parameters, robot, workflow
 from excite.identify import consistent, model
-from excite.identify.equations import Model
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two recordings of a two-link robot that is not quite its URDF, and the model that was identified from them."""
     folder = tmp_path_factory.mktemp("identify")
-    machine = robot.load("two_link")
-    table = limits.resolve(machine)
-    standard = parameters.standard(machine, table)
-    subject = Model(machine, standard, base.find(machine, standard, table), np.full(2, WIDTH))
-    psi = perturbed(standard, np.random.default_rng(4))
+    subject = two_links()
+    psi = perturbed(subject.parameters, np.random.default_rng(4))
     for name, seed in (("train", 2), ("other", 5)):
         written(recorded(subject, psi, motion(2, seed), 3, 0.2), folder / f"{name}.csv")
     assert run("identify", "two_link", folder / "train.csv", "--validate", folder / "other.csv", "-o", folder / "out") == 0

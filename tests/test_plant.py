@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from contract import EFFECT_NAMES
 
 pytest.importorskip("mujoco")
 
@@ -25,33 +26,6 @@ from excite.plant.reference import Reference
 from excite.plant.wrong import deformed
 
 MODELS, TRAJECTORIES = Path(arms.__file__).parents[1] / "models", Path(__file__).parents[1] / "trajectories"
-NAMES = {
-    "payload",
-    "gravity_tilt",
-    "rotor_inertia",
-    "torque_offset",
-    "asymmetric_viscous",
-    "stribeck",
-    "nonlinear_viscous",
-    "load_friction",
-    "position_friction",
-    "hysteresis",
-    "backlash",
-    "elasticity",
-    "torque_ripple",
-    "spring",
-    "coupling",
-    "torque_gain",
-    "torque_saturation",
-    "delay",
-    "thermal_drift",
-    "encoder_error",
-    "kinematic_error",
-    "base_compliance",
-    "contact",
-    "drag",
-    "friction",
-}
 
 
 def urdf(name: str) -> Path:
@@ -244,7 +218,7 @@ def test_a_base_moves_as_its_springs_let_it(bench):
 
 
 def test_every_name_of_the_contract_is_there():
-    assert set(CATALOGUE) == NAMES
+    assert set(CATALOGUE) == set(EFFECT_NAMES)
     assert all(set(kind.forms) == set(FAMILIES) for kind in KINDS.values())
 
 

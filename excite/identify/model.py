@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -202,13 +201,7 @@ def judged(prediction: Prediction, joints: Sequence[str]) -> dict[str, Any]:
 
 def read(path: Path) -> FittedModel:
     """Read `model.json`. Raises UnusableInput when it is missing, broken or of another schema."""
-    try:
-        stated = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise UnusableInput(f"{path}: cannot be read as a model ({error}); give the model.json of 'excite identify'") from error
-    if not isinstance(stated, dict) or stated.get("schema") != SCHEMA:
-        schema = stated.get("schema") if isinstance(stated, dict) else None
-        raise UnusableInput(f"{path}: its schema is {schema!r}, not {SCHEMA!r}; give the model.json of 'excite identify'")
+    stated = artefact.stated(path, (SCHEMA,), "model", "the model.json of 'excite identify'")
     try:
         return _from_document(path, stated)
     except (KeyError, TypeError, ValueError, IndexError) as error:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from .. import artefact
 from ..errors import UnusableInput
 from ..parameters import DRIVE, Parameters
 from . import model
@@ -20,15 +20,9 @@ def trusted(path: Path, parameters: Parameters) -> Mapping[int, float]:
 
     A `model.json` serves too: all that it says. Raises UnusableInput for a file that cannot be read or does not fit the robot.
     """
-    try:
-        stated = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise UnusableInput(f"{path}: cannot be read as a prior ({error}); give {{'schema': '{SCHEMA}', …}} or a model.json") from error
-    schema = stated.get("schema") if isinstance(stated, dict) else None
-    if schema == model.SCHEMA:
+    stated = artefact.stated(path, (SCHEMA, model.SCHEMA), "prior", f"{{'schema': '{SCHEMA}', …}} or a model.json")
+    if stated["schema"] == model.SCHEMA:
         return _of_model(path, parameters)
-    if schema != SCHEMA:
-        raise UnusableInput(f"{path}: its schema is {schema!r}, not '{SCHEMA}'; give a prior or a model.json")
     if stated.get("trust_prior") is not True:
         raise UnusableInput(f'{path}: says "trust_prior": {stated.get("trust_prior")!r}; leave --prior out where the URDF is a guess')
     known = dict(enumerate(parameters.nominal[: 10 * parameters.bodies].tolist()))

@@ -48,7 +48,7 @@ def found(extra: str = "") -> Diagnosis:
         both.append(plant(dataclasses.replace(one, source=name), extra))
     options = diagnosis.Options(names=("drag",))
     done = diagnosis.diagnose(model.robot, model.parameters, model.base, both[:1], both[1:], options)
-    none = Verdict((), None, (), (), done.verdict.considered)
+    none = Verdict((), None, done.verdict.considered)
     return dataclasses.replace(done, verdict=none, after=done.before, residuals=(done.residuals[0], done.residuals[0]))
 
 
@@ -69,8 +69,8 @@ def null(one: Diagnosis, rng: np.random.Generator, loud: tuple[float, float]) ->
     left = np.zeros(len(fitted.joint))
     left[fitted.rows] = noise[0] - gammas[0] @ theta
     across = noise[1] - gammas[1] @ theta
-    design = dataclasses.replace(one.design, left=(left, one.design.left[1]), across=(across, one.design.across[1]))
-    scale = one.before / np.sqrt(np.mean(one.design.across[0].reshape(-1, 2) ** 2, axis=0))
+    design = dataclasses.replace(one.design, left=(left, one.design.left[1]), across=across)
+    scale = one.before / np.sqrt(np.mean(one.design.across.reshape(-1, 2) ** 2, axis=0))
     residual = across.reshape(-1, 2) * scale
     rms = np.sqrt(np.mean(residual**2, axis=0))
     return dataclasses.replace(one, design=design, residuals=(residual, residual), before=rms, after=rms, method="differences")

@@ -88,7 +88,7 @@ def test_nothing_planted_nothing_found(subject):
 
 def test_parameters_come_with_intervals_that_hold_the_truth(subject):
     result = found(subject, PLANTED["torque_ripple"][0])
-    value, std = diagnosis.hypothesis_parameters(result.design, result.verdict, 0)["amplitude"]
+    value, std = diagnosis.finding_parameters(result.design, result.verdict, 0)["amplitude"]
     assert value == pytest.approx(0.5, rel=0.1) and std < 0.05
 
 
@@ -118,7 +118,7 @@ def test_a_trusted_prior_shows_what_a_refit_absorbs(subject):
     assert not found(subject, plant).verdict.chosen
     result = found(subject, plant, trusted=trusted)
     assert result.verdict.chosen[0].effect == "torque_offset" and result.verdict.chosen[0].joint == 1
-    assert diagnosis.hypothesis_parameters(result.design, result.verdict, 0)["offset"][0] == pytest.approx(1.0, rel=0.05)
+    assert diagnosis.finding_parameters(result.design, result.verdict, 0)["offset"][0] == pytest.approx(1.0, rel=0.05)
 
 
 def test_the_catalogue_is_the_contracts():

@@ -34,7 +34,7 @@ def relative(found: Diagnosis) -> np.ndarray:
 
 def values(found: Diagnosis, effect: str, joint: int | None) -> dict[str, float]:
     number = next(i for i, h in enumerate(found.verdict.chosen) if (h.effect, h.joint) == (effect, joint))
-    return {key: value for key, (value, _) in diagnosis.hypothesis_parameters(found.design, found.verdict, number).items()}
+    return {key: value for key, (value, _) in diagnosis.finding_parameters(found.design, found.verdict, number).items()}
 
 
 def test_emps_rubs_more_one_way_than_the_other():

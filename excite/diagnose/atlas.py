@@ -101,7 +101,7 @@ def look(found: Diagnosis, recordings: Sequence[Recording] = (), *, draws: int =
     """The atlas of a diagnosis. recordings: those held out, for the temperatures recorded with them."""
     rows = looks.rows(found.tracks[1], recordings)
     rng = np.random.default_rng(seed)
-    scale = found.before / np.maximum(np.sqrt(np.mean(found.design.across[0].reshape(len(rows), -1) ** 2, axis=0)), 1e-300)
+    scale = found.before / np.maximum(np.sqrt(np.mean(found.design.across.reshape(len(rows), -1) ** 2, axis=0)), 1e-300)
     nulls = _nulls(found, scale, rows)
     signs = rng.choice((-1.0, 1.0), size=(draws, len(rows.starts))), rng.choice((-1.0, 1.0), size=(draws, len(nulls[0].scores)))
     all_looks = list(looks.looks(rows, found.identified.model.robot.joints))
@@ -168,7 +168,7 @@ def _nulls(found: Diagnosis, scale: Array, rows: Rows) -> tuple[_Null, _Null]:
     together = found.verdict.together
     if together is not None:
         which = design.which(together.shapes)
-        columns.append(design.free[0][:, which])
+        columns.append(fitted.free(design.columns[0][:, which]))
         left = left - columns[1] @ together.halves[0]
     # what the fit took out of its own residual is put back on average
     spent = min(sum(c.shape[1] for c in columns) / int(recorded.sum()), 0.5)
@@ -178,7 +178,7 @@ def _nulls(found: Diagnosis, scale: Array, rows: Rows) -> tuple[_Null, _Null]:
     before = _Null(residuals[0], loud, gamma, scores[0])
     if together is None:
         return before, before
-    wider = np.concatenate([gamma, design.carried[0][:, which].reshape(len(rows), n, -1)], axis=2)
+    wider = np.concatenate([gamma, design.carried(which).reshape(len(rows), n, -1)], axis=2)
     return before, _Null(residuals[1], loud, wider, np.hstack(scores))
 
 

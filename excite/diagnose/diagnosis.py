@@ -11,14 +11,13 @@ from ..base import Base
 from ..errors import UnusableInput
 from ..identify import consistent, identification, signals
 from ..identify.identification import Identification
-from ..identify.signals import Piece
 from ..parameters import Parameters
 from ..recordings import Recording
 from ..robot import Robot
-from . import judge, search, track
-from .catalogue import EFFECTS
+from . import judge, noise, search, track
+from .catalogue import BY_NAME, EFFECTS
 from .effect import Shape
-from .judge import Hypothesis, Verdict
+from .judge import Verdict
 from .search import Design
 from .track import Track
 
@@ -31,7 +30,6 @@ MISFIT = {"periods": 0.1, "differences": 0.3}
 """Share of the residual taken for a form that is not quite the catalogue's, by how the noise is known."""
 GRID = {"order": 0.01, "velocity": 0.25, "time_constant": 0.5, "frequency": 0.15, "exponent": 0.2}
 """Standard error, relative, of a value that is the best of a few that were tried."""
-RISING = 10.0
 MUCH = 0.15
 """The same over the torque itself, where no period repeats to show the noise."""
 LOUD = 2.0
@@ -87,7 +85,7 @@ class Diagnosis:
     @property
     def name(self) -> str:
         """The verdict."""
-        if not self.verdict.chosen:
+        if not self.verdict.findings:
             return "unexplained" if self.unknown else "no-mismatch"
         return "partly-explained" if self.unknown or bool((self.after > QUIET * self.floor).any()) else "explained"
 
@@ -115,51 +113,17 @@ def diagnose(
     for group, own in zip((train, validate), halves, strict=True):
         if not own:
             raise UnusableInput(f"{group[0].source}: is too short for a band of {options.band:g} Hz; record at least two seconds")
-    floor, method = _floor(identified, train, validate, options.band, halves)
+    noisy = noise.measured(identified, halves, [*train, *validate])
+    floor, method = noisy.floor, noisy.method
     progress("columns of the catalogue")
     misfit = MISFIT[method] * np.sqrt(np.mean(identified.data.residual**2, axis=0))
     scale = np.sqrt(floor**2 + misfit**2)
-    shapes, widths, columns = _columns(halves, options, scale)
     first, second = (_half(own, identified, options, scale) for own in halves)
-    one = search.design((first, second), shapes, widths, columns)
-    progress(f"{len(shapes)} shapes of {len(EFFECTS)} effects, alone and in pairs")
-    verdict = judge.judged(one)
+    one = search.design((first, second), _shapes(halves, options), _builder(halves, scale), noisy.least(scale))
+    progress(f"{len(one.shapes)} shapes of {len(EFFECTS)} effects, alone and together")
+    one, verdict = judge.judged(one)
     before, after = _held_out(one, verdict, scale)
     return Diagnosis(identified, options, (halves[0], halves[1]), one, verdict, floor, method, _rms(before), _rms(after), (before, after))
-
-
-def _floor(
-    identified: Identification, train: Sequence[Recording], validate: Sequence[Recording], hertz: float, halves: Sequence[list[Track]]
-) -> tuple[Array, str]:
-    """Noise below the band: what differs between periods, else what the spectrum shows above the motion; and what noise of the positions
-    makes of the model's torque, which repeats with the motion where an encoder is coarse."""
-    pieces = list(signals.pieces([*train, *validate]))
-    spread, method = signals.floor(pieces, hertz, drift=_slow(pieces, hertz)), "periods"
-    if spread is None:
-        spread = signals.overlap_floor([*train, *validate], hertz)
-    if spread is None:
-        spread, method = _above(identified, hertz), "differences"
-    encoder = np.sqrt(np.mean([track.encoder_torque(identified.model, one) ** 2 for half in halves for one in half[:2]], axis=0))
-    return np.sqrt(np.maximum(spread, 1e-12) ** 2 + encoder**2), method
-
-
-def _above(identified: Identification, hertz: float) -> Array:
-    """Noise of the density that the torque has above the motion."""
-    frequency = identified.spectra.frequency
-    inside = frequency <= hertz
-    return np.sqrt(np.maximum(np.trapezoid(identified.spectra.noise[inside], frequency[inside], axis=0), 1e-24))
-
-
-def _slow(pieces: Sequence[Piece], hertz: float) -> bool:
-    """Whether the noise is so slow that the means of periods differ by it: its density still rises at the lowest harmonics."""
-    rising = []
-    for piece in pieces:
-        if piece.noise is None:
-            continue
-        power = (np.abs(np.fft.rfft(piece.noise, axis=1)) ** 2).mean(axis=(0, 2))
-        frequency = np.fft.rfftfreq(len(piece), 1.0 / piece.rate)
-        rising.append(power[1:4].mean() > RISING * np.median(power[(frequency > 0.0) & (frequency <= hertz)]))
-    return bool(rising) and all(rising)
 
 
 def _half(tracks: list[Track], identified: Identification, options: Options, scale: Array) -> search.Half:
@@ -191,35 +155,35 @@ def _known(identified: Identification, options: Options, width: int) -> tuple[Ar
     return rows, root @ (base.matrix @ prior.nominal)
 
 
-def _columns(halves: Sequence[list[Track]], options: Options, floor: Array) -> tuple[list[Shape], list[int], tuple[Array, Array]]:
-    """Columns of every shape on both halves, over the floor; shapes that say nothing on either are left out."""
-    everything = [*halves[0], *halves[1]]
-    shapes, widths = list[Shape](), list[int]()
-    parts: tuple[list[Array], list[Array]] = ([], [])
-    for effect in EFFECTS:
-        if (effect.prior_only and not options.trusted) or (options.names and effect.name not in options.names):
-            continue
-        for shape in effect.shapes(everything):
-            both = []
-            for half in halves:
-                stacked = np.concatenate([shape.columns(one) / floor[:, None] for one in half])
-                both.append(stacked.reshape(-1, stacked.shape[2]))
-            if not all(np.isfinite(x).all() for x in both) or not any(np.abs(x).max(initial=0.0) > 1e-9 for x in both):
-                continue
-            shapes.append(shape)
-            widths.append(both[0].shape[1])
-            parts[0].append(both[0])
-            parts[1].append(both[1])
-    return shapes, widths, (np.concatenate(parts[0], axis=1), np.concatenate(parts[1], axis=1))
+def _shapes(halves: Sequence[list[Track]], options: Options) -> list[Shape]:
+    """Every shape of the effects that are looked for."""
+    every = [*halves[0], *halves[1]]
+    wanted = [effect for effect in EFFECTS if (options.trusted or not effect.prior_only) and effect.name in (options.names or BY_NAME)]
+    return [shape for effect in wanted for shape in effect.shapes(every)]
+
+
+def _builder(halves: Sequence[list[Track]], scale: Array) -> search.Build:
+    """Columns of a shape on both halves, over the scale."""
+
+    def build(shape: Shape) -> tuple[Array, Array] | None:
+        both = []
+        for own in halves:
+            stacked = np.concatenate([shape.columns(one) / scale[:, None] for one in own])
+            both.append(stacked.reshape(-1, stacked.shape[2]))
+        if not all(np.isfinite(x).all() for x in both) or not any(np.abs(x).max(initial=0.0) > 1e-9 for x in both):
+            return None
+        return both[0], both[1]
+
+    return build
 
 
 def _held_out(one: Design, verdict: Verdict, scale: Array) -> tuple[Array, Array]:
     """Torque of the second half that the base model fitted to the first leaves, and with the findings. Shapes (N, n) [N m]."""
-    before = one.across[0].reshape(-1, len(scale)) * scale
+    before = one.across.reshape(-1, len(scale)) * scale
     if verdict.together is None:
         return before, before
     which = one.which(verdict.together.shapes)
-    added = one.carried[0][:, which] @ verdict.together.halves[0]
+    added = one.carried(which) @ verdict.together.halves[0]
     return before, before - added.reshape(before.shape) * scale
 
 
@@ -227,13 +191,14 @@ def _rms(x: Array) -> Array:
     return np.sqrt(np.mean(x**2, axis=0))
 
 
-def hypothesis_parameters(one: Design, verdict: Verdict, number: int) -> dict[str, tuple[float, float]]:
+def finding_parameters(one: Design, verdict: Verdict, number: int) -> dict[str, tuple[float, float]]:
     """The contract's parameters of a finding: value and standard deviation by the two halves' agreement and the fit's own."""
-    together = verdict.together
+    together, main = verdict.together, verdict.findings[number].main
     assert together is not None
-    start = sum(one.places[h.shape].stop - one.places[h.shape].start for h in verdict.chosen[:number])
-    shape = one.shapes[verdict.chosen[number].shape]
-    part = slice(start, start + one.places[verdict.chosen[number].shape].stop - one.places[verdict.chosen[number].shape].start)
+    before = together.shapes[: together.shapes.index(main.shape)]
+    start = sum(one.places[i].stop - one.places[i].start for i in before)
+    shape = one.shapes[main.shape]
+    part = slice(start, start + one.places[main.shape].stop - one.places[main.shape].start)
     value = shape.parameters(together.coefficients[part])
     others = [shape.parameters(half[part]) for half in together.halves]
     draws = np.random.default_rng(0).normal(size=(200, part.stop - part.start)) * together.deviation[part] + together.coefficients[part]
@@ -247,4 +212,4 @@ def hypothesis_parameters(one: Design, verdict: Verdict, number: int) -> dict[st
     return out
 
 
-__all__ = ["Diagnosis", "Hypothesis", "Options", "diagnose", "hypothesis_parameters"]
+__all__ = ["Diagnosis", "Options", "diagnose", "finding_parameters"]

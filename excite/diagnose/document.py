@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from .catalogue import BY_NAME
-from .diagnosis import Diagnosis, hypothesis_parameters
+from .diagnosis import Diagnosis, finding_parameters
 from .effect import Shape
 from .judge import Hypothesis
 
@@ -49,7 +49,7 @@ def document(found: Diagnosis) -> dict[str, Any]:
         }
         for i, joint in enumerate(joints)
     }
-    findings = [_finding(found, i) for i in range(len(found.verdict.chosen))]
+    findings = [_finding(found, i) for i in range(len(found.verdict.findings))]
     return {
         "schema": SCHEMA,
         "verdict": found.name,
@@ -73,19 +73,20 @@ def _where(found: Diagnosis, shape: Shape) -> dict[str, Any]:
         "time": None if shape.interval is None else list(shape.interval),
     }
     if shape.interval is not None:
-        where["recording"] = next((t.piece.source for half in found.tracks for t in half), "")
+        where["recording"] = shape.source
     return where
 
 
 def _finding(found: Diagnosis, number: int) -> dict[str, Any]:
-    hypothesis = found.verdict.chosen[number]
+    finding = found.verdict.findings[number]
+    hypothesis = finding.main
     shape, effect = found.design.shapes[hypothesis.shape], BY_NAME[hypothesis.effect]
-    values = hypothesis_parameters(found.design, found.verdict, number)
+    values = finding_parameters(found.design, found.verdict, number)
     out: dict[str, Any] = {
         "effect": hypothesis.effect,
         "joint": _joint(found, hypothesis.joint),
-        "probability": found.verdict.probability[number],
-        "equivalents": list(found.verdict.equivalents[number]),
+        "probability": finding.probability,
+        "equivalents": list(finding.equivalents),
         "where": _where(found, shape),
         "parameters": {key: {"value": v, "std": s, "unit": effect.units.get(key, "")} for key, (v, s) in values.items() if np.isfinite(v)},
         "evidence": {"severity": hypothesis.size, "held_out_gain": hypothesis.trial.gain},

@@ -3,46 +3,100 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from .track import Track
 
 Array = np.ndarray
-Columns = Callable[[Track], Array]
-"""Torque that an effect adds, at the kept rows, per unit of each coefficient. Shape (N, n, k)."""
 
 
 @dataclass(frozen=True)
 class Shape:
     """One form of an effect at one joint: linear in its coefficients once `values` are fixed.
 
-    joint: index of the joint that carries it, None where it is nobody's. columns: what it adds. values: the fixed, non-linear
-    parameters. parameters: from coefficients (k,) to the contract's names and values. plausible: whether coefficients (k,) can be
-    physics: sign, range, dissipation. other: a further joint it is tied to.
+    joint: index of the joint that carries it, None where it is nobody's. add: the torque it adds, which depends on what is said here and
+    nothing else. values: the fixed, non-linear parameters. other: a further joint it is tied to. interval, source: when [s] and in
+    which recording, if only then. parameters: from coefficients (k,) to the contract's names and values. plausible: whether
+    coefficients (k,) can be physics: sign, range, dissipation. knob: turns the value that a grid has fixed. several: whether one joint
+    can have more than one of the kind.
     """
 
     effect: str
     joint: int | None
-    columns: Columns
-    parameters: Callable[[Array], dict[str, float]]
-    plausible: Callable[[Array], bool] = lambda c: bool(np.isfinite(c).all())
+    add: Add
     values: Mapping[str, float] = field(default_factory=dict)
     other: int | None = None
     interval: tuple[float, float] | None = None
+    source: str = ""
+    parameters: Callable[[Array], dict[str, float]] = lambda c: {}
+    plausible: Callable[[Array], bool] = lambda c: bool(np.isfinite(c).all())
+    knob: Knob | None = None
+    several: bool = False
+
+    def columns(self, track: Track) -> Array:
+        """Torque that it adds, where the track's rows are, per unit of each coefficient. Shape (N, n, k)."""
+        return self.add(track, self)
+
+    @property
+    def place(self) -> int:
+        """The joint, of a shape that has one."""
+        assert self.joint is not None
+        return self.joint
+
+
+Add = Callable[[Track, Shape], Array]
+
+
+@dataclass(frozen=True)
+class Knob:
+    """A non-linear parameter: the value that a shape has, between its neighbours on the grid, and the shape at any other."""
+
+    value: float
+    low: float
+    high: float
+    shape: Callable[[float], Shape]
+
+    def turned(self, gain: Callable[[Shape], float]) -> Shape:
+        """The shape where the gain is highest, between the neighbours. In the logarithm, to two parts in a thousand of the range."""
+        from scipy.optimize import minimize_scalar  # slow to import
+
+        low, high = np.log(self.low), np.log(self.high)
+        found = minimize_scalar(
+            lambda x: -max(gain(self.at(float(np.exp(x)))), -1e12),
+            bounds=(low, high),
+            method="bounded",
+            options={"xatol": 4e-3 * (high - low), "maxiter": 12},
+        )
+        best, here = self.at(float(np.exp(found.x))), self.at(self.value)
+        return best if -found.fun > gain(here) + 1e-6 else here
+
+    def at(self, value: float) -> Shape:
+        """The shape at a value, which can be turned further within the same range."""
+        return replace(self.shape(value), knob=replace(self, value=value))
+
+
+def family(grid: Sequence[float], shape: Callable[[float], Shape]) -> Iterator[Shape]:
+    """A shape at each value of a rising grid, to be turned between the neighbours."""
+    for i, value in enumerate(grid):
+        low = grid[i - 1] if i else value**2 / grid[1]
+        high = grid[i + 1] if i + 1 < len(grid) else value**2 / grid[-2]
+        yield Knob(value, low, high, shape).at(value)
 
 
 @dataclass(frozen=True)
 class Effect:
     """An entry of the catalogue.
 
-    name: the contract's. shapes: all forms on a robot whose recordings are these tracks. units: of its parameters. prior_only: a refit
-    of the base model absorbs it. signature: what it looks like. confused: names it is taken for. experiment: what would tell them apart.
+    name: the contract's. add: the torque that a shape of it adds. shapes: all forms on a robot whose recordings are these tracks.
+    units: of its parameters. prior_only: a refit of the base model absorbs it. signature: what it looks like. confused: names it
+    is taken for. experiment: what would tell them apart.
     """
 
     name: str
     source: str
+    add: Add
     shapes: Callable[[Sequence[Track]], Iterator[Shape]]
     units: Mapping[str, str]
     signature: str
@@ -51,23 +105,12 @@ class Effect:
     prior_only: bool = False
 
 
-def alone(joint: int, column: Callable[[Track], Array]) -> Columns:
+def alone(track: Track, joint: int, x: Array) -> Array:
     """Columns in one joint's torque only, from values at every sample: (M,) or (M, k)."""
-
-    def build(track: Track) -> Array:
-        x = column(track)
-        x = x[:, None] if x.ndim == 1 else x
-        low = track.reduce(x)
-        out = np.zeros((len(low), track.n, x.shape[1]))
-        out[:, joint] = low
-        return out
-
-    return build
-
-
-def column(joint: int, function: Callable[..., Array], *values: float) -> Columns:
-    """Columns in one joint's torque, from a function of (track, joint, *values)."""
-    return alone(joint, lambda track: function(track, joint, *values))
+    low = track.reduce(x[:, None] if x.ndim == 1 else x)
+    out = np.zeros((len(low), track.n, low.shape[1]))
+    out[:, joint] = low
+    return out
 
 
 def named(*names: str, **fixed: float) -> Callable[[Array], dict[str, float]]:

@@ -53,7 +53,7 @@ def isolability(one: Design) -> Isolability:
         key = (shape.effect, shape.joint)
         if key not in best or gain > best[key][0]:
             best[key] = gain, i
-    gram = one.gram[0] + one.gram[1]
+    gram = one.grams[0].matrix + one.grams[1].matrix
     candidates, parts = list[Candidate](), list[Array]()
     for (effect, joint), (_, i) in best.items():
         place = one.places[i]

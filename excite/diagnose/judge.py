@@ -7,59 +7,74 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from . import search
 from .search import Design, Trial, trial
 
 Array = np.ndarray
-SMALLEST = 0.45
-"""RMS torque of an effect over the noise floor, below which nothing is asserted: clocks, encoders and friction's step are never as the
-model has them, and what they leave is about a quarter of the noise."""
-NATS = 12.0
+NATS = 25.0
 """Held-out log-likelihood that a name must gain."""
 ALIKE = 0.04
 """Names whose gain is within this share of the best one's cannot be told apart: forms are never quite the catalogue's."""
 ALIKE_NATS = 4.0
-SECOND = 0.12
-"""Share of the single's gain that a second effect must add."""
-THIRD = 0.12
+SHARE = 0.12
+"""Of the gain so far, what a further effect must add."""
 MOST = 6
-"""Findings, at the most."""
+"""Shapes, at the most."""
 FRONT = 24
 """Effects that are tried in pairs."""
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """An effect at a joint in its best shape. size: RMS of its torque over the noise floor, the base refit."""
+    """An effect at a joint in its best shape. size: RMS of its torque over the noise floor, the base refit. shows: whether that counts."""
 
     effect: str
     joint: int | None
     shape: int
     trial: Trial
     size: float
+    shows: bool
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What is asserted. parts: its shapes at one joint, the largest first. probability: that the truth is it or an equivalent."""
+
+    parts: tuple[Hypothesis, ...]
+    probability: float
+    equivalents: tuple[str, ...]
+
+    @property
+    def main(self) -> Hypothesis:
+        return self.parts[0]
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """chosen: one or two effects fitted together, or none. probability, equivalents: of each. considered: the best alternatives."""
+    """findings: the largest gain first. together: all their parts, fitted at once. considered: the best alternatives."""
 
-    chosen: tuple[Hypothesis, ...]
+    findings: tuple[Finding, ...]
     together: Trial | None
-    probability: tuple[float, ...]
-    equivalents: tuple[tuple[str, ...], ...]
     considered: tuple[Hypothesis, ...]
+
+    @property
+    def chosen(self) -> tuple[Hypothesis, ...]:
+        """The main part of each finding."""
+        return tuple(finding.main for finding in self.findings)
 
 
 def singles(one: Design, beside: tuple[int, ...] = ()) -> list[Hypothesis]:
     """Every effect at every joint in its best plausible shape, alone or beside shapes that are there already, the best first."""
     best: dict[tuple[str, int | None], Hypothesis] = {}
+    there = {(one.shapes[i].effect, one.shapes[i].joint) for i in beside}
     for i, shape in enumerate(one.shapes):
-        if i in beside:
+        if i in beside or (not shape.several and (shape.effect, shape.joint) in there):
             continue
         found = trial(one, [*beside, i])
         key = (shape.effect, shape.joint)
         if (key in best and found.gain <= best[key].trial.gain) or not found.plausible or not agrees(one, found):
             continue
-        best[key] = Hypothesis(shape.effect, shape.joint, i, found, size(one, found, slice(-_width(one, i), None)))
+        best[key] = Hypothesis(shape.effect, shape.joint, i, found, size(one, found, len(beside)), shows(one, found, len(beside)))
     return sorted(best.values(), key=lambda h: -h.trial.gain)
 
 
@@ -67,111 +82,122 @@ def _width(one: Design, shape: int) -> int:
     return one.places[shape].stop - one.places[shape].start
 
 
-def size(one: Design, found: Trial, part: slice | None = None) -> float:
-    """RMS torque of fitted shapes beyond the base, over the floor, on the joint where it is largest."""
-    which, c = one.which(found.shapes), found.coefficients
-    if part is not None:
-        which, c = which[part], c[part]
-    largest = 0.0
-    torque = [one.free[k][:, which] @ c for k in (0, 1)]
-    for joint in np.unique(one.halves[0].joint[one.halves[0].rows]):
-        own = np.concatenate([torque[k][one.halves[k].joint == joint] for k in (0, 1)])
-        largest = max(largest, float(np.sqrt(np.mean(own**2))))
-    return largest
+def _sizes(one: Design, found: Trial, number: int) -> Array:
+    """RMS torque of one of the fitted shapes beyond the base, over the floor, on each joint. Shape (n,)."""
+    start = sum(_width(one, shape) for shape in found.shapes[:number])
+    shape = found.shapes[number]
+    c = found.coefficients[start : start + _width(one, shape)]
+    return np.asarray(np.sqrt(np.maximum(np.einsum("i,jik,k->j", c, one.power[shape], c), 0.0)))
+
+
+def size(one: Design, found: Trial, number: int) -> float:
+    """The same on the joint where it is largest."""
+    return float(_sizes(one, found, number).max())
+
+
+def shows(one: Design, found: Trial, number: int) -> bool:
+    """Whether one of the fitted shapes is of a size that counts, on some joint."""
+    return bool((_sizes(one, found, number) > one.least).any())
 
 
 def agrees(one: Design, found: Trial) -> bool:
-    """Whether the two halves say the same of the torque: each half's coefficients explain most of what the other's explain."""
+    """Whether the two halves say the same of the torque: each half's coefficients explain most of what the other's explain.
+
+    What happens only then has no second time to be compared with.
+    """
+    if any(one.shapes[i].interval is not None for i in found.shapes):
+        return True
     which = one.which(found.shapes)
-    G = sum(one.gram[k][np.ix_(which, which)] for k in (0, 1))
+    G = sum(gram.matrix[np.ix_(which, which)] for gram in one.grams)
     a, b = found.halves
     power = float(a @ G @ a) * float(b @ G @ b)
     return power > 0.0 and float(a @ G @ b) > 0.5 * np.sqrt(power)
 
 
-def judged(one: Design) -> Verdict:
-    """One name, two, or none."""
+def judged(one: Design) -> tuple[Design, Verdict]:
+    """Names at joints, or none; and the design with the shapes that were found."""
     ranked = singles(one)
-    if not ranked or not _counts(ranked[0].trial.gain, ranked[0].size):
-        return Verdict((), None, (), (), tuple(ranked[:8]))
-    best = ranked[0]
+    counts = [h for h in ranked if h.shows and h.trial.gain > NATS]
+    if not counts:
+        return one, Verdict((), None, tuple(ranked[:8]))
+    one, chosen = search.refined(one, _searched(one, counts))
+    ranked = singles(one)
+    together = trial(one, chosen)
+    groups: dict[tuple[str, int | None], list[Hypothesis]] = {}
+    for number, i in enumerate(chosen):
+        shape = one.shapes[i]
+        own = Hypothesis(shape.effect, shape.joint, i, trial(one, [i]), size(one, together, number), True)
+        groups.setdefault((shape.effect, shape.joint), []).append(own)
+    findings = [_finding(one, together, tuple(sorted(parts, key=lambda h: -h.size))) for parts in groups.values()]
+    findings.sort(key=lambda f: -(together.gain - trial(one, _without(together.shapes, f.parts)).gain))
+    named = {(f.main.effect, f.main.joint) for f in findings}
+    return one, Verdict(tuple(findings), together, tuple([h for h in ranked if (h.effect, h.joint) not in named][:8]))
+
+
+def _without(shapes: Sequence[int], parts: Sequence[Hypothesis]) -> list[int]:
+    return [i for i in shapes if all(i != part.shape for part in parts)]
+
+
+def _searched(one: Design, ranked: Sequence[Hypothesis]) -> list[int]:
+    """Shapes that predict best together: the best single or pair, then more while each is worth it, each looked at again."""
     pair = _best_pair(one, ranked)
-    if pair is None:
-        alike, probability = _equivalents(best, ranked)
-        others = tuple(h for h in ranked[1:9] if h.effect not in alike)
-        return Verdict((best,), best.trial, (probability,), (alike,), others)
-    parts, together = _more(one, *pair)
-    notes = [_equivalents_beside(one, parts, k, ranked, together) for k in range(len(parts))]
-    order = sorted(range(len(parts)), key=lambda k: -parts[k].trial.gain)
-    return Verdict(
-        tuple(parts[k] for k in order),
-        trial(one, [parts[k].shape for k in order]),
-        tuple(notes[k][1] for k in order),
-        tuple(notes[k][0] for k in order),
-        tuple(ranked[:8]),
-    )
+    chosen = [ranked[0].shape] if pair is None else pair
+    while True:
+        chosen = _replaced(one, chosen)
+        now = trial(one, chosen).gain
+        if len(chosen) == MOST:
+            return chosen
+        beside = singles(one, tuple(chosen))
+        if not beside or beside[0].trial.gain - now < max(NATS, SHARE * now) or not beside[0].shows:
+            return chosen
+        chosen = [*chosen, beside[0].shape]
 
 
-def _more(one: Design, parts: tuple[Hypothesis, ...], together: Trial) -> tuple[tuple[Hypothesis, ...], Trial]:
-    """Further effects, one at a time, while each predicts enough better and is of a size that counts."""
-    while len(parts) < MOST:
-        beside = singles(one, tuple(part.shape for part in parts))
-        if not beside or beside[0].trial.gain - together.gain < max(NATS, THIRD * together.gain) or beside[0].size < SMALLEST:
+def _replaced(one: Design, chosen: list[int]) -> list[int]:
+    """Each shape in turn replaced by what predicts best beside the others, or left out where it is not worth it, until none is."""
+    for _ in range(3):
+        before = list(chosen)
+        for i in before:
+            others = [k for k in chosen if k != i]
+            if not others:
+                continue
+            rest, now = trial(one, others).gain, trial(one, chosen).gain
+            best = singles(one, tuple(others))[:1]
+            if now - rest < max(NATS, SHARE * rest):
+                chosen = others
+            elif best and best[0].trial.gain > now + 1e-9 and best[0].shows:
+                chosen = [*others, best[0].shape]
+        if chosen == before:
             break
-        parts, together = (*parts, beside[0]), beside[0].trial
-    return parts, together
+    return chosen
 
 
-def _counts(gain: float, size: float) -> bool:
-    return gain > NATS and size > SMALLEST
-
-
-def _best_pair(one: Design, ranked: Sequence[Hypothesis]) -> tuple[tuple[Hypothesis, Hypothesis], Trial] | None:
+def _best_pair(one: Design, ranked: Sequence[Hypothesis]) -> list[int] | None:
     """The pair that predicts best, if it predicts enough better than the best single and both parts are of a size that counts."""
     single = ranked[0].trial.gain
     beside = singles(one, (ranked[0].shape,))
     front = list({h.shape: h for h in (*ranked[: FRONT // 2], *beside[: FRONT // 2])}.values())
-    best: tuple[float, tuple[Hypothesis, Hypothesis], Trial] | None = None
+    best: tuple[float, list[int]] | None = None
     for i, a in enumerate(front):
         for b in front[i + 1 :]:
             found = trial(one, [a.shape, b.shape])
-            if best is None or found.gain > best[0]:
-                width = _width(one, a.shape)
-                sizes = size(one, found, slice(0, width)), size(one, found, slice(width, None))
-                if found.plausible and min(sizes) > SMALLEST:
-                    best = (found.gain, (a, b), found)
-    if best is None or best[0] - single < max(NATS, SECOND * single):
-        return None
-    return best[1], best[2]
+            if (best is None or found.gain > best[0]) and found.plausible and shows(one, found, 0) and shows(one, found, 1):
+                best = (found.gain, [a.shape, b.shape])
+    return None if best is None or best[0] - single < max(NATS, SHARE * single) else best[1]
 
 
-def _equivalents(best: Hypothesis, ranked: Sequence[Hypothesis]) -> tuple[tuple[str, ...], float]:
-    """Other names that this recording cannot tell from the best, and the probability that the truth is among all of them."""
-    margin = max(ALIKE_NATS, ALIKE * best.trial.gain)
-    names = [h for h in _per_name(best, ranked) if h.effect != best.effect]
-    alike = tuple(h.effect for h in names if h.trial.gain > best.trial.gain - margin)
-    return alike, _probability(best.trial.gain, [h.trial.gain for h in names if h.effect not in alike], 1 + len(alike))
-
-
-def _equivalents_beside(
-    one: Design, parts: Sequence[Hypothesis], number: int, ranked: Sequence[Hypothesis], together: Trial
-) -> tuple[tuple[str, ...], float]:
-    """The same for one of several, the others kept."""
-    part, others = parts[number], [p.shape for k, p in enumerate(parts) if k != number]
-    rest = [h for h in ranked[:60] if h.shape != part.shape and h.shape not in others]
-    again = [Hypothesis(h.effect, h.joint, h.shape, trial(one, [h.shape, *others]), h.size) for h in rest]
-    margin = max(ALIKE_NATS, ALIKE * (together.gain - trial(one, others).gain))
-    names = [h for h in _per_name(part, again) if h.effect != part.effect and h.trial.plausible]
-    alike = tuple(h.effect for h in names if h.trial.gain > together.gain - margin)
-    return alike, _probability(together.gain, [h.trial.gain for h in names if h.effect not in alike], 1 + len(alike))
-
-
-def _per_name(best: Hypothesis, ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
-    found: dict[str, Hypothesis] = {}
-    for h in ranked:
-        if h.effect not in found or h.trial.gain > found[h.effect].trial.gain:
-            found[h.effect] = h
-    return list(found.values())
+def _finding(one: Design, together: Trial, parts: tuple[Hypothesis, ...]) -> Finding:
+    """With the other names that this recording cannot tell from it, and the probability that the truth is among all of them."""
+    others = _without(together.shapes, parts)
+    effect, rest = parts[0].effect, trial(one, others).gain
+    gain = together.gain - rest
+    best: dict[str, float] = {}
+    for h in singles(one, tuple(others)):
+        best.setdefault(h.effect, h.trial.gain - rest)
+    margin = max(ALIKE_NATS, ALIKE * gain)
+    alike = tuple(name for name, value in best.items() if name != effect and value > gain - margin)
+    lesser = [value for name, value in best.items() if name != effect and name not in alike]
+    return Finding(parts, _probability(gain, lesser, 1 + len(alike)), alike)
 
 
 def _probability(gain: float, others: Sequence[float], alike: int) -> float:

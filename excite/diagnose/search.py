@@ -1,20 +1,28 @@
-"""Fitting every shape of the catalogue beside the base model, on one recording set, and judging it on the other.
+"""Fitting every shape of the catalogue beside the base model, on each of two recording sets, judging it on the other.
 
 Frisch & Waugh (1933): with the base refit, a shape's columns count by what the base cannot say of them. All Gram products
-are formed once; any set of shapes is then a small least-squares problem, on either half and in either direction.
+are formed once; any set of shapes is then a small least-squares problem. What is known from one set about the base and the effect
+enters the other as a prior, so that a prediction is no better trusted than what it was learnt from: the gain is a difference of
+log p(y₂ | y₁) + log p(y₁ | y₂), each the quotient of two marginal likelihoods of a linear model (e.g. Bishop 2006, 3.5).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from .effect import Shape
 
 Array = np.ndarray
+Build = Callable[[Shape], tuple[Array, Array] | None]
+"""A shape's columns over the scale at the recorded rows of both halves; None where it says nothing."""
 RANK = 1e-8
+USUAL = 30.0
+"""Standard deviation of an effect's torque over the noise, before anything is seen: what is looked for is 1 to 100."""
 
 
 @dataclass(frozen=True)
@@ -33,31 +41,28 @@ class Half:
         """Rows that were recorded."""
         return self.joint >= 0
 
+    @cached_property
+    def inverse(self) -> Array:
+        """Γ⁺ with relative tolerance, columns at unit length. Shape (p, m + k)."""
+        size = np.linalg.norm(self.gamma, axis=0)
+        size[size <= 1e-9 * size.max(initial=0.0)] = np.inf
+        return np.asarray(np.linalg.pinv(self.gamma / size, rcond=RANK) / size[:, None])
 
-@dataclass(frozen=True)
-class Design:
-    """Two halves with all shapes' columns, and the products that fits are made of.
+    def full(self, columns: Array) -> Array:
+        """Columns at the recorded rows, with the zeros that they have elsewhere. Shapes (m, k) -> (m + k, k)."""
+        out = np.zeros((len(self.joint), columns.shape[1]))
+        out[self.rows] = columns
+        return out
 
-    places: of each shape's columns. free: what the base leaves of them. left: the residual of each half by its own base fit.
-    carried, across: columns and torque of the other half less what this half's base fit makes of them. gram, score: of free and
-    left; gram_across, score_across: of carried and across.
-    """
+    def free(self, columns: Array) -> Array:
+        """What the base leaves of columns. Shapes (m, k) -> (m + k, k)."""
+        full = self.full(columns)
+        return np.asarray(full - self.gamma @ (self.inverse @ full))
 
-    shapes: tuple[Shape, ...]
-    places: tuple[slice, ...]
-    halves: tuple[Half, Half]
-    free: tuple[Array, Array]
-    left: tuple[Array, Array]
-    carried: tuple[Array, Array]
-    across: tuple[Array, Array]
-    gram: tuple[Array, Array]
-    score: tuple[Array, Array]
-    gram_across: tuple[Array, Array]
-    score_across: tuple[Array, Array]
-
-    def which(self, chosen: Sequence[int]) -> Array:
-        """Columns of several shapes."""
-        return np.concatenate([np.arange(self.places[i].start, self.places[i].stop) for i in chosen])
+    @cached_property
+    def left(self) -> Array:
+        """Torque that the base leaves. Shape (m + k,)."""
+        return np.asarray(self.torque - self.gamma @ (self.inverse @ self.torque))
 
 
 def half(base: Sequence[Array], torque: Sequence[Array], scale: Array, known: tuple[Array, Array]) -> Half:
@@ -72,91 +77,178 @@ def half(base: Sequence[Array], torque: Sequence[Array], scale: Array, known: tu
     return Half(np.vstack([gamma, known[0]]), np.concatenate([left, known[1]]), joint)
 
 
-def design(halves: tuple[Half, Half], shapes: Sequence[Shape], widths: Sequence[int], columns: tuple[Array, Array]) -> Design:
-    """All products that the search needs.
+def _stacked(halves: tuple[Half, Half]) -> Half:
+    """Both halves, what was known before counted once."""
+    first, second = halves
+    seen = second.rows
+    parts = [(first.gamma, second.gamma[seen]), (first.torque, second.torque[seen]), (first.joint, second.joint[seen])]
+    return Half(*(np.concatenate(part) for part in parts))
 
-    widths: how many columns each shape has. columns: of all shapes, over the scale, per half, at the rows
-    that were recorded. Shapes (m, K).
+
+@dataclass(frozen=True)
+class Gram:
+    """Products of the columns that a base fit leaves, with each other and with the residual. Shapes (K, K), (K,)."""
+
+    matrix: Array
+    score: Array
+
+
+@dataclass(frozen=True)
+class Design:
+    """Two halves with all shapes' columns, and the products that fits are made of.
+
+    places: of each shape's columns. both: the halves stacked. columns: of each half, at its recorded rows. Shapes (m, K). left: the
+    residual of each half by its own base fit. across: torque of the second half less what the first half's base fit makes of it.
+    grams: of each half, the base fitted to it; whole: of both, the base fitted to both. power: of each shape, the mean products of
+    its columns in `whole`, per joint, Shape (n, k, k). least: size that counts on each joint, over the scale. Shape (n,).
     """
-    places, start = [], 0
-    for width in widths:
-        places.append(slice(start, start + width))
-        start += width
-    fits = [_solver(h.gamma) for h in halves]
-    free, left, carried, across = [], [], [], []
-    for k in (0, 1):
-        own, other = halves[k], halves[1 - k]
-        full = np.zeros((len(own.joint), columns[k].shape[1]))
-        full[own.rows] = columns[k]
-        theta, part = fits[k] @ own.torque, fits[k] @ full
-        free.append(full - own.gamma @ part)
-        left.append(own.torque - own.gamma @ theta)
-        carried.append(columns[1 - k] - other.gamma[other.rows] @ part)  # fitted on k, judged on the other
-        across.append((other.torque - other.gamma @ theta)[other.rows])
-    return Design(
-        tuple(shapes),
-        tuple(places),
-        halves,
-        _two(free),
-        _two(left),
-        _two(carried),
-        _two(across),
-        _two([f.T @ f for f in free]),
-        _two([f.T @ r for f, r in zip(free, left, strict=True)]),
-        _two([c.T @ c for c in carried]),
-        _two([c.T @ r for c, r in zip(carried, across, strict=True)]),
+
+    shapes: tuple[Shape, ...]
+    places: tuple[slice, ...]
+    halves: tuple[Half, Half]
+    both: Half
+    columns: tuple[Array, Array]
+    left: tuple[Array, Array]
+    across: Array
+    grams: tuple[Gram, Gram]
+    whole: Gram
+    power: tuple[Array, ...]
+    prior: Array
+    least: Array
+    build: Build
+
+    def which(self, chosen: Sequence[int]) -> Array:
+        """Columns of several shapes."""
+        return np.concatenate([np.arange(0), *(np.arange(self.places[i].start, self.places[i].stop) for i in chosen)])
+
+    def carried(self, which: Array) -> Array:
+        """Columns of the second half less what the first half's base fit makes of them. Shape (m, k)."""
+        first, second = self.halves
+        part = first.inverse @ first.full(self.columns[0][:, which])
+        return np.asarray(self.columns[1][:, which] - second.gamma[second.rows] @ part)
+
+
+def design(halves: tuple[Half, Half], shapes: Sequence[Shape], build: Build, least: Array) -> Design:
+    """All products that the search needs, of the shapes that say something."""
+    first, second = halves
+    carried = second.gamma @ (first.inverse @ first.torque)
+    nothing, none = np.zeros((0, 0)), np.zeros(0)
+    empty = Gram(nothing, none)
+    columns = np.zeros((int(first.rows.sum()), 0)), np.zeros((int(second.rows.sum()), 0))
+    across = (second.torque - carried)[second.rows]
+    both = _stacked(halves)
+    out = Design((), (), halves, both, columns, (first.left, second.left), across, (empty, empty), empty, (), none, least, build)
+    return appended(out, shapes)
+
+
+def appended(one: Design, shapes: Sequence[Shape]) -> Design:
+    """The design with more shapes, at its end; those that say nothing are left out."""
+    kept, built, places, start = list[Shape](), list[tuple[Array, Array]](), list[slice](), one.columns[0].shape[1]
+    for shape in shapes:
+        found = one.build(shape)
+        if found is not None:
+            kept.append(shape)
+            built.append(found)
+            places.append(slice(start, start + found[0].shape[1]))
+            start += found[0].shape[1]
+    if not kept:
+        return one
+    new = np.hstack([b[0] for b in built]), np.hstack([b[1] for b in built])
+    columns = np.hstack([one.columns[0], new[0]]), np.hstack([one.columns[1], new[1]])
+    grams = [_wider(gram, half, own, all_) for gram, half, own, all_ in zip(one.grams, one.halves, new, columns, strict=True)]
+    stacked = one.both.free(np.concatenate(new))
+    whole = _grown(one.whole, stacked, one.both.full(np.concatenate(columns)), one.both.left)
+    rows = one.both.joint
+    groups = [stacked[rows == joint] for joint in range(len(one.least))]
+    first = places[0].start
+    power = [np.stack([_mean_square(g[:, p.start - first : p.stop - first]) for g in groups]) for p in places]
+    rms = np.sqrt(np.sum(np.square(np.concatenate(new)), axis=0) / len(rows))
+    return dataclasses.replace(
+        one,
+        shapes=(*one.shapes, *kept),
+        places=(*one.places, *places),
+        columns=columns,
+        grams=(grams[0], grams[1]),
+        whole=whole,
+        power=(*one.power, *power),
+        prior=np.concatenate([one.prior, (rms / USUAL) ** 2]),
     )
 
 
-def _two(xs: list[Array]) -> tuple[Array, Array]:
-    return xs[0], xs[1]
+def _mean_square(columns: Array) -> Array:
+    return np.asarray(columns.T @ columns / max(len(columns), 1))
 
 
-def _solver(gamma: Array) -> Array:
-    """Γ⁺ with relative tolerance, columns at unit length."""
-    size = np.linalg.norm(gamma, axis=0)
-    size[size <= 1e-9 * size.max(initial=0.0)] = np.inf
-    return np.asarray(np.linalg.pinv(gamma / size, rcond=RANK) / size[:, None])
+def _wider(gram: Gram, half: Half, new: Array, columns: Array) -> Gram:
+    return _grown(gram, half.free(new), half.full(columns), half.left)
+
+
+def _grown(gram: Gram, free: Array, full: Array, left: Array) -> Gram:
+    """Products with further columns: free of the base, beside all as they are (what is projected once is projected)."""
+    cross, old = full.T @ free, len(gram.matrix)
+    matrix = np.empty((full.shape[1], full.shape[1]))
+    matrix[:old, :old] = gram.matrix
+    matrix[:, old:], matrix[old:, :old] = cross, cross[:old].T
+    matrix[old:, old:] = 0.5 * (cross[old:] + cross[old:].T)
+    return Gram(matrix, np.concatenate([gram.score, free.T @ left]))
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A set of shapes, fitted. coefficients, deviation: on both halves together. halves: on each. gain: log-likelihood on the halves
-    that did not fit it, both directions added. train: on those that did. plausible: whether every part passes its gates."""
+    """A set of shapes, fitted. coefficients, deviation: on both halves together. halves: on each. gain: log-likelihood of each half given
+    the other, both added, beyond the base model's. plausible: whether every part passes its gates."""
 
     shapes: tuple[int, ...]
     coefficients: Array
     deviation: Array
     halves: tuple[Array, Array]
     gain: float
-    train: float
     plausible: bool
 
 
 def trial(one: Design, chosen: Sequence[int]) -> Trial:
-    """Fit the shapes on each half, judge on the other, and once more on both together."""
+    """Fit the shapes on each half, judge on the other, and once more on both together; no shapes: the base model."""
     which = one.which(chosen)
-    index = np.ix_(which, which)
+    index, prior = np.ix_(which, which), one.prior[which]
+    root = 1.0 / np.sqrt(np.maximum(prior, 1e-300))
     found, gain = [], 0.0
-    for k in (0, 1):
-        c = _solved(one.gram[k][index], one.score[k][which])
-        found.append(c)
-        gain += float(c @ one.score_across[k][which] - 0.5 * c @ one.gram_across[k][index] @ c)
-    G, b = one.gram[0][index] + one.gram[1][index], one.score[0][which] + one.score[1][which]
-    c = _solved(G, b)
-    spread = np.sqrt(np.maximum(np.diag(_pseudo(G)), 0.0))
-    plausible, start = True, 0
+    for sign, gram in ((-1.0, one.grams[0]), (-1.0, one.grams[1]), (2.0, one.whole)):
+        # in units of the prior's deviation: G + I, well scaled
+        G = gram.matrix[index] * np.outer(root, root) + np.eye(len(which))
+        factor = np.linalg.cholesky(G)
+        half = np.linalg.solve(factor, gram.score[which] * root)
+        found.append(root * np.linalg.solve(factor.T, half))
+        gain += sign * (0.5 * float(half @ half) - float(np.log(np.diag(factor)).sum()))
+    spread = np.sqrt(np.sum((np.linalg.inv(factor) * root) ** 2, axis=0))
+    plausible, start, c = True, 0, found[2]
     for i in chosen:
         width = one.places[i].stop - one.places[i].start
         plausible &= bool(one.shapes[i].plausible(c[start : start + width]))
         start += width
-    return Trial(tuple(chosen), c, spread, (found[0], found[1]), gain, float(0.5 * c @ b), plausible)
+    return Trial(tuple(chosen), c, spread, (found[0], found[1]), gain, plausible)
 
 
-def _solved(G: Array, b: Array) -> Array:
-    return np.asarray(_pseudo(G) @ b)
+def refined(one: Design, chosen: Sequence[int], sweeps: int = 2) -> tuple[Design, list[int]]:
+    """The chosen shapes with the values that a grid had fixed moved to where they predict best, one after the other."""
+    chosen = list(chosen)
+    for _ in range(sweeps):
+        for place, i in enumerate(chosen):
+            knob = one.shapes[i].knob
+            if knob is None:
+                continue
+            others = [k for k in chosen if k != i]
+            small = design(one.halves, [one.shapes[k] for k in others], one.build, one.least)
+            best = knob.turned(lambda shape, small=small: _beside(small, shape))  # type: ignore[misc]
+            if best is not one.shapes[i]:
+                one = appended(one, [best])
+                chosen[place] = len(one.shapes) - 1
+    return one, chosen
 
 
-def _pseudo(G: Array) -> Array:
-    size = np.sqrt(np.maximum(np.diag(G), 1e-300))
-    return np.linalg.pinv(G / np.outer(size, size), rcond=1e-9, hermitian=True) / np.outer(size, size)
+def _beside(small: Design, shape: Shape) -> float:
+    """Gain of a shape beside all of a small design's."""
+    wider = appended(small, [shape])
+    if len(wider.shapes) == len(small.shapes):
+        return -np.inf
+    found = trial(wider, range(len(wider.shapes)))
+    return found.gain if found.plausible else -np.inf

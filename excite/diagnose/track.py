@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from ..identify.band import WIDER, Band, Grid, encoder_noise, friction_speed
+from ..identify.band import WIDER, Band, Grid, friction_speed
 from ..identify.equations import Model, filtered
 from ..identify.signals import Piece
 from ..parameters import Parameters
@@ -47,7 +47,7 @@ def body(robot: Robot, parameters: Parameters, psi: Array) -> Body:
 class Track:
     """One stretch of a recording. torque: measured, below the band, at the kept rows. Shape (N, n). gamma: Γ there. Shape (N, n, p).
 
-    theta: θ̂ of the base fit. slopes: of torque by the log of
+    theta: θ̂ of the base fit. to: where its rows lie. slopes: of torque by the log of
     friction's width. Shape (N, n). time: of the kept rows [s]. piece: as recorded. body: the base fit.
     """
 
@@ -61,6 +61,7 @@ class Track:
     slopes: Array
     kept: slice
     time: Array
+    to: Grid = Grid.KEPT
 
     def __len__(self) -> int:
         return len(self.time)
@@ -89,7 +90,9 @@ class Track:
 
     def reduce(self, x: Array, of: Grid = Grid.RECORDED) -> Array:
         """Below the band, at the kept rows. Shapes (M or C, …) -> (N, …)."""
-        return self.band.low(x, Grid.KEPT, of=of)[self.kept]
+        if self.to is Grid.RECORDED and of is Grid.COARSE:
+            x = self.upsampled(x.reshape(len(x), -1)).reshape(-1, *x.shape[1:])
+        return self.band.low(x, self.to, of=Grid.RECORDED if self.to is Grid.RECORDED else of)[self.kept]
 
     def upsampled(self, x: Array) -> Array:
         """From the coarse grid to every sample. Shapes (C, k) -> (M, k)."""
@@ -147,6 +150,46 @@ class Track:
             out[:, :, axis] = np.array(torque) @ robot.spread
         return out
 
+    @functools.cached_property
+    def reaction(self) -> Array:
+        """Force and moment of the rigid robot on its base, base frame, at the coarse samples. Shape (C, 6)."""
+        robot, model, s = self.body.robot, self.body.model, self.coarse
+        data = model.createData()
+        out = np.empty((len(s), 6))
+        roots = [i for i in range(1, model.njoints) if model.parents[i] == 0]
+        for t, state in enumerate(zip(robot.expand(s.q), s.dq @ robot.spread.T, s.ddq @ robot.spread.T, strict=True)):
+            pin.rnea(model, data, *state)
+            out[t] = sum(data.liMi[i].act(data.f[i]).vector for i in roots)
+        return out
+
+    @functools.cached_property
+    def shaken(self) -> Array:
+        """Torque of a unit acceleration of the base, linear and angular, base frame, at the coarse samples. Shape (C, n, 6)."""
+        robot, model = self.body.robot, self.body.model
+        data, out = model.createData(), np.zeros((len(self.coarse), robot.n, 6))
+        for t, q in enumerate(robot.expand(self.coarse.q)):
+            pin.crba(model, data, q, pin.Convention.WORLD)
+            jacobian = np.reshape(data.J, (6, -1))
+            for j in range(1, model.njoints):
+                v = model.joints[j].idx_v
+                out[t] += np.outer(robot.spread[v], jacobian[:, v] @ data.oYcrb[j].matrix())
+        return out
+
+    @functools.cached_property
+    def levers(self) -> Array:
+        """How a force on the centre of each link acts on the joints, base frame, at the coarse samples. Shape (C, n links, 3, n)."""
+        robot, model, s = self.body.robot, self.body.model, self.coarse
+        data = model.createData()
+        held = [int(np.flatnonzero(column)[0]) + 1 for column in robot.spread.T]
+        out = np.empty((len(s), robot.n, 3, robot.n))
+        for t, q in enumerate(robot.expand(s.q)):
+            pin.computeJointJacobians(model, data, q)
+            for k, joint in enumerate(held):
+                J = np.reshape(pin.getJointJacobian(model, data, joint, pin.LOCAL_WORLD_ALIGNED), (6, -1))
+                arm = data.oMi[joint].rotation @ model.inertias[joint].lever
+                out[t, k] = (J[:3] - pin.skew(arm) @ J[3:]) @ robot.spread
+        return out
+
 
 def tracks(model: Model, fitted: Body, theta: Array, pieces: Sequence[Piece], hertz: float) -> list[Track]:
     """Every stretch that is long enough for the band."""
@@ -162,13 +205,3 @@ def tracks(model: Model, fitted: Body, theta: Array, pieces: Sequence[Piece], he
         time = piece.start + np.arange(len(torque)) * step / piece.rate
         out.append(Track(piece, band, fitted, model.widths, theta, torque[kept], gamma[kept], slopes[kept], kept, time[kept]))
     return out
-
-
-def encoder_torque(model: Model, one: Track) -> Array:
-    """RMS torque below the band that as much noise again on the positions would make of the base model. Shape (n,) [N m]."""
-    noise = encoder_noise(one.piece.q)
-    if not noise.any():
-        return np.zeros(one.n)
-    rng = np.random.default_rng(0)
-    gamma, _, _ = filtered(model, one.piece.q + noise * rng.normal(size=one.piece.q.shape), one.band)
-    return np.asarray(np.sqrt(np.mean(((gamma[one.kept] - one.gamma) @ one.theta) ** 2, axis=0)))

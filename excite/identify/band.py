@@ -171,15 +171,21 @@ def encoder_noise(positions: Array) -> Array:
     out = np.zeros(positions.shape[1])
     for joint, q in enumerate(positions.T):
         steps = np.abs(np.diff(q))
-        steps = steps[steps > 0.0]
+        steps = steps[steps > 1e-12]
         if len(steps):
-            out[joint] = np.percentile(steps, 1.0) / np.sqrt(12.0) if _stepped(q) else 0.0
+            out[joint] = _resolution(steps, len(q)) / np.sqrt(12.0)
     return out
 
 
-def _stepped(q: Array) -> bool:
-    """Whether many samples repeat the one before: a resolution that shows."""
-    return bool(np.mean(np.diff(q) == 0.0) > 0.02)
+def _resolution(steps: Array, samples: int) -> float:
+    """Of what these are multiples, as most rows are of an encoder; 0 where they are of nothing."""
+    least = float(steps.min())
+    few = steps[steps < 50.0 * least]  # more would show the digits that a file leaves out
+    whole = np.round(few / least)
+    if len(few) > 20 and np.mean(np.abs(few / least - whole) < 0.1) > 0.99:
+        return float(np.median(few / whole))
+    repeated = samples - 1 - len(steps) > 0.02 * samples
+    return float(np.percentile(steps, 1.0)) if repeated else 0.0
 
 
 def friction_speed(positions: Array, band: Band, transformed: Transformed | None = None) -> Array:

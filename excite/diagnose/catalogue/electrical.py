@@ -6,42 +6,54 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from ..effect import Effect, Shape, column, named, within
+from ..effect import Effect, Shape, alone, named, within
 from ..track import Track
 
 Array = np.ndarray
 
 
+def _constant(t: Track, s: Shape) -> Array:
+    return alone(t, s.place, np.ones(len(t.piece)))
+
+
 def _offset(tracks: Sequence[Track]) -> Iterator[Shape]:
     for j in range(tracks[0].n):
-        yield Shape("torque_offset", j, column(j, lambda t, j: np.ones(len(t.piece))), named("offset"))
+        yield Shape("torque_offset", j, _constant, parameters=named("offset"))
+
+
+def _made(t: Track, s: Shape) -> Array:
+    return alone(t, s.place, t.motor[:, s.place])
 
 
 def _gain(tracks: Sequence[Track]) -> Iterator[Shape]:
     """True over stated: the torque recorded is the true one over the gain."""
     for j in range(tracks[0].n):
-        made = column(j, lambda t, j: t.motor[:, j])
-        yield Shape("torque_gain", j, made, lambda c: {"gain": 1.0 / (1.0 + float(c[0]))}, within(-0.7, 2.0))
+        yield Shape("torque_gain", j, _made, parameters=lambda c: {"gain": 1.0 / (1.0 + float(c[0]))}, plausible=within(-0.7, 2.0))
+
+
+def _bent(t: Track, s: Shape) -> Array:
+    x = t.motor[:, s.place]
+    return alone(t, s.place, x * (np.abs(x) / s.values["largest"]) ** (s.values["power"] - 1.0))
 
 
 def _saturation(tracks: Sequence[Track]) -> Iterator[Shape]:
     """Recorded τ stands for a current that made less: true = τ (1 − loss (τ/τ_max)²), so recorded ≈ true + loss true³/τ_max²."""
 
-    def bent(t: Track, j: int, power: float, largest: float) -> Array:
-        x = t.motor[:, j]
-        return np.asarray(x * (np.abs(x) / largest) ** (power - 1.0))
+    def told(c: Array) -> dict[str, float]:
+        return {"loss": float(c[0] / (1.0 + c[0]))}
 
     for j in range(tracks[0].n):
         largest = max(*(float(np.abs(t.motor[:, j]).max()) for t in tracks), 1e-9)
         for power in (2.0, 3.0, 5.0):
-            loss = column(j, bent, power, largest)
-            yield Shape("torque_saturation", j, loss, lambda c: {"loss": float(c[0] / (1.0 + c[0]))}, within(0.0, 2.0), {"power": power})
+            fixed = {"power": power, "largest": largest}
+            yield Shape("torque_saturation", j, _bent, fixed, parameters=told, plausible=within(0.0, 2.0))
 
 
 EFFECTS = (
     Effect(
         "torque_offset",
         "τ₀",
+        _constant,
         _offset,
         {"offset": "N m"},
         "constant, whatever the motion",
@@ -52,6 +64,7 @@ EFFECTS = (
     Effect(
         "torque_gain",
         "τ = (1 + ε) k_t i",
+        _made,
         _gain,
         {"gain": "1"},
         "every term of one joint scaled",
@@ -62,6 +75,7 @@ EFFECTS = (
     Effect(
         "torque_saturation",
         "k_t (1 − β i²)",
+        _bent,
         _saturation,
         {"loss": "1"},
         "torque is missing at high current only",

@@ -6,10 +6,12 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from ..effect import Effect, Shape, amplitude, column, named, positive, within
+from ..effect import Effect, Shape, alone, amplitude, family, named, positive, within
 from ..track import Track
 
 Array = np.ndarray
+STICKIEST = 5.0
+"""Times Coulomb friction that friction at rest or before it slides can be, as the base fit has it, which takes some for its own."""
 
 
 def _sign(track: Track, joint: int) -> Array:
@@ -24,73 +26,99 @@ def _fastest(tracks: Sequence[Track], joint: int) -> float:
     return max(float(np.abs(track.fine.dq[:, joint]).max()) for track in tracks)
 
 
+def _slanted(t: Track, s: Shape) -> Array:
+    return alone(t, s.place, np.abs(_speed(t, s.place)))
+
+
 def _asymmetric(tracks: Sequence[Track]) -> Iterator[Shape]:
     def parameters(viscous: float) -> Callable[[Array], dict[str, float]]:
         return lambda c: {"positive": viscous + float(c[0]), "negative": viscous - float(c[0])}
 
     for j in range(tracks[0].n):
-        viscous = float(tracks[0].body.drive("viscous")[j])
-        most = 1.5 * max(viscous, 1e-9)
-        speed = column(j, lambda t, j: np.abs(_speed(t, j)))
-        yield Shape("asymmetric_viscous", j, speed, parameters(viscous), within(-most, most))
+        viscous, coulomb = (max(float(tracks[0].body.drive(kind)[j]), 1e-9) for kind in ("viscous", "coulomb"))
+        most = 1.5 * (viscous + coulomb / _fastest(tracks, j))  # what is dissipated in both directions, with all that resists
+        yield Shape("asymmetric_viscous", j, _slanted, parameters=parameters(viscous), plausible=within(-most, most))
+
+
+def _stuck(t: Track, s: Shape) -> Array:
+    slow = np.exp(-((np.abs(_speed(t, s.place)) / s.values["velocity"]) ** s.values["exponent"]))
+    return alone(t, s.place, _sign(t, s.place) * slow)
 
 
 def _stribeck(tracks: Sequence[Track]) -> Iterator[Shape]:
-    def bump(t: Track, j: int, v: float, p: float) -> Array:
-        return _sign(t, j) * np.exp(-((np.abs(_speed(t, j)) / v) ** p))
+    def shaped(j: int, power: float) -> Callable[[float], Shape]:
+        most = STICKIEST * max(float(tracks[0].body.drive("coulomb")[j]), 1e-9)
+
+        def shape(velocity: float) -> Shape:
+            fixed = {"velocity": velocity, "exponent": power}
+            told = named("amplitude", velocity=velocity)
+            return Shape("stribeck", j, _stuck, fixed, parameters=told, plausible=within(0.0, most))
+
+        return shape
 
     for j in range(tracks[0].n):
-        fastest = _fastest(tracks, j)
-        for velocity in map(float, np.geomspace(0.01, 0.4, 9) * min(1.0, fastest)):
-            for power in (1.0, 2.0):
-                fixed = {"velocity": velocity, "exponent": power}
-                yield Shape("stribeck", j, column(j, bump, velocity, power), named("amplitude", velocity=velocity), positive, fixed)
+        for power in (0.5, 1.0, 2.0):
+            yield from family((np.geomspace(0.01, 0.4, 7) * min(1.0, _fastest(tracks, j))).tolist(), shaped(j, power))
 
 
-def _power(t: Track, j: int, p: float) -> Array:
-    v = _speed(t, j)
-    return np.asarray(np.tanh(v / t.widths[j]) * np.abs(v) ** p)
+def _powered(t: Track, s: Shape) -> Array:
+    return alone(t, s.place, _sign(t, s.place) * np.abs(_speed(t, s.place)) ** s.values["exponent"])
 
 
 def _nonlinear(tracks: Sequence[Track]) -> Iterator[Shape]:
+    def bent(j: int) -> Callable[[float], Shape]:
+        def shape(power: float) -> Shape:
+            told = named("coefficient", exponent=power)
+            return Shape("nonlinear_viscous", j, _powered, {"exponent": power}, parameters=told, plausible=positive)
+
+        return shape
+
     for j in range(tracks[0].n):
-        for power in (0.3, 0.5, 0.7, 1.4, 1.7, 2.0, 2.5, 3.0):
-            yield Shape(
-                "nonlinear_viscous", j, column(j, _power, power), named("coefficient", exponent=power), positive, {"exponent": power}
-            )
+        yield from family((0.2, 0.35, 0.5, 0.7), bent(j))
+        yield from family((1.4, 1.7, 2.0, 2.5, 3.2), bent(j))
+
+
+def _windy(t: Track, s: Shape) -> Array:
+    return alone(t, s.place, _speed(t, s.place) * np.abs(_speed(t, s.place)))
 
 
 def _drag(tracks: Sequence[Track]) -> Iterator[Shape]:
     for j in range(tracks[0].n):
-        yield Shape("drag", j, column(j, lambda t, j: _speed(t, j) * np.abs(_speed(t, j))), named("coefficient"), positive)
+        yield Shape("drag", j, _windy, parameters=named("coefficient"), plausible=positive)
+
+
+def _rubbed(t: Track, s: Shape) -> Array:
+    scale = s.values["scale"]
+    return alone(t, s.place, _sign(t, s.place) * scale * (np.abs(t.transmitted[:, s.place]) / scale) ** s.values["power"])
 
 
 def _load(tracks: Sequence[Track]) -> Iterator[Shape]:
-    def rubbed(t: Track, j: int, p: float, scale: float) -> Array:
-        return _sign(t, j) * scale * (np.abs(t.transmitted[:, j]) / scale) ** p
-
     for j in range(tracks[0].n):
         largest = max(*(float(np.abs(t.transmitted[:, j]).max()) for t in tracks), 1e-9)
         for power in (1.0, 1.5, 2.0):
-            yield Shape("load_friction", j, column(j, rubbed, power, largest), named("mu"), within(0.0, 1.0), {"power": power})
+            fixed = {"power": power, "scale": largest}
+            yield Shape("load_friction", j, _rubbed, fixed, parameters=named("mu"), plausible=within(0.0, 1.0))
+
+
+def _placed(t: Track, s: Shape) -> Array:
+    angle, sign = s.values["order"] * t.fine.q[:, s.place], _sign(t, s.place)
+    return alone(t, s.place, np.column_stack([sign * np.cos(angle), sign * np.sin(angle)]))
 
 
 def _position(tracks: Sequence[Track]) -> Iterator[Shape]:
-    def waves(t: Track, j: int, k: float) -> Array:
-        angle = k * t.fine.q[:, j]
-        return np.column_stack([_sign(t, j) * np.cos(angle), _sign(t, j) * np.sin(angle)])
+    def wave(j: int) -> Callable[[float], Shape]:
+        return lambda order: Shape("position_friction", j, _placed, {"order": order}, parameters=amplitude(), several=True)
 
     for j in range(tracks[0].n):
-        for order in (1.0, 2.0, 3.0, 4.0, 6.0):
-            yield Shape("position_friction", j, column(j, waves, order), amplitude(), values={"order": order})
+        yield from family((0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6), wave(j))
 
 
 def dahl(q: Array, stiffness: float, start: float = 0.0) -> Array:
     """z of Dahl's model with unit friction: ż = σ q̇ (1 − z sgn q̇), exact for steps of constant speed. Shape (M,)."""
     steps = np.diff(q, prepend=q[0])
-    out, z = np.empty(len(q)), start
     decay = np.exp(-stiffness * np.abs(steps))
-    for k, (step, keep) in enumerate(zip(steps, decay, strict=True)):
+    out, z = np.empty(len(q)), start
+    for k, (step, keep) in enumerate(zip(steps.tolist(), decay.tolist(), strict=True)):
         if step != 0.0:
             limit = 1.0 if step > 0.0 else -1.0
             z = limit + (z - limit) * keep
@@ -98,46 +126,60 @@ def dahl(q: Array, stiffness: float, start: float = 0.0) -> Array:
     return out
 
 
-def _hysteresis(tracks: Sequence[Track]) -> Iterator[Shape]:
-    def built(t: Track, j: int, stiffness: float) -> Array:
-        return dahl(t.fine.q[:, j], stiffness) - _sign(t, j)
+def _softened(t: Track, s: Shape) -> Array:
+    return alone(t, s.place, dahl(t.fine.q[:, s.place], 1.0 / s.values["reach"]) - _sign(t, s.place))
 
-    def parameters(reach: float) -> Callable[[Array], dict[str, float]]:
-        return lambda c: {"amplitude": float(c[0]), "stiffness": float(c[0] / reach)}
+
+def _hysteresis(tracks: Sequence[Track]) -> Iterator[Shape]:
+    def soft(j: int, most: float) -> Callable[[float], Shape]:
+        def shape(reach: float) -> Shape:
+            told = lambda c: {"amplitude": float(c[0]), "stiffness": float(c[0] / reach)}  # noqa: E731
+            return Shape("hysteresis", j, _softened, {"reach": reach}, parameters=told, plausible=within(0.0, most))
+
+        return shape
 
     for j in range(tracks[0].n):
-        most = 3.0 * max(float(tracks[0].body.drive("coulomb")[j]), 1e-9)
-        for reach in map(float, np.geomspace(1e-4, 3e-2, 8)):
-            yield Shape("hysteresis", j, column(j, built, 1.0 / reach), parameters(reach), within(0.0, most), {"reach": reach})
+        most = STICKIEST * max(float(tracks[0].body.drive("coulomb")[j]), 1e-9)
+        yield from family(np.geomspace(1e-4, 1e-1, 9).tolist(), soft(j, most))
+
+
+def _resisted(t: Track, s: Shape) -> Array:
+    return alone(t, s.place, np.column_stack([_sign(t, s.place), _speed(t, s.place)]))
 
 
 def _friction(tracks: Sequence[Track]) -> Iterator[Shape]:
-    def both(t: Track, j: int) -> Array:
-        return np.column_stack([_sign(t, j), _speed(t, j)])
-
     for j in range(tracks[0].n):
-        yield Shape("friction", j, column(j, both), named("coulomb", "viscous"), lambda c: bool(c[0] > 0.0 and c[1] > -0.2 * c[0]))
+        told = named("coulomb", "viscous")
+        yield Shape("friction", j, _resisted, parameters=told, plausible=lambda c: bool(c[0] > 0.0 and c[1] > -0.2 * c[0]))
+
+
+def _warmed(t: Track, s: Shape) -> Array:
+    warm = 1.0 - np.exp(-(t.clock - t.clock[0]) / s.values["time_constant"])
+    return alone(t, s.place, warm * (s.values["coulomb"] * _sign(t, s.place) + s.values["viscous"] * _speed(t, s.place)))
 
 
 def _thermal(tracks: Sequence[Track]) -> Iterator[Shape]:
-    def warmed(t: Track, j: int, constant: float, coulomb: float, viscous: float) -> Array:
-        warm = 1.0 - np.exp(-(t.clock - t.clock[0]) / constant)
-        return np.asarray(warm * (coulomb * _sign(t, j) + viscous * _speed(t, j)))
-
     length = max(float(np.ptp(t.clock)) for t in tracks)
+
+    def slow(j: int, coulomb: float, viscous: float) -> Callable[[float], Shape]:
+        def shape(constant: float) -> Shape:
+            fixed, reached = {"time_constant": constant, "coulomb": coulomb, "viscous": viscous}, 1.0 - np.exp(-length / constant)
+            told = named("change", time_constant=constant)
+            # friction never falls below nothing
+            return Shape("thermal_drift", j, _warmed, fixed, parameters=told, plausible=within(-1.0 / reached, 5.0 / reached))
+
+        return shape
+
     for j in range(tracks[0].n):
-        coulomb, viscous = max(float(tracks[0].body.drive("coulomb")[j]), 1e-9), float(tracks[0].body.drive("viscous")[j])
-        for constant in (0.1 * length, 0.3 * length, length, 3.0 * length):
-            fixed = {"time_constant": constant}
-            yield Shape(
-                "thermal_drift", j, column(j, warmed, constant, coulomb, viscous), named("change", **fixed), within(-1.0, 5.0), fixed
-            )
+        coulomb, viscous = (float(tracks[0].body.drive(kind)[j]) for kind in ("coulomb", "viscous"))
+        yield from family((np.array([0.1, 0.3, 1.0, 3.0]) * length).tolist(), slow(j, max(coulomb, 1e-9), viscous))
 
 
 EFFECTS = (
     Effect(
         "asymmetric_viscous",
         "F_v+ for q̇ > 0, F_v− for q̇ < 0",
+        _slanted,
         _asymmetric,
         {"positive": "N m s/rad", "negative": "N m s/rad"},
         "torque against speed has another slope in each direction",
@@ -147,6 +189,7 @@ EFFECTS = (
     Effect(
         "stribeck",
         "(F_s − F_c) exp(−(|q̇|/v_s)^δ) sgn q̇ (Stribeck 1902; Armstrong-Hélouvry 1994)",
+        _stuck,
         _stribeck,
         {"amplitude": "N m", "velocity": "rad/s"},
         "friction is larger near zero speed",
@@ -156,6 +199,7 @@ EFFECTS = (
     Effect(
         "nonlinear_viscous",
         "F |q̇|^k sgn q̇",
+        _powered,
         _nonlinear,
         {"coefficient": "N m (s/rad)^k", "exponent": "1"},
         "friction against speed is bent",
@@ -165,6 +209,7 @@ EFFECTS = (
     Effect(
         "drag",
         "c q̇ |q̇|",
+        _windy,
         _drag,
         {"coefficient": "N m s²/rad²"},
         "resistance grows with the square of speed",
@@ -174,6 +219,7 @@ EFFECTS = (
     Effect(
         "load_friction",
         "μ |τ_L|^k sgn q̇ (Hamon, Gautier & Garrec 2010)",
+        _rubbed,
         _load,
         {"mu": "1"},
         "friction grows with the torque carried",
@@ -183,6 +229,7 @@ EFFECTS = (
     Effect(
         "position_friction",
         "sgn q̇ (a cos kq + b sin kq)",
+        _placed,
         _position,
         {"amplitude": "N m"},
         "friction depends on where the joint is",
@@ -192,6 +239,7 @@ EFFECTS = (
     Effect(
         "hysteresis",
         "F z, ż = σ q̇ (1 − z sgn q̇) (Dahl 1968) instead of F sgn q̇",
+        _softened,
         _hysteresis,
         {"amplitude": "N m", "stiffness": "N m/rad"},
         "friction takes some way to build up after a reversal",
@@ -201,6 +249,7 @@ EFFECTS = (
     Effect(
         "friction",
         "F_c sgn q̇ + F_v q̇, where the model has none",
+        _resisted,
         _friction,
         {"coulomb": "N m", "viscous": "N m s/rad"},
         "torque against the motion",
@@ -211,6 +260,7 @@ EFFECTS = (
     Effect(
         "thermal_drift",
         "friction × (1 + c (1 − e^(−t/T)))",
+        _warmed,
         _thermal,
         {"change": "1", "time_constant": "s"},
         "friction changes over the run",

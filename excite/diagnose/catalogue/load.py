@@ -10,7 +10,7 @@ import pinocchio as pin
 from ...dynamics import regressor
 from ...identify.band import Grid
 from ...parameters import pseudo_inertia
-from ..effect import Columns, Effect, Shape, column, named
+from ..effect import Effect, Shape, alone, named
 from ..track import Track
 
 Array = np.ndarray
@@ -20,14 +20,11 @@ ANGLE, LENGTH = 1e-4, 1e-5
 """Changes of geometry that a column is the secant of [rad, m]."""
 
 
-def _bodies(place: int, count: int) -> Columns:
+def _carried(t: Track, s: Shape) -> Array:
     """Columns of a link's first inertial parameters."""
-
-    def build(track: Track) -> Array:
-        Y = regressor(track.body.robot, track.body.parameters, track.coarse)[:, :, 10 * place : 10 * place + count]
-        return track.reduce(Y, Grid.COARSE)
-
-    return build
+    place, count = int(s.values["link"]), int(s.values["count"])
+    Y = regressor(t.body.robot, t.body.parameters, t.coarse)[:, :, 10 * place : 10 * place + count]
+    return t.reduce(Y, Grid.COARSE)
 
 
 def _a_body(c: Array) -> bool:
@@ -48,47 +45,47 @@ def _payload(tracks: Sequence[Track]) -> Iterator[Shape]:
     links = len(tracks[0].body.parameters.links)
     for place in range(links):
         for count in (4, 10):
-            shape = {"inertias": float(count == 10)}
-            yield Shape("payload", min(place, tracks[0].n - 1), _bodies(place, count), parameters, _a_body, shape)
+            fixed = {"link": float(place), "count": float(count)}
+            yield Shape("payload", min(place, tracks[0].n - 1), _carried, fixed, parameters=parameters, plausible=_a_body)
+
+
+def _leaning(t: Track, s: Shape) -> Array:
+    # g turns by roll about x and pitch about y: δg = ω × g
+    down = float(np.linalg.norm(t.body.model.gravity.linear))
+    columns = np.stack([-down * t.gravity[:, :, 1], down * t.gravity[:, :, 0]], axis=2)
+    return t.reduce(columns, Grid.COARSE)
 
 
 def _tilt(tracks: Sequence[Track]) -> Iterator[Shape]:
-    def build(track: Track) -> Array:
-        # g turns by roll about x and pitch about y: δg = ω × g
-        down = float(np.linalg.norm(track.body.model.gravity.linear))
-        columns = np.stack([-down * track.gravity[:, :, 1], down * track.gravity[:, :, 0]], axis=2)
-        return track.reduce(columns, Grid.COARSE)
+    yield Shape("gravity_tilt", None, _leaning, parameters=named("roll", "pitch"), plausible=lambda c: bool(np.abs(c).max() < 0.3))
 
-    yield Shape("gravity_tilt", None, build, lambda c: {"roll": float(c[0]), "pitch": float(c[1])}, lambda c: bool(np.abs(c).max() < 0.3))
+
+def _spun(t: Track, s: Shape) -> Array:
+    return alone(t, s.place, t.fine.ddq[:, s.place])
 
 
 def _rotor(tracks: Sequence[Track]) -> Iterator[Shape]:
     for j in range(tracks[0].n):
-        yield Shape("rotor_inertia", j, column(j, lambda t, j: t.fine.ddq[:, j]), named("inertia"))
+        yield Shape("rotor_inertia", j, _spun, parameters=named("inertia"))
 
 
-def _geometry(joint: int, angle: bool) -> Columns:
-    """Torque by turning or moving what a joint carries, in the joint's frame, along two directions across or three along its axes."""
-
-    def build(track: Track) -> Array:
-        robot, columns = track.body.robot, []
-        s = track.coarse
-        Q, V, A = robot.expand(s.q), s.dq @ robot.spread.T, s.ddq @ robot.spread.T
-        after = [i for i in range(1, track.body.model.njoints) if track.body.model.parents[i] == joint + 1]
-        for axis in range(3):
-            model = track.body.model.copy()
-            twist = np.zeros(6)
-            twist[(3 if angle else 0) + axis] = ANGLE if angle else LENGTH
-            change = pin.exp6(twist)
-            for i in after:
-                model.jointPlacements[i] = change * model.jointPlacements[i]
-            model.inertias[joint + 1] = change.act(model.inertias[joint + 1])
-            data = model.createData()
-            torque = np.array([pin.rnea(model, data, *state) for state in zip(Q, V, A, strict=True)]) @ robot.spread
-            columns.append((torque - track.rigid) / (ANGLE if angle else LENGTH))
-        return track.reduce(np.stack(columns, axis=2), Grid.COARSE)
-
-    return build
+def _misplaced(t: Track, s: Shape) -> Array:
+    """Torque by turning or moving what a joint carries, in the joint's frame."""
+    robot, columns, m, angle, joint = t.body.robot, [], t.coarse, s.values["angle"] > 0.0, s.place
+    Q, V, A = robot.expand(m.q), m.dq @ robot.spread.T, m.ddq @ robot.spread.T
+    after = [i for i in range(1, t.body.model.njoints) if t.body.model.parents[i] == joint + 1]
+    for axis in range(3):
+        model = t.body.model.copy()
+        twist = np.zeros(6)
+        twist[(3 if angle else 0) + axis] = ANGLE if angle else LENGTH
+        change = pin.exp6(twist)
+        for i in after:
+            model.jointPlacements[i] = change * model.jointPlacements[i]
+        model.inertias[joint + 1] = change.act(model.inertias[joint + 1])
+        data = model.createData()
+        torque = np.array([pin.rnea(model, data, *state) for state in zip(Q, V, A, strict=True)]) @ robot.spread
+        columns.append((torque - t.rigid) / (ANGLE if angle else LENGTH))
+    return t.reduce(np.stack(columns, axis=2), Grid.COARSE)
 
 
 def _kinematic(tracks: Sequence[Track]) -> Iterator[Shape]:
@@ -96,14 +93,16 @@ def _kinematic(tracks: Sequence[Track]) -> Iterator[Shape]:
         return bool(np.linalg.norm(c) < 0.2)
 
     for j in range(min(tracks[0].n, tracks[0].body.model.njoints - 1)):
-        yield Shape("kinematic_error", j, _geometry(j, True), lambda c: {"angle": float(np.linalg.norm(c))}, small, {"angle": 1.0})
-        yield Shape("kinematic_error", j, _geometry(j, False), lambda c: {"length": float(np.linalg.norm(c))}, small, {"angle": 0.0})
+        for angle, name in ((1.0, "angle"), (0.0, "length")):
+            told = lambda c, name=name: {name: float(np.linalg.norm(c))}  # noqa: E731
+            yield Shape("kinematic_error", j, _misplaced, {"angle": angle}, parameters=told, plausible=small)
 
 
 EFFECTS = (
     Effect(
         "payload",
         "Y_L δφ_L: a link's ten parameters",
+        _carried,
         _payload,
         {"mass": "kg", "com_x": "m", "com_y": "m", "com_z": "m"},
         "many joints, in a ratio that the kinematics fix",
@@ -114,6 +113,7 @@ EFFECTS = (
     Effect(
         "gravity_tilt",
         "∂τ/∂g (ω × g)",
+        _leaning,
         _tilt,
         {"roll": "rad", "pitch": "rad"},
         "joint 1 of an upright arm feels gravity",
@@ -124,6 +124,7 @@ EFFECTS = (
     Effect(
         "rotor_inertia",
         "I_a q̈",
+        _spun,
         _rotor,
         {"inertia": "kg m²"},
         "like the joint's own acceleration, at any pose",
@@ -134,6 +135,7 @@ EFFECTS = (
     Effect(
         "kinematic_error",
         "Σ δ_k ∂τ/∂(placement)_k",
+        _misplaced,
         _kinematic,
         {"angle": "rad", "length": "m"},
         "small cross terms of gravity and inertia",

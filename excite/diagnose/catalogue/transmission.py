@@ -6,63 +6,70 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from ...identify.band import Grid
-from ..effect import Columns, Effect, Shape, amplitude, column, named, within
+from ..effect import Effect, Knob, Shape, alone, amplitude, family, named, within
 from ..track import Track
+from .windup import felt, mass, played, wound
 
 Array = np.ndarray
 
 
-def moved_link(joint: int, lag: Callable[[Track], Array]) -> Columns:
-    """Torque on all joints when a link lies `lag` behind its motor [rad, at the coarse samples].
-
-    First order: −(∂τ/∂q δ + ∂τ/∂q̇ δ̇ + M δ̈), the rotor staying with the encoder.
-    """
-
-    def build(track: Track) -> Array:
-        by_q, by_v, mass = track.derivatives
-        shift = lag(track)
-        rate = track.band.rate_of(Grid.COARSE)
-        first = np.gradient(shift, 1.0 / rate)
-        second = np.gradient(first, 1.0 / rate)
-        torque = by_q[:, :, joint] * shift[:, None] + by_v[:, :, joint] * first[:, None] + mass[:, :, joint] * second[:, None]
-        return -track.reduce(torque, Grid.COARSE)[:, :, None]
-
-    return build
+RESONANCES = np.geomspace(5.0, 34.0, 14)
+"""Of a link on its motor, which stiffnesses are tried by [Hz]."""
+WIDTHS = np.geomspace(1e-4, 1e-2, 7)
+"""Of play, tried [rad]."""
 
 
-def _smooth(track: Track, x: Array) -> Array:
-    """Below one band, on the coarse grid: twice differentiated, what is above would drown everything."""
-    lines = track.band.transformed(x, Grid.COARSE)
-    return lines.low(Grid.COARSE, 0, 1.0)
+def _sprung(t: Track, s: Shape) -> Array:
+    return felt(t, s.place, wound(t, s.place, s.values["stiffness"]))
 
 
 def _elasticity(tracks: Sequence[Track]) -> Iterator[Shape]:
-    def loaded(joint: int) -> Callable[[Track], Array]:
-        return lambda t: _smooth(t, t.rigid[:, joint])
+    """The wind-up for a stiffness, times a coefficient that should come out near 1; where it is too stiff to swing, at any below."""
+
+    def spring(joint: int, least: float) -> Callable[[float], Shape]:
+        def shape(stiffness: float) -> Shape:
+            told = lambda c: {"stiffness": float(stiffness / c[0])}  # noqa: E731
+            return Shape("elasticity", joint, _sprung, {"stiffness": stiffness}, parameters=told, plausible=within(least, 3.0))
+
+        return shape
 
     for j in range(tracks[0].n):
-        yield Shape("elasticity", j, moved_link(j, loaded(j)), lambda c: {"stiffness": float(1.0 / c[0])}, within(1e-7, 1.0))
+        inertia = float(np.mean([mass(t, j).mean() for t in tracks]))
+        grid = [float(inertia * (2.0 * np.pi * f) ** 2) for f in RESONANCES]
+        yield from family(grid[:-1], spring(j, 0.3))
+        yield spring(j, 0.01)(grid[-1])
+
+
+def _loose(t: Track, s: Shape) -> Array:
+    return felt(t, s.place, played(t, s.place, s.values["width"]))
 
 
 def _backlash(tracks: Sequence[Track]) -> Iterator[Shape]:
-    def lost(joint: int, soft: float) -> Callable[[Track], Array]:
-        return lambda t: _smooth(t, 0.5 * np.tanh(t.rigid[:, joint] / soft))
+    def play(joint: int) -> Callable[[float], Shape]:
+        def shape(width: float) -> Shape:
+            told = lambda c: {"width": float(width * c[0])}  # noqa: E731
+            return Shape("backlash", joint, _loose, {"width": width}, parameters=told, plausible=within(0.4, 2.5))
+
+        return shape
 
     for j in range(tracks[0].n):
-        load = max(*(float(np.std(t.rigid[:, j])) for t in tracks), 1e-9)
-        for soft in (0.02, 0.1):
-            yield Shape("backlash", j, moved_link(j, lost(j, soft * load)), named("width"), within(0.0, 0.05), {"softness": soft})
+        yield from family(WIDTHS.tolist(), play(j))
+
+
+def _waved(t: Track, s: Shape) -> Array:
+    angle = s.values["order"] * t.fine.q[:, s.place]
+    return alone(t, s.place, np.column_stack([np.cos(angle), np.sin(angle)]))
 
 
 def _ripple(tracks: Sequence[Track]) -> Iterator[Shape]:
-    def waves(t: Track, j: int, k: float) -> Array:
-        angle = k * t.fine.q[:, j]
-        return np.column_stack([np.cos(angle), np.sin(angle)])
+    def rippled(j: int) -> Callable[[float], Shape]:
+        return lambda order: Shape("torque_ripple", j, _waved, {"order": order}, parameters=amplitude(order=order), several=True)
 
     for j in range(tracks[0].n):
+        turn = max(float(np.ptp(t.fine.q[:, j])) for t in tracks)
         for order in _orders(tracks, j):
-            yield Shape("torque_ripple", j, column(j, waves, order), amplitude(order=order), values={"order": order})
+            near = 1.0 + 1.5 / (turn * order)
+            yield Knob(order, order / near, order * near, rippled(j)).at(order)
 
 
 def _orders(tracks: Sequence[Track], joint: int, most: int = 12) -> list[float]:
@@ -93,22 +100,24 @@ def _orders(tracks: Sequence[Track], joint: int, most: int = 12) -> list[float]:
     return out
 
 
-FORMS: dict[str, Callable[[Array], Array]] = {
-    "linear": lambda q: q[:, None],
-    "sine": lambda q: np.column_stack([np.cos(q), np.sin(q)]),
-    "square": lambda q: np.column_stack([q, q**2]),
-    "double": lambda q: np.column_stack([np.cos(q), np.sin(q), np.cos(2 * q), np.sin(2 * q)]),
-}
+FORMS: tuple[Callable[[Array], Array], ...] = (
+    lambda q: q[:, None],
+    lambda q: np.column_stack([np.cos(q), np.sin(q)]),
+    lambda q: np.column_stack([q, q**2]),
+    lambda q: np.column_stack([np.cos(q), np.sin(q), np.cos(2 * q), np.sin(2 * q)]),
+)
+"""Of a spring, over its joint's angle."""
+
+
+def _pulled(t: Track, s: Shape) -> Array:
+    return alone(t, s.place, FORMS[int(s.values["form"])](t.fine.q[:, s.place]))
 
 
 def _spring(tracks: Sequence[Track]) -> Iterator[Shape]:
-    def pose(form: Callable[[Array], Array]) -> Callable[[Track, int], Array]:
-        return lambda t, j: form(t.fine.q[:, j])
-
     for j in range(tracks[0].n):
-        for number, (name, form) in enumerate(FORMS.items()):
-            parameters = named("stiffness") if name == "linear" else amplitude()
-            yield Shape("spring", j, column(j, pose(form)), parameters, values={"form": float(number)})
+        for form in range(len(FORMS)):
+            told = named("stiffness") if form == 0 else amplitude()
+            yield Shape("spring", j, _pulled, {"form": float(form)}, parameters=told)
 
 
 def _rubs(c: Array) -> bool:
@@ -116,28 +125,27 @@ def _rubs(c: Array) -> bool:
     return bool(c[0] > 0.0 and c[1] > 0.0 and c[2] > -0.1 * (c[0] + c[1]))
 
 
+def _turned(t: Track, s: Shape) -> Array:
+    """Friction of the sum or difference of two speeds, or of the other one's alone (sign 0), and its inertia."""
+    assert s.other is not None
+    sign = s.values["sign"]
+    speed = t.fine.dq[:, s.other] + (sign * t.fine.dq[:, s.place] if sign else 0.0)
+    return alone(t, s.place, np.column_stack([speed, np.tanh(speed / t.widths[s.other]), t.fine.ddq[:, s.other]]))
+
+
 def _coupling(tracks: Sequence[Track]) -> Iterator[Shape]:
-    def turned(other: int, sign: float) -> Callable[[Track, int], Array]:
-        """Friction of the sum or difference of two speeds, or of the other one's alone (sign 0), and its inertia."""
-
-        def build(t: Track, j: int) -> Array:
-            speed = t.fine.dq[:, other] + (sign * t.fine.dq[:, j] if sign else 0.0)
-            return np.column_stack([speed, np.tanh(speed / t.widths[other]), t.fine.ddq[:, other]])
-
-        return build
-
-    n = tracks[0].n
+    n, told = tracks[0].n, named("viscous", "coulomb", "inertia")
     for i in range(n):
         for j in range(max(0, i - 2), min(n, i + 3)):
             for sign in (1.0, -1.0, 0.0) if i != j else ():
-                told = named("viscous", "coulomb", "inertia")
-                yield Shape("coupling", i, column(i, turned(j, sign)), told, _rubs, {"sign": sign}, other=j)
+                yield Shape("coupling", i, _turned, {"sign": sign}, j, parameters=told, plausible=_rubs)
 
 
 EFFECTS = (
     Effect(
         "elasticity",
-        "link at θ − τ_L/K (Spong 1987), to first order in 1/K on the motor's encoder",
+        "a link that swings on K behind its motor (Spong 1987), on the motor's encoder",
+        _sprung,
         _elasticity,
         {"stiffness": "N m/rad"},
         "residual like the second derivative of the load",
@@ -146,7 +154,8 @@ EFFECTS = (
     ),
     Effect(
         "backlash",
-        "link at θ − (b/2) sgn τ_L, to first order",
+        "a link that flies from flank to flank of a play b, on the motor's encoder",
+        _loose,
         _backlash,
         {"width": "rad"},
         "a kick where the load changes sign",
@@ -156,6 +165,7 @@ EFFECTS = (
     Effect(
         "torque_ripple",
         "A cos kq + B sin kq",
+        _waved,
         _ripple,
         {"order": "1/turn", "amplitude": "N m"},
         "periodic in the angle, whatever the speed",
@@ -165,6 +175,7 @@ EFFECTS = (
     Effect(
         "spring",
         "a conservative torque of position: k q, K sin(q + φ), …",
+        _pulled,
         _spring,
         {"stiffness": "N m/rad", "amplitude": "N m"},
         "the same in both directions, pose alone",
@@ -174,6 +185,7 @@ EFFECTS = (
     Effect(
         "coupling",
         "friction and inertia of q̇ᵢ ± q̇ⱼ (a drive that turns with another joint)",
+        _turned,
         _coupling,
         {"viscous": "N m s/rad", "coulomb": "N m", "inertia": "kg m²"},
         "torque where only the other joint moves",

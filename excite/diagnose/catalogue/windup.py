@@ -1,0 +1,72 @@
+"""How far a link lies behind its motor, where a spring or play is between them, and what all joints feel of it.
+
+The motor's encoder is what was recorded, so the link's motion has to be found: M δ̈ = τ_r − (what the gear passes on), with δ = θ − q the
+wind-up, τ_r the torque that would carry a rigid joint's link along θ, and M the link's own inertia (Spong 1987).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...identify.band import Grid
+from ..track import Track
+
+Array = np.ndarray
+DAMPING = 0.07
+"""Damping ratio of a link on its motor: gears have a few per cent."""
+
+
+def felt(track: Track, joint: int, lag: Array) -> Array:
+    """Torque on all joints when a link lies `lag` behind its motor [rad, at every sample]. Shapes (M,) -> (N, n, 1).
+
+    First order: −(∂τ/∂q δ + ∂τ/∂q̇ δ̇ + M δ̈), the rotor staying with the encoder.
+    """
+    by_q, by_v, mass = track.derivatives
+    lines = track.band.transformed(lag[:, None])
+    shift, first, second = (lines.low(Grid.COARSE, order, 1.0) for order in range(3))
+    torque = by_q[:, :, joint] * shift + by_v[:, :, joint] * first + mass[:, :, joint] * second
+    return -track.reduce(torque, Grid.COARSE)[:, :, None]
+
+
+def mass(track: Track, joint: int) -> Array:
+    """The link's own inertia about a joint, at every sample. Shape (M,) [kg m²]."""
+    return np.maximum(track.upsampled(track.derivatives[2][:, joint, joint][:, None])[:, 0], 1e-9)
+
+
+def wound(track: Track, joint: int, stiffness: float) -> Array:
+    """Wind-up of a spring of `stiffness` [N m/rad], damped a little, at every sample; exact for steps of constant load. Shape (M,)."""
+    load, inertia, dt = track.transmitted[:, joint], mass(track, joint), 1.0 / track.piece.rate
+    omega = np.sqrt(stiffness / inertia)
+    decay, turn = np.exp(-DAMPING * omega * dt), omega * np.sqrt(1.0 - DAMPING**2) * dt
+    ratio = DAMPING / np.sqrt(1.0 - DAMPING**2)
+    cosine, sine = decay * np.cos(turn), decay * np.sin(turn)
+    slow = omega * np.sqrt(1.0 - DAMPING**2)
+    steps = zip(
+        (load / stiffness).tolist(),
+        (cosine + ratio * sine).tolist(),
+        (sine / slow).tolist(),
+        (-sine * omega * omega / slow).tolist(),
+        (cosine - ratio * sine).tolist(),
+        strict=True,
+    )
+    out, x, v = np.empty(len(load)), float(load[0] / stiffness), 0.0
+    for k, (rest, a, b, c, d) in enumerate(steps):
+        away = x - rest
+        x, v = rest + a * away + b * v, c * away + d * v
+        out[k] = x
+    return out
+
+
+def played(track: Track, joint: int, width: float) -> Array:
+    """Where a link is in a play of `width` [rad]: driven by its load, it stops where it meets the other flank. Shape (M,)."""
+    push, dt, half = track.transmitted[:, joint] / mass(track, joint), 1.0 / track.piece.rate, 0.5 * width
+    out, x, v = np.empty(len(push)), half if push[0] > 0.0 else -half, 0.0
+    for k, a in enumerate(push.tolist()):
+        v += a * dt
+        x += v * dt
+        if x > half:
+            x, v = half, 0.0
+        elif x < -half:
+            x, v = -half, 0.0
+        out[k] = x
+    return out

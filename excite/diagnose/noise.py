@@ -1,0 +1,168 @@
+"""What of a residual is noise: what differs when a motion is made again.
+
+Noise of the torque is not all: a clock that wavers and a coarse encoder move the model's side of the equation too, so it is the
+residual, measured less predicted, whose repeats are compared (after Swevers et al., IEEE TRA 1997, who compare torques).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..identify.band import WIDER, Grid, encoder_noise
+from ..identify.equations import Model, filtered
+from ..identify.identification import Identification
+from ..recordings import Recording
+from .track import Track
+
+Array = np.ndarray
+SMALLEST = 0.3
+"""RMS torque of an effect over the noise floor, below which nothing is asserted: clocks, encoders and friction's step are never as the
+model has them."""
+STEPS = 1.0
+"""The same over what an encoder's steps make."""
+LEAST = 1.2
+"""Periods that a recording must hold to show its noise by what repeats."""
+SAME = 0.02
+"""RMS difference of normalised positions a period apart, below which a motion is said to repeat."""
+SAMPLES = 4000
+"""Rows of a recording that are looked at for a period."""
+ROUGH = 1.7
+"""Rounding a motion without its noise shows six tenths of what rounding the motion itself did (five simulated arms, 16 bit)."""
+EDGE = 32
+"""Rows by which a signal is continued before it is shifted."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What a perfect model would leave below the band, per joint [N m], and how it was found: "periods" or "differences".
+
+    steps: the part that a coarse encoder's steps make of the model's torque: it repeats with the motion. Shapes (n,).
+    """
+
+    floor: Array
+    method: str
+    steps: Array
+
+    def least(self, scale: Array) -> Array:
+        """Size over a scale that an effect must have to count. What repeats as physics does is only estimated. Shape (n,)."""
+        return np.asarray(np.maximum(SMALLEST, STEPS * self.steps / scale))
+
+
+def measured(identified: Identification, halves: Sequence[Sequence[Track]], recordings: Sequence[Recording]) -> Noise:
+    """The noise of recordings: from what does not repeat, else from the torque's density above the motion, a lower bound."""
+    every = [one for half in halves for one in half]
+    squares = [square for one in every for square in _repeats(one, recordings)]
+    if squares:
+        spread, method = np.sqrt(np.mean(squares, axis=0)), "periods"
+    else:
+        spread, method = _above(identified, every[0].band.hertz), "differences"
+    steps = np.sqrt(np.mean([encoder_torque(identified.model, one) ** 2 for half in halves for one in half[:2]], axis=0))
+    return Noise(np.sqrt(np.maximum(spread, 1e-12) ** 2 + steps**2), method, steps)
+
+
+def _above(identified: Identification, hertz: float) -> Array:
+    """Noise of the density that the torque has above the motion."""
+    frequency = identified.spectra.frequency
+    inside = frequency <= hertz
+    return np.sqrt(np.maximum(np.trapezoid(identified.spectra.noise[inside], frequency[inside], axis=0), 1e-24))
+
+
+def _repeats(track: Track, recordings: Sequence[Recording]) -> list[Array]:
+    """Half the mean square by which the residual differs a period later, once or not at all. Shape (n,)."""
+    recording = next(r for r in recordings if r.source == track.piece.source)
+    found = _period(recording)
+    if found is None:
+        return []
+    period, (low, high) = found
+    left = track.torque - track.gamma @ track.theta
+    rate = 1.0 / (track.time[1] - track.time[0])
+    rows = int(np.floor(period * rate))
+    later = _shifted(left, period * rate - rows)[rows:]
+    first = left[: len(later)]
+    inside = (track.time[: len(later)] >= low) & (track.time[rows : rows + len(later)] + 1.0 / rate <= high)
+    if inside.sum() < 0.15 * rows or inside.sum() < 20:
+        return []
+    change = (later - first)[inside] / np.sqrt(2.0)
+    return [_steady(change, track, inside)]
+
+
+def _steady(change: Array, track: Track, inside: Array) -> Array:
+    """Mean square of a change between periods, without what friction that warms up makes of it. Shape (n,)."""
+    t = np.linspace(-1.0, 1.0, len(change))
+    out = np.empty(change.shape[1])
+    for j, line in enumerate(change.T):
+        speed = track.fine.dq[:, j]
+        friction = track.reduce(np.column_stack([np.tanh(speed / track.widths[j]), speed]))[: len(inside)][inside]
+        columns = np.column_stack([friction, friction * t[:, None]])
+        basis = np.linalg.qr(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))[0]
+        rest = line - basis @ (basis.T @ line)
+        out[j] = rest @ rest / max(len(line) - columns.shape[1], 1)
+    return out
+
+
+def _shifted(x: Array, by: float) -> Array:
+    """x at times a part of a row later, by its Fourier series, the ends continued by reflection. Shape (N, n)."""
+    if by < 1e-6:
+        return x
+    reach = min(EDGE, len(x) - 1)
+    before, behind = 2.0 * x[0] - x[reach:0:-1], 2.0 * x[-1] - x[-2 : -reach - 2 : -1]
+    whole = np.concatenate([before, x, behind])
+    turned = np.fft.rfft(whole, axis=0) * np.exp(2j * np.pi * np.fft.rfftfreq(len(whole)) * by)[:, None]
+    return np.asarray(np.fft.irfft(turned, len(whole), axis=0)[reach : reach + len(x)])
+
+
+def _period(recording: Recording) -> tuple[float, tuple[float, float]] | None:
+    """After how long a recording repeats [s], and from when to when: as its sidecar says, else as its positions show."""
+    side, t = recording.sidecar, recording.t
+    if side.period is not None:
+        window = side.periodic or (float(t[0]), float(t[-1]))
+        return (side.period, window) if window[1] - window[0] >= LEAST * side.period else None
+    lag = _lag(recording.q, recording.rate)
+    return None if lag is None else (lag, (float(t[0]), float(t[-1])))
+
+
+def _lag(q: Array, rate: float) -> float | None:
+    """The shortest time after which all positions are the same again, for as long as a fifth of it [s]; None where there is none."""
+    step = max(1, len(q) // SAMPLES)
+    moving = np.ptp(q, axis=0) > 1e-6
+    x = q[::step, moving]
+    if not moving.any() or len(x) < 16:
+        return None
+    x = (x - x.mean(axis=0)) / x.std(axis=0)
+    most = int(len(x) / LEAST)
+    apart = np.array([np.sqrt(np.mean((x[k:] - x[:-k]) ** 2)) for k in range(1, most)])
+    gone = np.flatnonzero(apart > 0.5)
+    if not len(gone):
+        return None
+    back = np.flatnonzero(apart[gone[0] :] < SAME) + gone[0]
+    if not len(back):
+        return None
+    run = back[: int(np.argmax(np.diff(back, append=len(apart) + 2) > 1)) + 1]  # the first dip
+    return _refined(q[:, moving], step * (int(run[np.argmin(apart[run])]) + 1), step) / rate
+
+
+def _refined(q: Array, rows: int, step: int) -> float:
+    """The lag in rows to which a recording repeats best, near a coarse one; by a parabola through the least three."""
+    near = [k for k in range(rows - 2 * step, rows + 2 * step + 1) if 0 < k < len(q) - 2]
+    apart = np.array([np.mean((q[k:] - q[:-k]) ** 2) for k in near])
+    i = int(np.argmin(apart))
+    if not 0 < i < len(near) - 1:
+        return float(near[i])
+    a, b, c = apart[i - 1 : i + 2]
+    return float(near[i] + 0.5 * (a - c) / max(a - 2.0 * b + c, 1e-300))
+
+
+def encoder_torque(model: Model, one: Track) -> Array:
+    """RMS torque below the band that rounding smooth positions once more would make of the base model. Shape (n,) [N m]."""
+    step = encoder_noise(one.piece.q) * np.sqrt(12.0)
+    if not step.any():
+        return np.zeros(one.n)
+    smooth = one.band.transformed(one.piece.q).low(Grid.RECORDED, 0, WIDER)
+    coarse = step > 0.0
+    rounded = smooth.copy()
+    rounded[:, coarse] = np.round(smooth[:, coarse] / step[coarse]) * step[coarse]
+    one_way, other = (filtered(model, x, one.band)[0] for x in (rounded, smooth))
+    return np.asarray(ROUGH * np.sqrt(np.mean(((one_way - other)[one.kept] @ one.theta) ** 2, axis=0)))

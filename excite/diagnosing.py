@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from . import arguments as told
 from . import artefact, base, files, parameters, recordings
-from .diagnose import diagnosis
+from .diagnose import diagnosis, whole
 from .diagnose.document import document
 from .errors import UnusableInput
 from .identify import model, priors
@@ -38,11 +38,21 @@ def diagnose(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outco
     told_all = document(result)
     contents = {
         "diagnosis.json": artefact.dumps(told_all),
-        "model.json": artefact.dumps(model.document(result.identified, train)),
+        "model.json": artefact.dumps(_model(result, train)),
         "report.html": report.diagnosis_page(result, told_all, held_out),
     }
     written = files.write_all(Path(arguments.out), contents)
     return 0, told_all | {"files": [str(path) for path in written]}, _text(told_all, [str(path) for path in written])
+
+
+def _model(result: diagnosis.Diagnosis, train: Sequence[recordings.Recording]) -> dict[str, Any]:
+    """`model.json` with the findings, and what the parameters would be without them."""
+    robot, plain = result.identified.model.robot, result.identified
+    stated = model.document(result.refitted or plain, train)
+    names = plain.model.parameters.names
+    stated["effects"] = [whole.entry(part, robot) for part in result.parts]
+    stated["without_effects"] = dict(zip(names, plain.psi.tolist(), strict=True))
+    return stated
 
 
 def _text(stated: dict[str, Any], written: list[str]) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 
 from . import arguments as told
 from . import artefact, base, files, parameters, recordings
+from .diagnose import whole
 from .errors import UnusableInput
 from .identify import consistent, identification, lmi, model, priors
 from .identify.consistent import Bounds
@@ -156,7 +157,7 @@ def predict(arguments: argparse.Namespace) -> Outcome:
     """Torque along a recording at its own times."""
     fitted = model.read(Path(arguments.model))
     recording = recordings.read(Path(arguments.recording), fitted.robot)
-    times, torque = fitted.predict(recording)
+    times, torque = whole.predict(fitted, recording)
     stream = io.StringIO()
     stream.write(",".join(["t", *(f"tau.{joint}" for joint in fitted.robot.joints)]) + "\n")
     np.savetxt(stream, np.column_stack([times, torque]), fmt="%.9g", delimiter=",")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -14,12 +15,13 @@ from ..identify.identification import Identification
 from ..parameters import Parameters
 from ..recordings import Recording
 from ..robot import Robot
-from . import judge, noise, search, track
+from . import judge, noise, search, track, whole
 from .catalogue import BY_NAME, EFFECTS
 from .effect import Shape
 from .judge import Verdict
 from .search import Design
 from .track import Track
+from .whole import Part
 
 Array = np.ndarray
 Progress = Callable[[str], None]
@@ -52,7 +54,7 @@ class Diagnosis:
     """floor: noise below the band per joint [N m], how it was found: `method`. before, after: RMSE on held-out recordings. Shapes (n,).
 
     tracks: stretches of the recordings fitted, and of those held out. identified: the base model. residuals: held-out torque less the
-    base model's and less that with the findings. Shape (N, n) each.
+    base model's and less that with the findings. Shape (N, n) each. refitted: the base model of the recordings without the findings.
     """
 
     identified: Identification
@@ -65,6 +67,12 @@ class Diagnosis:
     before: Array
     after: Array
     residuals: tuple[Array, Array]
+    refitted: Identification | None = None
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """What was found, as it adds to the base model."""
+        return whole.parts(self.design, self.verdict.together)
 
     @property
     def unexplained(self) -> Array:
@@ -103,9 +111,8 @@ def diagnose(
     options = options or Options()
     if not validate:
         raise UnusableInput("--validate: a diagnosis needs a recording to judge by; give one that is not among those it is fitted to")
-    identified = identification.identify(
-        robot, parameters, base, train, validate, identification.Options(band=options.band, trusted=options.trusted), progress
-    )
+    settings = identification.Options(band=options.band, trusted=options.trusted)
+    identified = identification.identify(robot, parameters, base, train, validate, settings, progress)
     fitted = track.body(robot, parameters, identified.psi)
     model, theta = identified.model, base.matrix @ identified.psi
     pieces = [list(signals.pieces(group, average=False)) for group in (train, validate)]
@@ -114,16 +121,39 @@ def diagnose(
         if not own:
             raise UnusableInput(f"{group[0].source}: is too short for a band of {options.band:g} Hz; record at least two seconds")
     noisy = noise.measured(identified, halves, [*train, *validate])
-    floor, method = noisy.floor, noisy.method
     progress("columns of the catalogue")
-    misfit = MISFIT[method] * np.sqrt(np.mean(identified.data.residual**2, axis=0))
-    scale = np.sqrt(floor**2 + misfit**2)
+    misfit = MISFIT[noisy.method] * np.sqrt(np.mean(identified.data.residual**2, axis=0))
+    scale = np.sqrt(noisy.floor**2 + misfit**2)
     first, second = (_half(own, identified, options, scale) for own in halves)
     one = search.design((first, second), _shapes(halves, options), _builder(halves, scale), noisy.least(scale))
     progress(f"{len(one.shapes)} shapes of {len(EFFECTS)} effects, alone and together")
     one, verdict = judge.judged(one)
+    refitted = None
+    if verdict.findings:
+        progress("the base model without what was found")
+        found = whole.parts(one, verdict.together)
+        bare = [[whole.removed(found, r, own) for r in group] for group, own in zip((train, validate), halves, strict=True)]
+        refitted = identification.identify(robot, parameters, base, bare[0], bare[1], settings, lambda _: None)
+        body = track.body(robot, parameters, refitted.psi)
+        again = [[dataclasses.replace(t, body=body) for t in own] for own in halves]
+        one, verdict = _again(one, verdict, _shapes(again, options), _builder(again, scale))
     before, after = _held_out(one, verdict, scale)
-    return Diagnosis(identified, options, (halves[0], halves[1]), one, verdict, floor, method, _rms(before), _rms(after), (before, after))
+    both, floor = (halves[0], halves[1]), noisy.floor
+    return Diagnosis(identified, options, both, one, verdict, floor, noisy.method, _rms(before), _rms(after), (before, after), refitted)
+
+
+def _again(one: Design, verdict: Verdict, shapes: Sequence[Shape], build: search.Build) -> tuple[Design, Verdict]:
+    """The same findings with columns of a base model that they no longer distort; as they were, where that changes the names."""
+    named = {(f.main.effect, f.main.joint) for f in verdict.findings}
+    small = search.design(one.halves, [s for s in shapes if (s.effect, s.joint) in named], build, one.least)
+    small, better = judge.judged(small)
+    if {(f.main.effect, f.main.joint) for f in better.findings} != named or better.together is None:
+        return one, verdict
+    start = len(one.shapes)
+    wider = search.appended(dataclasses.replace(one, build=build), [small.shapes[i] for i in better.together.shapes])
+    if len(wider.shapes) != start + len(better.together.shapes):
+        return one, verdict
+    return wider, judge.moved(wider, verdict, better, start)
 
 
 def _half(tracks: list[Track], identified: Identification, options: Options, scale: Array) -> search.Half:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -132,6 +132,15 @@ def judged(one: Design) -> tuple[Design, Verdict]:
     findings.sort(key=lambda f: -(together.gain - trial(one, _without(together.shapes, f.parts)).gain))
     named = {(f.main.effect, f.main.joint) for f in findings}
     return one, Verdict(tuple(findings), together, tuple([h for h in ranked if (h.effect, h.joint) not in named][:8]))
+
+
+def moved(one: Design, verdict: Verdict, better: Verdict, start: int) -> Verdict:
+    """The verdict with the parts of another about the same names, whose shapes stand in a design from `start`."""
+    assert better.together is not None
+    place = {shape: start + k for k, shape in enumerate(better.together.shapes)}
+    parts = {(f.main.effect, f.main.joint): tuple(replace(p, shape=place[p.shape]) for p in f.parts) for f in better.findings}
+    findings = tuple(replace(f, parts=parts[f.main.effect, f.main.joint]) for f in verdict.findings)
+    return Verdict(findings, trial(one, [place[shape] for shape in better.together.shapes]), verdict.considered)
 
 
 def _without(shapes: Sequence[int], parts: Sequence[Hypothesis]) -> list[int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,7 @@ INERTIAL_UNITS = ("kg", "kg m", "kg m", "kg m", "kg m²", "kg m²", "kg m²", "k
 @dataclass(frozen=True)
 class FittedModel:
     """What predicts torque. psi: standard parameters. Shape (P,). widths: of Coulomb friction. Shape (n,). hertz: the band of the
-    recordings it was fitted to; motion is filtered accordingly."""
+    recordings it was fitted to; motion is filtered accordingly. effects: what a diagnosis found beyond it, as stated."""
 
     source: str
     robot: Robot
@@ -42,11 +42,16 @@ class FittedModel:
     psi: Array
     widths: Array
     hertz: float
+    effects: tuple[Mapping[str, Any], ...] = ()
+
+    @property
+    def layout(self) -> Parameters:
+        """What stands where in ψ."""
+        return Parameters(self.drive, ("",) * len(self.psi), self.psi, np.eye(1), self.robot.links, self.robot.joints, ())
 
     def torque(self, motion: Samples, speed: Array) -> Array:
         """Y ψ, with `speed` in Coulomb friction. Shape (N, n) [N m]."""
-        layout = Parameters(self.drive, ("",) * len(self.psi), self.psi, np.eye(1), self.robot.links, self.robot.joints, ())
-        out = np.empty_like(motion.q)
+        layout, out = self.layout, np.empty_like(motion.q)
         friction = self.psi[layout.block("coulomb")] if "coulomb" in self.drive else np.zeros(self.robot.n)
         smooth = self.psi.copy()
         if "coulomb" in self.drive:
@@ -56,10 +61,11 @@ class FittedModel:
             out[part] = regressor(self.robot, layout, motion.rows(part)) @ smooth + friction * np.tanh(speed[part] / self.widths)
         return out
 
-    def predict(self, recording: Recording) -> tuple[Array, Array]:
+    def predict(self, recording: Recording, beyond: Callable[[Recording], Array] | None = None) -> tuple[Array, Array]:
         """Torque along a recording at its own times: (times, torque). Shapes (N,) [s], (N, n) [N m].
 
-        Below the model's band, zero phase; in gaps of the recording there is no prediction.
+        Below the model's band, zero phase; in gaps of the recording there is no prediction. beyond: further torque along each stretch,
+        at its rows, below the band.
         """
         times, torques = [], []
         for piece in recording.segments():
@@ -67,6 +73,8 @@ class FittedModel:
             position = band.transformed(piece.q)
             motion = Samples(*(position.low(Grid.RECORDED, order, WIDER) for order in range(3)))
             torque = band.low(self.torque(motion, friction_speed(piece.q, band, position)), Grid.RECORDED)
+            if beyond is not None:
+                torque = torque + beyond(piece)
             own = recording.own_times[(recording.own_times >= piece.t[0] - 1e-9) & (recording.own_times <= piece.t[-1] + 1e-9)]
             times.append(own)
             torques.append(np.column_stack([np.interp(own, piece.t, column) for column in torque.T]))
@@ -218,4 +226,4 @@ def _from_document(path: Path, stated: Mapping[str, Any]) -> FittedModel:
     if len(psi) != 10 * len(robot.links) + robot.n * len(drive) or not np.isfinite(psi).all():
         raise ValueError("the parameters do not fit the robot")
     widths = np.array([stated["coulomb_width"][joint] for joint in robot.joints], float)
-    return FittedModel(str(path), robot, drive, psi, widths, float(stated["band_hz"]))
+    return FittedModel(str(path), robot, drive, psi, widths, float(stated["band_hz"]), tuple(stated["effects"]))

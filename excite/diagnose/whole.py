@@ -1,0 +1,105 @@
+"""The base model with what was found: its torque along a recording, recordings without it, and its place in `model.json`."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import UnusableInput
+from ..identify.band import Band, Grid
+from ..identify.model import FittedModel
+from ..identify.signals import Piece
+from ..recordings import Recording
+from ..robot import Robot
+from . import track
+from .catalogue import BY_NAME
+from .effect import Shape
+from .search import Design, Trial
+from .track import Track
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Part:
+    """A fitted shape. coefficients: Shape (k,)."""
+
+    shape: Shape
+    coefficients: Array
+
+
+def parts(one: Design, together: Trial | None) -> tuple[Part, ...]:
+    """The shapes of a fit, each with its own coefficients."""
+    if together is None:
+        return ()
+    ends = np.cumsum([one.places[i].stop - one.places[i].start for i in together.shapes])[:-1]
+    return tuple(Part(one.shapes[i], c) for i, c in zip(together.shapes, np.split(together.coefficients, ends), strict=True))
+
+
+def torque(found: Sequence[Part], along: Track) -> Array:
+    """What was found adds, below the band, at every sample of a track's piece. Shape (M, n) [N m]."""
+    piece = along.piece
+    every = dataclasses.replace(along, to=Grid.RECORDED, kept=slice(0, len(piece)), time=piece.start + np.arange(len(piece)) / piece.rate)
+    out = np.zeros(piece.q.shape)
+    for part in found:
+        out += part.shape.columns(every) @ part.coefficients
+    return out
+
+
+def removed(found: Sequence[Part], recording: Recording, tracks: Sequence[Track]) -> Recording:
+    """A recording whose torque is without what was found, where there are tracks of it."""
+    tau = recording.torque.copy()
+    for one in tracks:
+        if one.piece.source == recording.source:
+            first = int(np.argmin(np.abs(recording.t - one.piece.start)))
+            tau[first : first + len(one.piece)] -= torque(found, one)
+    return dataclasses.replace(recording, tau=tau)
+
+
+# -- in model.json ---------------------------------------------------------------------------------------------------
+
+
+def entry(part: Part, robot: Robot) -> dict[str, Any]:
+    """An element of the model's "effects"."""
+    shape = part.shape
+    return {
+        "effect": shape.effect,
+        "joint": None if shape.joint is None else robot.joints[shape.joint],
+        "from": None if shape.other is None else robot.joints[shape.other],
+        "values": dict(shape.values),
+        "coefficients": part.coefficients.tolist(),
+        "time": None if shape.interval is None else list(shape.interval),
+        "recording": shape.source or None,
+    }
+
+
+def restored(stated: Mapping[str, Any], robot: Robot, source: str) -> Part:
+    """The same read back. Raises UnusableInput where it names what is not there."""
+    name, joints = stated["effect"], robot.joints
+    if name not in BY_NAME or any(stated[key] is not None and stated[key] not in joints for key in ("joint", "from")):
+        raise UnusableInput(f"{source}: effect '{name}' of joint '{stated['joint']}' is not of this version or robot; diagnose again")
+    joint, other = (None if stated[key] is None else joints.index(stated[key]) for key in ("joint", "from"))
+    interval = None if stated["time"] is None else (float(stated["time"][0]), float(stated["time"][1]))
+    shape = Shape(name, joint, BY_NAME[name].add, dict(stated["values"]), other, interval, stated["recording"] or "")
+    return Part(shape, np.array(stated["coefficients"], float))
+
+
+def predict(fitted: FittedModel, recording: Recording) -> tuple[Array, Array]:
+    """Torque along a recording at its own times, effects included: (times, torque). Shapes (N,) [s], (N, n) [N m]."""
+    found = [restored(stated, fitted.robot, fitted.source) for stated in fitted.effects]
+    if not found:
+        return fitted.predict(recording)
+    body = track.body(fitted.robot, fitted.layout, fitted.psi)
+    nothing = np.zeros((0, fitted.robot.n))
+
+    def beyond(part: Recording) -> Array:
+        piece = Piece(recording.source, float(part.t[0]), part.rate, part.q, np.zeros(part.q.shape))
+        band = Band(min(fitted.hertz, 0.45 * piece.rate), piece.rate, len(piece))
+        empty = nothing[:, :, None]
+        return torque(found, Track(piece, band, body, fitted.widths, np.zeros(0), nothing, empty, nothing, slice(0), np.zeros(0)))
+
+    return fitted.predict(recording, beyond)

@@ -10,12 +10,13 @@ import numpy as np
 
 from ..base import Base
 from ..errors import UnusableInput
-from ..identify import consistent, identification, signals
+from ..identify import consistent, forward, identification, signals
+from ..identify.forward import SimulationError
 from ..identify.identification import Identification
 from ..parameters import Parameters
 from ..recordings import Recording
 from ..robot import Robot
-from . import judge, noise, search, track, whole
+from . import belief, judge, noise, search, track, whole
 from .catalogue import BY_NAME, EFFECTS
 from .effect import Shape
 from .judge import Verdict
@@ -30,10 +31,10 @@ QUIET = 1.2
 """RMSE over the noise floor at which a joint counts as explained."""
 MISFIT = {"periods": 0.1, "differences": 0.3}
 """Share of the residual taken for a form that is not quite the catalogue's, by how the noise is known."""
-GRID = {"order": 0.01, "velocity": 0.25, "time_constant": 0.5, "frequency": 0.15, "exponent": 0.2}
-"""Standard error, relative, of a value that is the best of a few that were tried."""
+FORM = 0.05
+"""Relative standard deviation of a parameter whose effect's form is not quite the robot's, where the effect states none."""
 MUCH = 0.15
-"""The same over the torque itself, where no period repeats to show the noise."""
+"""RMSE over the torque itself from which what is left is something, where no period repeats to show the noise."""
 LOUD = 2.0
 """RMSE over the noise floor from which what is left is called something."""
 UNSAID = 0.45
@@ -55,6 +56,7 @@ class Diagnosis:
 
     tracks: stretches of the recordings fitted, and of those held out. identified: the base model. residuals: held-out torque less the
     base model's and less that with the findings. Shape (N, n) each. refitted: the base model of the recordings without the findings.
+    ahead: positions simulated from held-out torque, by the base model and by it with the findings; None where no window is long enough.
     """
 
     identified: Identification
@@ -68,6 +70,7 @@ class Diagnosis:
     after: Array
     residuals: tuple[Array, Array]
     refitted: Identification | None = None
+    ahead: tuple[SimulationError | None, SimulationError | None] = (None, None)
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -82,13 +85,11 @@ class Diagnosis:
     @property
     def unknown(self) -> list[int]:
         """Joints where something repeatable is left that no name takes."""
-        excess = np.maximum(self.before**2 - self.floor**2, 0.0)
-        left = np.maximum(self.after**2 - self.floor**2, 0.0)
         loud = self.after > LOUD * self.floor
         if self.method != "periods":  # nothing repeats: the floor is a guess from below, and only much is worth a word
             torque = np.concatenate([one.torque for one in self.tracks[1]])
             loud &= self.after > MUCH * np.sqrt(np.mean(torque**2, axis=0))
-        return [int(j) for j in np.flatnonzero(loud & (left > UNSAID * np.maximum(excess, 1e-300)))]
+        return [int(j) for j in np.flatnonzero(loud & (_left(self.before, self.after, self.floor) > UNSAID))]
 
     @property
     def name(self) -> str:
@@ -113,8 +114,8 @@ def diagnose(
         raise UnusableInput("--validate: a diagnosis needs a recording to judge by; give one that is not among those it is fitted to")
     settings = identification.Options(band=options.band, trusted=options.trusted)
     identified = identification.identify(robot, parameters, base, train, validate, settings, progress)
-    fitted = track.body(robot, parameters, identified.psi)
-    model, theta = identified.model, base.matrix @ identified.psi
+    psi = _kept(identified.psi, options)
+    fitted, model, theta = track.body(robot, parameters, psi), identified.model, base.matrix @ psi
     pieces = [list(signals.pieces(group, average=False)) for group in (train, validate)]
     halves = tuple(track.tracks(model, fitted, theta, parts, options.band) for parts in pieces)
     for group, own in zip((train, validate), halves, strict=True):
@@ -125,27 +126,41 @@ def diagnose(
     misfit = MISFIT[noisy.method] * np.sqrt(np.mean(identified.data.residual**2, axis=0))
     scale = np.sqrt(noisy.floor**2 + misfit**2)
     first, second = (_half(own, identified, options, scale) for own in halves)
-    one = search.design((first, second), _shapes(halves, options), _builder(halves, scale), noisy.least(scale))
+    one = search.design((first, second), _shapes(halves, options), _builder(halves, scale), noisy.least(scale), noisy.nats)
     progress(f"{len(one.shapes)} shapes of {len(EFFECTS)} effects, alone and together")
     one, verdict = judge.judged(one)
     refitted = None
     if verdict.findings:
         progress("the base model without what was found")
         found = whole.parts(one, verdict.together)
-        bare = [[whole.removed(found, r, own) for r in group] for group, own in zip((train, validate), halves, strict=True)]
-        refitted = identification.identify(robot, parameters, base, bare[0], bare[1], settings, lambda _: None)
-        body = track.body(robot, parameters, refitted.psi)
+        pure = [[whole.removed(found, r, own) for r in group] for group, own in zip((train, validate), halves, strict=True)]
+        refitted = identification.identify(robot, parameters, base, pure[0], pure[1], settings, lambda _: None)
+        body = track.body(robot, parameters, _kept(refitted.psi, options))
         again = [[dataclasses.replace(t, body=body) for t in own] for own in halves]
-        one, verdict = _again(one, verdict, _shapes(again, options), _builder(again, scale))
+        named = dataclasses.replace(options, names=tuple({f.main.effect for f in verdict.findings}))
+        one, verdict = _again(one, verdict, _shapes(again, named), _builder(again, scale))
+    first_rms, then = (_rms(x) for x in _held_out(one, verdict, scale))
+    verdict = belief.weighed(one, verdict, _left(first_rms, then, noisy.floor))
     before, after = _held_out(one, verdict, scale)
-    both, floor = (halves[0], halves[1]), noisy.floor
-    return Diagnosis(identified, options, both, one, verdict, floor, noisy.method, _rms(before), _rms(after), (before, after), refitted)
+    both, floor, rms = (halves[0], halves[1]), noisy.floor, (_rms(before), _rms(after))
+    out = Diagnosis(identified, options, both, one, verdict, floor, noisy.method, *rms, (before, after), refitted)
+    if refitted is None or not verdict.findings:
+        return out
+    progress("simulating ahead")
+    bare = [whole.removed(out.parts, r, halves[1]) for r in validate]
+    return dataclasses.replace(out, ahead=(_ahead(identified, validate, options), _ahead(refitted, bare, options)))
+
+
+def _ahead(fitted: Identification, recordings: Sequence[Recording], options: Options) -> SimulationError | None:
+    """Positions that a model predicts from recorded torque. Effects act as along the recorded motion: their torque is taken off it."""
+    groups, share = forward.cut(list(signals.pieces(recordings, average=False)), options.band)
+    return forward.error(fitted.model, fitted.psi, fitted.psi, groups, share) if groups else None
 
 
 def _again(one: Design, verdict: Verdict, shapes: Sequence[Shape], build: search.Build) -> tuple[Design, Verdict]:
     """The same findings with columns of a base model that they no longer distort; as they were, where that changes the names."""
     named = {(f.main.effect, f.main.joint) for f in verdict.findings}
-    small = search.design(one.halves, [s for s in shapes if (s.effect, s.joint) in named], build, one.least)
+    small = search.design(one.halves, [s for s in shapes if (s.effect, s.joint) in named], build, one.least, one.nats)
     small, better = judge.judged(small)
     if {(f.main.effect, f.main.joint) for f in better.findings} != named or better.together is None:
         return one, verdict
@@ -154,6 +169,14 @@ def _again(one: Design, verdict: Verdict, shapes: Sequence[Shape], build: search
     if len(wider.shapes) != start + len(better.together.shapes):
         return one, verdict
     return wider, judge.moved(wider, verdict, better, start)
+
+
+def _kept(psi: Array, options: Options) -> Array:
+    """Parameters with what is trusted as it was told: a fit to data that have more in them would bend it."""
+    out = psi.copy()
+    for place, value in options.trusted.items():
+        out[place] = value
+    return out
 
 
 def _half(tracks: list[Track], identified: Identification, options: Options, scale: Array) -> search.Half:
@@ -217,6 +240,11 @@ def _held_out(one: Design, verdict: Verdict, scale: Array) -> tuple[Array, Array
     return before, before - added.reshape(before.shape) * scale
 
 
+def _left(before: Array, after: Array, floor: Array) -> Array:
+    """Of the mean square beyond the noise, what remains. Shape (n,)."""
+    return np.asarray(np.maximum(after**2 - floor**2, 0.0) / np.maximum(before**2 - floor**2, 0.1 * floor**2))
+
+
 def _rms(x: Array) -> Array:
     return np.sqrt(np.mean(x**2, axis=0))
 
@@ -225,21 +253,22 @@ def finding_parameters(one: Design, verdict: Verdict, number: int) -> dict[str, 
     """The contract's parameters of a finding: value and standard deviation by the two halves' agreement and the fit's own."""
     together, main = verdict.together, verdict.findings[number].main
     assert together is not None
-    before = together.shapes[: together.shapes.index(main.shape)]
-    start = sum(one.places[i].stop - one.places[i].start for i in before)
     shape = one.shapes[main.shape]
-    part = slice(start, start + one.places[main.shape].stop - one.places[main.shape].start)
-    value = shape.parameters(together.coefficients[part])
-    others = [shape.parameters(half[part]) for half in together.halves]
-    draws = np.random.default_rng(0).normal(size=(200, part.stop - part.start)) * together.deviation[part] + together.coefficients[part]
-    cloud = [shape.parameters(draw) for draw in draws]
+    alike = [(one.shapes[p.shape], together.shapes.index(p.shape)) for p in verdict.findings[number].parts]
+    ends = np.cumsum([0, *(one.places[i].stop - one.places[i].start for i in together.shapes)])
+    effect = BY_NAME[shape.effect]
+
+    def told(c: Array) -> dict[str, float]:
+        return effect.told([(one_shape, c[ends[k] : ends[k + 1]]) for one_shape, k in alike])
+
+    value = told(together.coefficients)
+    others = [told(half) for half in together.halves]
+    draws = np.random.default_rng(0).normal(size=(200, len(together.deviation))) * together.deviation + together.coefficients
+    cloud = [told(draw) for draw in draws]
     out = {}
     for key, mean in value.items():
         own = float(np.nanstd([c[key] for c in cloud]))
         halves = abs(others[0][key] - others[1][key]) / 2.0
-        on_grid = 0.0 if own > 0.0 or key not in shape.values else GRID.get(key, 0.2) * abs(mean)
-        out[key] = (mean, float(np.sqrt(own**2 + halves**2 + on_grid**2)))
+        form = effect.form.get(key, FORM) * abs(mean)
+        out[key] = (mean, float(np.sqrt(own**2 + halves**2 + form**2)))
     return out
-
-
-__all__ = ["Diagnosis", "Options", "diagnose", "finding_parameters"]

@@ -58,7 +58,34 @@ def document(found: Diagnosis) -> dict[str, Any]:
         "unknown": [_unknown(found, j) for j in found.unknown],
         "considered": [_considered(found, h) for h in found.verdict.considered],
         "band_hz": found.options.band,
+        "simulation": _simulation(found),
+        "parameters": _parameters(found),
     }
+
+
+def _simulation(found: Diagnosis) -> dict[str, Any] | None:
+    """RMS of positions simulated ahead from held-out torque, without and with the findings."""
+    before, after = found.ahead
+    if before is None or after is None:
+        return None
+    joints = found.identified.model.robot.joints
+    rows = zip(joints, before.fitted[-1].tolist(), after.fitted[-1].tolist(), strict=True)
+    return {"seconds": float(before.lag[-1]), "joints": {j: {"before": a, "after": b} for j, a, b in rows}}
+
+
+def _parameters(found: Diagnosis) -> list[dict[str, Any]]:
+    """Base parameters without and with the findings, those first that move most in their own uncertainty."""
+    if found.refitted is None or not found.verdict.findings:
+        return []
+    base, plain, refitted = found.identified.model.base, found.identified, found.refitted
+    without, with_ = base.matrix @ plain.psi, base.matrix @ refitted.psi
+    spread = base.matrix @ refitted.posterior.covariance @ base.matrix.T
+    std = np.sqrt(np.maximum(np.diag(spread), 0.0))
+    moved = np.abs(with_ - without) / np.maximum(std, 1e-12 * np.maximum(np.abs(with_), 1e-12))
+    names = [plain.model.parameters.names[i] for i in base.independent]
+    keys = ("name", "expression", "without", "with", "std", "moved")
+    rows = zip(names, base.expressions, without.tolist(), with_.tolist(), std.tolist(), moved.tolist(), strict=True)
+    return sorted((dict(zip(keys, row, strict=True)) for row in rows), key=lambda row: -float(row["moved"]))
 
 
 def _joint(found: Diagnosis, joint: int | None) -> str | None:
@@ -89,12 +116,18 @@ def _finding(found: Diagnosis, number: int) -> dict[str, Any]:
         "equivalents": list(finding.equivalents),
         "where": _where(found, shape),
         "parameters": {key: {"value": v, "std": s, "unit": effect.units.get(key, "")} for key, (v, s) in values.items() if np.isfinite(v)},
-        "evidence": {"severity": hypothesis.size, "held_out_gain": hypothesis.trial.gain},
+        "evidence": {"severity": hypothesis.size, "held_out_gain": finding.gain, **_share(found, hypothesis), **finding.evidence},
         "experiment": effect.experiment,
     }
     if shape.other is not None:
         out["from"] = _joint(found, shape.other)
     return out
+
+
+def _share(found: Diagnosis, hypothesis: Hypothesis) -> dict[str, float]:
+    """How much of what the base model left repeats, at the joint or at the one where most does."""
+    share = 1.0 - (found.floor / np.maximum(found.before, 1e-300)) ** 2
+    return {"systematic_share": float(max(share.max() if hypothesis.joint is None else share[hypothesis.joint], 0.0))}
 
 
 def _considered(found: Diagnosis, hypothesis: Hypothesis) -> dict[str, Any]:

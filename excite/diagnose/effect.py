@@ -91,7 +91,8 @@ class Effect:
 
     name: the contract's. add: the torque that a shape of it adds. shapes: all forms on a robot whose recordings are these tracks.
     units: of its parameters. prior_only: a refit of the base model absorbs it. signature: what it looks like. confused: names it
-    is taken for. experiment: what would tell them apart.
+    is taken for. experiment: what would tell them apart. form: relative standard deviation of parameters where a robot's form is not
+    quite this one. told: the contract's parameters of a joint's shapes with their coefficients, the largest first.
     """
 
     name: str
@@ -103,6 +104,8 @@ class Effect:
     confused: tuple[str, ...]
     experiment: str
     prior_only: bool = False
+    form: Mapping[str, float] = field(default_factory=dict)
+    told: Callable[[Sequence[tuple[Shape, Array]]], dict[str, float]] = lambda parts: parts[0][0].parameters(parts[0][1])
 
 
 def alone(track: Track, joint: int, x: Array) -> Array:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,8 +11,6 @@ from . import search
 from .search import Design, Trial, trial
 
 Array = np.ndarray
-NATS = 25.0
-"""Held-out log-likelihood that a name must gain."""
 ALIKE = 0.04
 """Names whose gain is within this share of the best one's cannot be told apart: forms are never quite the catalogue's."""
 ALIKE_NATS = 4.0
@@ -38,11 +36,15 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Finding:
-    """What is asserted. parts: its shapes at one joint, the largest first. probability: that the truth is it or an equivalent."""
+    """What is asserted. parts: its shapes at one joint, the largest first. gain: that it adds to the others. rival: that the best name
+    beyond the equivalents would add instead. probability: that the truth is it or an equivalent. evidence: what that is made of."""
 
     parts: tuple[Hypothesis, ...]
-    probability: float
+    gain: float
+    rival: float
     equivalents: tuple[str, ...]
+    probability: float = 1.0
+    evidence: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def main(self) -> Hypothesis:
@@ -117,7 +119,7 @@ def agrees(one: Design, found: Trial) -> bool:
 def judged(one: Design) -> tuple[Design, Verdict]:
     """Names at joints, or none; and the design with the shapes that were found."""
     ranked = singles(one)
-    counts = [h for h in ranked if h.shows and h.trial.gain > NATS]
+    counts = [h for h in ranked if h.shows and h.trial.gain > one.nats]
     if not counts:
         return one, Verdict((), None, tuple(ranked[:8]))
     one, chosen = search.refined(one, _searched(one, counts))
@@ -129,7 +131,7 @@ def judged(one: Design) -> tuple[Design, Verdict]:
         own = Hypothesis(shape.effect, shape.joint, i, trial(one, [i]), size(one, together, number), True)
         groups.setdefault((shape.effect, shape.joint), []).append(own)
     findings = [_finding(one, together, tuple(sorted(parts, key=lambda h: -h.size))) for parts in groups.values()]
-    findings.sort(key=lambda f: -(together.gain - trial(one, _without(together.shapes, f.parts)).gain))
+    findings.sort(key=lambda f: -f.gain)
     named = {(f.main.effect, f.main.joint) for f in findings}
     return one, Verdict(tuple(findings), together, tuple([h for h in ranked if (h.effect, h.joint) not in named][:8]))
 
@@ -157,7 +159,7 @@ def _searched(one: Design, ranked: Sequence[Hypothesis]) -> list[int]:
         if len(chosen) == MOST:
             return chosen
         beside = singles(one, tuple(chosen))
-        if not beside or beside[0].trial.gain - now < max(NATS, SHARE * now) or not beside[0].shows:
+        if not beside or beside[0].trial.gain - now < max(one.nats, SHARE * now) or not beside[0].shows:
             return chosen
         chosen = [*chosen, beside[0].shape]
 
@@ -172,7 +174,7 @@ def _replaced(one: Design, chosen: list[int]) -> list[int]:
                 continue
             rest, now = trial(one, others).gain, trial(one, chosen).gain
             best = singles(one, tuple(others))[:1]
-            if now - rest < max(NATS, SHARE * rest):
+            if now - rest < max(one.nats, SHARE * rest):
                 chosen = others
             elif best and best[0].trial.gain > now + 1e-9 and best[0].shows:
                 chosen = [*others, best[0].shape]
@@ -192,11 +194,11 @@ def _best_pair(one: Design, ranked: Sequence[Hypothesis]) -> list[int] | None:
             found = trial(one, [a.shape, b.shape])
             if (best is None or found.gain > best[0]) and found.plausible and shows(one, found, 0) and shows(one, found, 1):
                 best = (found.gain, [a.shape, b.shape])
-    return None if best is None or best[0] - single < max(NATS, SHARE * single) else best[1]
+    return None if best is None or best[0] - single < max(one.nats, SHARE * single) else best[1]
 
 
 def _finding(one: Design, together: Trial, parts: tuple[Hypothesis, ...]) -> Finding:
-    """With the other names that this recording cannot tell from it, and the probability that the truth is among all of them."""
+    """With the other names that this recording cannot tell from it."""
     others = _without(together.shapes, parts)
     effect, rest = parts[0].effect, trial(one, others).gain
     gain = together.gain - rest
@@ -206,11 +208,4 @@ def _finding(one: Design, together: Trial, parts: tuple[Hypothesis, ...]) -> Fin
     margin = max(ALIKE_NATS, ALIKE * gain)
     alike = tuple(name for name, value in best.items() if name != effect and value > gain - margin)
     lesser = [value for name, value in best.items() if name != effect and name not in alike]
-    return Finding(parts, _probability(gain, lesser, 1 + len(alike)), alike)
-
-
-def _probability(gain: float, others: Sequence[float], alike: int) -> float:
-    """Softmax of held-out gains, as hot as forms differ from the catalogue's."""
-    heat = max(2.0, 0.5 * ALIKE * gain)
-    weights = np.exp(np.clip((np.array([gain, *others]) - gain) / heat, -60.0, 0.0))
-    return float(np.clip(alike * weights[0] / (alike * weights[0] + weights[1:].sum()), 0.5, 0.99))
+    return Finding(parts, gain, max([0.0, *lesser]), alike)

@@ -21,6 +21,10 @@ Array = np.ndarray
 SMALLEST = 0.3
 """RMS torque of an effect over the noise floor, below which nothing is asserted: clocks, encoders and friction's step are never as the
 model has them."""
+NATS = 25.0
+"""Held-out log-likelihood that a name must gain: the most in 60 simulated robots with nothing missing is below 15."""
+STEPPED = 500.0
+"""The same for noise that is all an encoder's steps."""
 STEPS = 1.0
 """The same over what an encoder's steps make."""
 LEAST = 1.2
@@ -49,6 +53,11 @@ class Noise:
     def least(self, scale: Array) -> Array:
         """Size over a scale that an effect must have to count. What repeats as physics does is only estimated. Shape (n,)."""
         return np.asarray(np.maximum(SMALLEST, STEPS * self.steps / scale))
+
+    @property
+    def nats(self) -> float:
+        """Gain from which an effect is believed; more where what an encoder's steps make repeats, and looks like friction."""
+        return float(NATS + STEPPED * np.mean((self.steps / self.floor) ** 2))
 
 
 def measured(identified: Identification, halves: Sequence[Sequence[Track]], recordings: Sequence[Recording]) -> Noise:

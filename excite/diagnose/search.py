@@ -100,7 +100,8 @@ class Design:
     places: of each shape's columns. both: the halves stacked. columns: of each half, at its recorded rows. Shapes (m, K). left: the
     residual of each half by its own base fit. across: torque of the second half less what the first half's base fit makes of it.
     grams: of each half, the base fitted to it; whole: of both, the base fitted to both. power: of each shape, the mean products of
-    its columns in `whole`, per joint, Shape (n, k, k). least: size that counts on each joint, over the scale. Shape (n,).
+    its columns in `whole`, per joint, Shape (n, k, k). least: size that counts on each joint, over the scale. Shape
+    (n,). nats: gain that counts.
     """
 
     shapes: tuple[Shape, ...]
@@ -115,6 +116,7 @@ class Design:
     power: tuple[Array, ...]
     prior: Array
     least: Array
+    nats: float
     build: Build
 
     def which(self, chosen: Sequence[int]) -> Array:
@@ -128,8 +130,12 @@ class Design:
         return np.asarray(self.columns[1][:, which] - second.gamma[second.rows] @ part)
 
 
-def design(halves: tuple[Half, Half], shapes: Sequence[Shape], build: Build, least: Array) -> Design:
-    """All products that the search needs, of the shapes that say something."""
+FEW, SEVERAL = 4, 6
+"""Shapes of an effect at a joint that are searched, and of one that a joint can have several of."""
+
+
+def design(halves: tuple[Half, Half], shapes: Sequence[Shape], build: Build, least: Array, nats: float) -> Design:
+    """All products that the search needs, of the shapes that say something, the best of each effect at each joint."""
     first, second = halves
     carried = second.gamma @ (first.inverse @ first.torque)
     nothing, none = np.zeros((0, 0)), np.zeros(0)
@@ -137,20 +143,37 @@ def design(halves: tuple[Half, Half], shapes: Sequence[Shape], build: Build, lea
     columns = np.zeros((int(first.rows.sum()), 0)), np.zeros((int(second.rows.sum()), 0))
     across = (second.torque - carried)[second.rows]
     both = _stacked(halves)
-    out = Design((), (), halves, both, columns, (first.left, second.left), across, (empty, empty), empty, (), none, least, build)
-    return appended(out, shapes)
+    out = Design((), (), halves, both, columns, (first.left, second.left), across, (empty, empty), empty, (), none, least, nats, build)
+    kept = list[tuple[Shape, tuple[Array, Array]]]()
+    for effect in dict.fromkeys(shape.effect for shape in shapes):
+        kept += _shortlist(appended(out, [shape for shape in shapes if shape.effect == effect]))
+    return _extended(out, kept)
+
+
+def _shortlist(one: Design) -> list[tuple[Shape, tuple[Array, Array]]]:
+    """The shapes of one effect that predict best at each joint, with their columns: their neighbours on the grid say the same."""
+    gains = [trial(one, [i]).gain for i in range(len(one.shapes))]
+    taken: dict[int | None, int] = {}
+    kept = []
+    for i in sorted(range(len(gains)), key=lambda i: -gains[i]):
+        shape, place = one.shapes[i], one.places[i]
+        taken[shape.joint] = taken.get(shape.joint, 0) + 1
+        if taken[shape.joint] <= (SEVERAL if shape.several else FEW):
+            kept.append((shape, (one.columns[0][:, place], one.columns[1][:, place])))
+    return kept
 
 
 def appended(one: Design, shapes: Sequence[Shape]) -> Design:
     """The design with more shapes, at its end; those that say nothing are left out."""
-    kept, built, places, start = list[Shape](), list[tuple[Array, Array]](), list[slice](), one.columns[0].shape[1]
-    for shape in shapes:
-        found = one.build(shape)
-        if found is not None:
-            kept.append(shape)
-            built.append(found)
-            places.append(slice(start, start + found[0].shape[1]))
-            start += found[0].shape[1]
+    return _extended(one, [(shape, found) for shape in shapes if (found := one.build(shape)) is not None])
+
+
+def _extended(one: Design, pairs: Sequence[tuple[Shape, tuple[Array, Array]]]) -> Design:
+    """The same with columns that are there already."""
+    kept, built, places, start = [p[0] for p in pairs], [p[1] for p in pairs], list[slice](), one.columns[0].shape[1]
+    for found in built:
+        places.append(slice(start, start + found[0].shape[1]))
+        start += found[0].shape[1]
     if not kept:
         return one
     new = np.hstack([b[0] for b in built]), np.hstack([b[1] for b in built])
@@ -237,12 +260,18 @@ def refined(one: Design, chosen: Sequence[int], sweeps: int = 2) -> tuple[Design
             if knob is None:
                 continue
             others = [k for k in chosen if k != i]
-            small = design(one.halves, [one.shapes[k] for k in others], one.build, one.least)
+            small = _only(one, others)
             best = knob.turned(lambda shape, small=small: _beside(small, shape))  # type: ignore[misc]
             if best is not one.shapes[i]:
                 one = appended(one, [best])
                 chosen[place] = len(one.shapes) - 1
     return one, chosen
+
+
+def _only(one: Design, chosen: Sequence[int]) -> Design:
+    """The design with some of its shapes."""
+    bare = design(one.halves, [], one.build, one.least, one.nats)
+    return _extended(bare, [(one.shapes[i], (one.columns[0][:, one.places[i]], one.columns[1][:, one.places[i]])) for i in chosen])
 
 
 def _beside(small: Design, shape: Shape) -> float:

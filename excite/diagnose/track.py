@@ -162,18 +162,31 @@ class Track:
             out[t] = sum(data.liMi[i].act(data.f[i]).vector for i in roots)
         return out
 
-    @functools.cached_property
+    @property
     def shaken(self) -> Array:
         """Torque of a unit acceleration of the base, linear and angular, base frame, at the coarse samples. Shape (C, n, 6)."""
+        return self._composite[0]
+
+    @property
+    def borne(self) -> Array:
+        """Mass and moments of inertia of the whole robot about the base's axes, at the coarse samples. Shape (C, 6)."""
+        return self._composite[1]
+
+    @functools.cached_property
+    def _composite(self) -> tuple[Array, Array]:
         robot, model = self.body.robot, self.body.model
         data, out = model.createData(), np.zeros((len(self.coarse), robot.n, 6))
+        whole = np.zeros((len(self.coarse), 6))
         for t, q in enumerate(robot.expand(self.coarse.q)):
             pin.crba(model, data, q, pin.Convention.WORLD)
             jacobian = np.reshape(data.J, (6, -1))
             for j in range(1, model.njoints):
                 v = model.joints[j].idx_v
-                out[t] += np.outer(robot.spread[v], jacobian[:, v] @ data.oYcrb[j].matrix())
-        return out
+                composite = data.oYcrb[j].matrix()
+                out[t] += np.outer(robot.spread[v], jacobian[:, v] @ composite)
+                if model.parents[j] == 0:
+                    whole[t] += np.diag(composite)
+        return out, whole
 
     @functools.cached_property
     def levers(self) -> Array:

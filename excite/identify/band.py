@@ -23,8 +23,8 @@ WIDER = 2.0
 """Positions keep this many bands: torque below the band depends on motion above it, the more so where a joint reverses."""
 EDGE = 10.0
 """The speed in Coulomb friction keeps this many bands: its steps are placed by it."""
-QUIET = 1e-3
-"""Noise of a speed that blurs no friction step [rad/s]."""
+QUIET = 3e-3
+"""Noise of a speed that a friction step can bear, about its width [rad/s]: a smoother speed would put the step at another time."""
 DENSE = 3.0
 """The regressor is sampled at this many times twice the band before it is filtered: products of motions reach beyond it."""
 

@@ -113,6 +113,13 @@ def _position(tracks: Sequence[Track]) -> Iterator[Shape]:
         yield from family((0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6), wave(j))
 
 
+def _range(parts: Sequence[tuple[Shape, Array]]) -> dict[str, float]:
+    """Half of how much friction varies over a turn, all waves together."""
+    angle = np.linspace(-np.pi, np.pi, 721)
+    wave = sum(c[0] * np.cos(s.values["order"] * angle) + c[1] * np.sin(s.values["order"] * angle) for s, c in parts)
+    return {"amplitude": 0.5 * float(np.ptp(wave))}
+
+
 def dahl(q: Array, stiffness: float, start: float = 0.0) -> Array:
     """z of Dahl's model with unit friction: ż = σ q̇ (1 − z sgn q̇), exact for steps of constant speed. Shape (M,)."""
     steps = np.diff(q, prepend=q[0])
@@ -235,6 +242,7 @@ EFFECTS = (
         "friction depends on where the joint is",
         ("load_friction",),
         "the same stroke at shifted positions",
+        told=_range,
     ),
     Effect(
         "hysteresis",

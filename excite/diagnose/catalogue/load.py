@@ -50,9 +50,9 @@ def _payload(tracks: Sequence[Track]) -> Iterator[Shape]:
 
 
 def _leaning(t: Track, s: Shape) -> Array:
-    # g turns by roll about x and pitch about y: δg = ω × g
+    # a base turned by roll about x and pitch about y sees gravity turned back: δg = g × ω
     down = float(np.linalg.norm(t.body.model.gravity.linear))
-    columns = np.stack([-down * t.gravity[:, :, 1], down * t.gravity[:, :, 0]], axis=2)
+    columns = np.stack([down * t.gravity[:, :, 1], -down * t.gravity[:, :, 0]], axis=2)
     return t.reduce(columns, Grid.COARSE)
 
 
@@ -112,7 +112,7 @@ EFFECTS = (
     ),
     Effect(
         "gravity_tilt",
-        "∂τ/∂g (ω × g)",
+        "∂τ/∂g (g × ω), ω = (roll, pitch, 0) of the base",
         _leaning,
         _tilt,
         {"roll": "rad", "pitch": "rad"},

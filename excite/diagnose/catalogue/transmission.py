@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
+from ...identify.band import Grid
 from ..effect import Effect, Knob, Shape, alone, amplitude, family, named, within
 from ..track import Track
 from .windup import felt, mass, played, wound
@@ -20,7 +21,7 @@ WIDTHS = np.geomspace(1e-4, 1e-2, 7)
 
 
 def _sprung(t: Track, s: Shape) -> Array:
-    return felt(t, s.place, wound(t, s.place, s.values["stiffness"]))
+    return felt(t, s.place, wound(t, s.place, s.values["stiffness"]), Grid.COARSE)
 
 
 def _elasticity(tracks: Sequence[Track]) -> Iterator[Shape]:
@@ -41,7 +42,7 @@ def _elasticity(tracks: Sequence[Track]) -> Iterator[Shape]:
 
 
 def _loose(t: Track, s: Shape) -> Array:
-    return felt(t, s.place, played(t, s.place, s.values["width"]))
+    return felt(t, s.place, played(t, s.place, s.values["width"]), Grid.RECORDED)
 
 
 def _backlash(tracks: Sequence[Track]) -> Iterator[Shape]:

@@ -16,50 +16,54 @@ DAMPING = 0.07
 """Damping ratio of a link on its motor: gears have a few per cent."""
 
 
-def felt(track: Track, joint: int, lag: Array) -> Array:
-    """Torque on all joints when a link lies `lag` behind its motor [rad, at every sample]. Shapes (M,) -> (N, n, 1).
+def felt(track: Track, joint: int, lag: Array, of: Grid) -> Array:
+    """Torque on all joints when a link lies `lag` behind its motor [rad, on a grid]. Shapes (M or C,) -> (N, n, 1).
 
     First order: −(∂τ/∂q δ + ∂τ/∂q̇ δ̇ + M δ̈), the rotor staying with the encoder.
     """
     by_q, by_v, mass = track.derivatives
-    lines = track.band.transformed(lag[:, None])
+    lines = track.band.transformed(lag[:, None], of)
     shift, first, second = (lines.low(Grid.COARSE, order, 1.0) for order in range(3))
     torque = by_q[:, :, joint] * shift + by_v[:, :, joint] * first + mass[:, :, joint] * second
     return -track.reduce(torque, Grid.COARSE)[:, :, None]
 
 
 def mass(track: Track, joint: int) -> Array:
-    """The link's own inertia about a joint, at every sample. Shape (M,) [kg m²]."""
-    return np.maximum(track.upsampled(track.derivatives[2][:, joint, joint][:, None])[:, 0], 1e-9)
+    """The link's own inertia about a joint, at the coarse samples. Shape (C,) [kg m²]."""
+    return np.maximum(track.derivatives[2][:, joint, joint], 1e-9)
 
 
 def wound(track: Track, joint: int, stiffness: float) -> Array:
-    """Wind-up of a spring of `stiffness` [N m/rad], damped a little, at every sample; exact for steps of constant load. Shape (M,)."""
-    load, inertia, dt = track.transmitted[:, joint], mass(track, joint), 1.0 / track.piece.rate
+    """Wind-up of a spring of `stiffness` [N m/rad], damped a little, at the coarse samples. Shape (C,)."""
+    return oscillator(track.rigid[:, joint], mass(track, joint), stiffness, DAMPING, 1.0 / track.band.rate_of(Grid.COARSE))[0]
+
+
+def oscillator(force: Array, inertia: Array, stiffness: float, damping: float, dt: float) -> tuple[Array, Array]:
+    """Place and speed of an inertia that changes slowly, on a spring; exact for steps of constant force. Three shapes of (M,)."""
     omega = np.sqrt(stiffness / inertia)
-    decay, turn = np.exp(-DAMPING * omega * dt), omega * np.sqrt(1.0 - DAMPING**2) * dt
-    ratio = DAMPING / np.sqrt(1.0 - DAMPING**2)
-    cosine, sine = decay * np.cos(turn), decay * np.sin(turn)
-    slow = omega * np.sqrt(1.0 - DAMPING**2)
+    slow = omega * np.sqrt(1.0 - damping**2)
+    decay, ratio = np.exp(-damping * omega * dt), damping / np.sqrt(1.0 - damping**2)
+    cosine, sine = decay * np.cos(slow * dt), decay * np.sin(slow * dt)
     steps = zip(
-        (load / stiffness).tolist(),
+        (force / stiffness).tolist(),
         (cosine + ratio * sine).tolist(),
         (sine / slow).tolist(),
         (-sine * omega * omega / slow).tolist(),
         (cosine - ratio * sine).tolist(),
         strict=True,
     )
-    out, x, v = np.empty(len(load)), float(load[0] / stiffness), 0.0
+    out, x, v = np.empty((2, len(force))), float(force[0] / stiffness), 0.0
     for k, (rest, a, b, c, d) in enumerate(steps):
         away = x - rest
         x, v = rest + a * away + b * v, c * away + d * v
-        out[k] = x
-    return out
+        out[0, k], out[1, k] = x, v
+    return out[0], out[1]
 
 
 def played(track: Track, joint: int, width: float) -> Array:
     """Where a link is in a play of `width` [rad]: driven by its load, it stops where it meets the other flank. Shape (M,)."""
-    push, dt, half = track.transmitted[:, joint] / mass(track, joint), 1.0 / track.piece.rate, 0.5 * width
+    push = track.upsampled((track.rigid[:, joint] / mass(track, joint))[:, None])[:, 0]
+    dt, half = 1.0 / track.piece.rate, 0.5 * width
     out, x, v = np.empty(len(push)), half if push[0] > 0.0 else -half, 0.0
     for k, a in enumerate(push.tolist()):
         v += a * dt

@@ -1,0 +1,59 @@
+"""How often a finding like this one is right: a logistic curve over what distinguishes right from wrong, fitted to simulated robots.
+
+`scripts/calibrate.py` fits the weights to answered cases of the concealed trial whose key is open (the tuning family: its effects have
+other forms than those that are scored).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from .judge import Verdict
+from .search import Design, trial
+
+Array = np.ndarray
+FEATURES = ("size", "margin", "share", "left", "later")
+WEIGHTS = {"bias": 1.0, "size": 0.3, "margin": 2.0, "share": 1.0, "left": -3.0, "later": -1.0}
+LEAST, MOST = 0.02, 0.99
+ASSERTED = 0.5
+"""Probability from which a finding is asserted (the contract)."""
+
+
+def features(one: Design, verdict: Verdict, number: int, left: Array) -> dict[str, float]:
+    """What a probability is made of. size: log of the gain over the least that counts. margin: of the gain, what the best other name
+    does not reach. share: of all gain. left: of the excess over the noise, what remains at its joint. later: whether others come first."""
+    finding, together = verdict.findings[number], verdict.together
+    assert together is not None
+    joint = finding.main.joint
+    return {
+        "size": float(np.log(max(finding.gain, one.nats) / one.nats)),
+        "margin": float(np.clip(1.0 - finding.rival / max(finding.gain, 1e-9), 0.0, 1.0)),
+        "share": float(np.clip(finding.gain / max(together.gain, 1e-9), 0.0, 1.0)),
+        "left": float(np.clip(left.max() if joint is None else left[joint], 0.0, 1.0)),
+        "later": float(number > 0),
+    }
+
+
+def probability(seen: dict[str, float]) -> float:
+    """That the truth is the finding or an equivalent."""
+    x = WEIGHTS["bias"] + sum(WEIGHTS[key] * seen[key] for key in FEATURES)
+    return float(np.clip(1.0 / (1.0 + np.exp(-x)), LEAST, MOST))
+
+
+def weighed(one: Design, verdict: Verdict, left: Array) -> Verdict:
+    """The verdict with probabilities, without what is less likely right than wrong. left: per joint, see `features`. Shape (n,)."""
+    if not verdict.findings:
+        return verdict
+    findings = []
+    for number, finding in enumerate(verdict.findings):
+        seen = features(one, verdict, number, left)
+        findings.append(replace(finding, probability=probability(seen), evidence=seen))
+    kept = [f for f in findings if f.probability >= ASSERTED]
+    if len(kept) == len(findings):
+        return replace(verdict, findings=tuple(kept))
+    shapes = [part.shape for f in kept for part in f.parts]
+    doubted = tuple(f.main for f in findings if f.probability < ASSERTED)
+    considered = (*doubted, *(h for h in verdict.considered if all(h.shape != d.shape for d in doubted)))
+    return Verdict(tuple(kept), trial(one, shapes) if kept else None, considered)

@@ -18,7 +18,7 @@ Array = np.ndarray
 def command(arguments: argparse.Namespace) -> tuple[int, Any, str]:
     """Simulate, measure, write the recording, its sidecar, its truth and a plot."""
     if importlib.util.find_spec("mujoco") is None:
-        raise UnusableInput("excite simulate: MuJoCo is not installed; pip install 'excite[trial]'")
+        raise UnusableInput("MuJoCo is not installed: pip install 'excite[trial]' (in a clone: .venv/bin/pip install -e '.[trial]')")
     from .plant import effect, laboratory, record, reference, severity
 
     out = Path(arguments.out)

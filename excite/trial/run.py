@@ -143,6 +143,7 @@ ROWS = (
     ("false_alarms", "false alarms on nulls"),
     ("abstained", "abstains, or no answer, where something is hidden"),
     ("right_first", "right name first"),
+    ("right_first_from_3", "… at severity ≥ 2, where 3, 10 or 30 was aimed at"),
     ("right_first_trusted", "… where a prior is trusted"),
     ("within_equivalents", "truth within the first and its equivalents"),
     ("equivalents", "… how many equivalents then"),
@@ -157,7 +158,7 @@ ROWS = (
 
 
 def table(scores: dict[str, dict[str, Any]]) -> str:
-    """Markdown: a row per figure, a column per analyst; the number of cases behind each in brackets."""
+    """Markdown: a row per figure, a column per analyst; the 95 % interval of each rate, and the number of cases behind it, in brackets."""
     names = list(scores)
     lines = [f"| | {' | '.join(names)} |", "|---" * (len(names) + 1) + "|"]
     for key, words in ROWS:
@@ -173,4 +174,8 @@ def table(scores: dict[str, dict[str, Any]]) -> str:
 
 
 def _cell(figure: dict[str, Any]) -> str:
-    return "–" if figure["value"] is None else f"{figure['value']:.2f} ({figure['count']})"
+    if figure["value"] is None:
+        return "–"
+    low, high = figure.get("interval", (None, None))
+    spread = "" if low is None else f" [{low:.2f}–{high:.2f}]"
+    return f"{figure['value']:.2f}{spread} ({figure['count']})"

@@ -13,6 +13,8 @@ Array = np.ndarray
 BINS = ((0.0, 0.7), (0.7, 2.0), (2.0, 6.0), (6.0, 18.0), (18.0, np.inf))
 SAME = ({"drag", "nonlinear_viscous"},)
 """Names that the contract calls equivalent unless the motion tells them apart."""
+APART = {("torque_saturation", "loss")}
+"""Parameters that the key states otherwise than the contract: the loss at a fixed torque, not at the largest seen."""
 NOTHING, UNKNOWN, NO_ANSWER = "(nothing)", "(unknown)", "(no answer)"
 
 
@@ -110,7 +112,7 @@ def _errors(finding: Mapping[str, Any], effect: Mapping[str, Any]) -> list[tuple
     out = []
     for name, true in effect["parameters"].items():
         said = finding.get("parameters", {}).get(name)
-        if said is None or said.get("value") is None or not true["value"]:
+        if said is None or said.get("value") is None or not true["value"] or (effect["effect"], name) in APART:
             continue
         away = abs(float(said["value"]) - float(true["value"]))
         std = said.get("std")
@@ -152,6 +154,7 @@ def score(marks: Sequence[Mark]) -> dict[str, Any]:
         "false_alarms_by_trap": {trap: _share(not m.silent for m in nulls if m.trap == trap) for trap in sorted({m.trap for m in nulls})},
         "abstained": _share(m.silent or not m.answered for m in hidden),
         "right_first": _share(_right(m) for m in named),
+        "right_first_from_3": _share(_right(m) for m in named if m.severity >= BINS[2][0]),
         "right_first_by_severity": {_words(b): _share(_right(m) for m in named if b[0] <= m.severity < b[1]) for b in BINS},
         "within_equivalents": _share(_within(m) for m in named),
         "equivalents": {"value": float(np.mean([len(m.named[0][3]) for m in within])) if within else None, "count": len(within)},
@@ -174,8 +177,13 @@ def _words(bounds: tuple[float, float]) -> str:
 
 
 def _share(flags: Iterable[object]) -> dict[str, Any]:
+    """With the 95 % interval of a binomial rate (Wilson 1927)."""
     values = [bool(flag) for flag in flags]
-    return {"value": float(np.mean(values)) if values else None, "count": len(values)}
+    if not values:
+        return {"value": None, "count": 0}
+    n, p, z = len(values), float(np.mean(values)), 1.96
+    middle, half = (p + z * z / (2 * n)) / (1 + z * z / n), z / (1 + z * z / n) * np.sqrt(p * (1 - p) / n + (z / (2 * n)) ** 2)
+    return {"value": p, "count": n, "interval": [max(float(middle - half), 0.0), min(float(middle + half), 1.0)]}
 
 
 def _mean(values: Sequence[float]) -> dict[str, Any]:

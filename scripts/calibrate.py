@@ -1,0 +1,94 @@
+#!/usr/bin/env python
+"""Fit the diagnosis's probabilities and parameter intervals to a trial whose key is open (the tuning family, never the scored one).
+
+    scripts/calibrate.py out/tuning --analyst excite
+
+Prints the weights of `excite/diagnose/belief.py` and, for each parameter, the relative standard deviation that makes value ± 2 std
+cover 95 % of the true values: the `form` of the effects in `excite/diagnose/catalogue/`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize
+
+from excite.diagnose.belief import FEATURES
+from excite.trial import seal
+from excite.trial.score import equal
+
+Array = np.ndarray
+RIDGE = 0.02
+"""Weight against large weights, a finding."""
+PRIOR_CASES, PRIOR_FORM = 2.0, 0.1
+"""What is said of a parameter that few cases show: as many cases with errors of this deviation."""
+
+
+def findings(folder: Path, analyst: str) -> list[tuple[dict[str, Any], dict[str, Any]]]:
+    """Every finding, doubted ones too, with its case."""
+    cases = seal.unlock(folder / "key", (folder / "sealed.sha256").read_text(encoding="utf-8").strip())
+    out = []
+    for path in sorted((folder / "answers" / analyst).glob("*.json")):
+        answer = json.loads(path.read_text(encoding="utf-8"))["answer"]
+        if isinstance(answer, dict):
+            stated = [*answer["findings"], *answer["considered"]]
+            out += [(one, cases[path.stem]) for one in stated if set(FEATURES) <= set(one["evidence"])]
+    return out
+
+
+def right(one: dict[str, Any], case: dict[str, Any]) -> bool:
+    return any(equal(name, effect["effect"]) for name in (one["effect"], *one["equivalents"]) for effect in case["effects"])
+
+
+def weights(stated: list[tuple[dict[str, Any], dict[str, Any]]]) -> dict[str, float]:
+    """Logistic regression with a small ridge."""
+    x = np.array([[1.0, *(one["evidence"][key] for key in FEATURES)] for one, _ in stated])
+    y = np.array([right(*pair) for pair in stated], float)
+
+    def cost(w: Array) -> float:
+        z = x @ w
+        return float(np.logaddexp(0.0, z).sum() - y @ z + RIDGE * len(y) * 0.01 * (w[1:] @ w[1:]))
+
+    found = minimize(cost, np.zeros(x.shape[1])).x
+    return dict(zip(("bias", *FEATURES), np.round(found, 2).tolist(), strict=True))
+
+
+def forms(stated: list[tuple[dict[str, Any], dict[str, Any]]]) -> dict[str, dict[str, float]]:
+    """Relative deviation of each parameter beyond what the fit says of it, from rightly named findings at the right joint."""
+    errors: dict[str, dict[str, list[float]]] = {}
+    for one, case in stated:
+        for effect in case["effects"]:
+            if effect["outsider"] or not equal(one["effect"], effect["effect"]) or one["joint"] != effect["joint"]:
+                continue
+            for name, true in effect["parameters"].items():
+                said = one["parameters"].get(name)
+                if said and said["value"] is not None and true["value"]:
+                    relative = abs(said["value"] - true["value"]) / max(abs(said["value"]), 1e-12)
+                    errors.setdefault(one["effect"], {}).setdefault(name, []).append(min(relative, 3.0))
+    out: dict[str, dict[str, float]] = {}
+    for effect_name, own in sorted(errors.items()):
+        for name, values in own.items():
+            # half of the error that 95 % stay below, drawn towards the usual where few cases show it
+            high = 0.5 * float(np.quantile(values, 0.95))
+            share = len(values) / (len(values) + PRIOR_CASES)
+            out.setdefault(effect_name, {})[name] = round(share * high + (1.0 - share) * PRIOR_FORM, 3)
+    return out
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--analyst", default="excite")
+    arguments = parser.parse_args()
+    stated = findings(arguments.folder, arguments.analyst)
+    print("WEIGHTS =", weights(stated), f" # {len(stated)} findings, {np.mean([right(*pair) for pair in stated]):.2f} right")
+    for effect, own in forms(stated).items():
+        print(f"{effect}: form={own}")
+
+
+if __name__ == "__main__":
+    main()

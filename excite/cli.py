@@ -237,7 +237,9 @@ def _diagnose(commands: Commands) -> None:
     sub.add_argument("recordings", metavar="RECORDING", nargs="+", help="recordings that the model is fitted to")
     sub.add_argument("--validate", metavar="RECORDING", nargs="+", default=[], help="recordings to judge by (needed)")
     sub.add_argument("--prior", metavar="FILE", help="what is right as it stands: excite.prior/1 or a model.json")
-    sub.add_argument("--band", type=float, default=20.0, metavar="HZ", help="torque below this is looked at (default %(default)s)")
+    sub.add_argument(
+        "--band", type=float, metavar="HZ", help="torque below this is looked at (default: 20, more where the data asks for it)"
+    )
 
 
 def _simulate(commands: Commands) -> None:

@@ -11,8 +11,10 @@ import numpy as np
 from ..base import Base
 from ..errors import UnusableInput
 from ..identify import consistent, forward, identification, signals
+from ..identify.band import WIDER
 from ..identify.forward import SimulationError
 from ..identify.identification import Identification
+from ..identify.signals import Piece
 from ..parameters import Parameters
 from ..recordings import Recording
 from ..robot import Robot
@@ -27,6 +29,8 @@ from .whole import Part
 Array = np.ndarray
 Progress = Callable[[str], None]
 BAND_HZ = 20.0
+FASTEST, LINE = 250.0, 30.0
+"""Highest band chosen by the data [Hz]; a spectral line is so many times as high as what is between them."""
 QUIET = 1.2
 """RMSE over the noise floor at which a joint counts as explained."""
 MISFIT = {"periods": 0.1, "differences": 0.3}
@@ -43,9 +47,10 @@ UNSAID = 0.45
 
 @dataclass(frozen=True)
 class Options:
-    """band: [Hz]. trusted: parameter -> value that is right as it stands (a prior); nothing of it is refit. names: effects to look for."""
+    """band: [Hz], None: by the data. trusted: parameter -> value that is right as it stands (a prior); nothing of it is refit.
+    names: effects to look for."""
 
-    band: float = BAND_HZ
+    band: float | None = None
     trusted: Mapping[int, float] = field(default_factory=dict)
     names: tuple[str, ...] = ()
 
@@ -54,13 +59,15 @@ class Options:
 class Diagnosis:
     """floor: noise below the band per joint [N m], how it was found: `method`. before, after: RMSE on held-out recordings. Shapes (n,).
 
-    tracks: stretches of the recordings fitted, and of those held out. identified: the base model. residuals: held-out torque less the
-    base model's and less that with the findings. Shape (N, n) each. refitted: the base model of the recordings without the findings.
-    ahead: positions simulated from held-out torque, by the base model and by it with the findings; None where no window is long enough.
+    hertz: the band. tracks: stretches of the recordings fitted, and of those held out. identified: the base model. residuals: held-out
+    torque less the base model's and less that with the findings. Shape (N, n) each. refitted: the base model of the recordings
+    without the findings. ahead: positions simulated from held-out torque, by the base model and by it with the findings; None where no
+    window is long enough.
     """
 
     identified: Identification
     options: Options
+    hertz: float
     tracks: tuple[list[Track], list[Track]]
     design: Design
     verdict: Verdict
@@ -112,15 +119,16 @@ def diagnose(
     options = options or Options()
     if not validate:
         raise UnusableInput("--validate: a diagnosis needs a recording to judge by; give one that is not among those it is fitted to")
-    settings = identification.Options(band=options.band, trusted=options.trusted)
+    pieces = [list(signals.pieces(group, average=False)) for group in (train, validate)]
+    hertz = options.band or _band([*pieces[0], *pieces[1]])
+    settings = identification.Options(band=hertz, trusted=options.trusted)
     identified = identification.identify(robot, parameters, base, train, validate, settings, progress)
     psi = _kept(identified.psi, options)
     fitted, model, theta = track.body(robot, parameters, psi), identified.model, base.matrix @ psi
-    pieces = [list(signals.pieces(group, average=False)) for group in (train, validate)]
-    halves = tuple(track.tracks(model, fitted, theta, parts, options.band) for parts in pieces)
+    halves = tuple(track.tracks(model, fitted, theta, parts, hertz) for parts in pieces)
     for group, own in zip((train, validate), halves, strict=True):
         if not own:
-            raise UnusableInput(f"{group[0].source}: is too short for a band of {options.band:g} Hz; record at least two seconds")
+            raise UnusableInput(f"{group[0].source}: is too short for a band of {hertz:g} Hz; record at least two seconds")
     noisy = noise.measured(identified, halves, [*train, *validate])
     progress("columns of the catalogue")
     misfit = MISFIT[noisy.method] * np.sqrt(np.mean(identified.data.residual**2, axis=0))
@@ -143,18 +151,36 @@ def diagnose(
     verdict = belief.weighed(one, verdict, _left(first_rms, then, noisy.floor))
     before, after = _held_out(one, verdict, scale)
     both, floor, rms = (halves[0], halves[1]), noisy.floor, (_rms(before), _rms(after))
-    out = Diagnosis(identified, options, both, one, verdict, floor, noisy.method, *rms, (before, after), refitted)
+    out = Diagnosis(identified, options, hertz, both, one, verdict, floor, noisy.method, *rms, (before, after), refitted)
     if refitted is None or not verdict.findings:
         return out
     progress("simulating ahead")
     bare = [whole.removed(out.parts, r, halves[1]) for r in validate]
-    return dataclasses.replace(out, ahead=(_ahead(identified, validate, options), _ahead(refitted, bare, options)))
+    return dataclasses.replace(out, ahead=(_ahead(identified, validate, hertz), _ahead(refitted, bare, hertz)))
 
 
-def _ahead(fitted: Identification, recordings: Sequence[Recording], options: Options) -> SimulationError | None:
+def _ahead(fitted: Identification, recordings: Sequence[Recording], hertz: float) -> SimulationError | None:
     """Positions that a model predicts from recorded torque. Effects act as along the recorded motion: their torque is taken off it."""
-    groups, share = forward.cut(list(signals.pieces(recordings, average=False)), options.band)
+    groups, share = forward.cut(list(signals.pieces(recordings, average=False)), hertz)
     return forward.error(fitted.model, fitted.psi, fitted.psi, groups, share) if groups else None
+
+
+def _band(pieces: Sequence[Piece]) -> float:
+    """20 Hz, or what the lines need that make much of the torque above it: a gear or a motor that turns steadily, at its order."""
+    from scipy import signal  # slow to import
+
+    longest = max(pieces, key=len)
+    if longest.rate <= 2.5 * BAND_HZ:
+        return BAND_HZ
+    frequency, power = signal.welch(longest.torque, longest.rate, nperseg=min(len(longest), int(2.0 * longest.rate)), axis=0)
+    above = (frequency > BAND_HZ) & (frequency < min(FASTEST, 0.4 * longest.rate / WIDER))
+    if not above.any():
+        return BAND_HZ
+    line = above[:, None] & (power > LINE * np.median(power[above], axis=0))
+    share = np.where(line, power, 0.0) / np.maximum(power.sum(axis=0), 1e-300)
+    if share.sum(axis=0).max() < MUCH:
+        return BAND_HZ
+    return float(1.2 * frequency[np.flatnonzero((share > 0.02).any(axis=1))[-1]])
 
 
 def _again(one: Design, verdict: Verdict, shapes: Sequence[Shape], build: search.Build) -> tuple[Design, Verdict]:

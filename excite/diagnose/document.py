@@ -57,7 +57,7 @@ def document(found: Diagnosis) -> dict[str, Any]:
         "joints": rows,
         "unknown": [_unknown(found, j) for j in found.unknown],
         "considered": [_considered(found, h) for h in found.verdict.considered],
-        "band_hz": found.options.band,
+        "band_hz": found.hertz,
         "simulation": _simulation(found),
         "parameters": _parameters(found),
     }

@@ -14,8 +14,8 @@ Array = np.ndarray
 ALIKE = 0.04
 """Names whose gain is within this share of the best one's cannot be told apart: forms are never quite the catalogue's."""
 ALIKE_NATS = 4.0
-SHARE = 0.12
-"""Of the gain so far, what a further effect must add."""
+SHARE, SAME = 0.04, 0.02
+"""Of the gain so far, what a further effect must add, and a further shape of one that is there: forms are never quite the catalogue's."""
 MOST = 6
 """Shapes, at the most."""
 FRONT = 24
@@ -122,7 +122,7 @@ def judged(one: Design) -> tuple[Design, Verdict]:
     counts = [h for h in ranked if h.shows and h.trial.gain > one.nats]
     if not counts:
         return one, Verdict((), None, tuple(ranked[:8]))
-    one, chosen = search.refined(one, _searched(one, counts))
+    one, chosen = _searched(one, counts)
     ranked = singles(one)
     together = trial(one, chosen)
     groups: dict[tuple[str, int | None], list[Hypothesis]] = {}
@@ -149,19 +149,33 @@ def _without(shapes: Sequence[int], parts: Sequence[Hypothesis]) -> list[int]:
     return [i for i in shapes if all(i != part.shape for part in parts)]
 
 
-def _searched(one: Design, ranked: Sequence[Hypothesis]) -> list[int]:
-    """Shapes that predict best together: the best single or pair, then more while each is worth it, each looked at again."""
+def _searched(one: Design, ranked: Sequence[Hypothesis]) -> tuple[Design, list[int]]:
+    """Shapes that predict best together: the best single or pair, then more while each is worth it, all tuned and looked at again."""
     pair = _best_pair(one, ranked)
     chosen = [ranked[0].shape] if pair is None else pair
-    while True:
-        chosen = _replaced(one, chosen)
-        now = trial(one, chosen).gain
-        if len(chosen) == MOST:
-            return chosen
-        beside = singles(one, tuple(chosen))
-        if not beside or beside[0].trial.gain - now < max(one.nats, SHARE * now) or not beside[0].shows:
-            return chosen
-        chosen = [*chosen, beside[0].shape]
+    for _ in range(MOST):
+        one, chosen = search.refined(one, _replaced(one, chosen), sweeps=1)
+        more = None if len(chosen) == MOST else _further(one, chosen)
+        if more is None:
+            break
+        chosen = [*chosen, more]
+    return one, chosen
+
+
+def _further(one: Design, chosen: Sequence[int]) -> int | None:
+    """What predicts best beside those chosen, if it is worth it: another name more so than one more shape of what is there already."""
+    now = trial(one, chosen).gain
+    for h in singles(one, tuple(chosen)):
+        if h.shows and h.trial.gain - now > _worth(one, h.shape, chosen, now):
+            return h.shape
+    return None
+
+
+def _worth(one: Design, shape: int, others: Sequence[int], gain: float) -> float:
+    """What a shape must add to the gain of others."""
+    own = (one.shapes[shape].effect, one.shapes[shape].joint)
+    there = any((one.shapes[i].effect, one.shapes[i].joint) == own for i in others)
+    return max(one.nats, (SAME if there else SHARE) * gain)
 
 
 def _replaced(one: Design, chosen: list[int]) -> list[int]:
@@ -174,7 +188,7 @@ def _replaced(one: Design, chosen: list[int]) -> list[int]:
                 continue
             rest, now = trial(one, others).gain, trial(one, chosen).gain
             best = singles(one, tuple(others))[:1]
-            if now - rest < max(one.nats, SHARE * rest):
+            if now - rest < _worth(one, i, others, rest):
                 chosen = others
             elif best and best[0].trial.gain > now + 1e-9 and best[0].shows:
                 chosen = [*others, best[0].shape]

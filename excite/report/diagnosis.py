@@ -399,7 +399,7 @@ def _made(found: Diagnosis, looked: Atlas) -> Section:
         "fitted to": ", ".join(sources[0]),
         "held out": ", ".join(sources[1]),
         "rows": f"{sum(map(len, found.tracks[0]))} fitted, {sum(map(len, found.tracks[1]))} held out, × {plural(robot.n, 'joint')}",
-        "band": f"{number(found.options.band)} Hz",
+        "band": f"{number(found.hertz)} Hz",
         "base model": f"{identified.model.base.count} parameters, "
         + (f"{plural(len(found.options.trusted), 'value')} held fast by --prior" if found.options.trusted else "all refit"),
         "noise floor": _FLOORS.get(found.method, found.method),

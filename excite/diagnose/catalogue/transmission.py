@@ -105,6 +105,7 @@ FORMS: tuple[Callable[[Array], Array], ...] = (
     lambda q: q[:, None],
     lambda q: np.column_stack([np.cos(q), np.sin(q)]),
     lambda q: np.column_stack([q, q**2]),
+    lambda q: np.column_stack([q, q**2, q**3]),
     lambda q: np.column_stack([np.cos(q), np.sin(q), np.cos(2 * q), np.sin(2 * q)]),
 )
 """Of a spring, over its joint's angle."""

@@ -18,13 +18,15 @@ import numpy as np
 from scipy.optimize import minimize
 
 from excite.diagnose.belief import FEATURES
+from excite.diagnose.catalogue import BY_NAME
+from excite.diagnose.diagnosis import FORM
 from excite.trial import seal
-from excite.trial.score import equal
+from excite.trial.score import APART, equal, whole
 
 Array = np.ndarray
 RIDGE = 0.02
 """Weight against large weights, a finding."""
-PRIOR_CASES, PRIOR_FORM = 2.0, 0.1
+PRIOR_CASES, PRIOR_FORM = 2.0, 0.05
 """What is said of a parameter that few cases show: as many cases with errors of this deviation."""
 
 
@@ -64,16 +66,21 @@ def forms(stated: list[tuple[dict[str, Any], dict[str, Any]]]) -> dict[str, dict
         for effect in case["effects"]:
             if effect["outsider"] or not equal(one["effect"], effect["effect"]) or one["joint"] != effect["joint"]:
                 continue
-            for name, true in effect["parameters"].items():
+            for name, true in whole(effect, case)["parameters"].items():
+                if (effect["effect"], name) in APART:
+                    continue
                 said = one["parameters"].get(name)
-                if said and said["value"] is not None and true["value"]:
-                    relative = abs(said["value"] - true["value"]) / max(abs(said["value"]), 1e-12)
-                    errors.setdefault(one["effect"], {}).setdefault(name, []).append(min(relative, 3.0))
+                if said and said["value"] and said["std"] is not None and true["value"]:
+                    size = abs(said["value"])
+                    used = BY_NAME[effect["effect"]].form.get(name, FORM) * size
+                    own = max(said["std"] ** 2 - used**2, 0.0)
+                    lacking = max((0.5 * (said["value"] - true["value"])) ** 2 - own, 0.0)  # of ± 2 std
+                    errors.setdefault(one["effect"], {}).setdefault(name, []).append(min(float(np.sqrt(lacking)) / size, 2.0))
     out: dict[str, dict[str, float]] = {}
     for effect_name, own in sorted(errors.items()):
         for name, values in own.items():
-            # half of the error that 95 % stay below, drawn towards the usual where few cases show it
-            high = 0.5 * float(np.quantile(values, 0.95))
+            # what 95 % need at the most, drawn towards the usual where few cases show it
+            high = float(np.quantile(values, 0.95))
             share = len(values) / (len(values) + PRIOR_CASES)
             out.setdefault(effect_name, {})[name] = round(share * high + (1.0 - share) * PRIOR_FORM, 3)
     return out

@@ -14,23 +14,22 @@ from .judge import Verdict
 from .search import Design, trial
 
 Array = np.ndarray
-FEATURES = ("size", "margin", "share", "left", "later")
-WEIGHTS = {"bias": 1.0, "size": 0.3, "margin": 2.0, "share": 1.0, "left": -3.0, "later": -1.0}
+FEATURES = ("size", "share", "left", "later")
+WEIGHTS = {"bias": -2.74, "size": 0.15, "share": 4.69, "left": -2.13, "later": -0.02}
 LEAST, MOST = 0.02, 0.99
 ASSERTED = 0.5
 """Probability from which a finding is asserted (the contract)."""
 
 
 def features(one: Design, verdict: Verdict, number: int, left: Array) -> dict[str, float]:
-    """What a probability is made of. size: log of the gain over the least that counts. margin: of the gain, what the best other name
-    does not reach. share: of all gain. left: of the excess over the noise, what remains at its joint. later: whether others come first."""
-    finding, together = verdict.findings[number], verdict.together
-    assert together is not None
+    """What a probability is made of. size: log of the gain over the least that counts. share: of the gain of all at its joint. left: of the
+    excess over the noise, what remains there. later: whether others come first."""
+    finding = verdict.findings[number]
     joint = finding.main.joint
+    there = sum(other.gain for other in verdict.findings if other.main.joint == joint)
     return {
         "size": float(np.log(max(finding.gain, one.nats) / one.nats)),
-        "margin": float(np.clip(1.0 - finding.rival / max(finding.gain, 1e-9), 0.0, 1.0)),
-        "share": float(np.clip(finding.gain / max(together.gain, 1e-9), 0.0, 1.0)),
+        "share": float(np.clip(finding.gain / max(there, 1e-9), 0.0, 1.0)),
         "left": float(np.clip(left.max() if joint is None else left[joint], 0.0, 1.0)),
         "later": float(number > 0),
     }

@@ -32,16 +32,16 @@ BAND_HZ = 20.0
 FASTEST, LINE = 250.0, 30.0
 """Highest band chosen by the data [Hz]; a spectral line is so many times as high as what is between them."""
 QUIET = 1.2
-"""RMSE over the noise floor at which a joint counts as explained."""
+"""RMSE over the expected one at which a joint counts as explained."""
 MISFIT = {"periods": 0.1, "differences": 0.3}
 """Share of the residual taken for a form that is not quite the catalogue's, by how the noise is known."""
 FORM = 0.05
 """Relative standard deviation of a parameter whose effect's form is not quite the robot's, where the effect states none."""
 MUCH = 0.15
 """RMSE over the torque itself from which what is left is something, where no period repeats to show the noise."""
-LOUD = 2.0
-"""RMSE over the noise floor from which what is left is called something."""
-UNSAID = 0.45
+LOUD = 1.7
+"""RMSE over the expected one from which what is left is called something."""
+UNSAID = 0.1
 """Share of the excess over the noise that may stay unexplained beside a finding before it is called unknown."""
 
 
@@ -62,7 +62,8 @@ class Diagnosis:
     hertz: the band. tracks: stretches of the recordings fitted, and of those held out. identified: the base model. residuals: held-out
     torque less the base model's and less that with the findings. Shape (N, n) each. refitted: the base model of the recordings
     without the findings. ahead: positions simulated from held-out torque, by the base model and by it with the findings; None where no
-    window is long enough.
+    window is long enough. expected: RMSE that a right model would leave on the held-out recordings: noise, an encoder's steps, and what
+    the base parameters are not known to. Shape (n,).
     """
 
     identified: Identification
@@ -78,6 +79,7 @@ class Diagnosis:
     residuals: tuple[Array, Array]
     refitted: Identification | None = None
     ahead: tuple[SimulationError | None, SimulationError | None] = (None, None)
+    expected: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -92,7 +94,7 @@ class Diagnosis:
     @property
     def unknown(self) -> list[int]:
         """Joints where something repeatable is left that no name takes."""
-        loud = self.after > LOUD * self.floor
+        loud = self.after > LOUD * self.expected
         if self.method != "periods":  # nothing repeats: the floor is a guess from below, and only much is worth a word
             torque = np.concatenate([one.torque for one in self.tracks[1]])
             loud &= self.after > MUCH * np.sqrt(np.mean(torque**2, axis=0))
@@ -103,7 +105,7 @@ class Diagnosis:
         """The verdict."""
         if not self.verdict.findings:
             return "unexplained" if self.unknown else "no-mismatch"
-        return "partly-explained" if self.unknown or bool((self.after > QUIET * self.floor).any()) else "explained"
+        return "partly-explained" if self.unknown or bool((self.after > QUIET * self.expected).any()) else "explained"
 
 
 def diagnose(
@@ -151,7 +153,8 @@ def diagnose(
     verdict = belief.weighed(one, verdict, _left(first_rms, then, noisy.floor))
     before, after = _held_out(one, verdict, scale)
     both, floor, rms = (halves[0], halves[1]), noisy.floor, (_rms(before), _rms(after))
-    out = Diagnosis(identified, options, hertz, both, one, verdict, floor, noisy.method, *rms, (before, after), refitted)
+    expected = np.sqrt(floor**2 + _reach(one, scale) ** 2 + 2.0 * noisy.steps**2)
+    out = Diagnosis(identified, options, hertz, both, one, verdict, floor, noisy.method, *rms, (before, after), refitted, expected=expected)
     if refitted is None or not verdict.findings:
         return out
     progress("simulating ahead")
@@ -261,9 +264,20 @@ def _held_out(one: Design, verdict: Verdict, scale: Array) -> tuple[Array, Array
     before = one.across.reshape(-1, len(scale)) * scale
     if verdict.together is None:
         return before, before
-    which = one.which(verdict.together.shapes)
-    added = one.carried(which) @ verdict.together.halves[0]
+    together = verdict.together
+    which = one.which(together.shapes)
+    # what happened once, in one recording, is known from it alone
+    once = np.concatenate([np.full(one.places[i].stop - one.places[i].start, one.shapes[i].interval is not None) for i in together.shapes])
+    added = one.carried(which) @ np.where(once, together.coefficients, together.halves[0])
     return before, before - added.reshape(before.shape) * scale
+
+
+def _reach(one: Design, scale: Array) -> Array:
+    """RMS by which the held-out torque is off because the first half does not tell the base parameters better. Shape (n,) [N m]."""
+    first, second = one.halves
+    gamma, covariance = second.gamma[second.rows], first.inverse @ first.inverse.T
+    variance = np.sum((gamma @ covariance) * gamma, axis=1)
+    return np.asarray(np.sqrt(np.mean(np.maximum(variance, 0.0).reshape(-1, len(scale)), axis=0)) * scale)
 
 
 def _left(before: Array, after: Array, floor: Array) -> Array:

@@ -20,7 +20,7 @@ class Shape:
     nothing else. values: the fixed, non-linear parameters. other: a further joint it is tied to. interval, source: when [s] and in
     which recording, if only then. parameters: from coefficients (k,) to the contract's names and values. plausible: whether
     coefficients (k,) can be physics: sign, range, dissipation. knob: turns the value that a grid has fixed. several: whether one joint
-    can have more than one of the kind.
+    can have more than one of the kind. doubt: how many times the usual gain it takes to be believed.
     """
 
     effect: str
@@ -34,6 +34,7 @@ class Shape:
     plausible: Callable[[Array], bool] = lambda c: bool(np.isfinite(c).all())
     knob: Knob | None = None
     several: bool = False
+    doubt: float = 1.0
 
     def columns(self, track: Track) -> Array:
         """Torque that it adds, where the track's rows are, per unit of each coefficient. Shape (N, n, k)."""

@@ -119,7 +119,7 @@ def agrees(one: Design, found: Trial) -> bool:
 def judged(one: Design) -> tuple[Design, Verdict]:
     """Names at joints, or none; and the design with the shapes that were found."""
     ranked = singles(one)
-    counts = [h for h in ranked if h.shows and h.trial.gain > one.nats]
+    counts = [h for h in ranked if h.shows and h.trial.gain > one.nats * one.shapes[h.shape].doubt]
     if not counts:
         return one, Verdict((), None, tuple(ranked[:8]))
     one, chosen = _searched(one, counts)
@@ -175,7 +175,7 @@ def _worth(one: Design, shape: int, others: Sequence[int], gain: float) -> float
     """What a shape must add to the gain of others."""
     own = (one.shapes[shape].effect, one.shapes[shape].joint)
     there = any((one.shapes[i].effect, one.shapes[i].joint) == own for i in others)
-    return max(one.nats, (SAME if there else SHARE) * gain)
+    return max(one.nats * one.shapes[shape].doubt, (SAME if there else SHARE) * gain)
 
 
 def _replaced(one: Design, chosen: list[int]) -> list[int]:

@@ -15,9 +15,8 @@ from ..diagnose.catalogue import BY_NAME, EFFECTS
 from ..diagnose.diagnosis import QUIET, Diagnosis
 from ..diagnose.isolability import ALIKE, Candidate, isolability
 from ..recordings import Recording
-from ..robot import Robot
 from ..wording import listed, percent
-from . import atlas_figures, diagnosis_figures
+from . import atlas_figures, diagnosis_figures, diagnosis_tables
 from .diagnosis_figures import told
 from .fit_figures import EXCERPT, drawn_points
 from .motion_figures import torque_units
@@ -258,7 +257,7 @@ def _better(found: Diagnosis, stated: Stated) -> Section:
         answer += f"to {number(found.after[best], 3)} {torque_units(robot)[best]}"
         answer += f"; {robot.joints[worst]}'s rises by {percent(-gain[worst])}." if gain[worst] < -0.005 else "; no joint gets worse."
         tone = "good" if gain[best] > 0.02 and gain[worst] >= -0.005 else "warn"
-    body = _errors(found, stated) + _ahead(stated, robot)
+    body = diagnosis_tables.errors(found, stated) + diagnosis_tables.ahead(stated, robot)
     parts = [f"<h3>{escape(one.source)}</h3>" + figure(diagnosis_figures.traces(one, found, points)) for one in shown]
     body += "".join(parts[:2])
     if len(parts) > 2:
@@ -268,53 +267,6 @@ def _better(found: Diagnosis, stated: Stated) -> Section:
     if any(one.time[-1] - one.time[0] > EXCERPT for one in shown):
         note += f"Of recordings longer than {EXCERPT:g} s the stretch around the largest error is drawn; the table is of all of it."
     return Section("better", question, answer, body + paragraph(note.strip(), "note"), tone)
-
-
-def _ahead(stated: Stated, robot: Robot) -> str:
-    """Simulation ahead and parameters, without and with the findings; nothing where there are none."""
-    out = ""
-    if stated["simulation"]:
-        rows = [
-            (escape(joint), unit, number(v["before"], 3), number(v["after"], 3), escape(percent(v["after"] / max(v["before"], 1e-300))))
-            for (joint, v), unit in zip(
-                stated["simulation"]["joints"].items(), ("m" if u == "N" else "rad" for u in torque_units(robot)), strict=True
-            )
-        ]
-        out += f"<h3>Simulated {number(stated['simulation']['seconds'], 2)} s ahead from held-out torque</h3>"
-        out += table(("joint", "unit", "RMS before", "RMS after", "after / before"), rows, (2, 3, 4))
-    moved = [row for row in stated["parameters"] if row["moved"] > 2.0]
-    if moved:
-        shown = [
-            (escape(r["name"]), number(r["without"], 4), number(r["with"], 4), number(r["std"], 2), number(r["moved"], 3))
-            for r in moved[:12]
-        ]
-        more = f" (12 of {len(moved)})" if len(moved) > 12 else ""
-        head = ("base parameter", "without", "with", "std", "moved, in std")
-        out += folded(f"Parameters that the findings move{more}", table(head, shown, (1, 2, 3, 4)))
-    return out
-
-
-def _errors(found: Diagnosis, stated: Stated) -> str:
-    robot = found.identified.model.robot
-    torque = np.sqrt(np.mean(np.concatenate([t.torque for t in found.tracks[1]]) ** 2, axis=0))
-    changed, rows = bool(stated["findings"]), []
-    for k, (joint, unit) in enumerate(zip(robot.joints, torque_units(robot), strict=True)):
-        before, after, floor = float(found.before[k]), float(found.after[k]), float(found.floor[k])
-        tone = "bad" if after > 1.005 * before else "good" if after < 0.98 * before else ""
-        rows.append(
-            (
-                escape(joint),
-                unit,
-                number(before),
-                f'<b class="{tone}">{number(after)}</b>' if changed else "–",
-                number(floor),
-                number(after / floor, 3),
-                escape(percent(before / max(torque[k], 1e-300))),
-                escape(percent(after / max(torque[k], 1e-300))) if changed else "–",
-            )
-        )
-    head = ("joint", "unit", "RMSE before", "RMSE after", "noise floor", "after / floor", "relative before", "relative after")
-    return table(head, rows, (2, 3, 4, 5, 6, 7))
 
 
 # -- what cannot be told apart ---------------------------------------------------------------------------------------

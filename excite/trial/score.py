@@ -77,7 +77,7 @@ def mark(case: Mapping[str, Any], entry: Mapping[str, Any]) -> Mark:
         unknown=bool(answered and answer["unknown"]),
         joint=joint,
         overlap=_overlap(right),
-        errors=tuple(error for f, e in right if f.get("joint") == e["joint"] for error in _errors(f, e)),
+        errors=tuple(error for f, e in right if f.get("joint") == e["joint"] for error in _errors(f, whole(e, case))),
         gain=_gain(case, answer) if answered and known else None,
         seconds=float(entry["seconds"]),
     )
@@ -105,6 +105,15 @@ def _overlap(right: Iterable[tuple[Mapping[str, Any], Mapping[str, Any]]]) -> fl
         both = max(0.0, min(b, d) - max(a, c))
         best = max(best or 0.0, both / (max(b, d) - min(a, c)))
     return best
+
+
+def whole(effect: Mapping[str, Any], case: Mapping[str, Any]) -> Mapping[str, Any]:
+    """An effect with its parameters as the contract means them: viscous friction is all of it, the key states what was added."""
+    if effect["effect"] != "asymmetric_viscous":
+        return effect
+    own = float(case["truth"]["drive"]["viscous"][effect["joint"]])
+    totals = {name: {**true, "value": float(true["value"]) + own} for name, true in effect["parameters"].items()}
+    return {**effect, "parameters": totals}
 
 
 def _errors(finding: Mapping[str, Any], effect: Mapping[str, Any]) -> list[tuple[str, float, bool | None]]:

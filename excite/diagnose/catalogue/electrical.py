@@ -60,6 +60,7 @@ EFFECTS = (
         ("payload",),
         "hold a pose, reached from both sides",
         prior_only=True,
+        form={"offset": 0.02},
     ),
     Effect(
         "torque_gain",
@@ -71,6 +72,7 @@ EFFECTS = (
         ("payload", "torque_saturation"),
         "two known loads",
         prior_only=True,
+        form={"gain": 0.02},
     ),
     Effect(
         "torque_saturation",

@@ -16,6 +16,8 @@ PARTS = 40
 """Intervals of a recording among which a contact is looked for."""
 
 
+SHAKY = 16.0
+"""A clock that wavers shakes all joints at once, as a base does."""
 WAYS = ((0, 1), (3, 4), (5,), (3,), (4,))
 """Coordinates of a base that slides, rocks, turns about the vertical, or rocks about one axis."""
 PEDESTAL = 0.3
@@ -41,7 +43,7 @@ def _compliance(tracks: Sequence[Track]) -> Iterator[Shape]:
         def shape(frequency: float) -> Shape:
             fixed = {"frequency": frequency, "damping": damping, "way": float(way)}
             told = named(frequency=frequency)
-            return Shape("base_compliance", None, _swung, fixed, parameters=told, plausible=_gives_way, several=True)
+            return Shape("base_compliance", None, _swung, fixed, parameters=told, plausible=_gives_way, several=True, doubt=SHAKY)
 
         return shape
 
@@ -103,6 +105,7 @@ EFFECTS = (
         "the same resonance in all joints",
         ("elasticity",),
         "a chirp of joint 1 with the arm stretched",
+        form={"frequency": 0.1},
     ),
     Effect(
         "contact",
@@ -113,5 +116,6 @@ EFFECTS = (
         "for some of the time only, in the joints before the contact",
         (),
         "the same motion without anything near the robot",
+        form={"force": 0.03},
     ),
 )

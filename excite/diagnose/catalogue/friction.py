@@ -192,6 +192,7 @@ EFFECTS = (
         "torque against speed has another slope in each direction",
         ("thermal_drift", "drag"),
         "constant speeds in both directions, several of them",
+        form={"positive": 0.03, "negative": 0.035},
     ),
     Effect(
         "stribeck",
@@ -202,6 +203,7 @@ EFFECTS = (
         "friction is larger near zero speed",
         ("hysteresis", "nonlinear_viscous", "delay"),
         "a ladder of slow constant speeds, 1 mrad/s to 0.5 rad/s",
+        form={"amplitude": 0.45, "velocity": 0.8},
     ),
     Effect(
         "nonlinear_viscous",
@@ -212,6 +214,7 @@ EFFECTS = (
         "friction against speed is bent",
         ("drag", "stribeck", "thermal_drift"),
         "a wide range of constant speeds",
+        form={"coefficient": 0.15, "exponent": 0.03},
     ),
     Effect(
         "drag",
@@ -232,6 +235,7 @@ EFFECTS = (
         "friction grows with the torque carried",
         ("position_friction", "coupling"),
         "repeat the same trajectory with another load at the flange",
+        form={"mu": 0.09},
     ),
     Effect(
         "position_friction",
@@ -243,6 +247,7 @@ EFFECTS = (
         ("load_friction",),
         "the same stroke at shifted positions",
         told=_range,
+        form={"amplitude": 0.6},
     ),
     Effect(
         "hysteresis",
@@ -253,6 +258,7 @@ EFFECTS = (
         "friction takes some way to build up after a reversal",
         ("delay", "backlash", "stribeck"),
         "strokes of many small amplitudes",
+        form={"amplitude": 0.08, "stiffness": 0.06},
     ),
     Effect(
         "friction",
@@ -264,6 +270,7 @@ EFFECTS = (
         ("stribeck",),
         "any motion in both directions",
         prior_only=True,
+        form={"coulomb": 0.03, "viscous": 0.03},
     ),
     Effect(
         "thermal_drift",
@@ -274,5 +281,6 @@ EFFECTS = (
         "friction changes over the run",
         ("asymmetric_viscous",),
         "a long run that ends with its first motion",
+        form={"change": 0.14, "time_constant": 0.08},
     ),
 )

@@ -109,6 +109,7 @@ EFFECTS = (
         ("torque_gain", "gravity_tilt"),
         "static poses and fast ones, with and without the load",
         prior_only=True,
+        form={"mass": 0.02, "com_x": 0.02, "com_y": 0.03, "com_z": 0.02},
     ),
     Effect(
         "gravity_tilt",
@@ -120,6 +121,7 @@ EFFECTS = (
         ("spring",),
         "joint 1 a full turn, arm stretched",
         prior_only=True,
+        form={"roll": 0.04, "pitch": 0.04},
     ),
     Effect(
         "rotor_inertia",
@@ -131,6 +133,7 @@ EFFECTS = (
         ("payload",),
         "small fast motion at several poses",
         prior_only=True,
+        form={"inertia": 0.02},
     ),
     Effect(
         "kinematic_error",

@@ -11,6 +11,8 @@ from ..effect import Effect, Shape, amplitude, family, named, within
 from ..track import Track
 
 Array = np.ndarray
+BLURRED = 6.0
+"""Whatever blurs positions puts the steps of friction at another time."""
 
 
 def _late(t: Track, s: Shape) -> Array:
@@ -26,7 +28,7 @@ def _late(t: Track, s: Shape) -> Array:
 def _delay(tracks: Sequence[Track]) -> Iterator[Shape]:
     alone = tracks[0].n == 1  # the joint is the whole robot
     for joint in (*(() if alone else (None,)), *range(tracks[0].n)):
-        yield Shape("delay", joint, _late, parameters=named("seconds"), plausible=within(-0.05, 0.05))
+        yield Shape("delay", joint, _late, parameters=named("seconds"), plausible=within(-0.05, 0.05), doubt=BLURRED)
 
 
 def _misread(t: Track, s: Shape) -> Array:
@@ -67,6 +69,7 @@ EFFECTS = (
         "residual like the slope of torque",
         ("hysteresis", "elasticity", "stribeck"),
         "fast, jerky motion; the same delay on all joints is the logging's",
+        form={"seconds": 0.1},
     ),
     Effect(
         "encoder_error",
@@ -77,5 +80,6 @@ EFFECTS = (
         "once or a few times a turn, growing with the square of speed",
         ("torque_ripple",),
         "constant speeds, slow and fast, over a turn",
+        form={"amplitude": 0.45, "order": 0.5},
     ),
 )

@@ -153,6 +153,7 @@ EFFECTS = (
         "residual like the second derivative of the load",
         ("delay", "base_compliance"),
         "fast motion at several poses",
+        form={"stiffness": 0.14},
     ),
     Effect(
         "backlash",
@@ -163,6 +164,7 @@ EFFECTS = (
         "a kick where the load changes sign",
         ("hysteresis", "elasticity"),
         "slow reversals through zero load",
+        form={"width": 0.47},
     ),
     Effect(
         "torque_ripple",
@@ -173,6 +175,7 @@ EFFECTS = (
         "periodic in the angle, whatever the speed",
         ("encoder_error",),
         "slow constant speed over a turn",
+        form={"order": 0.02, "amplitude": 0.02},
     ),
     Effect(
         "spring",
@@ -193,5 +196,6 @@ EFFECTS = (
         "torque where only the other joint moves",
         ("load_friction",),
         "each joint singly, then together",
+        form={"viscous": 0.06, "coulomb": 0.02, "inertia": 0.03},
     ),
 )

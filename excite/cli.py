@@ -240,6 +240,7 @@ def _diagnose(commands: Commands) -> None:
     sub.add_argument(
         "--band", type=float, metavar="HZ", help="torque below this is looked at (default: 20, more where the data asks for it)"
     )
+    sub.add_argument("--no-report", action="store_true", help="leave report.html out, which takes a third of the time")
 
 
 def _simulate(commands: Commands) -> None:

@@ -21,8 +21,6 @@ Outcome = tuple[int, Any, str]
 
 def diagnose(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outcome:
     """Read, diagnose, report."""
-    from . import report
-
     robot = told.robot(arguments)
     table = told.limits(arguments, robot)
     standard = parameters.standard(robot, table, parameters.DRIVE)
@@ -39,8 +37,11 @@ def diagnose(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outco
     contents = {
         "diagnosis.json": artefact.dumps(told_all),
         "model.json": artefact.dumps(_model(result, train)),
-        "report.html": report.diagnosis_page(result, told_all, held_out),
     }
+    if not arguments.no_report:
+        from . import report  # slow to import
+
+        contents["report.html"] = report.diagnosis_page(result, told_all, held_out)
     written = files.write_all(Path(arguments.out), contents)
     return 0, told_all | {"files": [str(path) for path in written]}, _text(told_all, [str(path) for path in written])
 

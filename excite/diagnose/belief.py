@@ -11,25 +11,25 @@ from dataclasses import replace
 import numpy as np
 
 from .judge import Verdict
-from .search import Design, trial
+from .search import Design
 
 Array = np.ndarray
 FEATURES = ("size", "share", "left", "later")
-WEIGHTS = {"bias": -2.74, "size": 0.15, "share": 4.69, "left": -2.13, "later": -0.02}
+WEIGHTS = {"bias": -0.8, "size": 0.15, "share": 2.52, "left": -2.13, "later": -1.16}
 LEAST, MOST = 0.02, 0.99
 ASSERTED = 0.5
 """Probability from which a finding is asserted (the contract)."""
 
 
 def features(one: Design, verdict: Verdict, number: int, left: Array) -> dict[str, float]:
-    """What a probability is made of. size: log of the gain over the least that counts. share: of the gain of all at its joint. left: of the
+    """What a probability is made of. size: log of the gain over the least that counts. share: of the first gain at its joint. left: of the
     excess over the noise, what remains there. later: whether others come first."""
     finding = verdict.findings[number]
     joint = finding.main.joint
-    there = sum(other.gain for other in verdict.findings if other.main.joint == joint)
+    first = next(other.gain for other in verdict.findings if other.main.joint == joint)
     return {
         "size": float(np.log(max(finding.gain, one.nats) / one.nats)),
-        "share": float(np.clip(finding.gain / max(there, 1e-9), 0.0, 1.0)),
+        "share": float(np.clip(finding.gain / max(first, 1e-9), 0.0, 1.0)),
         "left": float(np.clip(left.max() if joint is None else left[joint], 0.0, 1.0)),
         "later": float(number > 0),
     }
@@ -42,17 +42,17 @@ def probability(seen: dict[str, float]) -> float:
 
 
 def weighed(one: Design, verdict: Verdict, left: Array) -> Verdict:
-    """The verdict with probabilities, without what is less likely right than wrong. left: per joint, see `features`. Shape (n,)."""
+    """The verdict with probabilities. What is less likely right than wrong by name still predicts, and stays in the model beside what is
+    asserted. left: per joint, see `features`. Shape (n,)."""
     if not verdict.findings:
         return verdict
     findings = []
     for number, finding in enumerate(verdict.findings):
         seen = features(one, verdict, number, left)
         findings.append(replace(finding, probability=probability(seen), evidence=seen))
-    kept = [f for f in findings if f.probability >= ASSERTED]
-    if len(kept) == len(findings):
-        return replace(verdict, findings=tuple(kept))
-    shapes = [part.shape for f in kept for part in f.parts]
-    doubted = tuple(f.main for f in findings if f.probability < ASSERTED)
-    considered = (*doubted, *(h for h in verdict.considered if all(h.shape != d.shape for d in doubted)))
-    return Verdict(tuple(kept), trial(one, shapes) if kept else None, considered)
+    kept = tuple(f for f in findings if f.probability >= ASSERTED)
+    doubted = tuple(f for f in findings if f.probability < ASSERTED)
+    if not kept:  # nothing that can be said: nothing is added either
+        considered = (*(f.main for f in doubted), *verdict.considered)
+        return Verdict((), None, considered)
+    return replace(verdict, findings=kept, doubted=doubted)

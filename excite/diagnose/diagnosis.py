@@ -62,7 +62,8 @@ class Diagnosis:
     hertz: the band. tracks: stretches of the recordings fitted, and of those held out. identified: the base model. residuals: held-out
     torque less the base model's and less that with the findings. Shape (N, n) each. refitted: the base model of the recordings
     without the findings. ahead: positions simulated from held-out torque, by the base model and by it with the findings; None where no
-    window is long enough. expected: RMSE that a right model would leave on the held-out recordings: noise, an encoder's steps, and what
+    window is long enough. named: RMSE with what is asserted alone.
+    expected: RMSE that a right model would leave on the held-out recordings: noise, an encoder's steps, and what
     the base parameters are not known to. Shape (n,).
     """
 
@@ -79,6 +80,7 @@ class Diagnosis:
     residuals: tuple[Array, Array]
     refitted: Identification | None = None
     ahead: tuple[SimulationError | None, SimulationError | None] = (None, None)
+    named: Array = field(default_factory=lambda: np.zeros(0))
     expected: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
@@ -94,11 +96,11 @@ class Diagnosis:
     @property
     def unknown(self) -> list[int]:
         """Joints where something repeatable is left that no name takes."""
-        loud = self.after > LOUD * self.expected
+        loud = self.named > LOUD * self.expected
         if self.method != "periods":  # nothing repeats: the floor is a guess from below, and only much is worth a word
             torque = np.concatenate([one.torque for one in self.tracks[1]])
-            loud &= self.after > MUCH * np.sqrt(np.mean(torque**2, axis=0))
-        return [int(j) for j in np.flatnonzero(loud & (_left(self.before, self.after, self.floor) > UNSAID))]
+            loud &= self.named > MUCH * np.sqrt(np.mean(torque**2, axis=0))
+        return [int(j) for j in np.flatnonzero(loud & (_left(self.before, self.named, self.floor) > UNSAID))]
 
     @property
     def name(self) -> str:
@@ -152,9 +154,25 @@ def diagnose(
     first_rms, then = (_rms(x) for x in _held_out(one, verdict, scale))
     verdict = belief.weighed(one, verdict, _left(first_rms, then, noisy.floor))
     before, after = _held_out(one, verdict, scale)
+    asserted = dataclasses.replace(verdict, together=search.trial(one, verdict.named) if verdict.findings else None)
+    by_name = _rms(_held_out(one, asserted, scale)[1])
     both, floor, rms = (halves[0], halves[1]), noisy.floor, (_rms(before), _rms(after))
     expected = np.sqrt(floor**2 + _reach(one, scale) ** 2 + 2.0 * noisy.steps**2)
-    out = Diagnosis(identified, options, hertz, both, one, verdict, floor, noisy.method, *rms, (before, after), refitted, expected=expected)
+    out = Diagnosis(
+        identified,
+        options,
+        hertz,
+        both,
+        one,
+        verdict,
+        floor,
+        noisy.method,
+        *rms,
+        (before, after),
+        refitted,
+        named=by_name,
+        expected=expected,
+    )
     if refitted is None or not verdict.findings:
         return out
     progress("simulating ahead")

@@ -9,7 +9,7 @@ import numpy as np
 from .catalogue import BY_NAME
 from .diagnosis import Diagnosis, finding_parameters
 from .effect import Shape
-from .judge import Hypothesis
+from .judge import Finding, Hypothesis
 
 SCHEMA = "excite.diagnosis/1"
 REGIMES = {
@@ -56,7 +56,7 @@ def document(found: Diagnosis) -> dict[str, Any]:
         "findings": sorted(findings, key=lambda f: -f["probability"]),
         "joints": rows,
         "unknown": [_unknown(found, j) for j in found.unknown],
-        "considered": [_considered(found, h) for h in found.verdict.considered],
+        "considered": [*(_doubted(found, f) for f in found.verdict.doubted), *(_considered(found, h) for h in found.verdict.considered)],
         "band_hz": found.hertz,
         "simulation": _simulation(found),
         "parameters": _parameters(found),
@@ -143,6 +143,13 @@ def _considered(found: Diagnosis, hypothesis: Hypothesis) -> dict[str, Any]:
         "evidence": {"severity": hypothesis.size, "held_out_gain": hypothesis.trial.gain},
         "experiment": effect.experiment,
     }
+
+
+def _doubted(found: Diagnosis, finding: Finding) -> dict[str, Any]:
+    """What predicts better under a name that is likelier wrong than right: it is part of the model, but not asserted."""
+    stated = _considered(found, finding.main)
+    evidence = {**stated["evidence"], "held_out_gain": finding.gain, **finding.evidence}
+    return stated | {"probability": finding.probability, "equivalents": list(finding.equivalents), "evidence": evidence, "modelled": True}
 
 
 def _unknown(found: Diagnosis, joint: int) -> dict[str, Any]:

@@ -53,11 +53,18 @@ class Finding:
 
 @dataclass(frozen=True)
 class Verdict:
-    """findings: the largest gain first. together: all their parts, fitted at once. considered: the best alternatives."""
+    """findings: the largest gain first. doubted: that predict better too, under a name that is likelier wrong than right. together: the
+    parts of both, fitted at once. considered: the best alternatives."""
 
     findings: tuple[Finding, ...]
     together: Trial | None
     considered: tuple[Hypothesis, ...]
+    doubted: tuple[Finding, ...] = ()
+
+    @property
+    def named(self) -> tuple[int, ...]:
+        """Shapes of what is asserted."""
+        return tuple(part.shape for finding in self.findings for part in finding.parts)
 
     @property
     def chosen(self) -> tuple[Hypothesis, ...]:

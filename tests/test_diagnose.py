@@ -154,6 +154,12 @@ def test_the_command_and_what_it_refuses(subject, tmp_path, capsys):
     assert cli.main([*go, "--validate", str(second)]) == 0
     assert "asymmetric_viscous" in capsys.readouterr().out
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"diagnosis.json", "model.json", "report.html"}
+    (effect,) = json.loads((tmp_path / "out" / "model.json").read_text())["effects"]
+    assert effect["effect"] == "asymmetric_viscous"
+    assert cli.main(["predict", str(tmp_path / "out" / "model.json"), str(second), "-o", str(tmp_path / "torque.csv")]) == 0
+    predicted = np.loadtxt(tmp_path / "torque.csv", delimiter=",", skiprows=1)[200:-200, 1:]
+    left = held_out.tau[200:-200] - predicted
+    assert (np.sqrt(np.mean(left**2, axis=0)) < 0.13).all()  # 0.1 N m of it is white noise, most of it above the band
     for words, part in (
         ([], "--validate"),
         (["--validate", str(first)], "same motion"),

@@ -5,17 +5,22 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from made import motion, perturbed, recorded, two_links
 from scipy import integrate, stats
+from scipy.interpolate import CubicSpline
 from test_diagnose import PLANTED, found, recordings_of
 
-from excite.diagnose import diagnosis, noise, search, track, whole
+from excite import dynamics
+from excite.diagnose import belief, diagnosis, noise, search, track, whole
 from excite.diagnose.catalogue import windup
 from excite.diagnose.effect import Shape, family
 from excite.diagnose.track import Track
 from excite.identify import identification, signals
 from excite.identify.equations import Model
+from excite.recordings import Recording
+from excite.trajectory import Samples
 
 Array = np.ndarray
 
@@ -139,3 +144,79 @@ def test_options_name_what_is_looked_for(subject):
     train, validate = recordings_of(subject, None)
     done = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [validate], diagnosis.Options(names=("drag",)))
     assert {shape.effect for shape in done.design.shapes} == {"drag"}
+
+
+def test_a_push_is_found_in_its_time(subject):
+    def pushed(t: Array, q: Array, dq: Array, tau: Array) -> Array:
+        inside = np.where((t > 4.0) & (t < 6.0), np.sin(np.pi * (t - 4.0) / 2.0), 0.0)
+        return -inside[:, None] * levers(q) * 12.0
+
+    def levers(q: Array) -> Array:
+        """Torque of a unit force along x on the end of two links in a vertical plane, from the subject's own kinematics."""
+        model = subject.robot.model
+        data = model.createData()
+        out = np.empty((len(q), 2))
+        for k, place in enumerate(q):
+            pin.computeJointJacobians(model, data, place)
+            J = pin.getJointJacobian(model, data, 2, pin.LOCAL_WORLD_ALIGNED)
+            arm = data.oMi[2].rotation @ np.array(model.inertias[2].lever)
+            out[k] = (J[:3] - pin.skew(arm) @ J[3:])[0]
+        return out
+
+    result = found(subject, pushed)
+    first = result.verdict.chosen[0]
+    assert first.effect == "contact" and first.joint == 1
+    low, high = result.design.shapes[first.shape].interval
+    assert abs(low - 4.0) < 0.6 and abs(high - 6.0) < 0.6
+    assert diagnosis.finding_parameters(result.design, result.verdict, 0)["force"][0] == pytest.approx(12.0, rel=0.25)
+
+
+def test_what_is_trusted_is_kept_to_the_digit(subject):
+    psi = perturbed(subject.parameters, np.random.default_rng(4))
+    load = np.zeros(len(psi))
+    load[10:14] = 0.4 * np.array([1.0, 0.05, 0.02, 0.1])
+
+    def more(recording: Recording) -> Recording:
+        band_free = dynamics.regressor(subject.robot, subject.parameters, derivatives(recording)) @ load
+        return dataclasses.replace(recording, tau=recording.tau + band_free)
+
+    train, held_out = (more(one) for one in recordings_of(subject, None))
+    options = diagnosis.Options(trusted=dict(enumerate(psi.tolist())))
+    result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [held_out], options)
+    assert result.verdict.chosen[0].effect == "payload" and result.verdict.chosen[0].joint == 1
+    np.testing.assert_allclose(result.tracks[0][0].theta, subject.base.matrix @ psi, atol=1e-12)
+    assert diagnosis.finding_parameters(result.design, result.verdict, 0)["mass"][0] == pytest.approx(0.4, rel=0.1)
+
+
+def derivatives(recording: Recording) -> Samples:
+    spline = CubicSpline(recording.t, recording.q)
+    return Samples(recording.q, spline(recording.t, 1), spline(recording.t, 2))
+
+
+def test_a_base_that_leans_is_told_with_its_sign(subject):
+    psi = perturbed(subject.parameters, np.random.default_rng(4))
+    roll, pitch = 0.004, -0.006
+
+    def leant(recording: Recording) -> Recording:
+        body = track.body(subject.robot, subject.parameters, psi)
+        turned = body.model.copy()
+        turned.gravity.linear = pin.rpy.rpyToMatrix(roll, pitch, 0.0).T @ turned.gravity.linear
+        torque = [[pin.rnea(m, m.createData(), q, 0.0 * q, 0.0 * q) for q in recording.q] for m in (turned, body.model)]
+        return dataclasses.replace(recording, tau=recording.tau + np.subtract(*map(np.array, torque)))
+
+    train, held_out = (leant(one) for one in recordings_of(subject, None))
+    options = diagnosis.Options(trusted=dict(enumerate(psi.tolist())), names=("gravity_tilt",))
+    result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [held_out], options)
+    values = diagnosis.finding_parameters(result.design, result.verdict, 0)
+    # two links in one plane feel the lean within it alone
+    felt, true = max((("roll", roll), ("pitch", pitch)), key=lambda pair: abs(values[pair[0]][0]))
+    assert values[felt][0] == pytest.approx(true, rel=0.1)
+
+
+def test_probabilities_fall_with_what_speaks_against_a_name():
+    clear = {"size": 5.0, "share": 1.0, "left": 0.0, "later": 0.0}
+    usual = belief.probability(clear)
+    assert usual > 0.85
+    for worse in ({"share": 0.1}, {"left": 1.0}, {"later": 1.0}, {"size": 0.0}):
+        assert belief.probability({**clear, **worse}) < usual
+    assert belief.LEAST <= belief.probability({"size": 0.0, "share": 0.0, "left": 1.0, "later": 1.0}) < 0.5

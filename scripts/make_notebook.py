@@ -273,7 +273,132 @@ scripts/excite identify ur10e first.csv second.csv --validate judge.csv -o out/b
     ),
 ]
 
-NOTEBOOKS = {"first_trajectory": FIRST_TRAJECTORY, "identify_and_design_again": IDENTIFY_AND_DESIGN_AGAIN}
+REAL_MACHINES = [
+    (
+        "markdown",
+        """# What the models of four real machines leave out
+
+Recordings that others have published, whose truth they document and the tool is not told. Their folder is named by
+`EXCITE_RECORDINGS`, else it is `../../shared/recordings`. Every diagnosis here is what
+`excite diagnose ROBOT TRAIN… --validate HELD_OUT [--prior FILE]` does, without its report.""",
+    ),
+    (
+        "code",
+        """%matplotlib inline
+import os
+import warnings
+from pathlib import Path
+
+import numpy as np
+from IPython.display import display
+from matplotlib.figure import Figure
+
+from excite import base, limits, parameters, recordings, robot
+from excite.diagnose import diagnosis
+from excite.diagnose.catalogue import BY_NAME
+from excite.identify import priors
+
+warnings.simplefilter("ignore")
+REAL = Path(os.environ.get("EXCITE_RECORDINGS", "../../shared/recordings"))
+
+
+def diagnosed(folder, urdf, train, held_out, prior=None, band=None):
+    place = REAL / folder
+    machine = robot.load(str(place / urdf))
+    table = limits.resolve(machine)
+    standard = parameters.standard(machine, table)
+    first, last = ([recordings.read(place / f"{name}.csv", machine, table) for name in names] for names in (train, held_out))
+    known = priors.trusted(place / prior, standard) if prior else {}
+    options = diagnosis.Options(band, known)
+    return diagnosis.diagnose(machine, standard, base.find(machine, standard, table), first, last, options)
+
+
+def told(found):
+    joints = found.identified.model.robot.joints
+    print(f"{found.name}; band {found.hertz:.0f} Hz, noise by {found.method}")
+    for number, finding in enumerate(found.verdict.findings):
+        main = finding.main
+        values = diagnosis.finding_parameters(found.design, found.verdict, number)
+        units = BY_NAME[main.effect].units
+        words = ", ".join(f"{key} {v:.4g} ± {s:.2g} {units.get(key, '')}" for key, (v, s) in values.items())
+        print(f"  {main.effect} at {joints[main.joint] if main.joint is not None else 'all'} (p {finding.probability:.2f}): {words}")
+    torque = np.sqrt(np.mean(np.concatenate([t.torque for t in found.tracks[1]]) ** 2, axis=0))
+    for joint, before, after, whole in zip(joints, found.before, found.after, torque, strict=True):
+        print(f"  {joint:10} held-out error {100 * before / whole:6.1f} % → {100 * after / whole:5.1f} %")
+
+
+def drawn(found, joint, seconds=None):
+    track = found.tracks[1][0]
+    shown = slice(0, len(track)) if seconds is None else track.time < track.time[0] + seconds
+    figure = Figure(figsize=(8, 3.0), layout="constrained")
+    axes = figure.subplots()
+    for residual, colour, label in zip(found.residuals, ("0.6", "tab:blue"), ("base model", "with the findings"), strict=True):
+        axes.plot(track.time[shown], residual[: len(track), joint][shown], color=colour, linewidth=0.9, label=label)
+    axes.axhspan(-found.floor[joint], found.floor[joint], color="tab:red", alpha=0.15, label="± noise floor")
+    name = found.identified.model.robot.joints[joint]
+    axes.set(xlabel="time [s]", ylabel="torque left, held out", title=name)
+    axes.legend(frameon=False, ncols=3)
+    display(figure)""",
+    ),
+    (
+        "markdown",
+        """## EMPS: one prismatic servo axis
+
+Known: viscous friction of 167 N s/m one way and 240 the other. The motion repeats, so the noise floor is known, though
+no sidecar says so.""",
+    ),
+    (
+        "code",
+        """emps = diagnosed("emps", "emps.urdf", ["train"], ["validate_pulses"], band=25.0)
+told(emps)
+drawn(emps, 0)""",
+    ),
+    (
+        "markdown",
+        """## TX40: a wrist whose last motor turns with two joints
+
+Known: the motor of axis 6 turns with q₅ + q₆; its friction, 0.62 viscous and 1.95 Coulomb, loads axis 5.""",
+    ),
+    (
+        "code",
+        """tx40 = diagnosed("tx40", "tx40.urdf", ["train"], ["validate"])
+told(tx40)
+drawn(tx40, 4)""",
+    ),
+    (
+        "markdown",
+        """## KUKA KR300: a load, a gas spring and a prior
+
+The CAD's inertias and the rotors are trusted; friction and offsets are not known. Known: about 150 kg at the flange, a
+counterbalance on axis 2, elastic joints with lost motion. The wrist is badly explained by the published model too.""",
+    ),
+    (
+        "code",
+        """kuka = diagnosed("kuka_kr300", "kuka_kr300.urdf", ["traj_A", "traj_B"], ["traj_C"], prior="prior.json")
+told(kuka)
+drawn(kuka, 1)""",
+    ),
+    (
+        "markdown",
+        """## A bare motor: cogging
+
+Known: 72 cycles a turn and multiples. The band follows from the torque's lines.""",
+    ),
+    (
+        "code",
+        """motor = diagnosed("laas_cogging", "motor.urdf", ["speed_1rev_per_s_comp_off_then_on"], ["speed_test_b"])
+told(motor)
+orders = [motor.design.shapes[part.shape].values.get("order") for finding in motor.verdict.findings for part in finding.parts]
+print("orders a turn:", [round(order, 2) for order in orders if order])
+drawn(motor, 0, seconds=2.0)""",
+    ),
+]
+
+NOTEBOOKS = {
+    "first_trajectory": FIRST_TRAJECTORY,
+    "identify_and_design_again": IDENTIFY_AND_DESIGN_AGAIN,
+    "real_machines": REAL_MACHINES,
+}
 
 
 def written(name: str, cells: list[tuple[str, str]]) -> None:

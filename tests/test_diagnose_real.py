@@ -59,3 +59,17 @@ def test_kuka_carries_a_load_and_has_a_spring():
     assert ("payload", 5) in names and ("spring", 1) in names
     assert values(found, "payload", 5)["mass"] == pytest.approx(150.0, rel=0.25)
     assert relative(found)[1] < 0.2
+
+
+def test_a_bare_motor_cogs_72_times_a_turn():
+    place = REAL / "laas_cogging"
+    machine = robot.load(str(place / "motor.urdf"))
+    table = limits.resolve(machine)
+    standard = parameters.standard(machine, table)
+    first, last = (recordings.read(place / f"{name}.csv", machine, table) for name in ("speed_1rev_per_s_comp_off_then_on", "speed_test_b"))
+    found = diagnosis.diagnose(machine, standard, base.find(machine, standard, table), [first], [last])
+    assert found.hertz > 72.0  # the data ask for it
+    (ripple,) = (f for f in found.verdict.findings if f.main.effect == "torque_ripple")
+    orders = [found.design.shapes[part.shape].values["order"] for part in ripple.parts]
+    assert any(abs(order - 72.0) < 0.1 for order in orders) and any(abs(order - 144.0) < 0.2 for order in orders)
+    assert relative(found)[0] < 0.3

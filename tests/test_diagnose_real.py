@@ -61,6 +61,7 @@ def test_kuka_carries_a_load_and_has_a_spring():
     assert relative(found)[1] < 0.2
 
 
+@pytest.mark.filterwarnings(f"ignore::{ExciteWarning.__module__}.{ExciteWarning.__name__}")
 def test_a_bare_motor_cogs_72_times_a_turn():
     place = REAL / "laas_cogging"
     machine = robot.load(str(place / "motor.urdf"))

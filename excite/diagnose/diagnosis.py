@@ -22,6 +22,7 @@ from . import belief, judge, noise, search, track, whole
 from .catalogue import BY_NAME, EFFECTS
 from .effect import Shape
 from .judge import Verdict
+from .noise import Noise
 from .search import Design
 from .track import Track
 from .whole import Part
@@ -144,40 +145,58 @@ def diagnose(
     refitted = None
     if verdict.findings:
         progress("the base model without what was found")
-        found = whole.parts(one, verdict.together)
-        pure = [[whole.removed(found, r, own) for r in group] for group, own in zip((train, validate), halves, strict=True)]
-        refitted = identification.identify(robot, parameters, base, pure[0], pure[1], settings, lambda _: None)
-        body = track.body(robot, parameters, _kept(refitted.psi, options))
-        again = [[dataclasses.replace(t, body=body) for t in own] for own in halves]
-        named = dataclasses.replace(options, names=tuple({f.main.effect for f in verdict.findings}))
-        one, verdict = _again(one, verdict, _shapes(again, named), _builder(again, scale))
-    first_rms, then = (_rms(x) for x in _held_out(one, verdict, scale))
-    verdict = belief.weighed(one, verdict, _left(first_rms, then, noisy.floor))
-    before, after = _held_out(one, verdict, scale)
-    asserted = dataclasses.replace(verdict, together=search.trial(one, verdict.named) if verdict.findings else None)
-    by_name = _rms(_held_out(one, asserted, scale)[1])
-    both, floor, rms = (halves[0], halves[1]), noisy.floor, (_rms(before), _rms(after))
-    expected = np.sqrt(floor**2 + _reach(one, scale) ** 2 + 2.0 * noisy.steps**2)
-    out = Diagnosis(
-        identified,
-        options,
-        hertz,
-        both,
-        one,
-        verdict,
-        floor,
-        noisy.method,
-        *rms,
-        (before, after),
-        refitted,
-        named=by_name,
-        expected=expected,
-    )
-    if refitted is None or not verdict.findings:
+        one, verdict, refitted = _refitted(one, verdict, identified, halves, (train, validate), settings, options, scale)
+    out = _judged(one, verdict, identified, refitted, (halves[0], halves[1]), noisy, options, hertz, scale)
+    if refitted is None or not out.verdict.findings:
         return out
     progress("simulating ahead")
     bare = [whole.removed(out.parts, r, halves[1]) for r in validate]
     return dataclasses.replace(out, ahead=(_ahead(identified, validate, hertz), _ahead(refitted, bare, hertz)))
+
+
+def _refitted(
+    one: Design,
+    verdict: Verdict,
+    identified: Identification,
+    halves: Sequence[list[Track]],
+    recordings: tuple[Sequence[Recording], Sequence[Recording]],
+    settings: identification.Options,
+    options: Options,
+    scale: Array,
+) -> tuple[Design, Verdict, Identification]:
+    """The base model of the recordings without what was found, and the findings with columns of that model."""
+    model, found = identified.model, whole.parts(one, verdict.together)
+    pure = [[whole.removed(found, r, own) for r in group] for group, own in zip(recordings, halves, strict=True)]
+    refitted = identification.identify(model.robot, model.parameters, model.base, pure[0], pure[1], settings, lambda _: None)
+    body = track.body(model.robot, model.parameters, _kept(refitted.psi, options))
+    again = [[dataclasses.replace(t, body=body) for t in own] for own in halves]
+    named = dataclasses.replace(options, names=tuple({f.main.effect for f in verdict.findings}))
+    one, verdict = _again(one, verdict, _shapes(again, named), _builder(again, scale))
+    return one, verdict, refitted
+
+
+def _judged(
+    one: Design,
+    verdict: Verdict,
+    identified: Identification,
+    refitted: Identification | None,
+    tracks: tuple[list[Track], list[Track]],
+    noisy: Noise,
+    options: Options,
+    hertz: float,
+    scale: Array,
+) -> Diagnosis:
+    """Probabilities, and what the held-out recordings say of what is asserted."""
+    floor = noisy.floor
+    first, then = (_rms(x) for x in _held_out(one, verdict, scale))
+    verdict = belief.weighed(one, verdict, _left(first, then, floor))
+    before, after = _held_out(one, verdict, scale)
+    asserted = dataclasses.replace(verdict, together=search.trial(one, verdict.named) if verdict.findings else None)
+    by_name = _rms(_held_out(one, asserted, scale)[1])
+    expected = np.sqrt(floor**2 + _reach(one, scale) ** 2 + 2.0 * noisy.steps**2)
+    rms, left = (_rms(before), _rms(after)), (before, after)
+    told = (identified, options, hertz, tracks, one, verdict, floor, noisy.method)
+    return Diagnosis(*told, *rms, left, refitted, named=by_name, expected=expected)
 
 
 def _ahead(fitted: Identification, recordings: Sequence[Recording], hertz: float) -> SimulationError | None:

@@ -22,7 +22,7 @@ from ..recordings import Recording
 from . import looks
 from .diagnosis import Diagnosis
 from .looks import Kind, Look, Rows
-from .search import RANK
+from .search import inverse
 
 Array = np.ndarray
 DRAWS = 999
@@ -173,20 +173,13 @@ def _nulls(found: Diagnosis, scale: Array, rows: Rows) -> tuple[_Null, _Null]:
     # what the fit took out of its own residual is put back on average
     spent = min(sum(c.shape[1] for c in columns) / int(recorded.sum()), 0.5)
     noise = (_limited(left[recorded].reshape(-1, n), starts, floor) / np.sqrt(1.0 - spent)).reshape(-1, 1)
-    scores = [np.add.reduceat(_inverse(c)[:, recorded].T * noise, starts * n, axis=0) for c in columns]
+    scores = [np.add.reduceat(inverse(c)[:, recorded].T * noise, starts * n, axis=0) for c in columns]
     loud = _limited(residuals[1], rows.starts, floor)
     before = _Null(residuals[0], loud, gamma, scores[0])
     if together is None:
         return before, before
     wider = np.concatenate([gamma, design.carried(which).reshape(len(rows), n, -1)], axis=2)
     return before, _Null(residuals[1], loud, wider, np.hstack(scores))
-
-
-def _inverse(columns: Array) -> Array:
-    """Γ⁺ with relative tolerance, columns at unit length, as the search has it."""
-    size = np.linalg.norm(columns, axis=0)
-    size[size <= 1e-9 * size.max(initial=0.0)] = np.inf
-    return np.asarray(np.linalg.pinv(columns / size, rcond=RANK) / size[:, None])
 
 
 def _train_starts(found: Diagnosis) -> Array:

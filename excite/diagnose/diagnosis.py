@@ -90,6 +90,11 @@ class Diagnosis:
         return whole.parts(self.design, self.verdict.together)
 
     @property
+    def systematic(self) -> Array:
+        """1 − (floor/before)² per joint."""
+        return np.maximum(1.0 - (self.floor / np.maximum(self.before, 1e-300)) ** 2, 0.0)
+
+    @property
     def unexplained(self) -> Array:
         """1 − (floor/after)² per joint."""
         return np.maximum(1.0 - (self.floor / np.maximum(self.after, 1e-300)) ** 2, 0.0)
@@ -304,8 +309,9 @@ def _held_out(one: Design, verdict: Verdict, scale: Array) -> tuple[Array, Array
     together = verdict.together
     which = one.which(together.shapes)
     # what happened once, in one recording, is known from it alone
-    once = np.concatenate([np.full(one.places[i].stop - one.places[i].start, one.shapes[i].interval is not None) for i in together.shapes])
-    added = one.carried(which) @ np.where(once, together.coefficients, together.halves[0])
+    known = (one.split(together.shapes, c) for c in (together.coefficients, together.halves[0]))
+    own = [c if one.shapes[i].interval is not None else first for i, c, first in zip(together.shapes, *known, strict=True)]
+    added = one.carried(which) @ np.concatenate(own)
     return before, before - added.reshape(before.shape) * scale
 
 
@@ -332,11 +338,11 @@ def finding_parameters(one: Design, verdict: Verdict, number: int) -> dict[str, 
     assert together is not None
     shape = one.shapes[main.shape]
     alike = [(one.shapes[p.shape], together.shapes.index(p.shape)) for p in verdict.findings[number].parts]
-    ends = np.cumsum([0, *(one.places[i].stop - one.places[i].start for i in together.shapes)])
     effect = BY_NAME[shape.effect]
 
     def told(c: Array) -> dict[str, float]:
-        return effect.told([(one_shape, c[ends[k] : ends[k + 1]]) for one_shape, k in alike])
+        split = one.split(together.shapes, c)
+        return effect.told([(own, split[k]) for own, k in alike])
 
     value = told(together.coefficients)
     others = [told(half) for half in together.halves]

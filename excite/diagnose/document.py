@@ -37,14 +37,13 @@ REGIMES = {
 def document(found: Diagnosis) -> dict[str, Any]:
     """Everything that a diagnosis says."""
     joints = found.identified.model.robot.joints
-    share = 1.0 - (found.floor / np.maximum(found.before, 1e-300)) ** 2
     rows = {
         joint: {
             "noise_floor": float(found.floor[i]),
             "noise_floor_method": found.method,
             "rmse_before": float(found.before[i]),
             "rmse_after": float(found.after[i]),
-            "systematic_share": float(max(share[i], 0.0)),
+            "systematic_share": float(found.systematic[i]),
             "unexplained_share": float(found.unexplained[i]),
         }
         for i, joint in enumerate(joints)
@@ -126,8 +125,8 @@ def _finding(found: Diagnosis, number: int) -> dict[str, Any]:
 
 def _share(found: Diagnosis, hypothesis: Hypothesis) -> dict[str, float]:
     """How much of what the base model left repeats, at the joint or at the one where most does."""
-    share = 1.0 - (found.floor / np.maximum(found.before, 1e-300)) ** 2
-    return {"systematic_share": float(max(share.max() if hypothesis.joint is None else share[hypothesis.joint], 0.0))}
+    share = found.systematic
+    return {"systematic_share": float(share.max() if hypothesis.joint is None else share[hypothesis.joint])}
 
 
 def _considered(found: Diagnosis, hypothesis: Hypothesis) -> dict[str, Any]:

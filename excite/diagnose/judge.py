@@ -36,12 +36,11 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Finding:
-    """What is asserted. parts: its shapes at one joint, the largest first. gain: that it adds to the others. rival: that the best name
-    beyond the equivalents would add instead. probability: that the truth is it or an equivalent. evidence: what that is made of."""
+    """What is asserted. parts: its shapes at one joint, the largest first. gain: that it adds to the others. probability:
+    that the truth is it or an equivalent. evidence: what that is made of."""
 
     parts: tuple[Hypothesis, ...]
     gain: float
-    rival: float
     equivalents: tuple[str, ...]
     probability: float = 1.0
     evidence: Mapping[str, float] = field(default_factory=dict)
@@ -87,15 +86,9 @@ def singles(one: Design, beside: tuple[int, ...] = ()) -> list[Hypothesis]:
     return sorted(best.values(), key=lambda h: -h.trial.gain)
 
 
-def _width(one: Design, shape: int) -> int:
-    return one.places[shape].stop - one.places[shape].start
-
-
 def _sizes(one: Design, found: Trial, number: int) -> Array:
     """RMS torque of one of the fitted shapes beyond the base, over the floor, on each joint. Shape (n,)."""
-    start = sum(_width(one, shape) for shape in found.shapes[:number])
-    shape = found.shapes[number]
-    c = found.coefficients[start : start + _width(one, shape)]
+    shape, c = found.shapes[number], one.split(found.shapes, found.coefficients)[number]
     return np.asarray(np.sqrt(np.maximum(np.einsum("i,jik,k->j", c, one.power[shape], c), 0.0)))
 
 
@@ -228,5 +221,4 @@ def _finding(one: Design, together: Trial, parts: tuple[Hypothesis, ...]) -> Fin
         best.setdefault(h.effect, h.trial.gain - rest)
     margin = max(ALIKE_NATS, ALIKE * gain)
     alike = tuple(name for name, value in best.items() if name != effect and value > gain - margin)
-    lesser = [value for name, value in best.items() if name != effect and name not in alike]
-    return Finding(parts, gain, max([0.0, *lesser]), alike)
+    return Finding(parts, gain, alike)

@@ -63,7 +63,8 @@ class Noise:
 def measured(identified: Identification, halves: Sequence[Sequence[Track]], recordings: Sequence[Recording]) -> Noise:
     """The noise of recordings: from what does not repeat, else from the torque's density above the motion, a lower bound."""
     every = [one for half in halves for one in half]
-    squares = [square for one in every for square in _repeats(one, recordings)]
+    periods = {recording.source: _period(recording) for recording in recordings}
+    squares = [square for one in every if (found := periods[one.piece.source]) for square in _repeats(one, *found)]
     if squares:
         spread, method = np.sqrt(np.mean(squares, axis=0)), "periods"
     else:
@@ -79,13 +80,9 @@ def _above(identified: Identification, hertz: float) -> Array:
     return np.sqrt(np.maximum(np.trapezoid(identified.spectra.noise[inside], frequency[inside], axis=0), 1e-24))
 
 
-def _repeats(track: Track, recordings: Sequence[Recording]) -> list[Array]:
+def _repeats(track: Track, period: float, window: tuple[float, float]) -> list[Array]:
     """Half the mean square by which the residual differs a period later, once or not at all. Shape (n,)."""
-    recording = next(r for r in recordings if r.source == track.piece.source)
-    found = _period(recording)
-    if found is None:
-        return []
-    period, (low, high) = found
+    low, high = window
     left = track.torque - track.gamma @ track.theta
     rate = 1.0 / (track.time[1] - track.time[0])
     rows = int(np.floor(period * rate))

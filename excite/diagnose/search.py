@@ -25,6 +25,13 @@ USUAL = 30.0
 """Standard deviation of an effect's torque over the noise, before anything is seen: what is looked for is 1 to 100."""
 
 
+def inverse(columns: Array) -> Array:
+    """Γ⁺ with relative tolerance, columns at unit length. Shapes (m, p) -> (p, m)."""
+    size = np.linalg.norm(columns, axis=0)
+    size[size <= 1e-9 * size.max(initial=0.0)] = np.inf
+    return np.asarray(np.linalg.pinv(columns / size, rcond=RANK) / size[:, None])
+
+
 @dataclass(frozen=True)
 class Half:
     """Whitened equations of some recordings, and below them what was known before. gamma: base columns. Shape (m + k, p).
@@ -43,10 +50,8 @@ class Half:
 
     @cached_property
     def inverse(self) -> Array:
-        """Γ⁺ with relative tolerance, columns at unit length. Shape (p, m + k)."""
-        size = np.linalg.norm(self.gamma, axis=0)
-        size[size <= 1e-9 * size.max(initial=0.0)] = np.inf
-        return np.asarray(np.linalg.pinv(self.gamma / size, rcond=RANK) / size[:, None])
+        """Γ⁺. Shape (p, m + k)."""
+        return inverse(self.gamma)
 
     def full(self, columns: Array) -> Array:
         """Columns at the recorded rows, with the zeros that they have elsewhere. Shapes (m, k) -> (m + k, k)."""
@@ -123,6 +128,11 @@ class Design:
         """Columns of several shapes."""
         return np.concatenate([np.arange(0), *(np.arange(self.places[i].start, self.places[i].stop) for i in chosen)])
 
+    def split(self, chosen: Sequence[int], coefficients: Array) -> list[Array]:
+        """Coefficients of several shapes, shape by shape."""
+        ends = np.cumsum([self.places[i].stop - self.places[i].start for i in chosen])
+        return np.split(coefficients, ends[:-1])[: len(chosen)]
+
     def carried(self, which: Array) -> Array:
         """Columns of the second half less what the first half's base fit makes of them. Shape (m, k)."""
         first, second = self.halves
@@ -136,18 +146,22 @@ FEW, SEVERAL = 4, 6
 
 def design(halves: tuple[Half, Half], shapes: Sequence[Shape], build: Build, least: Array, nats: float) -> Design:
     """All products that the search needs, of the shapes that say something, the best of each effect at each joint."""
+    out = _bare(halves, _stacked(halves), build, least, nats)
+    kept = list[tuple[Shape, tuple[Array, Array]]]()
+    for effect in dict.fromkeys(shape.effect for shape in shapes):
+        kept += _shortlist(appended(out, [shape for shape in shapes if shape.effect == effect]))
+    return _extended(out, kept)
+
+
+def _bare(halves: tuple[Half, Half], both: Half, build: Build, least: Array, nats: float) -> Design:
+    """A design without shapes."""
     first, second = halves
     carried = second.gamma @ (first.inverse @ first.torque)
     nothing, none = np.zeros((0, 0)), np.zeros(0)
     empty = Gram(nothing, none)
     columns = np.zeros((int(first.rows.sum()), 0)), np.zeros((int(second.rows.sum()), 0))
     across = (second.torque - carried)[second.rows]
-    both = _stacked(halves)
-    out = Design((), (), halves, both, columns, (first.left, second.left), across, (empty, empty), empty, (), none, least, nats, build)
-    kept = list[tuple[Shape, tuple[Array, Array]]]()
-    for effect in dict.fromkeys(shape.effect for shape in shapes):
-        kept += _shortlist(appended(out, [shape for shape in shapes if shape.effect == effect]))
-    return _extended(out, kept)
+    return Design((), (), halves, both, columns, (first.left, second.left), across, (empty, empty), empty, (), none, least, nats, build)
 
 
 def _shortlist(one: Design) -> list[tuple[Shape, tuple[Array, Array]]]:
@@ -243,11 +257,8 @@ def trial(one: Design, chosen: Sequence[int]) -> Trial:
         found.append(root * np.linalg.solve(factor.T, half))
         gain += sign * (0.5 * float(half @ half) - float(np.log(np.diag(factor)).sum()))
     spread = np.sqrt(np.sum((np.linalg.inv(factor) * root) ** 2, axis=0))
-    plausible, start, c = True, 0, found[2]
-    for i in chosen:
-        width = one.places[i].stop - one.places[i].start
-        plausible &= bool(one.shapes[i].plausible(c[start : start + width]))
-        start += width
+    c = found[2]
+    plausible = all(bool(one.shapes[i].plausible(own)) for i, own in zip(chosen, one.split(chosen, c), strict=True))
     return Trial(tuple(chosen), c, spread, (found[0], found[1]), gain, plausible)
 
 
@@ -269,8 +280,8 @@ def refined(one: Design, chosen: Sequence[int], sweeps: int = 2) -> tuple[Design
 
 
 def _only(one: Design, chosen: Sequence[int]) -> Design:
-    """The design with some of its shapes."""
-    bare = design(one.halves, [], one.build, one.least, one.nats)
+    """The design with some of its shapes; its halves are not inverted again."""
+    bare = _bare(one.halves, one.both, one.build, one.least, one.nats)
     return _extended(bare, [(one.shapes[i], (one.columns[0][:, one.places[i]], one.columns[1][:, one.places[i]])) for i in chosen])
 
 

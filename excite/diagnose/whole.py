@@ -36,8 +36,8 @@ def parts(one: Design, together: Trial | None) -> tuple[Part, ...]:
     """The shapes of a fit, each with its own coefficients."""
     if together is None:
         return ()
-    ends = np.cumsum([one.places[i].stop - one.places[i].start for i in together.shapes])[:-1]
-    return tuple(Part(one.shapes[i], c) for i, c in zip(together.shapes, np.split(together.coefficients, ends), strict=True))
+    split = one.split(together.shapes, together.coefficients)
+    return tuple(Part(one.shapes[i], c) for i, c in zip(together.shapes, split, strict=True))
 
 
 def torque(found: Sequence[Part], along: Track) -> Array:

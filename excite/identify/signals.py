@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..recordings import Recording
-from .band import Band, Grid
+from .band import Band
 
 Array = np.ndarray
 BAND_HZ = 20.0
@@ -21,8 +21,6 @@ DROWNED = 4.0
 """Power of torque over its noise, below which there is nothing left to fit."""
 REACH = 10.0
 """Torque reaches to this many times the highest frequency of the motion: products of joints, reversals of friction."""
-LEAST = 1.2
-"""Periods that a recording must hold to show its noise by what repeats."""
 HIGHEST = 50.0
 """Above this a rigid body is no model of an arm [Hz]."""
 CHUNK = 1 << 17
@@ -107,10 +105,10 @@ def _folded(t: Array, values: Array, first: float, period: float, count: int, sa
 # -- noise and band --------------------------------------------------------------------------------------------------
 
 
-def floor(parts: Sequence[Piece], hertz: float, *, drift: bool = False, tapered: bool = False) -> Array | None:
+def floor(parts: Sequence[Piece], hertz: float, *, tapered: bool = False) -> Array | None:
     """Standard deviation of the torque noise below `hertz`, from the spread between periods; None without. Shape (n,) [N m].
 
-    drift: what the means of periods differ by is noise too, and not warming up. tapered: what the filter leaves of it in
+    What the means of periods differ by may be warming up, and is left out. tapered: what the filter leaves of it in
     torque that was not averaged over periods, where the band has no sharp edge.
     """
     power, weight = 0.0, 0
@@ -119,28 +117,11 @@ def floor(parts: Sequence[Piece], hertz: float, *, drift: bool = False, tapered:
             continue
         spectrum = np.fft.rfft(piece.noise, axis=1)
         gain = Band(hertz, piece.rate, len(piece), periodic=not tapered).gain(np.fft.rfftfreq(len(piece), 1.0 / piece.rate), hertz)
-        sides = np.where(np.arange(len(gain)) > 0, 2.0, float(drift)) * gain**2
+        sides = np.where(np.arange(len(gain)) > 0, 2.0, 0.0) * gain**2
         square = np.sum(sides[:, None] * np.abs(spectrum) ** 2, axis=1) / len(piece) ** 2
         power = power + square.sum(axis=0)
         weight += piece.periods - 1
     return None if weight == 0 else np.sqrt(np.asarray(power) / weight)
-
-
-def overlap_floor(recordings: Sequence[Recording], hertz: float) -> Array | None:
-    """The same where less than two whole periods repeat: what τ(t + T) and τ(t) differ by, over √2; None without. Shape (n,) [N m]."""
-    squares = []
-    for recording in recordings:
-        side = recording.sidecar
-        if side.period is None or side.periodic is None or side.periodic[1] - side.periodic[0] < LEAST * side.period:
-            continue
-        part = recording.between(*side.periodic)
-        later = np.column_stack([np.interp(part.t + side.period, part.t, c) for c in part.torque.T])
-        change = (later - part.torque)[part.t + side.period <= part.t[-1]]
-        band = Band(hertz, part.rate, len(change))
-        inner = slice(band.margin, len(change) - band.margin)
-        if inner.stop - inner.start > band.margin:
-            squares.append(0.5 * np.mean(band.low(change, Grid.RECORDED)[inner] ** 2, axis=0))
-    return np.sqrt(np.mean(squares, axis=0)) if squares else None
 
 
 @dataclass(frozen=True)

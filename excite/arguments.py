@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from . import limits as limit_tables
 from . import parameters
+from .collision.cell import Cell
 from .errors import UnusableInput
 from .limits import Limits
 from .robot import Payload, Robot, load
+from .verify import NOT_CHECKED
 
 
 def floats(option: str, text: str, counts: Sequence[int]) -> list[float]:
@@ -52,6 +55,27 @@ def robot(arguments: argparse.Namespace) -> Robot:
 def limits(arguments: argparse.Namespace, machine: Robot) -> Limits:
     """Its limits."""
     return limit_tables.resolve(machine, Path(arguments.limits) if arguments.limits else None)
+
+
+def cell(arguments: argparse.Namespace, machine: Robot, table: Limits) -> tuple[Cell | None, str]:
+    """What the robot must not touch, or None and why there is nothing to check."""
+    from .collision import links, scene
+
+    if arguments.no_collision:
+        return None, f"{NOT_CHECKED} (--no-collision)"
+    around = scene.read(Path(arguments.scene)) if arguments.scene else scene.Scene()
+    if arguments.floor is not None or arguments.no_floor:
+        around = replace(around, floor=False if arguments.no_floor else floats("--floor", arguments.floor, (1,))[0])
+    disabled = links.disabled(Path(arguments.srdf)) if arguments.srdf else []
+    asked = bool(arguments.scene or arguments.srdf or arguments.floor is not None or arguments.clearance is not None)
+    try:
+        if not links.read(machine.source, arguments.packages) and not asked:
+            return None, f"{NOT_CHECKED}: the URDF gives no link a shape"
+        return scene.cell(machine, table, around, packages=arguments.packages, disabled=disabled, margin=arguments.clearance), ""
+    except links.MissingMesh as error:
+        if asked:
+            raise
+        return None, f"{NOT_CHECKED}: {error}"
 
 
 def drive(arguments: argparse.Namespace) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import dynamics
+from .collision.clearance import Clearance
 from .limits import Braking, Limits
 from .parameters import COULOMB_WIDTH, Parameters
 from .problem import Box
@@ -18,13 +19,14 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Subject:
-    """What a motion is held against: a robot, its limits, and how uncertain its parameters are."""
+    """What a motion is held against: a robot, its limits, how uncertain its parameters are, and what it must not touch."""
 
     robot: Robot
     limits: Limits
     parameters: Parameters
     uncertainty: float = 0.0
     boxes: tuple[Box, ...] = ()
+    clearance: Clearance | None = None
 
 
 @dataclass(frozen=True)

@@ -139,6 +139,7 @@ def _design(commands: Commands) -> None:
     group.add_argument(
         "--uncertainty", type=float, default=0.1, metavar="R", help="torque limits hold for all robots this near (default %(default)s)"
     )
+    _surroundings(sub)
     group = sub.add_argument_group("search")
     group.add_argument("--starts", type=int, default=2, metavar="N", help="random starts (default %(default)s)")
     group.add_argument("--seed", type=int, default=0, metavar="N", help="default %(default)s")
@@ -147,6 +148,29 @@ def _design(commands: Commands) -> None:
     group.add_argument("--cluster", metavar="ADDRESS", help="of a running Dask scheduler (tcp://host:8786) or Ray head (ray://host:10001)")
     group.add_argument("--iterations", type=int, default=300, metavar="N", help="per start (default %(default)s)")
     group.add_argument("--force", action="store_true", help="write the files even when the certificate fails; they say so")
+
+
+def _surroundings(sub: argparse.ArgumentParser) -> None:
+    group = sub.add_argument_group(
+        "surroundings", "what the robot must not touch, besides itself; shapes are those of the URDF's <collision>"
+    )
+    group.add_argument(
+        "--scene", metavar="FILE", help="TOML: boxes, spheres, capsules, cylinders and meshes around the robot or on its links"
+    )
+    group.add_argument(
+        "--floor", metavar="Z", help="height in the base frame [m] (default: the base's, or lower where its fixed links reach)"
+    )
+    group.add_argument("--no-floor", action="store_true", help="there is none")
+    group.add_argument("--clearance", type=float, metavar="M", help="least distance to keep [m] (default: the scene's, or 0.02)")
+    group.add_argument("--srdf", metavar="FILE", help="pairs of links that may touch (default: neighbours, and what always touches)")
+    group.add_argument(
+        "--packages",
+        metavar="DIR",
+        action="append",
+        default=[],
+        help="where package:// meshes are, besides ROS_PACKAGE_PATH and the URDF's folders",
+    )
+    group.add_argument("--no-collision", action="store_true", help="check no distances; the files say so")
 
 
 def _verify(commands: Commands) -> None:

@@ -17,6 +17,7 @@ from . import artefact, base, cluster, criteria, dynamics, files, parameters, pl
 from . import export as exports
 from . import identifiability as identifiable
 from . import verify as certificates
+from .collision import clearance
 from .criteria import Criterion
 from .errors import CheckFailed, UnusableInput
 from .overlap import Apart
@@ -119,10 +120,15 @@ def _design(arguments: argparse.Namespace) -> Outcome:
     notes = {"parameters": arguments.parameters, "given": list(arguments.given), "speed": arguments.speed, "chosen": wish.open}
     if arguments.torque_noise is None:
         notes["torque_noise_source"] = "1 % of each torque limit (default)"
-    planned = None if arguments.time is None else plan.budgeted(robot, table, options, wish, arguments.time, start=start, given=given)
+    cell, unchecked = told.cell(arguments, robot, table)
+    planned = None
+    if arguments.time is not None:
+        covers = None if cell is None else clearance.of(cell)
+        planned = plan.budgeted(robot, table, options, wish, arguments.time, start=start, given=given, clearance=covers)
     if planned is not None:
         notes["plan"] = planned.facts()
-    run = partial(workflow.run, robot, table, start=start, notes=notes, force=arguments.force, speed=arguments.speed, progress=_say)
+    whole = partial(workflow.run, robot, table, start=start, notes=notes, force=arguments.force, speed=arguments.speed, progress=_say)
+    run = partial(whole, cell=cell, unchecked=unchecked)
 
     def deliver(apart: Apart | None = None) -> workflow.Delivery:
         # a motion to judge by should show everything, known or not

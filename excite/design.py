@@ -12,6 +12,7 @@ import threadpoolctl
 from . import base as base_parameters
 from . import criteria, parameters, problem, solver, start, starts
 from .base import Base
+from .collision.clearance import Clearance
 from .criteria import Criterion
 from .errors import ExciteError, UnusableInput
 from .evaluate import Evaluator
@@ -97,8 +98,15 @@ def whole_samples(period: float, rate: float) -> int:
     return round(count)
 
 
-def prepare(robot: Robot, limits: Limits, options: Options, given: Array | None = None, apart: Apart | None = None) -> Setting:
-    """Build the problem. given: information of earlier recordings in standard parameters. Shape (P, P). apart: see Problem."""
+def prepare(
+    robot: Robot,
+    limits: Limits,
+    options: Options,
+    given: Array | None = None,
+    apart: Apart | None = None,
+    clearance: Clearance | None = None,
+) -> Setting:
+    """Build the problem. given: information of earlier recordings in standard parameters. Shape (P, P). apart, clearance: see Problem."""
     check(options)
     if options.free_period is not None:
         options = dataclasses.replace(options, period=float(np.clip(options.period, *options.free_period)))
@@ -112,7 +120,7 @@ def prepare(robot: Robot, limits: Limits, options: Options, given: Array | None 
     weights = criteria.weighting(options.criterion, found, noise, plain=options.plain)
     count = options.periods * options.period * options.rate
     root = None if given is None else weights.root(given / count)
-    built = dataclasses.replace(problem.build(robot, limits, standard, weights, options, root), apart=apart)
+    built = dataclasses.replace(problem.build(robot, limits, standard, weights, options, root), apart=apart, clearance=clearance)
     return Setting(built, found, noise, time.perf_counter())
 
 
@@ -171,8 +179,12 @@ def _whole_period(period: float, rate: float, bounds: tuple[float, float] | None
     raise UnusableInput(f"--optimise-period {bounds[0]:g},{bounds[1]:g}: holds no whole number of samples at --rate {rate:g} Hz; widen it")
 
 
-def tightened(setting: Setting, limits: Limits, reserve: float) -> Setting:
-    """The same problem with a larger reserve on curved limits, for when the certificate finds a gap between samples."""
+def tightened(setting: Setting, limits: Limits, reserve: float, slack: float = 0.0) -> Setting:
+    """The same problem with a larger reserve on curved limits, for when the certificate finds a gap between samples.
+
+    slack: more clearance than the margin [m].
+    """
     p = setting.problem
     rebuilt = problem.build(p.robot, limits, p.parameters, p.weighting, p.options, p.given, reserve, p.functions)
-    return dataclasses.replace(setting, problem=dataclasses.replace(rebuilt, apart=p.apart))
+    clearance = None if p.clearance is None else dataclasses.replace(p.clearance, slack=p.clearance.slack + slack)
+    return dataclasses.replace(setting, problem=dataclasses.replace(rebuilt, apart=p.apart, clearance=clearance))

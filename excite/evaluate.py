@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from . import criteria, symbolic
+from .collision.clearance import Look
 from .compiled import Mapped, Padded
 from .parameters import Parameters
 from .problem import Problem
@@ -16,7 +17,7 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Rows:
-    """Constraint rows g ≤ 1, each a quantity over its limit: kind, sample, joint (or axis), sign.
+    """Constraint rows g ≤ 1, each a quantity over its limit: kind, sample, joint (or axis, or pair of bodies), sign.
 
     kind indexes `Evaluator.kinds`; all four arrays have the same shape (m,).
     """
@@ -39,6 +40,7 @@ class _Point:
     Y: Array | None = None
     table: dict[str, Array] = field(default_factory=dict)
     spread: tuple[Array, Array] | None = None
+    look: Look | None = None
 
 
 class Evaluator:
@@ -68,6 +70,7 @@ class Evaluator:
         limits = self.problem.limits
         kinds = [k for k in ("position", "velocity", "acceleration", "jerk", "torque") if np.isfinite(getattr(limits, k)).any()]
         kinds += ["braking"] * any(b is not None for b in limits.braking)
+        kinds += ["clearance"] * (self.problem.clearance is not None)
         return (*kinds, *(f"box{i}" for i in range(len(self._frames))))
 
     # -- motion and information ------------------------------------------------------------------------------
@@ -135,7 +138,7 @@ class Evaluator:
     # -- constraint rows -------------------------------------------------------------------------------------
 
     def table(self, x: Array) -> dict[str, Array]:
-        """Every row's value, by kind. Shape (2, N, n): sign + then −; boxes (2, N, 3). Satisfied where ≤ 1."""
+        """Every row's value, by kind. Shape (2, N, n): sign + then −; boxes (2, N, 3); clearance (1, N, pairs). Satisfied where ≤ 1."""
         point = self._at(x)
         if not point.table:
             for kind in self.kinds:
@@ -162,6 +165,8 @@ class Evaluator:
             return np.stack([nominal + width, width - nominal]) / self._torque_bound
         if kind == "braking":
             return np.stack([self._braking(q, dq, sign)[0] for sign in (1.0, -1.0)])
+        if kind == "clearance":
+            return self._look(point).values()[None]
         index = int(kind[3:])
         box = self.problem.boxes[index]
         centre = np.asarray(self._frames[index].map(len(q))(q.T)[0]).T
@@ -177,6 +182,12 @@ class Evaluator:
                 width = np.sqrt(p.parameters.norms(Y.reshape(-1, Y.shape[2])) + 1e-18).reshape(nominal.shape)
             point.spread = nominal, width
         return point.spread[0], self.problem.options.uncertainty * point.spread[1]
+
+    def _look(self, point: _Point) -> Look:
+        assert self.problem.clearance is not None
+        if point.look is None:
+            point.look = self.problem.clearance.at(point.motion[0])
+        return point.look
 
     def _braking(self, q: Array, dq: Array, sign: float) -> tuple[Array, Array, Array]:
         """Row value and slopes by q and dq of  (s q̇ + c)₊²/rate + s q ≤ s stop, per half range."""
@@ -202,7 +213,7 @@ class Evaluator:
         """The rows that a flat mask names."""
         kinds, samples, joints, signs, start = [], [], [], [], 0
         for number, kind in enumerate(self.kinds):
-            shape = (2, self.problem.options.samples, 3 if kind.startswith("box") else self.problem.robot.n)
+            shape = self._shape(kind)
             size = int(np.prod(shape))
             sign, sample, joint = np.unravel_index(np.flatnonzero(mask[start : start + size]), shape)
             start += size
@@ -211,6 +222,12 @@ class Evaluator:
             joints.append(joint)
             signs.append(1.0 - 2.0 * sign)
         return Rows(*(np.concatenate(part) for part in (kinds, samples, joints, signs)))
+
+    def _shape(self, kind: str) -> tuple[int, int, int]:
+        p = self.problem
+        if p.clearance is not None and kind == "clearance":
+            return 1, p.options.samples, len(p.clearance)
+        return 2, p.options.samples, 3 if kind.startswith("box") else p.robot.n
 
     def row_values(self, x: Array, rows: Rows) -> Array:
         """Values of selected rows. Shape (m,)."""
@@ -258,6 +275,8 @@ class Evaluator:
             both = [self._braking(point.motion[0], point.motion[1], s) for s in (1.0, -1.0)]
             pick = (sign < 0).astype(int)
             return [(order, np.stack([b[order + 1] for b in both])[pick, sample, joint]) for order in (0, 1)]
+        if kind == "clearance":
+            return [(0, self._look(point).slopes(sample, joint))]
         index = int(kind[3:])
         box = self.problem.boxes[index]
         half = 0.5 * (np.array(box.upper) - np.array(box.lower))

@@ -223,11 +223,15 @@ def mean_inertia(robot: Robot, limits: Limits, bodies: list[Array]) -> Array:
     return total / len(poses)
 
 
+def ranges(limits: Limits) -> Array:
+    """Position limits, half a turn each way where there are none. Shape (n, 2) [rad or m]."""
+    return np.where(np.isfinite(limits.position), limits.position, [-np.pi, np.pi])
+
+
 def spread_poses(limits: Limits, count: int) -> Array:
     """Poses that fill the joint ranges evenly (a Kronecker sequence, no randomness). Shape (count, n)."""
     n = len(limits.joints)
-    lower = np.where(np.isfinite(limits.position[:, 0]), limits.position[:, 0], -np.pi)
-    upper = np.where(np.isfinite(limits.position[:, 1]), limits.position[:, 1], np.pi)
+    lower, upper = ranges(limits).T
     root = 2.0
     for _ in range(60):  # the generalised golden ratio: x^(n+1) = x + 1
         root = (1.0 + root) ** (1.0 / (n + 1))

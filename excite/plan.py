@@ -19,6 +19,7 @@ import numpy as np
 from . import criteria, design, dynamics, problem, ramps
 from .base import Base
 from .checks import Subject
+from .collision.clearance import Clearance
 from .criteria import Criterion
 from .design import Setting
 from .errors import ExciteError, UnusableInput
@@ -192,12 +193,13 @@ def budgeted(
     *,
     start: Array | None = None,
     given: Array | None = None,
+    clearance: Clearance | None = None,
 ) -> Plan:
     """Choose what the wish leaves open, for a whole motion of at most `budget` [s] that shows as much as can be.
 
     Candidates that fill the budget are optimised for a few iterations each. Their information is that of a sample times the
     samples recorded; of those within TOLERANCE of the least standard deviation the one of the least effort is taken.
-    start, given: as `workflow.run` takes them. Raises UnusableInput that says the least time needed, and what the
+    start, given: as `workflow.run` takes them. clearance: of its cell. Raises UnusableInput that says the least time needed, and what the
     optimisation raises where no candidate is feasible.
     """
     if not (np.isfinite(budget) and budget > 0.0):
@@ -211,7 +213,7 @@ def budgeted(
     rule = period(limits, wish.harmonics or HARMONICS, options.rate)
     swept = wish.period or max(min(rule, _down(budget / repeats, grid)), shortest)
     short = dataclasses.replace(options, starts=1, iterations=min(ITERATIONS, options.iterations))
-    setting = design.prepare(robot, limits, wish.settle(short, swept, wish.ladder(swept)[0], repeats), given)
+    setting = design.prepare(robot, limits, wish.settle(short, swept, wish.ladder(swept)[0], repeats), given, clearance=clearance)
     pilot = _attempt(setting, limits, setting.problem.options, start)
     if isinstance(pilot, ExciteError):
         raise pilot
@@ -286,10 +288,11 @@ def _attempt(setting: Setting, limits: Limits, options: Options, start: Array | 
     p = setting.problem
     given = None if p.given is None else p.given * np.sqrt(_count(p.options) / _count(options))
     varied = problem.build(p.robot, limits, p.parameters, p.weighting, options, given, functions=p.functions)
+    varied = dataclasses.replace(varied, clearance=p.clearance)
     try:
         motion = design.solve(dataclasses.replace(setting, problem=varied)).motion
         stated = ramps.with_derived(limits, motion)
-        subject = Subject(p.robot, stated, p.parameters, options.uncertainty, options.boxes)
+        subject = Subject(p.robot, stated, p.parameters, options.uncertainty, options.boxes, p.clearance)
         whole = ramps.rest_to_rest(subject, motion, options.periods, options.rate, start)
     except ExciteError as error:
         return error

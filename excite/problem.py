@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import symbolic
+from .collision.clearance import Clearance
 from .criteria import Criterion, Weighting
 from .limits import Braking, Limits
 from .overlap import Apart
@@ -71,6 +72,7 @@ class Problem:
     scale: size of one unit of each variable: coefficients (a, b, offset) per joint. Shape (n, 2K+1).
     functions: the dynamics and their derivatives.
     apart: a motion to keep apart from, at a price added to the objective, or None.
+    clearance: bodies that keep apart at the samples, or None where no shape is known.
     """
 
     robot: Robot
@@ -83,6 +85,7 @@ class Problem:
     scale: Array
     functions: Functions
     apart: Apart | None = None
+    clearance: Clearance | None = None
 
     @property
     def size(self) -> int:

@@ -26,6 +26,13 @@ SCALES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1)
 GENTLE = (0.3, 0.2, 0.1, 0.05)
 """Scales of approach and return, which show nothing and so need not hurry."""
 PHASES = 40
+KEPT = 1e-3
+"""Clearance beyond the margin that a ramp keeps [m]: what the certificate cannot resolve, twice."""
+LINE = 100
+"""Poses at which a straight line is looked at first."""
+VIAS = 64
+SEARCH = 300
+"""Legs that are tried at most to find a way round."""
 ROUND = 0.04
 """Segments last whole multiples of this [s] where the rate allows: also of 1, 2, 4, 8 and 20 ms, for other rates."""
 
@@ -78,6 +85,8 @@ class Planner:
         self.subject, self.rate, self.grid = subject, rate, step(rate)
         self.n = subject.robot.n
         self._ruckig = ruckig.Ruckig(self.n, self.grid)
+        self.obstacle = ""
+        """What the last stop that was tried would break."""
 
     def _plan(self, begin: State, target: Array | None, scale: float) -> Profile | None:
         """Ruckig's profile from a state to rest at `target`, or to rest anywhere; None where it finds none."""
@@ -105,7 +114,7 @@ class Planner:
         return _profile(begin, found)
 
     def _passes(self, profile: Profile, duration: float) -> tuple[bool, str]:
-        """Whether a ramp keeps position, velocity and the loads; and which limit it breaks most."""
+        """Whether a ramp keeps position, velocity, the loads and its distance; and what it breaks most."""
         count = max(int(np.ceil(duration / 0.004)), 4)
         t = np.linspace(0.0, duration, count + 1)
         motion = Samples(profile.at(t), profile.at(t, 1), profile.at(t, 2))
@@ -117,7 +126,19 @@ class Planner:
         if max(d.ratio() for d in demands) <= 1.0 - 1e-6:
             demands = checks.loads(self.subject, motion)
         worst = max(demands, key=lambda d: d.ratio())
-        return worst.ratio() <= 1.0 - 1e-4, worst.limit
+        if worst.ratio() > 1.0 - 1e-4:
+            return False, f"the {worst.limit} limits"
+        blocked = self.blocked(motion.q)
+        return not blocked, blocked
+
+    def blocked(self, q: Array) -> str:
+        """The pair that comes too near along equispaced poses, between them too; "" where none does. Shape (N, n)."""
+        if self.subject.clearance is None:
+            return ""
+        room, pair = self.subject.clearance.least(q)
+        room = room - checks.excess(room[:, None])[:, 0]
+        worst = int(np.argmin(room))
+        return "" if room[worst] >= KEPT else f"the clearance of {self.subject.clearance.names[pair[worst]]}"
 
     def stop(self, begin: State, *, backwards: bool = False) -> Iterator[tuple[Profile, float]]:
         """Ways to come to rest from a state, briskest first; all checked.
@@ -133,30 +154,57 @@ class Planner:
                 continue
             duration = _duration(profile, self.grid)
             ramp = reverse(profile, duration) if backwards else profile
-            if self._passes(ramp, duration)[0]:
+            passes, self.obstacle = self._passes(ramp, duration)
+            if passes:
                 yield ramp, duration
 
-    def travel(self, begin: Array, end: Array) -> tuple[list[tuple[Profile, float]], str]:
-        """From rest to rest, straight in joint space or through one safe pose; and what forbids it where it is empty."""
-        reason = ""
-        for via in (None, *self._via(begin, end)):
-            legs = []
-            for a, b in ((begin, end),) if via is None else ((begin, via), (via, end)):
-                leg, reason = self._leg(a, b)
-                if leg is None:
-                    break
-                legs.append(leg)
+    def travel(self, begin: Array, end: Array, known: Array) -> tuple[list[tuple[Profile, float]], str]:
+        """From rest to rest, straight in joint space or through poses at rest; and what forbids it where it is empty.
+
+        known: poses that are clear. Shape (m, n). The shortest way over them is tried, leg by leg, and one that fails is
+        not taken again (a lazy roadmap; Bohlin & Kavraki 2000).
+        """
+        direct, reason = self._leg(begin, end)
+        if direct is not None:
+            return [direct], ""
+        from scipy.sparse import csgraph  # rarely needed
+
+        poses = np.vstack([begin, end, self._open(known)])
+        length = np.abs((poses[:, None] - poses[None]) / self.subject.limits.velocity).max(axis=2)
+        cost = length + 0.2 * float(np.median(length))  # every stop costs
+        cost[0, 1] = cost[1, 0] = np.inf
+        legs: dict[tuple[int, int], tuple[Profile, float]] = {}
+        for _ in range(SEARCH):
+            total, before = csgraph.dijkstra(cost, indices=0, return_predecessors=True)
+            if not np.isfinite(total[1]):
+                break
+            way = [1]
+            while way[-1] != 0:
+                way.append(int(before[way[-1]]))
+            pairs = list(zip(way[:0:-1], way[-2::-1], strict=True))
+            for pair in pairs:
+                if pair not in legs:
+                    leg, _ = self._leg(poses[pair[0]], poses[pair[1]])
+                    if leg is None:
+                        cost[pair] = cost[pair[::-1]] = np.inf
+                        break
+                    legs[pair] = leg
             else:
-                return legs, ""
+                return [legs[pair] for pair in pairs], ""
         return [], reason
 
-    def _via(self, begin: Array, end: Array) -> Iterator[Array]:
-        middle = 0.5 * (begin + end)
-        others = spread_poses(self.subject.limits, 24)
-        yield from others[np.argsort(np.abs(others - middle).max(axis=1))]
+    def _open(self, known: Array) -> Array:
+        """Poses to go through: known ones, and others that fill the joint ranges, as far as they are clear. Shape (m, n)."""
+        poses = np.vstack([known, spread_poses(self.subject.limits, VIAS)])
+        clearance = self.subject.clearance
+        return poses if clearance is None else poses[clearance.least(poses)[0] >= KEPT]
 
     def _leg(self, begin: Array, end: Array) -> tuple[tuple[Profile, float] | None, str]:
-        reason = "velocity"
+        # Ruckig's way is not straight, but near enough to spare it the hopeless ones
+        reason = self.blocked(begin + np.linspace(0.0, 1.0, LINE)[:, None] * (end - begin))
+        if reason:
+            return None, reason
+        reason = "the velocity limits"
         for scale in GENTLE:
             profile = self._plan(State.rest(begin), end, scale)
             if profile is None:
@@ -204,8 +252,9 @@ def rest_to_rest(subject: Subject, fourier: Fourier, periods: int, rate: float, 
     ready = ramp_in[0].position
     halt = ramp_out[0].at(np.array([ramp_out[1]]))[0]
     home = ready if start is None else start
-    approach = [] if start is None else _connect(planner, home, ready, "approach")
-    back = _connect(planner, halt, home, "return")
+    known = shifted.at(shifted.grid(PHASES))
+    approach = [] if start is None else _connect(planner, home, ready, known, "approach")
+    back = _connect(planner, halt, home, known, "return")
     parts: list[tuple[str, Profile | None, float]] = [("approach", *leg) for leg in approach]
     parts += [("ramp_in", *ramp_in), ("fourier", None, periods * fourier.period), ("ramp_out", *ramp_out)]
     parts += [("return", *leg) for leg in back]
@@ -216,13 +265,13 @@ def rest_to_rest(subject: Subject, fourier: Fourier, periods: int, rate: float, 
     return Motion(subject.robot.joints, shifted, periods, tuple(segments))
 
 
-def _connect(planner: Planner, begin: Array, end: Array, what: str) -> list[tuple[Profile, float]]:
+def _connect(planner: Planner, begin: Array, end: Array, known: Array, what: str) -> list[tuple[Profile, float]]:
     if np.abs(begin - end).max() < 1e-12:
         return []
-    legs, reason = planner.travel(begin, end)
+    legs, reason = planner.travel(begin, end, known)
     if not legs:
         robot = planner.subject.robot
-        raise Infeasible(f"{robot.source}: no {what} obeys the {reason} limits; give another --start pose or widen them")
+        raise Infeasible(f"{robot.source}: no {what} keeps {reason}; give another --start pose, widen them or clear the way")
     return legs
 
 
@@ -246,7 +295,8 @@ def _ramps(planner: Planner, fourier: Fourier, start: Array | None) -> tuple[Fou
     if best is None:
         source = planner.subject.robot.source
         raise Infeasible(
-            f"{source}: no ramp into the periodic motion obeys position and torque limits; lower --uncertainty or lengthen --period"
+            f"{source}: no ramp into the periodic motion keeps {planner.obstacle}; "
+            "try another --seed, lower --uncertainty or lengthen --period"
         )
     return best[1], best[2], best[3]
 
@@ -262,6 +312,14 @@ def _check_start(subject: Subject, start: Array) -> None:
         raise UnusableInput(
             f"{robot.source}: start pose: joint '{robot.joints[j]}' at {start[j]:g} is outside [{low:g}, {high:g}]; move it inside"
         )
+    if subject.clearance is not None:
+        room, pair = subject.clearance.least(start[None])
+        if room[0] < KEPT:
+            near, k = 1e3 * (room[0] + subject.clearance.need[pair[0]]), pair[0]
+            state = f"{near:.0f} mm apart, {1e3 * subject.clearance.need[k]:.0f} mm to keep" if near > 0.0 else "in each other"
+            raise UnusableInput(
+                f"{robot.source}: start pose: {subject.clearance.names[k]} are {state}; give another --start or clear the scene"
+            )
     still = np.tile(start, (3, 1))
     for demand in checks.loads(subject, Samples(still, np.zeros_like(still), np.zeros_like(still))):
         if demand.ratio() > 1.0:

@@ -6,6 +6,7 @@ import numpy as np
 
 from .errors import Infeasible, UnusableInput
 from .evaluate import Evaluator, Rows
+from .parameters import ranges
 from .problem import Problem
 
 Array = np.ndarray
@@ -49,8 +50,7 @@ def poses(evaluator: Evaluator, rng: np.random.Generator, tries: int = 4) -> Arr
     """
     problem = evaluator.problem
     limits, count = problem.limits, problem.options.samples
-    lower = np.where(np.isfinite(limits.position[:, 0]), limits.position[:, 0], -np.pi)
-    upper = np.where(np.isfinite(limits.position[:, 1]), limits.position[:, 1], np.pi)
+    lower, upper = ranges(limits).T
     holder = _Poses(evaluator)
     for attempt in range(tries):
         # the first attempt stays in the middle of the ranges, where there is room to move
@@ -128,6 +128,12 @@ def _refuse(problem: Problem, holder: _Poses, pose: Array) -> None:
             f"{problem.limits.torque[joint]:.4g} in the best pose found{hint}; raise the limit or lighten the payload"
         )
         raise Infeasible(text) if problem.boxes else UnusableInput(text)
+    if kind == "clearance":
+        assert problem.clearance is not None
+        raise Infeasible(
+            f"{robot.source}: no pose found keeps the clearance of {problem.clearance.names[joint]}; "
+            "clear the scene, lower --clearance, or widen the position limits"
+        )
     name = problem.boxes[int(kind[3:])].frame if kind.startswith("box") else robot.joints[joint]
     raise Infeasible(
         f"{robot.source}: no pose obeys all limits: the {kind.rstrip('0123456789')} limit of '{name}' fights the others "

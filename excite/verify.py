@@ -11,6 +11,11 @@ import numpy as np
 from . import base, checks, criteria, dynamics, parameters
 from .artefact import Trajectory
 from .checks import Demand, Subject
+from .collision import cell as cells
+from .collision import sweep
+from .collision.cell import Cell
+from .collision.sweep import Near
+from .errors import UnusableInput
 from .limits import DERIVED
 from .motion import Motion, Segment
 from .problem import Box
@@ -20,6 +25,10 @@ from .trajectory import DENSITY, Samples, oversampling_bound
 Array = np.ndarray
 ROUNDING = 1e-9
 NOT_CHECKED = "collision not checked"
+CELL = "cell"
+CLEARANCE = "clearance"
+LISTED = 12
+"""Pairs of bodies that a certificate lists, the nearest to their margin."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +45,13 @@ class Margin:
     bound: float
     room: float
 
+    def words(self) -> str:
+        """What it reaches, of what."""
+        if self.limit == CLEARANCE:
+            state = f"come within {1e3 * self.value:.1f} mm" if self.value > 0.0 else "collide"
+            return f"{self.joint} {state} at {self.time:.2f} s, of {1e3 * self.bound:.1f} mm to keep"
+        return f"{self.limit} of '{self.joint}' reaches {self.value:.4g} of {self.bound:.4g}"
+
     def document(self) -> dict[str, Any]:
         """As `excite verify --json` prints it."""
         return {"limit": self.limit, "joint": self.joint, "time": self.time, "value": self.value, "bound": self.bound, "margin": self.room}
@@ -43,12 +59,17 @@ class Margin:
 
 @dataclass(frozen=True)
 class Certificate:
-    """What verification found. faults: sentences about the file itself (a jump, a wrong criterion, no rest)."""
+    """What verification found. faults: sentences about the file itself (a jump, a wrong criterion, no rest).
+
+    near: pairs of bodies with the least distance each, the one nearest to its margin first.
+    """
 
     margins: tuple[Margin, ...]
     criteria: Mapping[str, Any]
     faults: tuple[str, ...]
     collision: str = NOT_CHECKED
+    near: tuple[Near, ...] = ()
+    joints: tuple[str, ...] = ()
 
     @property
     def ok(self) -> bool:
@@ -59,6 +80,10 @@ class Certificate:
         """The margin that is nearest to, or furthest beyond, its bound."""
         return min(self.margins, key=lambda margin: margin.room)
 
+    def short_of_clearance(self) -> float:
+        """By how much the worst pair misses its margin [m]; 0 where none does."""
+        return max([0.0, *(m.bound - m.value for m in self.margins if m.limit == CLEARANCE)])
+
     def document(self) -> dict[str, Any]:
         """As `excite verify --json` prints it."""
         return {
@@ -66,12 +91,16 @@ class Certificate:
             "margins": [margin.document() for margin in self.margins],
             "criteria": dict(self.criteria),
             "collision": self.collision,
+            "clearance": [near.document(self.joints) for near in self.near[:LISTED]],
             "faults": list(self.faults),
         }
 
 
-def verify(trajectory: Trajectory, robot: Robot) -> Certificate:
-    """Recompute every limit, the junctions, the rests and the criteria of a trajectory from its file's content."""
+def verify(trajectory: Trajectory, robot: Robot, cell: Cell | None = None) -> Certificate:
+    """Recompute every limit, the distances, the junctions, the rests and the criteria of a trajectory from its file's content.
+
+    cell: what the file states, where it is at hand already.
+    """
     subject = subject_of(trajectory, robot)
     motion, limits = trajectory.motion, trajectory.limits
     margins: dict[tuple[str, str], Margin] = {}
@@ -85,9 +114,35 @@ def verify(trajectory: Trajectory, robot: Robot) -> Certificate:
                 key = (margin.limit, margin.joint)
                 if key not in margins or margin.room < margins[key].room:
                     margins[key] = margin
+    collision, near = trajectory.collision, list[Near]()
+    if cell is not None or CELL in trajectory.design:
+        collision, near = _distances(trajectory, robot, cell)
+    for one in near[:LISTED]:
+        margins[CLEARANCE, one.names] = _clearance(one)
     scores = score(trajectory, robot, subject.parameters)
     faults = [*_faults(trajectory), *_criteria_faults(trajectory, scores)]
-    return Certificate(tuple(sorted(margins.values(), key=lambda margin: margin.room)), scores, tuple(faults))
+    ordered = tuple(sorted(margins.values(), key=lambda margin: margin.room))
+    return Certificate(ordered, scores, tuple(faults), collision, tuple(near), robot.joints)
+
+
+def _distances(trajectory: Trajectory, robot: Robot, cell: Cell | None) -> tuple[str, list[Near]]:
+    """What there is to say of collisions, and the least distances."""
+    try:
+        known = cell or cells.from_document(robot, trajectory.limits, trajectory.design[CELL])
+    except UnusableInput as error:
+        return f"{NOT_CHECKED}: {error}", []
+    near = sweep.along(known, trajectory.motion)
+    but = "".join(f"; {note}" for note in known.notes)
+    if not near:
+        return f"collision checked: nothing can meet{but}", []
+    worst = min(near, key=lambda one: one.proven)
+    least = f"collision checked: never less than {1e3 * worst.proven:.1f} mm, {worst.names} at {worst.time:.2f} s"
+    return (least if worst.proven > 0.0 else f"COLLISION: {worst.names} at {worst.time:.2f} s") + but, near
+
+
+def _clearance(near: Near) -> Margin:
+    bound = near.pair.margin
+    return Margin(CLEARANCE, near.names, near.time, near.proven, bound, near.proven / max(bound, 1e-6) - 1.0)
 
 
 def subject_of(trajectory: Trajectory, robot: Robot) -> Subject:

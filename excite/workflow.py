@@ -13,6 +13,8 @@ import threadpoolctl
 from . import design, ramps, verify
 from .artefact import Trajectory, versions
 from .checks import Subject
+from .collision import clearance
+from .collision.cell import Cell
 from .design import Design
 from .errors import CheckFailed, UnusableInput
 from .limits import Limits
@@ -20,12 +22,14 @@ from .overlap import Apart
 from .problem import RESERVE, Options
 from .robot import Robot
 from .starts import Progress
-from .verify import Certificate
+from .verify import CELL, CLEARANCE, Certificate
 
 Array = np.ndarray
 
 
 MOST_RESERVE = 0.3
+TIGHTENINGS = 3
+"""Times that a motion is improved on when its certificate fails."""
 SINGULAR = 1e-24
 """Ratio of eigenvalues of the information below which a direction is rounding noise, not seen."""
 
@@ -49,6 +53,8 @@ def run(
     start: Array | None = None,
     given: Array | None = None,
     apart: Apart | None = None,
+    cell: Cell | None = None,
+    unchecked: str = verify.NOT_CHECKED,
     notes: dict[str, Any] | None = None,
     speed: float = 1.0,
     force: bool = False,
@@ -57,7 +63,8 @@ def run(
     """Design, smooth and certify a trajectory.
 
     start: pose at which the motion begins and ends at rest, or None. given: information of earlier recordings.
-    apart: another motion that this one should keep apart from, for validation.
+    apart: another motion that this one should keep apart from, for validation. cell: what must not be touched; None: collisions are
+    not checked, and `unchecked` says so in the file.
     notes: further facts for the file's `design` entry. speed: the motion is delivered at this share of the speed it was
     designed for. Raises CheckFailed when the certificate fails and `force` is
     not set, Infeasible when no motion or ramp obeys the limits, UnusableInput for options that contradict themselves.
@@ -68,29 +75,26 @@ def run(
         raise UnusableInput(f"--speed {speed:g} should be above 0 and at most 1")
     if options.free_period is None:
         design.whole_samples(options.period / speed, options.rate)
-    setting = design.prepare(robot, limits, options, given, apart)
+    setting = design.prepare(robot, limits, options, given, apart, None if cell is None else clearance.of(cell))
     say(f"{robot.name}: {robot.n} joints, {setting.base.count} base parameters")
     found = design.solve(setting, progress)
     timing = {"build": setting.built - begun, **found.timing()}
+    facts = {**(notes or {}), **({} if cell is None else {CELL: cell.document()})}
+
+    def certified(found: Design) -> tuple[Trajectory, Certificate]:
+        trajectory = dataclasses.replace(_assemble(found, robot, limits, start, speed, facts), collision=unchecked)
+        return trajectory, verify.verify(trajectory, robot, cell)
+
+    trajectory, certificate = certified(found)
     reserve = RESERVE
-    for attempt in range(4):
-        trajectory = _assemble(found, robot, limits, start, speed, notes or {})
-        certificate = verify.verify(trajectory, robot)
-        if certificate.ok or attempt == 3:
+    for _ in range(TIGHTENINGS):
+        if certificate.ok:
             break
-        reserve = min(max(2.0 * reserve, reserve - 1.5 * certificate.worst().room), MOST_RESERVE)
-        say(f"between samples {certificate.worst().limit} of {certificate.worst().joint} breaks its limit; tightening by {reserve:.2g}")
-        tighter = design.tightened(found.setting, limits, reserve)
-        found = Design(tighter, (design.improve(tighter, found.motion, found.attempts[0].number), *found.attempts[1:]))
-    timing["solve"] = time.perf_counter() - setting.built
-    timing["total"] = time.perf_counter() - begun
+        found, reserve = _tightened(found, limits, certificate, reserve, say)
+        trajectory, certificate = certified(found)
+    timing |= {"solve": time.perf_counter() - setting.built, "total": time.perf_counter() - begun}
     if not certificate.ok and not force:
-        worst = certificate.worst()
-        reason = (
-            certificate.faults[0]
-            if certificate.faults
-            else f"{worst.limit} of '{worst.joint}' reaches {worst.value:.4g} of {worst.bound:.4g}"
-        )
+        reason = certificate.faults[0] if certificate.faults else certificate.worst().words()
         raise CheckFailed(f"{robot.source}: the designed motion fails its certificate: {reason}; try another --seed or --force")
     # what earlier recordings gave need not be shown again
     if given is None and not trajectory.criteria["optimum"]["geometric"]["cond"] < 1.0 / SINGULAR:
@@ -103,11 +107,21 @@ def run(
     return Delivery(trajectory, certificate, found, timing)
 
 
+def _tightened(found: Design, limits: Limits, certificate: Certificate, reserve: float, say: Progress) -> tuple[Design, float]:
+    """The design with more reserve or clearance, as its certificate found too little of them between samples; and the reserve."""
+    worst, short = certificate.worst(), certificate.short_of_clearance()
+    if worst.limit != CLEARANCE:
+        reserve = min(max(2.0 * reserve, reserve - 1.5 * worst.room), MOST_RESERVE)
+    say(f"between samples {worst.words()}; tightening")
+    tighter = design.tightened(found.setting, limits, reserve, 1.5 * short)
+    return Design(tighter, (design.improve(tighter, found.motion, found.attempts[0].number), *found.attempts[1:])), reserve
+
+
 def _assemble(found: Design, robot: Robot, limits: Limits, start: Array | None, speed: float, notes: dict[str, Any]) -> Trajectory:
     setting = found.setting
     options = setting.problem.options
     stated = ramps.with_derived(limits, found.motion)
-    subject = Subject(robot, stated, setting.problem.parameters, options.uncertainty, options.boxes)
+    subject = Subject(robot, stated, setting.problem.parameters, options.uncertainty, options.boxes, setting.problem.clearance)
     whole = ramps.rest_to_rest(subject, found.motion, options.periods, options.rate, start)
     if speed != 1.0:
         whole = whole.slowed(speed)

@@ -15,7 +15,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # Each layer may import from itself and from the ones before it.
 LAYERS = (
     {"__init__", "errors", "urdf", "robot", "limits", "trajectory", "motion", "plant"},
-    {"parameters", "structure", "dynamics", "compiled", "symbolic", "base", "criteria", "overlap", "problem", "checks"},
+    {"parameters", "structure", "dynamics", "compiled", "symbolic", "base", "criteria", "overlap", "problem", "checks", "collision"},
     {"evaluate", "start", "subproblem", "solver", "starts", "design", "ramps", "wording", "scenarios", "identifiability", "recordings"}
     | {"artefact", "identify", "diagnose"},
     {"verify", "export", "report", "files", "workflow", "plan", "validation"},

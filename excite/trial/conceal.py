@@ -126,7 +126,8 @@ def _effect(
 ) -> tuple[Effect, float]:
     """An effect of random size and place (`joint` first, where it may sit there), scaled to its severity; and the severity reached.
 
-    Where a joint shows too little of it whatever its size (a wrist that hardly loads its spring), another draw is made.
+    Where a joint shows too little of it whatever its size (a wrist that hardly loads its spring), or the controller loses the
+    robot at any, another draw is made.
     """
     kind, n, (short, whole) = KINDS[name], len(plant.joints), motions
     first = {"payload": n // 2, "contact": n // 2, "kinematic_error": min(1, n - 1)}.get(name, 0)
@@ -138,12 +139,18 @@ def _effect(
         where = joint if draw == 0 and joint in plant.joints[first:] else drawn
         place = None if kind.place == "robot" or (kind.place == "either" and all_late) else where
         effect = effects.draw(kind, plant, place, spec.family, rng)
-        sized, _, reached = severity.reach(
-            effect, level, plant, along, chain, trusted=spec.trusted, tolerance=0.5, tries=3, largest=LARGEST
-        )
+        try:
+            sized, _, reached = severity.reach(
+                effect, level, plant, along, chain, trusted=spec.trusted, tolerance=0.5, tries=3, largest=LARGEST
+            )
+        except UnusableInput as error:
+            lost = error
+            continue
         found.append((abs(float(np.log(max(reached.value, 1e-9) / level))), sized, reached.value))
         if found[-1][0] < np.log(2.0):
             break
+    if not found:
+        raise lost
     _, best, value = min(found, key=lambda entry: entry[0])
     return best, value
 

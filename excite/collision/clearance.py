@@ -1,0 +1,311 @@
+"""Distances between covers of all bodies, many poses at once, with exact gradients: the optimiser's side of a cell.
+
+Capsules enclose links and tools; capsules, boxes and half spaces enclose what stands around. So the true distance is never less.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import coal
+import numpy as np
+
+from ..parameters import spread_poses
+from . import chain, cover, nearest
+from .cell import Cell, Pair, Probe
+from .chain import Chain
+from .cover import Capsule
+from .nearest import Nearest
+from .shape import Kind, Shape
+
+Array = np.ndarray
+SCALE = 0.4
+"""Distance to the margin that a row's unit stands for [m]: rows join the optimisation when a quarter of it is left."""
+SLACK = 4e-3
+"""Clearance beyond the margin for what happens between samples, at first [m]."""
+FAR = 0.15
+"""Beyond the margin by more than this, bounds of distances do [m]."""
+POSES = 1000
+OFTEN = 0.5
+"""Share of random poses in which hulls break a margin, from which they say nothing."""
+LOOSE = 0.05
+"""Share of random poses in which covers may break a margin that the bodies keep."""
+
+
+@dataclass(frozen=True)
+class Clearance:
+    """Pairs of covers that keep apart; arrays and shapes only, so that it goes to other processes.
+
+    joint, begin, end, radius: of the capsules, ends in the joint's frame. Shapes (C,), (C, 3), (C, 3), (C,).
+    box_pose, box_centre, box_half: of the boxes, base frame. Shapes (B, 3, 3), (B, 3), (B, 3). normal, height: of the planes.
+    hulls: bodies that capsules enclose too loosely, with the joint and placement of each; their convex hulls stand for them.
+    kind: 0 capsules, 1 capsule and box, 2 capsule and plane, 3 hulls. first, second: their numbers. need: clearance. Shapes (P,).
+    names: of the bodies of each pair. slack: more clearance, for what happens between samples [m].
+    """
+
+    chain: Chain
+    joint: Array
+    begin: Array
+    end: Array
+    radius: Array
+    box_pose: Array
+    box_centre: Array
+    box_half: Array
+    normal: Array
+    height: Array
+    hulls: tuple[Hull, ...]
+    kind: Array
+    first: Array
+    second: Array
+    need: Array
+    names: tuple[str, ...]
+    slack: float = SLACK
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    def at(self, q: Array) -> Look:
+        """Look at many poses. Shape (N, n)."""
+        return Look(self, *self.chain.poses(q))
+
+    def least(self, q: Array) -> tuple[Array, Array]:
+        """Clearance beyond what is needed at each pose, and the pair that has least. Shapes (N, n) -> (N,) [m], (N,)."""
+        room = self.at(q).distances() - self.need
+        pair = np.argmin(room, axis=1)
+        return room[np.arange(len(q)), pair], pair
+
+    def without(self, dropped: Array) -> Clearance:
+        """The same with fewer pairs. Shape (P,), bool."""
+        arrays = {name: getattr(self, name)[~dropped] for name in ("kind", "first", "second", "need")}
+        return dataclasses.replace(self, names=tuple(np.array(self.names, object)[~dropped]), **arrays)
+
+
+@dataclass(frozen=True)
+class Hull:
+    """A body as coal's convex solid, where a joint moves it. rotation, position: in the joint's frame. Shapes (3, 3), (3,)."""
+
+    shape: Shape
+    joint: int
+    rotation: Array
+    position: Array
+
+
+class Look:
+    """Distances at N poses, and their slopes. rotation, origin: of all joint frames. Shapes (N, J, 3, 3), (N, J, 3)."""
+
+    def __init__(self, clearance: Clearance, rotation: Array, origin: Array) -> None:
+        self.clearance, self.rotation, self.origin = clearance, rotation, origin
+        turned, moved = rotation[:, clearance.joint], origin[:, clearance.joint]
+        self.ends = [(turned @ end[:, :, None])[..., 0] + moved for end in (clearance.begin, clearance.end)]
+
+    def values(self) -> Array:
+        """Rows of the design problem, satisfied where ≤ 1. Shape (N, P)."""
+        return np.asarray(1.0 + (self.clearance.need + self.clearance.slack - self.distances()) / SCALE)
+
+    def distances(self) -> Array:
+        """Of every pair; a lower bound where they are further apart than matters. Shape (N, P) [m]."""
+        c = self.clearance
+        out = np.empty((len(self.origin), len(c)))
+        for kind in range(4):
+            pairs = np.flatnonzero(c.kind == kind)
+            if not len(pairs):
+                continue
+            bound = self._bound(kind, c.first[pairs], c.second[pairs])
+            sample, column = np.nonzero(bound < c.need[pairs] + FAR)
+            if len(sample):
+                bound[sample, column] = self._nearest(kind, sample, pairs[column]).distance
+            out[:, pairs] = bound
+        return out
+
+    def slopes(self, sample: Array, pair: Array) -> Array:
+        """Derivatives of single rows by the joints' positions. Shapes (m,), (m,) -> (m, n)."""
+        c = self.clearance
+        out = np.zeros((len(sample), c.chain.spread.shape[1]))
+        for kind in range(4):
+            at = np.flatnonzero(c.kind[pair] == kind)
+            if not len(at):
+                continue
+            found = self._nearest(kind, sample[at], pair[at])
+            R, p = self.rotation[sample[at]], self.origin[sample[at]]
+            joints = np.array([hull.joint for hull in c.hulls], int) if kind == 3 else c.joint
+            slope = c.chain.slopes(R, p, joints[c.first[pair[at]]], found.first, found.direction)
+            if kind in (0, 3):
+                slope -= c.chain.slopes(R, p, joints[c.second[pair[at]]], found.second, found.direction)
+            out[at] = -slope / SCALE
+        return out
+
+    def _bound(self, kind: int, a: Array, b: Array) -> Array:
+        """Least that distances can be, from balls around the bodies. Shape (N, P')."""
+        c = self.clearance
+        if kind == 3:
+            return np.full((len(self.origin), len(a)), -np.inf)
+        size = 0.5 * np.linalg.norm(c.end - c.begin, axis=1) + c.radius
+        middle = 0.5 * (self.ends[0] + self.ends[1])
+        centre = middle[:, a]
+        if kind == 0:
+            return np.asarray(_length(centre - middle[:, b]) - size[a] - size[b])
+        if kind == 1:
+            inside = (np.swapaxes(c.box_pose[b], 1, 2) @ (centre - c.box_centre[b])[..., None])[..., 0]
+            return np.asarray(_length(np.maximum(np.abs(inside) - c.box_half[b], 0.0)) - size[a])
+        return np.asarray(np.sum(centre * c.normal[b], axis=2) - c.height[b] - size[a])
+
+    def _nearest(self, kind: int, sample: Array, pair: Array) -> Nearest:
+        """Pairs of one kind, each at a sample of its own; distances of the capsules, not of their axes."""
+        c = self.clearance
+        a, b = c.first[pair], c.second[pair]
+        if kind == 3:
+            return self._hulls(sample, a, b)
+        one = self.ends[0][sample, a], self.ends[1][sample, a]
+        if kind == 0:
+            found = nearest.segments(*one, self.ends[0][sample, b], self.ends[1][sample, b])
+            return dataclasses.replace(found, distance=found.distance - c.radius[a] - c.radius[b])
+        if kind == 1:
+            found = nearest.box(*one, c.box_pose[b], c.box_centre[b], c.box_half[b])
+        else:
+            found = nearest.plane(*one, c.normal[b], c.height[b])
+        return dataclasses.replace(found, distance=found.distance - c.radius[a])
+
+    def _hulls(self, sample: Array, a: Array, b: Array) -> Nearest:
+        hulls = self.clearance.hulls
+        solids = [hull.shape.hull() for hull in hulls]
+        placed = [self._placed(sample, which) for which in (a, b)]
+        out = np.empty((len(sample), 10))
+        request, result = coal.DistanceRequest(), coal.DistanceResult()
+        for row, (i, j) in enumerate(zip(a.tolist(), b.tolist(), strict=True)):
+            one, other = (coal.Transform3s(R[row], p[row]) for R, p in placed)
+            result.clear()
+            least = coal.distance(solids[i], one, solids[j], other, request, result)
+            # coal's normal points from the first body to the second
+            out[row] = least, *(-result.normal), *result.getNearestPoint1(), *result.getNearestPoint2()
+        return Nearest(out[:, 0], out[:, 1:4], out[:, 4:7], out[:, 7:])
+
+    def _placed(self, sample: Array, which: Array) -> tuple[Array, Array]:
+        """Rotations and positions of hulls, a row each. Shapes (m, 3, 3), (m, 3)."""
+        hulls = self.clearance.hulls
+        joint = np.array([hull.joint for hull in hulls])[which]
+        R, p = self.rotation[sample, joint], self.origin[sample, joint]
+        own, offset = np.array([hull.rotation for hull in hulls])[which], np.array([hull.position for hull in hulls])[which]
+        return R @ own, (R @ offset[:, :, None])[..., 0] + p
+
+
+def _length(vectors: Array) -> Array:
+    return np.asarray(np.sqrt(np.sum(vectors * vectors, axis=-1)))
+
+
+@dataclass(frozen=True)
+class _Covers:
+    """What covers each shape: its capsules' numbers, or its boxes', or its plane's."""
+
+    capsules: list[list[int]]
+    boxes: list[list[int]]
+    planes: list[list[int]]
+
+
+def of(cell: Cell) -> Clearance | None:
+    """Covers of a cell and the pairs of them that can come near; None where none can.
+
+    A pair that covers cannot resolve, because they overlap where the bodies do not, is left to the certificate.
+    """
+    covers, capsules, joints, boxes, planes = _cover(cell)
+    rows = [row for pair in cell.pairs for row in _rows(covers, pair)]
+    if not rows:
+        return None
+    kind, first, second = (np.array([row[i] for row in rows], int) for i in range(3))
+    whole = Clearance(
+        chain=chain.of(cell.robot),
+        joint=np.array(joints, int),
+        begin=np.array([one.begin for one in capsules]),
+        end=np.array([one.end for one in capsules]),
+        radius=np.array([one.radius for one in capsules]),
+        box_pose=np.array([pose for pose, _, _ in boxes]).reshape(-1, 3, 3),
+        box_centre=np.array([centre for _, centre, _ in boxes]).reshape(-1, 3),
+        box_half=np.array([half for _, _, half in boxes]).reshape(-1, 3),
+        normal=np.array([normal for normal, _ in planes]).reshape(-1, 3),
+        height=np.array([height for _, height in planes], float),
+        hulls=(),
+        kind=kind,
+        first=first,
+        second=second,
+        need=np.array([row[3].margin for row in rows]),
+        names=tuple(cell.names(row[3]) for row in rows),
+    )
+    return _pruned(whole, cell)
+
+
+def _cover(
+    cell: Cell,
+) -> tuple[_Covers, list[Capsule], list[int], list[tuple[Array, Array, Array]], list[tuple[Array, float]]]:
+    covers = _Covers([], [], [])
+    capsules, joints = list[Capsule](), list[int]()
+    boxes, planes = list[tuple[Array, Array, Array]](), list[tuple[Array, float]]()
+    for one, joint, placement in zip(cell.shapes, cell.joints, cell.placements, strict=True):
+        own = list[int](), list[int](), list[int]()
+        if one.kind is Kind.FLOOR:
+            own[2].append(len(planes))
+            normal = placement.rotation[:, 2]
+            planes.append((normal, float(normal @ placement.translation)))
+        elif joint == 0 and one.kind in (Kind.BOX, Kind.MESH):
+            for low, high in cover.boxes(one):
+                own[1].append(len(boxes))
+                boxes.append((placement.rotation, placement.act(0.5 * (low + high)), 0.5 * (high - low)))
+        else:
+            # the cover is in the frame of the shape's link; from there to the joint's
+            outer = placement * one.placement.inverse()
+            for capsule in cover.capsules(one):
+                own[0].append(len(capsules))
+                capsules.append(capsule.moved(outer.rotation, outer.translation))
+                joints.append(joint)
+        for held, numbers in zip((covers.capsules, covers.boxes, covers.planes), own, strict=True):
+            held.append(numbers)
+    return covers, capsules, joints, boxes, planes
+
+
+def _rows(covers: _Covers, pair: Pair) -> Iterator[tuple[int, int, int, Pair]]:
+    a, b = pair.first, pair.second
+    if not covers.capsules[a]:
+        a, b = b, a
+    for first in covers.capsules[a]:
+        for kind, others in enumerate((covers.capsules[b], covers.boxes[b], covers.planes[b])):
+            for second in others:
+                yield kind, first, second, pair
+
+
+def _pruned(whole: Clearance, cell: Cell) -> Clearance | None:
+    """Without the pairs that never come near, over random poses; hulls instead of covers where these are too loose."""
+    poses = spread_poses(cell.limits, POSES)
+    room = whole.at(poses).distances() - whole.need
+    names = np.array(whole.names, object)
+    dropped = ~(room < FAR).any(axis=0)
+    tight = list[Pair]()
+    probe = Probe(cell, cell.pairs)
+    for number, pair in enumerate(cell.pairs):
+        rows = names == cell.names(pair)
+        broken = (room[:, rows] < 0.0).any(axis=1) if rows.any() else np.zeros(POSES, bool)
+        if broken.mean() <= LOOSE:
+            continue
+        some = poses[broken][:: max(int(broken.sum()) // 40, 1)]
+        share = float(np.mean([probe.to(q).distance(number) >= pair.margin for q in some]))
+        if share * broken.mean() > LOOSE:
+            dropped |= rows
+            tight.append(pair)
+    return _with_hulls(whole.without(dropped), cell, tight)
+
+
+def _with_hulls(whole: Clearance, cell: Cell, pairs: Sequence[Pair]) -> Clearance | None:
+    """With pairs of hulls too; those whose hulls do not keep their margin in most poses either are left to the certificate."""
+    bodies = sorted({i for pair in pairs for i in (pair.first, pair.second)})
+    hulls = tuple(Hull(cell.shapes[i], cell.joints[i], cell.placements[i].rotation, cell.placements[i].translation) for i in bodies)
+    more = dataclasses.replace(
+        whole,
+        hulls=hulls,
+        kind=np.append(whole.kind, np.full(len(pairs), 3)),
+        first=np.append(whole.first, [bodies.index(pair.first) for pair in pairs]).astype(int),
+        second=np.append(whole.second, [bodies.index(pair.second) for pair in pairs]).astype(int),
+        need=np.append(whole.need, [pair.margin for pair in pairs]),
+        names=(*whole.names, *(cell.names(pair) for pair in pairs)),
+    )
+    few = more.at(spread_poses(cell.limits, POSES // 10)).distances() - more.need
+    hopeless = (more.kind == 3) & ((few < 0.0).mean(axis=0) > OFTEN)
+    return more.without(hopeless) if not hopeless.all() else None

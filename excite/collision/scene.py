@@ -1,0 +1,189 @@
+"""What stands around a robot, and what it carries: a TOML file, a floor, and where the floor is if nobody says.
+
+[[box]]                      # or sphere, capsule, cylinder, mesh
+name = "table"
+size = [1.2, 0.8, 0.05]      # radius, length of the round ones; file, scale of a mesh, beside the scene file
+position = [0.5, 0.0, -0.025]
+rotation = [0.0, 0.0, 0.0]   # roll, pitch, yaw [rad]
+link = "tool0"               # fixed to a link, in its frame: a tool; without it, fixed in the base frame
+ignore = ["base_link"]       # bodies that it may touch
+
+floor = -0.75                # or false
+clearance = 0.03
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ..errors import UnusableInput
+from ..limits import Limits
+from ..parameters import spread_poses
+from ..robot import Robot
+from . import cell as cells
+from . import cover, links
+from .cell import Cell
+from .shape import COUNTS, Kind, Shape
+
+Array = np.ndarray
+KINDS = tuple(kind.value for kind in Kind if kind is not Kind.FLOOR)
+PLACING = {"name", "position", "rotation", "link", "ignore"}
+OWN = {"sphere": {"radius"}, "capsule": {"radius", "length"}, "cylinder": {"radius", "length"}, "box": {"size"}, "mesh": {"file", "scale"}}
+POSES = 200
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Shapes around the robot and on it. floor: its height [m]; False: none; None: not said. clearance: [m], None: not said."""
+
+    shapes: tuple[Shape, ...] = ()
+    ignored: tuple[tuple[str, str], ...] = ()
+    floor: float | bool | None = None
+    clearance: float | None = None
+
+
+def read(path: Path) -> Scene:
+    """Read a scene file. Raises UnusableInput that names the entry and what is wrong with it."""
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise UnusableInput(f"{path}: cannot be read as a scene ({error}); give a TOML file") from error
+    unknown = set(table) - {*KINDS, "floor", "clearance"}
+    if unknown:
+        raise UnusableInput(f"{path}: '{min(unknown)}' is nothing a scene has; it has {', '.join(KINDS)}, floor and clearance")
+    shapes, ignored = list[Shape](), list[tuple[str, str]]()
+    for kind in KINDS:
+        for number, entry in enumerate(_list(path, kind, table.get(kind, []))):
+            one = _shape(path, kind, entry, f"{kind} {number + 1}")
+            if one.name in {other.name for other in shapes}:
+                raise UnusableInput(f"{path}: two shapes are named '{one.name}'; rename one")
+            shapes.append(one)
+            ignored += [(one.name, str(other)) for other in _list(path, f"{one.name}: ignore", entry.get("ignore", []))]
+    return Scene(tuple(shapes), tuple(ignored), _floor(path, table.get("floor")), _positive(path, "clearance", table.get("clearance")))
+
+
+def _list(path: Path, what: str, value: Any) -> list[Any]:
+    if not isinstance(value, list):
+        raise UnusableInput(f"{path}: {what} should be a list; write [[{what}]]")
+    return value
+
+
+def _floor(path: Path, value: Any) -> float | bool | None:
+    if value is None or value is False:
+        return value
+    return _vector(path, "floor", [value], 1)[0]
+
+
+def _positive(path: Path, what: str, value: Any) -> float | None:
+    if value is None:
+        return None
+    number = _vector(path, what, [value], 1)[0]
+    if number < 0.0:
+        raise UnusableInput(f"{path}: {what} = {value} should be 0 or more metres")
+    return number
+
+
+def _shape(path: Path, kind: str, entry: Any, unnamed: str) -> Shape:
+    if not isinstance(entry, Mapping):
+        raise UnusableInput(f"{path}: {unnamed} is no table; write [[{kind}]]")
+    name = str(entry.get("name", unnamed))
+    unknown = set(entry) - PLACING - OWN[kind]
+    if unknown:
+        raise UnusableInput(f"{path}: '{name}': a {kind} has no '{min(unknown)}'; it has {', '.join(sorted(PLACING | OWN[kind]))}")
+    file = None
+    if kind == "mesh":
+        file = path.parent / str(entry.get("file", ""))
+        if not file.is_file():
+            raise UnusableInput(f"{path}: '{name}': its mesh {file} is not there; correct 'file'")
+        size = _vector(path, f"'{name}': scale", entry.get("scale", [1.0, 1.0, 1.0]), 3)
+    elif kind == "box":
+        size = _vector(path, f"'{name}': size", entry.get("size"), 3)
+    else:
+        keys = ("radius", "length")[: COUNTS[Kind(kind)]]
+        size = _vector(path, f"'{name}': {' and '.join(keys)}", [entry.get(key) for key in keys], len(keys))
+    if min(size) <= 0.0:
+        raise UnusableInput(f"{path}: '{name}': its size {list(size)} should be positive")
+    position, rotation = (_vector(path, f"'{name}': {key}", entry.get(key, [0.0] * 3), 3) for key in ("position", "rotation"))
+    link = entry.get("link")
+    return Shape(
+        name, Kind(kind), size, position, rotation,  # type: ignore[arg-type]
+        None if link is None else str(link), None if file is None else str(file.resolve()),
+    )  # fmt: skip
+
+
+def _vector(path: Path, what: str, value: Any, count: int) -> tuple[float, ...]:
+    numbers = isinstance(value, list) and all(isinstance(v, int | float) and not isinstance(v, bool) for v in value)
+    if not numbers or len(value) != count or not np.isfinite(value).all():
+        raise UnusableInput(f"{path}: {what} should be {count} finite number(s), not {value}")
+    return tuple(float(v) for v in value)
+
+
+def cell(
+    robot: Robot,
+    limits: Limits,
+    scene: Scene,
+    *,
+    packages: Sequence[str] = (),
+    disabled: Sequence[tuple[str, str]] = (),
+    margin: float | None = None,
+) -> Cell:
+    """The robot among what the scene holds. margin: clearance, before the scene's and the default [m].
+
+    Raises MissingMesh or UnusableInput as its parts do; a robot without any shape of a moving link has no cell: UnusableInput.
+    """
+    own = links.read(robot.source, packages)
+    moving = {one.link for one in own if robot.model.frames[robot.frame(str(one.link))].parentJoint > 0}
+    if not moving:
+        raise UnusableInput(f"{robot.source}: gives no moving link a <collision> shape; add shapes, or --no-collision")
+    clearance = next(value for value in (margin, scene.clearance, cells.MARGIN) if value is not None)
+    known = {one.name for one in (*own, *scene.shapes)} | {frame.name for frame in robot.model.frames} | {"floor"}
+    for name, other in scene.ignored:
+        if other not in known:
+            raise UnusableInput(f"'{name}' may touch '{other}', which there is not; correct its 'ignore'")
+    floor, notes = _floor_height(robot, limits, own, scene)
+    bare = [link for i, link in enumerate(robot.links, 1) if link not in moving and robot.model.inertias[i].mass > 0.0]
+    notes += [f"no shape is known of {', '.join(bare)}"] if bare else []
+    shapes = [*own, *scene.shapes, *([] if floor is None else [Shape("floor", Kind.FLOOR, position=(0.0, 0.0, floor))])]
+    return cells.build(robot, limits, shapes, clearance, [*disabled, *scene.ignored], notes)
+
+
+def _floor_height(robot: Robot, limits: Limits, own: Sequence[Shape], scene: Scene) -> tuple[float | None, list[str]]:
+    """The stated floor; else the base frame's origin or, if that is lower, the lowest point of the links that stand.
+
+    No floor is guessed where gravity does not point down, or where nearly all poses reach below it: that robot hangs.
+    """
+    if scene.floor is False:
+        return None, []
+    if scene.floor is not None:
+        return float(scene.floor), []
+    gravity = robot.model.gravity.linear
+    if np.hypot(gravity[0], gravity[1]) > 1e-6 * np.linalg.norm(gravity) or gravity[2] >= 0.0:
+        return None, ["gravity does not point down the base's z axis: no floor is assumed (--floor Z says where it is)"]
+    data = robot.model.createData()
+    standing = [p[2] for p, joint in _points(robot, own, data, np.zeros(robot.n)) if joint == 0]
+    height = min([0.0, *standing])
+    lowest = [min((p[2] for p, joint in _points(robot, own, data, q) if joint), default=height) for q in spread_poses(limits, POSES)]
+    if np.mean(np.array(lowest) < height) > 0.95:
+        return None, [f"the robot hangs below its base: no floor is assumed at {height:g} m (--floor Z says where it is)"]
+    return height, []
+
+
+def _points(robot: Robot, own: Sequence[Shape], data: pin.Data, q: Array) -> list[tuple[Array, int]]:
+    """Lowest points of covers of the links at a pose, with the joint that moves each."""
+    pin.forwardKinematics(robot.model, data, robot.expand(q))
+    out = []
+    for one in own:
+        frame = robot.model.frames[robot.frame(str(one.link))]
+        at = data.oMi[frame.parentJoint] * frame.placement
+        for capsule in cover.capsules(one):
+            ends = [at.act(end) for end in (capsule.begin, capsule.end)]
+            low = min(ends, key=lambda end: float(end[2]))
+            out.append((low - np.array([0.0, 0.0, capsule.radius]), int(frame.parentJoint)))
+    return out

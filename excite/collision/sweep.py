@@ -1,0 +1,219 @@
+"""The certificate's own check: least distances along a whole motion, between the moments looked at too.
+
+While bodies a and b move, their distance falls no faster than Σ |q̇_k| ρ_k over the joints k between them, ρ_k the furthest
+that a point of what k moves can be from k's axis. So from a distance d nothing comes nearer than l before the integral
+of that speed has reached d − l: one looks again only then (conservative advancement; Mirtich & Canny 1995).
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ..errors import UnusableInput
+from ..motion import Motion, Segment
+from ..trajectory import oversampling_bound
+from .cell import Cell, Pair, Probe
+from .shape import Kind
+
+Array = np.ndarray
+STEP = 1e-3
+"""Grid of the check [s]; where it does not decide, the step is divided."""
+TOLERANCE = 5e-4
+SHARE = 0.02
+"""How far what is proven may stay behind what was found [m], and as a share of it."""
+AMPLE = 0.02
+"""Beyond the margin by this much [m], nobody asks how far."""
+DIVIDED = 32
+
+
+@dataclass(frozen=True)
+class Near:
+    """How near the two bodies of a pair come. found: least distance seen [m], at `time` [s] and `pose`; proven: never less [m]."""
+
+    pair: Pair
+    names: str
+    found: float
+    proven: float
+    time: float
+    pose: Array
+
+    def document(self, joints: Sequence[str]) -> dict[str, Any]:
+        """As a trajectory states it."""
+        return {
+            "pair": self.names,
+            "least": self.found,
+            "proven": self.proven,
+            "margin": self.pair.margin,
+            "time": self.time,
+            "pose": dict(zip(joints, self.pose.tolist(), strict=True)),
+        }
+
+
+def along(cell: Cell, motion: Motion) -> list[Near]:
+    """Least distance of every pair over a motion, the one nearest to its margin first."""
+    best: dict[int, Near] = {}
+    for segment in motion.segments:
+        for index, near in _segment(cell, motion, segment):
+            held = best.get(index)
+            if held is None or near.found < held.found:
+                lower = near.proven if held is None else min(near.proven, held.proven)
+                best[index] = Near(near.pair, near.names, near.found, lower, near.time, near.pose)
+            elif near.proven < held.proven:
+                best[index] = Near(held.pair, held.names, held.found, near.proven, held.time, held.pose)
+    inside = contained(cell, motion.at(np.zeros(1))[0])
+    if inside is not None:
+        raise UnusableInput(f"{cell.names(inside)}: one is inside the other's mesh; the motion cannot begin there")
+    return sorted(best.values(), key=lambda near: near.proven - near.pair.margin)
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """Configurations of a segment at equal steps. speed: bound of |q̇| over each step. Shapes (N, n), (N − 1, n)."""
+
+    time: Array
+    q: Array
+    speed: Array
+
+
+def _segment(cell: Cell, motion: Motion, segment: Segment) -> Iterator[tuple[int, Near]]:
+    grid = _grid(motion, segment)
+    robot, probe = cell.robot, Probe(cell, cell.pairs)
+    reach = _reach(cell, np.abs(robot.expand(grid.q)).max(axis=0))
+    speeds = grid.speed @ np.abs(robot.spread).T
+    # how far each pair may have moved since the segment began
+    way = np.vstack([np.zeros(len(cell.pairs)), np.cumsum(speeds @ reach.T * np.diff(grid.time)[:, None], axis=0)])
+    last = len(grid.time) - 1
+    found, proven = np.full(len(cell.pairs), np.inf), np.full(len(cell.pairs), np.inf)
+    where = np.zeros(len(cell.pairs), int)
+    before = [(0, np.inf)] * len(cell.pairs)
+    queue = [(0, k) for k in range(len(cell.pairs))]
+    now = -1
+    while queue:
+        index, k = heapq.heappop(queue)
+        if index != now:
+            probe.to(grid.q[index])
+            now = index
+        distance = probe.distance(k)
+        if distance < found[k]:
+            found[k], where[k] = distance, index
+        level = min(found[k] - max(TOLERANCE, SHARE * abs(found[k])), cell.pairs[k].margin + AMPLE)
+        start, ahead = before[k]
+        if index > 0:
+            between = 0.5 * (ahead + distance - (way[index, k] - way[start, k]))
+            if between < level and index == start + 1 and distance > 0.0:
+                step, poses = way[index, k] - way[start, k], _parts(motion, segment, grid.time[start : index + 1], level, between)
+                between = max(between, _divided(probe, k, poses, step))
+                now = -1
+            proven[k] = min(proven[k], between)
+        proven[k] = min(proven[k], distance)
+        before[k] = (index, distance)
+        if index < last:
+            safe = int(np.searchsorted(way[:, k], way[index, k] + distance - level, side="right")) - 1
+            heapq.heappush(queue, (min(max(safe, index + 1), last), k))
+    for k, pair in enumerate(cell.pairs):
+        yield k, Near(pair, cell.names(pair), float(found[k]), float(proven[k]), float(grid.time[where[k]]), grid.q[where[k]])
+
+
+def _divided(probe: Probe, pair: int, poses: Array, way: float) -> float:
+    """A bound within one step of the grid, from distances at its parts."""
+    d = np.empty(len(poses))
+    for i, q in enumerate(poses):
+        probe.to(q)
+        d[i] = probe.distance(pair)
+    return float((0.5 * (d[:-1] + d[1:] - way / (len(poses) - 1))).min())
+
+
+def _parts(motion: Motion, segment: Segment, ends: Array, level: float, bound: float) -> Array:
+    """Poses within a step, as many as its bound falls short of the level in tolerances."""
+    count = int(np.clip(2.0 + (level - bound) / TOLERANCE, 2, DIVIDED))
+    return _poses(motion, segment, np.linspace(ends[0], ends[-1], count + 1))
+
+
+def _poses(motion: Motion, segment: Segment, times: Array) -> Array:
+    local = times - segment.start
+    return motion.fourier.at(local) if segment.profile is None else segment.profile.at(local)
+
+
+def _grid(motion: Motion, segment: Segment) -> _Grid:
+    """One period of the Fourier part stands for all."""
+    fourier = motion.fourier
+    length = fourier.period if segment.profile is None else segment.end - segment.start
+    count = max(int(np.ceil(length / STEP)), 8)
+    time = segment.start + np.linspace(0.0, length, count + 1)
+    if segment.profile is None:
+        speed, steepest = fourier.at(time - segment.start, 1), np.abs(fourier.at(time - segment.start, 2)).max(axis=0)
+        steepest = steepest * oversampling_bound(count, fourier.harmonics)
+    else:
+        speed = segment.profile.at(time - segment.start, 1)
+        # linear between knots: extreme at them
+        steepest = np.abs(segment.profile.at(segment.profile.knots(), 2)).max(axis=0)
+    highest = np.maximum(np.abs(speed[:-1]), np.abs(speed[1:])) + 0.5 * (length / count) * steepest
+    return _Grid(time, _poses(motion, segment, time), highest)
+
+
+def _reach(cell: Cell, most: Array) -> Array:
+    """Speed of a pair's approach per speed of each of the model's joints, at most. most: |q| of those. Shape (P, nv)."""
+    model = cell.robot.model
+    axes = cell.robot.axes()
+    length = [0.0] * model.njoints
+    for i in range(1, model.njoints):
+        sliding = float(np.linalg.norm(axes[i - 1][:3]))
+        length[i] = float(np.linalg.norm(model.jointPlacements[i].translation)) + sliding * most[i - 1]
+    out = np.zeros((len(cell.pairs), model.nv))
+    for row, pair in enumerate(cell.pairs):
+        ways = [list(model.supports[cell.joints[i]])[1:] for i in (pair.first, pair.second)]
+        for body, mine, other in ((pair.first, ways[0], ways[1]), (pair.second, ways[1], ways[0])):
+            radius = _radius(cell, body)
+            for joint in reversed([j for j in mine if j not in other]):
+                axis = axes[joint - 1]
+                out[row, joint - 1] = np.linalg.norm(axis[3:]) * radius + np.linalg.norm(axis[:3])
+                radius += length[joint]
+    return out
+
+
+def _radius(cell: Cell, body: int) -> float:
+    """The furthest that a point of a body is from its joint's origin."""
+    one = cell.shapes[body]
+    if one.kind is Kind.FLOOR:
+        return 0.0
+    placement = cell.placements[body]
+    solid = cell.solids[body]
+    solid.computeLocalAABB()
+    return float(np.linalg.norm(placement.act(np.array(solid.aabb_center)))) + float(solid.aabb_radius)
+
+
+def contained(cell: Cell, q: Array) -> Pair | None:
+    """A pair of which one body lies inside the other's closed mesh, where distances to its surface say nothing. Shape (n,)."""
+    robot, data = cell.robot, cell.robot.model.createData()
+    pin.forwardKinematics(robot.model, data, robot.expand(q))
+    for pair in cell.pairs:
+        for outer, inner in ((pair.first, pair.second), (pair.second, pair.first)):
+            if cell.shapes[outer].kind is not Kind.MESH or cell.shapes[inner].kind is Kind.FLOOR:
+                continue
+            at = [data.oMi[cell.joints[i]] * cell.placements[i] for i in (outer, inner)]
+            point = at[0].actInv(at[1].act(_point(cell, inner)))
+            if _winding(cell.shapes[outer].triangles() - point) > 0.5:
+                return pair
+    return None
+
+
+def _point(cell: Cell, body: int) -> Array:
+    one = cell.shapes[body]
+    return np.asarray(one.triangles()[0, 0]) if one.kind is Kind.MESH else np.zeros(3)
+
+
+def _winding(triangles: Array) -> float:
+    """How often a surface goes round the origin (van Oosterom & Strackee 1983). Shape (m, 3, 3)."""
+    length = np.linalg.norm(triangles, axis=2)
+    a, b, c = (triangles[:, k] for k in range(3))
+    volume = np.einsum("mi,mi->m", a, np.cross(b, c))
+    flat = length.prod(axis=1) + sum(
+        np.einsum("mi,mi->m", triangles[:, i], triangles[:, j]) * length[:, k] for i, j, k in ((0, 1, 2), (0, 2, 1), (1, 2, 0))
+    )
+    return abs(float(np.sum(2.0 * np.arctan2(volume, flat)) / (4.0 * np.pi)))

@@ -17,7 +17,7 @@ from . import artefact, base, cluster, criteria, dynamics, files, parameters, pl
 from . import export as exports
 from . import identifiability as identifiable
 from . import verify as certificates
-from .collision import clearance
+from .collision import covering
 from .criteria import Criterion
 from .errors import CheckFailed, UnusableInput
 from .overlap import Apart
@@ -123,7 +123,7 @@ def _design(arguments: argparse.Namespace) -> Outcome:
     cell, unchecked = told.cell(arguments, robot, table)
     planned = None
     if arguments.time is not None:
-        covers = None if cell is None else clearance.of(cell)
+        covers = None if cell is None else covering.clearance(cell)
         planned = plan.budgeted(robot, table, options, wish, arguments.time, start=start, given=given, clearance=covers)
     if planned is not None:
         notes["plan"] = planned.facts()

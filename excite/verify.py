@@ -117,8 +117,7 @@ def verify(trajectory: Trajectory, robot: Robot, cell: Cell | None = None) -> Ce
     collision, near = trajectory.collision, list[Near]()
     if cell is not None or CELL in trajectory.design:
         collision, near = _distances(trajectory, robot, cell)
-    for one in near[:LISTED]:
-        margins[CLEARANCE, one.names] = _clearance(one)
+    margins |= {(CLEARANCE, one.names): _clearance(one) for one in near[:LISTED]}
     scores = score(trajectory, robot, subject.parameters)
     faults = [*_faults(trajectory), *_criteria_faults(trajectory, scores)]
     ordered = tuple(sorted(margins.values(), key=lambda margin: margin.room))
@@ -136,8 +135,17 @@ def _distances(trajectory: Trajectory, robot: Robot, cell: Cell | None) -> tuple
     if not near:
         return f"collision checked: nothing can meet{but}", []
     worst = min(near, key=lambda one: one.proven)
-    least = f"collision checked: never less than {1e3 * worst.proven:.1f} mm, {worst.names} at {worst.time:.2f} s"
-    return (least if worst.proven > 0.0 else f"COLLISION: {worst.names} at {worst.time:.2f} s") + but, near
+    if worst.proven <= 0.0:
+        return f"COLLISION: {worst.names} at {worst.time:.2f} s{but}", near
+    wide = [one for one in near if one.pair.margin >= known.margin]
+    said = [f"never less than {_words(min(wide, key=lambda one: one.proven))}"] if wide else []
+    close = [one for one in near if one.pair.margin < known.margin]
+    said += [f"neighbours {_words(min(close, key=lambda one: one.proven))}"] if close else []
+    return f"collision checked: {'; '.join(said)}{but}", near
+
+
+def _words(near: Near) -> str:
+    return f"{1e3 * near.proven:.1f} mm, {near.names} at {near.time:.2f} s"
 
 
 def _clearance(near: Near) -> Margin:

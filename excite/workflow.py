@@ -13,7 +13,7 @@ import threadpoolctl
 from . import design, ramps, verify
 from .artefact import Trajectory, versions
 from .checks import Subject
-from .collision import clearance
+from .collision import covering
 from .collision.cell import Cell
 from .design import Design
 from .errors import CheckFailed, UnusableInput
@@ -75,7 +75,7 @@ def run(
         raise UnusableInput(f"--speed {speed:g} should be above 0 and at most 1")
     if options.free_period is None:
         design.whole_samples(options.period / speed, options.rate)
-    setting = design.prepare(robot, limits, options, given, apart, None if cell is None else clearance.of(cell))
+    setting = design.prepare(robot, limits, options, given, apart, None if cell is None else covering.clearance(cell))
     say(f"{robot.name}: {robot.n} joints, {setting.base.count} base parameters")
     found = design.solve(setting, progress)
     timing = {"build": setting.built - begun, **found.timing()}

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-import coal
 import numpy as np
-import pinocchio as pin
 
 from ..errors import UnusableInput
 from ..limits import Limits
 from ..parameters import ranges, spread_poses
 from ..robot import Robot
 from . import shape as shapes
+from .probe import Body, Pair, Probe, bodies
 from .shape import Kind, Shape
 
 Array = np.ndarray
@@ -32,15 +31,6 @@ GRID = 24
 
 
 @dataclass(frozen=True)
-class Pair:
-    """Two shapes (indices) that keep at least `margin` apart [m]."""
-
-    first: int
-    second: int
-    margin: float
-
-
-@dataclass(frozen=True)
 class Apart:
     """A pair of bodies that is not held to the margin, and why."""
 
@@ -53,82 +43,36 @@ class Apart:
 class Cell:
     """What verification checks.
 
-    shapes: of the robot, its tools and its surroundings. joints: the model's joint that moves each, 0 for what stands.
-    placements: in that joint's frame. solids, hulls: for coal, exactly and convex.
-    pairs: that keep apart. excepted: pairs that need not, with reasons.
-    margin: clearance [m]. notes: what a user should know.
+    bodies: links, tools, surroundings. pairs: of them, that keep apart. excepted: pairs that need not, with reasons.
+    margin: clearance [m]. disabled: names of bodies whose contact is no matter. notes: what a user should know.
     """
 
     robot: Robot
     limits: Limits
-    shapes: tuple[Shape, ...]
-    joints: tuple[int, ...]
-    placements: tuple[pin.SE3, ...]
-    solids: tuple[coal.CollisionGeometry, ...]
-    hulls: tuple[coal.CollisionGeometry, ...]
+    bodies: tuple[Body, ...]
     pairs: tuple[Pair, ...]
     excepted: tuple[Apart, ...]
     margin: float
     disabled: tuple[tuple[str, str], ...] = ()
-    notes: tuple[str, ...] = field(default=())
-
-    def body(self, index: int) -> str:
-        """Name that people know a shape by: its link's, or its own where it stands in the base frame or is a tool."""
-        one = self.shapes[index]
-        return one.name if one.link is None or not one.name.startswith(one.link) else one.link
+    notes: tuple[str, ...] = ()
 
     def names(self, pair: Pair) -> str:
         """Both bodies of a pair."""
-        return f"{self.body(pair.first)} – {self.body(pair.second)}"
+        return f"{self.bodies[pair.first].name} – {self.bodies[pair.second].name}"
+
+    def probe(self) -> Probe:
+        """Distances of its pairs, by coal."""
+        return Probe(self.robot, self.bodies, self.pairs, 2.0 * self.margin)
 
     def document(self) -> dict[str, Any]:
         """As a trajectory states it; `from_document` makes the same cell of it again."""
         return {
             "margin": self.margin,
-            "shapes": [one.document() for one in self.shapes],
+            "shapes": [one.document() for body in self.bodies for one in body.shapes],
             "disabled": [list(pair) for pair in self.disabled],
             "excepted": [dataclasses.asdict(one) for one in self.excepted],
             "notes": list(self.notes),
         }
-
-
-class Probe:
-    """Distances of a cell's pairs at one configuration after another, by coal."""
-
-    def __init__(self, cell: Cell, pairs: Sequence[Pair]) -> None:
-        self.robot, self.pairs, self.margin = cell.robot, tuple(pairs), cell.margin
-        self.data = cell.robot.model.createData()
-        self.meshes = [any(cell.shapes[i].kind is Kind.MESH for i in (pair.first, pair.second)) for pair in pairs]
-        self.convex, self.exact = (_geometry(cell, pairs, solids) for solids in (cell.hulls, cell.solids))
-
-    def to(self, q: Array) -> Probe:
-        """Go to a configuration of the moving joints. Shape (n,)."""
-        pose = self.robot.expand(q)
-        pin.forwardKinematics(self.robot.model, self.data, pose)
-        pin.updateGeometryPlacements(self.robot.model, self.data, *self.convex)
-        if any(self.meshes):
-            pin.updateGeometryPlacements(self.robot.model, self.data, *self.exact)
-        return self
-
-    def distance(self, pair: int, near: float | None = None) -> float:
-        """Of a pair by its number; ≤ 0 where the bodies meet [m].
-
-        Of meshes further apart than `near` (None: twice the margin) it is that of their convex hulls, which is never larger
-        and a hundred times cheaper.
-        """
-        least = float(pin.computeDistance(*self.convex, pair).min_distance)
-        if self.meshes[pair] and least < (2.0 * self.margin if near is None else near):
-            least = float(pin.computeDistance(*self.exact, pair).min_distance)
-        return least
-
-
-def _geometry(cell: Cell, pairs: Sequence[Pair], solids: Sequence[coal.CollisionGeometry]) -> tuple[pin.GeometryModel, pin.GeometryData]:
-    model = pin.GeometryModel()
-    for one, joint, placement, solid in zip(cell.shapes, cell.joints, cell.placements, solids, strict=True):
-        model.addGeometryObject(pin.GeometryObject(one.name, joint, placement, solid))
-    for pair in pairs:
-        model.addCollisionPair(pin.CollisionPair(pair.first, pair.second))
-    return model, model.createData()
 
 
 def from_document(robot: Robot, limits: Limits, document: Mapping[str, Any]) -> Cell:
@@ -153,46 +97,27 @@ def build(
     """
     if not (np.isfinite(margin) and margin >= 0.0):
         raise UnusableInput(f"--clearance {margin:g} should be 0 or more metres")
-    joints, placements = [], []
-    for one in found:
-        joint, placement = 0, pin.SE3.Identity()
-        if one.link is not None:
-            frame = robot.model.frames[robot.frame(one.link)]
-            joint, placement = int(frame.parentJoint), frame.placement
-        joints.append(joint)
-        placements.append(placement * one.placement)
-    solids, hulls = tuple(one.solid() for one in found), tuple(one.hull() for one in found)
-    bare = Cell(robot, limits, tuple(found), tuple(joints), tuple(placements), solids, hulls, (), (), margin, tuple(disabled), tuple(notes))
-    pairs, excepted = _sorted_out(bare, [Pair(*both, margin) for both in _movable(bare)])
+    bare = Cell(robot, limits, bodies(robot, found), (), (), margin, tuple(disabled), tuple(notes))
+    pairs, excepted = _sorted_out(dataclasses.replace(bare, pairs=tuple(Pair(*both, margin) for both in _movable(bare))))
     return dataclasses.replace(bare, pairs=tuple(pairs), excepted=tuple(excepted))
 
 
-def _movable(cell: Cell) -> list[tuple[int, int]]:
+def _movable(cell: Cell) -> Iterator[tuple[int, int]]:
     """Pairs whose distance can change, but for links that a joint connects and pairs that are disabled."""
     parents = list(cell.robot.model.parents)
     off = {frozenset(pair) for pair in cell.disabled}
-    out = []
-    for first, second in itertools.combinations(range(len(cell.shapes)), 2):
-        a, b = cell.joints[first], cell.joints[second]
-        one, other = cell.shapes[first], cell.shapes[second]
-        if a == b or frozenset((_known(one), _known(other))) in off:
-            continue
+    for (first, one), (second, other) in itertools.combinations(enumerate(cell.bodies), 2):
+        a, b = one.joint, other.joint
         # what stands around is no neighbour of the first joint's link; the base's own links are
-        both_links = one.link is not None and other.link is not None
-        if both_links and (parents[a] == b or parents[b] == a):
-            continue
-        out.append((first, second))
-    return out
+        neighbours = (parents[a] == b or parents[b] == a) and not (one.around or other.around)
+        if a != b and not neighbours and frozenset((one.name, other.name)) not in off:
+            yield first, second
 
 
-def _known(one: Shape) -> str:
-    return one.link if one.link is not None and one.name.startswith(one.link) else one.name
-
-
-def _sorted_out(cell: Cell, pairs: Sequence[Pair]) -> tuple[list[Pair], list[Apart]]:
+def _sorted_out(cell: Cell) -> tuple[list[Pair], list[Apart]]:
     """Which pairs keep the margin, which only must not touch, and which always or never do, over poses that fill the ranges."""
-    candidates = list(pairs)
-    probe, kept, excepted = Probe(cell, candidates), list[Pair](), list[Apart]()
+    candidates = cell.pairs
+    probe, kept, excepted = cell.probe(), list[Pair](), list[Apart]()
     touching, near = np.zeros(len(candidates)), np.zeros(len(candidates))
     open_ones = np.ones(len(candidates), bool)
     for count, pose in enumerate(spread_poses(cell.limits, POSES), start=1):
@@ -204,11 +129,11 @@ def _sorted_out(cell: Cell, pairs: Sequence[Pair]) -> tuple[list[Pair], list[Apa
         if count >= 20:  # most pairs are far apart nearly always, which a few poses show
             open_ones &= near > 0.25 * count
     for k, pair in enumerate(candidates):
-        names = cell.body(pair.first), cell.body(pair.second)
+        both = cell.bodies[pair.first], cell.bodies[pair.second]
+        names = both[0].name, both[1].name
         if open_ones[k] and touching[k] > ALWAYS * POSES:
-            around = next((i for i in (pair.first, pair.second) if cell.shapes[i].link is None), None)
-            if around is not None:
-                raise UnusableInput(_in_the_way(cell, names, cell.shapes[around]))
+            if both[0].around or both[1].around:
+                raise UnusableInput(_in_the_way(cell, *sorted(both, key=lambda body: body.around)))
             excepted.append(Apart(*names, "always in contact"))
             continue
         between = _between_neighbours(cell, probe, k) if near[k] else None
@@ -226,10 +151,11 @@ def _sorted_out(cell: Cell, pairs: Sequence[Pair]) -> tuple[list[Pair], list[Apa
 def _between_neighbours(cell: Cell, probe: Probe, number: int) -> Array | None:
     """Distances of two links with at most two joints between them, all over those joints' ranges; None for other pairs [m]."""
     pair, robot = probe.pairs[number], cell.robot
-    ways = [set(robot.model.supports[cell.joints[i]]) for i in (pair.first, pair.second)]
+    both = cell.bodies[pair.first], cell.bodies[pair.second]
+    ways = [set(robot.model.supports[body.joint]) for body in both]
     rows = [joint - 1 for joint in ways[0] ^ ways[1]]
     moving = np.flatnonzero(np.abs(robot.spread[rows]).any(axis=0))
-    if len(moving) > 2 or any(cell.shapes[i].link is None for i in (pair.first, pair.second)):
+    if len(moving) > 2 or both[0].around or both[1].around:
         return None
     pose, out = spread_poses(cell.limits, 1)[0], []
     for values in itertools.product(*(np.linspace(low, high, GRID) for low, high in ranges(cell.limits)[moving])):
@@ -238,16 +164,7 @@ def _between_neighbours(cell: Cell, probe: Probe, number: int) -> Array | None:
     return np.array(out)
 
 
-def _in_the_way(cell: Cell, names: tuple[str, str], thing: Shape) -> str:
-    other = names[0] if names[1] == thing.name else names[1]
-    remedy = "--floor Z or --no-floor" if thing.kind is Kind.FLOOR else f'move it, or let it: ignore = ["{other}"]'
-    return f"{cell.robot.source}: '{thing.name}' touches '{other}' in every pose; {remedy}"
-
-
-def at_pose(cell: Cell, q: Array) -> tuple[Pair, float]:
-    """The pair nearest to breaking its margin at a pose, and its distance [m]. Shape (n,)."""
-    probe = Probe(cell, cell.pairs)
-    probe.to(q)
-    distances = [probe.distance(k) for k in range(len(cell.pairs))]
-    k = int(np.argmin([d - pair.margin for d, pair in zip(distances, cell.pairs, strict=True)]))
-    return cell.pairs[k], distances[k]
+def _in_the_way(cell: Cell, link: Body, thing: Body) -> str:
+    floor = thing.shapes[0].kind is Kind.FLOOR
+    remedy = "--floor Z or --no-floor" if floor else f'move it, or let it: ignore = ["{link.name}"]'
+    return f"{cell.robot.source}: '{thing.name}' touches '{link.name}' in every pose; {remedy}"

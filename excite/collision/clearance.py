@@ -6,32 +6,24 @@ Capsules enclose links and tools; capsules, boxes and half spaces enclose what s
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import coal
 import numpy as np
 
-from ..parameters import spread_poses
-from . import chain, cover, nearest
-from .cell import Cell, Pair, Probe
+from . import nearest
 from .chain import Chain
-from .cover import Capsule
 from .nearest import Nearest
-from .shape import Kind, Shape
+from .shape import Shape
 
 Array = np.ndarray
-SCALE = 0.4
-"""Distance to the margin that a row's unit stands for [m]: rows join the optimisation when a quarter of it is left."""
+SCALE = 20.0
+LEAST, MOST = 0.04, 0.4
+"""A row's unit is so many margins, within these bounds [m]: rows join the optimisation when a quarter of it is left."""
 SLACK = 4e-3
-"""Clearance beyond the margin for what happens between samples, at first [m]."""
+"""Clearance beyond the margin for what happens between samples, at first [m]; less where the margin is under five times that."""
 FAR = 0.15
 """Beyond the margin by more than this, bounds of distances do [m]."""
-POSES = 1000
-OFTEN = 0.5
-"""Share of random poses in which hulls break a margin, from which they say nothing."""
-LOOSE = 0.05
-"""Share of random poses in which covers may break a margin that the bodies keep."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +57,11 @@ class Clearance:
 
     def __len__(self) -> int:
         return len(self.kind)
+
+    @property
+    def unit(self) -> Array:
+        """Distance that a row's unit stands for. Shape (P,) [m]."""
+        return np.clip(SCALE * self.need, LEAST, MOST)
 
     def at(self, q: Array) -> Look:
         """Look at many poses. Shape (N, n)."""
@@ -102,7 +99,9 @@ class Look:
 
     def values(self) -> Array:
         """Rows of the design problem, satisfied where ≤ 1. Shape (N, P)."""
-        return np.asarray(1.0 + (self.clearance.need + self.clearance.slack - self.distances()) / SCALE)
+        c = self.clearance
+        slack = c.slack * np.minimum(c.need / (5.0 * SLACK), 1.0)
+        return np.asarray(1.0 + (c.need + slack - self.distances()) / c.unit)
 
     def distances(self) -> Array:
         """Of every pair; a lower bound where they are further apart than matters. Shape (N, P) [m]."""
@@ -133,7 +132,7 @@ class Look:
             slope = c.chain.slopes(R, p, joints[c.first[pair[at]]], found.first, found.direction)
             if kind in (0, 3):
                 slope -= c.chain.slopes(R, p, joints[c.second[pair[at]]], found.second, found.direction)
-            out[at] = -slope / SCALE
+            out[at] = -slope / c.unit[pair[at], None]
         return out
 
     def _bound(self, kind: int, a: Array, b: Array) -> Array:
@@ -192,120 +191,3 @@ class Look:
 
 def _length(vectors: Array) -> Array:
     return np.asarray(np.sqrt(np.sum(vectors * vectors, axis=-1)))
-
-
-@dataclass(frozen=True)
-class _Covers:
-    """What covers each shape: its capsules' numbers, or its boxes', or its plane's."""
-
-    capsules: list[list[int]]
-    boxes: list[list[int]]
-    planes: list[list[int]]
-
-
-def of(cell: Cell) -> Clearance | None:
-    """Covers of a cell and the pairs of them that can come near; None where none can.
-
-    A pair that covers cannot resolve, because they overlap where the bodies do not, is left to the certificate.
-    """
-    covers, capsules, joints, boxes, planes = _cover(cell)
-    rows = [row for pair in cell.pairs for row in _rows(covers, pair)]
-    if not rows:
-        return None
-    kind, first, second = (np.array([row[i] for row in rows], int) for i in range(3))
-    whole = Clearance(
-        chain=chain.of(cell.robot),
-        joint=np.array(joints, int),
-        begin=np.array([one.begin for one in capsules]),
-        end=np.array([one.end for one in capsules]),
-        radius=np.array([one.radius for one in capsules]),
-        box_pose=np.array([pose for pose, _, _ in boxes]).reshape(-1, 3, 3),
-        box_centre=np.array([centre for _, centre, _ in boxes]).reshape(-1, 3),
-        box_half=np.array([half for _, _, half in boxes]).reshape(-1, 3),
-        normal=np.array([normal for normal, _ in planes]).reshape(-1, 3),
-        height=np.array([height for _, height in planes], float),
-        hulls=(),
-        kind=kind,
-        first=first,
-        second=second,
-        need=np.array([row[3].margin for row in rows]),
-        names=tuple(cell.names(row[3]) for row in rows),
-    )
-    return _pruned(whole, cell)
-
-
-def _cover(
-    cell: Cell,
-) -> tuple[_Covers, list[Capsule], list[int], list[tuple[Array, Array, Array]], list[tuple[Array, float]]]:
-    covers = _Covers([], [], [])
-    capsules, joints = list[Capsule](), list[int]()
-    boxes, planes = list[tuple[Array, Array, Array]](), list[tuple[Array, float]]()
-    for one, joint, placement in zip(cell.shapes, cell.joints, cell.placements, strict=True):
-        own = list[int](), list[int](), list[int]()
-        if one.kind is Kind.FLOOR:
-            own[2].append(len(planes))
-            normal = placement.rotation[:, 2]
-            planes.append((normal, float(normal @ placement.translation)))
-        elif joint == 0 and one.kind in (Kind.BOX, Kind.MESH):
-            for low, high in cover.boxes(one):
-                own[1].append(len(boxes))
-                boxes.append((placement.rotation, placement.act(0.5 * (low + high)), 0.5 * (high - low)))
-        else:
-            # the cover is in the frame of the shape's link; from there to the joint's
-            outer = placement * one.placement.inverse()
-            for capsule in cover.capsules(one):
-                own[0].append(len(capsules))
-                capsules.append(capsule.moved(outer.rotation, outer.translation))
-                joints.append(joint)
-        for held, numbers in zip((covers.capsules, covers.boxes, covers.planes), own, strict=True):
-            held.append(numbers)
-    return covers, capsules, joints, boxes, planes
-
-
-def _rows(covers: _Covers, pair: Pair) -> Iterator[tuple[int, int, int, Pair]]:
-    a, b = pair.first, pair.second
-    if not covers.capsules[a]:
-        a, b = b, a
-    for first in covers.capsules[a]:
-        for kind, others in enumerate((covers.capsules[b], covers.boxes[b], covers.planes[b])):
-            for second in others:
-                yield kind, first, second, pair
-
-
-def _pruned(whole: Clearance, cell: Cell) -> Clearance | None:
-    """Without the pairs that never come near, over random poses; hulls instead of covers where these are too loose."""
-    poses = spread_poses(cell.limits, POSES)
-    room = whole.at(poses).distances() - whole.need
-    names = np.array(whole.names, object)
-    dropped = ~(room < FAR).any(axis=0)
-    tight = list[Pair]()
-    probe = Probe(cell, cell.pairs)
-    for number, pair in enumerate(cell.pairs):
-        rows = names == cell.names(pair)
-        broken = (room[:, rows] < 0.0).any(axis=1) if rows.any() else np.zeros(POSES, bool)
-        if broken.mean() <= LOOSE:
-            continue
-        some = poses[broken][:: max(int(broken.sum()) // 40, 1)]
-        share = float(np.mean([probe.to(q).distance(number) >= pair.margin for q in some]))
-        if share * broken.mean() > LOOSE:
-            dropped |= rows
-            tight.append(pair)
-    return _with_hulls(whole.without(dropped), cell, tight)
-
-
-def _with_hulls(whole: Clearance, cell: Cell, pairs: Sequence[Pair]) -> Clearance | None:
-    """With pairs of hulls too; those whose hulls do not keep their margin in most poses either are left to the certificate."""
-    bodies = sorted({i for pair in pairs for i in (pair.first, pair.second)})
-    hulls = tuple(Hull(cell.shapes[i], cell.joints[i], cell.placements[i].rotation, cell.placements[i].translation) for i in bodies)
-    more = dataclasses.replace(
-        whole,
-        hulls=hulls,
-        kind=np.append(whole.kind, np.full(len(pairs), 3)),
-        first=np.append(whole.first, [bodies.index(pair.first) for pair in pairs]).astype(int),
-        second=np.append(whole.second, [bodies.index(pair.second) for pair in pairs]).astype(int),
-        need=np.append(whole.need, [pair.margin for pair in pairs]),
-        names=(*whole.names, *(cell.names(pair) for pair in pairs)),
-    )
-    few = more.at(spread_poses(cell.limits, POSES // 10)).distances() - more.need
-    hopeless = (more.kind == 3) & ((few < 0.0).mean(axis=0) > OFTEN)
-    return more.without(hopeless) if not hopeless.all() else None

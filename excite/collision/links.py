@@ -36,24 +36,22 @@ def read(source: str, packages: Sequence[str] = ()) -> list[Shape]:
     for link in root.findall("link"):
         name = str(link.get("name"))
         rounded = {capsule.get("name") for capsule in link.findall("collision_checking/capsule")}
-        for number, collision in enumerate(link.findall("collision")):
+        for collision in link.findall("collision"):
             geometry = collision.find("geometry")
             if geometry is None or not len(geometry):
                 raise UnusableInput(f"{path}: link '{name}': a <collision> has no geometry; add it or remove the element")
-            out.append(_shape(path, link, number, collision, geometry[0], collision.get("name") in rounded, packages))
+            out.append(_shape(path, name, collision, geometry[0], collision.get("name") in rounded, packages))
     return out
 
 
 def _shape(
     path: Path,
-    link: ElementTree.Element,
-    number: int,
+    owner: str,
     collision: ElementTree.Element,
     solid: ElementTree.Element,
     rounded: bool,
     packages: Sequence[str],
 ) -> Shape:
-    owner = str(link.get("name"))
     known = {"sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length"), "box": ("size",), "mesh": ()}
     if solid.tag not in known:
         raise UnusableInput(f"{path}: link '{owner}': a collision shape is a <{solid.tag}>; use {', '.join(known)}")
@@ -68,7 +66,7 @@ def _shape(
             raise UnusableInput(f"{path}: link '{owner}': its {solid.tag} has the size {size}; sizes should be positive")
     origin = collision.find("origin")
     place = [_numbers(path, owner, "0 0 0" if origin is None else origin.get(key, "0 0 0"), 3) for key in ("xyz", "rpy")]
-    return Shape(f"{owner}/{number}", kind, size, place[0], place[1], owner, file)  # type: ignore[arg-type]
+    return Shape(owner, kind, size, place[0], place[1], owner, file)  # type: ignore[arg-type]
 
 
 def _numbers(path: Path, owner: str, text: str, count: int) -> tuple[float, ...]:

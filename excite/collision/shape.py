@@ -40,7 +40,8 @@ COUNTS = {Kind.SPHERE: 1, Kind.CAPSULE: 2, Kind.CYLINDER: 2, Kind.BOX: 3, Kind.M
 class Shape:
     """A shape in the frame of `link`, or, where that is None, in the base frame.
 
-    position: Shape (3,) [m]. rotation: roll, pitch, yaw about the fixed axes. Shape (3,) [rad]. file: of a mesh.
+    name: of the body that it is part of. file: of a mesh. position: Shape (3,) [m].
+    rotation: roll, pitch, yaw about the fixed axes. Shape (3,) [rad].
     """
 
     name: str

@@ -18,7 +18,8 @@ import pinocchio as pin
 from ..errors import UnusableInput
 from ..motion import Motion, Segment
 from ..trajectory import oversampling_bound
-from .cell import Cell, Pair, Probe
+from .cell import Cell
+from .probe import Body, Pair, Probe
 from .shape import Kind
 
 Array = np.ndarray
@@ -83,7 +84,7 @@ class _Grid:
 
 def _segment(cell: Cell, motion: Motion, segment: Segment) -> Iterator[tuple[int, Near]]:
     grid = _grid(motion, segment)
-    robot, probe = cell.robot, Probe(cell, cell.pairs)
+    robot, probe = cell.robot, cell.probe()
     reach = _reach(cell, np.abs(robot.expand(grid.q)).max(axis=0))
     speeds = grid.speed @ np.abs(robot.spread).T
     # how far each pair may have moved since the segment began
@@ -167,9 +168,10 @@ def _reach(cell: Cell, most: Array) -> Array:
         length[i] = float(np.linalg.norm(model.jointPlacements[i].translation)) + sliding * most[i - 1]
     out = np.zeros((len(cell.pairs), model.nv))
     for row, pair in enumerate(cell.pairs):
-        ways = [list(model.supports[cell.joints[i]])[1:] for i in (pair.first, pair.second)]
-        for body, mine, other in ((pair.first, ways[0], ways[1]), (pair.second, ways[1], ways[0])):
-            radius = _radius(cell, body)
+        both = cell.bodies[pair.first], cell.bodies[pair.second]
+        ways = [list(model.supports[body.joint])[1:] for body in both]
+        for body, mine, other in ((both[0], ways[0], ways[1]), (both[1], ways[1], ways[0])):
+            radius = _radius(body)
             for joint in reversed([j for j in mine if j not in other]):
                 axis = axes[joint - 1]
                 out[row, joint - 1] = np.linalg.norm(axis[3:]) * radius + np.linalg.norm(axis[:3])
@@ -177,15 +179,14 @@ def _reach(cell: Cell, most: Array) -> Array:
     return out
 
 
-def _radius(cell: Cell, body: int) -> float:
+def _radius(body: Body) -> float:
     """The furthest that a point of a body is from its joint's origin."""
-    one = cell.shapes[body]
-    if one.kind is Kind.FLOOR:
-        return 0.0
-    placement = cell.placements[body]
-    solid = cell.solids[body]
-    solid.computeLocalAABB()
-    return float(np.linalg.norm(placement.act(np.array(solid.aabb_center)))) + float(solid.aabb_radius)
+    out = 0.0
+    for one, solid, placement in zip(body.shapes, body.solids, body.placements, strict=True):
+        if one.kind is not Kind.FLOOR:
+            solid.computeLocalAABB()
+            out = max(out, float(np.linalg.norm(placement.act(np.array(solid.aabb_center)))) + float(solid.aabb_radius))
+    return out
 
 
 def contained(cell: Cell, q: Array) -> Pair | None:
@@ -193,18 +194,19 @@ def contained(cell: Cell, q: Array) -> Pair | None:
     robot, data = cell.robot, cell.robot.model.createData()
     pin.forwardKinematics(robot.model, data, robot.expand(q))
     for pair in cell.pairs:
-        for outer, inner in ((pair.first, pair.second), (pair.second, pair.first)):
-            if cell.shapes[outer].kind is not Kind.MESH or cell.shapes[inner].kind is Kind.FLOOR:
-                continue
-            at = [data.oMi[cell.joints[i]] * cell.placements[i] for i in (outer, inner)]
-            point = at[0].actInv(at[1].act(_point(cell, inner)))
-            if _winding(cell.shapes[outer].triangles() - point) > 0.5:
-                return pair
+        both = cell.bodies[pair.first], cell.bodies[pair.second]
+        for outer, inner in (both, both[::-1]):
+            point = data.oMi[inner.joint].act(inner.placements[0].act(_point(inner)))
+            for one, placement in zip(outer.shapes, outer.placements, strict=True):
+                if one.kind is not Kind.MESH or inner.shapes[0].kind is Kind.FLOOR:
+                    continue
+                if _winding(one.triangles() - (data.oMi[outer.joint] * placement).actInv(point)) > 0.5:
+                    return pair
     return None
 
 
-def _point(cell: Cell, body: int) -> Array:
-    one = cell.shapes[body]
+def _point(body: Body) -> Array:
+    one = body.shapes[0]
     return np.asarray(one.triangles()[0, 0]) if one.kind is Kind.MESH else np.zeros(3)
 
 

@@ -18,6 +18,7 @@ from . import export as exports
 from . import identifiability as identifiable
 from . import verify as certificates
 from .collision import covering
+from .collision.cell import Cell
 from .criteria import Criterion
 from .errors import CheckFailed, UnusableInput
 from .overlap import Apart
@@ -137,7 +138,7 @@ def _design(arguments: argparse.Namespace) -> Outcome:
 
     delivery = deliver()
     second = validation.second(delivery, robot, deliver) if arguments.validation else None
-    document, contents = workflow_files(delivery, robot, arguments.threshold, earlier, second)
+    document, contents = workflow_files(delivery, robot, arguments.threshold, earlier, second, cell)
     document |= {"plan": planned.document()} if planned is not None else {}
     written = files.write_all(Path(arguments.out), contents)
     document["files"] = [str(path) for path in written]
@@ -146,11 +147,16 @@ def _design(arguments: argparse.Namespace) -> Outcome:
 
 
 def workflow_files(
-    delivery: workflow.Delivery, robot: Robot, threshold: float, earlier: Array | None = None, second: Validation | None = None
+    delivery: workflow.Delivery,
+    robot: Robot,
+    threshold: float,
+    earlier: Array | None = None,
+    second: Validation | None = None,
+    cell: Cell | None = None,
 ) -> tuple[dict[str, Any], dict[str, str]]:
     """The `--json` document of a design and its files' contents.
 
-    earlier: root of the information already given. second: the validation motion, in a folder of its own.
+    earlier: root of the information already given. second: the validation motion, in a folder of its own. cell: for pictures.
     """
     from . import report
 
@@ -161,11 +167,12 @@ def workflow_files(
     known = root if earlier is None else np.vstack([root, earlier])
     analysis = identifiable.analyse_root(standard, found, known, trajectory.noise, robot, threshold=threshold, samples=len(samples))
     cases = _cases(robot, standard, found, trajectory, threshold, earlier)
-    record, other = _record(delivery), None if second is None else second.trajectory
+    record, other, near = _record(delivery), None if second is None else second.trajectory, delivery.certificate.near
+    shown = partial(report.design_page, cases=cases, second=other, cell=cell, near=near)
     contents = {
         **_motion_files(trajectory, robot, standard),
         "identifiability.json": artefact.dumps(analysis.document()),
-        "report.html": report.design_page(trajectory, robot, standard, found, analysis, record, cases=cases, second=other),
+        "report.html": shown(trajectory, robot, standard, found, analysis, record),
     }
     if other is not None:
         contents |= {f"{validation.FOLDER}/{name}": text for name, text in _motion_files(other, robot, standard).items()}

@@ -55,14 +55,17 @@ def boxes(shape: Shape) -> list[tuple[Array, Array]]:
     if shape.kind is Kind.BOX:
         half = 0.5 * np.array(shape.size)
         return [(-half, half)]
-    parts = [_fine(shape.triangles())]
+    whole = [_fine(shape.triangles())]
+    parts = list(whole)
     while len(parts) < BOXES:
         i = int(np.argmax([np.prod(_extent(part)) for part in parts]))
         halves = _halves(parts[i], np.eye(3)[int(np.argmax(_extent(parts[i])))])
-        if halves is None or sum(np.prod(_extent(h)) for h in halves) > WORTH * np.prod(_extent(parts[i])):
+        if halves is None:
             break
         parts[i : i + 1] = halves
-    return [(part.min(axis=(0, 1)), part.max(axis=(0, 1))) for part in parts]
+    # one split alone may gain nothing where several do
+    kept = parts if sum(np.prod(_extent(part)) for part in parts) < WORTH * np.prod(_extent(whole[0])) else whole
+    return [(part.min(axis=(0, 1)), part.max(axis=(0, 1))) for part in kept]
 
 
 def _split(triangles: Array) -> list[Capsule]:

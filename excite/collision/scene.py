@@ -144,6 +144,10 @@ def cell(
         raise UnusableInput(f"{robot.source}: gives no moving link a <collision> shape; add shapes, or --no-collision")
     clearance = next(value for value in (margin, scene.clearance, cells.MARGIN) if value is not None)
     known = {one.name for one in (*own, *scene.shapes)} | {frame.name for frame in robot.model.frames} | {"floor"}
+    taken = {one.name for one in own} | {"floor"}
+    for one in scene.shapes:
+        if one.name in taken:
+            raise UnusableInput(f"'{one.name}' is the name of a link or of the floor already; rename the shape of the scene")
     for name, other in scene.ignored:
         if other not in known:
             raise UnusableInput(f"'{name}' may touch '{other}', which there is not; correct its 'ignore'")

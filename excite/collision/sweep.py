@@ -31,6 +31,8 @@ SHARE = 0.02
 AMPLE = 0.02
 """Beyond the margin by this much [m], nobody asks how far."""
 DIVIDED = 32
+RAYS = np.array([[0.8141, 0.3927, 0.4273], [-0.2718, 0.9113, -0.3091], [0.1414, -0.5772, 0.8043]])
+"""Directions that no mesh is likely to have an edge along."""
 
 
 @dataclass(frozen=True)
@@ -200,7 +202,7 @@ def contained(cell: Cell, q: Array) -> Pair | None:
             for one, placement in zip(outer.shapes, outer.placements, strict=True):
                 if one.kind is not Kind.MESH or inner.shapes[0].kind is Kind.FLOOR:
                     continue
-                if _winding(one.triangles() - (data.oMi[outer.joint] * placement).actInv(point)) > 0.5:
+                if _encloses(one.triangles() - (data.oMi[outer.joint] * placement).actInv(point)):
                     return pair
     return None
 
@@ -210,12 +212,16 @@ def _point(body: Body) -> Array:
     return np.asarray(one.triangles()[0, 0]) if one.kind is Kind.MESH else np.zeros(3)
 
 
-def _winding(triangles: Array) -> float:
-    """How often a surface goes round the origin (van Oosterom & Strackee 1983). Shape (m, 3, 3)."""
-    length = np.linalg.norm(triangles, axis=2)
-    a, b, c = (triangles[:, k] for k in range(3))
-    volume = np.einsum("mi,mi->m", a, np.cross(b, c))
-    flat = length.prod(axis=1) + sum(
-        np.einsum("mi,mi->m", triangles[:, i], triangles[:, j]) * length[:, k] for i, j, k in ((0, 1, 2), (0, 2, 1), (1, 2, 0))
-    )
-    return abs(float(np.sum(2.0 * np.arctan2(volume, flat)) / (4.0 * np.pi)))
+def _encloses(triangles: Array) -> bool:
+    """Whether a closed surface goes round the origin: rays out of it pass it an odd number of times. Shape (m, 3, 3)."""
+    a, first, second = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    votes = 0
+    for ray in RAYS:
+        across = np.cross(ray, second)
+        volume = np.einsum("mi,mi->m", first, across)
+        safe = np.where(np.abs(volume) < 1e-300, 1e-300, volume)
+        u = -np.einsum("mi,mi->m", a, across) / safe
+        beside = np.cross(-a, first)
+        v, way = beside @ ray / safe, np.einsum("mi,mi->m", second, beside) / safe
+        votes += int(np.sum((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (way > 0.0))) % 2
+    return 2 * votes > len(RAYS)

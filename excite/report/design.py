@@ -10,12 +10,15 @@ import numpy as np
 
 from ..artefact import Trajectory, versions
 from ..base import Base
+from ..collision.cell import Cell
+from ..collision.sweep import Near
 from ..dynamics import band, regressor
 from ..identifiability import Identifiability
 from ..parameters import Parameters
 from ..robot import Robot
 from ..scenarios import Scenario, what_would_help
 from . import motion_figures
+from .collision import collision_section
 from .figures import MANY
 from .identifiability import headline, sections
 from .motion_figures import Scene
@@ -46,11 +49,13 @@ class Design:
     base: Base
     found: Identifiability
     record: DesignRecord
+    cell: Cell | None = None
+    near: Sequence[Near] = ()
 
     @property
     def scene(self) -> Scene:
         """What the figures of the motion need."""
-        return Scene(self.trajectory.motion, self.trajectory.limits, self.robot)
+        return Scene(self.trajectory.motion, self.trajectory.limits, self.robot, self.cell)
 
 
 def design_page(
@@ -63,9 +68,14 @@ def design_page(
     *,
     cases: Sequence[Scenario] | None = None,
     second: Trajectory | None = None,
+    cell: Cell | None = None,
+    near: Sequence[Near] = (),
 ) -> str:
-    """The report of a design as HTML. cases: what `what_would_help` found; None: computed here. second: for validation."""
-    subject = Design(trajectory, robot, parameters, base, identifiability, record)
+    """The report of a design as HTML. cases: what `what_would_help` found; None: computed here. second: for validation.
+
+    cell, near: what must not be touched, and the least distances, where collisions were checked.
+    """
+    subject = Design(trajectory, robot, parameters, base, identifiability, record, cell, near)
     if cases is None:
         cases = what_would_help(
             robot, parameters, base, trajectory.limits, trajectory.motion,
@@ -74,6 +84,7 @@ def design_page(
     parts = [
         limits_section(subject),
         torque_section(subject),
+        collision_section(trajectory, cell, near),
         *sections(identifiability, parameters, cases),
         path_section(subject),
         *([] if second is None else [validation_section(trajectory, second, robot)]),
@@ -151,7 +162,8 @@ def _collision(trajectory: Trajectory) -> str:
     if "not checked" in text:
         more = "The motion was not tested against the robot's own body or its surroundings. Watch the first run at low speed."
         return banner(f"{text[:1].upper()}{text[1:]}. {more}", "warn")
-    return banner(f"Collision: {text}", "good" if not trajectory.forced else "warn")
+    state = "bad" if text.startswith("COLLISION") else "warn" if trajectory.forced else "good"
+    return banner(f"{text[:1].upper()}{text[1:]}.", state)
 
 
 def warnings_of(subject: Design) -> list[str]:
@@ -239,10 +251,9 @@ def torque_section(subject: Design) -> Section:
 
 def path_section(subject: Design) -> Section:
     """(h) Where in space does it move?"""
-    svg, extent = motion_figures.path(subject.trajectory.motion, subject.robot)
+    svg, extent = motion_figures.path(subject.scene)
     size, single = extent[1] - extent[0], len(motion_figures.branch_ends(subject.robot)) == 1
     box = " × ".join(f"{length:.2f}" for length in size)
     answer = f"The {'end of the robot stays' if single else 'ends of the robot stay'} in a box of {box} m, "
-    answer += f"between {number(float(extent[0, 2]), 3)} and {number(float(extent[1, 2]), 3)} m above the base's origin; "
-    answer += f"{subject.trajectory.collision}."
+    answer += f"between {number(float(extent[0, 2]), 3)} and {number(float(extent[1, 2]), 3)} m above the base's origin."
     return Section("path", "Where in space does it move?", answer, figure(svg))

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from ..collision.cell import Cell
 from ..limits import Limits
 from ..motion import Motion
 from ..robot import Robot
-from .figures import BLUE, GREY, INK, MANY, ORANGE, SEGMENT_WORDS, few_ticks, grid, render
+from .collision_figures import VIEWS, fill, outlines, window
+from .figures import BLUE, GREY, INK, MANY, ORANGE, SEGMENT_WORDS, grid, render
 from .page import escape
 from .panels import Panel, small_multiples
 
@@ -22,11 +24,12 @@ _UNITS = {"position": "{}", "velocity": "{}/s", "acceleration": "{}/s²", "jerk"
 
 @dataclass(frozen=True)
 class Scene:
-    """What is drawn: a motion, the limits it should obey, the robot that moves."""
+    """What is drawn: a motion, the limits it should obey, the robot that moves, and all bodies where their shapes are known."""
 
     motion: Motion
     limits: Limits
     robot: Robot
+    cell: Cell | None = None
 
 
 def dense(motion: Motion, most: int) -> Array:
@@ -119,8 +122,10 @@ def skeleton(robot: Robot, q: Array) -> tuple[Array, Array]:
     return joints, ends
 
 
-def path(motion: Motion, robot: Robot) -> tuple[str, Array]:
-    """Three views of the path of each branch's end with the robot as a stick figure; and the extent of it [m]. Shape (2, 3)."""
+def path(scene: Scene) -> tuple[str, Array]:
+    """Three views of the path of each branch's end with the robot as sticks, its bodies and surroundings where these are known;
+    and the extent of it [m]. Shape (2, 3)."""
+    motion, robot = scene.motion, scene.robot
     t = dense(motion, 700)
     _, ends = skeleton(robot, motion.at(t))
     part = motion.segment("fourier")
@@ -134,18 +139,15 @@ def path(motion: Motion, robot: Robot) -> tuple[str, Array]:
 
     def draw(figure: Any) -> None:
         panels = grid(figure, 1, 3, margins=(0.5, 0.1, 0.5, 0.45), gaps=(0.55, 0.0))
-        for axes, (a, b), name in zip(panels.flat, ((0, 2), (1, 2), (0, 1)), ("side (x–z)", "front (y–z)", "top (x–y)"), strict=True):
+        for axes, ((a, b), name) in zip(panels.flat, VIEWS, strict=True):
+            if scene.cell is not None:
+                for body in scene.cell.bodies:
+                    fill(axes, outlines(scene.cell, body, poses[0], (a, b)), GREY, 0.35 if body.around else 0.2)
             for k in range(len(poses)):
                 _sticks(axes, robot, (joints[k], tips[k]), (a, b), 1.0 if k == 0 else 0.28)
             for m in range(ends.shape[1]):
                 _path(axes, ends[:, m, a], ends[:, m, b], kinds)
-            axes.set_xlim(middle[a] - reach, middle[a] + reach)
-            axes.set_ylim(middle[b] - reach, middle[b] + reach)
-            axes.set_aspect("equal")
-            few_ticks(axes, 5, 5)
-            axes.set_title(name, loc="left")
-            axes.set_xlabel(f"{'xyz'[a]} [m]")
-            axes.set_ylabel(f"{'xyz'[b]} [m]", labelpad=1)
+            window(axes, middle, reach, (a, b), name)
         _path_legend(figure)
 
     return render("The path in space, seen from three sides", 4.0, draw), np.array(

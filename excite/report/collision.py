@@ -1,0 +1,42 @@
+"""Does the motion touch anything? Least distances, where and when, and what was not held to them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..artefact import Trajectory
+from ..collision.cell import Cell
+from ..collision.sweep import Near
+from .collision_figures import closest, distances
+from .page import Section, escape, figure, folded, paragraph, plural, table
+
+LISTED = 8
+
+
+def collision_section(trajectory: Trajectory, cell: Cell | None, near: Sequence[Near]) -> Section:
+    """What was checked; without a cell, that nothing was."""
+    text = trajectory.collision
+    answer = f"{text[:1].upper()}{text[1:]}."
+    if cell is None:
+        advice = "Give the links shapes in the URDF's <collision> elements, and the surroundings with --scene; watch the first run."
+        return Section("collision", "Does it touch anything?", answer, paragraph(advice, "note"), "bad")
+    body = "".join(
+        [
+            figure(distances(cell, near, trajectory.motion)) + figure(closest(cell, near[0])) if near else "",
+            table(("bodies", "least [mm]", "to keep [mm]", "at [s]"), [_row(one) for one in near[:LISTED]], (1, 2, 3)),
+            folded(f"{len(near) - LISTED} more pairs", table(("bodies", "at least [mm]", "to keep [mm]", "at [s]"),
+                   [_row(one) for one in near[LISTED:]], (1, 2, 3))) if len(near) > LISTED else "",
+            folded(f"{plural(len(cell.excepted), 'pair')} not held to {1e3 * cell.margin:g} mm",
+                   table(("body", "body", "why"), [tuple(map(escape, (e.first, e.second, e.why))) for e in cell.excepted], ()))
+            if cell.excepted else "",
+            *(paragraph(note, "note") for note in cell.notes),
+            paragraph("Red: the pair that is nearest to what it has to keep, at that moment. The least distance is proven for the moments "
+                      "between those looked at, too; of bodies far apart it is a lower bound.", "note"),
+        ]
+    )  # fmt: skip
+    bad = any(one.proven < one.pair.margin for one in near)
+    return Section("collision", "Does it touch anything?", answer, body, "bad" if bad else "")
+
+
+def _row(near: Near) -> tuple[str, ...]:
+    return escape(near.names), f"{1e3 * near.proven:.1f}", f"{1e3 * near.pair.margin:.1f}", f"{near.time:.2f}"

@@ -11,11 +11,10 @@ import numpy as np
 
 from . import limits as limit_tables
 from . import parameters
-from .collision.cell import Cell
+from .collision.cell import NOT_CHECKED, Cell
 from .errors import UnusableInput
 from .limits import Limits
 from .robot import Payload, Robot, load
-from .verify import NOT_CHECKED
 
 
 def floats(option: str, text: str, counts: Sequence[int]) -> list[float]:
@@ -68,14 +67,7 @@ def cell(arguments: argparse.Namespace, machine: Robot, table: Limits) -> tuple[
         around = replace(around, floor=False if arguments.no_floor else floats("--floor", arguments.floor, (1,))[0])
     disabled = links.disabled(Path(arguments.srdf)) if arguments.srdf else []
     asked = bool(arguments.scene or arguments.srdf or arguments.floor is not None or arguments.clearance is not None)
-    try:
-        if not links.read(machine.source, arguments.packages) and not asked:
-            return None, f"{NOT_CHECKED}: the URDF gives no link a shape"
-        return scene.cell(machine, table, around, packages=arguments.packages, disabled=disabled, margin=arguments.clearance), ""
-    except links.MissingMesh as error:
-        if asked:
-            raise
-        return None, f"{NOT_CHECKED}: {error}"
+    return scene.known(machine, table, around, arguments.packages, disabled, arguments.clearance, required=asked)
 
 
 def drive(arguments: argparse.Namespace) -> tuple[str, ...]:

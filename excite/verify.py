@@ -13,7 +13,7 @@ from .artefact import Trajectory
 from .checks import Demand, Subject
 from .collision import cell as cells
 from .collision import sweep
-from .collision.cell import Cell
+from .collision.cell import NOT_CHECKED, Cell
 from .collision.sweep import Near
 from .errors import UnusableInput
 from .limits import DERIVED
@@ -24,7 +24,6 @@ from .trajectory import DENSITY, Samples, oversampling_bound
 
 Array = np.ndarray
 ROUNDING = 1e-9
-NOT_CHECKED = "collision not checked"
 CELL = "cell"
 CLEARANCE = "clearance"
 LISTED = 12

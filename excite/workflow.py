@@ -14,7 +14,7 @@ from . import design, ramps, verify
 from .artefact import Trajectory, versions
 from .checks import Subject
 from .collision import covering
-from .collision.cell import Cell
+from .collision.cell import NOT_CHECKED, Cell
 from .design import Design
 from .errors import CheckFailed, UnusableInput
 from .limits import Limits
@@ -54,7 +54,7 @@ def run(
     given: Array | None = None,
     apart: Apart | None = None,
     cell: Cell | None = None,
-    unchecked: str = verify.NOT_CHECKED,
+    unchecked: str = NOT_CHECKED,
     notes: dict[str, Any] | None = None,
     speed: float = 1.0,
     force: bool = False,
@@ -145,7 +145,7 @@ def _assemble(found: Design, robot: Robot, limits: Limits, start: Array | None, 
         design=entry,
         criteria={},
         margins=[],
-        collision=verify.NOT_CHECKED,
+        collision=NOT_CHECKED,
         seed=options.seed,
         versions=versions(),
     )

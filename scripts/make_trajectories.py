@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from excite import artefact, files, limits, plan, robot, workflow
+from excite.collision import scene
 from excite.problem import Options
 
 FOLDER = Path(__file__).resolve().parent.parent / "trajectories"
@@ -21,11 +22,12 @@ def main() -> None:
         machine = robot.load(name)
         table = limits.resolve(machine)
         options = plan.Wish().fill(Options(starts=4), table)
-        delivery = workflow.run(machine, table, options, progress=lambda text: print(text, file=sys.stderr))
+        cell = scene.cell(machine, table, scene.Scene())
+        delivery = workflow.run(machine, table, options, cell=cell, progress=lambda text: print(text, file=sys.stderr))
         written = files.write_all(arguments.out, {f"{name}.json": artefact.dumps(delivery.trajectory.document())})
         value = delivery.trajectory.criteria["optimum"]["geometric"]["a"]
         length, spent = delivery.trajectory.motion.duration, delivery.timing["total"]
-        print(f"{written[0]}: geometric a = {value:.5g}, {length:.1f} s long, {spent:.1f} s to design")
+        print(f"{written[0]}: geometric a = {value:.5g}, {length:.1f} s long, {spent:.1f} s to design; {delivery.trajectory.collision}")
 
 
 if __name__ == "__main__":

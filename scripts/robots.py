@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from excite import artefact, criteria, limits, plan, robot, solver, verify, workflow
+from excite.collision import scene
 from excite.criteria import Criterion
 from excite.errors import CheckFailed
 from excite.problem import Options
@@ -82,6 +83,7 @@ class Row:
     after: float | None = None
     nearest: dict[str, Any] | None = None
     duration: float | None = None
+    near: float | None = None
     ok: bool = False
     reason: str = ""
     warnings: list[str] = field(default_factory=list)
@@ -149,7 +151,9 @@ def run(row: Row, case: Case, source: str, options: Options) -> None:
     row.joints = moved.n
     own = HERE / "limits" / f"{case.name}.toml"
     table = limits.resolve(moved, own if own.is_file() and not is_builtin(source) else None)
-    delivery = workflow.run(moved, table, plan.Wish().fill(options, table), progress=lambda text: say(f"  {text}"))
+    cell, unchecked = scene.known(moved, table, scene.Scene())
+    options = plan.Wish().fill(options, table)
+    delivery = workflow.run(moved, table, options, cell=cell, unchecked=unchecked, progress=lambda text: say(f"  {text}"))
     row.base_parameters, row.timing = delivery.design.setting.base.count, delivery.timing
     row.duration = delivery.trajectory.motion.duration
     row.start = first_feasible(delivery, options)
@@ -157,6 +161,7 @@ def run(row: Row, case: Case, source: str, options: Options) -> None:
     certificate = round_trip(delivery.trajectory)
     row.nearest = certificate.worst().document()
     row.nearest["source"] = source_of(delivery.trajectory.limits, certificate.worst())
+    row.near = min((1e3 * near.proven for near in certificate.near), default=None)
     row.ok = certificate.ok
     row.reason = "" if row.ok else refusal(certificate)
 
@@ -209,8 +214,8 @@ def round_trip(trajectory: artefact.Trajectory) -> verify.Certificate:
 def markdown(rows: Sequence[Row], criterion: str) -> str:
     """The table; a failed robot's last cell is its reason."""
     values = [f"{criterion} at start", f"{criterion} after"]
-    head = ["robot", "joints", "base par.", "design [s]", *values, "nearest limit", "motion [s]", "ok"]
-    lines = ["| " + " | ".join(head) + " |", "|---|" + "---:|" * 5 + "---|---:|---|"]
+    head = ["robot", "joints", "base par.", "design [s]", *values, "nearest limit", "apart [mm]", "motion [s]", "ok"]
+    lines = ["| " + " | ".join(head) + " |", "|---|" + "---:|" * 5 + "---|---:|---:|---|"]
     return "\n".join(lines + ["| " + " | ".join(cells(row)) + " |" for row in rows])
 
 
@@ -228,6 +233,7 @@ def cells(row: Row) -> list[str]:
         number(row.start, ".3g"),
         number(row.after, ".3g"),
         "" if near is None else f"{near['limit']}, {near['joint']}, {round(100.0 * near['margin'], 2) + 0.0:.2f} %{derived}",
+        "unknown" if row.near is None else number(row.near, ".1f"),
         number(row.duration, ".2f"),
         "yes" if row.ok else f"NO: {row.reason}".replace("|", "\\|"),
     ]

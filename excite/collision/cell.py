@@ -19,6 +19,7 @@ from .probe import Body, Pair, Probe, bodies
 from .shape import Kind, Shape
 
 Array = np.ndarray
+NOT_CHECKED = "collision not checked"
 MARGIN = 0.02
 """Clearance that is kept unless another is asked for [m]."""
 POSES = 400

@@ -125,6 +125,27 @@ def _vector(path: Path, what: str, value: Any, count: int) -> tuple[float, ...]:
     return tuple(float(v) for v in value)
 
 
+def known(
+    robot: Robot,
+    limits: Limits,
+    scene: Scene,
+    packages: Sequence[str] = (),
+    disabled: Sequence[tuple[str, str]] = (),
+    margin: float | None = None,
+    *,
+    required: bool = False,
+) -> tuple[Cell | None, str]:
+    """The cell; or, where the robot's shapes are not known and nobody required a check, None and a sentence that says so."""
+    try:
+        if not required and not links.read(robot.source, packages):
+            return None, f"{cells.NOT_CHECKED}: the URDF gives no link a shape"
+        return cell(robot, limits, scene, packages=packages, disabled=disabled, margin=margin), ""
+    except links.MissingMesh as error:
+        if required:
+            raise
+        return None, f"{cells.NOT_CHECKED}: {error}"
+
+
 def cell(
     robot: Robot,
     limits: Limits,

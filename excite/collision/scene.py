@@ -41,12 +41,16 @@ POSES = 200
 
 @dataclass(frozen=True)
 class Scene:
-    """Shapes around the robot and on it. floor: its height [m]; False: none; None: not said. clearance: [m], None: not said."""
+    """Shapes around the robot and on it. floor: its height [m]; False: none; None: not said. clearance: [m], None: not said.
+
+    source: the file that says so.
+    """
 
     shapes: tuple[Shape, ...] = ()
     ignored: tuple[tuple[str, str], ...] = ()
     floor: float | bool | None = None
     clearance: float | None = None
+    source: str = "scene"
 
 
 def read(path: Path) -> Scene:
@@ -66,7 +70,8 @@ def read(path: Path) -> Scene:
                 raise UnusableInput(f"{path}: two shapes are named '{one.name}'; rename one")
             shapes.append(one)
             ignored += [(one.name, str(other)) for other in _list(path, f"{one.name}: ignore", entry.get("ignore", []))]
-    return Scene(tuple(shapes), tuple(ignored), _floor(path, table.get("floor")), _positive(path, "clearance", table.get("clearance")))
+    clearance = _positive(path, "clearance", table.get("clearance"))
+    return Scene(tuple(shapes), tuple(ignored), _floor(path, table.get("floor")), clearance, str(path))
 
 
 def _list(path: Path, what: str, value: Any) -> list[Any]:
@@ -164,14 +169,16 @@ def cell(
     if not moving:
         raise UnusableInput(f"{robot.source}: gives no moving link a <collision> shape; add shapes, or --no-collision")
     clearance = next(value for value in (margin, scene.clearance, cells.MARGIN) if value is not None)
-    known = {one.name for one in (*own, *scene.shapes)} | {frame.name for frame in robot.model.frames} | {"floor"}
+    there = {one.name for one in (*own, *scene.shapes)} | {frame.name for frame in robot.model.frames} | {"floor"}
     taken = {one.name for one in own} | {"floor"}
     for one in scene.shapes:
         if one.name in taken:
-            raise UnusableInput(f"'{one.name}' is the name of a link or of the floor already; rename the shape of the scene")
+            raise UnusableInput(
+                f"{scene.source}: '{one.name}' is the name of a link or of the floor already; rename the shape of the scene"
+            )
     for name, other in scene.ignored:
-        if other not in known:
-            raise UnusableInput(f"'{name}' may touch '{other}', which there is not; correct its 'ignore'")
+        if other not in there:
+            raise UnusableInput(f"{scene.source}: '{name}' may touch '{other}', which there is not; correct its 'ignore'")
     floor, notes = _floor_height(robot, limits, own, scene)
     bare = [link for i, link in enumerate(robot.links, 1) if link not in moving and robot.model.inertias[i].mass > 0.0]
     notes += [f"no shape is known of {', '.join(bare)}"] if bare else []

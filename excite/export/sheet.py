@@ -115,6 +115,7 @@ def notes(job: Job, details: Sequence[str], tried: bool) -> list[str]:
     lines = [
         f"excite: {job.trajectory.robot.get('name', 'robot')}; joints {', '.join(job.joints)}",
         f"format: {job.format}; speed: {job.speed:g}; duration: {job.motion.duration:.9g} s",
+        job.trajectory.collision.replace("–", "-"),
         *details,
     ]
     if not tried:

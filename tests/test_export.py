@@ -47,7 +47,9 @@ def wrapped(motion: Motion, forced: bool = False) -> Trajectory:
     sources = {q: ("",) * n for q in ("position", "velocity", "acceleration", "jerk", "torque")}
     limits = Limits(motion.joints, np.column_stack([-inf, inf]), inf, inf, inf, inf, (None,) * n, sources)
     robot = {"name": "tiny", "source": "tiny.urdf", "sha256": "0" * 64}
-    return Trajectory(robot, motion, 100.0, limits, np.ones(n), {"criterion": "d"}, {}, [], "none", 0, forced, {"excite": "0"})
+    return Trajectory(
+        robot, motion, 100.0, limits, np.ones(n), {"criterion": "d"}, {}, [], "collision not checked", 0, forced, {"excite": "0"}
+    )
 
 
 def made(n: int, forced: bool = False) -> Trajectory:

@@ -44,19 +44,15 @@ class Chain:
                 R[:, i] = R[:, i] @ _turn(self.angular[i], angle)
         return R, p
 
-    def slopes(self, R: Array, p: Array, joint: Array, point: Array, along: Array) -> Array:
-        """d(along · point)/dq of points fixed to joints' frames, a row each with a pose of its own.
+    def screws(self, R: Array, p: Array) -> Array:
+        """Velocity field of each joint's unit speed as (angular, linear at the base's origin). Shapes as of `poses` -> (N, J, 6).
 
-        Shapes (m, J, 3, 3), (m, J, 3), (m,), (m, 3), (m, 3) -> (m, n).
+        A point x that joint k moves has velocity ω × x + v; along n that is ω · (x × n) + v · n.
         """
         turning, sliding = ((R @ axis[:, :, None])[..., 0] for axis in (self.angular, self.linear))
-        arm = point[:, None] - p
-        # along · (ω × arm) = ω · (arm × along)
-        x, y, z = (arm[..., i] for i in range(3))
-        u, v, w = (along[:, None, i] for i in range(3))
-        lever = np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
-        each = (np.sum(turning * lever, axis=-1) + np.sum(sliding * along[:, None], axis=-1)) * self.above[joint]
-        return np.asarray(each[:, 1:] @ self.spread)
+        x, y, z = (p[..., i] for i in range(3))
+        u, v, w = (turning[..., i] for i in range(3))
+        return np.concatenate([turning, sliding + np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)], axis=-1)
 
 
 def of(robot: Robot) -> Chain:

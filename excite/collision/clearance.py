@@ -94,6 +94,7 @@ class Look:
 
     def __init__(self, clearance: Clearance, rotation: Array, origin: Array) -> None:
         self.clearance, self.rotation, self.origin = clearance, rotation, origin
+        self._speeds: Array | None = None
         turned, moved = rotation[:, clearance.joint], origin[:, clearance.joint]
         self.ends = [(turned @ end[:, :, None])[..., 0] + moved for end in (clearance.begin, clearance.end)]
 
@@ -119,21 +120,29 @@ class Look:
         return out
 
     def slopes(self, sample: Array, pair: Array) -> Array:
-        """Derivatives of single rows by the joints' positions. Shapes (m,), (m,) -> (m, n)."""
+        """Derivatives of single rows by the joints' positions. Shapes (m,), (m,) -> (m, n).
+
+        The nearest points differ along the direction n of the distance, so that x × n is the same for both.
+        """
         c = self.clearance
-        out = np.zeros((len(sample), c.chain.spread.shape[1]))
+        wrench, moved = np.zeros((len(sample), 6)), np.zeros((len(sample), len(c.chain.parent)))
         for kind in range(4):
             at = np.flatnonzero(c.kind[pair] == kind)
             if not len(at):
                 continue
             found = self._nearest(kind, sample[at], pair[at])
-            R, p = self.rotation[sample[at]], self.origin[sample[at]]
+            wrench[at] = np.hstack([np.cross(found.first, found.direction), found.direction])
             joints = np.array([hull.joint for hull in c.hulls], int) if kind == 3 else c.joint
-            slope = c.chain.slopes(R, p, joints[c.first[pair[at]]], found.first, found.direction)
+            moved[at] = c.chain.above[joints[c.first[pair[at]]]]
             if kind in (0, 3):
-                slope -= c.chain.slopes(R, p, joints[c.second[pair[at]]], found.second, found.direction)
-            out[at] = -slope / c.unit[pair[at], None]
-        return out
+                moved[at] -= c.chain.above[joints[c.second[pair[at]]]]
+        each = (self._screws()[sample] @ wrench[:, :, None])[..., 0] * moved
+        return np.asarray(-(each[:, 1:] @ c.chain.spread) / c.unit[pair, None])
+
+    def _screws(self) -> Array:
+        if self._speeds is None:
+            self._speeds = self.clearance.chain.screws(self.rotation, self.origin)
+        return self._speeds
 
     def _bound(self, kind: int, a: Array, b: Array) -> Array:
         """Least that distances can be, from balls around the bodies. Shape (N, P')."""

@@ -59,6 +59,7 @@ def parser() -> argparse.ArgumentParser:
     _predict(commands)
     _diagnose(commands)
     _simulate(commands)
+    _view(commands)
     return top
 
 
@@ -290,6 +291,16 @@ def _simulate(commands: Commands) -> None:
     group.add_argument(
         "--model-error", type=float, default=0.05, metavar="F", help="how far the true bodies are from the URDF's (default %(default)s)"
     )
+
+
+def _view(commands: Commands) -> None:
+    sub = _command(commands, "view", "play a trajectory in a browser, among its surroundings (extra [view])")
+    sub.add_argument("trajectory", metavar="TRAJECTORY")
+    sub.add_argument("--robot", metavar="URDF", help="where the robot's URDF is now")
+    sub.add_argument("--speed", type=float, default=1.0, metavar="F", help="play at F times its speed")
+    sub.add_argument("--once", action="store_true", help="end after one play")
+    sub.add_argument("--host", default="localhost", help="default %(default)s")
+    sub.add_argument("--port", type=int, default=8080, help="default %(default)s, or the next free one")
 
 
 class _Warnings:

@@ -330,6 +330,13 @@ def diagnose(arguments: argparse.Namespace) -> Outcome:
     return diagnose(arguments, _say)
 
 
+def view(arguments: argparse.Namespace) -> Outcome:
+    """Play a trajectory in a browser."""
+    from .viewing import view
+
+    return view(arguments, _say)
+
+
 def simulate(arguments: argparse.Namespace) -> Outcome:
     """Record a simulated robot."""
     from .simulate import command

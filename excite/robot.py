@@ -93,7 +93,9 @@ class Robot:
         return [pin.log6(a.actInv(data.liMi[i])).vector for i, a in enumerate(before, start=1)]
 
     def frame(self, name: str) -> int:
-        """Index of a link's or joint's frame; UnusableInput names the ones nearest in spelling."""
+        """Index of a link's frame, else a joint's; UnusableInput names the ones nearest in spelling."""
+        if self.model.existFrame(name, pin.FrameType.BODY):  # a joint may have the same name
+            return int(self.model.getFrameId(name, pin.FrameType.BODY))
         if not self.model.existFrame(name):
             from difflib import get_close_matches
 

@@ -16,6 +16,8 @@ BOXES = 24
 """Boxes for one mesh around the robot, at most."""
 WORTH = 0.85
 """Each capsule more must leave less than this share of the volume."""
+DENSE, CELLS = 2000, 40
+"""Meshes of more triangles than this are covered by way of a grid of so many cells a side."""
 FINE = 6
 """Edges of triangles are at most this many times shorter than the surface is long, so that it can be split."""
 
@@ -45,7 +47,8 @@ def capsules(shape: Shape) -> tuple[Capsule, ...]:
         half = np.array([0.0, 0.0, 0.5 * shape.size[1] if shape.kind is Kind.CAPSULE else 0.0])
         own = [Capsule(-half, half, shape.size[0])]
     else:
-        own = _split(shape.triangles())
+        triangles, off = _coarse(shape.triangles())
+        own = [Capsule(one.begin, one.end, one.radius + off) for one in _split(triangles)]
     placement = shape.placement
     return tuple(one.moved(placement.rotation, placement.translation) for one in own)
 
@@ -55,7 +58,8 @@ def boxes(shape: Shape) -> list[tuple[Array, Array]]:
     if shape.kind is Kind.BOX:
         half = 0.5 * np.array(shape.size)
         return [(-half, half)]
-    whole = [_fine(shape.triangles())]
+    coarse, off = _coarse(shape.triangles())
+    whole = [_fine(coarse)]
     parts = list(whole)
     while len(parts) < BOXES:
         i = int(np.argmax([np.prod(_extent(part)) for part in parts]))
@@ -65,7 +69,20 @@ def boxes(shape: Shape) -> list[tuple[Array, Array]]:
         parts[i : i + 1] = halves
     # one split alone may gain nothing where several do
     kept = parts if sum(np.prod(_extent(part)) for part in parts) < WORTH * np.prod(_extent(whole[0])) else whole
-    return [(part.min(axis=(0, 1)), part.max(axis=(0, 1))) for part in kept]
+    return [(part.min(axis=(0, 1)) - off, part.max(axis=(0, 1)) + off) for part in kept]
+
+
+def _coarse(triangles: Array) -> tuple[Array, float]:
+    """A large mesh with its corners moved to the middles of cells, and how far its surface may have moved at most [m]."""
+    if len(triangles) <= DENSE:
+        return triangles, 0.0
+    points = triangles.reshape(-1, 3)
+    low, size = points.min(axis=0), float(_extent(triangles).max()) / CELLS
+    cells = np.floor((points - low) / size).astype(np.int64)
+    keys = cells @ np.array([1, CELLS + 1, (CELLS + 1) ** 2])
+    _, first, which = np.unique(keys, return_index=True, return_inverse=True)
+    faces = np.unique(np.sort(which.reshape(-1, 3), axis=1), axis=0)
+    return (low + (cells[first] + 0.5) * size)[faces], 0.5 * np.sqrt(3.0) * size
 
 
 def _split(triangles: Array) -> list[Capsule]:
@@ -181,13 +198,12 @@ def _corners(points: Array) -> Array:
     """Corners of the convex hull; all points where it is flat."""
     from scipy.spatial import ConvexHull, QhullError
 
-    points = np.unique(np.round(points, 9), axis=0)
     if len(points) < 5:
         return points
     try:
         return np.asarray(points[ConvexHull(points).vertices])
     except QhullError:
-        return np.asarray(points)
+        return np.unique(points, axis=0)
 
 
 def _fine(triangles: Array) -> Array:

@@ -21,6 +21,8 @@ Array = np.ndarray
 POSES = 1000
 LOOSE = 0.05
 """Share of poses in which covers may break a margin that the bodies keep."""
+LOOKS = 15
+"""Of those, poses at which the bodies themselves are looked at."""
 OFTEN = 0.5
 """Share of poses in which hulls break a margin, from which they say nothing."""
 
@@ -108,7 +110,7 @@ def _pruned(whole: Clearance, cell: Cell, pair: Array) -> Clearance | None:
         broken = (room[:, rows] < 0.0).any(axis=1)
         if broken.mean() <= LOOSE:
             continue
-        some = poses[broken][:: max(int(broken.sum()) // 40, 1)]
+        some = poses[broken][:: max(int(broken.sum()) // LOOKS, 1)]
         share = float(np.mean([probe.to(q).distance(number) >= one.margin for q in some]))
         if share * broken.mean() > LOOSE:
             dropped |= rows

@@ -85,9 +85,7 @@ class Shape:
     def triangles(self) -> Array:
         """A surface that encloses the shape, in its own frame. Shape (m, 3, 3) [m]."""
         if self.kind is Kind.MESH:
-            mesh = self.solid()
-            corners = np.array([[mesh.tri_indices(i)[k] for k in range(3)] for i in range(mesh.num_tris)], int)
-            return np.asarray(mesh.vertices())[corners]
+            return _surface(str(self.file), self.size)
         if self.kind is Kind.BOX:
             profile, heights = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]), (-0.5, 0.5)
             return _prism(0.5 * profile * np.array(self.size[:2]), [self.size[2] * h for h in heights])
@@ -127,6 +125,13 @@ def _mesh(file: str, scale: tuple[float, ...]) -> coal.BVHModelBase:
     if mesh.num_tris == 0:
         raise UnusableInput(f"{file}: holds no triangles; export it as STL, OBJ or DAE")
     return mesh
+
+
+@lru_cache(maxsize=256)
+def _surface(file: str, scale: tuple[float, ...]) -> Array:
+    mesh = _mesh(file, scale)
+    corners = np.array([[face[0], face[1], face[2]] for face in map(mesh.tri_indices, range(mesh.num_tris))], int)
+    return np.asarray(mesh.vertices()[corners])
 
 
 def _prism(profile: Array, heights: Any) -> Array:

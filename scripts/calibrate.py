@@ -19,7 +19,7 @@ from scipy.optimize import minimize
 
 from excite.diagnose.belief import FEATURES
 from excite.diagnose.catalogue import BY_NAME
-from excite.diagnose.diagnosis import FORM
+from excite.diagnose.interval import FORM
 from excite.trial import seal
 from excite.trial.score import APART, equal, whole
 

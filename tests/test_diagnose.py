@@ -13,7 +13,7 @@ from made import WIDTH, motion, perturbed, recorded, two_links, written
 from scipy import signal
 
 from excite import cli
-from excite.diagnose import diagnosis
+from excite.diagnose import diagnosis, interval
 from excite.diagnose.catalogue import BY_NAME, EFFECTS
 from excite.diagnose.diagnosis import Diagnosis, Options
 from excite.diagnose.document import document
@@ -95,7 +95,7 @@ def test_nothing_planted_nothing_found(subject):
 
 def test_parameters_come_with_intervals_that_hold_the_truth(subject):
     result = found(subject, PLANTED["torque_ripple"][0])
-    value, std = diagnosis.finding_parameters(result.design, result.verdict, 0)["amplitude"]
+    value, std = interval.finding_parameters(result.design, result.verdict, 0)["amplitude"]
     assert value == pytest.approx(0.5, rel=0.1) and std < 0.05
 
 
@@ -108,7 +108,7 @@ def test_a_coupling_takes_energy_whichever_way_the_other_joint_turns_the_shaft(s
         result = found(subject, plant)
         (one,) = result.verdict.chosen
         assert one.effect == "coupling" and result.design.shapes[one.shape].values["ratio"] == pytest.approx(ratio, rel=0.02)
-        assert diagnosis.finding_parameters(result.design, result.verdict, 0)["coulomb"][0] == pytest.approx(0.9, rel=0.05)
+        assert interval.finding_parameters(result.design, result.verdict, 0)["coulomb"][0] == pytest.approx(0.9, rel=0.05)
         assert not result.design.shapes[one.shape].plausible(-one.trial.coefficients)
 
 
@@ -138,7 +138,7 @@ def test_a_trusted_prior_shows_what_a_refit_absorbs(subject):
     assert not found(subject, plant).verdict.chosen
     result = found(subject, plant, trusted=trusted)
     assert result.verdict.chosen[0].effect == "torque_offset" and result.verdict.chosen[0].joint == 1
-    assert diagnosis.finding_parameters(result.design, result.verdict, 0)["offset"][0] == pytest.approx(1.0, rel=0.05)
+    assert interval.finding_parameters(result.design, result.verdict, 0)["offset"][0] == pytest.approx(1.0, rel=0.05)
 
 
 def test_the_catalogue_is_the_contracts():

@@ -257,9 +257,11 @@ def test_a_base_that_leans_is_told_with_its_sign(subject):
 
 
 def test_probabilities_fall_with_what_speaks_against_a_name():
-    clear = {"size": 5.0, "share": 1.0, "takes": 1.0, "left": 0.0, "later": 0.0, "lead": 1.0}
-    usual = belief.probability(clear)
-    assert usual > 0.85
-    for worse in ({"takes": 0.1}, {"later": 1.0}, {"size": 0.0}):
-        assert belief.probability({**clear, **worse}) < usual
-    assert belief.LEAST <= belief.probability({"size": 0.0, "share": 0.0, "takes": 0.0, "left": 1.0, "later": 1.0, "lead": 0.0}) < 0.5
+    takes = [belief.probability(belief.features((1.0, left))) for left in (0.02, 0.2, 0.6, 1.0)]
+    assert takes[0] > 0.9 and takes[-1] < 0.5 and sorted(takes, reverse=True) == takes
+
+
+def test_equivalents_are_the_names_within_reach_of_a_wrong_form():
+    finding = judge.Finding((), 100.0, {"drag": 97.0, "spring": 80.0, "stribeck": 20.0})
+    assert belief.alike(finding, (1.0, 0.2)) == ("drag", "spring")
+    assert belief.alike(finding, (1.0, 0.002)) == ("drag",)

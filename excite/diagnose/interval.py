@@ -12,14 +12,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import search
+from .belief import ACTS
 from .catalogue import BY_NAME
 from .effect import Shape
 from .judge import Verdict, sizes
 from .search import Design
 
 Array = np.ndarray
-FORM = 0.05
-"""Relative standard deviation of a parameter whose effect's form is not quite the robot's, where the effect states none."""
+FORM = 0.1
+"""Relative standard deviation of a parameter whose effect's form is not quite the robot's, where the effect states none: fitted to other
+effects it covers nine in ten."""
 HIDDEN = 0.3
 """Of the misfit that the fit leaves, what it takes for its own."""
 STEP = 0.02
@@ -100,5 +102,5 @@ def misfit(one: Design, verdict: Verdict, number: int) -> float:
     together, main = verdict.together, verdict.findings[number].main
     assert together is not None
     where = sizes(one, together, together.shapes.index(main.shape))
-    left = search.remaining(one, together.shapes)[:, where > 0.2 * where.max()]
+    left = search.remaining(one, together.shapes)[:, where > ACTS * where.max()]
     return float(np.sqrt(max(np.sum(left**2) - left.size, 0.0)))

@@ -11,9 +11,6 @@ from . import search
 from .search import Design, Trial, trial
 
 Array = np.ndarray
-ALIKE = 0.04
-"""Names whose gain is within this share of the best one's cannot be told apart: forms are never quite the catalogue's."""
-ALIKE_NATS = 4.0
 SHARE, SAME = 0.04, 0.02
 """Of the gain so far, what a further effect must add, and a further shape of one that is there: forms are never quite the catalogue's."""
 SMALLEST = 0.3
@@ -40,12 +37,13 @@ class Hypothesis:
 @dataclass(frozen=True)
 class Finding:
     """What is asserted. parts: its shapes at one joint, the largest first. gain: that it adds to the others. rivals: what other
-    names would add in its place. probability: that the truth is it or an equivalent. evidence: what that is made of."""
+    names would add in its place. equivalents: those of them that it cannot be told from. probability: that the truth is it or one of these.
+    evidence: what that is made of."""
 
     parts: tuple[Hypothesis, ...]
     gain: float
-    equivalents: tuple[str, ...]
     rivals: Mapping[str, float]
+    equivalents: tuple[str, ...] = ()
     probability: float = 1.0
     evidence: Mapping[str, float] = field(default_factory=dict)
 
@@ -225,7 +223,7 @@ def _best_pair(one: Design, ranked: Sequence[Hypothesis]) -> list[int] | None:
 
 
 def _finding(one: Design, together: Trial, parts: tuple[Hypothesis, ...]) -> Finding:
-    """With the other names that this recording cannot tell from it."""
+    """With what other names would gain in its place."""
     others = _without(together.shapes, parts)
     effect, rest = parts[0].effect, trial(one, others).gain
     gain = together.gain - rest
@@ -233,6 +231,4 @@ def _finding(one: Design, together: Trial, parts: tuple[Hypothesis, ...]) -> Fin
     for h in singles(one, tuple(others)):
         best.setdefault(h.effect, h.trial.gain - rest)
     best.pop(effect, None)
-    margin = max(ALIKE_NATS, ALIKE * gain)
-    alike = tuple(name for name, value in best.items() if value > gain - margin)
-    return Finding(parts, gain, alike, best)
+    return Finding(parts, gain, best)

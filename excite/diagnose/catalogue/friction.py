@@ -200,7 +200,7 @@ EFFECTS = (
         "torque against speed has another slope in each direction",
         ("thermal_drift", "drag"),
         "constant speeds in both directions, several of them",
-        form={"positive": 0.03, "negative": 0.035},
+        form={"positive": 0.06, "negative": 0.06},
     ),
     Effect(
         "stribeck",
@@ -211,7 +211,7 @@ EFFECTS = (
         "friction is larger near zero speed",
         ("hysteresis", "nonlinear_viscous", "delay"),
         "a ladder of slow constant speeds, 1 mrad/s to 0.5 rad/s",
-        form={"amplitude": 0.45, "velocity": 0.8},
+        form={"amplitude": 0.45, "velocity": 0.9},
     ),
     Effect(
         "nonlinear_viscous",
@@ -222,7 +222,7 @@ EFFECTS = (
         "friction against speed is bent",
         ("drag", "stribeck", "thermal_drift"),
         "a wide range of constant speeds",
-        form={"coefficient": 0.15, "exponent": 0.03},
+        form={"coefficient": 0.15, "exponent": 0.1},
     ),
     Effect(
         "drag",
@@ -243,7 +243,7 @@ EFFECTS = (
         "friction grows with the torque carried",
         ("position_friction", "coupling"),
         "repeat the same trajectory with another load at the flange",
-        form={"mu": 0.09},
+        form={"mu": 0.15},
     ),
     Effect(
         "position_friction",
@@ -266,7 +266,7 @@ EFFECTS = (
         "friction takes some way to build up after a reversal",
         ("delay", "backlash", "stribeck"),
         "strokes of many small amplitudes",
-        form={"amplitude": 0.08, "stiffness": 0.06},
+        form={"amplitude": 0.1, "stiffness": 0.4},
     ),
     Effect(
         "friction",
@@ -289,6 +289,6 @@ EFFECTS = (
         "friction changes over the run",
         ("asymmetric_viscous",),
         "a long run that ends with its first motion",
-        form={"change": 0.14, "time_constant": 0.08},
+        form={"change": 0.25, "time_constant": 0.25},
     ),
 )

@@ -204,7 +204,7 @@ EFFECTS = (
         "periodic in the angle, whatever the speed",
         ("encoder_error",),
         "slow constant speed over a turn",
-        form={"order": 0.02, "amplitude": 0.02},
+        form={"order": 0.02, "amplitude": 0.1},
     ),
     Effect(
         "spring",
@@ -225,6 +225,6 @@ EFFECTS = (
         "torque where only the other joint moves",
         ("load_friction",),
         "each joint singly, then together",
-        form={"viscous": 0.06, "coulomb": 0.02, "inertia": 0.03},
+        form={"viscous": 0.1, "coulomb": 0.1, "inertia": 0.1},
     ),
 )

@@ -22,7 +22,7 @@ FEATURES = ("takes",)
 WEIGHTS = {"bias": 0.3, "takes": 1.0}
 FORM = (-4.2, 1.8)
 """Mean and standard deviation of the logarithm of the share that a right name leaves."""
-ODDS = 0.05
+ODDS = 0.02
 """Of a rival against the best name, from which they cannot be told apart."""
 LEAST_ALIKE, MOST_ALIKE = 0.5, 3
 """Of the best name's gain, what a rival must gain to be told with it; and how many are told."""
@@ -65,18 +65,20 @@ def alike(finding: Finding, left: tuple[float, float]) -> tuple[str, ...]:
     """Names that a recording cannot tell from a finding's, the best first.
 
     A law that is not quite the catalogue's leaves a share x of what it explains, whose logarithm is normal (`FORM`, over tuning cases named
-    rightly). The best name leaves some, a rival more, by how much less it gains; the odds are the densities' quotient.
+    rightly); a wrong name leaves any share as likely as any other. The best name leaves some, a rival more, by how much less it gains: the
+    odds that they are the wrong way round.
     """
     without, both = left
     best = np.clip(both / max(without, both), LEAST_LEFT, 1.0)
 
-    def density(x: float) -> float:
-        return float(np.exp(-0.5 * ((np.log(x) - FORM[0]) / FORM[1]) ** 2)) if np.log(x) > FORM[0] else 1.0
+    def right(x: float) -> float:
+        """Odds of a right name to a wrong one, by the share that it leaves, to a factor."""
+        return float(np.exp(-0.5 * max((np.log(x) - FORM[0]) / FORM[1], 0.0) ** 2) / x)
 
     out = []
     for name, gain in sorted(finding.rivals.items(), key=lambda entry: -entry[1]):
         share = np.clip(1.0 - (1.0 - best) * gain / max(finding.gain, 1e-9), best, 1.0)
-        if gain > LEAST_ALIKE * finding.gain and density(float(share)) > ODDS * density(float(best)):
+        if gain > LEAST_ALIKE * finding.gain and right(float(share)) > ODDS * right(float(best)):
             out.append(name)
     return tuple(out[:MOST_ALIKE])
 

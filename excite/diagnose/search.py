@@ -258,12 +258,11 @@ def pretended(one: Design, residual: tuple[Array, Array]) -> Design:
 
 @dataclass(frozen=True)
 class Trial:
-    """A set of shapes, fitted. coefficients, deviation: on both halves together. halves: on each. gain: log-likelihood of each half given
+    """A set of shapes, fitted. coefficients: on both halves together. halves: on each. gain: log-likelihood of each half given
     the other, both added, beyond the base model's. plausible: whether every part passes its gates."""
 
     shapes: tuple[int, ...]
     coefficients: Array
-    deviation: Array
     halves: tuple[Array, Array]
     gain: float
     plausible: bool
@@ -274,18 +273,16 @@ def trial(one: Design, chosen: Sequence[int]) -> Trial:
     which = one.which(chosen)
     index, prior = np.ix_(which, which), one.prior[which]
     root = 1.0 / np.sqrt(np.maximum(prior, 1e-300))
-    found, gain = [], 0.0
-    for sign, gram in ((-1.0, one.grams[0]), (-1.0, one.grams[1]), (2.0, one.whole)):
-        # in units of the prior's deviation: G + I, well scaled
-        G = gram.matrix[index] * np.outer(root, root) + np.eye(len(which))
-        factor = np.linalg.cholesky(G)
-        half = np.linalg.solve(factor, gram.score[which] * root)
-        found.append(root * np.linalg.solve(factor.T, half))
-        gain += sign * (0.5 * float(half @ half) - float(np.log(np.diag(factor)).sum()))
-    spread = np.sqrt(np.sum((np.linalg.inv(factor) * root) ** 2, axis=0))
-    c = found[2]
+    grams = (*one.grams, one.whole)
+    # in units of the prior's deviation: G + I, well scaled; the halves and both at once
+    G = np.stack([gram.matrix[index] for gram in grams]) * np.outer(root, root) + np.eye(len(which))
+    factor = np.linalg.cholesky(G)
+    half = np.linalg.solve(factor, np.stack([gram.score[which] * root for gram in grams])[:, :, None])
+    first, second, c = root * np.linalg.solve(factor.transpose(0, 2, 1), half)[:, :, 0]
+    evidence = 0.5 * np.sum(half**2, axis=(1, 2)) - np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+    gain = float(2.0 * evidence[2] - evidence[0] - evidence[1])
     plausible = all(bool(one.shapes[i].plausible(own)) for i, own in zip(chosen, one.split(chosen, c), strict=True))
-    return Trial(tuple(chosen), c, spread, (found[0], found[1]), gain, plausible)
+    return Trial(tuple(chosen), c, (first, second), gain, plausible)
 
 
 def remaining(one: Design, chosen: Sequence[int]) -> Array:

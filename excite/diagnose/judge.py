@@ -11,8 +11,8 @@ from . import search
 from .search import Design, Trial, trial
 
 Array = np.ndarray
-SHARE = 0.02
-"""Of the gain so far, what a further shape must add: forms are never quite the catalogue's. Whether its name is believed is asked later."""
+SHARE, SAME = 0.04, 0.02
+"""Of the gain so far, what a further effect must add, and a further shape of one that is there: forms are never quite the catalogue's."""
 SMALLEST = 0.3
 """RMS torque of an effect over the scale, below which nothing is asserted: clocks, encoders and friction's step are never as the
 model has them."""
@@ -175,17 +175,19 @@ def _searched(one: Design, ranked: Sequence[Hypothesis]) -> tuple[Design, list[i
 
 
 def _further(one: Design, chosen: Sequence[int]) -> int | None:
-    """What predicts best beside those chosen, if it is worth it."""
+    """What predicts best beside those chosen, if it is worth it: another name more so than one more shape of what is there already."""
     now = trial(one, chosen).gain
     for h in singles(one, tuple(chosen)):
-        if h.shows and h.trial.gain - now > _worth(one, h.shape, now):
+        if h.shows and h.trial.gain - now > _worth(one, h.shape, chosen, now):
             return h.shape
     return None
 
 
-def _worth(one: Design, shape: int, gain: float) -> float:
-    """What a shape must add to a gain."""
-    return max(one.bar(shape), SHARE * gain)
+def _worth(one: Design, shape: int, others: Sequence[int], gain: float) -> float:
+    """What a shape must add to the gain of others."""
+    own = (one.shapes[shape].effect, one.shapes[shape].joint)
+    there = any((one.shapes[i].effect, one.shapes[i].joint) == own for i in others)
+    return max(one.bar(shape), (SAME if there else SHARE) * gain)
 
 
 def _replaced(one: Design, chosen: list[int]) -> list[int]:
@@ -198,7 +200,7 @@ def _replaced(one: Design, chosen: list[int]) -> list[int]:
                 continue
             rest, now = trial(one, others).gain, trial(one, chosen).gain
             best = singles(one, tuple(others))[:1]
-            if now - rest < _worth(one, i, rest):
+            if now - rest < _worth(one, i, others, rest):
                 chosen = others
             elif best and best[0].trial.gain > now + 1e-9 and best[0].shows:
                 chosen = [*others, best[0].shape]

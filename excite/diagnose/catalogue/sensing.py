@@ -18,21 +18,12 @@ BLURRED = 6.0
 
 
 def _late(t: Track, s: Shape) -> Array:
-    """−τ̇ of the base model's torque, of one joint or of all; where a time is given, what the torque was so long ago, or is through a
-    first-order lag of that time constant, less what it is, over the time."""
+    """−τ̇ of the base model's torque, of one joint or of all; where a time is given, what it was so long ago less what it is, over the time."""
     seconds = s.values.get("seconds", 0.0)
     if not seconds:
         return _of(s, -t.band.transformed(t.motor).low(t.to, 1)[t.kept])
-    then = _lagging(t, seconds) if s.values["lag"] else np.column_stack([np.interp(t.clock - seconds, t.clock, x) for x in t.motor.T])
+    then = np.column_stack([np.interp(t.clock - seconds, t.clock, x) for x in t.motor.T])
     return _of(s, t.reduce((then - t.motor) / seconds))
-
-
-def _lagging(t: Track, seconds: float) -> Array:
-    """The base model's torque behind a first-order lag, exact for steps. Shape (M, n)."""
-    from scipy import signal  # slow to import
-
-    keep = np.exp(-1.0 / (t.piece.rate * seconds))
-    return np.asarray(signal.lfilter([1.0 - keep], [1.0, -keep], t.motor, axis=0, zi=keep * t.motor[:1])[0])
 
 
 def _of(s: Shape, torque: Array) -> Array:
@@ -45,20 +36,19 @@ def _of(s: Shape, torque: Array) -> Array:
 
 
 def _delay(tracks: Sequence[Track]) -> Iterator[Shape]:
-    """To first order, ahead or behind; and behind by what a slope does not tell: dead time, or the lag of a filter."""
+    """To first order, ahead or behind; and behind by so much that a slope does not tell it."""
 
-    def behind(joint: int | None, lag: float) -> Callable[[float], Shape]:
+    def behind(joint: int | None) -> Callable[[float], Shape]:
         def shape(seconds: float) -> Shape:
-            fixed, gate = {"seconds": seconds, "lag": lag}, within(0.5 * seconds, 2.0 * seconds)
-            return Shape("delay", joint, _late, fixed, parameters=named("seconds"), plausible=gate, doubt=BLURRED)
+            gate = within(0.5 * seconds, 2.0 * seconds)
+            return Shape("delay", joint, _late, {"seconds": seconds}, parameters=named("seconds"), plausible=gate, doubt=BLURRED)
 
         return shape
 
     alone = tracks[0].n == 1  # the joint is the whole robot
     for joint in (*(() if alone else (None,)), *range(tracks[0].n)):
         yield Shape("delay", joint, _late, parameters=named("seconds"), plausible=within(-0.05, 0.05), doubt=BLURRED)
-        for lag in (0.0, 1.0):
-            yield from family(LATE, behind(joint, lag))
+        yield from family(LATE, behind(joint))
 
 
 def _misread(t: Track, s: Shape) -> Array:
@@ -92,7 +82,7 @@ def _encoder(tracks: Sequence[Track]) -> Iterator[Shape]:
 EFFECTS = (
     Effect(
         "delay",
-        "τ(t − d), or τ through 1/(1 + d s); ≈ τ − d τ̇",
+        "τ(t − d) ≈ τ − d τ̇",
         _late,
         _delay,
         {"seconds": "s"},

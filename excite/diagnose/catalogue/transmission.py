@@ -153,7 +153,11 @@ def _rubs(speed: float, acceleration: float) -> Callable[[Array], bool]:
 
 
 def _coupling(tracks: Sequence[Track]) -> Iterator[Shape]:
-    n, told = tracks[0].n, named("viscous", "coulomb", "inertia")
+    """Viscous friction and inertia are told as torque by the other joint's motion, which is sure whether the ratio is or not."""
+    n = tracks[0].n
+
+    def told(ratio: float) -> Callable[[Array], dict[str, float]]:
+        return lambda c: {"viscous": float(c[0] * ratio), "coulomb": float(c[1]), "inertia": float(c[2] * ratio)}
 
     def shaft(i: int, j: int, sign: float) -> Callable[[float], Shape]:
         def shape(ratio: float) -> Shape:
@@ -162,7 +166,7 @@ def _coupling(tracks: Sequence[Track]) -> Iterator[Shape]:
                 for both in ([t.fine.dq for t in tracks], [t.fine.ddq for t in tracks])
             )
             gate = _rubs(turns, hastes)
-            return Shape("coupling", i, _turned, {"ratio": sign * ratio}, j, parameters=told, plausible=gate)
+            return Shape("coupling", i, _turned, {"ratio": sign * ratio}, j, parameters=told(ratio), plausible=gate)
 
         return shape
 

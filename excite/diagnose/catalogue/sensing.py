@@ -18,7 +18,7 @@ BLURRED = 6.0
 
 
 def _late(t: Track, s: Shape) -> Array:
-    """−τ̇ of the base model's torque, of one joint or of all; where a time is given, what it was so long ago less what it is, over the time."""
+    """−τ̇ of the base model's torque, of one joint or of all; or what it was some time ago less what it is, over the time."""
     seconds = s.values.get("seconds", 0.0)
     if not seconds:
         return _of(s, -t.band.transformed(t.motor).low(t.to, 1)[t.kept])

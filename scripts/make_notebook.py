@@ -294,7 +294,7 @@ from IPython.display import display
 from matplotlib.figure import Figure
 
 from excite import base, limits, parameters, recordings, robot
-from excite.diagnose import diagnosis
+from excite.diagnose import diagnosis, interval
 from excite.diagnose.catalogue import BY_NAME
 from excite.identify import priors
 
@@ -318,7 +318,7 @@ def told(found):
     print(f"{found.name}; band {found.hertz:.0f} Hz, noise by {found.method}")
     for number, finding in enumerate(found.verdict.findings):
         main = finding.main
-        values = diagnosis.finding_parameters(found.design, found.verdict, number)
+        values = interval.finding_parameters(found.design, found.verdict, number)
         units = BY_NAME[main.effect].units
         words = ", ".join(f"{key} {v:.4g} ± {s:.2g} {units.get(key, '')}" for key, (v, s) in values.items())
         print(f"  {main.effect} at {joints[main.joint] if main.joint is not None else 'all'} (p {finding.probability:.2f}): {words}")

@@ -13,7 +13,7 @@ from made import WIDTH, motion, perturbed, recorded, two_links, written
 from scipy import signal
 
 from excite import cli
-from excite.diagnose import diagnosis
+from excite.diagnose import diagnosis, interval
 from excite.diagnose.catalogue import BY_NAME, EFFECTS
 from excite.diagnose.diagnosis import Diagnosis, Options
 from excite.diagnose.document import document
@@ -61,12 +61,18 @@ def on(joint: int, column: Array) -> Array:
     return out
 
 
+def shaft(speed: Array) -> Array:
+    """Friction of a shaft that two joints turn."""
+    return 0.9 * np.tanh(speed / WIDTH) + 0.2 * speed
+
+
 PLANTED: dict[str, tuple[Plant, int | None]] = {
     "asymmetric_viscous": (lambda t, q, dq, tau: on(1, 0.35 * np.abs(dq[:, 1])), 1),
     "stribeck": (lambda t, q, dq, tau: on(0, 1.5 * np.tanh(dq[:, 0] / WIDTH) * np.exp(-((np.abs(dq[:, 0]) / 0.12) ** 2))), 0),
     "torque_ripple": (lambda t, q, dq, tau: on(1, 0.5 * np.cos(23.0 * q[:, 1] + 0.4)), 1),
     "spring": (lambda t, q, dq, tau: on(1, 1.7 * q[:, 1]), 1),
     "position_friction": (lambda t, q, dq, tau: on(0, 0.8 * np.tanh(dq[:, 0] / WIDTH) * np.cos(2.0 * q[:, 0] + 1.0)), 0),
+    "coupling": (lambda t, q, dq, tau: on(0, shaft(dq[:, 0] - 0.7 * dq[:, 1])), 0),
     "delay": (lambda t, q, dq, tau: np.column_stack([np.interp(t - 0.006, t, c) for c in tau.T]) - tau, None),
 }
 
@@ -89,8 +95,21 @@ def test_nothing_planted_nothing_found(subject):
 
 def test_parameters_come_with_intervals_that_hold_the_truth(subject):
     result = found(subject, PLANTED["torque_ripple"][0])
-    value, std = diagnosis.finding_parameters(result.design, result.verdict, 0)["amplitude"]
+    value, std = interval.finding_parameters(result.design, result.verdict, 0)["amplitude"]
     assert value == pytest.approx(0.5, rel=0.1) and std < 0.05
+
+
+def test_a_coupling_takes_energy_whichever_way_the_other_joint_turns_the_shaft(subject):
+    for ratio in (0.8, -0.8):
+
+        def plant(t: Array, q: Array, dq: Array, tau: Array, ratio: float = ratio) -> Array:
+            return on(0, shaft(dq[:, 0] + ratio * dq[:, 1]))
+
+        result = found(subject, plant)
+        (one,) = result.verdict.chosen
+        assert one.effect == "coupling" and result.design.shapes[one.shape].values["ratio"] == pytest.approx(ratio, rel=0.02)
+        assert interval.finding_parameters(result.design, result.verdict, 0)["coulomb"][0] == pytest.approx(0.9, rel=0.05)
+        assert not result.design.shapes[one.shape].plausible(-one.trial.coefficients)
 
 
 def test_two_effects_are_both_named(subject):
@@ -119,7 +138,7 @@ def test_a_trusted_prior_shows_what_a_refit_absorbs(subject):
     assert not found(subject, plant).verdict.chosen
     result = found(subject, plant, trusted=trusted)
     assert result.verdict.chosen[0].effect == "torque_offset" and result.verdict.chosen[0].joint == 1
-    assert diagnosis.finding_parameters(result.design, result.verdict, 0)["offset"][0] == pytest.approx(1.0, rel=0.05)
+    assert interval.finding_parameters(result.design, result.verdict, 0)["offset"][0] == pytest.approx(1.0, rel=0.05)
 
 
 def test_the_catalogue_is_the_contracts():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from excite import base, limits, parameters, recordings, robot
-from excite.diagnose import diagnosis
+from excite.diagnose import diagnosis, interval
 from excite.diagnose.diagnosis import Diagnosis, Options
 from excite.errors import ExciteWarning
 from excite.identify import priors
@@ -34,7 +34,7 @@ def relative(found: Diagnosis) -> np.ndarray:
 
 def values(found: Diagnosis, effect: str, joint: int | None) -> dict[str, float]:
     number = next(i for i, h in enumerate(found.verdict.chosen) if (h.effect, h.joint) == (effect, joint))
-    return {key: value for key, (value, _) in diagnosis.finding_parameters(found.design, found.verdict, number).items()}
+    return {key: value for key, (value, _) in interval.finding_parameters(found.design, found.verdict, number).items()}
 
 
 def test_emps_rubs_more_one_way_than_the_other():

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from test_diagnose import PLANTED, found, recordings_of
 
 from excite import dynamics
-from excite.diagnose import belief, diagnosis, noise, search, track, whole
+from excite.diagnose import belief, diagnosis, interval, judge, noise, search, track, whole
 from excite.diagnose.catalogue import windup
 from excite.diagnose.effect import Shape, family
 from excite.diagnose.track import Track
@@ -41,7 +41,7 @@ def test_the_gain_is_the_quotient_of_marginal_likelihoods():
     torques = [g @ [1.0, -2.0, 0.5] + c @ [0.4, 0.1] + rng.normal(size=len(g)) for g, c in zip(gammas, columns, strict=True)]
     known = (1e-2 * np.eye(p), np.zeros(p))  # a proper prior, so that densities exist
     first, second = (search.half([g[:, None, :]], [t[:, None]], np.ones(1), known) for g, t in zip(gammas, torques, strict=True))
-    one = search.design((first, second), [Shape("drag", 0, nothing)], lambda _: (columns[0], columns[1]), np.zeros(1), 0.0)
+    one = search.design((first, second), [Shape("drag", 0, nothing)], lambda _: (columns[0], columns[1]))
     gain = search.trial(one, [0]).gain
 
     def evidence(parts: tuple[int, ...], wide: bool) -> float:
@@ -57,6 +57,49 @@ def test_the_gain_is_the_quotient_of_marginal_likelihoods():
     assert search.trial(one, []).gain == 0.0
 
 
+def test_another_residual_is_judged_as_if_it_had_been_measured():
+    rng = np.random.default_rng(3)
+    gammas, columns, torques = ([rng.normal(size=(m, k)) for m in (50, 30)] for k in (3, 2, 1))
+    known = (np.eye(3), np.zeros(3))
+
+    def designed(own: list[Array]) -> search.Design:
+        first, second = (search.half([g[:, None, :]], [t], np.ones(1), known) for g, t in zip(gammas, own, strict=True))
+        return search.design((first, second), [Shape("drag", 0, nothing)], lambda _: (columns[0], columns[1]))
+
+    others = [columns[0][:, :1] - gammas[0][:, :1], rng.normal(size=(30, 1))]
+    told = search.pretended(designed(torques), (others[0].ravel(), others[1].ravel()))
+    direct = designed(others)
+    assert search.trial(told, [0]).gain == pytest.approx(search.trial(direct, [0]).gain)
+    np.testing.assert_allclose(search.trial(told, [0]).coefficients, search.trial(direct, [0]).coefficients)
+    warned = judge.warned(designed(torques), [(others[0].ravel(), others[1].ravel())], 0.0)
+    best = judge.singles(direct)[0].trial.gain if judge.singles(direct) else 0.0
+    assert warned.bar(0) == pytest.approx(search.NATS + search.FEIGNED * best)
+
+
+def test_what_remains_is_what_least_squares_leaves():
+    rng = np.random.default_rng(5)
+    gammas, columns = ([rng.normal(size=(m, k)) for m in (60, 40)] for k in (3, 1))
+    torques = [rng.normal(size=(len(g), 1)) + 50.0 * c for g, c in zip(gammas, columns, strict=True)]
+    first, second = (
+        search.half([g[:, None, :]], [t], np.ones(1), (np.zeros((0, 3)), np.zeros(0))) for g, t in zip(gammas, torques, strict=True)
+    )
+    one = search.design((first, second), [Shape("drag", 0, nothing)], lambda _: (columns[0], columns[1]))
+    y = np.concatenate(torques)
+    for chosen, wide in (((), gammas), ((0,), [np.hstack(pair) for pair in zip(gammas, columns, strict=True)])):
+        G = np.concatenate(wide)
+        expected = y - G @ np.linalg.lstsq(G, y, rcond=None)[0]
+        np.testing.assert_allclose(search.remaining(one, chosen), expected, atol=0.05)
+
+
+def test_an_encoders_steps_raise_the_bar_for_what_they_look_like_alone(subject):
+    train, held_out = (dataclasses.replace(r, q=np.round(r.q / 2e-4) * 2e-4) for r in recordings_of(subject, None))
+    result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [held_out])
+    assert not result.verdict.chosen and not result.unknown
+    bars = {shape.effect: result.design.bar(i) for i, shape in enumerate(result.design.shapes)}
+    assert bars["stribeck"] > search.NATS and bars["base_compliance"] > 16.0 * search.NATS
+    assert bars["spring"] == search.NATS
+
+
 def test_a_grid_is_left_for_the_value_between_its_neighbours():
     rng = np.random.default_rng(1)
     x = np.linspace(0.0, 1.0, 400)
@@ -67,7 +110,7 @@ def test_a_grid_is_left_for_the_value_between_its_neighbours():
         return column, column
 
     shapes = list(family((1.0, 1.4, 2.0, 2.8), lambda power: Shape("drag", 0, nothing, {"power": power})))
-    one = search.design((halves[0], halves[1]), shapes, build, np.zeros(1), 0.0)
+    one = search.design((halves[0], halves[1]), shapes, build)
     coarse = max(range(4), key=lambda i: search.trial(one, [i]).gain)
     finer, (best,) = search.refined(one, [coarse])
     assert finer.shapes[best].values["power"] == pytest.approx(1.7, abs=0.05)
@@ -90,7 +133,7 @@ def measured(subject: Model, change: float = 0.0, step: float = 0.0) -> tuple[Ar
     body = track.body(subject.robot, subject.parameters, done.psi)
     tracks = track.tracks(done.model, body, theta, list(signals.pieces([recording], average=False)), 20.0)
     left = np.concatenate([t.torque - t.gamma @ theta for t in tracks])
-    return noise.measured(done, (tracks,), [recording]).floor, np.sqrt(np.mean(left**2, axis=0))
+    return noise.measured(done, (tracks, tracks), [recording]).floor, np.sqrt(np.mean(left**2, axis=0))
 
 
 @pytest.mark.parametrize(("change", "step", "low", "high"), [(0.0, 0.0, 0.85, 1.15), (2e-5, 0.0, 0.85, 1.15), (0.0, 1e-4, 0.6, 1.7)])
@@ -168,7 +211,7 @@ def test_a_push_is_found_in_its_time(subject):
     assert first.effect == "contact" and first.joint == 1
     low, high = result.design.shapes[first.shape].interval
     assert abs(low - 4.0) < 0.6 and abs(high - 6.0) < 0.6
-    assert diagnosis.finding_parameters(result.design, result.verdict, 0)["force"][0] == pytest.approx(12.0, rel=0.25)
+    assert interval.finding_parameters(result.design, result.verdict, 0)["force"][0] == pytest.approx(12.0, rel=0.25)
 
 
 def test_what_is_trusted_is_kept_to_the_digit(subject):
@@ -185,7 +228,7 @@ def test_what_is_trusted_is_kept_to_the_digit(subject):
     result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [held_out], options)
     assert result.verdict.chosen[0].effect == "payload" and result.verdict.chosen[0].joint == 1
     np.testing.assert_allclose(result.tracks[0][0].theta, subject.base.matrix @ psi, atol=1e-12)
-    assert diagnosis.finding_parameters(result.design, result.verdict, 0)["mass"][0] == pytest.approx(0.4, rel=0.1)
+    assert interval.finding_parameters(result.design, result.verdict, 0)["mass"][0] == pytest.approx(0.4, rel=0.1)
 
 
 def derivatives(recording: Recording) -> Samples:
@@ -207,16 +250,18 @@ def test_a_base_that_leans_is_told_with_its_sign(subject):
     train, held_out = (leant(one) for one in recordings_of(subject, None))
     options = diagnosis.Options(trusted=dict(enumerate(psi.tolist())), names=("gravity_tilt",))
     result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [held_out], options)
-    values = diagnosis.finding_parameters(result.design, result.verdict, 0)
+    values = interval.finding_parameters(result.design, result.verdict, 0)
     # two links in one plane feel the lean within it alone
     felt, true = max((("roll", roll), ("pitch", pitch)), key=lambda pair: abs(values[pair[0]][0]))
     assert values[felt][0] == pytest.approx(true, rel=0.1)
 
 
 def test_probabilities_fall_with_what_speaks_against_a_name():
-    clear = {"size": 5.0, "share": 1.0, "left": 0.0, "later": 0.0}
-    usual = belief.probability(clear)
-    assert usual > 0.85
-    for worse in ({"share": 0.1}, {"left": 1.0}, {"later": 1.0}, {"size": 0.0}):
-        assert belief.probability({**clear, **worse}) < usual
-    assert belief.LEAST <= belief.probability({"size": 0.0, "share": 0.0, "left": 1.0, "later": 1.0}) < 0.5
+    takes = [belief.probability(belief.features((1.0, left))) for left in (0.02, 0.2, 0.6, 1.0)]
+    assert takes[0] > 0.9 and takes[-1] < 0.5 and sorted(takes, reverse=True) == takes
+
+
+def test_equivalents_are_the_names_within_reach_of_a_wrong_form():
+    finding = judge.Finding((), 100.0, {"drag": 97.0, "spring": 80.0, "stribeck": 20.0})
+    assert belief.alike(finding, (1.0, 0.2)) == ("drag", "spring")
+    assert belief.alike(finding, (1.0, 0.002)) == ("drag",)

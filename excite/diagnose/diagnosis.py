@@ -36,12 +36,10 @@ QUIET = 1.2
 """RMSE over the expected one at which a joint counts as explained."""
 MISFIT = {"periods": 0.1, "differences": 0.3}
 """Share of the residual taken for a form that is not quite the catalogue's, by how the noise is known."""
-FORM = 0.05
-"""Relative standard deviation of a parameter whose effect's form is not quite the robot's, where the effect states none."""
 MUCH = 0.15
 """RMSE over the torque itself from which what is left is something, where no period repeats to show the noise."""
-LOUD = 1.7
-"""RMSE over the expected one from which what is left is called something."""
+LOUD = 1.5
+"""RMSE over a right model's from which what is left is called something."""
 UNSAID = 0.1
 """Share of the excess over the noise that may stay unexplained beside a finding before it is called unknown."""
 
@@ -63,9 +61,9 @@ class Diagnosis:
     hertz: the band. tracks: stretches of the recordings fitted, and of those held out. identified: the base model. residuals: held-out
     torque less the base model's and less that with the findings. Shape (N, n) each. refitted: the base model of the recordings
     without the findings. ahead: positions simulated from held-out torque, by the base model and by it with the findings; None where no
-    window is long enough. named: RMSE with what is asserted alone.
-    expected: RMSE that a right model would leave on the held-out recordings: noise, an encoder's steps, and what
-    the base parameters are not known to. Shape (n,).
+    window is long enough. expected: RMSE that a right model would leave on the held-out recordings: noise, an encoder's steps, and what
+    the base parameters are not known to. fitted: RMSE of the base model fitted to all recordings, alone and with what is asserted: no
+    base parameters take what that leaves. quiet: what it is of a right model. Shape (n,) each.
     """
 
     identified: Identification
@@ -81,8 +79,9 @@ class Diagnosis:
     residuals: tuple[Array, Array]
     refitted: Identification | None = None
     ahead: tuple[SimulationError | None, SimulationError | None] = (None, None)
-    named: Array = field(default_factory=lambda: np.zeros(0))
     expected: Array = field(default_factory=lambda: np.zeros(0))
+    fitted: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
+    quiet: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -102,11 +101,12 @@ class Diagnosis:
     @property
     def unknown(self) -> list[int]:
         """Joints where something repeatable is left that no name takes."""
-        loud = self.named > LOUD * self.expected
+        bare, named = self.fitted
+        loud = named > LOUD * self.quiet
         if self.method != "periods":  # nothing repeats: the floor is a guess from below, and only much is worth a word
-            torque = np.concatenate([one.torque for one in self.tracks[1]])
-            loud &= self.named > MUCH * np.sqrt(np.mean(torque**2, axis=0))
-        return [int(j) for j in np.flatnonzero(loud & (_left(self.before, self.named, self.floor) > UNSAID))]
+            torque = np.concatenate([one.torque for half in self.tracks for one in half])
+            loud &= named > MUCH * np.sqrt(np.mean(torque**2, axis=0))
+        return [int(j) for j in np.flatnonzero(loud & (_left(bare, named, self.floor) > UNSAID))]
 
     @property
     def name(self) -> str:
@@ -144,7 +144,9 @@ def diagnose(
     misfit = MISFIT[noisy.method] * np.sqrt(np.mean(identified.data.residual**2, axis=0))
     scale = np.sqrt(noisy.floor**2 + misfit**2)
     first, second = (_half(own, identified, options, scale) for own in halves)
-    one = search.design((first, second), _shapes(halves, options), _builder(halves, scale), noisy.least(scale), noisy.nats)
+    one = search.design((first, second), _shapes(halves, options), _builder(halves, scale))
+    feigned = [((a / scale).ravel(), (b / scale).ravel()) for a, b in noisy.feigned]
+    one = judge.warned(one, feigned, float(np.mean((noisy.steps / noisy.floor) ** 2)))
     progress(f"{len(one.shapes)} shapes of {len(EFFECTS)} effects, alone and together")
     one, verdict = judge.judged(one)
     refitted = None
@@ -193,15 +195,19 @@ def _judged(
 ) -> Diagnosis:
     """Probabilities, and what the held-out recordings say of what is asserted."""
     floor = noisy.floor
-    first, then = (_rms(x) for x in _held_out(one, verdict, scale))
-    verdict = belief.weighed(one, verdict, _left(first, then, floor))
+    verdict = belief.weighed(one, verdict, (floor / scale) ** 2)
     before, after = _held_out(one, verdict, scale)
-    asserted = dataclasses.replace(verdict, together=search.trial(one, verdict.named) if verdict.findings else None)
-    by_name = _rms(_held_out(one, asserted, scale)[1])
-    expected = np.sqrt(floor**2 + _reach(one, scale) ** 2 + 2.0 * noisy.steps**2)
+    fitted = _fitted(one, (), scale), _fitted(one, verdict.named, scale)
+    quiet = np.sqrt(floor**2 + 2.0 * noisy.steps**2)
+    expected = np.sqrt(quiet**2 + _reach(one, scale) ** 2)
     rms, left = (_rms(before), _rms(after)), (before, after)
     told = (identified, options, hertz, tracks, one, verdict, floor, noisy.method)
-    return Diagnosis(*told, *rms, left, refitted, named=by_name, expected=expected)
+    return Diagnosis(*told, *rms, left, refitted, expected=expected, fitted=fitted, quiet=quiet)
+
+
+def _fitted(one: Design, shapes: Sequence[int], scale: Array) -> Array:
+    """RMS of what is left of all recordings when base and shapes are fitted to them. Shape (n,) [N m]."""
+    return _rms(search.remaining(one, shapes)) * scale
 
 
 def _ahead(fitted: Identification, recordings: Sequence[Recording], hertz: float) -> SimulationError | None:
@@ -231,8 +237,8 @@ def _band(pieces: Sequence[Piece]) -> float:
 def _again(one: Design, verdict: Verdict, shapes: Sequence[Shape], build: search.Build) -> tuple[Design, Verdict]:
     """The same findings with columns of a base model that they no longer distort; as they were, where that changes the names."""
     named = {(f.main.effect, f.main.joint) for f in verdict.findings}
-    small = search.design(one.halves, [s for s in shapes if (s.effect, s.joint) in named], build, one.least, one.nats)
-    small, better = judge.judged(small)
+    small = search.design(one.halves, [s for s in shapes if (s.effect, s.joint) in named], build)
+    small, better = judge.judged(dataclasses.replace(small, feigned=one.feigned, stepped=one.stepped))
     if {(f.main.effect, f.main.joint) for f in better.findings} != named or better.together is None:
         return one, verdict
     start = len(one.shapes)
@@ -330,28 +336,3 @@ def _left(before: Array, after: Array, floor: Array) -> Array:
 
 def _rms(x: Array) -> Array:
     return np.sqrt(np.mean(x**2, axis=0))
-
-
-def finding_parameters(one: Design, verdict: Verdict, number: int) -> dict[str, tuple[float, float]]:
-    """The contract's parameters of a finding: value and standard deviation by the two halves' agreement and the fit's own."""
-    together, main = verdict.together, verdict.findings[number].main
-    assert together is not None
-    shape = one.shapes[main.shape]
-    alike = [(one.shapes[p.shape], together.shapes.index(p.shape)) for p in verdict.findings[number].parts]
-    effect = BY_NAME[shape.effect]
-
-    def told(c: Array) -> dict[str, float]:
-        split = one.split(together.shapes, c)
-        return effect.told([(own, split[k]) for own, k in alike])
-
-    value = told(together.coefficients)
-    others = [told(half) for half in together.halves]
-    draws = np.random.default_rng(0).normal(size=(200, len(together.deviation))) * together.deviation + together.coefficients
-    cloud = [told(draw) for draw in draws]
-    out = {}
-    for key, mean in value.items():
-        own = float(np.nanstd([c[key] for c in cloud]))
-        halves = abs(others[0][key] - others[1][key]) / 2.0
-        form = effect.form.get(key, FORM) * abs(mean)
-        out[key] = (mean, float(np.sqrt(own**2 + halves**2 + form**2)))
-    return out

@@ -7,10 +7,13 @@ from typing import Any
 import numpy as np
 
 from .catalogue import BY_NAME
-from .diagnosis import Diagnosis, finding_parameters
+from .diagnosis import Diagnosis
 from .effect import Shape
+from .interval import finding_parameters
 from .judge import Finding, Hypothesis
 
+RIVALS = 5
+"""Names that a finding is compared with, at the most."""
 SCHEMA = "excite.diagnosis/1"
 REGIMES = {
     "stribeck": "speed",
@@ -115,12 +118,18 @@ def _finding(found: Diagnosis, number: int) -> dict[str, Any]:
         "equivalents": list(finding.equivalents),
         "where": _where(found, shape),
         "parameters": {key: {"value": v, "std": s, "unit": effect.units.get(key, "")} for key, (v, s) in values.items() if np.isfinite(v)},
-        "evidence": {"severity": hypothesis.size, "held_out_gain": finding.gain, **_share(found, hypothesis), **finding.evidence},
+        "evidence": {"severity": hypothesis.size, **_share(found, hypothesis), **_weight(finding)},
         "experiment": effect.experiment,
     }
     if shape.other is not None:
         out["from"] = _joint(found, shape.other)
     return out
+
+
+def _weight(finding: Finding) -> dict[str, Any]:
+    """What a finding gains, what the next best names would gain in its place, and what its probability is made of."""
+    best = sorted(finding.rivals.items(), key=lambda entry: -entry[1])
+    return {"held_out_gain": finding.gain, "rivals": dict(best[:RIVALS]), **finding.evidence}
 
 
 def _share(found: Diagnosis, hypothesis: Hypothesis) -> dict[str, float]:
@@ -147,7 +156,7 @@ def _considered(found: Diagnosis, hypothesis: Hypothesis) -> dict[str, Any]:
 def _doubted(found: Diagnosis, finding: Finding) -> dict[str, Any]:
     """What predicts better under a name that is likelier wrong than right: it is part of the model, but not asserted."""
     stated = _considered(found, finding.main)
-    evidence = {**stated["evidence"], "held_out_gain": finding.gain, **finding.evidence}
+    evidence = {**stated["evidence"], **_weight(finding)}
     return stated | {"probability": finding.probability, "equivalents": list(finding.equivalents), "evidence": evidence, "modelled": True}
 
 

@@ -11,11 +11,11 @@ from . import search
 from .search import Design, Trial, trial
 
 Array = np.ndarray
-ALIKE = 0.04
-"""Names whose gain is within this share of the best one's cannot be told apart: forms are never quite the catalogue's."""
-ALIKE_NATS = 4.0
 SHARE, SAME = 0.04, 0.02
 """Of the gain so far, what a further effect must add, and a further shape of one that is there: forms are never quite the catalogue's."""
+SMALLEST = 0.3
+"""RMS torque of an effect over the scale, below which nothing is asserted: clocks, encoders and friction's step are never as the
+model has them."""
 MOST = 6
 """Shapes, at the most."""
 FRONT = 24
@@ -36,12 +36,14 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Finding:
-    """What is asserted. parts: its shapes at one joint, the largest first. gain: that it adds to the others. probability:
-    that the truth is it or an equivalent. evidence: what that is made of."""
+    """What is asserted. parts: its shapes at one joint, the largest first. gain: that it adds to the others. rivals: what other
+    names would add in its place. equivalents: those of them that it cannot be told from. probability: that the truth is it or one of these.
+    evidence: what that is made of."""
 
     parts: tuple[Hypothesis, ...]
     gain: float
-    equivalents: tuple[str, ...]
+    rivals: Mapping[str, float]
+    equivalents: tuple[str, ...] = ()
     probability: float = 1.0
     evidence: Mapping[str, float] = field(default_factory=dict)
 
@@ -82,11 +84,12 @@ def singles(one: Design, beside: tuple[int, ...] = ()) -> list[Hypothesis]:
         key = (shape.effect, shape.joint)
         if (key in best and found.gain <= best[key].trial.gain) or not found.plausible or not agrees(one, found):
             continue
-        best[key] = Hypothesis(shape.effect, shape.joint, i, found, size(one, found, len(beside)), shows(one, found, len(beside)))
+        large = size(one, found, len(beside))
+        best[key] = Hypothesis(shape.effect, shape.joint, i, found, large, large > SMALLEST)
     return sorted(best.values(), key=lambda h: -h.trial.gain)
 
 
-def _sizes(one: Design, found: Trial, number: int) -> Array:
+def sizes(one: Design, found: Trial, number: int) -> Array:
     """RMS torque of one of the fitted shapes beyond the base, over the floor, on each joint. Shape (n,)."""
     shape, c = found.shapes[number], one.split(found.shapes, found.coefficients)[number]
     return np.asarray(np.sqrt(np.maximum(np.einsum("i,jik,k->j", c, one.power[shape], c), 0.0)))
@@ -94,12 +97,12 @@ def _sizes(one: Design, found: Trial, number: int) -> Array:
 
 def size(one: Design, found: Trial, number: int) -> float:
     """The same on the joint where it is largest."""
-    return float(_sizes(one, found, number).max())
+    return float(sizes(one, found, number).max())
 
 
 def shows(one: Design, found: Trial, number: int) -> bool:
     """Whether one of the fitted shapes is of a size that counts, on some joint."""
-    return bool((_sizes(one, found, number) > one.least).any())
+    return size(one, found, number) > SMALLEST
 
 
 def agrees(one: Design, found: Trial) -> bool:
@@ -116,10 +119,19 @@ def agrees(one: Design, found: Trial) -> bool:
     return power > 0.0 and float(a @ G @ b) > 0.5 * np.sqrt(power)
 
 
+def warned(one: Design, residuals: Sequence[tuple[Array, Array]], stepped: float) -> Design:
+    """The design that knows what each effect gains from residuals that an encoder alone may leave (`search.pretended`), and their share."""
+    most: dict[str, float] = {}
+    for residual in residuals:
+        for h in singles(search.pretended(one, residual)):
+            most[h.effect] = max(most.get(h.effect, 0.0), h.trial.gain)
+    return replace(one, feigned=most, stepped=stepped)
+
+
 def judged(one: Design) -> tuple[Design, Verdict]:
     """Names at joints, or none; and the design with the shapes that were found."""
     ranked = singles(one)
-    counts = [h for h in ranked if h.shows and h.trial.gain > one.nats * one.shapes[h.shape].doubt]
+    counts = [h for h in ranked if h.shows and h.trial.gain > one.bar(h.shape)]
     if not counts:
         return one, Verdict((), None, tuple(ranked[:8]))
     one, chosen = _searched(one, counts)
@@ -175,7 +187,7 @@ def _worth(one: Design, shape: int, others: Sequence[int], gain: float) -> float
     """What a shape must add to the gain of others."""
     own = (one.shapes[shape].effect, one.shapes[shape].joint)
     there = any((one.shapes[i].effect, one.shapes[i].joint) == own for i in others)
-    return max(one.nats * one.shapes[shape].doubt, (SAME if there else SHARE) * gain)
+    return max(one.bar(shape), (SAME if there else SHARE) * gain)
 
 
 def _replaced(one: Design, chosen: list[int]) -> list[int]:
@@ -208,17 +220,16 @@ def _best_pair(one: Design, ranked: Sequence[Hypothesis]) -> list[int] | None:
             found = trial(one, [a.shape, b.shape])
             if (best is None or found.gain > best[0]) and found.plausible and shows(one, found, 0) and shows(one, found, 1):
                 best = (found.gain, [a.shape, b.shape])
-    return None if best is None or best[0] - single < max(one.nats, SHARE * single) else best[1]
+    return None if best is None or best[0] - single < max(search.NATS, SHARE * single) else best[1]
 
 
 def _finding(one: Design, together: Trial, parts: tuple[Hypothesis, ...]) -> Finding:
-    """With the other names that this recording cannot tell from it."""
+    """With what other names would gain in its place."""
     others = _without(together.shapes, parts)
     effect, rest = parts[0].effect, trial(one, others).gain
     gain = together.gain - rest
     best: dict[str, float] = {}
     for h in singles(one, tuple(others)):
         best.setdefault(h.effect, h.trial.gain - rest)
-    margin = max(ALIKE_NATS, ALIKE * gain)
-    alike = tuple(name for name, value in best.items() if name != effect and value > gain - margin)
-    return Finding(parts, gain, alike)
+    best.pop(effect, None)
+    return Finding(parts, gain, best)

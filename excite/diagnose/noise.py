@@ -18,23 +18,14 @@ from ..recordings import Recording
 from .track import Track
 
 Array = np.ndarray
-SMALLEST = 0.3
-"""RMS torque of an effect over the noise floor, below which nothing is asserted: clocks, encoders and friction's step are never as the
-model has them."""
-NATS = 25.0
-"""Held-out log-likelihood that a name must gain: the most in 60 simulated robots with nothing missing is below 15."""
-STEPPED = 500.0
-"""The same for noise that is all an encoder's steps."""
-STEPS = 1.0
-"""The same over what an encoder's steps make."""
+DRAWS = 3
+"""Times that an encoder's steps are made anew."""
 LEAST = 1.2
 """Periods that a recording must hold to show its noise by what repeats."""
 SAME = 0.02
 """RMS difference of normalised positions a period apart, below which a motion is said to repeat."""
 SAMPLES = 4000
 """Rows of a recording that are looked at for a period."""
-ROUGH = 1.7
-"""Rounding a motion without its noise shows six tenths of what rounding the motion itself did (five simulated arms, 16 bit)."""
 EDGE = 32
 """Rows by which a signal is continued before it is shifted."""
 
@@ -43,21 +34,14 @@ EDGE = 32
 class Noise:
     """What a perfect model would leave below the band, per joint [N m], and how it was found: "periods" or "differences".
 
-    steps: the part that a coarse encoder's steps make of the model's torque: it repeats with the motion. Shapes (n,).
+    steps: the part that a coarse encoder's steps make of the model's torque: it repeats with the motion. Shapes (n,). feigned: residuals
+    that the steps alone might leave, of either half in each of some draws; none where encoders are fine. Shapes (N, n).
     """
 
     floor: Array
     method: str
     steps: Array
-
-    def least(self, scale: Array) -> Array:
-        """Size over a scale that an effect must have to count. What repeats as physics does is only estimated. Shape (n,)."""
-        return np.asarray(np.maximum(SMALLEST, STEPS * self.steps / scale))
-
-    @property
-    def nats(self) -> float:
-        """Gain from which an effect is believed; more where what an encoder's steps make repeats, and looks like friction."""
-        return float(NATS + STEPPED * np.mean((self.steps / self.floor) ** 2))
+    feigned: tuple[tuple[Array, Array], ...] = ()
 
 
 def measured(identified: Identification, halves: Sequence[Sequence[Track]], recordings: Sequence[Recording]) -> Noise:
@@ -69,8 +53,10 @@ def measured(identified: Identification, halves: Sequence[Sequence[Track]], reco
         spread, method = np.sqrt(np.mean(squares, axis=0)), "periods"
     else:
         spread, method = _above(identified, every[0].band.hertz), "differences"
-    steps = np.sqrt(np.mean([encoder_torque(identified.model, one) ** 2 for half in halves for one in half[:2]], axis=0))
-    return Noise(np.sqrt(np.maximum(spread, 1e-12) ** 2 + steps**2), method, steps)
+    feigned = stepped(identified.model, halves)
+    rows = np.concatenate([part for draw in feigned for part in draw]) if feigned else np.zeros((1, len(spread)))
+    steps = np.sqrt(np.mean(rows**2, axis=0))
+    return Noise(np.sqrt(np.maximum(spread, 1e-12) ** 2 + steps**2), method, steps, feigned)
 
 
 def _above(identified: Identification, hertz: float) -> Array:
@@ -161,14 +147,30 @@ def _refined(q: Array, rows: int, step: int) -> float:
     return float(near[i] + 0.5 * (a - c) / max(a - 2.0 * b + c, 1e-300))
 
 
-def encoder_torque(model: Model, one: Track) -> Array:
-    """RMS torque below the band that rounding smooth positions once more would make of the base model. Shape (n,) [N m]."""
+def stepped(model: Model, halves: Sequence[Sequence[Track]]) -> tuple[tuple[Array, Array], ...]:
+    """Residuals that coarse encoders alone would leave of the base model, of each half, drawn anew; none where all are fine.
+
+    Which error each reading has is not known, only how errors come about: smooth positions are rounded once more, from another origin.
+    """
+    if not any(encoder_noise(one.piece.q).any() for half in halves for one in half):
+        return ()
+    rng = np.random.default_rng(0)
+    first, second = halves
+    return tuple((_rounded(model, first, rng), _rounded(model, second, rng)) for _ in range(DRAWS))
+
+
+def _rounded(model: Model, half: Sequence[Track], rng: np.random.Generator) -> Array:
+    """One such residual of a half, below the band. Shape (N, n) [N m]."""
+    return np.concatenate([_misled(model, one, rng) for one in half])
+
+
+def _misled(model: Model, one: Track, rng: np.random.Generator) -> Array:
     step = encoder_noise(one.piece.q) * np.sqrt(12.0)
-    if not step.any():
-        return np.zeros(one.n)
     smooth = one.band.transformed(one.piece.q).low(Grid.RECORDED, 0, WIDER)
     coarse = step > 0.0
-    rounded = smooth.copy()
-    rounded[:, coarse] = np.round(smooth[:, coarse] / step[coarse]) * step[coarse]
-    one_way, other = (filtered(model, x, one.band)[0] for x in (rounded, smooth))
-    return np.asarray(ROUGH * np.sqrt(np.mean(((one_way - other)[one.kept] @ one.theta) ** 2, axis=0)))
+    if not coarse.any():
+        return np.zeros((len(one), one.n))
+    told, origin = smooth.copy(), rng.uniform(size=one.n) * step
+    told[:, coarse] = (np.round((smooth + origin)[:, coarse] / step[coarse]) * step[coarse]) - origin[coarse]
+    wrong, right = (filtered(model, x, one.band)[0] for x in (told, smooth))
+    return np.asarray((right - wrong)[one.kept] @ one.theta)

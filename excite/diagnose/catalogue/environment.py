@@ -116,6 +116,6 @@ EFFECTS = (
         "for some of the time only, in the joints before the contact",
         (),
         "the same motion without anything near the robot",
-        form={"force": 0.03},
+        form={"force": 0.1},
     ),
 )

@@ -101,22 +101,30 @@ def _load(tracks: Sequence[Track]) -> Iterator[Shape]:
 
 
 def _placed(t: Track, s: Shape) -> Array:
+    """sgn q̇ times the first waves of a periodic function of position: as many as `waves` says, of `order`, 2 `order`, …"""
     angle, sign = s.values["order"] * t.fine.q[:, s.place], _sign(t, s.place)
-    return alone(t, s.place, np.column_stack([sign * np.cos(angle), sign * np.sin(angle)]))
+    return alone(t, s.place, np.column_stack([sign * f(k * angle) for k in range(1, int(s.values["waves"]) + 1) for f in (np.cos, np.sin)]))
 
 
 def _position(tracks: Sequence[Track]) -> Iterator[Shape]:
-    def wave(j: int) -> Callable[[float], Shape]:
-        return lambda order: Shape("position_friction", j, _placed, {"order": order}, parameters=amplitude(), several=True)
+    def waved(j: int, waves: float) -> Callable[[float], Shape]:
+        def shape(order: float) -> Shape:
+            return Shape("position_friction", j, _placed, {"order": order, "waves": waves}, parameters=amplitude(), several=True)
+
+        return shape
 
     for j in range(tracks[0].n):
-        yield from family((0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6), wave(j))
+        yield from family((0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6), waved(j, 1.0))
+        yield from family((0.5, 1.0, 2.0), waved(j, 3.0))
 
 
 def _range(parts: Sequence[tuple[Shape, Array]]) -> dict[str, float]:
     """Half of how much friction varies over a turn, all waves together."""
     angle = np.linspace(-np.pi, np.pi, 721)
-    wave = sum(c[0] * np.cos(s.values["order"] * angle) + c[1] * np.sin(s.values["order"] * angle) for s, c in parts)
+    wave = np.zeros(len(angle))
+    for shape, c in parts:
+        for k, (cosine, sine) in enumerate(c.reshape(-1, 2), start=1):
+            wave += cosine * np.cos(k * shape.values["order"] * angle) + sine * np.sin(k * shape.values["order"] * angle)
     return {"amplitude": 0.5 * float(np.ptp(wave))}
 
 
@@ -192,7 +200,7 @@ EFFECTS = (
         "torque against speed has another slope in each direction",
         ("thermal_drift", "drag"),
         "constant speeds in both directions, several of them",
-        form={"positive": 0.03, "negative": 0.035},
+        form={"positive": 0.06, "negative": 0.06},
     ),
     Effect(
         "stribeck",
@@ -203,7 +211,7 @@ EFFECTS = (
         "friction is larger near zero speed",
         ("hysteresis", "nonlinear_viscous", "delay"),
         "a ladder of slow constant speeds, 1 mrad/s to 0.5 rad/s",
-        form={"amplitude": 0.45, "velocity": 0.8},
+        form={"amplitude": 0.45, "velocity": 0.9},
     ),
     Effect(
         "nonlinear_viscous",
@@ -214,7 +222,7 @@ EFFECTS = (
         "friction against speed is bent",
         ("drag", "stribeck", "thermal_drift"),
         "a wide range of constant speeds",
-        form={"coefficient": 0.15, "exponent": 0.03},
+        form={"coefficient": 0.15, "exponent": 0.1},
     ),
     Effect(
         "drag",
@@ -235,7 +243,7 @@ EFFECTS = (
         "friction grows with the torque carried",
         ("position_friction", "coupling"),
         "repeat the same trajectory with another load at the flange",
-        form={"mu": 0.09},
+        form={"mu": 0.15},
     ),
     Effect(
         "position_friction",
@@ -258,7 +266,7 @@ EFFECTS = (
         "friction takes some way to build up after a reversal",
         ("delay", "backlash", "stribeck"),
         "strokes of many small amplitudes",
-        form={"amplitude": 0.08, "stiffness": 0.06},
+        form={"amplitude": 0.1, "stiffness": 0.4},
     ),
     Effect(
         "friction",
@@ -281,6 +289,6 @@ EFFECTS = (
         "friction changes over the run",
         ("asymmetric_viscous",),
         "a long run that ends with its first motion",
-        form={"change": 0.14, "time_constant": 0.08},
+        form={"change": 0.25, "time_constant": 0.25},
     ),
 )

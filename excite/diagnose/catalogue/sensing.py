@@ -11,24 +11,44 @@ from ..effect import Effect, Shape, amplitude, family, named, within
 from ..track import Track
 
 Array = np.ndarray
+LATE = (0.003, 0.008, 0.02)
+"""Delays that are tried [s]."""
 BLURRED = 6.0
 """Whatever blurs positions puts the steps of friction at another time."""
 
 
 def _late(t: Track, s: Shape) -> Array:
-    """−τ̇ of the base model's torque, of one joint or of all."""
-    slope = -t.band.transformed(t.motor).low(t.to, 1)[t.kept]
+    """−τ̇ of the base model's torque, of one joint or of all; or what it was some time ago less what it is, over the time."""
+    seconds = s.values.get("seconds", 0.0)
+    if not seconds:
+        return _of(s, -t.band.transformed(t.motor).low(t.to, 1)[t.kept])
+    then = np.column_stack([np.interp(t.clock - seconds, t.clock, x) for x in t.motor.T])
+    return _of(s, t.reduce((then - t.motor) / seconds))
+
+
+def _of(s: Shape, torque: Array) -> Array:
+    """Of all joints' torque that of the shape's joint, or all of it. Shape (N, n) -> (N, n, 1)."""
     if s.joint is None:
-        return slope[:, :, None]
-    out = np.zeros((*slope.shape, 1))
-    out[:, s.joint, 0] = slope[:, s.joint]
+        return torque[:, :, None]
+    out = np.zeros((*torque.shape, 1))
+    out[:, s.joint, 0] = torque[:, s.joint]
     return out
 
 
 def _delay(tracks: Sequence[Track]) -> Iterator[Shape]:
+    """To first order, ahead or behind; and behind by so much that a slope does not tell it."""
+
+    def behind(joint: int | None) -> Callable[[float], Shape]:
+        def shape(seconds: float) -> Shape:
+            gate = within(0.5 * seconds, 2.0 * seconds)
+            return Shape("delay", joint, _late, {"seconds": seconds}, parameters=named("seconds"), plausible=gate, doubt=BLURRED)
+
+        return shape
+
     alone = tracks[0].n == 1  # the joint is the whole robot
     for joint in (*(() if alone else (None,)), *range(tracks[0].n)):
         yield Shape("delay", joint, _late, parameters=named("seconds"), plausible=within(-0.05, 0.05), doubt=BLURRED)
+        yield from family(LATE, behind(joint))
 
 
 def _misread(t: Track, s: Shape) -> Array:

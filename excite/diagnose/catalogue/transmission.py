@@ -122,25 +122,58 @@ def _spring(tracks: Sequence[Track]) -> Iterator[Shape]:
             yield Shape("spring", j, _pulled, {"form": float(form)}, parameters=told)
 
 
-def _rubs(c: Array) -> bool:
-    """Whether a coupling takes energy and has mass."""
-    return bool(c[0] > 0.0 and c[1] > 0.0 and c[2] > -0.1 * (c[0] + c[1]))
+RATIOS = (0.5, 1.0, 2.0)
+"""Of a shaft's turns by the other joint over those by its own, tried with either sign."""
+AGAINST = 0.1
+"""Share of a coupling's torque that may have the wrong sign by chance."""
 
 
 def _turned(t: Track, s: Shape) -> Array:
-    """Friction of the sum or difference of two speeds, or of the other one's alone (sign 0), and its inertia."""
+    """Friction and inertia of a shaft that turns with w = q̇ᵢ + r q̇ⱼ, as joint i feels them: viscous w, Coulomb sgn w, inertia r q̈ⱼ.
+
+    What w, sgn q̇ᵢ and q̈ᵢ have of joint i's own is the base model's.
+    """
     assert s.other is not None
-    sign = s.values["sign"]
-    speed = t.fine.dq[:, s.other] + (sign * t.fine.dq[:, s.place] if sign else 0.0)
-    return alone(t, s.place, np.column_stack([speed, np.tanh(speed / t.widths[s.other]), t.fine.ddq[:, s.other]]))
+    ratio = s.values["ratio"]
+    speed = t.fine.dq[:, s.place] + ratio * t.fine.dq[:, s.other]
+    return alone(t, s.place, np.column_stack([speed, np.tanh(speed / t.widths[s.place]), ratio * t.fine.ddq[:, s.other]]))
+
+
+def _rubs(speed: float, acceleration: float) -> Callable[[Array], bool]:
+    """Whether a shaft takes energy, slow or as fast as `speed`, and has mass, as far as `acceleration` shows it.
+
+    The power of viscous w + Coulomb sgn w is a sum of squares in w: neither may be negative, whatever the ratio.
+    """
+
+    def plausible(c: Array) -> bool:
+        parts = np.array([c[0] * speed, c[1], c[2] * acceleration])
+        return bool(parts[:2].max() > 0.0 and parts.min() > -AGAINST * parts.max())
+
+    return plausible
 
 
 def _coupling(tracks: Sequence[Track]) -> Iterator[Shape]:
-    n, told = tracks[0].n, named("viscous", "coulomb", "inertia")
+    """Viscous friction and inertia are told as torque by the other joint's motion, which is sure whether the ratio is or not."""
+    n = tracks[0].n
+
+    def told(ratio: float) -> Callable[[Array], dict[str, float]]:
+        return lambda c: {"viscous": float(c[0] * ratio), "coulomb": float(c[1]), "inertia": float(c[2] * ratio)}
+
+    def shaft(i: int, j: int, sign: float) -> Callable[[float], Shape]:
+        def shape(ratio: float) -> Shape:
+            turns, hastes = (
+                max(float(np.abs(x[:, i] + sign * ratio * x[:, j]).max()) for x in both)
+                for both in ([t.fine.dq for t in tracks], [t.fine.ddq for t in tracks])
+            )
+            gate = _rubs(turns, hastes)
+            return Shape("coupling", i, _turned, {"ratio": sign * ratio}, j, parameters=told(ratio), plausible=gate)
+
+        return shape
+
     for i in range(n):
         for j in range(max(0, i - 2), min(n, i + 3)):
-            for sign in (1.0, -1.0, 0.0) if i != j else ():
-                yield Shape("coupling", i, _turned, {"sign": sign}, j, parameters=told, plausible=_rubs)
+            for sign in (1.0, -1.0) if i != j else ():
+                yield from family(RATIOS, shaft(i, j, sign))
 
 
 EFFECTS = (
@@ -175,7 +208,7 @@ EFFECTS = (
         "periodic in the angle, whatever the speed",
         ("encoder_error",),
         "slow constant speed over a turn",
-        form={"order": 0.02, "amplitude": 0.02},
+        form={"order": 0.02, "amplitude": 0.1},
     ),
     Effect(
         "spring",
@@ -189,13 +222,13 @@ EFFECTS = (
     ),
     Effect(
         "coupling",
-        "friction and inertia of q̇ᵢ ± q̇ⱼ (a drive that turns with another joint)",
+        "friction and inertia of a shaft that turns with q̇ᵢ + r q̇ⱼ (a drive that another joint turns too)",
         _turned,
         _coupling,
         {"viscous": "N m s/rad", "coulomb": "N m", "inertia": "kg m²"},
         "torque where only the other joint moves",
         ("load_friction",),
         "each joint singly, then together",
-        form={"viscous": 0.06, "coulomb": 0.02, "inertia": 0.03},
+        form={"viscous": 0.1, "coulomb": 0.1, "inertia": 0.1},
     ),
 )

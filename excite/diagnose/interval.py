@@ -1,0 +1,106 @@
+"""Parameters of what was found, and how far off they may be.
+
+Three things move a parameter: noise, by the fit's covariance; values that a grid had fixed, linearised beside the coefficients; and a law
+that is not quite the catalogue's. Of the last, the fit leaves a part, r, and takes the rest for its own: by Cauchy and Schwarz a misfit as
+large as r moves a parameter by no more than ‖r‖ √(G⁻¹)ᵢᵢ, G the products of the columns that the base leaves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from . import search
+from .belief import ACTS
+from .catalogue import BY_NAME
+from .effect import Shape
+from .judge import Verdict, sizes
+from .search import Design
+
+Array = np.ndarray
+FORM = 0.1
+"""Relative standard deviation of a parameter whose effect's form is not quite the robot's, where the effect states none: fitted to other
+effects it covers nine in ten."""
+HIDDEN = 0.3
+"""Of the misfit that the fit leaves, what it takes for its own."""
+STEP = 0.02
+"""Change of a value's logarithm that its column is the secant of."""
+FARTHEST = 1.5
+"""Change of a value's logarithm, at the most."""
+DRAWS = 200
+MIDDLE = 15.87, 84.13
+"""Percentiles between which two standard deviations lie."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How fitted shapes may vary together. root: of the covariance of all coefficients, then of the logarithms of turned values, of unit
+    noise. places: of those in `root`, by the number of the shape; none of a shape whose value is not turned. Shape (K + m, K + m).
+    """
+
+    root: Array
+    places: dict[int, int]
+
+
+def finding_parameters(one: Design, verdict: Verdict, number: int) -> dict[str, tuple[float, float]]:
+    """The contract's parameters of a finding: value and standard deviation."""
+    together, finding = verdict.together, verdict.findings[number]
+    assert together is not None
+    effect = BY_NAME[finding.main.effect]
+    alike = [together.shapes.index(part.shape) for part in finding.parts]
+
+    def told(c: Array, turned: Array | None = None) -> dict[str, float]:
+        split = one.split(together.shapes, c)
+        shapes = {k: one.shapes[together.shapes[k]] for k in alike}
+        if turned is not None:
+            shapes = {k: _turned(shape, turned[spread.places[k]] if k in spread.places else 0.0) for k, shape in shapes.items()}
+        return effect.told([(shapes[k], split[k]) for k in alike])
+
+    spread = spreads(one, verdict)
+    value, others = told(together.coefficients), [told(half) for half in together.halves]
+    wide = np.sqrt(1.0 + (HIDDEN * misfit(one, verdict, number)) ** 2)
+    draws = wide * np.random.default_rng(0).normal(size=(DRAWS, len(spread.root))) @ spread.root.T
+    count = len(together.coefficients)
+    cloud = [told(together.coefficients + draw[:count], np.clip(draw, -FARTHEST, FARTHEST)) for draw in draws]
+    out = {}
+    for key, mean in value.items():
+        low, high = np.nanpercentile([c[key] for c in cloud], MIDDLE)
+        halves = abs(others[0][key] - others[1][key]) / 2.0
+        form = effect.form.get(key, FORM) * abs(mean)
+        out[key] = (mean, float(np.sqrt((0.5 * (high - low)) ** 2 + halves**2 + form**2)))
+    return out
+
+
+def _turned(shape: Shape, by: float) -> Shape:
+    """A shape whose value's logarithm is another."""
+    return shape if shape.knob is None or not by else shape.knob.at(shape.knob.value * float(np.exp(by)))
+
+
+def spreads(one: Design, verdict: Verdict) -> Spread:
+    """The covariance of everything that was fitted."""
+    together = verdict.together
+    assert together is not None
+    which = one.which(together.shapes)
+    columns = [[part[:, which] for part in one.columns]]
+    places: dict[int, int] = {}
+    for k, (i, c) in enumerate(zip(together.shapes, one.split(together.shapes, together.coefficients), strict=True)):
+        above, below = (one.build(_turned(one.shapes[i], by)) if one.shapes[i].knob else None for by in (STEP, -STEP))
+        if above is not None and below is not None:
+            places[k] = len(which) + len(places)
+            columns.append([(((a - b) @ c) / (2.0 * STEP))[:, None] for a, b in zip(above, below, strict=True)])
+    free = one.both.free(np.concatenate([np.hstack([group[half] for group in columns]) for half in (0, 1)]))
+    G = free.T @ free
+    # a value's logarithm is known to one, as its grid's neighbours are
+    G[np.diag_indices_from(G)] += np.concatenate([one.prior[which], np.ones(len(places))])
+    values, vectors = np.linalg.eigh(G)
+    return Spread(vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1])), places)
+
+
+def misfit(one: Design, verdict: Verdict, number: int) -> float:
+    """Norm of what the fit leaves beyond unit noise where a finding acts."""
+    together, main = verdict.together, verdict.findings[number].main
+    assert together is not None
+    where = sizes(one, together, together.shapes.index(main.shape))
+    left = search.remaining(one, together.shapes)[:, where > ACTS * where.max()]
+    return float(np.sqrt(max(np.sum(left**2) - left.size, 0.0)))

@@ -105,8 +105,9 @@ def prepare(
     given: Array | None = None,
     apart: Apart | None = None,
     clearance: Clearance | None = None,
+    home: Array | None = None,
 ) -> Setting:
-    """Build the problem. given: information of earlier recordings in standard parameters. Shape (P, P). apart, clearance: see Problem."""
+    """Build the problem. given: information of earlier recordings in standard parameters. Shape (P, P). The others: see Problem."""
     check(options)
     if options.free_period is not None:
         options = dataclasses.replace(options, period=float(np.clip(options.period, *options.free_period)))
@@ -120,7 +121,8 @@ def prepare(
     weights = criteria.weighting(options.criterion, found, noise, plain=options.plain)
     count = options.periods * options.period * options.rate
     root = None if given is None else weights.root(given / count)
-    built = dataclasses.replace(problem.build(robot, limits, standard, weights, options, root), apart=apart, clearance=clearance)
+    bare = problem.build(robot, limits, standard, weights, options, root)
+    built = dataclasses.replace(bare, apart=apart, clearance=clearance, home=home)
     return Setting(built, found, noise, time.perf_counter())
 
 
@@ -187,4 +189,4 @@ def tightened(setting: Setting, limits: Limits, reserve: float, slack: float = 0
     p = setting.problem
     rebuilt = problem.build(p.robot, limits, p.parameters, p.weighting, p.options, p.given, reserve, p.functions)
     clearance = None if p.clearance is None else dataclasses.replace(p.clearance, slack=p.clearance.slack + slack)
-    return dataclasses.replace(setting, problem=dataclasses.replace(rebuilt, apart=p.apart, clearance=clearance))
+    return dataclasses.replace(setting, problem=dataclasses.replace(rebuilt, apart=p.apart, clearance=clearance, home=p.home))

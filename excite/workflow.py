@@ -15,7 +15,7 @@ from .artefact import Trajectory, versions
 from .checks import Subject
 from .collision import covering
 from .collision.cell import Cell
-from .design import Design
+from .design import Design, Setting
 from .errors import CheckFailed, UnusableInput
 from .limits import Limits
 from .overlap import Apart
@@ -75,7 +75,10 @@ def run(
         raise UnusableInput(f"--speed {speed:g} should be above 0 and at most 1")
     if options.free_period is None:
         design.whole_samples(options.period / speed, options.rate)
-    setting = design.prepare(robot, limits, options, given, apart, None if cell is None else covering.clearance(cell))
+    clearance = None if cell is None else covering.clearance(cell)
+    setting = design.prepare(robot, limits, options, given, apart, clearance, start)
+    if start is not None:  # before the optimisation, which begins within its sight
+        ramps.check_start(_subject(setting, limits), start)
     say(f"{robot.name}: {robot.n} joints, {setting.base.count} base parameters")
     found = design.solve(setting, progress)
     timing = {"build": setting.built - begun, **found.timing()}
@@ -117,11 +120,16 @@ def _tightened(found: Design, limits: Limits, certificate: Certificate, reserve:
     return Design(tighter, (design.improve(tighter, found.motion, found.attempts[0].number), *found.attempts[1:])), reserve
 
 
+def _subject(setting: Setting, limits: Limits) -> Subject:
+    options = setting.problem.options
+    return Subject(setting.problem.robot, limits, setting.problem.parameters, options.uncertainty, options.boxes, setting.problem.clearance)
+
+
 def _assemble(found: Design, robot: Robot, limits: Limits, start: Array | None, speed: float, notes: dict[str, Any]) -> Trajectory:
     setting = found.setting
     options = setting.problem.options
     stated = ramps.with_derived(limits, found.motion)
-    subject = Subject(robot, stated, setting.problem.parameters, options.uncertainty, options.boxes, setting.problem.clearance)
+    subject = _subject(setting, stated)
     whole = ramps.rest_to_rest(subject, found.motion, options.periods, options.rate, start)
     if speed != 1.0:
         whole = whole.slowed(speed)

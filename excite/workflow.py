@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +17,7 @@ from .checks import Subject
 from .collision import covering
 from .collision.cell import Cell
 from .design import Design, Setting
-from .errors import CheckFailed, UnusableInput
+from .errors import CheckFailed, Infeasible, UnusableInput
 from .limits import Limits
 from .overlap import Apart
 from .problem import RESERVE, Options
@@ -25,6 +26,7 @@ from .starts import Progress
 from .verify import CELL, CLEARANCE, Certificate
 
 Array = np.ndarray
+Whole = tuple[Trajectory, Certificate]
 
 
 MOST_RESERVE = 0.3
@@ -84,11 +86,11 @@ def run(
     timing = {"build": setting.built - begun, **found.timing()}
     facts = {**(notes or {}), **({} if cell is None else {CELL: cell.document()})}
 
-    def certified(found: Design) -> tuple[Trajectory, Certificate]:
+    def certified(found: Design) -> Whole:
         trajectory = dataclasses.replace(_assemble(found, robot, limits, start, speed, facts), collision=unchecked)
         return trajectory, verify.verify(trajectory, robot, cell)
 
-    trajectory, certificate = certified(found)
+    found, (trajectory, certificate) = _with_ramps(found, certified)
     reserve = RESERVE
     for _ in range(TIGHTENINGS):
         if certificate.ok:
@@ -108,6 +110,21 @@ def run(
         trajectory, margins=[m.document() for m in certificate.margins], collision=certificate.collision, forced=not certificate.ok
     )
     return Delivery(trajectory, certificate, found, timing)
+
+
+def _with_ramps(found: Design, certified: Callable[[Design], Whole]) -> tuple[Design, Whole]:
+    """The best attempt that ramps, approach and return go with. Raises what the best of all lacks where none has them."""
+    lacks = None
+    for one in found.attempts:
+        if one.motion.period != found.motion.period:  # not settled on whole samples
+            continue
+        first = Design(found.setting, (one, *(other for other in found.attempts if other is not one)))
+        try:
+            return first, certified(first)
+        except Infeasible as error:
+            lacks = lacks or error
+    assert lacks is not None
+    raise lacks
 
 
 def _tightened(found: Design, limits: Limits, certificate: Certificate, reserve: float, say: Progress) -> tuple[Design, float]:

@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import QUICK
 
-from excite import limits, workflow
+from excite import limits, ramps, workflow
 from excite.collision import covering, scene
-from excite.errors import UnusableInput
+from excite.errors import Infeasible, UnusableInput
 from excite.plan import Wish
 from excite.problem import Options
 from excite.robot import load
@@ -54,3 +55,25 @@ def test_a_start_pose_that_touches_is_refused_before_the_design(placed, monkeypa
         workflow.run(robot, table, Wish().fill(Options(), table), start=into_floor, cell=cell)
     with pytest.raises(UnusableInput, match="6 finite positions"):
         workflow.run(robot, table, Wish().fill(Options(), table), start=np.zeros(5), cell=cell)
+
+
+@pytest.mark.parametrize("without", [1, 2])
+def test_where_the_best_start_has_no_ramps_the_next_is_taken(monkeypatch, without):
+    robot = load("two_link")
+    calls, real = [], ramps.rest_to_rest
+
+    def choosy(subject, fourier, *rest):
+        calls.append(fourier)
+        if len(calls) <= without:
+            raise Infeasible(f"no way {len(calls)}")
+        return real(subject, fourier, *rest)
+
+    monkeypatch.setattr(ramps, "rest_to_rest", choosy)
+    options = replace(QUICK, starts=2, jobs=1)
+    if without == 2:
+        with pytest.raises(Infeasible, match="no way 1"):
+            workflow.run(robot, limits.resolve(robot), options)
+        return
+    delivery = workflow.run(robot, limits.resolve(robot), options)
+    assert delivery.certificate.ok and len(delivery.design.attempts) == 2
+    assert delivery.design.attempts[0].objective >= delivery.design.attempts[1].objective

@@ -13,6 +13,8 @@ from .problem import Problem
 Array = np.ndarray
 ROOM = 0.95
 """Largest row value of a pose or start that counts as comfortably inside the limits."""
+EASE = 2.5
+"""Clearance counts as so much roomier: a row's unit is many margins, and neighbours may never be more than two of them apart."""
 LINE = 60
 """Poses at which a straight line from the start pose is looked at."""
 
@@ -35,7 +37,7 @@ class _Poses:
 
     def worst(self, poses: Array) -> Array:
         """Largest row value of each pose. Shapes (N, n) -> (N,)."""
-        return np.max([values.max(axis=(0, 2)) for values in self.evaluator.hold(poses).values()], axis=0)
+        return np.max([_eased(kind, values).max(axis=(0, 2)) for kind, values in self.evaluator.hold(poses).items()], axis=0)
 
     def worst_of(self, pose: Array) -> tuple[str, int, float]:
         """Kind, joint and value of the row that binds most at one pose."""
@@ -43,6 +45,10 @@ class _Poses:
         kind = max(table, key=lambda k: float(table[k][:, 0].max()))
         joint = int(np.argmax(table[kind][:, 0].max(axis=0)))
         return kind, joint, float(table[kind][:, 0].max())
+
+
+def _eased(kind: str, values: Array) -> Array:
+    return np.where(values < 1.0, 1.0 - EASE * (1.0 - values), values) if kind == "clearance" else values
 
 
 def poses(evaluator: Evaluator, rng: np.random.Generator, tries: int = 4) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -181,12 +182,18 @@ def _whole_period(period: float, rate: float, bounds: tuple[float, float] | None
     raise UnusableInput(f"--optimise-period {bounds[0]:g},{bounds[1]:g}: holds no whole number of samples at --rate {rate:g} Hz; widen it")
 
 
-def tightened(setting: Setting, limits: Limits, reserve: float, slack: float = 0.0) -> Setting:
+def tightened(
+    setting: Setting, limits: Limits, reserve: float, short: Mapping[str, float] | None = None, *, finer: bool = False
+) -> Setting:
     """The same problem with a larger reserve on curved limits, for when the certificate finds a gap between samples.
 
-    slack: more clearance than the margin [m].
+    short: clearance that pairs of bodies lack [m]. finer: with samples twice as dense.
     """
-    p = setting.problem
-    rebuilt = problem.build(p.robot, limits, p.parameters, p.weighting, p.options, p.given, reserve, p.functions)
-    clearance = None if p.clearance is None else dataclasses.replace(p.clearance, slack=p.clearance.slack + slack)
+    p, lacking = setting.problem, short or {}
+    options = dataclasses.replace(p.options, samples=(1 + finer) * p.options.samples)
+    rebuilt = problem.build(p.robot, limits, p.parameters, p.weighting, options, p.given, reserve, p.functions)
+    clearance = p.clearance
+    if clearance is not None:
+        more = np.array([lacking.get(pair, 0.0) for pair in clearance.names])
+        clearance = dataclasses.replace(clearance, more=clearance.more + more)
     return dataclasses.replace(setting, problem=dataclasses.replace(rebuilt, apart=p.apart, clearance=clearance, home=p.home))

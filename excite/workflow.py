@@ -32,6 +32,8 @@ Whole = tuple[Trajectory, Certificate]
 MOST_RESERVE = 0.3
 TIGHTENINGS = 3
 """Times that a motion is improved on when its certificate fails."""
+COARSE = 5e-3
+"""Clearance that a motion may lack between samples without these being too coarse for it [m]."""
 SINGULAR = 1e-24
 """Ratio of eigenvalues of the information below which a direction is rounding noise, not seen."""
 
@@ -130,10 +132,13 @@ def _with_ramps(found: Design, certified: Callable[[Design], Whole]) -> tuple[De
 def _tightened(found: Design, limits: Limits, certificate: Certificate, reserve: float, say: Progress) -> tuple[Design, float]:
     """The design with more reserve or clearance, as its certificate found too little of them between samples; and the reserve."""
     worst, short = certificate.worst(), certificate.short_of_clearance()
+    # things that are slipped through between samples are met on a finer grid, not by more clearance
+    finer = max(short.values(), default=0.0) > COARSE
     if worst.limit != CLEARANCE:
         reserve = min(max(2.0 * reserve, reserve - 1.5 * worst.room), MOST_RESERVE)
     say(f"between samples {worst.words()}; tightening")
-    tighter = design.tightened(found.setting, limits, reserve, 1.5 * short)
+    lacking = {pair: 1.5 * min(missed, COARSE) for pair, missed in short.items()}
+    tighter = design.tightened(found.setting, limits, reserve, lacking, finer=finer)
     return Design(tighter, (design.improve(tighter, found.motion, found.attempts[0].number), *found.attempts[1:])), reserve
 
 

@@ -34,7 +34,7 @@ class Clearance:
     box_pose, box_centre, box_half: of the boxes, base frame. Shapes (B, 3, 3), (B, 3), (B, 3). normal, height: of the planes.
     hulls: bodies that capsules enclose too loosely, with the joint and placement of each; their convex hulls stand for them.
     kind: 0 capsules, 1 capsule and box, 2 capsule and plane, 3 hulls. first, second: their numbers. need: clearance. Shapes (P,).
-    names: of the bodies of each pair. slack: more clearance, for what happens between samples [m].
+    names: of the bodies of each pair. more: clearance beyond SLACK, where that did not do between samples [m].
     """
 
     chain: Chain
@@ -53,7 +53,7 @@ class Clearance:
     second: Array
     need: Array
     names: tuple[str, ...]
-    slack: float = SLACK
+    more: float | Array = 0.0
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -100,7 +100,7 @@ class Look:
     def values(self) -> Array:
         """Rows of the design problem, satisfied where ≤ 1. Shape (N, P)."""
         c = self.clearance
-        slack = c.slack * np.minimum(c.need / (5.0 * SLACK), 1.0)
+        slack = SLACK * np.minimum(c.need / (5.0 * SLACK), 1.0) + c.more
         return np.asarray(1.0 + (c.need + slack - self.distances()) / c.unit)
 
     def distances(self) -> Array:

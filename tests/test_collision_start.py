@@ -1,4 +1,4 @@
-"""Designs that begin at a given pose among things: within its sight, and refused at once where the pose touches something."""
+"""Designs among things: begun within sight of a given pose, refused at once where it touches, mended where samples are too coarse."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from conftest import QUICK
 
-from excite import limits, ramps, workflow
+from excite import design, limits, ramps, workflow
 from excite.collision import covering, scene
 from excite.errors import Infeasible, UnusableInput
 from excite.plan import Wish
@@ -77,3 +77,18 @@ def test_where_the_best_start_has_no_ramps_the_next_is_taken(monkeypatch, withou
     delivery = workflow.run(robot, limits.resolve(robot), options)
     assert delivery.certificate.ok and len(delivery.design.attempts) == 2
     assert delivery.design.attempts[0].objective >= delivery.design.attempts[1].objective
+
+
+def test_only_the_pairs_that_came_too_near_keep_further_away(placed):
+    robot, table, cell = placed
+    setting = design.prepare(robot, table, Wish().fill(Options(), table), clearance=covering.clearance(cell))
+    before, name = setting.problem.clearance, setting.problem.clearance.names[0]
+    twice = setting
+    for _ in range(2):
+        twice = design.tightened(twice, table, 2e-3, {name: 3e-3}, finer=True)
+    after = twice.problem.clearance
+    assert twice.problem.options.samples == 4 * setting.problem.options.samples
+    pose = FOLDED[None]
+    changed = (after.at(pose).values() - before.at(pose).values())[0] * before.unit
+    assert changed == pytest.approx([6e-3 if one == name else 0.0 for one in before.names])
+    assert after.least(pose)[0] == before.least(pose)[0]  # ramps keep the margin alone

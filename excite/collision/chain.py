@@ -44,12 +44,16 @@ class Chain:
                 R[:, i] = R[:, i] @ _turn(self.angular[i], angle)
         return R, p
 
-    def slopes(self, R: Array, p: Array, joint: Array, point: Array, along: Array) -> Array:
+    def axes(self, R: Array) -> tuple[Array, Array]:
+        """What the joints turn about and slide along, in the base frame. Shape (N, J, 3, 3) -> (N, J, 3) twice."""
+        turning, sliding = ((R @ axis[:, :, None])[..., 0] for axis in (self.angular, self.linear))
+        return turning, sliding
+
+    def slopes(self, turning: Array, sliding: Array, p: Array, joint: Array, point: Array, along: Array) -> Array:
         """d(along · point)/dq of points fixed to joints' frames, a row each with a pose of its own.
 
-        Shapes (m, J, 3, 3), (m, J, 3), (m,), (m, 3), (m, 3) -> (m, n).
+        Shapes (m, J, 3), (m, J, 3), (m, J, 3), (m,), (m, 3), (m, 3) -> (m, n).
         """
-        turning, sliding = ((R @ axis[:, :, None])[..., 0] for axis in (self.angular, self.linear))
         arm = point[:, None] - p
         # along · (ω × arm) = ω · (arm × along)
         x, y, z = (arm[..., i] for i in range(3))

@@ -122,16 +122,17 @@ class Look:
         """Derivatives of single rows by the joints' positions. Shapes (m,), (m,) -> (m, n)."""
         c = self.clearance
         out = np.zeros((len(sample), c.chain.spread.shape[1]))
+        turning, sliding = c.chain.axes(self.rotation)
         for kind in range(4):
             at = np.flatnonzero(c.kind[pair] == kind)
             if not len(at):
                 continue
             found = self._nearest(kind, sample[at], pair[at])
-            R, p = self.rotation[sample[at]], self.origin[sample[at]]
+            poses = turning[sample[at]], sliding[sample[at]], self.origin[sample[at]]
             joints = np.array([hull.joint for hull in c.hulls], int) if kind == 3 else c.joint
-            slope = c.chain.slopes(R, p, joints[c.first[pair[at]]], found.first, found.direction)
+            slope = c.chain.slopes(*poses, joints[c.first[pair[at]]], found.first, found.direction)
             if kind in (0, 3):
-                slope -= c.chain.slopes(R, p, joints[c.second[pair[at]]], found.second, found.direction)
+                slope -= c.chain.slopes(*poses, joints[c.second[pair[at]]], found.second, found.direction)
             out[at] = -slope / c.unit[pair[at], None]
         return out
 

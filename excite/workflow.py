@@ -100,6 +100,15 @@ def run(
         found, reserve = _tightened(found, limits, certificate, reserve, say)
         trajectory, certificate = certified(found)
     timing |= {"solve": time.perf_counter() - setting.built, "total": time.perf_counter() - begun}
+    _check(robot, trajectory, certificate, force, given)
+    trajectory = dataclasses.replace(
+        trajectory, margins=[m.document() for m in certificate.margins], collision=certificate.collision, forced=not certificate.ok
+    )
+    return Delivery(trajectory, certificate, found, timing)
+
+
+def _check(robot: Robot, trajectory: Trajectory, certificate: Certificate, force: bool, given: Array | None) -> None:
+    """Raise CheckFailed for a motion that should not leave."""
     if not certificate.ok and not force:
         reason = certificate.faults[0] if certificate.faults else certificate.worst().words()
         raise CheckFailed(f"{robot.source}: the designed motion fails its certificate: {reason}; try another --seed or --force")
@@ -108,10 +117,6 @@ def run(
         raise CheckFailed(
             f"{robot.source}: the motion found does not show all base parameters; try another --seed, fewer limits or a longer --period"
         )
-    trajectory = dataclasses.replace(
-        trajectory, margins=[m.document() for m in certificate.margins], collision=certificate.collision, forced=not certificate.ok
-    )
-    return Delivery(trajectory, certificate, found, timing)
 
 
 def _with_ramps(found: Design, certified: Callable[[Design], Whole]) -> tuple[Design, Whole]:

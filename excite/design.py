@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -105,8 +106,9 @@ def prepare(
     given: Array | None = None,
     apart: Apart | None = None,
     clearance: Clearance | None = None,
+    home: Array | None = None,
 ) -> Setting:
-    """Build the problem. given: information of earlier recordings in standard parameters. Shape (P, P). apart, clearance: see Problem."""
+    """Build the problem. given: information of earlier recordings in standard parameters. Shape (P, P). The others: see Problem."""
     check(options)
     if options.free_period is not None:
         options = dataclasses.replace(options, period=float(np.clip(options.period, *options.free_period)))
@@ -120,7 +122,8 @@ def prepare(
     weights = criteria.weighting(options.criterion, found, noise, plain=options.plain)
     count = options.periods * options.period * options.rate
     root = None if given is None else weights.root(given / count)
-    built = dataclasses.replace(problem.build(robot, limits, standard, weights, options, root), apart=apart, clearance=clearance)
+    bare = problem.build(robot, limits, standard, weights, options, root)
+    built = dataclasses.replace(bare, apart=apart, clearance=clearance, home=home)
     return Setting(built, found, noise, time.perf_counter())
 
 
@@ -179,12 +182,18 @@ def _whole_period(period: float, rate: float, bounds: tuple[float, float] | None
     raise UnusableInput(f"--optimise-period {bounds[0]:g},{bounds[1]:g}: holds no whole number of samples at --rate {rate:g} Hz; widen it")
 
 
-def tightened(setting: Setting, limits: Limits, reserve: float, slack: float = 0.0) -> Setting:
+def tightened(
+    setting: Setting, limits: Limits, reserve: float, short: Mapping[str, float] | None = None, *, finer: bool = False
+) -> Setting:
     """The same problem with a larger reserve on curved limits, for when the certificate finds a gap between samples.
 
-    slack: more clearance than the margin [m].
+    short: clearance that pairs of bodies lack [m]. finer: with samples twice as dense.
     """
-    p = setting.problem
-    rebuilt = problem.build(p.robot, limits, p.parameters, p.weighting, p.options, p.given, reserve, p.functions)
-    clearance = None if p.clearance is None else dataclasses.replace(p.clearance, slack=p.clearance.slack + slack)
-    return dataclasses.replace(setting, problem=dataclasses.replace(rebuilt, apart=p.apart, clearance=clearance))
+    p, lacking = setting.problem, short or {}
+    options = dataclasses.replace(p.options, samples=(1 + finer) * p.options.samples)
+    rebuilt = problem.build(p.robot, limits, p.parameters, p.weighting, options, p.given, reserve, p.functions)
+    clearance = p.clearance
+    if clearance is not None:
+        more = np.array([lacking.get(pair, 0.0) for pair in clearance.names])
+        clearance = dataclasses.replace(clearance, more=clearance.more + more)
+    return dataclasses.replace(setting, problem=dataclasses.replace(rebuilt, apart=p.apart, clearance=clearance, home=p.home))

@@ -213,7 +213,11 @@ def budgeted(
     rule = period(limits, wish.harmonics or HARMONICS, options.rate)
     swept = wish.period or max(min(rule, _down(budget / repeats, grid)), shortest)
     short = dataclasses.replace(options, starts=1, iterations=min(ITERATIONS, options.iterations))
-    setting = design.prepare(robot, limits, wish.settle(short, swept, wish.ladder(swept)[0], repeats), given, clearance=clearance)
+    setting = design.prepare(
+        robot, limits, wish.settle(short, swept, wish.ladder(swept)[0], repeats), given, clearance=clearance, home=start
+    )
+    if start is not None:
+        ramps.check_start(Subject(robot, limits, setting.problem.parameters, options.uncertainty, options.boxes, clearance), start)
     pilot = _attempt(setting, limits, setting.problem.options, start)
     if isinstance(pilot, ExciteError):
         raise pilot
@@ -288,7 +292,7 @@ def _attempt(setting: Setting, limits: Limits, options: Options, start: Array | 
     p = setting.problem
     given = None if p.given is None else p.given * np.sqrt(_count(p.options) / _count(options))
     varied = problem.build(p.robot, limits, p.parameters, p.weighting, options, given, functions=p.functions)
-    varied = dataclasses.replace(varied, clearance=p.clearance)
+    varied = dataclasses.replace(varied, clearance=p.clearance, home=p.home)
     try:
         motion = design.solve(dataclasses.replace(setting, problem=varied)).motion
         stated = ramps.with_derived(limits, motion)

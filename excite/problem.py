@@ -72,7 +72,8 @@ class Problem:
     scale: size of one unit of each variable: coefficients (a, b, offset) per joint. Shape (n, 2K+1).
     functions: the dynamics and their derivatives.
     apart: a motion to keep apart from, at a price added to the objective, or None.
-    clearance: bodies that keep apart at the samples, or None where no shape is known.
+    clearance: bodies that keep apart at the samples, or None where no shape is known. home: pose from which the motion is to be
+        reached clear of everything, or None. Shape (n,).
     """
 
     robot: Robot
@@ -86,6 +87,7 @@ class Problem:
     functions: Functions
     apart: Apart | None = None
     clearance: Clearance | None = None
+    home: Array | None = None
 
     @property
     def size(self) -> int:

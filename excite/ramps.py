@@ -278,7 +278,7 @@ def _connect(planner: Planner, begin: Array, end: Array, known: Array, what: str
 def _ramps(planner: Planner, fourier: Fourier, start: Array | None) -> tuple[Fourier, tuple[Profile, float], tuple[Profile, float]]:
     """The phase at which ramping in and out is shortest among the slow ones, and both ramps there."""
     if start is not None:
-        _check_start(planner.subject, start)
+        check_start(planner.subject, start)
     times = fourier.grid(PHASES)
     brisk = np.abs(fourier.at(times, 1) / planner.subject.limits.velocity).max(axis=1)
     best: tuple[float, Fourier, tuple[Profile, float], tuple[Profile, float]] | None = None
@@ -301,7 +301,8 @@ def _ramps(planner: Planner, fourier: Fourier, start: Array | None) -> tuple[Fou
     return best[1], best[2], best[3]
 
 
-def _check_start(subject: Subject, start: Array) -> None:
+def check_start(subject: Subject, start: Array) -> None:
+    """Raise UnusableInput where a start pose cannot be held, or touches something."""
     robot, limits = subject.robot, subject.limits
     if start.shape != (robot.n,) or not np.isfinite(start).all():
         raise UnusableInput(f"{robot.source}: start pose: should be {robot.n} finite positions, one per joint")

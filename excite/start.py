@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .collision.clearance import Clearance
 from .errors import Infeasible, UnusableInput
 from .evaluate import Evaluator, Rows
 from .parameters import ranges
@@ -12,6 +13,10 @@ from .problem import Problem
 Array = np.ndarray
 ROOM = 0.95
 """Largest row value of a pose or start that counts as comfortably inside the limits."""
+EASE = 2.5
+"""Clearance counts as so much roomier: a row's unit is many margins, and neighbours may never be more than two of them apart."""
+LINE = 60
+"""Poses at which a straight line from the start pose is looked at."""
 
 
 def at_rest(problem: Problem, pose: Array) -> Array:
@@ -32,7 +37,7 @@ class _Poses:
 
     def worst(self, poses: Array) -> Array:
         """Largest row value of each pose. Shapes (N, n) -> (N,)."""
-        return np.max([values.max(axis=(0, 2)) for values in self.evaluator.hold(poses).values()], axis=0)
+        return np.max([_eased(kind, values).max(axis=(0, 2)) for kind, values in self.evaluator.hold(poses).items()], axis=0)
 
     def worst_of(self, pose: Array) -> tuple[str, int, float]:
         """Kind, joint and value of the row that binds most at one pose."""
@@ -40,6 +45,10 @@ class _Poses:
         kind = max(table, key=lambda k: float(table[k][:, 0].max()))
         joint = int(np.argmax(table[kind][:, 0].max(axis=0)))
         return kind, joint, float(table[kind][:, 0].max())
+
+
+def _eased(kind: str, values: Array) -> Array:
+    return np.where(values < 1.0, 1.0 - EASE * (1.0 - values), values) if kind == "clearance" else values
 
 
 def poses(evaluator: Evaluator, rng: np.random.Generator, tries: int = 4) -> Array:
@@ -57,12 +66,26 @@ def poses(evaluator: Evaluator, rng: np.random.Generator, tries: int = 4) -> Arr
         share = 0.6 if attempt == 0 else 1.0
         middle = 0.5 * (lower + upper)
         candidates = middle + share * (rng.uniform(lower, upper, (count, len(lower))) - middle)
+        if problem.home is not None and problem.clearance is not None:
+            candidates = _within_sight(problem.clearance, problem.home, candidates, rng)
         worst = holder.worst(candidates)
         good = worst < ROOM
         if good.any():
             order = np.argsort(worst[good])
             return np.asarray(candidates[good][order])
     return _improved(evaluator, holder, candidates[np.argsort(worst)[:8]])
+
+
+def _within_sight(clearance: Clearance, home: Array, poses: Array, rng: np.random.Generator) -> Array:
+    """Poses on the straight lines from home to others, before anything is in the way. Shape (N, n).
+
+    Folds and obstacles part the joint space: a motion that begins elsewhere may be out of reach.
+    """
+    share = np.linspace(0.0, 1.0, LINE + 1)
+    lines = home + share[:, None] * (poses - home)[:, None]
+    clear = clearance.least(lines.reshape(-1, len(home)))[0].reshape(lines.shape[:2]) > 0.0
+    far = np.logical_and.accumulate(clear, axis=1).sum(axis=1) - 1
+    return np.asarray(home + rng.uniform(0.0, share[np.maximum(far, 0)])[:, None] * (poses - home))
 
 
 def _improved(evaluator: Evaluator, holder: _Poses, candidates: Array) -> Array:

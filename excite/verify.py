@@ -79,9 +79,9 @@ class Certificate:
         """The margin that is nearest to, or furthest beyond, its bound."""
         return min(self.margins, key=lambda margin: margin.room)
 
-    def short_of_clearance(self) -> float:
-        """By how much the worst pair misses its margin [m]; 0 where none does."""
-        return max([0.0, *(m.bound - m.value for m in self.margins if m.limit == CLEARANCE)])
+    def short_of_clearance(self) -> dict[str, float]:
+        """By how much each pair that breaks its margin misses it [m]."""
+        return {m.joint: m.bound - m.value for m in self.margins if m.limit == CLEARANCE and m.room < -ROUNDING}
 
     def document(self) -> dict[str, Any]:
         """As `excite verify --json` prints it."""

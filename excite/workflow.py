@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,8 +16,8 @@ from .artefact import Trajectory, versions
 from .checks import Subject
 from .collision import covering
 from .collision.cell import NOT_CHECKED, Cell
-from .design import Design
-from .errors import CheckFailed, UnusableInput
+from .design import Design, Setting
+from .errors import CheckFailed, Infeasible, UnusableInput
 from .limits import Limits
 from .overlap import Apart
 from .problem import RESERVE, Options
@@ -25,11 +26,14 @@ from .starts import Progress
 from .verify import CELL, CLEARANCE, Certificate
 
 Array = np.ndarray
+Whole = tuple[Trajectory, Certificate]
 
 
 MOST_RESERVE = 0.3
 TIGHTENINGS = 3
 """Times that a motion is improved on when its certificate fails."""
+COARSE = 5e-3
+"""Clearance that a motion may lack between samples without these being too coarse for it [m]."""
 SINGULAR = 1e-24
 """Ratio of eigenvalues of the information below which a direction is rounding noise, not seen."""
 
@@ -75,17 +79,20 @@ def run(
         raise UnusableInput(f"--speed {speed:g} should be above 0 and at most 1")
     if options.free_period is None:
         design.whole_samples(options.period / speed, options.rate)
-    setting = design.prepare(robot, limits, options, given, apart, None if cell is None else covering.clearance(cell))
+    clearance = None if cell is None else covering.clearance(cell)
+    setting = design.prepare(robot, limits, options, given, apart, clearance, start)
+    if start is not None:  # before the optimisation, which begins within its sight
+        ramps.check_start(_subject(setting, limits), start)
     say(f"{robot.name}: {robot.n} joints, {setting.base.count} base parameters")
     found = design.solve(setting, progress)
     timing = {"build": setting.built - begun, **found.timing()}
     facts = {**(notes or {}), **({} if cell is None else {CELL: cell.document()})}
 
-    def certified(found: Design) -> tuple[Trajectory, Certificate]:
+    def certified(found: Design) -> Whole:
         trajectory = dataclasses.replace(_assemble(found, robot, limits, start, speed, facts), collision=unchecked)
         return trajectory, verify.verify(trajectory, robot, cell)
 
-    trajectory, certificate = certified(found)
+    found, (trajectory, certificate) = _with_ramps(found, certified)
     reserve = RESERVE
     for _ in range(TIGHTENINGS):
         if certificate.ok:
@@ -93,6 +100,15 @@ def run(
         found, reserve = _tightened(found, limits, certificate, reserve, say)
         trajectory, certificate = certified(found)
     timing |= {"solve": time.perf_counter() - setting.built, "total": time.perf_counter() - begun}
+    _check(robot, trajectory, certificate, force, given)
+    trajectory = dataclasses.replace(
+        trajectory, margins=[m.document() for m in certificate.margins], collision=certificate.collision, forced=not certificate.ok
+    )
+    return Delivery(trajectory, certificate, found, timing)
+
+
+def _check(robot: Robot, trajectory: Trajectory, certificate: Certificate, force: bool, given: Array | None) -> None:
+    """Raise CheckFailed for a motion that should not leave."""
     if not certificate.ok and not force:
         reason = certificate.faults[0] if certificate.faults else certificate.worst().words()
         raise CheckFailed(f"{robot.source}: the designed motion fails its certificate: {reason}; try another --seed or --force")
@@ -101,27 +117,46 @@ def run(
         raise CheckFailed(
             f"{robot.source}: the motion found does not show all base parameters; try another --seed, fewer limits or a longer --period"
         )
-    trajectory = dataclasses.replace(
-        trajectory, margins=[m.document() for m in certificate.margins], collision=certificate.collision, forced=not certificate.ok
-    )
-    return Delivery(trajectory, certificate, found, timing)
+
+
+def _with_ramps(found: Design, certified: Callable[[Design], Whole]) -> tuple[Design, Whole]:
+    """The best attempt that ramps, approach and return go with. Raises what the best of all lacks where none has them."""
+    lacks = None
+    for one in found.attempts:
+        if one.motion.period != found.motion.period:  # not settled on whole samples
+            continue
+        first = Design(found.setting, (one, *(other for other in found.attempts if other is not one)))
+        try:
+            return first, certified(first)
+        except Infeasible as error:
+            lacks = lacks or error
+    assert lacks is not None
+    raise lacks
 
 
 def _tightened(found: Design, limits: Limits, certificate: Certificate, reserve: float, say: Progress) -> tuple[Design, float]:
     """The design with more reserve or clearance, as its certificate found too little of them between samples; and the reserve."""
     worst, short = certificate.worst(), certificate.short_of_clearance()
+    # things that are slipped through between samples are met on a finer grid, not by more clearance
+    finer = max(short.values(), default=0.0) > COARSE
     if worst.limit != CLEARANCE:
         reserve = min(max(2.0 * reserve, reserve - 1.5 * worst.room), MOST_RESERVE)
     say(f"between samples {worst.words()}; tightening")
-    tighter = design.tightened(found.setting, limits, reserve, 1.5 * short)
+    lacking = {pair: 1.5 * min(missed, COARSE) for pair, missed in short.items()}
+    tighter = design.tightened(found.setting, limits, reserve, lacking, finer=finer)
     return Design(tighter, (design.improve(tighter, found.motion, found.attempts[0].number), *found.attempts[1:])), reserve
+
+
+def _subject(setting: Setting, limits: Limits) -> Subject:
+    options = setting.problem.options
+    return Subject(setting.problem.robot, limits, setting.problem.parameters, options.uncertainty, options.boxes, setting.problem.clearance)
 
 
 def _assemble(found: Design, robot: Robot, limits: Limits, start: Array | None, speed: float, notes: dict[str, Any]) -> Trajectory:
     setting = found.setting
     options = setting.problem.options
     stated = ramps.with_derived(limits, found.motion)
-    subject = Subject(robot, stated, setting.problem.parameters, options.uncertainty, options.boxes, setting.problem.clearance)
+    subject = _subject(setting, stated)
     whole = ramps.rest_to_rest(subject, found.motion, options.periods, options.rate, start)
     if speed != 1.0:
         whole = whole.slowed(speed)

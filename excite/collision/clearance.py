@@ -34,7 +34,7 @@ class Clearance:
     box_pose, box_centre, box_half: of the boxes, base frame. Shapes (B, 3, 3), (B, 3), (B, 3). normal, height: of the planes.
     hulls: bodies that capsules enclose too loosely, with the joint and placement of each; their convex hulls stand for them.
     kind: 0 capsules, 1 capsule and box, 2 capsule and plane, 3 hulls. first, second: their numbers. need: clearance. Shapes (P,).
-    names: of the bodies of each pair. slack: more clearance, for what happens between samples [m].
+    names: of the bodies of each pair. more: clearance beyond SLACK, where that did not do between samples [m].
     """
 
     chain: Chain
@@ -53,7 +53,7 @@ class Clearance:
     second: Array
     need: Array
     names: tuple[str, ...]
-    slack: float = SLACK
+    more: float | Array = 0.0
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -88,6 +88,12 @@ class Hull:
     rotation: Array
     position: Array
 
+    def ball(self) -> tuple[Array, float]:
+        """Centre in the joint's frame and radius of a ball around it. Shape (3,) [m]."""
+        solid = self.shape.hull()
+        solid.computeLocalAABB()
+        return self.rotation @ np.array(solid.aabb_center) + self.position, float(solid.aabb_radius)
+
 
 class Look:
     """Distances at N poses, and their slopes. rotation, origin: of all joint frames. Shapes (N, J, 3, 3), (N, J, 3)."""
@@ -101,7 +107,7 @@ class Look:
     def values(self) -> Array:
         """Rows of the design problem, satisfied where ≤ 1. Shape (N, P)."""
         c = self.clearance
-        slack = c.slack * np.minimum(c.need / (5.0 * SLACK), 1.0)
+        slack = SLACK * np.minimum(c.need / (5.0 * SLACK), 1.0) + c.more
         return np.asarray(1.0 + (c.need + slack - self.distances()) / c.unit)
 
     def distances(self) -> Array:
@@ -148,7 +154,10 @@ class Look:
         """Least that distances can be, from balls around the bodies. Shape (N, P')."""
         c = self.clearance
         if kind == 3:
-            return np.full((len(self.origin), len(a)), -np.inf)
+            joints = np.array([hull.joint for hull in c.hulls], int)
+            centres, radii = np.array([hull.ball()[0] for hull in c.hulls]), np.array([hull.ball()[1] for hull in c.hulls])
+            centre = (self.rotation[:, joints] @ centres[:, :, None])[..., 0] + self.origin[:, joints]
+            return np.asarray(_length(centre[:, a] - centre[:, b]) - radii[a] - radii[b])
         size = 0.5 * np.linalg.norm(c.end - c.begin, axis=1) + c.radius
         middle = 0.5 * (self.ends[0] + self.ends[1])
         centre = middle[:, a]

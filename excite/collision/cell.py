@@ -25,10 +25,13 @@ MARGIN = 0.02
 POSES = 400
 ALWAYS = 0.95
 """Share of random poses in which neighbours touch that were built to touch."""
+FEW, NEAR = 40, 2.0
+"""Poses that tell which pairs may be close by construction: those within so many margins in more than a quarter of them."""
 CLOSE = 1e-3
 """Links that a joint or two hold apart keep this distance at least [m]."""
-GRID, SPARSE = 24, 9
-"""Steps per joint over which bodies with one or two joints between them are looked at; of meshes, which take their time."""
+GRID, SPARSE, SPARE = 24, 9, 5e-3
+"""Steps per joint over which bodies with one or two joints between them are looked at; of meshes, which take their time; and what must
+then be left everywhere of those that are taken never to touch [m]."""
 
 
 @dataclass(frozen=True)
@@ -116,49 +119,55 @@ def _movable(cell: Cell) -> Iterator[tuple[int, int]]:
 
 
 def _sorted_out(cell: Cell) -> tuple[list[Pair], list[Apart]]:
-    """Which pairs keep the margin, which only must not touch, and which always or never do, over poses that fill the ranges."""
-    candidates = cell.pairs
+    """Which pairs keep the margin, which keep less, and which need not, over poses that fill the ranges."""
     probe, kept, excepted = cell.probe(), list[Pair](), list[Apart]()
-    touching, near = np.zeros(len(candidates)), np.zeros(len(candidates))
-    open_ones = np.ones(len(candidates), bool)
-    for count, pose in enumerate(spread_poses(cell.limits, POSES), start=1):
-        probe.to(pose)
-        for k in (int(k) for k in np.flatnonzero(open_ones)):
-            d = probe.distance(k)
-            touching[k] += d <= 0.0
-            near[k] += d < cell.margin
-        if count >= 20:  # most pairs are far apart nearly always, which a few poses show
-            open_ones &= near > 0.25 * count
-    for k, pair in enumerate(candidates):
+    distances = _distances(cell, probe)
+    for k, pair in enumerate(cell.pairs):
         both = cell.bodies[pair.first], cell.bodies[pair.second]
-        names = both[0].name, both[1].name
-        if open_ones[k] and touching[k] > ALWAYS * POSES:
-            if both[0].around or both[1].around:
+        names, around, usual = (both[0].name, both[1].name), both[0].around or both[1].around, distances[k]
+        if len(usual) == POSES and np.mean(usual <= 0.0) > ALWAYS:
+            if around:
                 raise UnusableInput(_in_the_way(cell, *sorted(both, key=lambda body: body.around)))
             excepted.append(Apart(*names, "always in contact"))
             continue
-        between = _between_neighbours(cell, probe, k) if near[k] else None
-        if between is not None and between.min() > CLOSE:
+        grid = None if around or usual.min() > NEAR * pair.margin else _between_neighbours(cell, probe, k)
+        usual = usual if grid is None else grid
+        middle = float(np.median(usual))
+        sure = SPARE if both[0].is_mesh or both[1].is_mesh else CLOSE
+        if grid is not None and grid.min() > sure:
             excepted.append(Apart(*names, "never in contact within the joint limits"))
-        elif between is not None and np.median(between) <= CLOSE:
+        elif around or middle > (NEAR if grid is not None else 1.0) * pair.margin:
+            kept.append(pair)
+        elif middle <= CLOSE:
             excepted.append(Apart(*names, "in contact in most poses by construction"))
-        elif between is not None and np.median(between) < 2.0 * pair.margin:
-            margin = max(0.5 * float(np.median(between)), min(CLOSE, pair.margin))
+        else:
+            margin = max(0.5 * middle, min(CLOSE, pair.margin))
             kept.append(dataclasses.replace(pair, margin=margin))
             excepted.append(Apart(*names, f"close by construction: {1e3 * margin:.0f} mm, half of what is usual between them"))
-        else:
-            kept.append(pair)
     return kept, excepted
+
+
+def _distances(cell: Cell, probe: Probe) -> list[Array]:
+    """Of every pair over poses that fill the ranges: POSES of them for pairs that are often near, a few for the others [m]."""
+    out: list[list[float]] = [[] for _ in cell.pairs]
+    looked = list(range(len(cell.pairs)))
+    for count, pose in enumerate(spread_poses(cell.limits, POSES), start=1):
+        probe.to(pose)
+        for k in looked:
+            out[k].append(probe.distance(k))
+        if count == FEW:  # most pairs are far apart nearly always, which a few poses show
+            looked = [k for k in looked if np.mean(np.array(out[k]) < NEAR * cell.margin) > 0.25]
+    return [np.array(one) for one in out]
 
 
 def _between_neighbours(cell: Cell, probe: Probe, number: int) -> Array | None:
     """Distances of two links with at most two joints between them, all over those joints' ranges; None for other pairs [m]."""
-    pair, robot = probe.pairs[number], cell.robot
+    pair, robot = cell.pairs[number], cell.robot
     both = cell.bodies[pair.first], cell.bodies[pair.second]
     ways = [set(robot.model.supports[body.joint]) for body in both]
     rows = [joint - 1 for joint in ways[0] ^ ways[1]]
     moving = np.flatnonzero(np.abs(robot.spread[rows]).any(axis=0))
-    if len(moving) > 2 or both[0].around or both[1].around:
+    if len(moving) > 2:
         return None
     pose, out, steps = spread_poses(cell.limits, 1)[0], [], SPARSE if both[0].is_mesh or both[1].is_mesh else GRID
     for values in itertools.product(*(np.linspace(low, high, steps) for low, high in ranges(cell.limits)[moving])):

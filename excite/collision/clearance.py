@@ -14,7 +14,7 @@ import numpy as np
 from . import nearest
 from .chain import Chain
 from .nearest import Nearest
-from .shape import Shape
+from .shape import Kind, Shape
 
 Array = np.ndarray
 SCALE = 20.0
@@ -90,6 +90,8 @@ class Hull:
 
     def ball(self) -> tuple[Array, float]:
         """Centre in the joint's frame and radius of a ball around it. Shape (3,) [m]."""
+        if self.shape.kind is Kind.FLOOR:
+            return self.position, np.inf
         solid = self.shape.hull()
         solid.computeLocalAABB()
         return self.rotation @ np.array(solid.aabb_center) + self.position, float(solid.aabb_radius)

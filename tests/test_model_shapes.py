@@ -39,7 +39,7 @@ FOLDED = {
     "fr3": (FRANKA_FOLDED, "fr3_link0", "fr3_link6"),
     "panda": (FRANKA_FOLDED, "panda_link0", "panda_link6"),
     "iiwa14": ((0, 2.09, 0, -2.09, 0, 0, 0), "iiwa_link_0", "iiwa_link_6"),
-    "tx40": ((0, 0, -2.2, 0, 0, 0), "base_link", "link_6"),
+    "tx40": ((0, -3.7, -0.8, 0, 0, 0), "base_link", "link_6"),
     "two_link": ((-0.6, -2.6), "base_link", "link_2"),
     "ur10e": (UR_FOLDED, "upper_arm_link", "wrist_2_link"),
     "ur5e": (UR_FOLDED, "upper_arm_link", "wrist_2_link"),

@@ -69,7 +69,7 @@ def quiet() -> Bench:
 
 @pytest.fixture(scope="module")
 def coarse() -> Bench:
-    return bench(1e-3, 1e-3)
+    return bench(2e-3, 2e-3)
 
 
 def test_the_model_under_the_controller_found_moves_more_like_the_robot_than_the_reference(quiet):

@@ -20,7 +20,7 @@ from excite.report.page import number
 from excite.report.panels import ticks
 from excite.trajectory import Fourier
 
-SECTIONS = ("limits", "torque", "spectrum", "parts", "parameters", "more", "path", "history", "criteria", "made")
+SECTIONS = ("limits", "torque", "collision", "spectrum", "parts", "parameters", "more", "path", "history", "criteria", "made")
 
 
 def chain(joints: int) -> str:

@@ -226,7 +226,7 @@ def test_every_name_of_the_contract_is_there():
 def test_an_effect_of_size_zero_changes_nothing_and_one_of_its_usual_size_does(quick, name):
     plant, motion, setting, bare = quick
     kind, csv = KINDS[name], bare.recording.csv()
-    place = "" if kind.place == "robot" else "joint_2"
+    place = "" if kind.place == "robot" else "joint_1" if name == "kinematic_error" else "joint_2"
     extra = ",start=0.3,end=0.9" if name == "contact" else ""
     for family in FAMILIES:
         effect = effects.parse(f"{name}:{place}:form={family}{extra}", plant)
@@ -238,6 +238,15 @@ def test_an_effect_of_size_zero_changes_nothing_and_one_of_its_usual_size_does(q
         least = 1e-6 * plant.limit
         assert (np.abs(told[1] - before[1]) > least).any()
         assert np.isfinite(told[1]).all()
+
+
+def test_a_wrong_length_is_of_the_joint_before_it(quick):
+    plant, *_ = quick
+    effect = effects.parse("kinematic_error:joint_1:angle=0,length=0.01", plant)
+    altered = effect.law(plant).alter(plant.tree)
+    for name, apart in (("joint_1", 0.0), ("joint_2", 0.01)):
+        at = [np.array(str(tree.joint(name).find("origin").get("xyz")).split(), float) for tree in (altered, plant.tree)]
+        assert np.linalg.norm(at[0] - at[1]) == pytest.approx(apart)
 
 
 def test_forms_of_the_two_families_differ(bench):

@@ -53,6 +53,12 @@ class Tree:
         element = self.joint(joint).find("child")
         return str(element.get("link")) if element is not None else ""
 
+    def after(self, joint: str) -> tuple[str, ...]:
+        """Names of the joints, fixed ones too, on the link that a joint moves."""
+        link, joints = self.child(joint), self.root.findall("joint")
+        parents = [(j, j.find("parent")) for j in joints]
+        return tuple(str(j.get("name")) for j, parent in parents if parent is not None and parent.get("link") == link)
+
     def body(self, link: str) -> Array:
         """Pseudo-inertia [[S, h], [hᵀ, m]] of a link in its own frame, S the second moments. Shape (4, 4) [kg m², kg m, kg]."""
         inertial = self._link(link).find("inertial")

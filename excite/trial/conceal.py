@@ -130,13 +130,14 @@ def _effect(
     robot at any, another draw is made.
     """
     kind, n, (short, whole) = KINDS[name], len(plant.joints), motions
-    first = {"payload": n // 2, "contact": n // 2, "kinematic_error": min(1, n - 1)}.get(name, 0)
+    first = {"payload": n // 2, "contact": n // 2}.get(name, 0)
+    end = max(n - 1, 1) if name == "kinematic_error" else n
     chain, along = laboratory.chain(plant, chosen), whole if name == "thermal_drift" else short
     all_late = rng.random() < 0.3
     found: list[tuple[float, Effect, float]] = []
     for draw in range(DRAWS):
-        drawn = plant.joints[int(rng.integers(first, n))]
-        where = joint if draw == 0 and joint in plant.joints[first:] else drawn
+        drawn = plant.joints[int(rng.integers(first, end))]
+        where = joint if draw == 0 and joint in plant.joints[first:end] else drawn
         place = None if kind.place == "robot" or (kind.place == "either" and all_late) else where
         effect = effects.draw(kind, plant, place, spec.family, rng)
         try:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ...errors import UnusableInput
 from ..drive import Drive
 from ..law import Instant, Law
 from ..tree import Tree
@@ -54,7 +55,7 @@ class Tilt(Law):
 
 @dataclass(frozen=True)
 class Frame(Law):
-    """The joint's frame is turned about its x axis and longer along the way from the joint before."""
+    """What a joint's link carries sits elsewhere on it: the frames of the joints after it, turned and shifted as they see it."""
 
     joint: str
     turn: Array
@@ -63,7 +64,12 @@ class Frame(Law):
     def alter(self, tree: Tree) -> Tree:
         if not self.turn.any() and not self.shift.any():
             return tree
-        return tree.moved(self.joint, Rotation.from_rotvec(self.turn).as_matrix(), self.shift)
+        after = tree.after(self.joint)
+        if not after:
+            raise UnusableInput(f"{tree.source}: joint '{self.joint}' carries no further joint; name one that does")
+        for name in after:
+            tree = tree.moved(name, Rotation.from_rotvec(self.turn).as_matrix(), self.shift)
+        return tree
 
 
 def _frame(site: Site, p: Values, axis: Array, way: Array) -> Law:

@@ -18,6 +18,8 @@ FAR = 1.5
 """Distance of a payload's centre from its link's frame, at the most [m]."""
 ANGLE, LENGTH = 1e-4, 1e-5
 """Changes of geometry that a column is the secant of [rad, m]."""
+ROUNDED = 1e-6
+"""Of the largest column, one that is rounding: a turn about the joint's own upright axis."""
 
 
 def _carried(t: Track, s: Shape) -> Array:
@@ -70,7 +72,7 @@ def _rotor(tracks: Sequence[Track]) -> Iterator[Shape]:
 
 
 def _misplaced(t: Track, s: Shape) -> Array:
-    """Torque by turning or moving what a joint carries, in the joint's frame."""
+    """Torque by turning or moving what comes after a joint's link, in the joint's frame, and `whole`: that link's own body too."""
     robot, columns, m, angle, joint = t.body.robot, [], t.coarse, s.values["angle"] > 0.0, s.place
     Q, V, A = robot.expand(m.q), m.dq @ robot.spread.T, m.ddq @ robot.spread.T
     after = [i for i in range(1, t.body.model.njoints) if t.body.model.parents[i] == joint + 1]
@@ -81,11 +83,14 @@ def _misplaced(t: Track, s: Shape) -> Array:
         change = pin.exp6(twist)
         for i in after:
             model.jointPlacements[i] = change * model.jointPlacements[i]
-        model.inertias[joint + 1] = change.act(model.inertias[joint + 1])
+        if s.values["whole"]:
+            model.inertias[joint + 1] = change.act(model.inertias[joint + 1])
         data = model.createData()
         torque = np.array([pin.rnea(model, data, *state) for state in zip(Q, V, A, strict=True)]) @ robot.spread
         columns.append((torque - t.rigid) / (ANGLE if angle else LENGTH))
-    return t.reduce(np.stack(columns, axis=2), Grid.COARSE)
+    out = np.stack(columns, axis=2)
+    seen = np.abs(out).max(axis=(0, 1))
+    return t.reduce(out * (seen > ROUNDED * seen.max()), Grid.COARSE)
 
 
 def _kinematic(tracks: Sequence[Track]) -> Iterator[Shape]:
@@ -95,7 +100,14 @@ def _kinematic(tracks: Sequence[Track]) -> Iterator[Shape]:
     for j in range(min(tracks[0].n, tracks[0].body.model.njoints - 1)):
         for angle, name in ((1.0, "angle"), (0.0, "length")):
             told = lambda c, name=name: {name: float(np.linalg.norm(c))}  # noqa: E731
-            yield Shape("kinematic_error", j, _misplaced, {"angle": angle}, parameters=told, plausible=small)
+            for body in (0.0, 1.0):
+                fixed = {"angle": angle, "whole": body}
+                yield Shape("kinematic_error", j, _misplaced, fixed, parameters=told, plausible=small, several=True)
+
+
+def _both(parts: Sequence[tuple[Shape, Array]]) -> dict[str, float]:
+    """Angle and length of a joint where both are wrong; of one that is found in two shapes, the larger."""
+    return {name: value for shape, c in reversed(parts) for name, value in shape.parameters(c).items()}
 
 
 EFFECTS = (
@@ -145,5 +157,6 @@ EFFECTS = (
         ("payload",),
         "poses, and an external measurement of them",
         prior_only=True,
+        told=_both,
     ),
 )

@@ -65,9 +65,12 @@ def cell(arguments: argparse.Namespace, machine: Robot, table: Limits) -> tuple[
     around = scene.read(Path(arguments.scene)) if arguments.scene else scene.Scene()
     if arguments.floor is not None or arguments.no_floor:
         around = replace(around, floor=False if arguments.no_floor else floats("--floor", arguments.floor, (1,))[0])
-    disabled = links.disabled(Path(arguments.srdf)) if arguments.srdf else []
+    if arguments.clearance is not None:
+        around = replace(around, clearance=arguments.clearance)
+    if arguments.srdf:
+        around = replace(around, disabled=links.disabled(Path(arguments.srdf)))
     asked = bool(arguments.scene or arguments.srdf or arguments.floor is not None or arguments.clearance is not None)
-    return scene.known(machine, table, around, arguments.packages, disabled, arguments.clearance, required=asked)
+    return scene.known(machine, table, around, arguments.packages, required=asked)
 
 
 def drive(arguments: argparse.Namespace) -> tuple[str, ...]:

@@ -28,7 +28,7 @@ BOX = Shape("block", Kind.BOX, (0.1, 0.6, 0.3), (0.75, 0.0, 0.45))
 
 def two_links(*shapes: Shape, floor: float | bool | None = False, margin: float = 0.02):
     robot = load("two_link")
-    return scene.cell(robot, resolve(robot), Scene(tuple(shapes), floor=floor), margin=margin)
+    return scene.cell(robot, resolve(robot), Scene(tuple(shapes), floor=floor, clearance=margin))
 
 
 def octahedron(path: Path, size: float = 0.2) -> str:
@@ -196,7 +196,7 @@ def test_what_is_disabled_may_touch(tmp_path):
     srdf = tmp_path / "arm.srdf"
     srdf.write_text('<robot name="x"><disable_collisions link1="base_link" link2="link_2" reason="Never"/></robot>')
     robot = load("two_link")
-    cell = scene.cell(robot, resolve(robot), Scene(floor=False), disabled=links.disabled(srdf))
+    cell = scene.cell(robot, resolve(robot), Scene(floor=False, disabled=links.disabled(srdf)))
     assert not cell.pairs
     assert covering.clearance(cell) is None
 
@@ -218,7 +218,7 @@ def test_loose_covers_give_way_to_hulls(tmp_path):
     urdf = tmp_path / "plates.urdf"
     urdf.write_text(document(*parts, joint("a", "l0", "l1", xyz=(0, 0, 0.03)), tilted))
     robot = load(str(urdf))
-    cell = scene.cell(robot, resolve(robot), Scene(floor=False), margin=0.005)
+    cell = scene.cell(robot, resolve(robot), Scene(floor=False, clearance=0.005))
     assert [cell.names(pair) for pair in cell.pairs] == ["l0 – l2"]
     clear = covering.clearance(cell)
     assert (clear.kind == 3).all()

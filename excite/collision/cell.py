@@ -43,9 +43,9 @@ class Apart:
     why: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Cell:
-    """What verification checks.
+    """What verification checks. It is hashed by identity, so that what takes long to find of it can be kept.
 
     bodies: links, tools, surroundings. pairs: of them, that keep apart. excepted: pairs that need not, with reasons.
     margin: clearance [m]. disabled: names of bodies whose contact is no matter. notes: what a user should know.

@@ -6,6 +6,7 @@ import dataclasses
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
@@ -65,6 +66,7 @@ class _Covers:
             yield from ((kind, first, second) for first in one[0] for second in numbers)
 
 
+@lru_cache(maxsize=2)
 def clearance(cell: Cell) -> Clearance | None:
     """Covers of a cell and the pairs of them that can come near; None where none can.
 

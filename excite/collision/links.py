@@ -97,11 +97,11 @@ def _find(path: Path, owner: str, name: str, packages: Sequence[str]) -> Path:
     raise MissingMesh(str(path), owner, name)
 
 
-def disabled(path: Path) -> list[tuple[str, str]]:
+def disabled(path: Path) -> tuple[tuple[str, str], ...]:
     """Pairs of links whose collisions an SRDF disables. Raises UnusableInput for a file that is none."""
     try:
         root = ElementTree.parse(path).getroot()
     except (OSError, ElementTree.ParseError) as error:
         raise UnusableInput(f"{path}: cannot be read as an SRDF ({error}); give the one that belongs to the URDF") from error
     found = [(entry.get("link1"), entry.get("link2")) for entry in root.iter("disable_collisions")]
-    return [(str(one), str(other)) for one, other in found]
+    return tuple((str(one), str(other)) for one, other in found)

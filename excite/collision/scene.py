@@ -43,7 +43,7 @@ POSES = 200
 class Scene:
     """Shapes around the robot and on it. floor: its height [m]; False: none; None: not said. clearance: [m], None: not said.
 
-    source: the file that says so.
+    ignored: a shape and a body that it may touch. disabled: pairs of bodies besides, by an SRDF. source: the file that says so.
     """
 
     shapes: tuple[Shape, ...] = ()
@@ -51,6 +51,7 @@ class Scene:
     floor: float | bool | None = None
     clearance: float | None = None
     source: str = "scene"
+    disabled: tuple[tuple[str, str], ...] = ()
 
 
 def read(path: Path) -> Scene:
@@ -130,60 +131,52 @@ def _vector(path: Path, what: str, value: Any, count: int) -> tuple[float, ...]:
     return tuple(float(v) for v in value)
 
 
-def known(
-    robot: Robot,
-    limits: Limits,
-    scene: Scene,
-    packages: Sequence[str] = (),
-    disabled: Sequence[tuple[str, str]] = (),
-    margin: float | None = None,
-    *,
-    required: bool = False,
-) -> tuple[Cell | None, str]:
+def known(robot: Robot, limits: Limits, scene: Scene, packages: Sequence[str] = (), *, required: bool = False) -> tuple[Cell | None, str]:
     """The cell; or, where the robot's shapes are not known and nobody required a check, None and a sentence that says so."""
     try:
-        if not required and not links.read(robot.source, packages):
-            return None, f"{cells.NOT_CHECKED}: the URDF gives no link a shape"
-        return cell(robot, limits, scene, packages=packages, disabled=disabled, margin=margin), ""
+        own = links.read(robot.source, packages)
     except links.MissingMesh as error:
         if required:
             raise
         return None, f"{cells.NOT_CHECKED}: {error}"
+    if not own and not required:
+        return None, f"{cells.NOT_CHECKED}: the URDF gives no link a shape"
+    return _cell(robot, limits, scene, own), ""
 
 
-def cell(
-    robot: Robot,
-    limits: Limits,
-    scene: Scene,
-    *,
-    packages: Sequence[str] = (),
-    disabled: Sequence[tuple[str, str]] = (),
-    margin: float | None = None,
-) -> Cell:
-    """The robot among what the scene holds. margin: clearance, before the scene's and the default [m].
+def cell(robot: Robot, limits: Limits, scene: Scene, packages: Sequence[str] = ()) -> Cell:
+    """The robot among what the scene holds.
 
     Raises MissingMesh or UnusableInput as its parts do; a robot without any shape of a moving link has no cell: UnusableInput.
     """
-    own = links.read(robot.source, packages)
+    return _cell(robot, limits, scene, links.read(robot.source, packages))
+
+
+def _cell(robot: Robot, limits: Limits, scene: Scene, own: Sequence[Shape]) -> Cell:
     moving = {one.link for one in own if robot.model.frames[robot.frame(str(one.link))].parentJoint > 0}
     if not moving:
         raise UnusableInput(f"{robot.source}: gives no moving link a <collision> shape; add shapes, or --no-collision")
-    clearance = next(value for value in (margin, scene.clearance, cells.MARGIN) if value is not None)
-    there = {one.name for one in (*own, *scene.shapes)} | {frame.name for frame in robot.model.frames} | {"floor"}
-    taken = {one.name for one in own} | {"floor"}
+    _check_names(robot, scene, own)
+    floor, notes = _floor_height(robot, limits, own, scene)
+    bare = [link for i, link in enumerate(robot.links, 1) if link not in moving and robot.model.inertias[i].mass > 0.0]
+    notes += [f"no shape is known of {', '.join(bare)}"] if bare else []
+    shapes = [*own, *scene.shapes, *([] if floor is None else [Shape("floor", Kind.FLOOR, position=(0.0, 0.0, floor))])]
+    clearance = cells.MARGIN if scene.clearance is None else scene.clearance
+    return cells.build(robot, limits, shapes, clearance, [*scene.disabled, *scene.ignored], notes)
+
+
+def _check_names(robot: Robot, scene: Scene, own: Sequence[Shape]) -> None:
+    """Raise UnusableInput for a shape of the scene that has the name of another body, or that may touch what there is not."""
+    taken = {"floor", *(one.name for one in own)}
     for one in scene.shapes:
         if one.name in taken:
             raise UnusableInput(
                 f"{scene.source}: '{one.name}' is the name of a link or of the floor already; rename the shape of the scene"
             )
+    there = {"floor", *(frame.name for frame in robot.model.frames), *(one.name for one in scene.shapes)}
     for name, other in scene.ignored:
         if other not in there:
             raise UnusableInput(f"{scene.source}: '{name}' may touch '{other}', which there is not; correct its 'ignore'")
-    floor, notes = _floor_height(robot, limits, own, scene)
-    bare = [link for i, link in enumerate(robot.links, 1) if link not in moving and robot.model.inertias[i].mass > 0.0]
-    notes += [f"no shape is known of {', '.join(bare)}"] if bare else []
-    shapes = [*own, *scene.shapes, *([] if floor is None else [Shape("floor", Kind.FLOOR, position=(0.0, 0.0, floor))])]
-    return cells.build(robot, limits, shapes, clearance, [*disabled, *scene.ignored], notes)
 
 
 def _floor_height(robot: Robot, limits: Limits, own: Sequence[Shape], scene: Scene) -> tuple[float | None, list[str]]:

@@ -24,6 +24,8 @@ LEAST = 1.2
 """Periods that a recording must hold to show its noise by what repeats."""
 SAME = 0.02
 """RMS difference of normalised positions a period apart, below which a motion is said to repeat."""
+PARTS, ODD, PASSES = 40, 10.0, 4
+"""Stretches that a difference of periods is cut into, from how many times the median on one is no noise, and how often that is asked."""
 SAMPLES = 4000
 """Rows of a recording that are looked at for a period."""
 EDGE = 32
@@ -89,10 +91,20 @@ def _steady(change: Array, track: Track, inside: Array) -> Array:
         speed = track.fine.dq[:, j]
         friction = track.reduce(np.column_stack([np.tanh(speed / track.widths[j]), speed]))[: len(inside)][inside]
         columns = np.column_stack([friction, friction * t[:, None]])
-        basis = np.linalg.qr(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))[0]
-        rest = line - basis @ (basis.T @ line)
-        out[j] = rest @ rest / max(len(line) - columns.shape[1], 1)
+        columns /= np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+        usual = np.ones(len(line), bool)
+        for _ in range(PASSES):
+            rest = line - columns @ np.linalg.lstsq(columns[usual], line[usual], rcond=1e-8)[0]
+            usual = _usual(np.square(rest))
+        out[j] = np.mean(np.square(rest[usual])) * usual.sum() / max(usual.sum() - columns.shape[1], 1)
     return out
+
+
+def _usual(square: Array) -> Array:
+    """Rows without the stretches that stand out: what touched the robot in one period only is not noise. Shape (N,)."""
+    parts = np.array_split(square, max(1, min(PARTS, len(square) // 8)))
+    loud = np.array([part.mean() for part in parts])
+    return np.repeat(loud <= ODD * np.median(loud), [len(part) for part in parts])
 
 
 def _shifted(x: Array, by: float) -> Array:

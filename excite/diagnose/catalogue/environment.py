@@ -14,7 +14,8 @@ from .windup import oscillator
 Array = np.ndarray
 PARTS = 40
 """Intervals of a recording among which a contact is looked for."""
-
+KNOTS, BEYOND = 8.0, 0.3
+"""Times at which a force of any course is told, and how far before and after the loud interval, over its length."""
 
 SHAKY = 16.0
 """A clock that wavers shakes all joints at once, as a base does."""
@@ -58,31 +59,45 @@ def _gives_way(c: Array) -> bool:
 
 
 def _pushed(t: Track, s: Shape) -> Array:
-    """Torque of a force in the base frame on the centre of a link, while it lasts: even, or swelling and fading."""
+    """Torque of a force in the base frame on the centre of a link, while it lasts: even, swelling and fading, or as it likes."""
+    size = _course(t, s)
+    torque = -np.einsum("tk,txj->tjkx", size, t.levers[:, s.place])
+    return t.reduce(torque.reshape(*torque.shape[:2], -1), Grid.COARSE)
+
+
+def _course(t: Track, s: Shape) -> Array:
+    """How large a force is at the coarse samples, by as many functions as are needed to say so. Shape (C, k)."""
     assert s.interval is not None
     low, high = s.interval
     time = t.piece.start + np.arange(len(t.coarse)) / t.band.rate_of(Grid.COARSE)
     u = (time - low) / (high - low)
     inside = (u > 0.0) & (u < 1.0) & (t.piece.source == s.source)
-    size = np.where(inside, np.sin(np.pi * u) if s.values["swells"] else 1.0, 0.0)
-    torque = -size[:, None, None] * t.levers[:, s.place]
-    return t.reduce(torque.transpose(0, 2, 1), Grid.COARSE)
+    if not s.values["knots"]:
+        return np.where(inside, np.sin(np.pi * u) if s.values["swells"] else 1.0, 0.0)[:, None]
+    count = int(s.values["knots"])
+    u = (u + BEYOND) / (1.0 + 2.0 * BEYOND) * (count + 1.0)
+    hats = np.maximum(1.0 - np.abs(u[:, None] - np.arange(1, count + 1)), 0.0)
+    return hats * (t.piece.source == s.source)
+
+
+def _largest(c: Array) -> dict[str, float]:
+    """Force where it is largest."""
+    return {"force": float(np.linalg.norm(c.reshape(-1, 3), axis=1).max())}
 
 
 def _contact(tracks: Sequence[Track]) -> Iterator[Shape]:
     """Where the residual is large for some of the time and the rest is quiet: the intervals that stand out most, and a little more."""
-    told = lambda c: {"force": float(np.linalg.norm(c))}  # noqa: E731
     for track in tracks:
         left = track.torque - np.einsum("tip,p->ti", track.gamma, track.theta)
         quiet = np.median(np.abs(left), axis=0) + 1e-12
         loud = np.mean((left / quiet) ** 2, axis=1)
         for low, high in _intervals(track.time, loud):
-            for wider in (0.0, 0.15, 0.4):
+            forms = [(wider, swells, 0.0) for wider in (0.0, 0.15, 0.4) for swells in (0.0, 1.0)]
+            for wider, swells, knots in (*forms, (0.0, 0.0, KNOTS)):
                 span = low - wider * (high - low), high + wider * (high - low)
                 for joint in range(tracks[0].n):
-                    for swells in (0.0, 1.0):
-                        fixed, where = {"swells": swells}, track.piece.source
-                        yield Shape("contact", joint, _pushed, fixed, None, span, where, told, several=True)
+                    fixed, where = {"swells": swells, "knots": knots}, track.piece.source
+                    yield Shape("contact", joint, _pushed, fixed, None, span, where, _largest, several=True)
 
 
 def _intervals(time: Array, loud: Array) -> list[tuple[float, float]]:

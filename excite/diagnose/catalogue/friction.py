@@ -178,10 +178,13 @@ def _thermal(tracks: Sequence[Track]) -> Iterator[Shape]:
 
     def slow(j: int, coulomb: float, viscous: float) -> Callable[[float], Shape]:
         def shape(constant: float) -> Shape:
-            fixed, reached = {"time_constant": constant, "coulomb": coulomb, "viscous": viscous}, 1.0 - np.exp(-length / constant)
+            fixed = {"time_constant": constant, "coulomb": coulomb, "viscous": viscous}
+            reached = 1.0 - np.exp(-length / constant)
+            mean = 1.0 - reached * constant / length
             told = named("change", time_constant=constant)
-            # friction never falls below nothing
-            return Shape("thermal_drift", j, _warmed, fixed, parameters=told, plausible=within(-1.0 / reached, 5.0 / reached))
+            # friction never falls below nothing, and what the base fit has of it is the mean
+            gate = within(-1.0 / (reached - mean), 5.0 / reached)
+            return Shape("thermal_drift", j, _warmed, fixed, parameters=told, plausible=gate)
 
         return shape
 

@@ -26,7 +26,10 @@ PEDESTAL = 0.3
 
 
 def _swung(t: Track, s: Shape) -> Array:
-    """Torque of a base that swings on springs under the robot's reaction, a column a coordinate; the arm's inertia is its pose's."""
+    """Torque of a base that swings on springs under the robot's reaction, a column a coordinate; the arm's inertia is its pose's.
+
+    A base that rocks also leans: its joints feel gravity turned, which is most of what a slow motion shows.
+    """
     columns, dt = [], 1.0 / t.band.rate_of(Grid.COARSE)
     for axis in WAYS[int(s.values["way"])]:
         mean = float(t.borne[:, axis].mean())
@@ -35,8 +38,15 @@ def _swung(t: Track, s: Shape) -> Array:
         force = t.reaction[:, axis].mean() - t.reaction[:, axis]
         place, speed = oscillator(force, inertia, stiffness, s.values["damping"], dt)
         damping = 2.0 * s.values["damping"] * np.sqrt(stiffness * inertia)
-        columns.append(t.shaken[:, :, axis] * ((force - stiffness * place - damping * speed) / inertia)[:, None])
+        hastened = ((force - stiffness * place - damping * speed) / inertia)[:, None]
+        columns.append(t.shaken[:, :, axis] * hastened + _leant(t, axis) * place[:, None])
     return t.reduce(np.stack(columns, axis=2), Grid.COARSE)
+
+
+def _leant(t: Track, axis: int) -> Array:
+    """Torque of a base turned by one radian about an axis, to first order: gravity turns back, by g × φ. Shape (C, n)."""
+    turned = np.eye(6)[axis, 3:]
+    return np.asarray(-t.gravity @ np.cross(t.body.model.gravity.linear, turned))
 
 
 def _compliance(tracks: Sequence[Track]) -> Iterator[Shape]:

@@ -11,8 +11,9 @@ from . import search
 from .search import Design, Trial, trial
 
 Array = np.ndarray
-SHARE, SAME = 0.04, 0.02
-"""Of the gain so far, what a further effect must add, and a further shape of one that is there: forms are never quite the catalogue's."""
+SHARE, SAME, MOSTLY = 0.04, 0.02, 0.5
+"""Of the gain so far, what a further effect must add, and a further shape of one that is there: forms are never quite the catalogue's. Of
+the mean square that others leave, what a further effect may explain instead."""
 SMALLEST = 0.3
 """RMS torque of an effect over the scale, below which nothing is asserted: clocks, encoders and friction's step are never as the
 model has them."""
@@ -165,8 +166,12 @@ def _searched(one: Design, ranked: Sequence[Hypothesis]) -> tuple[Design, list[i
     """Shapes that predict best together: the best single or pair, then more while each is worth it, all tuned and looked at again."""
     pair = _best_pair(one, ranked)
     chosen = [ranked[0].shape] if pair is None else pair
+    looked = set[int | None]()
     for _ in range(MOST):
         one, chosen = search.refined(one, _replaced(one, chosen), sweeps=1)
+        joints = {one.shapes[i].joint for i in chosen} - {None} - looked
+        one = search.relisted(one, chosen, joints)
+        looked |= joints
         more = None if len(chosen) == MOST else _further(one, chosen)
         if more is None:
             break
@@ -175,19 +180,30 @@ def _searched(one: Design, ranked: Sequence[Hypothesis]) -> tuple[Design, list[i
 
 
 def _further(one: Design, chosen: Sequence[int]) -> int | None:
-    """What predicts best beside those chosen, if it is worth it: another name more so than one more shape of what is there already."""
-    now = trial(one, chosen).gain
-    for h in singles(one, tuple(chosen)):
-        if h.shows and h.trial.gain - now > _worth(one, h.shape, chosen, now):
-            return h.shape
-    return None
+    """What predicts best beside those chosen, if it is worth it."""
+    return next((h.shape for h in singles(one, tuple(chosen)) if h.shows and _earns(one, h.shape, chosen)), None)
 
 
-def _worth(one: Design, shape: int, others: Sequence[int], gain: float) -> float:
-    """What a shape must add to the gain of others."""
+def _earns(one: Design, shape: int, others: Sequence[int]) -> bool:
+    """Whether a shape adds enough to others: a share of their gain, lest it mend their form, or most of what they leave.
+
+    A name that is there already earns one more shape sooner, and not by what is left.
+    """
+    rest = trial(one, others).gain
+    adds = trial(one, [*others, shape]).gain - rest
     own = (one.shapes[shape].effect, one.shapes[shape].joint)
     there = any((one.shapes[i].effect, one.shapes[i].joint) == own for i in others)
-    return max(one.bar(shape), (SAME if there else SHARE) * gain)
+    if adds < one.bar(shape):
+        return False
+    return adds > (SAME if there else SHARE) * rest or (not there and _takes(one, shape, others) > MOSTLY)
+
+
+def _takes(one: Design, shape: int, others: Sequence[int]) -> float:
+    """Of the mean square that others leave at the joint where a shape is largest, noise and all, what it explains."""
+    both = (*others, shape)
+    joint = int(np.argmax(sizes(one, trial(one, both), len(others))))
+    before, after = (float(np.mean(search.remaining(one, shapes)[:, joint] ** 2)) for shapes in (others, both))
+    return 1.0 - after / before
 
 
 def _replaced(one: Design, chosen: list[int]) -> list[int]:
@@ -198,9 +214,9 @@ def _replaced(one: Design, chosen: list[int]) -> list[int]:
             others = [k for k in chosen if k != i]
             if not others:
                 continue
-            rest, now = trial(one, others).gain, trial(one, chosen).gain
+            now = trial(one, chosen).gain
             best = singles(one, tuple(others))[:1]
-            if now - rest < _worth(one, i, others, rest):
+            if not _earns(one, i, others):
                 chosen = others
             elif best and best[0].trial.gain > now + 1e-9 and best[0].shows:
                 chosen = [*others, best[0].shape]

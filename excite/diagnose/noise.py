@@ -24,8 +24,9 @@ LEAST = 1.2
 """Periods that a recording must hold to show its noise by what repeats."""
 SAME = 0.02
 """RMS difference of normalised positions a period apart, below which a motion is said to repeat."""
-PARTS, ODD, PASSES = 40, 10.0, 4
-"""Stretches that a difference of periods is cut into, from how many times the median on one is no noise, and how often that is asked."""
+PARTS, MIDDLE, ODD, PASSES = 40, 0.6, 12.0, 4
+"""Stretches that a difference of periods is cut into, the quantile of them from how many times which on one is no noise, and how often that
+is asked."""
 SAMPLES = 4000
 """Rows of a recording that are looked at for a period."""
 EDGE = 32
@@ -85,26 +86,28 @@ def _repeats(track: Track, period: float, window: tuple[float, float]) -> list[A
 
 def _steady(change: Array, track: Track, inside: Array) -> Array:
     """Mean square of a change between periods, without what friction that warms up makes of it. Shape (n,)."""
-    t = np.linspace(-1.0, 1.0, len(change))
-    out = np.empty(change.shape[1])
-    for j, line in enumerate(change.T):
+    t = np.linspace(-1.0, 1.0, len(change))[:, None]
+    groups = []
+    for j in range(change.shape[1]):
         speed = track.fine.dq[:, j]
         friction = track.reduce(np.column_stack([np.tanh(speed / track.widths[j]), speed]))[: len(inside)][inside]
-        columns = np.column_stack([friction, friction * t[:, None]])
-        columns /= np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-        usual = np.ones(len(line), bool)
-        for _ in range(PASSES):
-            rest = line - columns @ np.linalg.lstsq(columns[usual], line[usual], rcond=1e-8)[0]
-            usual = _usual(np.square(rest))
-        out[j] = np.mean(np.square(rest[usual])) * usual.sum() / max(usual.sum() - columns.shape[1], 1)
-    return out
+        columns = np.hstack([friction, friction * t])
+        groups.append(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
+    usual, rest = np.ones(len(change), bool), np.empty(change.shape)
+    for _ in range(PASSES):
+        for j, columns in enumerate(groups):
+            rest[:, j] = change[:, j] - columns @ np.linalg.lstsq(columns[usual], change[usual, j], rcond=1e-8)[0]
+        # what touches the robot touches several joints
+        usual = np.logical_and.reduce([_usual(square) for square in np.square(rest).T])
+    count = int(usual.sum())
+    return np.asarray(np.mean(np.square(rest[usual]), axis=0) * count / max(count - 4, 1))
 
 
 def _usual(square: Array) -> Array:
     """Rows without the stretches that stand out: what touched the robot in one period only is not noise. Shape (N,)."""
     parts = np.array_split(square, max(1, min(PARTS, len(square) // 8)))
     loud = np.array([part.mean() for part in parts])
-    return np.repeat(loud <= ODD * np.median(loud), [len(part) for part in parts])
+    return np.repeat(loud <= ODD * np.quantile(loud, MIDDLE), [len(part) for part in parts])
 
 
 def _shifted(x: Array, by: float) -> Array:

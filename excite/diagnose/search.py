@@ -9,7 +9,7 @@ log p(y₂ | y₁) + log p(y₁ | y₂), each the quotient of two marginal likel
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -116,7 +116,8 @@ class Design:
     residual of each half by its own base fit. across: torque of the second half less what the first half's base fit makes of it.
     grams: of each half, the base fitted to it; whole: of both, the base fitted to both. power: of each shape, the mean products of
     its columns in `whole`, per joint, Shape (n, k, k). feigned: gain of each effect, by name, that faults
-    of the measurement are known to give it on some joint. stepped: share of the noise that is an encoder's steps.
+    of the measurement are known to give it on some joint. stepped: share of the noise that is an encoder's steps. listed: all shapes
+    that there were, before the best were picked.
     """
 
     shapes: tuple[Shape, ...]
@@ -133,6 +134,7 @@ class Design:
     build: Build
     feigned: Mapping[str, float] = field(default_factory=dict)
     stepped: float = 0.0
+    listed: tuple[Shape, ...] = ()
 
     def bar(self, i: int) -> float:
         """Gain from which a shape is believed: more where steps look like it, and where what blurs positions blurs its columns alike."""
@@ -156,8 +158,8 @@ class Design:
         return np.asarray(self.columns[1][:, which] - second.gamma[second.rows] @ part)
 
 
-FEW, SEVERAL = 4, 6
-"""Shapes of an effect at a joint that are searched, and of one that a joint can have several of."""
+FEW, SEVERAL, BESIDE = 4, 6, 3
+"""Shapes of an effect at a joint that are searched, of one that a joint can have several of, and of those looked for beside others."""
 
 
 def design(halves: tuple[Half, Half], shapes: Sequence[Shape], build: Build) -> Design:
@@ -166,7 +168,21 @@ def design(halves: tuple[Half, Half], shapes: Sequence[Shape], build: Build) -> 
     kept = list[tuple[Shape, tuple[Array, Array]]]()
     for effect in dict.fromkeys(shape.effect for shape in shapes):
         kept += _shortlist(appended(out, [shape for shape in shapes if shape.effect == effect]))
-    return _extended(out, kept)
+    return dataclasses.replace(_extended(out, kept), listed=tuple(shapes))
+
+
+def relisted(one: Design, chosen: Sequence[int], joints: Collection[int | None]) -> Design:
+    """The design with the shapes at some joints that predict best beside those chosen: behind others a shape alone was not the best."""
+    there, small = {_key(shape) for shape in one.shapes}, _only(one, chosen)
+    spare = [shape for shape in one.listed if shape.joint in joints and _key(shape) not in there]
+    kept = list[tuple[Shape, tuple[Array, Array]]]()
+    for effect in dict.fromkeys(shape.effect for shape in spare):
+        kept += _shortlist(appended(small, [shape for shape in spare if shape.effect == effect]), len(chosen), BESIDE)
+    return _extended(one, kept)
+
+
+def _key(shape: Shape) -> tuple[object, ...]:
+    return shape.effect, shape.joint, shape.other, shape.interval, shape.source, tuple(sorted(shape.values.items()))
 
 
 def _bare(halves: tuple[Half, Half], both: Half, build: Build) -> Design:
@@ -180,15 +196,19 @@ def _bare(halves: tuple[Half, Half], both: Half, build: Build) -> Design:
     return Design((), (), halves, both, columns, (first.left, second.left), across, (empty, empty), empty, (), none, build)
 
 
-def _shortlist(one: Design) -> list[tuple[Shape, tuple[Array, Array]]]:
-    """The shapes of one effect that predict best at each joint, with their columns: their neighbours on the grid say the same."""
-    gains = [trial(one, [i]).gain for i in range(len(one.shapes))]
+def _shortlist(one: Design, first: int = 0, most: int | None = None) -> list[tuple[Shape, tuple[Array, Array]]]:
+    """The shapes of one effect that predict best at each joint, with their columns: their neighbours on the grid say the same.
+
+    They are those from the `first` on, each beside all before it; `most` of a joint.
+    """
+    before = range(first)
+    gains = {i: trial(one, [*before, i]).gain for i in range(first, len(one.shapes))}
     taken: dict[int | None, int] = {}
     kept = []
-    for i in sorted(range(len(gains)), key=lambda i: -gains[i]):
+    for i in sorted(gains, key=lambda i: -gains[i]):
         shape, place = one.shapes[i], one.places[i]
         taken[shape.joint] = taken.get(shape.joint, 0) + 1
-        if taken[shape.joint] <= (SEVERAL if shape.several else FEW):
+        if taken[shape.joint] <= (most or (SEVERAL if shape.several else FEW)):
             kept.append((shape, (one.columns[0][:, place], one.columns[1][:, place])))
     return kept
 

@@ -191,17 +191,18 @@ class Track:
     @functools.cached_property
     def levers(self) -> Array:
         """How a force on the centre of each link acts on the joints, base frame, at the coarse samples. Shape (C, n links, 3, n)."""
-        robot, model, s = self.body.robot, self.body.model, self.coarse
-        data = model.createData()
-        held = [int(np.flatnonzero(column)[0]) + 1 for column in robot.spread.T]
-        out = np.empty((len(s), robot.n, 3, robot.n))
-        for t, q in enumerate(robot.expand(s.q)):
-            pin.computeJointJacobians(model, data, q)
-            for k, joint in enumerate(held):
-                J = np.reshape(pin.getJointJacobian(model, data, joint, pin.LOCAL_WORLD_ALIGNED), (6, -1))
-                arm = data.oMi[joint].rotation @ model.inertias[joint].lever
-                out[t, k] = (J[:3] - pin.skew(arm) @ J[3:]) @ robot.spread
-        return out
+        robot, model = self.body.robot, self.body.model
+        data, held = model.createData(), [int(np.flatnonzero(column)[0]) + 1 for column in robot.spread.T]
+        # column v of the Jacobian of joint i: the joint of v carries i
+        carried = np.zeros((robot.n, model.nv))
+        for k, joint in enumerate(held):
+            carried[k, [model.joints[int(i)].idx_v for i in model.supports[joint] if i > 0]] = 1.0
+        jacobians, centres = np.empty((len(self.coarse), 6, model.nv)), np.empty((len(self.coarse), robot.n, 3))
+        for t, q in enumerate(robot.expand(self.coarse.q)):
+            jacobians[t] = np.reshape(pin.computeJointJacobians(model, data, q), (6, -1))
+            centres[t] = [data.oMi[joint].act(model.inertias[joint].lever) for joint in held]
+        turning = np.cross(jacobians[:, None, 3:], centres[:, :, :, None], axisa=2, axisb=2, axisc=2)
+        return np.asarray((jacobians[:, None, :3] + turning) * carried[:, None] @ robot.spread)
 
 
 def tracks(model: Model, fitted: Body, theta: Array, pieces: Sequence[Piece], hertz: float) -> list[Track]:

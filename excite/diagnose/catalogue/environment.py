@@ -14,8 +14,11 @@ from .windup import oscillator
 Array = np.ndarray
 PARTS = 40
 """Intervals of a recording among which a contact is looked for."""
-KNOTS, BEYOND = 8.0, 0.3
-"""Times at which a force of any course is told, and how far before and after the loud interval, over its length."""
+FORCES = ((0.0, 0.0, 0.0), (0.15, 0.0, 0.0), (0.15, 1.0, 0.0), (0.4, 1.0, 0.0), (0.0, 0.0, 8.0))
+"""Courses of a force: how much longer than the loud interval, over it, on either side; whether it swells; of any course, how many times
+it is told at."""
+BEYOND = 0.3
+"""How far before and after the loud interval a force of any course is told, over its length."""
 
 SHAKY = 16.0
 """A clock that wavers shakes all joints at once, as a base does."""
@@ -102,8 +105,7 @@ def _contact(tracks: Sequence[Track]) -> Iterator[Shape]:
         quiet = np.median(np.abs(left), axis=0) + 1e-12
         loud = np.mean((left / quiet) ** 2, axis=1)
         for low, high in _intervals(track.time, loud):
-            forms = [(wider, swells, 0.0) for wider in (0.0, 0.15, 0.4) for swells in (0.0, 1.0)]
-            for wider, swells, knots in (*forms, (0.0, 0.0, KNOTS)):
+            for wider, swells, knots in FORCES:
                 span = low - wider * (high - low), high + wider * (high - low)
                 for joint in range(tracks[0].n):
                     fixed, where = {"swells": swells, "knots": knots}, track.piece.source

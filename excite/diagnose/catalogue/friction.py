@@ -10,8 +10,9 @@ from ..effect import Effect, Shape, alone, amplitude, family, named, positive, w
 from ..track import Track
 
 Array = np.ndarray
-STICKIEST = 5.0
-"""Times Coulomb friction that friction at rest or before it slides can be, as the base fit has it, which takes some for its own."""
+STICKIEST, LEAST_STUCK = 5.0, 0.05
+"""Times Coulomb friction that friction at rest or before it slides can be. The base fit takes some of it for its own, and beside other
+effects perhaps all: Coulomb friction is taken to be this share of the joint's largest torque, at the least."""
 
 
 def _sign(track: Track, joint: int) -> Array:
@@ -24,6 +25,11 @@ def _speed(track: Track, joint: int) -> Array:
 
 def _fastest(tracks: Sequence[Track], joint: int) -> float:
     return max(float(np.abs(track.fine.dq[:, joint]).max()) for track in tracks)
+
+
+def _stickiest(tracks: Sequence[Track], joint: int) -> float:
+    largest = max(float(np.abs(track.torque[:, joint]).max()) for track in tracks)
+    return STICKIEST * max(float(tracks[0].body.drive("coulomb")[joint]), LEAST_STUCK * largest, 1e-9)
 
 
 def _slanted(t: Track, s: Shape) -> Array:
@@ -47,7 +53,7 @@ def _stuck(t: Track, s: Shape) -> Array:
 
 def _stribeck(tracks: Sequence[Track]) -> Iterator[Shape]:
     def shaped(j: int, power: float) -> Callable[[float], Shape]:
-        most = STICKIEST * max(float(tracks[0].body.drive("coulomb")[j]), 1e-9)
+        most = _stickiest(tracks, j)
 
         def shape(velocity: float) -> Shape:
             fixed = {"velocity": velocity, "exponent": power}
@@ -154,7 +160,7 @@ def _hysteresis(tracks: Sequence[Track]) -> Iterator[Shape]:
         return shape
 
     for j in range(tracks[0].n):
-        most = STICKIEST * max(float(tracks[0].body.drive("coulomb")[j]), 1e-9)
+        most = _stickiest(tracks, j)
         yield from family(np.geomspace(1e-4, 1e-1, 9).tolist(), soft(j, most))
 
 

@@ -1,9 +1,11 @@
-"""How often a finding like this one is right: a logistic curve over what distinguishes right from wrong, fitted to simulated robots.
+"""How often a finding like this one is right: by Bayes' rule over the share that it leaves of what it should explain.
 
-Gain, rank, and the lead over other names were tried: beside what a finding takes of what is left to explain they say nothing.
+A law that is not quite the catalogue's leaves a share x of its own torque, whose logarithm is normal; a wrong name takes what its
+columns happen to have in common with the truth, and leaves much: density 2x. Gain, rank, and the lead over other names were tried beside
+it and say nothing more.
 
-`scripts/calibrate.py` fits the weights to answered cases of the concealed trial whose key is open (the tuning family: its effects have
-other forms than those that are scored).
+`scripts/calibrate.py` fits the constants to answered cases of the concealed trial whose key is open (the tuning family: its effects have
+other forms than those that are scored, which is why a name is allowed to leave a little more than they do).
 """
 
 from __future__ import annotations
@@ -14,22 +16,23 @@ from dataclasses import replace
 import numpy as np
 
 from . import search
+from .catalogue import BY_NAME
 from .judge import Finding, Verdict, sizes
 from .search import Design
 
 Array = np.ndarray
-FEATURES = ("takes",)
-WEIGHTS = {"bias": 0.3, "takes": 1.0}
-FORM = (-4.2, 1.8)
-"""Mean and standard deviation of the logarithm of the share that a right name leaves."""
+LEAVES, SPREAD = -3.6, 2.0
+"""Mean and standard deviation of the logarithm of the share that a right name leaves; `Effect.loose` adds to the mean."""
+RIGHT = 5.0
+"""Odds that the name that predicts best is right, before what it leaves is seen."""
+BIAS, SLOPE = 0.0, 1.0
+"""Of the logarithm of odds: what was right over what was said."""
 ODDS = 0.02
 """Of a rival against the best name, from which they cannot be told apart."""
-LEAST_ALIKE, MOST_ALIKE = 0.5, 3
-"""Of the best name's gain, what a rival must gain to be told with it; and how many are told."""
+MOST_ALIKE = 3
+"""Equivalents that are told, at the most."""
 LEAST_LEFT = 1e-3
 """Share that any law leaves."""
-SLIGHT, CLEAR = 0.01, 4.0
-"""Mean square over the noise that is as good as none; logarithm of odds beyond which all is the same."""
 UNSURE = 0.1
 """Mean square over the noise to which the noise itself is known."""
 ACTS = 0.2
@@ -39,14 +42,16 @@ ASSERTED = 0.5
 """Probability from which a finding is asserted (the contract)."""
 
 
-def features(left: tuple[float, float]) -> dict[str, float]:
-    """What a probability is made of.
-
-    takes: of what the base and the others leave beyond noise where it acts, what it explains over what it leaves, as a logarithm: a wrong
-    name that mends another's form takes little. left: see `unexplained`.
-    """
+def share(left: tuple[float, float]) -> float:
+    """What a name leaves of what it should explain, as far as the noise lets it be known. left: see `unexplained`."""
     without, both = left
-    return {"takes": float(np.clip(np.log(max(without - both, SLIGHT) / both), -CLEAR, CLEAR))}
+    return float(np.clip(max(both - UNSURE, 0.5 * UNSURE) / max(without, both), LEAST_LEFT, 1.0))
+
+
+def odds(effect: str, x: float) -> float:
+    """Of an effect that leaves a share x: that it is right to that it is wrong."""
+    z = max((np.log(x) - LEAVES - BY_NAME[effect].loose) / SPREAD, 0.0)
+    return float(RIGHT * np.exp(-0.5 * z * z) / (SPREAD * np.sqrt(2.0 * np.pi)) / (2.0 * x * x))
 
 
 def unexplained(one: Design, verdict: Verdict, number: int, noise: Array) -> tuple[float, float]:
@@ -61,26 +66,14 @@ def unexplained(one: Design, verdict: Verdict, number: int, noise: Array) -> tup
     return without, both
 
 
-def alike(finding: Finding, left: tuple[float, float]) -> tuple[str, ...]:
-    """Names that a recording cannot tell from a finding's, the best first.
-
-    A law that is not quite the catalogue's leaves a share x of what it explains, whose logarithm is normal (`FORM`, over tuning cases named
-    rightly); a wrong name leaves any share as likely as any other. The best name leaves some, a rival more, by how much less it gains: the
-    odds that they are the wrong way round.
-    """
-    without, both = left
-    best = np.clip(both / max(without, both), LEAST_LEFT, 1.0)
-
-    def right(x: float) -> float:
-        """Odds of a right name to a wrong one, by the share that it leaves, to a factor."""
-        return float(np.exp(-0.5 * max((np.log(x) - FORM[0]) / FORM[1], 0.0) ** 2) / x)
-
-    out = []
-    for name, gain in sorted(finding.rivals.items(), key=lambda entry: -entry[1]):
-        share = np.clip(1.0 - (1.0 - best) * gain / max(finding.gain, 1e-9), best, 1.0)
-        if gain > LEAST_ALIKE * finding.gain and right(float(share)) > ODDS * right(float(best)):
-            out.append(name)
-    return tuple(out[:MOST_ALIKE])
+def alike(finding: Finding, x: float) -> dict[str, float]:
+    """Names that a recording cannot tell from a finding's and their odds, the best first. A rival leaves more by how much less it gains."""
+    best, out = odds(finding.main.effect, x), {}
+    for name, gain in finding.rivals.items():
+        left = float(np.clip(1.0 - (1.0 - x) * gain / max(finding.gain, 1e-9), x, 1.0))
+        if (chance := odds(name, left)) > ODDS * best:
+            out[name] = chance
+    return dict(sorted(out.items(), key=lambda entry: -entry[1])[:MOST_ALIKE])
 
 
 def _excess(one: Design, shapes: Sequence[int], noise: Array, joints: Array) -> float:
@@ -89,10 +82,9 @@ def _excess(one: Design, shapes: Sequence[int], noise: Array, joints: Array) -> 
     return float(max(square[joints].sum(), UNSURE))
 
 
-def probability(seen: dict[str, float]) -> float:
-    """That the truth is the finding or an equivalent."""
-    x = WEIGHTS["bias"] + sum(WEIGHTS[key] * seen[key] for key in FEATURES)
-    return float(np.clip(1.0 / (1.0 + np.exp(-x)), LEAST, MOST))
+def probability(chance: float) -> float:
+    """That the truth is the finding or an equivalent, by their odds together."""
+    return float(np.clip(1.0 / (1.0 + np.exp(-BIAS - SLOPE * np.log(chance))), LEAST, MOST))
 
 
 def weighed(one: Design, verdict: Verdict, noise: Array) -> Verdict:
@@ -102,9 +94,11 @@ def weighed(one: Design, verdict: Verdict, noise: Array) -> Verdict:
         return verdict
     findings = []
     for number, finding in enumerate(verdict.findings):
-        left = unexplained(one, verdict, number, noise)
-        seen = features(left)
-        findings.append(replace(finding, equivalents=alike(finding, left), probability=probability(seen), evidence=seen))
+        x = share(unexplained(one, verdict, number, noise))
+        others = alike(finding, x)
+        chance = odds(finding.main.effect, x) + sum(others.values())
+        evidence = {"left": x, "odds": chance}
+        findings.append(replace(finding, equivalents=tuple(others), probability=probability(chance), evidence=evidence))
     kept = tuple(f for f in findings if f.probability >= ASSERTED)
     doubted = tuple(f for f in findings if f.probability < ASSERTED)
     if not kept:  # nothing that can be said: nothing is added either

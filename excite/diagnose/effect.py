@@ -106,6 +106,7 @@ class Effect:
     experiment: str
     prior_only: bool = False
     form: Mapping[str, float] = field(default_factory=dict)
+    loose: float = 0.0
     told: Callable[[Sequence[tuple[Shape, Array]]], dict[str, float]] = lambda parts: parts[0][0].parameters(parts[0][1])
 
 

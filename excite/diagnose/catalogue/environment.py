@@ -133,6 +133,7 @@ EFFECTS = (
         ("elasticity",),
         "a chirp of joint 1 with the arm stretched",
         form={"frequency": 0.1},
+        loose=2.0,
     ),
     Effect(
         "contact",
@@ -144,5 +145,6 @@ EFFECTS = (
         (),
         "the same motion without anything near the robot",
         form={"force": 0.1},
+        loose=1.0,
     ),
 )

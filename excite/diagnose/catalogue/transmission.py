@@ -187,6 +187,7 @@ EFFECTS = (
         ("delay", "base_compliance"),
         "fast motion at several poses",
         form={"stiffness": 0.14},
+        loose=2.0,
     ),
     Effect(
         "backlash",
@@ -198,6 +199,7 @@ EFFECTS = (
         ("hysteresis", "elasticity"),
         "slow reversals through zero load",
         form={"width": 0.47},
+        loose=3.0,
     ),
     Effect(
         "torque_ripple",

@@ -23,14 +23,14 @@ from .search import Design
 Array = np.ndarray
 LEAVES, SPREAD = -3.6, 2.0
 """Mean and standard deviation of the logarithm of the share that a right name leaves; `Effect.loose` adds to the mean."""
-RIGHT = 5.0
+RIGHT = 4.0
 """Odds that the name that predicts best is right, before what it leaves is seen."""
 BIAS, SLOPE = 0.0, 1.0
 """Of the logarithm of odds: what was right over what was said."""
-ODDS = 0.02
+ODDS = 0.01
 """Of a rival against the best name, from which they cannot be told apart."""
-MOST_ALIKE = 3
-"""Equivalents that are told, at the most."""
+LEAST_ALIKE, MOST_ALIKE = 0.4, 3
+"""Of the best name's gain, what a rival must gain to be told with it; and how many are told."""
 LEAST_LEFT = 1e-3
 """Share that any law leaves."""
 UNSURE = 0.1
@@ -71,7 +71,7 @@ def alike(finding: Finding, x: float) -> dict[str, float]:
     best, out = odds(finding.main.effect, x), {}
     for name, gain in finding.rivals.items():
         left = float(np.clip(1.0 - (1.0 - x) * gain / max(finding.gain, 1e-9), x, 1.0))
-        if (chance := odds(name, left)) > ODDS * best:
+        if gain > LEAST_ALIKE * finding.gain and (chance := odds(name, left)) > ODDS * best:
             out[name] = chance
     return dict(sorted(out.items(), key=lambda entry: -entry[1])[:MOST_ALIKE])
 

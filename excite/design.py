@@ -191,9 +191,8 @@ def tightened(
     """
     p, lacking = setting.problem, short or {}
     options = dataclasses.replace(p.options, samples=(1 + finer) * p.options.samples)
-    rebuilt = problem.build(p.robot, limits, p.parameters, p.weighting, options, p.given, reserve, p.functions)
-    clearance = p.clearance
-    if clearance is not None:
-        more = np.array([lacking.get(pair, 0.0) for pair in clearance.names])
-        clearance = dataclasses.replace(clearance, more=clearance.more + more)
-    return dataclasses.replace(setting, problem=dataclasses.replace(rebuilt, apart=p.apart, clearance=clearance, home=p.home))
+    tighter = problem.rebuilt(p, limits, options, p.given, reserve)
+    if p.clearance is not None:
+        more = np.array([lacking.get(pair, 0.0) for pair in p.clearance.names])
+        tighter = dataclasses.replace(tighter, clearance=dataclasses.replace(p.clearance, more=p.clearance.more + more))
+    return dataclasses.replace(setting, problem=tighter)

@@ -291,8 +291,7 @@ def _attempt(setting: Setting, limits: Limits, options: Options, start: Array | 
     begun = time.perf_counter()
     p = setting.problem
     given = None if p.given is None else p.given * np.sqrt(_count(p.options) / _count(options))
-    varied = problem.build(p.robot, limits, p.parameters, p.weighting, options, given, functions=p.functions)
-    varied = dataclasses.replace(varied, clearance=p.clearance, home=p.home)
+    varied = problem.rebuilt(p, limits, options, given)
     try:
         motion = design.solve(dataclasses.replace(setting, problem=varied)).motion
         stated = ramps.with_derived(limits, motion)

@@ -13,6 +13,7 @@ import threadpoolctl
 from . import base as base_parameters
 from . import criteria, parameters, problem, solver, start, starts
 from .base import Base
+from .checks import Subject
 from .collision.clearance import Clearance
 from .criteria import Criterion
 from .errors import ExciteError, UnusableInput
@@ -35,6 +36,11 @@ class Setting:
     base: Base
     noise: Array
     built: float  # time.perf_counter() when the problem was complete [s]
+
+    def subject(self, limits: Limits) -> Subject:
+        """What its motions are held against, by limits that are not shrunk."""
+        p = self.problem
+        return Subject(p.robot, limits, p.parameters, p.options.uncertainty, p.options.boxes, p.clearance)
 
 
 @dataclass(frozen=True)

@@ -88,7 +88,7 @@ def run(
     facts = {**(notes or {}), **({} if cell is None else {CELL: cell.document()})}
 
     def certified(found: Design) -> Whole:
-        trajectory = dataclasses.replace(_assemble(found, robot, limits, start, speed, facts), collision=unchecked)
+        trajectory = _assemble(found, robot, limits, start, speed, facts, unchecked)
         return trajectory, verify.verify(trajectory, robot, cell)
 
     found, (trajectory, certificate) = _with_ramps(found, certified)
@@ -146,7 +146,10 @@ def _tightened(found: Design, limits: Limits, certificate: Certificate, reserve:
     return Design(tighter, (design.improve(tighter, found.motion, found.attempts[0].number), *found.attempts[1:])), reserve
 
 
-def _assemble(found: Design, robot: Robot, limits: Limits, start: Array | None, speed: float, notes: dict[str, Any]) -> Trajectory:
+def _assemble(
+    found: Design, robot: Robot, limits: Limits, start: Array | None, speed: float, notes: dict[str, Any], unchecked: str
+) -> Trajectory:
+    """The file of a motion with its ramps, before its certificate."""
     setting = found.setting
     options = setting.problem.options
     stated = ramps.with_derived(limits, found.motion)
@@ -173,7 +176,7 @@ def _assemble(found: Design, robot: Robot, limits: Limits, start: Array | None, 
         design=entry,
         criteria={},
         margins=[],
-        collision=NOT_CHECKED,
+        collision=unchecked,
         seed=options.seed,
         versions=versions(),
     )

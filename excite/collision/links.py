@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import UnusableInput
 from ..robot import locate
-from .shape import Kind, Shape
+from .shape import WORDS, Kind, Shape
 
 MESHES = "--packages DIR"
 
@@ -52,7 +52,7 @@ def _shape(
     rounded: bool,
     packages: Sequence[str],
 ) -> Shape:
-    known = {"sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length"), "box": ("size",), "mesh": ()}
+    known = [kind.value for kind in WORDS]
     if solid.tag not in known:
         raise UnusableInput(f"{path}: link '{owner}': a collision shape is a <{solid.tag}>; use {', '.join(known)}")
     kind = Kind.CAPSULE if solid.tag == "cylinder" and rounded else Kind(solid.tag)
@@ -61,7 +61,8 @@ def _shape(
         file = str(_find(path, owner, solid.get("filename", ""), packages))
         size = _numbers(path, owner, solid.get("scale", "1 1 1"), 3)
     else:
-        size = tuple(v for key in known[solid.tag] for v in _numbers(path, owner, solid.get(key, ""), 3 if key == "size" else 1))
+        count = 3 if kind is Kind.BOX else 1
+        size = tuple(v for word in WORDS[kind] for v in _numbers(path, owner, solid.get(word, ""), count))
         if min(size) <= 0.0:
             raise UnusableInput(f"{path}: link '{owner}': its {solid.tag} has the size {size}; sizes should be positive")
     origin = collision.find("origin")

@@ -30,12 +30,11 @@ from ..robot import Robot
 from . import cell as cells
 from . import cover, links
 from .cell import Cell
-from .shape import COUNTS, Kind, Shape
+from .shape import WORDS, Kind, Shape
 
 Array = np.ndarray
-KINDS = tuple(kind.value for kind in Kind if kind is not Kind.FLOOR)
+KINDS = tuple(kind.value for kind in WORDS)
 PLACING = {"name", "position", "rotation", "link", "ignore"}
-OWN = {"sphere": {"radius"}, "capsule": {"radius", "length"}, "cylinder": {"radius", "length"}, "box": {"size"}, "mesh": {"file", "scale"}}
 POSES = 200
 
 
@@ -100,9 +99,11 @@ def _shape(path: Path, kind: str, entry: Any, unnamed: str) -> Shape:
     if not isinstance(entry, Mapping):
         raise UnusableInput(f"{path}: {unnamed} is no table; write [[{kind}]]")
     name = str(entry.get("name", unnamed))
-    unknown = set(entry) - PLACING - OWN[kind]
+    words = WORDS[Kind(kind)]
+    own = PLACING | {*words} | ({"file"} if kind == "mesh" else set())
+    unknown = set(entry) - own
     if unknown:
-        raise UnusableInput(f"{path}: '{name}': a {kind} has no '{min(unknown)}'; it has {', '.join(sorted(PLACING | OWN[kind]))}")
+        raise UnusableInput(f"{path}: '{name}': a {kind} has no '{min(unknown)}'; it has {', '.join(sorted(own))}")
     file = None
     if kind == "mesh":
         file = path.parent / str(entry.get("file", ""))
@@ -112,8 +113,7 @@ def _shape(path: Path, kind: str, entry: Any, unnamed: str) -> Shape:
     elif kind == "box":
         size = _vector(path, f"'{name}': size", entry.get("size"), 3)
     else:
-        keys = ("radius", "length")[: COUNTS[Kind(kind)]]
-        size = _vector(path, f"'{name}': {' and '.join(keys)}", [entry.get(key) for key in keys], len(keys))
+        size = _vector(path, f"'{name}': {' and '.join(words)}", [entry.get(word) for word in words], len(words))
     if min(size) <= 0.0:
         raise UnusableInput(f"{path}: '{name}': its size {list(size)} should be positive")
     position, rotation = (_vector(path, f"'{name}': {key}", entry.get(key, [0.0] * 3), 3) for key in ("position", "rotation"))

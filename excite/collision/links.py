@@ -13,15 +13,14 @@ from ..errors import UnusableInput
 from ..robot import locate
 from .shape import WORDS, Kind, Shape
 
-MESHES = "--packages DIR"
-
 
 class MissingMesh(UnusableInput):
     """A mesh of the robot that is not where its URDF says; `mesh` is what the URDF calls it."""
 
     def __init__(self, source: str, link: str, mesh: str) -> None:
         self.mesh = mesh
-        super().__init__(f"{source}: link '{link}': its mesh {mesh} is not found; say where its package is with {MESHES}")
+        remedy = "say where its package is with --packages DIR or in ROS_PACKAGE_PATH"
+        super().__init__(f"{source}: link '{link}': its mesh {mesh} is not found; {remedy}")
 
 
 def read(source: str, packages: Sequence[str] = ()) -> list[Shape]:
@@ -81,7 +80,10 @@ def _numbers(path: Path, owner: str, text: str, count: int) -> tuple[float, ...]
 
 
 def _find(path: Path, owner: str, name: str, packages: Sequence[str]) -> Path:
-    """A mesh's file: package://NAME/rest in a folder NAME (or in what holds a package.xml), else relative to the URDF."""
+    """A mesh's file. A package is a folder of its name: a place or in one, or a folder that the URDF is in or one beside such.
+
+    Other names are paths from the URDF's folder, or from a place.
+    """
     places = [*packages, *os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)]
     if name.startswith("package://"):
         package, _, rest = name.removeprefix("package://").partition("/")

@@ -155,7 +155,9 @@ def cell(robot: Robot, limits: Limits, scene: Scene, packages: Sequence[str] = (
 def _cell(robot: Robot, limits: Limits, scene: Scene, own: Sequence[Shape]) -> Cell:
     moving = {one.link for one in own if robot.model.frames[robot.frame(str(one.link))].parentJoint > 0}
     if not moving:
-        raise UnusableInput(f"{robot.source}: gives no moving link a <collision> shape; add shapes, or --no-collision")
+        raise UnusableInput(
+            f"{robot.source}: gives no moving link a <collision> shape to check or draw; add shapes, or design with --no-collision"
+        )
     _check_names(robot, scene, own)
     floor, notes = _floor_height(robot, limits, own, scene)
     bare = [link for i, link in enumerate(robot.links, 1) if link not in moving and robot.model.inertias[i].mass > 0.0]

@@ -21,14 +21,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from ..errors import UnusableInput
 from ..limits import Limits
 from ..parameters import spread_poses
 from ..robot import Robot
 from . import cell as cells
-from . import cover, links
+from . import chain, cover, links
 from .cell import Cell
 from .shape import WORDS, Kind, Shape
 
@@ -193,24 +192,23 @@ def _floor_height(robot: Robot, limits: Limits, own: Sequence[Shape], scene: Sce
     gravity = robot.model.gravity.linear
     if np.hypot(gravity[0], gravity[1]) > 1e-6 * np.linalg.norm(gravity) or gravity[2] >= 0.0:
         return None, ["gravity does not point down the base's z axis: no floor is assumed (--floor Z says where it is)"]
-    data = robot.model.createData()
-    standing = [p[2] for p, joint in _points(robot, own, data, np.zeros(robot.n)) if joint == 0]
-    height = min([0.0, *standing])
-    lowest = [min((p[2] for p, joint in _points(robot, own, data, q) if joint), default=height) for q in spread_poses(limits, POSES)]
-    if np.mean(np.array(lowest) < height) > 0.95:
+    heights, moves = _heights(robot, own, spread_poses(limits, POSES))
+    height = float(heights[0, ~moves].min(initial=0.0))
+    if np.mean(heights[:, moves].min(axis=1) < height) > 0.95:
         return None, [f"the robot hangs below its base: no floor is assumed at {height:g} m (--floor Z says where it is)"]
     return height, []
 
 
-def _points(robot: Robot, own: Sequence[Shape], data: pin.Data, q: Array) -> list[tuple[Array, int]]:
-    """Lowest points of covers of the links at a pose, with the joint that moves each."""
-    pin.forwardKinematics(robot.model, data, robot.expand(q))
-    out = []
-    for one in own:
-        frame = robot.model.frames[robot.frame(str(one.link))]
-        at = data.oMi[frame.parentJoint] * frame.placement
-        for capsule in cover.capsules(one):
-            ends = [at.act(end) for end in (capsule.begin, capsule.end)]
-            low = min(ends, key=lambda end: float(end[2]))
-            out.append((low - np.array([0.0, 0.0, capsule.radius]), int(frame.parentJoint)))
-    return out
+def _heights(robot: Robot, own: Sequence[Shape], q: Array) -> tuple[Array, Array]:
+    """Heights of the lowest points of covers of the links at many poses, and which move. Shapes (N, n) -> (N, C) [m], (C,)."""
+    frames = [robot.model.frames[robot.frame(str(one.link))] for one in own]
+    covers = [
+        (int(frame.parentJoint), capsule.moved(frame.placement.rotation, frame.placement.translation))
+        for one, frame in zip(own, frames, strict=True)
+        for capsule in cover.capsules(one)
+    ]
+    joint = np.array([joint for joint, _ in covers])
+    ends, radius = np.array([(one.begin, one.end) for _, one in covers]), np.array([one.radius for _, one in covers])
+    R, p = chain.of(robot).poses(q)
+    above = np.einsum("nci,cei->nce", R[:, joint, 2], ends) + p[:, joint, 2, None]
+    return above.min(axis=2) - radius, joint > 0

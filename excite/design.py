@@ -13,6 +13,7 @@ import threadpoolctl
 from . import base as base_parameters
 from . import criteria, parameters, problem, solver, start, starts
 from .base import Base
+from .checks import Subject
 from .collision.clearance import Clearance
 from .criteria import Criterion
 from .errors import ExciteError, UnusableInput
@@ -35,6 +36,11 @@ class Setting:
     base: Base
     noise: Array
     built: float  # time.perf_counter() when the problem was complete [s]
+
+    def subject(self, limits: Limits) -> Subject:
+        """What its motions are held against, by limits that are not shrunk."""
+        p = self.problem
+        return Subject(p.robot, limits, p.parameters, p.options.uncertainty, p.options.boxes, p.clearance)
 
 
 @dataclass(frozen=True)
@@ -191,9 +197,8 @@ def tightened(
     """
     p, lacking = setting.problem, short or {}
     options = dataclasses.replace(p.options, samples=(1 + finer) * p.options.samples)
-    rebuilt = problem.build(p.robot, limits, p.parameters, p.weighting, options, p.given, reserve, p.functions)
-    clearance = p.clearance
-    if clearance is not None:
-        more = np.array([lacking.get(pair, 0.0) for pair in clearance.names])
-        clearance = dataclasses.replace(clearance, more=clearance.more + more)
-    return dataclasses.replace(setting, problem=dataclasses.replace(rebuilt, apart=p.apart, clearance=clearance, home=p.home))
+    tighter = problem.rebuilt(p, limits, options, p.given, reserve)
+    if p.clearance is not None:
+        more = np.array([lacking.get(pair, 0.0) for pair in p.clearance.names])
+        tighter = dataclasses.replace(tighter, clearance=dataclasses.replace(p.clearance, more=p.clearance.more + more))
+    return dataclasses.replace(setting, problem=tighter)

@@ -18,7 +18,6 @@ import numpy as np
 
 from . import criteria, design, dynamics, problem, ramps
 from .base import Base
-from .checks import Subject
 from .collision.clearance import Clearance
 from .criteria import Criterion
 from .design import Setting
@@ -217,7 +216,7 @@ def budgeted(
         robot, limits, wish.settle(short, swept, wish.ladder(swept)[0], repeats), given, clearance=clearance, home=start
     )
     if start is not None:
-        ramps.check_start(Subject(robot, limits, setting.problem.parameters, options.uncertainty, options.boxes, clearance), start)
+        ramps.check_start(setting.subject(limits), start)
     pilot = _attempt(setting, limits, setting.problem.options, start)
     if isinstance(pilot, ExciteError):
         raise pilot
@@ -291,16 +290,13 @@ def _attempt(setting: Setting, limits: Limits, options: Options, start: Array | 
     begun = time.perf_counter()
     p = setting.problem
     given = None if p.given is None else p.given * np.sqrt(_count(p.options) / _count(options))
-    varied = problem.build(p.robot, limits, p.parameters, p.weighting, options, given, functions=p.functions)
-    varied = dataclasses.replace(varied, clearance=p.clearance, home=p.home)
+    varied = dataclasses.replace(setting, problem=problem.rebuilt(p, limits, options, given))
     try:
-        motion = design.solve(dataclasses.replace(setting, problem=varied)).motion
-        stated = ramps.with_derived(limits, motion)
-        subject = Subject(p.robot, stated, p.parameters, options.uncertainty, options.boxes, p.clearance)
-        whole = ramps.rest_to_rest(subject, motion, options.periods, options.rate, start)
+        motion = design.solve(varied).motion
+        whole = ramps.rest_to_rest(varied.subject(ramps.with_derived(limits, motion)), motion, options.periods, options.rate, start)
     except ExciteError as error:
         return error
-    value = _value(varied, motion)
+    value = _value(varied.problem, motion)
     return Candidate(
         period=options.period,
         harmonics=options.harmonics,

@@ -152,6 +152,12 @@ def build(
     return Problem(robot, parameters, shrunk, boxes, weighting, given, options, scale, functions)
 
 
+def rebuilt(old: Problem, limits: Limits, options: Options, given: Array | None, reserve: float = RESERVE) -> Problem:
+    """The same problem with other limits, options, earlier information or reserve; it keeps clear of and apart from the same."""
+    new = build(old.robot, limits, old.parameters, old.weighting, options, given, reserve, old.functions)
+    return dataclasses.replace(new, apart=old.apart, clearance=old.clearance, home=old.home)
+
+
 def _earlier(brake: Braking, reserve: float) -> Braking:
     middle, half = 0.5 * sum(brake.stop), 0.5 * (1.0 - reserve) * (brake.stop[1] - brake.stop[0])
     return dataclasses.replace(brake, stop=(middle - half, middle + half))

@@ -24,6 +24,7 @@ from .collision.probe import Body
 from .collision.shape import Kind
 from .errors import UnusableInput
 from .robot import Robot
+from .verify import CELL
 
 Array = np.ndarray
 Outcome = tuple[int, Any, str]
@@ -63,8 +64,8 @@ def view(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outcome:
 
 def _cell(trajectory: Trajectory, robot: Robot) -> Cell:
     """What the file states; where it states none, the shapes of the URDF without surroundings."""
-    if "cell" in trajectory.design:
-        return cells.from_document(robot, trajectory.limits, trajectory.design["cell"])
+    if CELL in trajectory.design:
+        return cells.from_document(robot, trajectory.limits, trajectory.design[CELL])
     return scene.cell(robot, trajectory.limits, scene.Scene(floor=False))
 
 

@@ -13,10 +13,9 @@ import threadpoolctl
 
 from . import design, ramps, verify
 from .artefact import Trajectory, versions
-from .checks import Subject
 from .collision import covering
 from .collision.cell import NOT_CHECKED, Cell
-from .design import Design, Setting
+from .design import Design
 from .errors import CheckFailed, Infeasible, UnusableInput
 from .limits import Limits
 from .overlap import Apart
@@ -82,14 +81,14 @@ def run(
     clearance = None if cell is None else covering.clearance(cell)
     setting = design.prepare(robot, limits, options, given, apart, clearance, start)
     if start is not None:  # before the optimisation, which begins within its sight
-        ramps.check_start(_subject(setting, limits), start)
+        ramps.check_start(setting.subject(limits), start)
     say(f"{robot.name}: {robot.n} joints, {setting.base.count} base parameters")
     found = design.solve(setting, progress)
     timing = {"build": setting.built - begun, **found.timing()}
     facts = {**(notes or {}), **({} if cell is None else {CELL: cell.document()})}
 
     def certified(found: Design) -> Whole:
-        trajectory = dataclasses.replace(_assemble(found, robot, limits, start, speed, facts), collision=unchecked)
+        trajectory = _assemble(found, robot, limits, start, speed, facts, unchecked)
         return trajectory, verify.verify(trajectory, robot, cell)
 
     found, (trajectory, certificate) = _with_ramps(found, certified)
@@ -147,17 +146,14 @@ def _tightened(found: Design, limits: Limits, certificate: Certificate, reserve:
     return Design(tighter, (design.improve(tighter, found.motion, found.attempts[0].number), *found.attempts[1:])), reserve
 
 
-def _subject(setting: Setting, limits: Limits) -> Subject:
-    options = setting.problem.options
-    return Subject(setting.problem.robot, limits, setting.problem.parameters, options.uncertainty, options.boxes, setting.problem.clearance)
-
-
-def _assemble(found: Design, robot: Robot, limits: Limits, start: Array | None, speed: float, notes: dict[str, Any]) -> Trajectory:
+def _assemble(
+    found: Design, robot: Robot, limits: Limits, start: Array | None, speed: float, notes: dict[str, Any], unchecked: str
+) -> Trajectory:
+    """The file of a motion with its ramps, before its certificate."""
     setting = found.setting
     options = setting.problem.options
     stated = ramps.with_derived(limits, found.motion)
-    subject = _subject(setting, stated)
-    whole = ramps.rest_to_rest(subject, found.motion, options.periods, options.rate, start)
+    whole = ramps.rest_to_rest(setting.subject(stated), found.motion, options.periods, options.rate, start)
     if speed != 1.0:
         whole = whole.slowed(speed)
     entry = {
@@ -168,7 +164,7 @@ def _assemble(found: Design, robot: Robot, limits: Limits, start: Array | None, 
         "starts": options.starts,
         "uncertainty": options.uncertainty,
         "speed": speed,
-        "boxes": [dataclasses.asdict(box) for box in subject.boxes],
+        "boxes": [dataclasses.asdict(box) for box in options.boxes],
         **notes,
     }
     draft = Trajectory(
@@ -180,7 +176,7 @@ def _assemble(found: Design, robot: Robot, limits: Limits, start: Array | None, 
         design=entry,
         criteria={},
         margins=[],
-        collision=NOT_CHECKED,
+        collision=unchecked,
         seed=options.seed,
         versions=versions(),
     )

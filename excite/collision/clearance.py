@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from functools import cached_property
 
 import coal
 import numpy as np
@@ -63,6 +64,18 @@ class Clearance:
         """Distance that a row's unit stands for. Shape (P,) [m]."""
         return np.clip(SCALE * self.need, LEAST, MOST)
 
+    @cached_property
+    def reach(self) -> Array:
+        """Radius of a ball around each capsule. Shape (C,) [m]."""
+        return np.asarray(0.5 * np.linalg.norm(self.end - self.begin, axis=1) + self.radius)
+
+    @cached_property
+    def stack(self) -> Stack:
+        """The hulls as arrays, as every look needs them."""
+        centre, radius = zip(*(hull.ball() for hull in self.hulls), strict=True)
+        joint, rotation, position = (np.array([getattr(hull, name) for hull in self.hulls]) for name in ("joint", "rotation", "position"))
+        return Stack(joint, rotation, position, np.array(centre), np.array(radius))
+
     def at(self, q: Array) -> Look:
         """Look at many poses. Shape (N, n)."""
         return Look(self, *self.chain.poses(q))
@@ -95,6 +108,17 @@ class Hull:
         solid = self.shape.hull()
         solid.computeLocalAABB()
         return self.rotation @ np.array(solid.aabb_center) + self.position, float(solid.aabb_radius)
+
+
+@dataclass(frozen=True)
+class Stack:
+    """What `Hull` says of each, and the ball around it. Shapes (H,), (H, 3, 3), (H, 3), (H, 3), (H,)."""
+
+    joint: Array
+    rotation: Array
+    position: Array
+    centre: Array
+    radius: Array
 
 
 class Look:
@@ -140,7 +164,7 @@ class Look:
                 continue
             found = self._nearest(kind, sample[at], pair[at])
             wrench[at] = np.hstack([np.cross(found.first, found.direction), found.direction])
-            joints = np.array([hull.joint for hull in c.hulls], int) if kind == 3 else c.joint
+            joints = c.stack.joint if kind == 3 else c.joint
             moved[at] = c.chain.above[joints[c.first[pair[at]]]]
             if kind in (0, 3):
                 moved[at] -= c.chain.above[joints[c.second[pair[at]]]]
@@ -156,19 +180,17 @@ class Look:
         """Least that distances can be, from balls around the bodies. Shape (N, P')."""
         c = self.clearance
         if kind == 3:
-            joints = np.array([hull.joint for hull in c.hulls], int)
-            centres, radii = np.array([hull.ball()[0] for hull in c.hulls]), np.array([hull.ball()[1] for hull in c.hulls])
-            centre = (self.rotation[:, joints] @ centres[:, :, None])[..., 0] + self.origin[:, joints]
-            return np.asarray(_length(centre[:, a] - centre[:, b]) - radii[a] - radii[b])
-        size = 0.5 * np.linalg.norm(c.end - c.begin, axis=1) + c.radius
+            h = c.stack
+            centre = (self.rotation[:, h.joint] @ h.centre[:, :, None])[..., 0] + self.origin[:, h.joint]
+            return np.asarray(_length(centre[:, a] - centre[:, b]) - h.radius[a] - h.radius[b])
         middle = 0.5 * (self.ends[0] + self.ends[1])
         centre = middle[:, a]
         if kind == 0:
-            return np.asarray(_length(centre - middle[:, b]) - size[a] - size[b])
+            return np.asarray(_length(centre - middle[:, b]) - c.reach[a] - c.reach[b])
         if kind == 1:
             inside = (np.swapaxes(c.box_pose[b], 1, 2) @ (centre - c.box_centre[b])[..., None])[..., 0]
-            return np.asarray(_length(np.maximum(np.abs(inside) - c.box_half[b], 0.0)) - size[a])
-        return np.asarray(np.sum(centre * c.normal[b], axis=2) - c.height[b] - size[a])
+            return np.asarray(_length(np.maximum(np.abs(inside) - c.box_half[b], 0.0)) - c.reach[a])
+        return np.asarray(np.sum(centre * c.normal[b], axis=2) - c.height[b] - c.reach[a])
 
     def _nearest(self, kind: int, sample: Array, pair: Array) -> Nearest:
         """Pairs of one kind, each at a sample of its own; distances of the capsules, not of their axes."""
@@ -187,8 +209,7 @@ class Look:
         return dataclasses.replace(found, distance=found.distance - c.radius[a])
 
     def _hulls(self, sample: Array, a: Array, b: Array) -> Nearest:
-        hulls = self.clearance.hulls
-        solids = [hull.shape.hull() for hull in hulls]
+        solids = [hull.shape.hull() for hull in self.clearance.hulls]
         placed = [self._placed(sample, which) for which in (a, b)]
         out = np.empty((len(sample), 10))
         request, result = coal.DistanceRequest(), coal.DistanceResult()
@@ -202,11 +223,9 @@ class Look:
 
     def _placed(self, sample: Array, which: Array) -> tuple[Array, Array]:
         """Rotations and positions of hulls, a row each. Shapes (m, 3, 3), (m, 3)."""
-        hulls = self.clearance.hulls
-        joint = np.array([hull.joint for hull in hulls])[which]
-        R, p = self.rotation[sample, joint], self.origin[sample, joint]
-        own, offset = np.array([hull.rotation for hull in hulls])[which], np.array([hull.position for hull in hulls])[which]
-        return R @ own, (R @ offset[:, :, None])[..., 0] + p
+        h = self.clearance.stack
+        R, p = self.rotation[sample, h.joint[which]], self.origin[sample, h.joint[which]]
+        return R @ h.rotation[which], (R @ h.position[which][:, :, None])[..., 0] + p
 
 
 def _length(vectors: Array) -> Array:

@@ -11,9 +11,7 @@ import numpy as np
 
 from ..errors import UnusableInput
 from ..robot import locate
-from .shape import Kind, Shape
-
-MESHES = "--packages DIR"
+from .shape import WORDS, Kind, Shape
 
 
 class MissingMesh(UnusableInput):
@@ -21,7 +19,8 @@ class MissingMesh(UnusableInput):
 
     def __init__(self, source: str, link: str, mesh: str) -> None:
         self.mesh = mesh
-        super().__init__(f"{source}: link '{link}': its mesh {mesh} is not found; say where its package is with {MESHES}")
+        remedy = "say where its package is with --packages DIR or in ROS_PACKAGE_PATH"
+        super().__init__(f"{source}: link '{link}': its mesh {mesh} is not found; {remedy}")
 
 
 def read(source: str, packages: Sequence[str] = ()) -> list[Shape]:
@@ -52,7 +51,7 @@ def _shape(
     rounded: bool,
     packages: Sequence[str],
 ) -> Shape:
-    known = {"sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length"), "box": ("size",), "mesh": ()}
+    known = [kind.value for kind in WORDS]
     if solid.tag not in known:
         raise UnusableInput(f"{path}: link '{owner}': a collision shape is a <{solid.tag}>; use {', '.join(known)}")
     kind = Kind.CAPSULE if solid.tag == "cylinder" and rounded else Kind(solid.tag)
@@ -61,7 +60,8 @@ def _shape(
         file = str(_find(path, owner, solid.get("filename", ""), packages))
         size = _numbers(path, owner, solid.get("scale", "1 1 1"), 3)
     else:
-        size = tuple(v for key in known[solid.tag] for v in _numbers(path, owner, solid.get(key, ""), 3 if key == "size" else 1))
+        count = 3 if kind is Kind.BOX else 1
+        size = tuple(v for word in WORDS[kind] for v in _numbers(path, owner, solid.get(word, ""), count))
         if min(size) <= 0.0:
             raise UnusableInput(f"{path}: link '{owner}': its {solid.tag} has the size {size}; sizes should be positive")
     origin = collision.find("origin")
@@ -80,7 +80,10 @@ def _numbers(path: Path, owner: str, text: str, count: int) -> tuple[float, ...]
 
 
 def _find(path: Path, owner: str, name: str, packages: Sequence[str]) -> Path:
-    """A mesh's file: package://NAME/rest in a folder NAME (or in what holds a package.xml), else relative to the URDF."""
+    """A mesh's file. A package is a folder of its name: a place or in one, or a folder that the URDF is in or one beside such.
+
+    Other names are paths from the URDF's folder, or from a place.
+    """
     places = [*packages, *os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)]
     if name.startswith("package://"):
         package, _, rest = name.removeprefix("package://").partition("/")

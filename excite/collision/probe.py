@@ -69,7 +69,7 @@ class Probe:
 
     def __init__(self, robot: Robot, bodies: Sequence[Body], pairs: Sequence[Pair], near: float) -> None:
         """near: distance from which convex hulls will do [m]."""
-        self.robot, self.pairs, self.near = robot, tuple(pairs), near
+        self.robot, self.near = robot, near
         self.data = robot.model.createData()
         starts = np.cumsum([0, *(len(body.shapes) for body in bodies)])
         both = [[(i, range(starts[i], starts[i + 1])) for i in (pair.first, pair.second)] for pair in pairs]

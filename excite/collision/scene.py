@@ -21,21 +21,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from ..errors import UnusableInput
 from ..limits import Limits
 from ..parameters import spread_poses
 from ..robot import Robot
 from . import cell as cells
-from . import cover, links
+from . import chain, cover, links
 from .cell import Cell
-from .shape import COUNTS, Kind, Shape
+from .shape import WORDS, Kind, Shape
 
 Array = np.ndarray
-KINDS = tuple(kind.value for kind in Kind if kind is not Kind.FLOOR)
+KINDS = tuple(kind.value for kind in WORDS)
 PLACING = {"name", "position", "rotation", "link", "ignore"}
-OWN = {"sphere": {"radius"}, "capsule": {"radius", "length"}, "cylinder": {"radius", "length"}, "box": {"size"}, "mesh": {"file", "scale"}}
 POSES = 200
 
 
@@ -100,9 +98,11 @@ def _shape(path: Path, kind: str, entry: Any, unnamed: str) -> Shape:
     if not isinstance(entry, Mapping):
         raise UnusableInput(f"{path}: {unnamed} is no table; write [[{kind}]]")
     name = str(entry.get("name", unnamed))
-    unknown = set(entry) - PLACING - OWN[kind]
+    words = WORDS[Kind(kind)]
+    own = PLACING | {*words} | ({"file"} if kind == "mesh" else set())
+    unknown = set(entry) - own
     if unknown:
-        raise UnusableInput(f"{path}: '{name}': a {kind} has no '{min(unknown)}'; it has {', '.join(sorted(PLACING | OWN[kind]))}")
+        raise UnusableInput(f"{path}: '{name}': a {kind} has no '{min(unknown)}'; it has {', '.join(sorted(own))}")
     file = None
     if kind == "mesh":
         file = path.parent / str(entry.get("file", ""))
@@ -112,8 +112,7 @@ def _shape(path: Path, kind: str, entry: Any, unnamed: str) -> Shape:
     elif kind == "box":
         size = _vector(path, f"'{name}': size", entry.get("size"), 3)
     else:
-        keys = ("radius", "length")[: COUNTS[Kind(kind)]]
-        size = _vector(path, f"'{name}': {' and '.join(keys)}", [entry.get(key) for key in keys], len(keys))
+        size = _vector(path, f"'{name}': {' and '.join(words)}", [entry.get(word) for word in words], len(words))
     if min(size) <= 0.0:
         raise UnusableInput(f"{path}: '{name}': its size {list(size)} should be positive")
     position, rotation = (_vector(path, f"'{name}': {key}", entry.get(key, [0.0] * 3), 3) for key in ("position", "rotation"))
@@ -155,7 +154,9 @@ def cell(robot: Robot, limits: Limits, scene: Scene, packages: Sequence[str] = (
 def _cell(robot: Robot, limits: Limits, scene: Scene, own: Sequence[Shape]) -> Cell:
     moving = {one.link for one in own if robot.model.frames[robot.frame(str(one.link))].parentJoint > 0}
     if not moving:
-        raise UnusableInput(f"{robot.source}: gives no moving link a <collision> shape; add shapes, or --no-collision")
+        raise UnusableInput(
+            f"{robot.source}: gives no moving link a <collision> shape to check or draw; add shapes, or design with --no-collision"
+        )
     _check_names(robot, scene, own)
     floor, notes = _floor_height(robot, limits, own, scene)
     bare = [link for i, link in enumerate(robot.links, 1) if link not in moving and robot.model.inertias[i].mass > 0.0]
@@ -191,24 +192,23 @@ def _floor_height(robot: Robot, limits: Limits, own: Sequence[Shape], scene: Sce
     gravity = robot.model.gravity.linear
     if np.hypot(gravity[0], gravity[1]) > 1e-6 * np.linalg.norm(gravity) or gravity[2] >= 0.0:
         return None, ["gravity does not point down the base's z axis: no floor is assumed (--floor Z says where it is)"]
-    data = robot.model.createData()
-    standing = [p[2] for p, joint in _points(robot, own, data, np.zeros(robot.n)) if joint == 0]
-    height = min([0.0, *standing])
-    lowest = [min((p[2] for p, joint in _points(robot, own, data, q) if joint), default=height) for q in spread_poses(limits, POSES)]
-    if np.mean(np.array(lowest) < height) > 0.95:
+    heights, moves = _heights(robot, own, spread_poses(limits, POSES))
+    height = float(heights[0, ~moves].min(initial=0.0))
+    if np.mean(heights[:, moves].min(axis=1) < height) > 0.95:
         return None, [f"the robot hangs below its base: no floor is assumed at {height:g} m (--floor Z says where it is)"]
     return height, []
 
 
-def _points(robot: Robot, own: Sequence[Shape], data: pin.Data, q: Array) -> list[tuple[Array, int]]:
-    """Lowest points of covers of the links at a pose, with the joint that moves each."""
-    pin.forwardKinematics(robot.model, data, robot.expand(q))
-    out = []
-    for one in own:
-        frame = robot.model.frames[robot.frame(str(one.link))]
-        at = data.oMi[frame.parentJoint] * frame.placement
-        for capsule in cover.capsules(one):
-            ends = [at.act(end) for end in (capsule.begin, capsule.end)]
-            low = min(ends, key=lambda end: float(end[2]))
-            out.append((low - np.array([0.0, 0.0, capsule.radius]), int(frame.parentJoint)))
-    return out
+def _heights(robot: Robot, own: Sequence[Shape], q: Array) -> tuple[Array, Array]:
+    """Heights of the lowest points of covers of the links at many poses, and which move. Shapes (N, n) -> (N, C) [m], (C,)."""
+    frames = [robot.model.frames[robot.frame(str(one.link))] for one in own]
+    covers = [
+        (int(frame.parentJoint), capsule.moved(frame.placement.rotation, frame.placement.translation))
+        for one, frame in zip(own, frames, strict=True)
+        for capsule in cover.capsules(one)
+    ]
+    joint = np.array([joint for joint, _ in covers])
+    ends, radius = np.array([(one.begin, one.end) for _, one in covers]), np.array([one.radius for _, one in covers])
+    R, p = chain.of(robot).poses(q)
+    above = np.einsum("nci,cei->nce", R[:, joint, 2], ends) + p[:, joint, 2, None]
+    return above.min(axis=2) - radius, joint > 0

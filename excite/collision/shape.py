@@ -33,7 +33,14 @@ class Kind(Enum):
     FLOOR = "floor"  # none: all below its origin's height
 
 
-COUNTS = {Kind.SPHERE: 1, Kind.CAPSULE: 2, Kind.CYLINDER: 2, Kind.BOX: 3, Kind.MESH: 3, Kind.FLOOR: 0}
+WORDS = {
+    Kind.SPHERE: ("radius",),
+    Kind.CAPSULE: ("radius", "length"),
+    Kind.CYLINDER: ("radius", "length"),
+    Kind.BOX: ("size",),
+    Kind.MESH: ("scale",),
+}
+"""What URDFs and scenes call a shape's `size`, of all kinds that they may state. A size and a scale are three numbers."""
 
 
 @dataclass(frozen=True)

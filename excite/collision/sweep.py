@@ -7,6 +7,7 @@ of that speed has reached d − l: one looks again only then (conservative advan
 
 from __future__ import annotations
 
+import dataclasses
 import heapq
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -60,15 +61,12 @@ class Near:
 
 def along(cell: Cell, motion: Motion) -> list[Near]:
     """Least distance of every pair over a motion, the one nearest to its margin first."""
-    best: dict[int, Near] = {}
+    best, probe = dict[int, Near](), cell.probe()
     for segment in motion.segments:
-        for index, near in _segment(cell, motion, segment):
-            held = best.get(index)
-            if held is None or near.found < held.found:
-                lower = near.proven if held is None else min(near.proven, held.proven)
-                best[index] = Near(near.pair, near.names, near.found, lower, near.time, near.pose)
-            elif near.proven < held.proven:
-                best[index] = Near(held.pair, held.names, held.found, near.proven, held.time, held.pose)
+        for index, near in _segment(cell, probe, motion, segment):
+            held = best.get(index, near)
+            nearer = near if near.found < held.found else held
+            best[index] = dataclasses.replace(nearer, proven=min(near.proven, held.proven))
     inside = contained(cell, motion.at(np.zeros(1))[0])
     if inside is not None:
         raise UnusableInput(f"{cell.names(inside)}: one is inside the other's mesh; the motion cannot begin there")
@@ -84,9 +82,8 @@ class _Grid:
     speed: Array
 
 
-def _segment(cell: Cell, motion: Motion, segment: Segment) -> Iterator[tuple[int, Near]]:
-    grid = _grid(motion, segment)
-    robot, probe = cell.robot, cell.probe()
+def _segment(cell: Cell, probe: Probe, motion: Motion, segment: Segment) -> Iterator[tuple[int, Near]]:
+    grid, robot = _grid(motion, segment), cell.robot
     reach = _reach(cell, np.abs(robot.expand(grid.q)).max(axis=0))
     speeds = grid.speed @ np.abs(robot.spread).T
     # how far each pair may have moved since the segment began

@@ -6,7 +6,7 @@ residual, measured less predicted, whose repeats are compared (after Swevers et 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,7 @@ from ..recordings import Recording
 from .track import Track
 
 Array = np.ndarray
+Draw = Callable[[np.random.Generator], Array]
 DRAWS = 3
 """Times that an encoder's steps are made anew."""
 LEAST = 1.2
@@ -170,22 +171,28 @@ def stepped(model: Model, halves: Sequence[Sequence[Track]]) -> tuple[tuple[Arra
     if not any(encoder_noise(one.piece.q).any() for half in halves for one in half):
         return ()
     rng = np.random.default_rng(0)
-    first, second = halves
-    return tuple((_rounded(model, first, rng), _rounded(model, second, rng)) for _ in range(DRAWS))
+    first, second = ([_misled(model, one) for one in half] for half in halves)
+    return tuple((_rounded(first, rng), _rounded(second, rng)) for _ in range(DRAWS))
 
 
-def _rounded(model: Model, half: Sequence[Track], rng: np.random.Generator) -> Array:
+def _rounded(half: Sequence[Draw], rng: np.random.Generator) -> Array:
     """One such residual of a half, below the band. Shape (N, n) [N m]."""
-    return np.concatenate([_misled(model, one, rng) for one in half])
+    return np.concatenate([draw(rng) for draw in half])
 
 
-def _misled(model: Model, one: Track, rng: np.random.Generator) -> Array:
+def _misled(model: Model, one: Track) -> Draw:
+    """What draws such residuals of a stretch: only what is rounded has to be filtered anew."""
     step = encoder_noise(one.piece.q) * np.sqrt(12.0)
-    smooth = one.band.transformed(one.piece.q).low(Grid.RECORDED, 0, WIDER)
     coarse = step > 0.0
     if not coarse.any():
-        return np.zeros((len(one), one.n))
-    told, origin = smooth.copy(), rng.uniform(size=one.n) * step
-    told[:, coarse] = (np.round((smooth + origin)[:, coarse] / step[coarse]) * step[coarse]) - origin[coarse]
-    wrong, right = (filtered(model, x, one.band)[0] for x in (told, smooth))
-    return np.asarray((right - wrong)[one.kept] @ one.theta)
+        return lambda rng: np.zeros((len(one), one.n))
+    smooth = one.band.transformed(one.piece.q).low(Grid.RECORDED, 0, WIDER)
+    right = filtered(model, smooth, one.band)[0]
+
+    def draw(rng: np.random.Generator) -> Array:
+        told, origin = smooth.copy(), rng.uniform(size=one.n) * step
+        told[:, coarse] = (np.round((smooth + origin)[:, coarse] / step[coarse]) * step[coarse]) - origin[coarse]
+        wrong = filtered(model, told, one.band)[0]
+        return np.asarray((right - wrong)[one.kept] @ one.theta)
+
+    return draw

@@ -23,9 +23,8 @@ def collision_section(trajectory: Trajectory, cell: Cell | None, near: Sequence[
     body = "".join(
         [
             figure(distances(cell, near, trajectory.motion)) + figure(closest(cell, near[0])) if near else "",
-            table(("bodies", "least [mm]", "to keep [mm]", "at [s]"), [_row(one) for one in near[:LISTED]], (1, 2, 3)),
-            folded(f"{len(near) - LISTED} more pairs", table(("bodies", "at least [mm]", "to keep [mm]", "at [s]"),
-                   [_row(one) for one in near[LISTED:]], (1, 2, 3))) if len(near) > LISTED else "",
+            _distances("least", near[:LISTED]),
+            folded(f"{len(near) - LISTED} more pairs", _distances("at least", near[LISTED:])) if len(near) > LISTED else "",
             folded(f"{plural(len(cell.excepted), 'pair')} not held to {1e3 * cell.margin:g} mm",
                    table(("body", "body", "why"), [tuple(map(escape, (e.first, e.second, e.why))) for e in cell.excepted], ()))
             if cell.excepted else "",
@@ -38,5 +37,6 @@ def collision_section(trajectory: Trajectory, cell: Cell | None, near: Sequence[
     return Section("collision", "Does it touch anything?", answer, body, "bad" if bad else "")
 
 
-def _row(near: Near) -> tuple[str, ...]:
-    return escape(near.names), f"{1e3 * near.proven:.1f}", f"{1e3 * near.pair.margin:.1f}", f"{near.time:.2f}"
+def _distances(least: str, near: Sequence[Near]) -> str:
+    rows = [(escape(one.names), f"{1e3 * one.proven:.1f}", f"{1e3 * one.pair.margin:.1f}", f"{one.time:.2f}") for one in near]
+    return table(("bodies", f"{least} [mm]", "to keep [mm]", "at [s]"), rows, (1, 2, 3))

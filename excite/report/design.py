@@ -50,7 +50,6 @@ class Design:
     found: Identifiability
     record: DesignRecord
     cell: Cell | None = None
-    near: Sequence[Near] = ()
 
     @property
     def scene(self) -> Scene:
@@ -75,7 +74,7 @@ def design_page(
 
     cell, near: what must not be touched, and the least distances, where collisions were checked.
     """
-    subject = Design(trajectory, robot, parameters, base, identifiability, record, cell, near)
+    subject = Design(trajectory, robot, parameters, base, identifiability, record, cell)
     if cases is None:
         cases = what_would_help(
             robot, parameters, base, trajectory.limits, trajectory.motion,

@@ -257,11 +257,18 @@ def test_a_base_that_leans_is_told_with_its_sign(subject):
 
 
 def test_probabilities_fall_with_what_speaks_against_a_name():
-    takes = [belief.probability(belief.features((1.0, left))) for left in (0.02, 0.2, 0.6, 1.0)]
-    assert takes[0] > 0.9 and takes[-1] < 0.5 and sorted(takes, reverse=True) == takes
+    said = [belief.probability(belief.odds("drag", left)) for left in (0.02, 0.2, 0.6, 1.0)]
+    assert said[0] > 0.9 and said[-1] < 0.5 and sorted(said, reverse=True) == said
+    assert belief.odds("backlash", 0.6) > belief.odds("drag", 0.6)  # a simulation leaves more where it is right
+
+
+def test_noise_hides_how_much_a_slight_effect_leaves():
+    assert belief.share((10.0, 1.0)) == pytest.approx(0.09)
+    assert belief.share((0.3, 0.1)) < belief.share((0.3, 0.25))
 
 
 def test_equivalents_are_the_names_within_reach_of_a_wrong_form():
-    finding = judge.Finding((), 100.0, {"drag": 97.0, "spring": 80.0, "stribeck": 20.0})
-    assert belief.alike(finding, (1.0, 0.2)) == ("drag", "spring")
-    assert belief.alike(finding, (1.0, 0.002)) == ("drag",)
+    main = judge.Hypothesis("nonlinear_viscous", 0, 0, search.Trial((0,), np.ones(1), (np.ones(1), np.ones(1)), 100.0, True), 1.0, True)
+    finding = judge.Finding((main,), 100.0, {"drag": 99.0, "spring": 80.0, "stribeck": 20.0})
+    assert tuple(belief.alike(finding, 0.1)) == ("drag", "spring")
+    assert tuple(belief.alike(finding, 0.002)) == ("drag",)

@@ -38,8 +38,9 @@ MISFIT = {"periods": 0.1, "differences": 0.3}
 """Share of the residual taken for a form that is not quite the catalogue's, by how the noise is known."""
 MUCH = 0.15
 """RMSE over the torque itself from which what is left is something, where no period repeats to show the noise."""
-LOUD = 1.5
-"""RMSE over a right model's from which what is left is called something."""
+LOUD = 1.3
+"""RMSE over a right model's from which what is left is called something: the most in 19 simulated robots with nothing missing is 1.07, and
+1.22 where clocks waver."""
 UNSAID = 0.1
 """Share of the excess over the noise that may stay unexplained beside a finding before it is called unknown."""
 

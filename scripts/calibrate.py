@@ -3,7 +3,7 @@
 
     scripts/calibrate.py out/tuning --analyst excite
 
-Prints the weights of `excite/diagnose/belief.py` and, for each parameter, the relative standard deviation that makes value ± 2 std
+Prints the constants of `excite/diagnose/belief.py` and, for each parameter, the relative standard deviation that makes value ± 2 std
 cover 95 % of the true values: the `form` of the effects in `excite/diagnose/catalogue/`.
 """
 
@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from excite.diagnose.belief import FEATURES
 from excite.diagnose.catalogue import BY_NAME
 from excite.diagnose.interval import FORM
 from excite.trial import seal
@@ -39,7 +38,7 @@ def findings(folder: Path, analyst: str) -> list[tuple[dict[str, Any], dict[str,
         answer = json.loads(path.read_text(encoding="utf-8"))["answer"]
         if isinstance(answer, dict):
             stated = [*answer["findings"], *answer["considered"]]
-            out += [(one, cases[path.stem]) for one in stated if set(FEATURES) <= set(one["evidence"])]
+            out += [(one, cases[path.stem]) for one in stated if "odds" in one["evidence"]]
     return out
 
 
@@ -47,17 +46,24 @@ def right(one: dict[str, Any], case: dict[str, Any]) -> bool:
     return any(equal(name, effect["effect"]) for name in (one["effect"], *one["equivalents"]) for effect in case["effects"])
 
 
-def weights(stated: list[tuple[dict[str, Any], dict[str, Any]]]) -> dict[str, float]:
-    """Logistic regression with a small ridge."""
-    x = np.array([[1.0, *(one["evidence"][key] for key in FEATURES)] for one, _ in stated])
+def weights(stated: list[tuple[dict[str, Any], dict[str, Any]]]) -> tuple[float, float]:
+    """Logistic regression of what was right on the logarithm of odds, with a small ridge: bias and slope."""
+    x = np.array([[1.0, np.log(one["evidence"]["odds"])] for one, _ in stated])
     y = np.array([right(*pair) for pair in stated], float)
 
     def cost(w: Array) -> float:
         z = x @ w
-        return float(np.logaddexp(0.0, z).sum() - y @ z + RIDGE * len(y) * 0.01 * (w[1:] @ w[1:]))
+        return float(np.logaddexp(0.0, z).sum() - y @ z + RIDGE * len(y) * 0.01 * w[1] ** 2)
 
-    found = minimize(cost, np.zeros(x.shape[1])).x
-    return dict(zip(("bias", *FEATURES), np.round(found, 2).tolist(), strict=True))
+    bias, slope = minimize(cost, np.zeros(2)).x
+    return round(float(bias), 2), round(float(slope), 2)
+
+
+def leaves(stated: list[tuple[dict[str, Any], dict[str, Any]]]) -> tuple[float, float]:
+    """Mean and standard deviation of the logarithm of the share that rightly named laws leave, those of a loose law by its own measure."""
+    names = [(one, any(equal(one["effect"], effect["effect"]) for effect in case["effects"])) for one, case in stated]
+    left = np.array([np.log(one["evidence"]["left"]) - BY_NAME[one["effect"]].loose for one, good in names if good])
+    return round(float(left.mean()), 2), round(float(left.std()), 2)
 
 
 def forms(stated: list[tuple[dict[str, Any], dict[str, Any]]]) -> dict[str, dict[str, float]]:
@@ -93,7 +99,8 @@ def main() -> None:
     parser.add_argument("--analyst", default="excite")
     arguments = parser.parse_args()
     stated = findings(arguments.folder, arguments.analyst)
-    print("WEIGHTS =", weights(stated), f" # {len(stated)} findings, {np.mean([right(*pair) for pair in stated]):.2f} right")
+    print(f"BIAS, SLOPE = {weights(stated)}  # {len(stated)} findings, {np.mean([right(*pair) for pair in stated]):.2f} right")
+    print(f"LEAVES, SPREAD = {leaves(stated)}")
     for effect, own in forms(stated).items():
         print(f"{effect}: form={own}")
 

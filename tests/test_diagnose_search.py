@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pinocchio as pin
 import pytest
-from made import motion, perturbed, recorded, two_links
+from made import WIDTH, motion, perturbed, recorded, two_links
 from scipy import integrate, stats
 from scipy.interpolate import CubicSpline
-from test_diagnose import PLANTED, found, recordings_of
+from test_diagnose import PLANTED, found, on, recordings_of
 
 from excite import dynamics
 from excite.diagnose import belief, diagnosis, interval, judge, noise, search, track, whole
@@ -189,29 +189,64 @@ def test_options_name_what_is_looked_for(subject):
     assert {shape.effect for shape in done.design.shapes} == {"drag"}
 
 
-def test_a_push_is_found_in_its_time(subject):
-    def pushed(t: Array, q: Array, dq: Array, tau: Array) -> Array:
-        inside = np.where((t > 4.0) & (t < 6.0), np.sin(np.pi * (t - 4.0) / 2.0), 0.0)
-        return -inside[:, None] * levers(q) * 12.0
+def force_along_x(model: pin.Model, q: Array) -> Array:
+    """Torque of a unit force along x on the centre of the second of two links in a vertical plane, by Pinocchio's Jacobian."""
+    data = model.createData()
+    out = np.empty((len(q), 2))
+    for k, place in enumerate(q):
+        pin.computeJointJacobians(model, data, place)
+        J = pin.getJointJacobian(model, data, 2, pin.LOCAL_WORLD_ALIGNED)
+        arm = data.oMi[2].rotation @ np.array(model.inertias[2].lever)
+        out[k] = (J[:3] - pin.skew(arm) @ J[3:])[0]
+    return out
 
-    def levers(q: Array) -> Array:
-        """Torque of a unit force along x on the end of two links in a vertical plane, from the subject's own kinematics."""
-        model = subject.robot.model
-        data = model.createData()
-        out = np.empty((len(q), 2))
-        for k, place in enumerate(q):
-            pin.computeJointJacobians(model, data, place)
-            J = pin.getJointJacobian(model, data, 2, pin.LOCAL_WORLD_ALIGNED)
-            arm = data.oMi[2].rotation @ np.array(model.inertias[2].lever)
-            out[k] = (J[:3] - pin.skew(arm) @ J[3:])[0]
-        return out
+
+COURSES = {"swelling": lambda u: np.sin(np.pi * u), "dragging": lambda u: np.minimum(1.0, 3.0 * u) * (1.0 - 0.8 * u)}
+"""Of a force, over the time it lasts; the second is none of the catalogue's plain ones."""
+
+
+@pytest.mark.parametrize("course", list(COURSES))
+def test_a_push_is_found_in_its_time(subject, course):
+    def pushed(t: Array, q: Array, dq: Array, tau: Array) -> Array:
+        inside = np.where((t > 4.0) & (t < 6.0), COURSES[course]((t - 4.0) / 2.0), 0.0)
+        return -inside[:, None] * force_along_x(subject.robot.model, q) * 12.0
 
     result = found(subject, pushed)
     first = result.verdict.chosen[0]
     assert first.effect == "contact" and first.joint == 1
     low, high = result.design.shapes[first.shape].interval
     assert abs(low - 4.0) < 0.6 and abs(high - 6.0) < 0.6
-    assert interval.finding_parameters(result.design, result.verdict, 0)["force"][0] == pytest.approx(12.0, rel=0.25)
+    largest = 12.0 * COURSES[course](np.linspace(0.0, 1.0, 50)).max()
+    assert interval.finding_parameters(result.design, result.verdict, 0)["force"][0] == pytest.approx(largest, rel=0.25)
+    # what touches the robot in one period is not noise
+    np.testing.assert_allclose(result.floor, found(subject, None).floor, rtol=0.2)
+
+
+def test_levers_are_the_jacobians_of_the_links_centres(subject):
+    (track, *_), _ = found(subject, None).tracks
+    np.testing.assert_allclose(track.levers[::50, 1, 0], force_along_x(track.body.model, track.coarse.q[::50]), atol=1e-9)
+
+
+def test_what_hides_behind_another_effect_is_found_beside_it(subject):
+    """A slight Stribeck effect under a strong coupling: alone, another velocity fits best, and it is a hundredth of the whole gain."""
+
+    def both(t: Array, q: Array, dq: Array, tau: Array) -> Array:
+        out = PLANTED["stribeck"][0](t, q, dq, tau)
+        speed = dq[:, 0] - 0.7 * dq[:, 1]
+        out[:, 0] += 3.0 * np.tanh(speed / WIDTH) + 0.5 * speed
+        return out
+
+    result = found(subject, both)
+    assert {h.effect for h in result.verdict.chosen} == {"coupling", "stribeck"} and not result.unknown
+
+
+def test_friction_that_warms_up_to_a_tenth_is_named(subject):
+    def warmed(t: Array, q: Array, dq: Array, tau: Array) -> Array:
+        friction = 1.5 * np.tanh(dq[:, 0] / WIDTH) + 0.4 * dq[:, 0]
+        return on(0, friction * np.exp(-t / t[-1] * 2.0))
+
+    first = found(subject, warmed).verdict.chosen[0]
+    assert first.effect == "thermal_drift" and first.joint == 0
 
 
 def test_what_is_trusted_is_kept_to_the_digit(subject):

@@ -36,6 +36,8 @@ QUIET = 1.2
 """RMSE over the expected one at which a joint counts as explained."""
 MISFIT = {"periods": 0.1, "differences": 0.3}
 """Share of the residual taken for a form that is not quite the catalogue's, by how the noise is known."""
+AGAIN, COARSE = 2, 0.7
+"""Times that all is looked at again over what is left, and from which share of its scale on that is not worth it."""
 MUCH = 0.15
 """RMSE over the torque itself from which what is left is something, where no period repeats to show the noise."""
 LOUD = 1.3
@@ -142,14 +144,12 @@ def diagnose(
             raise UnusableInput(f"{group[0].source}: is too short for a band of {hertz:g} Hz; record at least two seconds")
     noisy = noise.measured(identified, halves, [*train, *validate])
     progress("columns of the catalogue")
-    misfit = MISFIT[noisy.method] * np.sqrt(np.mean(identified.data.residual**2, axis=0))
-    scale = np.sqrt(noisy.floor**2 + misfit**2)
+    scale = _scale(noisy, np.sqrt(np.mean(identified.data.residual**2, axis=0)))
     first, second = (_half(own, identified, options, scale) for own in halves)
     one = search.design((first, second), _shapes(halves, options), _builder(halves, scale))
-    feigned = [((a / scale).ravel(), (b / scale).ravel()) for a, b in noisy.feigned]
-    one = judge.warned(one, feigned, float(np.mean((noisy.steps / noisy.floor) ** 2)))
     progress(f"{len(one.shapes)} shapes of {len(EFFECTS)} effects, alone and together")
-    one, verdict = judge.judged(one)
+    one, verdict = judge.judged(_warned(one, noisy, scale))
+    one, verdict, scale = _sharper(one, verdict, noisy, scale)
     refitted = None
     if verdict.findings:
         progress("the base model without what was found")
@@ -160,6 +160,31 @@ def diagnose(
     progress("simulating ahead")
     bare = [whole.removed(out.parts, r, halves[1]) for r in validate]
     return dataclasses.replace(out, ahead=(_ahead(identified, validate, hertz), _ahead(refitted, bare, hertz)))
+
+
+def _scale(noisy: Noise, left: Array) -> Array:
+    """Noise, and a share of an RMS residual for a form that is not quite the catalogue's. Shape (n,) [N m]."""
+    return np.asarray(np.sqrt(noisy.floor**2 + (MISFIT[noisy.method] * left) ** 2))
+
+
+def _warned(one: Design, noisy: Noise, scale: Array) -> Design:
+    """The design that knows what the encoders' steps feign."""
+    feigned = [((a / scale).ravel(), (b / scale).ravel()) for a, b in noisy.feigned]
+    return judge.warned(one, feigned, float(np.mean((noisy.steps / noisy.floor) ** 2)))
+
+
+def _sharper(one: Design, verdict: Verdict, noisy: Noise, scale: Array) -> tuple[Design, Verdict, Array]:
+    """Looked at again over the scale that is left with what was found: a slight effect beside a strong one drowns in the first."""
+    for _ in range(AGAIN):
+        if verdict.together is None:
+            break
+        finer = np.minimum(_scale(noisy, _fitted(one, verdict.together.shapes, scale)), scale)
+        if (finer > COARSE * scale).all():
+            break
+        one = _warned(search.rescaled(one, scale / finer), noisy, finer)
+        one, verdict = judge.judged(one, verdict.together.shapes)
+        scale = finer
+    return one, verdict, scale
 
 
 def _refitted(

@@ -129,13 +129,15 @@ def warned(one: Design, residuals: Sequence[tuple[Array, Array]], stepped: float
     return replace(one, feigned=most, stepped=stepped)
 
 
-def judged(one: Design) -> tuple[Design, Verdict]:
-    """Names at joints, or none; and the design with the shapes that were found."""
-    ranked = singles(one)
-    counts = [h for h in ranked if h.shows and h.trial.gain > one.bar(h.shape)]
-    if not counts:
-        return one, Verdict((), None, tuple(ranked[:8]))
-    one, chosen = _searched(one, counts)
+def judged(one: Design, chosen: Sequence[int] = ()) -> tuple[Design, Verdict]:
+    """Names at joints, or none; and the design with the shapes that were found. chosen: shapes to begin with, else the best."""
+    if not chosen:
+        ranked = singles(one)
+        counts = [h for h in ranked if h.shows and h.trial.gain > one.bar(h.shape)]
+        if not counts:
+            return one, Verdict((), None, tuple(ranked[:8]))
+        chosen = _best_pair(one, counts) or [counts[0].shape]
+    one, chosen = _searched(one, list(chosen))
     ranked = singles(one)
     together = trial(one, chosen)
     groups: dict[tuple[str, int | None], list[Hypothesis]] = {}
@@ -162,10 +164,8 @@ def _without(shapes: Sequence[int], parts: Sequence[Hypothesis]) -> list[int]:
     return [i for i in shapes if all(i != part.shape for part in parts)]
 
 
-def _searched(one: Design, ranked: Sequence[Hypothesis]) -> tuple[Design, list[int]]:
-    """Shapes that predict best together: the best single or pair, then more while each is worth it, all tuned and looked at again."""
-    pair = _best_pair(one, ranked)
-    chosen = [ranked[0].shape] if pair is None else pair
+def _searched(one: Design, chosen: list[int]) -> tuple[Design, list[int]]:
+    """Shapes that predict best together: those chosen, then more while each is worth it, all tuned and looked at again."""
     looked = set[int | None]()
     for _ in range(MOST):
         one, chosen = search.refined(one, _replaced(one, chosen), sweeps=1)

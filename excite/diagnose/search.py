@@ -181,6 +181,26 @@ def relisted(one: Design, chosen: Sequence[int], joints: Collection[int | None])
     return _extended(one, kept)
 
 
+def rescaled(one: Design, factor: Array) -> Design:
+    """The same with torque over another scale: what it was, over a factor of each joint. Shape (n,)."""
+    first, second = (Half(h.gamma * w[:, None], h.torque * w, h.joint) for h in one.halves for w in (_weight(h, factor),))
+    weights = [factor[h.joint[h.rows]][:, None] for h in one.halves]
+
+    def build(shape: Shape) -> tuple[Array, Array] | None:
+        made = one.build(shape)
+        return None if made is None else (made[0] * weights[0], made[1] * weights[1])
+
+    pairs = [
+        (s, (one.columns[0][:, p] * weights[0], one.columns[1][:, p] * weights[1])) for s, p in zip(one.shapes, one.places, strict=True)
+    ]
+    return dataclasses.replace(_extended(_bare((first, second), _stacked((first, second)), build), pairs), listed=one.listed)
+
+
+def _weight(half: Half, factor: Array) -> Array:
+    """Of each row; what was known before has no scale. Shape (m + k,)."""
+    return np.where(half.rows, factor[half.joint], 1.0)
+
+
 def _key(shape: Shape) -> tuple[object, ...]:
     return shape.effect, shape.joint, shape.other, shape.interval, shape.source, tuple(sorted(shape.values.items()))
 

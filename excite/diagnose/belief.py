@@ -21,9 +21,9 @@ from .judge import Finding, Verdict, sizes
 from .search import Design
 
 Array = np.ndarray
-LEAVES, SPREAD = -3.6, 2.0
+LEAVES, SPREAD = -4.0, 2.0
 """Mean and standard deviation of the logarithm of the share that a right name leaves; `Effect.loose` adds to the mean."""
-RIGHT = 4.0
+RIGHT = 5.0
 """Odds that the name that predicts best is right, before what it leaves is seen."""
 BIAS, SLOPE = 0.0, 1.0
 """Of the logarithm of odds: what was right over what was said."""

@@ -41,8 +41,8 @@ AGAIN, COARSE = 2, 0.7
 MUCH = 0.15
 """RMSE over the torque itself from which what is left is something, where no period repeats to show the noise."""
 LOUD = 1.3
-"""RMSE over a right model's from which what is left is called something: the most in 19 simulated robots with nothing missing is 1.07, and
-1.22 where clocks waver."""
+"""RMSE over a right model's from which what is left is called something: the most in 19 simulated robots with nothing missing is 1.07,
+where clocks do not waver."""
 UNSAID = 0.1
 """Share of the excess over the noise that may stay unexplained beside a finding before it is called unknown."""
 
@@ -66,7 +66,8 @@ class Diagnosis:
     without the findings. ahead: positions simulated from held-out torque, by the base model and by it with the findings; None where no
     window is long enough. expected: RMSE that a right model would leave on the held-out recordings: noise, an encoder's steps, and what
     the base parameters are not known to. fitted: RMSE of the base model fitted to all recordings, alone and with what is asserted: no
-    base parameters take what that leaves. quiet: what it is of a right model. Shape (n,) each.
+    base parameters take what that leaves. quiet: what it is of a right model. wavering: share of the latter's mean square that a clock
+    might have made. Shape (n,) each.
     """
 
     identified: Identification
@@ -85,6 +86,7 @@ class Diagnosis:
     expected: Array = field(default_factory=lambda: np.zeros(0))
     fitted: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
     quiet: Array = field(default_factory=lambda: np.zeros(0))
+    wavering: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -105,7 +107,7 @@ class Diagnosis:
     def unknown(self) -> list[int]:
         """Joints where something repeatable is left that no name takes."""
         bare, named = self.fitted
-        loud = named > LOUD * self.quiet
+        loud = named * np.sqrt(1.0 - self.wavering) > LOUD * self.quiet
         if self.method != "periods":  # nothing repeats: the floor is a guess from below, and only much is worth a word
             torque = np.concatenate([one.torque for half in self.tracks for one in half])
             loud &= named > MUCH * np.sqrt(np.mean(torque**2, axis=0))
@@ -228,7 +230,8 @@ def _judged(
     expected = np.sqrt(quiet**2 + _reach(one, scale) ** 2)
     rms, left = (_rms(before), _rms(after)), (before, after)
     told = (identified, options, hertz, tracks, one, verdict, floor, noisy.method)
-    return Diagnosis(*told, *rms, left, refitted, expected=expected, fitted=fitted, quiet=quiet)
+    wavering = noise.wavering(search.remaining(one, verdict.named), [t for half in tracks for t in half])
+    return Diagnosis(*told, *rms, left, refitted, expected=expected, fitted=fitted, quiet=quiet, wavering=wavering)
 
 
 def _fitted(one: Design, shapes: Sequence[int], scale: Array) -> Array:

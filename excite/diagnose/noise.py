@@ -30,6 +30,8 @@ PARTS, MIDDLE, ODD, PASSES = 40, 0.6, 12.0, 4
 is asked."""
 SAMPLES = 4000
 """Rows of a recording that are looked at for a period."""
+CLOCKS = 0.9
+"""Of a residual's mean square, what is put down to a clock at the most."""
 EDGE = 32
 """Rows by which a signal is continued before it is shifted."""
 
@@ -98,17 +100,25 @@ def _steady(change: Array, track: Track, inside: Array) -> Array:
     for _ in range(PASSES):
         for j, columns in enumerate(groups):
             rest[:, j] = change[:, j] - columns @ np.linalg.lstsq(columns[usual], change[usual, j], rcond=1e-8)[0]
-        # what touches the robot touches several joints
-        usual = np.logical_and.reduce([_usual(square) for square in np.square(rest).T])
+        usual = _usual(np.square(rest))
     count = int(usual.sum())
     return np.asarray(np.mean(np.square(rest[usual]), axis=0) * count / max(count - 4, 1))
 
 
 def _usual(square: Array) -> Array:
-    """Rows without the stretches that stand out: what touched the robot in one period only is not noise. Shape (N,)."""
+    """Rows without the two longest runs of stretches loud on some joint: what touched the robot once is not noise. Shape (N, n) -> (N,).
+
+    A period differs from the one before and the one after. A clock that wavers is loud wherever the motion is fast, in short stretches, and
+    is noise.
+    """
     parts = np.array_split(square, max(1, min(PARTS, len(square) // 8)))
-    loud = np.array([part.mean() for part in parts])
-    return np.repeat(loud <= ODD * np.quantile(loud, MIDDLE), [len(part) for part in parts])
+    means = np.array([part.mean(axis=0) for part in parts])
+    loud = (means > ODD * np.quantile(means, MIDDLE, axis=0)).any(axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], loud.astype(int), [0]]))).reshape(-1, 2)
+    run = np.ones(len(parts), bool)
+    for start, end in sorted(edges.tolist(), key=lambda e: e[0] - e[1])[:2]:
+        run[start:end] = False
+    return np.repeat(run, [len(part) for part in parts])
 
 
 def _shifted(x: Array, by: float) -> Array:
@@ -161,6 +171,20 @@ def _refined(q: Array, rows: int, step: int) -> float:
         return float(near[i])
     a, b, c = apart[i - 1 : i + 2]
     return float(near[i] + 0.5 * (a - c) / max(a - 2.0 * b + c, 1e-300))
+
+
+def wavering(left: Array, tracks: Sequence[Track]) -> Array:
+    """Share of a residual's mean square that a clock that wavers might have made: what grows with the square of torque's slope.
+
+    Each row weighs less the steeper it is, so that a few do not say all. left: Shape (N, n), of all tracks. Shape (n,).
+    """
+    slope = np.concatenate([np.gradient(track.torque, axis=0) for track in tracks]) ** 2
+    slope /= np.maximum(slope.mean(axis=0), 1e-300)
+    out = np.zeros(left.shape[1])
+    for j, (x, y) in enumerate(zip(slope.T, np.square(left).T, strict=True)):
+        columns = np.column_stack([np.ones(len(x)), x]) / (1.0 + x)[:, None]
+        out[j] = np.linalg.lstsq(columns, y / (1.0 + x), rcond=None)[0][1] / max(y.mean(), 1e-300)
+    return np.clip(out, 0.0, CLOCKS)
 
 
 def stepped(model: Model, halves: Sequence[Sequence[Track]]) -> tuple[tuple[Array, Array], ...]:

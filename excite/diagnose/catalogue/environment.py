@@ -20,8 +20,8 @@ it is told at."""
 BEYOND = 0.3
 """How far before and after the loud interval a force of any course is told, over its length."""
 
-SHAKY = 16.0
-"""A clock that wavers shakes all joints at once, as a base does."""
+SHAKY, PATIENT = 16.0, 4.0
+"""A clock that wavers shakes all joints at once, as a base does, and most where motion is fast: for some of the time, as a contact does."""
 WAYS = ((0, 1), (3, 4), (5,), (3,), (4,))
 """Coordinates of a base that slides, rocks, turns about the vertical, or rocks about one axis."""
 PEDESTAL = 0.3
@@ -109,7 +109,7 @@ def _contact(tracks: Sequence[Track]) -> Iterator[Shape]:
                 span = low - wider * (high - low), high + wider * (high - low)
                 for joint in range(tracks[0].n):
                     fixed, where = {"swells": swells, "knots": knots}, track.piece.source
-                    yield Shape("contact", joint, _pushed, fixed, None, span, where, _largest, several=True)
+                    yield Shape("contact", joint, _pushed, fixed, None, span, where, _largest, several=True, doubt=PATIENT)
 
 
 def _intervals(time: Array, loud: Array) -> list[tuple[float, float]]:
@@ -145,6 +145,5 @@ EFFECTS = (
         (),
         "the same motion without anything near the robot",
         form={"force": 0.1},
-        loose=1.0,
     ),
 )

@@ -27,6 +27,10 @@ def _fastest(tracks: Sequence[Track], joint: int) -> float:
     return max(float(np.abs(track.fine.dq[:, joint]).max()) for track in tracks)
 
 
+COLDEST = 3.0
+"""Times its mean, what friction at the start may have more: a joint that is cold, not one that has yet to slide."""
+
+
 def _stickiest(tracks: Sequence[Track], joint: int) -> float:
     largest = max(float(np.abs(track.torque[:, joint]).max()) for track in tracks)
     return STICKIEST * max(float(tracks[0].body.drive("coulomb")[joint]), LEAST_STUCK * largest, 1e-9)
@@ -188,8 +192,8 @@ def _thermal(tracks: Sequence[Track]) -> Iterator[Shape]:
             reached = 1.0 - np.exp(-length / constant)
             mean = 1.0 - reached * constant / length
             told = named("change", time_constant=constant)
-            # friction never falls below nothing, and what the base fit has of it is the mean
-            gate = within(-1.0 / (reached - mean), 5.0 / reached)
+            # what the base fit has of friction is the mean: it never falls below nothing, nor does it begin many times as high
+            gate = within(max(-1.0 / (reached - mean), -COLDEST / mean), 5.0 / reached)
             return Shape("thermal_drift", j, _warmed, fixed, parameters=told, plausible=gate)
 
         return shape

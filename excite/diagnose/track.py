@@ -151,6 +151,11 @@ class Track:
         return out
 
     @functools.cached_property
+    def leaning(self) -> Array:
+        """Torque of a base turned by a radian about x, y, z, to first order: it sees gravity turned back, δg = g × φ. Shape (C, n, 3)."""
+        return np.asarray(-self.gravity @ pin.skew(self.body.model.gravity.linear))
+
+    @functools.cached_property
     def reaction(self) -> Array:
         """Force and moment of the rigid robot on its base, base frame, at the coarse samples. Shape (C, 6)."""
         robot, model, s = self.body.robot, self.body.model, self.coarse

@@ -42,14 +42,10 @@ def _swung(t: Track, s: Shape) -> Array:
         place, speed = oscillator(force, inertia, stiffness, s.values["damping"], dt)
         damping = 2.0 * s.values["damping"] * np.sqrt(stiffness * inertia)
         hastened = ((force - stiffness * place - damping * speed) / inertia)[:, None]
-        columns.append(t.shaken[:, :, axis] * hastened + _leant(t, axis) * place[:, None])
+        columns.append(t.shaken[:, :, axis] * hastened)
+        if axis >= 3:
+            columns[-1] += t.leaning[:, :, axis - 3] * place[:, None]
     return t.reduce(np.stack(columns, axis=2), Grid.COARSE)
-
-
-def _leant(t: Track, axis: int) -> Array:
-    """Torque of a base turned by one radian about an axis, to first order: gravity turns back, by g × φ. Shape (C, n)."""
-    turned = np.eye(6)[axis, 3:]
-    return np.asarray(-t.gravity @ np.cross(t.body.model.gravity.linear, turned))
 
 
 def _compliance(tracks: Sequence[Track]) -> Iterator[Shape]:

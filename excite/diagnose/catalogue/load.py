@@ -52,10 +52,7 @@ def _payload(tracks: Sequence[Track]) -> Iterator[Shape]:
 
 
 def _leaning(t: Track, s: Shape) -> Array:
-    # a base turned by roll about x and pitch about y sees gravity turned back: δg = g × ω
-    down = float(np.linalg.norm(t.body.model.gravity.linear))
-    columns = np.stack([down * t.gravity[:, :, 1], -down * t.gravity[:, :, 0]], axis=2)
-    return t.reduce(columns, Grid.COARSE)
+    return t.reduce(t.leaning[:, :, :2], Grid.COARSE)
 
 
 def _tilt(tracks: Sequence[Track]) -> Iterator[Shape]:

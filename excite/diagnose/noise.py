@@ -102,7 +102,7 @@ def _steady(change: Array, track: Track, inside: Array) -> Array:
             rest[:, j] = change[:, j] - columns @ np.linalg.lstsq(columns[usual], change[usual, j], rcond=1e-8)[0]
         usual = _usual(np.square(rest))
     count = int(usual.sum())
-    return np.asarray(np.mean(np.square(rest[usual]), axis=0) * count / max(count - 4, 1))
+    return np.asarray(np.mean(np.square(rest[usual]), axis=0) * count / max(count - groups[0].shape[1], 1))
 
 
 def _usual(square: Array) -> Array:
@@ -115,10 +115,10 @@ def _usual(square: Array) -> Array:
     means = np.array([part.mean(axis=0) for part in parts])
     loud = (means > ODD * np.quantile(means, MIDDLE, axis=0)).any(axis=1)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], loud.astype(int), [0]]))).reshape(-1, 2)
-    run = np.ones(len(parts), bool)
+    kept = np.ones(len(parts), bool)
     for start, end in sorted(edges.tolist(), key=lambda e: e[0] - e[1])[:2]:
-        run[start:end] = False
-    return np.repeat(run, [len(part) for part in parts])
+        kept[start:end] = False
+    return np.repeat(kept, [len(part) for part in parts])
 
 
 def _shifted(x: Array, by: float) -> Array:

@@ -13,6 +13,8 @@ Array = np.ndarray
 STICKIEST, LEAST_STUCK = 5.0, 0.05
 """Times Coulomb friction that friction at rest or before it slides can be. The base fit takes some of it for its own, and beside other
 effects perhaps all: Coulomb friction is taken to be this share of the joint's largest torque, at the least."""
+COLDEST = 3.0
+"""Times its mean, what friction at the start may have more: a joint that is cold, not one that has yet to slide."""
 
 
 def _sign(track: Track, joint: int) -> Array:
@@ -27,11 +29,8 @@ def _fastest(tracks: Sequence[Track], joint: int) -> float:
     return max(float(np.abs(track.fine.dq[:, joint]).max()) for track in tracks)
 
 
-COLDEST = 3.0
-"""Times its mean, what friction at the start may have more: a joint that is cold, not one that has yet to slide."""
-
-
 def _stickiest(tracks: Sequence[Track], joint: int) -> float:
+    """What friction before it slides can be, at the most [N m]."""
     largest = max(float(np.abs(track.torque[:, joint]).max()) for track in tracks)
     return STICKIEST * max(float(tracks[0].body.drive("coulomb")[joint]), LEAST_STUCK * largest, 1e-9)
 

@@ -43,7 +43,11 @@ def findings(folder: Path, analyst: str) -> list[tuple[dict[str, Any], dict[str,
 
 
 def right(one: dict[str, Any], case: dict[str, Any]) -> bool:
-    return any(equal(name, effect["effect"]) for name in (one["effect"], *one["equivalents"]) for effect in case["effects"])
+    return any(hidden(name, case) for name in (one["effect"], *one["equivalents"]))
+
+
+def hidden(name: str, case: dict[str, Any]) -> bool:
+    return any(equal(name, effect["effect"]) for effect in case["effects"])
 
 
 def weights(stated: list[tuple[dict[str, Any], dict[str, Any]]]) -> tuple[float, float]:
@@ -61,8 +65,8 @@ def weights(stated: list[tuple[dict[str, Any], dict[str, Any]]]) -> tuple[float,
 
 def leaves(stated: list[tuple[dict[str, Any], dict[str, Any]]]) -> tuple[float, float]:
     """Mean and standard deviation of the logarithm of the share that rightly named laws leave, those of a loose law by its own measure."""
-    names = [(one, any(equal(one["effect"], effect["effect"]) for effect in case["effects"])) for one, case in stated]
-    left = np.array([np.log(one["evidence"]["left"]) - BY_NAME[one["effect"]].loose for one, good in names if good])
+    named = [one for one, case in stated if hidden(one["effect"], case)]
+    left = np.array([np.log(one["evidence"]["left"]) - BY_NAME[one["effect"]].loose for one in named])
     return round(float(left.mean()), 2), round(float(left.std()), 2)
 
 

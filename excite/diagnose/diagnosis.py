@@ -225,12 +225,13 @@ def _judged(
     floor = noisy.floor
     verdict = belief.weighed(one, verdict, (floor / scale) ** 2)
     before, after = _held_out(one, verdict, scale)
-    fitted = _fitted(one, (), scale), _fitted(one, verdict.named, scale)
+    rest = search.remaining(one, verdict.named)
+    fitted = _fitted(one, (), scale), _rms(rest) * scale
     quiet = np.sqrt(floor**2 + 2.0 * noisy.steps**2)
     expected = np.sqrt(quiet**2 + _reach(one, scale) ** 2)
     rms, left = (_rms(before), _rms(after)), (before, after)
     told = (identified, options, hertz, tracks, one, verdict, floor, noisy.method)
-    wavering = noise.wavering(search.remaining(one, verdict.named), [t for half in tracks for t in half])
+    wavering = noise.wavering(rest, [t for half in tracks for t in half])
     return Diagnosis(*told, *rms, left, refitted, expected=expected, fitted=fitted, quiet=quiet, wavering=wavering)
 
 

@@ -181,16 +181,16 @@ def _searched(one: Design, chosen: list[int]) -> tuple[Design, list[int]]:
 
 def _further(one: Design, chosen: Sequence[int]) -> int | None:
     """What predicts best beside those chosen, if it is worth it."""
-    return next((h.shape for h in singles(one, tuple(chosen)) if h.shows and _earns(one, h.shape, chosen)), None)
+    now = trial(one, chosen).gain
+    ranked = singles(one, tuple(chosen))
+    return next((h.shape for h in ranked if h.shows and _earns(one, h.shape, chosen, h.trial.gain - now, now)), None)
 
 
-def _earns(one: Design, shape: int, others: Sequence[int]) -> bool:
-    """Whether a shape adds enough to others: a share of their gain, lest it mend their form, or most of what they leave.
+def _earns(one: Design, shape: int, others: Sequence[int], adds: float, rest: float) -> bool:
+    """Whether a shape adds enough to the gain of others, `rest`: a share of it, lest it mend their form, or most of what they leave.
 
     A name that is there already earns one more shape sooner, and not by what is left.
     """
-    rest = trial(one, others).gain
-    adds = trial(one, [*others, shape]).gain - rest
     own = (one.shapes[shape].effect, one.shapes[shape].joint)
     there = any((one.shapes[i].effect, one.shapes[i].joint) == own for i in others)
     if adds < one.bar(shape):
@@ -214,9 +214,9 @@ def _replaced(one: Design, chosen: list[int]) -> list[int]:
             others = [k for k in chosen if k != i]
             if not others:
                 continue
-            now = trial(one, chosen).gain
+            rest, now = trial(one, others).gain, trial(one, chosen).gain
             best = singles(one, tuple(others))[:1]
-            if not _earns(one, i, others):
+            if not _earns(one, i, others, now - rest, rest):
                 chosen = others
             elif best and best[0].trial.gain > now + 1e-9 and best[0].shows:
                 chosen = [*others, best[0].shape]

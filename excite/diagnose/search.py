@@ -173,6 +173,8 @@ def design(halves: tuple[Half, Half], shapes: Sequence[Shape], build: Build) -> 
 
 def relisted(one: Design, chosen: Sequence[int], joints: Collection[int | None]) -> Design:
     """The design with the shapes at some joints that predict best beside those chosen: behind others a shape alone was not the best."""
+    if not joints:
+        return one
     there, small = {_key(shape) for shape in one.shapes}, _only(one, chosen)
     spare = [shape for shape in one.listed if shape.joint in joints and _key(shape) not in there]
     kept = list[tuple[Shape, tuple[Array, Array]]]()
@@ -183,22 +185,20 @@ def relisted(one: Design, chosen: Sequence[int], joints: Collection[int | None])
 
 def rescaled(one: Design, factor: Array) -> Design:
     """The same with torque over another scale: what it was, over a factor of each joint. Shape (n,)."""
-    first, second = (Half(h.gamma * w[:, None], h.torque * w, h.joint) for h in one.halves for w in (_weight(h, factor),))
-    weights = [factor[h.joint[h.rows]][:, None] for h in one.halves]
+    weights = [np.where(h.rows, factor[h.joint], 1.0) for h in one.halves]  # what was known before has no scale
+    first, second = (Half(h.gamma * w[:, None], h.torque * w, h.joint) for h, w in zip(one.halves, weights, strict=True))
+
+    def weighed(columns: tuple[Array, Array]) -> tuple[Array, Array]:
+        own = [w[h.rows, None] * part for h, w, part in zip(one.halves, weights, columns, strict=True)]
+        return own[0], own[1]
 
     def build(shape: Shape) -> tuple[Array, Array] | None:
         made = one.build(shape)
-        return None if made is None else (made[0] * weights[0], made[1] * weights[1])
+        return None if made is None else weighed(made)
 
-    pairs = [
-        (s, (one.columns[0][:, p] * weights[0], one.columns[1][:, p] * weights[1])) for s, p in zip(one.shapes, one.places, strict=True)
-    ]
+    columns = weighed(one.columns)
+    pairs = [(shape, (columns[0][:, place], columns[1][:, place])) for shape, place in zip(one.shapes, one.places, strict=True)]
     return dataclasses.replace(_extended(_bare((first, second), _stacked((first, second)), build), pairs), listed=one.listed)
-
-
-def _weight(half: Half, factor: Array) -> Array:
-    """Of each row; what was known before has no scale. Shape (m + k,)."""
-    return np.where(half.rows, factor[half.joint], 1.0)
 
 
 def _key(shape: Shape) -> tuple[object, ...]:

@@ -11,6 +11,8 @@ import pytest
 from contract import EFFECT_NAMES
 from made import WIDTH, motion, perturbed, recorded, two_links, written
 from scipy import signal
+from scipy.integrate import cumulative_trapezoid
+from scipy.interpolate import CubicSpline
 
 from excite import cli
 from excite.diagnose import diagnosis, interval
@@ -20,6 +22,7 @@ from excite.diagnose.document import document
 from excite.errors import UnusableInput
 from excite.identify.equations import Model
 from excite.recordings import Recording
+from excite.trajectory import Fourier, Samples
 
 Array = np.ndarray
 Plant = Callable[[Array, Array, Array, Array], Array]  # t, q, dq, tau -> torque added to the recording
@@ -91,6 +94,35 @@ def test_nothing_planted_nothing_found(subject):
     result = found(subject, None)
     assert result.name == "no-mismatch" and not result.verdict.chosen and not result.unknown
     assert np.allclose(result.after, result.floor, rtol=0.25)
+
+
+class Paused(Fourier):
+    """A motion that slows to a stop for a second, twice a period."""
+
+    def samples(self, t: Array) -> Samples:
+        pace = np.linspace(0.0, self.period, 20001)
+        speed = np.clip(np.abs(np.sin(2.0 * np.pi * pace / self.period)) - 0.2, 0.0, None)
+        speed *= self.period / np.trapezoid(speed, pace)
+        clock = CubicSpline(pace, cumulative_trapezoid(speed, pace, initial=0.0))
+        turns, within = np.divmod(t, self.period)
+        s, rate, change = clock(within) + turns * self.period, clock(within, 1)[:, None], clock(within, 2)[:, None]
+        along = super().samples(s)
+        return Samples(along.q, along.dq * rate, along.ddq * rate**2 + along.dq * change)
+
+
+def test_what_holds_a_joint_at_rest_is_no_mismatch(subject):
+    psi, pair = perturbed(subject.parameters, np.random.default_rng(4)), []
+    for seed in (2, 5):
+        plain = motion(2, seed)
+        paused = Paused(plain.sine, plain.cosine, plain.offset, 2.0 * plain.period)
+        one = recorded(subject, psi, paused, 1.3, 0.1)
+        s = paused.samples(one.t)
+        still = np.abs(s.dq) < 1e-3
+        assert still[:, 0].mean() > 0.1
+        pair.append(dataclasses.replace(one, tau=one.torque + 4.0 * still, source=f"{seed}.csv"))  # what sticks pushes back
+    result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [pair[0]], [pair[1]])
+    assert not result.verdict.chosen and not result.unknown
+    assert np.all(result.moves.mean(axis=0) < 0.9) and np.all(result.after < 1.3 * 0.1)
 
 
 def test_parameters_come_with_intervals_that_hold_the_truth(subject):

@@ -28,8 +28,7 @@ def diagnosed(folder: str, train: tuple[str, ...], held_out: str, prior: str | N
 
 
 def relative(found: Diagnosis) -> np.ndarray:
-    torque = np.concatenate([one.torque for one in found.tracks[1]])
-    return np.asarray(found.after / np.sqrt(np.mean(torque**2, axis=0)))
+    return np.asarray(found.after / found.torque)
 
 
 def values(found: Diagnosis, effect: str, joint: int | None) -> dict[str, float]:
@@ -57,8 +56,8 @@ def test_kuka_carries_a_load_and_has_a_spring():
     found = diagnosed("kuka_kr300", ("traj_A", "traj_B"), "traj_C", prior="prior.json")
     names = {(h.effect, h.joint) for h in found.verdict.chosen}
     assert ("payload", 5) in names and ("spring", 1) in names
-    assert values(found, "payload", 5)["mass"] == pytest.approx(150.0, rel=0.25)
-    assert relative(found)[1] < 0.2
+    assert values(found, "payload", 5)["mass"] == pytest.approx(150.0, rel=0.1)
+    assert relative(found)[1] <= 0.05
 
 
 @pytest.mark.filterwarnings(f"ignore::{ExciteWarning.__module__}.{ExciteWarning.__name__}")

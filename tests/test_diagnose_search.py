@@ -34,13 +34,18 @@ def nothing(track: Track, shape: Shape) -> Array:
     raise AssertionError("not asked for")
 
 
+def halved(gamma: Array, torque: Array, known: tuple[Array, Array], scale: float = 1.0) -> search.Half:
+    """Of a robot with one joint, which never rests."""
+    return search.half([gamma[:, None, :]], [torque], [np.ones(torque.shape, bool)], np.full(1, scale), known)
+
+
 def test_the_gain_is_the_quotient_of_marginal_likelihoods():
     rng = np.random.default_rng(0)
     rows, p, k = (40, 30), 3, 2
     gammas, columns = [rng.normal(size=(m, p)) for m in rows], [rng.normal(size=(m, k)) for m in rows]
     torques = [g @ [1.0, -2.0, 0.5] + c @ [0.4, 0.1] + rng.normal(size=len(g)) for g, c in zip(gammas, columns, strict=True)]
     known = (1e-2 * np.eye(p), np.zeros(p))  # a proper prior, so that densities exist
-    first, second = (search.half([g[:, None, :]], [t[:, None]], np.ones(1), known) for g, t in zip(gammas, torques, strict=True))
+    first, second = (halved(g, t[:, None], known) for g, t in zip(gammas, torques, strict=True))
     one = search.design((first, second), [Shape("drag", 0, nothing)], lambda _: (columns[0], columns[1]))
     gain = search.trial(one, [0]).gain
 
@@ -63,7 +68,7 @@ def test_another_residual_is_judged_as_if_it_had_been_measured():
     known = (np.eye(3), np.zeros(3))
 
     def designed(own: list[Array]) -> search.Design:
-        first, second = (search.half([g[:, None, :]], [t], np.ones(1), known) for g, t in zip(gammas, own, strict=True))
+        first, second = (halved(g, t, known) for g, t in zip(gammas, own, strict=True))
         return search.design((first, second), [Shape("drag", 0, nothing)], lambda _: (columns[0], columns[1]))
 
     others = [columns[0][:, :1] - gammas[0][:, :1], rng.normal(size=(30, 1))]
@@ -80,9 +85,7 @@ def test_what_remains_is_what_least_squares_leaves():
     rng = np.random.default_rng(5)
     gammas, columns = ([rng.normal(size=(m, k)) for m in (60, 40)] for k in (3, 1))
     torques = [rng.normal(size=(len(g), 1)) + 50.0 * c for g, c in zip(gammas, columns, strict=True)]
-    first, second = (
-        search.half([g[:, None, :]], [t], np.ones(1), (np.zeros((0, 3)), np.zeros(0))) for g, t in zip(gammas, torques, strict=True)
-    )
+    first, second = (halved(g, t, (np.zeros((0, 3)), np.zeros(0))) for g, t in zip(gammas, torques, strict=True))
     one = search.design((first, second), [Shape("drag", 0, nothing)], lambda _: (columns[0], columns[1]))
     y = np.concatenate(torques)
     for chosen, wide in (((), gammas), ((0,), [np.hstack(pair) for pair in zip(gammas, columns, strict=True)])):
@@ -103,7 +106,7 @@ def test_an_encoders_steps_raise_the_bar_for_what_they_look_like_alone(subject):
 def test_a_grid_is_left_for_the_value_between_its_neighbours():
     rng = np.random.default_rng(1)
     x = np.linspace(0.0, 1.0, 400)
-    halves = [search.half([np.ones((400, 1, 1))], [5.0 * x[:, None] ** 1.7 + 0.1 * rng.normal(size=(400, 1))], np.full(1, 0.1), EMPTY)] * 2
+    halves = [halved(np.ones((400, 1)), 5.0 * x[:, None] ** 1.7 + 0.1 * rng.normal(size=(400, 1)), EMPTY, 0.1)] * 2
 
     def build(shape: Shape) -> tuple[Array, Array]:
         column = x[:, None] ** shape.values["power"] / 0.1
@@ -307,3 +310,19 @@ def test_equivalents_are_the_names_within_reach_of_a_wrong_form():
     finding = judge.Finding((main,), 100.0, {"drag": 99.0, "spring": 80.0, "stribeck": 20.0})
     assert tuple(belief.alike(finding, 0.1)) == ("drag", "spring")
     assert tuple(belief.alike(finding, 0.002)) == ("drag",)
+
+
+def test_rows_that_do_not_count_change_nothing():
+    rng = np.random.default_rng(7)
+    gamma, column, torque = rng.normal(size=(60, 3)), rng.normal(size=(60, 1)), rng.normal(size=(60, 1))
+    counts = np.arange(60) % 4 > 0
+
+    def designed(g: Array, c: Array, t: Array, seen: Array) -> search.Design:
+        half = search.half([g[:, None, :]], [t], [seen[:, None]], np.ones(1), (np.zeros((0, 3)), np.zeros(0)))
+        return search.design((half, half), [Shape("drag", 0, nothing)], lambda _: (c * seen[:, None], c * seen[:, None]))
+
+    part = designed(gamma, column, torque + 9.0 * ~counts[:, None], counts)
+    short = designed(gamma[counts], column[counts], torque[counts], counts[counts])
+    np.testing.assert_allclose(search.level(part, [0]), search.level(short, [0]), rtol=1e-3)  # the prior's width is of all rows
+    np.testing.assert_allclose(search.level(part, []), search.level(short, []))
+    assert search.level(part, []) < 0.5 * np.mean((torque + 9.0 * ~counts[:, None]) ** 2)

@@ -78,7 +78,7 @@ def alike(finding: Finding, x: float) -> dict[str, float]:
 
 def _excess(one: Design, shapes: Sequence[int], noise: Array, joints: Array) -> float:
     """Mean square beyond noise, over the noise, that base and shapes leave of all recordings at some joints, added."""
-    square = np.mean(np.square(search.remaining(one, shapes)), axis=0) / noise - 1.0
+    square = search.level(one, shapes) / noise - 1.0
     return float(max(square[joints].sum(), UNSURE))
 
 

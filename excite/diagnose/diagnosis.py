@@ -94,6 +94,17 @@ class Diagnosis:
         return whole.parts(self.design, self.verdict.together)
 
     @property
+    def moves(self) -> Array:
+        """Where the held-out torque is judged. Shape (N, n)."""
+        return np.concatenate([one.moves for one in self.tracks[1]])
+
+    @property
+    def torque(self) -> Array:
+        """RMS of the held-out torque there. Shape (n,) [N m]."""
+        moves, torque = self.moves, np.concatenate([one.torque for one in self.tracks[1]])
+        return np.asarray(np.sqrt(np.sum((torque * moves) ** 2, axis=0) / moves.sum(axis=0)))
+
+    @property
     def systematic(self) -> Array:
         """1 − (floor/before)² per joint."""
         return np.maximum(1.0 - (self.floor / np.maximum(self.before, 1e-300)) ** 2, 0.0)
@@ -225,19 +236,19 @@ def _judged(
     floor = noisy.floor
     verdict = belief.weighed(one, verdict, (floor / scale) ** 2)
     before, after = _held_out(one, verdict, scale)
-    rest = search.remaining(one, verdict.named)
-    fitted = _fitted(one, (), scale), _rms(rest) * scale
+    fitted = _fitted(one, (), scale), _fitted(one, verdict.named, scale)
     quiet = np.sqrt(floor**2 + 2.0 * noisy.steps**2)
+    moves = one.halves[1].counts[one.halves[1].rows].reshape(before.shape)
     expected = np.sqrt(quiet**2 + _reach(one, scale) ** 2)
-    rms, left = (_rms(before), _rms(after)), (before, after)
+    rms = [np.sqrt(np.sum(r**2, axis=0) / moves.sum(axis=0)) for r in (before, after)]
     told = (identified, options, hertz, tracks, one, verdict, floor, noisy.method)
-    wavering = noise.wavering(rest, [t for half in tracks for t in half])
-    return Diagnosis(*told, *rms, left, refitted, expected=expected, fitted=fitted, quiet=quiet, wavering=wavering)
+    wavering = noise.wavering(search.remaining(one, verdict.named), [t for half in tracks for t in half])
+    return Diagnosis(*told, rms[0], rms[1], (before, after), refitted, expected=expected, fitted=fitted, quiet=quiet, wavering=wavering)
 
 
 def _fitted(one: Design, shapes: Sequence[int], scale: Array) -> Array:
     """RMS of what is left of all recordings when base and shapes are fitted to them. Shape (n,) [N m]."""
-    return _rms(search.remaining(one, shapes)) * scale
+    return np.asarray(np.sqrt(search.level(one, shapes)) * scale)
 
 
 def _ahead(fitted: Identification, recordings: Sequence[Recording], hertz: float) -> SimulationError | None:
@@ -299,7 +310,7 @@ def _half(tracks: list[Track], identified: Identification, options: Options, sca
         slopes[:, range(one.n), range(one.n)] = one.slopes
         columns.append(np.concatenate([one.gamma[:, :, places], slopes], axis=2))
         torque.append(one.torque - one.gamma @ one.theta if options.trusted else one.torque)
-    return search.half(columns, torque, scale, _known(identified, options, columns[0].shape[2]))
+    return search.half(columns, torque, [one.moves for one in tracks], scale, _known(identified, options, columns[0].shape[2]))
 
 
 def _known(identified: Identification, options: Options, width: int) -> tuple[Array, Array]:
@@ -328,7 +339,7 @@ def _builder(halves: Sequence[list[Track]], scale: Array) -> search.Build:
     def build(shape: Shape) -> tuple[Array, Array] | None:
         both = []
         for own in halves:
-            stacked = np.concatenate([shape.columns(one) / scale[:, None] for one in own])
+            stacked = np.concatenate([shape.columns(one) * one.moves[:, :, None] / scale[:, None] for one in own])
             both.append(stacked.reshape(-1, stacked.shape[2]))
         if not all(np.isfinite(x).all() for x in both) or not any(np.abs(x).max(initial=0.0) > 1e-9 for x in both):
             return None
@@ -362,7 +373,3 @@ def _reach(one: Design, scale: Array) -> Array:
 def _left(before: Array, after: Array, floor: Array) -> Array:
     """Of the mean square beyond the noise, what remains. Shape (n,)."""
     return np.asarray(np.maximum(after**2 - floor**2, 0.0) / np.maximum(before**2 - floor**2, 0.1 * floor**2))
-
-
-def _rms(x: Array) -> Array:
-    return np.sqrt(np.mean(x**2, axis=0))

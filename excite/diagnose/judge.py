@@ -202,7 +202,7 @@ def _takes(one: Design, shape: int, others: Sequence[int]) -> float:
     """Of the mean square that others leave at the joint where a shape is largest, noise and all, what it explains."""
     both = (*others, shape)
     joint = int(np.argmax(sizes(one, trial(one, both), len(others))))
-    before, after = (float(np.mean(search.remaining(one, shapes)[:, joint] ** 2)) for shapes in (others, both))
+    before, after = (float(search.level(one, shapes)[joint]) for shapes in (others, both))
     return 1.0 - after / before
 
 

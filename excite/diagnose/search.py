@@ -46,12 +46,14 @@ def inverse(columns: Array) -> Array:
 class Half:
     """Whitened equations of some recordings, and below them what was known before. gamma: base columns. Shape (m + k, p).
 
-    torque: Shape (m + k,). joint: of each row, −1 of the k rows that no recording made. Shape (m + k,).
+    torque: Shape (m + k,). joint: of each row, −1 of the k rows that no recording made. Shape (m + k,). counts: rows that are judged by;
+    all else is zero in the others. Shape (m + k,).
     """
 
     gamma: Array
     torque: Array
     joint: Array
+    counts: Array
 
     @property
     def rows(self) -> Array:
@@ -80,24 +82,26 @@ class Half:
         return np.asarray(self.torque - self.gamma @ (self.inverse @ self.torque))
 
 
-def half(base: Sequence[Array], torque: Sequence[Array], scale: Array, known: tuple[Array, Array]) -> Half:
-    """Rows of several stretches over a scale. base: base columns of each, (N, n, p); torque: what they explain, (N, n).
+def half(base: Sequence[Array], torque: Sequence[Array], counts: Sequence[Array], scale: Array, known: tuple[Array, Array]) -> Half:
+    """Rows of several stretches over a scale. base: base columns of each, (N, n, p); torque: what they explain, (N, n); counts: see `Half`.
 
     known: further rows and their right side, already over their uncertainty. Shapes (k, p), (k,).
     """
     n = len(scale)
     gamma = np.concatenate([b / scale[:, None] for b in base]).reshape(-1, base[0].shape[2])
     left = np.concatenate([t / scale for t in torque]).ravel()
+    seen = np.concatenate([c.ravel() for c in counts])
     joint = np.concatenate([np.tile(np.arange(n), len(left) // n), np.full(len(known[1]), -1)])
-    return Half(np.vstack([gamma, known[0]]), np.concatenate([left, known[1]]), joint)
+    every = np.concatenate([seen, np.ones(len(known[1]), bool)])
+    return Half(np.vstack([gamma * seen[:, None], known[0]]), np.concatenate([left * seen, known[1]]), joint, every)
 
 
 def _stacked(halves: tuple[Half, Half]) -> Half:
     """Both halves, what was known before counted once."""
     first, second = halves
     seen = second.rows
-    parts = [(first.gamma, second.gamma[seen]), (first.torque, second.torque[seen]), (first.joint, second.joint[seen])]
-    return Half(*(np.concatenate(part) for part in parts))
+    fields = ("gamma", "torque", "joint", "counts")
+    return Half(*(np.concatenate([getattr(first, name), getattr(second, name)[seen]]) for name in fields))
 
 
 @dataclass(frozen=True)
@@ -186,7 +190,9 @@ def relisted(one: Design, chosen: Sequence[int], joints: Collection[int | None])
 def rescaled(one: Design, factor: Array) -> Design:
     """The same with torque over another scale: what it was, over a factor of each joint. Shape (n,)."""
     weights = [np.where(h.rows, factor[h.joint], 1.0) for h in one.halves]  # what was known before has no scale
-    first, second = (Half(h.gamma * w[:, None], h.torque * w, h.joint) for h, w in zip(one.halves, weights, strict=True))
+    first, second = (
+        dataclasses.replace(h, gamma=h.gamma * w[:, None], torque=h.torque * w) for h, w in zip(one.halves, weights, strict=True)
+    )
 
     def weighed(columns: tuple[Array, Array]) -> tuple[Array, Array]:
         own = [w[h.rows, None] * part for h, w, part in zip(one.halves, weights, columns, strict=True)]
@@ -331,6 +337,12 @@ def remaining(one: Design, chosen: Sequence[int]) -> Array:
     columns = np.concatenate([part[:, which] for part in one.columns])
     left = one.both.left - one.both.free(columns) @ trial(one, chosen).coefficients
     return np.asarray(left[one.both.rows].reshape(-1, int(one.both.joint.max()) + 1))
+
+
+def level(one: Design, chosen: Sequence[int]) -> Array:
+    """Mean square of what remains on each joint, of the rows that count. Shape (n,)."""
+    counts = one.both.counts[one.both.rows].reshape(-1, int(one.both.joint.max()) + 1)
+    return np.asarray(np.sum(np.square(remaining(one, chosen)), axis=0) / counts.sum(axis=0))
 
 
 def refined(one: Design, chosen: Sequence[int], sweeps: int = 2) -> tuple[Design, list[int]]:

@@ -17,6 +17,11 @@ from ..robot import Robot
 from ..trajectory import Samples
 
 Array = np.ndarray
+STILL, REST, LOOSE = 0.01, 0.2, 0.02
+"""Of a joint's largest speed, below which it stands; for how long until that is rest [s]; and of its range, by how much it must have moved
+since: until then friction is whatever held it."""
+MOVING = 0.3
+"""Of its time, what a joint must move at the least, lest it be judged where it stands too: there is little else."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +81,16 @@ class Track:
         position = self.band.transformed(self.piece.q)
         speed = friction_speed(self.piece.q, self.band, position)
         return Samples(position.low(Grid.RECORDED, 0, WIDER), speed, position.low(Grid.RECORDED, 2, WIDER))
+
+    @functools.cached_property
+    def moves(self) -> Array:
+        """Kept rows at which a joint moves, friction known but for its law: at rest it can be anything that sticks. Shape (N, n)."""
+        rows = np.rint((self.time - self.piece.start) * self.piece.rate).astype(int)
+        out = np.empty((len(self), self.n), bool)
+        for j in range(self.n):
+            moving = _moving(self.fine.q[:, j], self.fine.dq[:, j], self.piece.rate)[rows]
+            out[:, j] = moving if moving.mean() > MOVING else True
+        return out
 
     @functools.cached_property
     def coarse(self) -> Samples:
@@ -208,6 +223,18 @@ class Track:
             centres[t] = [data.oMi[joint].act(model.inertias[joint].lever) for joint in held]
         turning = np.cross(jacobians[:, None, 3:], centres[:, :, :, None], axisa=2, axisb=2, axisc=2)
         return np.asarray((jacobians[:, None, :3] + turning) * carried[:, None] @ robot.spread)
+
+
+def _moving(q: Array, dq: Array, rate: float) -> Array:
+    """Samples at which a joint moves: not at rest, nor within a little of where it rested. Shapes (M,)."""
+    out, far = np.ones(len(q), bool), LOOSE * float(np.ptp(q))
+    still = np.abs(dq) < STILL * np.abs(dq).max()
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]]))).reshape(-1, 2)
+    for start, end in edges.tolist():
+        if end - start > REST * rate:
+            away = np.abs(q[end:] - q[end - 1]) > far
+            out[start : end + int(np.argmax(away)) if away.any() else len(q)] = False
+    return out
 
 
 def tracks(model: Model, fitted: Body, theta: Array, pieces: Sequence[Piece], hertz: float) -> list[Track]:

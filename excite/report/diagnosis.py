@@ -60,8 +60,7 @@ def diagnosis_page(found: Diagnosis, stated: Stated, recordings: Sequence[Record
 def _head(found: Diagnosis, stated: Stated) -> str:
     text, tone = _VERDICTS[stated["verdict"]]
     ratio = found.after / found.floor
-    torque = np.sqrt(np.mean(np.concatenate([t.torque for t in found.tracks[1]]) ** 2, axis=0))
-    relative = [float(np.max(x / np.maximum(torque, 1e-300))) for x in (found.before, found.after)]
+    relative = [float(np.max(x / np.maximum(found.torque, 1e-300))) for x in (found.before, found.after)]
     change = f"{percent(relative[0])} → {percent(relative[1])}" if stated["findings"] else percent(relative[0])
     entries = [
         (stated["verdict"], "verdict"),
@@ -264,6 +263,8 @@ def _better(found: Diagnosis, stated: Stated) -> Section:
         body += folded(plural(len(parts) - 2, "more recording"), "".join(parts[2:]))
     note = f"Torque below {number(stated['band_hz'], 3)} Hz, the same filter on both sides; base model and findings fitted to the other "
     note += "recordings. "
+    if not found.moves.all():
+        note += "Where a joint stands still nothing is predicted or judged: static friction is whatever holds it. "
     if any(one.time[-1] - one.time[0] > EXCERPT for one in shown):
         note += f"Of recordings longer than {EXCERPT:g} s the stretch around the largest error is drawn; the table is of all of it."
     return Section("better", question, answer, body + paragraph(note.strip(), "note"), tone)

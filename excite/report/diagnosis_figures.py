@@ -61,7 +61,8 @@ def predictions(found: Diagnosis) -> Iterator[Prediction]:
         own = list(group)
         time = np.concatenate([track.time for track, _ in own])
         measured = np.concatenate([track.torque for track, _ in own])
-        before, after = (measured - np.concatenate([r[part] for _, part in own]) for r in found.residuals)
+        left = [np.where(found.moves, residual, np.nan) for residual in found.residuals]
+        before, after = (measured - np.concatenate([r[part] for _, part in own]) for r in left)
         starts = np.cumsum([0, *(len(track) for track, _ in own)])[:-1]
         yield Prediction(source, time, measured, before, after, found.floor, tuple(int(s) for s in starts))
 

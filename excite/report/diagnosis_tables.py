@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from ..diagnose.diagnosis import Diagnosis
 from ..robot import Robot
 from ..wording import percent
@@ -42,7 +40,7 @@ def ahead(stated: Stated, robot: Robot) -> str:
 
 def errors(found: Diagnosis, stated: Stated) -> str:
     robot = found.identified.model.robot
-    torque = np.sqrt(np.mean(np.concatenate([t.torque for t in found.tracks[1]]) ** 2, axis=0))
+    torque, moving = found.torque, found.moves.mean(axis=0)
     changed, rows = bool(stated["findings"]), []
     for k, (joint, unit) in enumerate(zip(robot.joints, torque_units(robot), strict=True)):
         before, after, floor = float(found.before[k]), float(found.after[k]), float(found.floor[k])
@@ -57,7 +55,8 @@ def errors(found: Diagnosis, stated: Stated) -> str:
                 number(after / floor, 3),
                 escape(percent(before / max(torque[k], 1e-300))),
                 escape(percent(after / max(torque[k], 1e-300))) if changed else "–",
+                escape(percent(float(moving[k]))),
             )
         )
-    head = ("joint", "unit", "RMSE before", "RMSE after", "noise floor", "after / floor", "relative before", "relative after")
-    return table(head, rows, (2, 3, 4, 5, 6, 7))
+    head = ("joint", "unit", "RMSE before", "RMSE after", "noise floor", "after / floor", "relative before", "relative after", "in motion")
+    return table(head, rows, (2, 3, 4, 5, 6, 7, 8))

@@ -37,7 +37,7 @@ def window(prediction: Prediction) -> tuple[float, float]:
     if last - first <= EXCERPT:
         return first, last
     size = np.sqrt(np.mean(prediction.measured**2, axis=0))
-    worst = int(np.argmax(np.max(np.abs(prediction.measured - prediction.fitted) / np.maximum(size, 1e-300), axis=1)))
+    worst = int(np.argmax(np.max(np.abs(np.nan_to_num(prediction.measured - prediction.fitted)) / np.maximum(size, 1e-300), axis=1)))
     start = float(np.clip(prediction.time[worst] - 0.5 * EXCERPT, first, last - EXCERPT))
     return start, start + EXCERPT
 

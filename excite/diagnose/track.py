@@ -132,6 +132,11 @@ class Track:
         friction = drive("viscous") * s.dq + drive("coulomb") * np.tanh(s.dq / self.widths)
         return self.transmitted + drive("rotor_inertia") * s.ddq + friction + drive("offset")
 
+    @functools.cached_property
+    def drawn(self) -> Array:
+        """What the drive was measured to make, below the band: with all that the base model lacks, and noise. Shape (M, n)."""
+        return self.band.low(self.piece.torque, Grid.RECORDED)
+
     def _inverse(self, q: Array, dq: Array, ddq: Array) -> Array:
         robot, data = self.body.robot, self.body.model.createData()
         Q, V, A = robot.expand(q), dq @ robot.spread.T, ddq @ robot.spread.T

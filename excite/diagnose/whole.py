@@ -96,10 +96,17 @@ def predict(fitted: FittedModel, recording: Recording) -> tuple[Array, Array]:
     body = track.body(fitted.robot, fitted.layout, fitted.psi)
     nothing = np.zeros((0, fitted.robot.n))
 
+    own, late = ([part for part in found if (part.shape.values.get("measured", 0.0) > 0.0) is last] for last in (False, True))
+
     def beyond(part: Recording) -> Array:
         piece = Piece(recording.source, float(part.t[0]), part.rate, part.q, np.zeros(part.q.shape))
         band = Band(min(fitted.hertz, 0.45 * piece.rate), piece.rate, len(piece))
         empty = nothing[:, :, None]
-        return torque(found, Track(piece, band, body, fitted.widths, np.zeros(0), nothing, empty, nothing, slice(0), np.zeros(0)))
+        along = Track(piece, band, body, fitted.widths, np.zeros(0), nothing, empty, nothing, slice(0), np.zeros(0))
+        added = torque(own, along)
+        if not late:
+            return added
+        made = dataclasses.replace(piece, torque=along.motor + added)  # for want of what was measured
+        return added + torque(late, dataclasses.replace(along, piece=made))
 
     return fitted.predict(recording, beyond)

@@ -18,6 +18,8 @@ RESONANCES = np.geomspace(5.0, 34.0, 14)
 """Of a link on its motor, which stiffnesses are tried by [Hz]."""
 WIDTHS = np.geomspace(1e-4, 1e-2, 7)
 """Of play, tried [rad]."""
+HOLDS = (0.0, 1.5, 3.0)
+"""Of a link in its play, tried [Hz]."""
 
 
 def _sprung(t: Track, s: Shape) -> Array:
@@ -42,19 +44,21 @@ def _elasticity(tracks: Sequence[Track]) -> Iterator[Shape]:
 
 
 def _loose(t: Track, s: Shape) -> Array:
-    return felt(t, s.place, played(t, s.place, s.values["width"]), Grid.RECORDED)
+    return felt(t, s.place, played(t, s.place, s.values["width"], s.values["hold"]), Grid.RECORDED)
 
 
 def _backlash(tracks: Sequence[Track]) -> Iterator[Shape]:
-    def play(joint: int) -> Callable[[float], Shape]:
+    def play(joint: int, hold: float) -> Callable[[float], Shape]:
         def shape(width: float) -> Shape:
             told = lambda c: {"width": float(width * c[0])}  # noqa: E731
-            return Shape("backlash", joint, _loose, {"width": width}, parameters=told, plausible=within(0.4, 2.5))
+            fixed = {"width": width, "hold": hold}
+            return Shape("backlash", joint, _loose, fixed, parameters=told, plausible=within(0.4, 2.5))
 
         return shape
 
     for j in range(tracks[0].n):
-        yield from family(WIDTHS.tolist(), play(j))
+        for hold in HOLDS:
+            yield from family(WIDTHS.tolist(), play(j, hold))
 
 
 def _waved(t: Track, s: Shape) -> Array:

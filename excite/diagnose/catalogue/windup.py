@@ -14,6 +14,8 @@ from ..track import Track
 Array = np.ndarray
 DAMPING = 0.07
 """Damping ratio of a link on its motor: gears have a few per cent."""
+OIL = 0.3
+"""Damping ratio of a link that is held in its play."""
 
 
 def felt(track: Track, joint: int, lag: Array, of: Grid) -> Array:
@@ -60,13 +62,17 @@ def oscillator(force: Array, inertia: Array, stiffness: float, damping: float, d
     return out[0], out[1]
 
 
-def played(track: Track, joint: int, width: float) -> Array:
-    """Where a link is in a play of `width` [rad]: driven by its load, it stops where it meets the other flank. Shape (M,)."""
+def played(track: Track, joint: int, width: float, hold: float) -> Array:
+    """Where a link is in a play of `width` [rad]: driven by its load, it stops where it meets the other flank. Shape (M,).
+
+    hold: how fast it would swing in there, for what a gear's soft first stage, oil and seals hold of it [Hz].
+    """
     push = track.upsampled((track.rigid[:, joint] / mass(track, joint))[:, None])[:, 0]
-    dt, half = 1.0 / track.piece.rate, 0.5 * width
+    dt, half, omega = 1.0 / track.piece.rate, 0.5 * width, 2.0 * np.pi * hold
+    stiff, damp = omega**2, 2.0 * OIL * omega
     out, x, v = np.empty(len(push)), half if push[0] > 0.0 else -half, 0.0
     for k, a in enumerate(push.tolist()):
-        v += a * dt
+        v += (a - stiff * x - damp * v) * dt
         x += v * dt
         if x > half:
             x, v = half, 0.0

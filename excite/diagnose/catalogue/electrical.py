@@ -60,7 +60,7 @@ EFFECTS = (
         ("payload",),
         "hold a pose, reached from both sides",
         prior_only=True,
-        form={"offset": 0.02},
+        form={"offset": 0.04},
     ),
     Effect(
         "torque_gain",
@@ -72,7 +72,7 @@ EFFECTS = (
         ("payload", "torque_saturation"),
         "two known loads",
         prior_only=True,
-        form={"gain": 0.02},
+        form={"gain": 0.035},
     ),
     Effect(
         "torque_saturation",

@@ -212,7 +212,7 @@ EFFECTS = (
         "torque against speed has another slope in each direction",
         ("thermal_drift", "drag"),
         "constant speeds in both directions, several of them",
-        form={"positive": 0.06, "negative": 0.06},
+        form={"positive": 0.09, "negative": 0.09},
     ),
     Effect(
         "stribeck",
@@ -223,7 +223,7 @@ EFFECTS = (
         "friction is larger near zero speed",
         ("hysteresis", "nonlinear_viscous", "delay"),
         "a ladder of slow constant speeds, 1 mrad/s to 0.5 rad/s",
-        form={"amplitude": 0.45, "velocity": 0.9},
+        form={"amplitude": 0.5, "velocity": 1.1},
     ),
     Effect(
         "nonlinear_viscous",
@@ -234,7 +234,7 @@ EFFECTS = (
         "friction against speed is bent",
         ("drag", "stribeck", "thermal_drift"),
         "a wide range of constant speeds",
-        form={"coefficient": 0.15, "exponent": 0.1},
+        form={"coefficient": 0.25, "exponent": 0.25},
     ),
     Effect(
         "drag",
@@ -255,7 +255,7 @@ EFFECTS = (
         "friction grows with the torque carried",
         ("position_friction", "coupling"),
         "repeat the same trajectory with another load at the flange",
-        form={"mu": 0.15},
+        form={"mu": 0.35},
     ),
     Effect(
         "position_friction",
@@ -267,7 +267,7 @@ EFFECTS = (
         ("load_friction",),
         "the same stroke at shifted positions",
         told=_range,
-        form={"amplitude": 0.6},
+        form={"amplitude": 0.8},
     ),
     Effect(
         "hysteresis",
@@ -290,7 +290,7 @@ EFFECTS = (
         ("stribeck",),
         "any motion in both directions",
         prior_only=True,
-        form={"coulomb": 0.03, "viscous": 0.03},
+        form={"coulomb": 0.04, "viscous": 0.04},
     ),
     Effect(
         "thermal_drift",

@@ -118,7 +118,7 @@ EFFECTS = (
         ("torque_gain", "gravity_tilt"),
         "static poses and fast ones, with and without the load",
         prior_only=True,
-        form={"mass": 0.02, "com_x": 0.02, "com_y": 0.03, "com_z": 0.02},
+        form={"mass": 0.04, "com_x": 0.04, "com_y": 0.04, "com_z": 0.04},
     ),
     Effect(
         "gravity_tilt",
@@ -130,7 +130,7 @@ EFFECTS = (
         ("spring",),
         "joint 1 a full turn, arm stretched",
         prior_only=True,
-        form={"roll": 0.04, "pitch": 0.04},
+        form={"roll": 0.05, "pitch": 0.05},
     ),
     Effect(
         "rotor_inertia",
@@ -142,7 +142,7 @@ EFFECTS = (
         ("payload",),
         "small fast motion at several poses",
         prior_only=True,
-        form={"inertia": 0.02},
+        form={"inertia": 0.04},
     ),
     Effect(
         "kinematic_error",

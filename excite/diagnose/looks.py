@@ -67,7 +67,8 @@ class Look:
 class Rows:
     """What the robot did at every row. time: [s], one recording after the other. clock: [s] since a recording's start. Shape (N,).
 
-    q, dq, ddq, load, motor, distance: Shape (N, n). temperature: the same, NaN where not recorded. starts: first row of each block.
+    q, dq, ddq, load, motor, distance: Shape (N, n). temperature: the same, NaN where not recorded. moves: where a joint is judged.
+    starts: first row of each block.
     """
 
     time: Array
@@ -79,6 +80,7 @@ class Rows:
     motor: Array
     distance: Array
     temperature: Array
+    moves: Array
     starts: Array
     rate: float
     hertz: float
@@ -149,6 +151,7 @@ def _motion(track: Track, recordings: Sequence[Recording]) -> dict[str, Array]:
         "motor": track.reduce(track.motor),
         "distance": at(distance),
         "temperature": _temperature(track, recordings),
+        "moves": track.moves,
     }
 
 
@@ -210,7 +213,7 @@ def _binned(
     rows: Rows, joint: int, against: str, unit: str, x: Array, way: Array | None = None, *, bins: int = BINS, logarithmic: bool = False
 ) -> Look | None:
     """Means in bins of as many rows each; None where x is not known or does not vary. way: direction, for the part along the motion."""
-    use = np.isfinite(x) & (np.ones(len(x), bool) if way is None else way != 0.0)
+    use = rows.moves[:, joint] & np.isfinite(x) & (np.ones(len(x), bool) if way is None else way != 0.0)
     if logarithmic:
         use &= x > 0.0
     if use.sum() < 3 * LEAST_ROWS or np.ptp(x[use]) <= 1e-9 * max(1.0, float(np.abs(x[use]).max())):
@@ -244,6 +247,7 @@ def _phase(rows: Rows, joint: int) -> Look | None:
     speeding = np.sign(rows.ddq[:, joint]) == way
     x = way * np.where(speeding, 2.0, 1.0)
     index = np.select([x == v for v in (-2.0, -1.0, 1.0, 2.0)], [0, 1, 2, 3], -1)
+    index[~rows.moves[:, joint]] = -1
     return _averaged(rows, joint, ("direction", ""), index, x)
 
 
@@ -253,7 +257,7 @@ def _orders(rows: Rows, joint: int) -> Look | None:
     step = 2.0 * np.pi / float(np.ptp(q)) / 1.5
     grid = np.arange(max(1.0, 3.0 * step), max(HIGHEST, 30.0 * step) if rows.linear[joint] else HIGHEST, step)[:ORDERS]
     highest = 2.0 * np.pi * 0.8 * rows.hertz
-    moving = rows.direction(joint) != 0.0  # at rest no angle passes
+    moving = rows.moves[:, joint] & (rows.direction(joint) != 0.0)  # at rest no angle passes
     slow = np.sort(speed[moving])
     seen = np.array([np.searchsorted(slow, highest / k) for k in grid])
     enough = seen >= max(0.05 * len(q), 5 * LEAST_ROWS)

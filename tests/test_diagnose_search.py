@@ -17,8 +17,10 @@ from excite.diagnose import belief, diagnosis, interval, judge, noise, search, t
 from excite.diagnose.catalogue import windup
 from excite.diagnose.effect import Shape, family
 from excite.diagnose.track import Track
+from excite.errors import UnusableInput
 from excite.identify import identification, signals
 from excite.identify.equations import Model
+from excite.identify.model import FittedModel
 from excite.recordings import Recording
 from excite.trajectory import Samples
 
@@ -184,6 +186,42 @@ def test_what_was_found_is_predicted_and_gone_from_the_recording(subject):
     np.testing.assert_allclose(whole.torque(again, one), whole.torque(result.parts, one))
     before, after = result.ahead
     assert before is not None and after is not None and after.fitted[-1].sum() < before.fitted[-1].sum()
+
+
+def fitted_with(subject: Model, effects: tuple[dict[str, object], ...]) -> FittedModel:
+    psi = perturbed(subject.parameters, np.random.default_rng(4))
+    return FittedModel("model.json", subject.robot, subject.parameters.drive, psi, np.full(2, WIDTH), 20.0, effects)
+
+
+def stated(effect: str, joint: str | None, values: dict[str, float], *coefficients: float) -> dict[str, object]:
+    return {
+        "effect": effect,
+        "joint": joint,
+        "from": None,
+        "values": values,
+        "coefficients": coefficients,
+        "time": None,
+        "recording": None,
+    }
+
+
+@pytest.mark.parametrize("seconds", [0.004, 0.012])
+def test_a_measured_delay_is_predicted_from_what_is_predicted(subject, seconds):
+    _, along = recordings_of(subject, None)
+    spring = stated("spring", "joint_2", {"form": 0.0}, 5.0)
+    late_model = fitted_with(subject, (spring, stated("delay", None, {"seconds": seconds, "measured": 1.0}, seconds)))
+    t, early = whole.predict(fitted_with(subject, (spring,)), along)
+    _, late = whole.predict(late_model, along)
+    expected = np.column_stack([np.interp(t - seconds, t, column) for column in early.T])
+    inside = slice(200, -200)
+    left = np.sqrt(np.mean((late - expected)[inside] ** 2, axis=0))
+    assert np.all(left < 0.1 * np.sqrt(np.mean((early - expected)[inside] ** 2, axis=0)))
+
+
+def test_a_model_of_an_earlier_version_is_refused_in_one_line(subject):
+    _, along = recordings_of(subject, None)
+    with pytest.raises(UnusableInput, match=r"model\.json.*'hold'.*diagnose again"):
+        whole.predict(fitted_with(subject, (stated("backlash", "joint_1", {"width": 1e-3}, 1.0),)), along)
 
 
 def test_options_name_what_is_looked_for(subject):

@@ -88,25 +88,34 @@ def restored(stated: Mapping[str, Any], robot: Robot, source: str) -> Part:
     return Part(shape, np.array(stated["coefficients"], float))
 
 
+def _behind(part: Part, along: Track, added: Array) -> Array:
+    """What a delay of all that was measured does to what is predicted: base model's torque and what others add. Shape (M, n)."""
+    seconds, joint, now = float(part.coefficients[0]), part.shape.joint, along.motor + added
+    late = np.column_stack([np.interp(along.clock - seconds, along.clock, column) for column in now.T])
+    out = along.band.low(late - now, Grid.RECORDED)
+    return out if joint is None else out * (np.arange(along.n) == joint)
+
+
 def predict(fitted: FittedModel, recording: Recording) -> tuple[Array, Array]:
     """Torque along a recording at its own times, effects included: (times, torque). Shapes (N,) [s], (N, n) [N m]."""
     found = [restored(stated, fitted.robot, fitted.source) for stated in fitted.effects]
     if not found:
         return fitted.predict(recording)
     body = track.body(fitted.robot, fitted.layout, fitted.psi)
+    own, late = ([part for part in found if (part.shape.values.get("measured", 0.0) > 0.0) is last] for last in (False, True))
     nothing = np.zeros((0, fitted.robot.n))
 
-    own, late = ([part for part in found if (part.shape.values.get("measured", 0.0) > 0.0) is last] for last in (False, True))
-
-    def beyond(part: Recording) -> Array:
-        piece = Piece(recording.source, float(part.t[0]), part.rate, part.q, np.zeros(part.q.shape))
+    def beyond(stretch: Recording) -> Array:
+        piece = Piece(recording.source, float(stretch.t[0]), stretch.rate, stretch.q, np.zeros(stretch.q.shape))
         band = Band(min(fitted.hertz, 0.45 * piece.rate), piece.rate, len(piece))
         empty = nothing[:, :, None]
         along = Track(piece, band, body, fitted.widths, np.zeros(0), nothing, empty, nothing, slice(0), np.zeros(0))
         added = torque(own, along)
-        if not late:
-            return added
-        made = dataclasses.replace(piece, torque=along.motor + added)  # for want of what was measured
-        return added + torque(late, dataclasses.replace(along, piece=made))
+        for part in late:
+            added += _behind(part, along, added)
+        return added
 
-    return fitted.predict(recording, beyond)
+    try:
+        return fitted.predict(recording, beyond)
+    except KeyError as lacking:
+        raise UnusableInput(f"{fitted.source}: an effect has no {lacking}, which an earlier version did not save; diagnose again") from None

@@ -18,9 +18,10 @@ from ..identify.signals import Piece
 from ..parameters import Parameters
 from ..recordings import Recording
 from ..robot import Robot
-from . import belief, judge, noise, search, track, whole
+from . import belief, encoders, judge, noise, search, track, whole
 from .catalogue import BY_NAME, EFFECTS
 from .effect import Shape
+from .encoders import Gear
 from .judge import Verdict
 from .noise import Noise
 from .search import Design
@@ -66,8 +67,8 @@ class Diagnosis:
     without the findings. ahead: positions simulated from held-out torque, by the base model and by it with the findings; None where no
     window is long enough. expected: RMSE that a right model would leave on the held-out recordings: noise, an encoder's steps, and what
     the base parameters are not known to. fitted: RMSE of the base model fitted to all recordings, alone and with what is asserted: no
-    base parameters take what that leaves. quiet: what it is of a right model. wavering: share of the latter's mean square that a clock
-    might have made. Shape (n,) each.
+    base parameters take what that leaves. quiet: what it is of a right model. Shape (n,) each. gears: what two encoders say of
+    joints that have them.
     """
 
     identified: Identification
@@ -86,7 +87,7 @@ class Diagnosis:
     expected: Array = field(default_factory=lambda: np.zeros(0))
     fitted: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
     quiet: Array = field(default_factory=lambda: np.zeros(0))
-    wavering: Array = field(default_factory=lambda: np.zeros(0))
+    gears: tuple[Gear, ...] = ()
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -118,7 +119,7 @@ class Diagnosis:
     def unknown(self) -> list[int]:
         """Joints where something repeatable is left that no name takes."""
         bare, named = self.fitted
-        loud = named * np.sqrt(1.0 - self.wavering) > LOUD * self.quiet
+        loud = named > LOUD * self.quiet
         if self.method != "periods":  # nothing repeats: the floor is a guess from below, and only much is worth a word
             torque = np.concatenate([one.torque for half in self.tracks for one in half])
             loud &= named > MUCH * np.sqrt(np.mean(torque**2, axis=0))
@@ -168,6 +169,7 @@ def diagnose(
         progress("the base model without what was found")
         one, verdict, refitted = _refitted(one, verdict, identified, halves, (train, validate), settings, options, scale)
     out = _judged(one, verdict, identified, refitted, (halves[0], halves[1]), noisy, options, hertz, scale)
+    out = dataclasses.replace(out, gears=encoders.gears(halves, (train, validate)))
     if refitted is None or not out.verdict.findings:
         return out
     progress("simulating ahead")
@@ -237,13 +239,12 @@ def _judged(
     verdict = belief.weighed(one, verdict, (floor / scale) ** 2)
     before, after = _held_out(one, verdict, scale)
     fitted = _fitted(one, (), scale), _fitted(one, verdict.named, scale)
-    quiet = np.sqrt(floor**2 + 2.0 * noisy.steps**2)
+    quiet = np.sqrt(floor**2 + 2.0 * noisy.steps**2 + noisy.clock)
     moves = one.halves[1].counts[one.halves[1].rows].reshape(before.shape)
     expected = np.sqrt(quiet**2 + _reach(one, scale) ** 2)
     rms = [np.sqrt(np.sum(r**2, axis=0) / moves.sum(axis=0)) for r in (before, after)]
     told = (identified, options, hertz, tracks, one, verdict, floor, noisy.method)
-    wavering = noise.wavering(search.remaining(one, verdict.named), [t for half in tracks for t in half])
-    return Diagnosis(*told, rms[0], rms[1], (before, after), refitted, expected=expected, fitted=fitted, quiet=quiet, wavering=wavering)
+    return Diagnosis(*told, rms[0], rms[1], (before, after), refitted, expected=expected, fitted=fitted, quiet=quiet)
 
 
 def _fitted(one: Design, shapes: Sequence[int], scale: Array) -> Array:

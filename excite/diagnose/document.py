@@ -9,6 +9,7 @@ import numpy as np
 from .catalogue import BY_NAME
 from .diagnosis import Diagnosis
 from .effect import Shape
+from .encoders import Gear
 from .interval import finding_parameters
 from .judge import Finding, Hypothesis
 
@@ -61,6 +62,7 @@ def document(found: Diagnosis) -> dict[str, Any]:
         "considered": [*(_doubted(found, f) for f in found.verdict.doubted), *(_considered(found, h) for h in found.verdict.considered)],
         "band_hz": found.hertz,
         "simulation": _simulation(found),
+        "encoders": {joints[gear.joint]: _gear(found, gear) for gear in found.gears},
         "parameters": _parameters(found),
     }
 
@@ -73,6 +75,24 @@ def _simulation(found: Diagnosis) -> dict[str, Any] | None:
     joints = found.identified.model.robot.joints
     rows = zip(joints, before.fitted[-1].tolist(), after.fitted[-1].tolist(), strict=True)
     return {"seconds": float(before.lag[-1]), "joints": {j: {"before": a, "after": b} for j, a, b in rows}}
+
+
+def _gear(found: Diagnosis, gear: Gear) -> dict[str, Any]:
+    """What two encoders say of the gear between them, and RMS of their difference, held out, without and with it."""
+    linear = found.identified.model.robot.entries[gear.joint].kind == "prismatic"
+    angle, force = ("m", "N") if linear else ("rad", "N m")
+
+    def told(value: tuple[float, float] | None, unit: str) -> dict[str, Any] | None:
+        return None if value is None else {"value": value[0], "std": value[1], "unit": unit}
+
+    return {
+        "stiffness": told(gear.stiffness, f"{force}/{angle}"),
+        "lost_motion": told(gear.play, angle),
+        "read_apart": told(gear.apart, "s"),
+        "before": gear.before,
+        "after": gear.after,
+        "unit": angle,
+    }
 
 
 def _parameters(found: Diagnosis) -> list[dict[str, Any]]:

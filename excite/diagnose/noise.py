@@ -30,8 +30,8 @@ PARTS, MIDDLE, ODD, PASSES = 40, 0.6, 12.0, 4
 is asked."""
 SAMPLES = 4000
 """Rows of a recording that are looked at for a period."""
-CLOCKS = 0.9
-"""Of a residual's mean square, what is put down to a clock at the most."""
+SURE = 2.0
+"""Standard deviations."""
 EDGE = 32
 """Rows by which a signal is continued before it is shifted."""
 
@@ -40,12 +40,14 @@ EDGE = 32
 class Noise:
     """What a perfect model would leave below the band, per joint [N m], and how it was found: "periods" or "differences".
 
-    steps: the part that a coarse encoder's steps make of the model's torque: it repeats with the motion. Shapes (n,). feigned: residuals
+    clock: mean square beyond the floor's that a wavering clock makes where torque is steeper than where the floor was seen. steps: the
+    part that a coarse encoder's steps make of the model's torque: it repeats with the motion. Shapes (n,). feigned: residuals
     that the steps alone might leave, of either half in each of some draws; none where encoders are fine. Shapes (N, n).
     """
 
     floor: Array
     method: str
+    clock: Array
     steps: Array
     feigned: tuple[tuple[Array, Array], ...] = ()
 
@@ -54,15 +56,15 @@ def measured(identified: Identification, halves: Sequence[Sequence[Track]], reco
     """The noise of recordings: from what does not repeat, else from the torque's density above the motion, a lower bound."""
     every = [one for half in halves for one in half]
     periods = {recording.source: _period(recording) for recording in recordings}
-    squares = [square for one in every if (found := periods[one.piece.source]) for square in _repeats(one, *found)]
-    if squares:
-        spread, method = np.sqrt(np.mean(squares, axis=0)), "periods"
+    again = [made for one in every if (found := periods[one.piece.source]) for made in _repeats(one, *found)]
+    if again:
+        spread, method, clock = np.sqrt(np.mean([made.square for made in again], axis=0)), "periods", _clock(again, every)
     else:
-        spread, method = _above(identified, every[0].band.hertz), "differences"
+        spread, method, clock = _above(identified, every[0].band.hertz), "differences", np.zeros(every[0].n)
     feigned = stepped(identified.model, halves)
     rows = np.concatenate([part for draw in feigned for part in draw]) if feigned else np.zeros((1, len(spread)))
     steps = np.sqrt(np.mean(rows**2, axis=0))
-    return Noise(np.sqrt(np.maximum(spread, 1e-12) ** 2 + steps**2), method, steps, feigned)
+    return Noise(np.sqrt(np.maximum(spread, 1e-12) ** 2 + steps**2), method, clock, steps, feigned)
 
 
 def _above(identified: Identification, hertz: float) -> Array:
@@ -72,8 +74,21 @@ def _above(identified: Identification, hertz: float) -> Array:
     return np.sqrt(np.maximum(np.trapezoid(identified.spectra.noise[inside], frequency[inside], axis=0), 1e-24))
 
 
-def _repeats(track: Track, period: float, window: tuple[float, float]) -> list[Array]:
-    """Half the mean square by which the residual differs a period later, once or not at all. Shape (n,)."""
+@dataclass(frozen=True)
+class _Again:
+    """What differs when a motion is made again. change: of the residual, over √2. steep: squared slope of torque. Shapes (N, n).
+
+    usual: rows that noise is told by. Shape (N,). square: mean square there, without friction that warms up. Shape (n,).
+    """
+
+    change: Array
+    steep: Array
+    usual: Array
+    square: Array
+
+
+def _repeats(track: Track, period: float, window: tuple[float, float]) -> list[_Again]:
+    """Of a recording that repeats for long enough, else nothing."""
     low, high = window
     left = track.torque - track.gamma @ track.theta
     rate = 1.0 / (track.time[1] - track.time[0])
@@ -87,8 +102,13 @@ def _repeats(track: Track, period: float, window: tuple[float, float]) -> list[A
     return [_steady(change, track, inside)]
 
 
-def _steady(change: Array, track: Track, inside: Array) -> Array:
-    """Mean square of a change between periods, without what friction that warms up makes of it. Shape (n,)."""
+def _steep(track: Track) -> Array:
+    """Squared slope of torque. Shape (N, n) [(N m/s)²]."""
+    return np.asarray(np.gradient(track.torque, track.time, axis=0) ** 2)
+
+
+def _steady(change: Array, track: Track, inside: Array) -> _Again:
+    """A change between periods, without what friction that warms up makes of it."""
     t = np.linspace(-1.0, 1.0, len(change))[:, None]
     groups = []
     for j in range(change.shape[1]):
@@ -102,7 +122,36 @@ def _steady(change: Array, track: Track, inside: Array) -> Array:
             rest[:, j] = change[:, j] - columns @ np.linalg.lstsq(columns[usual], change[usual, j], rcond=1e-8)[0]
         usual = _usual(np.square(rest))
     count = int(usual.sum())
-    return np.asarray(np.mean(np.square(rest[usual]), axis=0) * count / max(count - groups[0].shape[1], 1))
+    square = np.mean(np.square(rest[usual]), axis=0) * count / max(count - groups[0].shape[1], 1)
+    return _Again(rest, _steep(track)[: len(inside)][inside], usual, square)
+
+
+def _clock(again: Sequence[_Again], tracks: Sequence[Track]) -> Array:
+    """What a clock that wavers may make of all recordings beyond what it makes of the floor. Shape (n,).
+
+    Its noise grows with the square of torque's slope, and does not repeat.
+    """
+    change, steep = (np.concatenate([getattr(one, name) for one in again]) for name in ("change", "steep"))
+    every, seen = np.concatenate([_steep(one) for one in tracks]), np.concatenate([one.steep[one.usual] for one in again])
+    out = np.zeros(change.shape[1])
+    for j in range(len(out)):
+        mean = max(float(every[:, j].mean()), 1e-300)
+        out[j] = _growth(steep[:, j] / mean, change[:, j] ** 2) * max(1.0 - float(seen[:, j].mean()) / mean, 0.0)
+    return out
+
+
+def _growth(x: Array, y: Array) -> float:
+    """At the most, by how much noise y grows with x: SURE standard deviations above what is seen of it, but no more than all of it.
+
+    Each row weighs less the steeper it is, so that a few do not say all. Errors are sandwiched between stretches, as noise is coloured.
+    """
+    columns, right = np.column_stack([np.ones(len(x)), x]) / (1.0 + x)[:, None], y / (1.0 + x)
+    inverse = np.linalg.pinv(columns.T @ columns)
+    found = inverse @ (columns.T @ right)
+    scores = columns * (right - columns @ found)[:, None]
+    parts = np.array([part.sum(axis=0) for part in np.array_split(scores, max(2, min(PARTS, len(x) // 8)))])
+    error = float(np.sqrt((inverse @ (parts.T @ parts) @ inverse)[1, 1]))
+    return float(np.clip(found[1] + SURE * error, 0.0, y.mean() / max(x.mean(), 1e-300)))
 
 
 def _usual(square: Array) -> Array:
@@ -171,20 +220,6 @@ def _refined(q: Array, rows: int, step: int) -> float:
         return float(near[i])
     a, b, c = apart[i - 1 : i + 2]
     return float(near[i] + 0.5 * (a - c) / max(a - 2.0 * b + c, 1e-300))
-
-
-def wavering(left: Array, tracks: Sequence[Track]) -> Array:
-    """Share of a residual's mean square that a clock that wavers might have made: what grows with the square of torque's slope.
-
-    Each row weighs less the steeper it is, so that a few do not say all. left: Shape (N, n), of all tracks. Shape (n,).
-    """
-    slope = np.concatenate([np.gradient(track.torque, axis=0) for track in tracks]) ** 2
-    slope /= np.maximum(slope.mean(axis=0), 1e-300)
-    out = np.zeros(left.shape[1])
-    for j, (x, y) in enumerate(zip(slope.T, np.square(left).T, strict=True)):
-        columns = np.column_stack([np.ones(len(x)), x]) / (1.0 + x)[:, None]
-        out[j] = np.linalg.lstsq(columns, y / (1.0 + x), rcond=None)[0][1] / max(y.mean(), 1e-300)
-    return np.clip(out, 0.0, CLOCKS)
 
 
 def stepped(model: Model, halves: Sequence[Sequence[Track]]) -> tuple[tuple[Array, Array], ...]:

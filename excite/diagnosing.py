@@ -56,6 +56,16 @@ def _model(result: diagnosis.Diagnosis, train: Sequence[recordings.Recording]) -
     return stated
 
 
+def _gear(joint: str, gear: dict[str, Any]) -> str:
+    told = {
+        "stiffness": gear["stiffness"],
+        "lost motion": gear["lost_motion"],
+        "read apart by": gear["read_apart"],
+    }
+    words = [f"{name} {v['value']:.3g} ± {v['std']:.2g} {v['unit']}" for name, v in told.items() if v is not None]
+    return f"two encoders at {joint}: {', '.join(words)}"
+
+
 def _text(stated: dict[str, Any], written: list[str]) -> str:
     lines = [f"verdict: {stated['verdict']}"]
     for one in stated["findings"]:
@@ -64,6 +74,7 @@ def _text(stated: dict[str, Any], written: list[str]) -> str:
         alike = f" (or {', '.join(one['equivalents'])})" if one["equivalents"] else ""
         lines.append(f"{one['effect']}{alike} at {place}, probability {one['probability']:.2f}: {values}")
     lines += [f"unknown at {one['joint']}: {100 * one['share']:.0f} % of what is left repeats" for one in stated["unknown"]]
+    lines += [_gear(joint, gear) for joint, gear in stated["encoders"].items()]
     lines.append(f"{'joint':25}{'before':>11}{'after':>11}{'noise':>11}")
     lines += [f"{j:25}{v['rmse_before']:11.4g}{v['rmse_after']:11.4g}{v['noise_floor']:11.4g}" for j, v in stated["joints"].items()]
     return "\n".join([*lines, *(f"wrote {path}" for path in written)])

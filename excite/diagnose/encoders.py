@@ -1,8 +1,9 @@
 """What a joint's two encoders say of the gear between them, where recordings have the link's (`qlink`).
 
-q − q_link = τ_L/K + (b/2) sgn τ_L + h sgn q̇ + d q̇ + const. The gear winds up by the torque that it carries, τ_L = τ − I_a q̈ (Spong 1987),
-and has a play b; friction in it holds h back; and the link's encoder may be read a time d after the motor's, which looks like a wind-up but
-goes with speed. Errors are sandwiched between blocks of a second (Liang & Zeger 1986), since what encoders err by repeats with the angle.
+q − q_link = τ_L/K + (b/2) sgn τ_L + d q̇ + h sgn q̇ + e cos(q + φ) + const. The gear winds up by the torque that it carries,
+τ_L = τ − I_a q̈ (Spong 1987), and has a play b; the link's encoder may be read a time d after the motor's, which looks like a wind-up but
+goes with speed; friction in the gear holds h back; and an encoder that is not centred errs once a turn, by e. Errors are sandwiched between
+blocks of a second (Liang & Zeger 1986), since what encoders err by repeats with the angle.
 """
 
 from __future__ import annotations
@@ -30,9 +31,9 @@ SURE = 2.0
 class Gear:
     """Between the encoders of one joint. Each value with its standard deviation; joint: its index.
 
-    compliance: 1/K [rad/(N m)]. play: b [rad], None where torque keeps its sign. apart: d [s]. before, after: RMS of q − q_link that its
-    mean, and all of this, leave of the held-out recordings [rad]. load, windup: τ_L [N m] and q − q_link without d q̇ and the constant
-    [rad], held out, at the rows that count. Shape (N,).
+    compliance: 1/K [rad/(N m)]. play: b [rad], None where none is seen, or torque keeps its sign. apart: d [s]. before, after: RMS of
+    q − q_link that its mean, and all of this, leave of the held-out recordings [rad]. load, windup: τ_L [N m] and q − q_link without
+    all but the first two terms [rad], held out, at the rows that count. Shape (N,). largest: of τ_L, fitted.
     """
 
     joint: int
@@ -43,21 +44,28 @@ class Gear:
     after: float
     load: Array
     windup: Array
+    largest: float
+
+    def curve(self, load: Array) -> Array:
+        """Wind-up under a torque, friction aside. Shape (N,)."""
+        play = 0.0 if self.play is None else self.play[0]
+        return self.compliance[0] * load + 0.5 * play * np.tanh(load / (TURNED * self.largest))
 
     @property
     def stiffness(self) -> tuple[float, float] | None:
         """K [N m/rad]; None where it may as well be infinite."""
         value, std = self.compliance
-        return (1.0 / value, std / value**2) if value > SURE * std else None
+        return (1.0 / value, std / value**2) if value > max(SURE * std, 0.0) else None
 
 
 @dataclass(frozen=True)
 class _Rows:
-    """Of one joint in one stretch. lag: q − q_link. load: τ_L. block: of each row. Shapes (N,)."""
+    """Of one joint in one stretch. lag: q − q_link. load: τ_L. speed: q̇. place: q. block: of each row. Shapes (N,)."""
 
     lag: Array
     load: Array
     speed: Array
+    place: Array
     block: Array
 
 
@@ -69,7 +77,8 @@ def gears(tracks: Sequence[Sequence[Track]], recordings: Sequence[Sequence[Recor
         for half, group in zip(tracks, recordings, strict=True)
         for own in ({r.source: r for r in group if r.qlink is not None},)
     ]
-    found = [_gear(j, *([rows for rows in half[j] if rows is not None] for half in halves)) for j in range(n)]
+    linear = [entry.kind == "prismatic" for entry in tracks[0][0].body.robot.entries]
+    found = [_gear(j, linear[j], *([rows for rows in half[j] if rows is not None] for half in halves)) for j in range(n)]
     return tuple(one for one in found if one is not None)
 
 
@@ -84,47 +93,57 @@ def _rows(track: Track, recording: Recording, joint: int) -> _Rows | None:
         return None
     moves = track.moves[:, joint]
     lag = track.reduce((track.piece.q[:, joint] - link)[:, None])[:, 0]
-    speed, hastened = track.reduce(np.column_stack([track.fine.dq[:, joint], track.fine.ddq[:, joint]])).T
+    place, speed, hastened = track.reduce(np.column_stack([getattr(track.fine, name)[:, joint] for name in ("q", "dq", "ddq")])).T
     load = track.torque[:, joint] - track.body.drive("rotor_inertia")[joint] * hastened
     block = np.searchsorted(block_starts(track.time - track.time[0], BLOCK), np.arange(len(track)), side="right")
-    return _Rows(lag[moves], load[moves], speed[moves], block[moves])
+    return _Rows(*(x[moves] for x in (lag, load, speed, place, block)))
 
 
-def _columns(rows: _Rows, load: float, speed: float, play: bool) -> Array:
-    """Of compliance, delay, friction, and play. Shape (N, 3 or 4)."""
-    columns = [rows.load, rows.speed, np.tanh(rows.speed / (TURNED * speed))]
-    return np.column_stack([*columns, 0.5 * np.tanh(rows.load / (TURNED * load))] if play else columns)
+def _columns(rows: _Rows, load: float, speed: float) -> Array:
+    """Of compliance, play, delay, friction, and once a turn. Shape (N, 6)."""
+    play, friction = 0.5 * np.tanh(rows.load / (TURNED * load)), np.tanh(rows.speed / (TURNED * speed))
+    return np.column_stack([rows.load, play, rows.speed, friction, np.cos(rows.place), np.sin(rows.place)])
 
 
-def _gear(joint: int, train: Sequence[_Rows], held_out: Sequence[_Rows]) -> Gear | None:
+def _gear(joint: int, linear: bool, train: Sequence[_Rows], held_out: Sequence[_Rows]) -> Gear | None:
     if not train or not held_out:
         return None
     load, speed = (max(float(np.abs(getattr(rows, name)).max()) for rows in train) for name in ("load", "speed"))
     signs = np.concatenate([rows.load > 0.0 for rows in train])
-    play = bool(BOTH < signs.mean() < 1.0 - BOTH)
     # encoders count from where each recording began: every stretch has a mean of its own
-    parts = [(c - c.mean(axis=0), r.lag - r.lag.mean(), r.block) for r in train for c in (_columns(r, load, speed, play),)]
-    A, y = np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+    parts = [(c - c.mean(axis=0), r.lag - r.lag.mean(), r.block) for r in train for c in (_columns(r, load, speed),)]
     blocks = [(c[b == k], z[b == k]) for c, z, b in parts for k in np.unique(b)]
-    size = np.linalg.norm(A, axis=0)
-    if len(blocks) < LEAST_BLOCKS or np.linalg.cond(A / size) > 1e6:
+    if len(blocks) < LEAST_BLOCKS:
         return None
-    inverse = np.linalg.inv((A / size).T @ (A / size)) / np.outer(size, size)
-    x = inverse @ (A.T @ y)
-    scores = np.array([c.T @ (z - c @ x) for c, z in blocks])
-    freedom = len(blocks) / max(len(blocks) - A.shape[1], 1)
-    std = np.sqrt(np.diag(inverse @ (scores.T @ scores) @ inverse) * freedom)
+    kept = [0, *([1] if BOTH < signs.mean() < 1.0 - BOTH else []), 2, 3, *([] if linear else [4, 5])]
+    x, std = _fitted(blocks, kept)
+    while bad := [k for k in kept if k < 2 and x[k] < 0.0]:  # neither gives way against the torque
+        kept = [k for k in kept if k not in bad]
+        x, std = _fitted(blocks, kept)
+    lag, columns = np.concatenate([r.lag - r.lag.mean() for r in held_out]), [_columns(r, load, speed) for r in held_out]
+    centred, gear = np.concatenate([c - c.mean(axis=0) for c in columns]), [0, 1]
     told = [(float(value), float(error)) for value, error in zip(x, std, strict=True)]
-    lag = np.concatenate([r.lag - r.lag.mean() for r in held_out])
-    columns = [_columns(r, load, speed, play) for r in held_out]
-    centred = np.concatenate([c - c.mean(axis=0) for c in columns])
     return Gear(
         joint,
         told[0],
-        told[3] if play else None,
-        told[1],
+        told[1] if x[1] > SURE * std[1] else None,
+        told[2],
         float(np.sqrt(np.mean(lag**2))),
         float(np.sqrt(np.mean((lag - centred @ x) ** 2))),
         np.concatenate([r.load for r in held_out]),
-        lag - centred[:, 1] * x[1] + float(np.mean(np.concatenate(columns) @ (x * (np.arange(len(x)) != 1)))),
+        lag - centred[:, 2:] @ x[2:] + float(np.mean(np.concatenate(columns)[:, gear] @ x[gear])),
+        load,
     )
+
+
+def _fitted(blocks: Sequence[tuple[Array, Array]], kept: Sequence[int]) -> tuple[Array, Array]:
+    """Coefficients of some columns and their standard deviations between blocks; 0 of the others. Shapes (6,)."""
+    A, y = np.concatenate([c[:, kept] for c, _ in blocks]), np.concatenate([z for _, z in blocks])
+    size = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
+    inverse = np.linalg.pinv((A / size).T @ (A / size), rcond=1e-10) / np.outer(size, size)
+    found = inverse @ (A.T @ y)
+    scores = np.array([c[:, kept].T @ (z - c[:, kept] @ found) for c, z in blocks])
+    freedom = len(blocks) / max(len(blocks) - len(kept), 1)
+    x, std = np.zeros(6), np.zeros(6)
+    x[kept], std[kept] = found, np.sqrt(np.diag(inverse @ (scores.T @ scores) @ inverse) * freedom)
+    return x, std

@@ -16,7 +16,7 @@ from ..diagnose.diagnosis import QUIET, Diagnosis
 from ..diagnose.isolability import ALIKE, Candidate, isolability
 from ..recordings import Recording
 from ..wording import listed, percent
-from . import atlas_figures, diagnosis_figures, diagnosis_tables
+from . import atlas_figures, diagnosis_figures, diagnosis_tables, gears
 from .diagnosis_figures import told
 from .fit_figures import EXCERPT, drawn_points
 from .motion_figures import torque_units
@@ -48,6 +48,7 @@ def diagnosis_page(found: Diagnosis, stated: Stated, recordings: Sequence[Record
         _what(found, stated),
         _where(found, looked),
         _better(found, stated),
+        *gears.section(found, stated),
         _apart(found, stated),
         _next(found, stated),
         _made(found, looked),

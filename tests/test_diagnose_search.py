@@ -209,7 +209,7 @@ def stated(effect: str, joint: str | None, values: dict[str, float], *coefficien
 def test_a_measured_delay_is_predicted_from_what_is_predicted(subject, seconds):
     _, along = recordings_of(subject, None)
     spring = stated("spring", "joint_2", {"form": 0.0}, 5.0)
-    late_model = fitted_with(subject, (spring, stated("delay", None, {"seconds": seconds, "measured": 1.0}, seconds)))
+    late_model = fitted_with(subject, (spring, stated("delay", None, {"measured": 1.0}, seconds)))
     t, early = whole.predict(fitted_with(subject, (spring,)), along)
     _, late = whole.predict(late_model, along)
     expected = np.column_stack([np.interp(t - seconds, t, column) for column in early.T])

@@ -18,17 +18,16 @@ BLURRED = 6.0
 
 
 def _late(t: Track, s: Shape) -> Array:
-    """−τ̇ of one joint or of all, or by how much torque fell behind in some time, over the time.
+    """−τ̇ of one joint or of all; or what it was some time ago less what it is, over the time.
 
-    Of the base model's torque, which was some time ago what is recorded now; or of what was measured, which will some time later be what
-    should be recorded now: whatever else is hidden comes late too, but there is noise in it.
+    Of the base model's torque, or of what was measured: whatever else is hidden comes late too, but there is noise in it. A signal's
+    slope says nothing of the signal itself; what it was some time ago does, which is why that is the base model's alone.
     """
-    seconds, torque = s.values.get("seconds", 0.0), t.drawn if s.values["measured"] else t.motor
+    seconds = s.values.get("seconds", 0.0)
     if not seconds:
-        return _of(s, -t.band.transformed(torque).low(t.to, 1)[t.kept])
-    ahead = 0.0 if s.values["measured"] else seconds
-    late, now = (np.column_stack([np.interp(t.clock + by, t.clock, x) for x in torque.T]) for by in (-ahead, seconds - ahead))
-    return _of(s, t.reduce((late - now) / seconds))
+        return _of(s, -t.band.transformed(t.drawn if s.values["measured"] else t.motor).low(t.to, 1)[t.kept])
+    then = np.column_stack([np.interp(t.clock - seconds, t.clock, x) for x in t.motor.T])
+    return _of(s, t.reduce((then - t.motor) / seconds))
 
 
 def _of(s: Shape, torque: Array) -> Array:
@@ -43,10 +42,10 @@ def _of(s: Shape, torque: Array) -> Array:
 def _delay(tracks: Sequence[Track]) -> Iterator[Shape]:
     """To first order, ahead or behind; and behind by so much that a slope does not tell it."""
 
-    def behind(joint: int | None, measured: float) -> Callable[[float], Shape]:
+    def behind(joint: int | None) -> Callable[[float], Shape]:
         def shape(seconds: float) -> Shape:
-            fixed, gate = {"seconds": seconds, "measured": measured}, within(0.5 * seconds, 2.0 * seconds)
-            return Shape("delay", joint, _late, fixed, parameters=named("seconds"), plausible=gate, doubt=BLURRED)
+            gate = within(0.5 * seconds, 2.0 * seconds)
+            return Shape("delay", joint, _late, {"seconds": seconds}, parameters=named("seconds"), plausible=gate, doubt=BLURRED)
 
         return shape
 
@@ -55,7 +54,7 @@ def _delay(tracks: Sequence[Track]) -> Iterator[Shape]:
         for measured in (0.0, 1.0):
             fixed, gate = {"measured": measured}, within(-0.05, 0.05)
             yield Shape("delay", joint, _late, fixed, parameters=named("seconds"), plausible=gate, doubt=BLURRED)
-            yield from family(LATE, behind(joint, measured))
+        yield from family(LATE, behind(joint))
 
 
 def _misread(t: Track, s: Shape) -> Array:

@@ -332,7 +332,8 @@ def drawn(found, joint, seconds=None):
     figure = Figure(figsize=(8, 3.0), layout="constrained")
     axes = figure.subplots()
     for residual, colour, label in zip(found.residuals, ("0.6", "tab:blue"), ("base model", "with the findings"), strict=True):
-        axes.plot(track.time[shown], np.where(track.moves, residual[: len(track)], np.nan)[shown, joint], color=colour, linewidth=0.9, label=label)
+        left = np.where(track.moves, residual[: len(track)], np.nan)[shown, joint]
+        axes.plot(track.time[shown], left, color=colour, linewidth=0.9, label=label)
     axes.axhspan(-found.floor[joint], found.floor[joint], color="tab:red", alpha=0.15, label="± noise floor")
     name = found.identified.model.robot.joints[joint]
     axes.set(xlabel="time [s]", ylabel="torque left, held out", title=name)
@@ -393,8 +394,8 @@ for axes, gear in zip(figure.subplots(1, len(kuka.gears)), kuka.gears, strict=Tr
     axes.plot(load, 1e3 * gear.curve(load), color="tab:orange")
     stiffness = "" if gear.stiffness is None else f"{1e-6 * gear.stiffness[0]:.1f} ± {1e-6 * gear.stiffness[1]:.1f} MN m/rad"
     axes.set(title=f"axis {gear.joint + 1}: {stiffness}", xlabel="torque carried [N m]", ylabel="wind-up [mrad]")
-    print(f"axis {gear.joint + 1}: apart {1e3 * gear.apart[0]:.2f} ms; {1e3 * gear.before:.2f} → {1e3 * gear.after:.3f} mrad held out;", end=" ")
-    print("lost motion not seen" if gear.play is None else f"lost motion {1e3 * gear.play[0]:.3f} ± {1e3 * gear.play[1]:.3f} mrad")
+    print(f"axis {gear.joint + 1}: read {1e3 * gear.apart[0]:.2f} ms apart; {1e3 * gear.before:.2f} → {1e3 * gear.after:.3f} mrad held out")
+    print("  lost motion", "not seen" if gear.play is None else f"{1e3 * gear.play[0]:.3f} ± {1e3 * gear.play[1]:.3f} mrad")
 display(figure)""",
     ),
     (

@@ -71,15 +71,18 @@ class _Rows:
 
 def gears(tracks: Sequence[Sequence[Track]], recordings: Sequence[Sequence[Recording]]) -> tuple[Gear, ...]:
     """Every joint that has two encoders. Both: those fitted, those held out. Empty where no recording has `qlink`."""
-    n = tracks[0][0].n
-    halves = [
-        [[_rows(track, own[track.piece.source], j) for track in half if track.piece.source in own] for j in range(n)]
-        for half, group in zip(tracks, recordings, strict=True)
-        for own in ({r.source: r for r in group if r.qlink is not None},)
-    ]
-    linear = [entry.kind == "prismatic" for entry in tracks[0][0].body.robot.entries]
-    found = [_gear(j, linear[j], *([rows for rows in half[j] if rows is not None] for half in halves)) for j in range(n)]
-    return tuple(one for one in found if one is not None)
+    entries = tracks[0][0].body.robot.entries
+    found = []
+    for j in range(tracks[0][0].n):
+        train, held_out = (_stretches(half, group, j) for half, group in zip(tracks, recordings, strict=True))
+        found.append(_gear(j, entries[j].kind == "prismatic", train, held_out))
+    return tuple(gear for gear in found if gear is not None)
+
+
+def _stretches(tracks: Sequence[Track], recordings: Sequence[Recording], joint: int) -> list[_Rows]:
+    linked = {one.source: one for one in recordings if one.qlink is not None}
+    rows = (_rows(track, linked[track.piece.source], joint) for track in tracks if track.piece.source in linked)
+    return [one for one in rows if one is not None]
 
 
 def _rows(track: Track, recording: Recording, joint: int) -> _Rows | None:
@@ -106,9 +109,10 @@ def _columns(rows: _Rows, load: float, speed: float) -> Array:
 
 
 def _gear(joint: int, linear: bool, train: Sequence[_Rows], held_out: Sequence[_Rows]) -> Gear | None:
+    """None where there is too little of it to tell errors by."""
     if not train or not held_out:
         return None
-    load, speed = (max(float(np.abs(getattr(rows, name)).max()) for rows in train) for name in ("load", "speed"))
+    load, speed = (max(1e-12, *(float(np.abs(getattr(rows, name)).max()) for rows in train)) for name in ("load", "speed"))
     signs = np.concatenate([rows.load > 0.0 for rows in train])
     # encoders count from where each recording began: every stretch has a mean of its own
     parts = [(c - c.mean(axis=0), r.lag - r.lag.mean(), r.block) for r in train for c in (_columns(r, load, speed),)]

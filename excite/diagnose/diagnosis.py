@@ -315,16 +315,18 @@ def _half(tracks: list[Track], identified: Identification, options: Options, sca
 
 
 def _known(identified: Identification, options: Options, width: int) -> tuple[Array, Array]:
-    """What the identification's prior says of the base parameters, as rows: a short recording alone would not predict another."""
+    """What is known of the base parameters beforehand, as rows: a short recording alone would not predict another."""
+    n = identified.model.robot.n
+    slopes = np.hstack([np.zeros((n, width - n)), np.eye(n)])  # friction's width is known within a factor e: what is linear is no further
     if options.trusted:
-        return np.zeros((0, width)), np.zeros(0)
+        return slopes, np.zeros(n)
     base, prior = identified.model.base, identified.prior
     spread = base.matrix @ consistent.inverse(consistent.metric_matrix(identified.model.parameters, prior)) @ base.matrix.T
     values, vectors = np.linalg.eigh(consistent.inverse(spread))
     root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     rows = np.zeros((base.count, width))
     rows[:, : base.count] = root
-    return rows, root @ (base.matrix @ prior.nominal)
+    return np.vstack([rows, slopes]), np.concatenate([root @ (base.matrix @ prior.nominal), np.zeros(n)])
 
 
 def _shapes(halves: Sequence[list[Track]], options: Options) -> list[Shape]:

@@ -15,6 +15,7 @@ from ..identify.band import WIDER, Grid, encoder_noise
 from ..identify.equations import Model, filtered
 from ..identify.identification import Identification
 from ..recordings import Recording
+from ..recordings.missing import runs
 from .track import Track
 
 Array = np.ndarray
@@ -163,9 +164,8 @@ def _usual(square: Array) -> Array:
     parts = np.array_split(square, max(1, min(PARTS, len(square) // 8)))
     means = np.array([part.mean(axis=0) for part in parts])
     loud = (means > ODD * np.quantile(means, MIDDLE, axis=0)).any(axis=1)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], loud.astype(int), [0]]))).reshape(-1, 2)
     kept = np.ones(len(parts), bool)
-    for start, end in sorted(edges.tolist(), key=lambda e: e[0] - e[1])[:2]:
+    for start, end in sorted(runs(loud).tolist(), key=lambda e: e[0] - e[1])[:2]:
         kept[start:end] = False
     return np.repeat(kept, [len(part) for part in parts])
 

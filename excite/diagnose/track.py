@@ -13,6 +13,7 @@ from ..identify.band import WIDER, Band, Grid, friction_speed
 from ..identify.equations import Model, filtered
 from ..identify.signals import Piece
 from ..parameters import Parameters
+from ..recordings.missing import runs
 from ..robot import Robot
 from ..trajectory import Samples
 
@@ -234,8 +235,7 @@ def _moving(q: Array, dq: Array, rate: float) -> Array:
     """Samples at which a joint moves: not at rest, nor within a little of where it rested. Shapes (M,)."""
     out, far = np.ones(len(q), bool), LOOSE * float(np.ptp(q))
     still = np.abs(dq) < STILL * np.abs(dq).max()
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(int), [0]]))).reshape(-1, 2)
-    for start, end in edges.tolist():
+    for start, end in runs(still).tolist():
         if end - start > REST * rate:
             away = np.abs(q[end:] - q[end - 1]) > far
             out[start : end + int(np.argmax(away)) if away.any() else len(q)] = False

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from ...identify.band import Grid
+from ...recordings.missing import runs
 from ..effect import Effect, Shape, family, named
 from ..track import Track
 from .windup import oscillator
@@ -113,8 +114,7 @@ def _intervals(time: Array, loud: Array) -> list[tuple[float, float]]:
     size = max(4, len(loud) // PARTS)
     smooth = np.convolve(loud, np.ones(size) / size, mode="same")
     level = 3.0 * np.median(smooth)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], (smooth > level).astype(int), [0]])))
-    found = [(float(time[a]), float(time[min(b, len(time) - 1)]), float(smooth[a:b].sum())) for a, b in edges.reshape(-1, 2) if b - a >= 3]
+    found = [(float(time[a]), float(time[min(b, len(time) - 1)]), float(smooth[a:b].sum())) for a, b in runs(smooth > level) if b - a >= 3]
     return [(a, b) for a, b, _ in sorted(found, key=lambda f: -f[2])[:2]]
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..recordings import Recording
+from .blocks import sandwiched
 from .looks import BLOCK, block_starts
 from .track import Track
 
@@ -142,12 +143,8 @@ def _gear(joint: int, linear: bool, train: Sequence[_Rows], held_out: Sequence[_
 
 def _fitted(blocks: Sequence[tuple[Array, Array]], kept: Sequence[int]) -> tuple[Array, Array]:
     """Coefficients of some columns and their standard deviations between blocks; 0 of the others. Shapes (6,)."""
-    A, y = np.concatenate([c[:, kept] for c, _ in blocks]), np.concatenate([z for _, z in blocks])
-    size = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
-    inverse = np.linalg.pinv((A / size).T @ (A / size), rcond=1e-10) / np.outer(size, size)
-    found = inverse @ (A.T @ y)
-    scores = np.array([c[:, kept].T @ (z - c[:, kept] @ found) for c, z in blocks])
+    found, covariance = sandwiched([(c[:, kept], z) for c, z in blocks])
     freedom = len(blocks) / max(len(blocks) - len(kept), 1)
     x, std = np.zeros(6), np.zeros(6)
-    x[kept], std[kept] = found, np.sqrt(np.diag(inverse @ (scores.T @ scores) @ inverse) * freedom)
+    x[kept], std[kept] = found, np.sqrt(np.diag(covariance) * freedom)
     return x, std

@@ -16,6 +16,7 @@ from ..identify.equations import Model, filtered
 from ..identify.identification import Identification
 from ..recordings import Recording
 from ..recordings.missing import runs
+from .blocks import sandwiched
 from .track import Track
 
 Array = np.ndarray
@@ -144,14 +145,12 @@ def _clock(again: Sequence[_Again], tracks: Sequence[Track]) -> Array:
 def _growth(x: Array, y: Array) -> float:
     """At the most, by how much noise y grows with x: SURE standard deviations above what is seen of it, but no more than all of it.
 
-    Each row weighs less the steeper it is, so that a few do not say all. Errors are sandwiched between stretches, as noise is coloured.
+    Each row weighs less the steeper it is, so that a few do not say all. Errors are told between stretches, as noise is coloured.
     """
     columns, right = np.column_stack([np.ones(len(x)), x]) / (1.0 + x)[:, None], y / (1.0 + x)
-    inverse = np.linalg.pinv(columns.T @ columns)
-    found = inverse @ (columns.T @ right)
-    scores = columns * (right - columns @ found)[:, None]
-    parts = np.array([part.sum(axis=0) for part in np.array_split(scores, max(2, min(PARTS, len(x) // 8)))])
-    error = float(np.sqrt((inverse @ (parts.T @ parts) @ inverse)[1, 1]))
+    count = max(2, min(PARTS, len(x) // 8))
+    found, covariance = sandwiched(list(zip(np.array_split(columns, count), np.array_split(right, count), strict=True)))
+    error = float(np.sqrt(covariance[1, 1]))
     return float(np.clip(found[1] + SURE * error, 0.0, y.mean() / max(x.mean(), 1e-300)))
 
 

@@ -57,11 +57,11 @@ def predictions(found: Diagnosis) -> Iterator[Prediction]:
     """Held-out recordings with the torque of the base model (`nominal`) and of that with the findings (`fitted`)."""
     ends = np.cumsum([0, *(len(track) for track in found.tracks[1])])
     spans = [(track, slice(a, b)) for track, a, b in zip(found.tracks[1], ends[:-1], ends[1:], strict=True)]
+    left = [np.where(found.moves, residual, np.nan) for residual in found.residuals]
     for source, group in itertools.groupby(spans, key=lambda span: span[0].piece.source):
         own = list(group)
         time = np.concatenate([track.time for track, _ in own])
         measured = np.concatenate([track.torque for track, _ in own])
-        left = [np.where(found.moves, residual, np.nan) for residual in found.residuals]
         before, after = (measured - np.concatenate([r[part] for _, part in own]) for r in left)
         starts = np.cumsum([0, *(len(track) for track, _ in own)])[:-1]
         yield Prediction(source, time, measured, before, after, found.floor, tuple(int(s) for s in starts))

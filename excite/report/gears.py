@@ -10,7 +10,7 @@ import numpy as np
 from ..diagnose.diagnosis import Diagnosis
 from ..diagnose.encoders import Gear
 from ..wording import listed, percent
-from .figures import GREY, INK, ORANGE, few_ticks, render
+from .figures import GREY, INK, ORANGE, few_ticks, grid, render
 from .motion_figures import short, torque_units
 from .page import Section, escape, figure, number, paragraph, table
 
@@ -33,9 +33,7 @@ def section(found: Diagnosis, stated: Mapping[str, Any]) -> Iterator[Section]:
     head = ("joint", "stiffness", "lost motion", "read apart by", "RMS difference", "unexplained")
     note = "Motor's position less the link's: torque over stiffness, play where torque changes its sign, friction that holds some "
     note += "back, and speed times the time by which the link's encoder is read later. Not stated: a stiffness as good as infinite, a "
-    note += (
-        "play that is none or where torque keeps its sign. Dots: held out, without friction, that time, and what an encoder that is not "
-    )
+    note += "play that is none or where torque keeps its sign. Dots: held out, without friction, that time, and what an encoder off its "
     note += "centre errs by once a turn; orange: stiffness and play."
     yield Section("gears", "What do the two encoders say?", answer, table(head, rows) + figure(_curves(found)) + paragraph(note, "note"))
 
@@ -50,16 +48,14 @@ def _curves(found: Diagnosis) -> str:
     units = torque_units(robot)
 
     def draw(drawing: Any) -> None:
-        width, height = drawing.get_size_inches()
-        cell = (width - 0.6 * _COLUMNS - 0.05) / _COLUMNS
-        for k, gear in enumerate(found.gears):
-            row, column = divmod(k, _COLUMNS)
-            bottom = height - (row + 1) * (_HEIGHT + 0.7) + 0.45
-            axes = drawing.add_axes(((0.55 + column * (cell + 0.6)) / width, bottom / height, cell / width, _HEIGHT / height))
+        panels = grid(drawing, rows, _COLUMNS, margins=(0.55, 0.1, 0.25, 0.45), gaps=(0.55, 0.7)).ravel()
+        for axes, gear in zip(panels, found.gears, strict=False):
             _panel(axes, gear)
             linear = units[gear.joint] == "N"
             axes.set_title(f"{short(robot.joints[gear.joint], 20)} [{'mm' if linear else 'mrad'}]", loc="left", fontweight="bold", pad=3)
             axes.set_xlabel(f"torque that the gear carries [{units[gear.joint]}]")
+        for axes in panels[len(found.gears) :]:
+            axes.set_axis_off()
 
     return render("Wind-up of the gears between two encoders", rows * (_HEIGHT + 0.7), draw)
 

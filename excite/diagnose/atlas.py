@@ -22,7 +22,7 @@ from ..recordings import Recording
 from . import looks
 from .diagnosis import Diagnosis
 from .looks import Kind, Look, Rows
-from .search import inverse
+from .search import inverse, mean_square
 
 Array = np.ndarray
 DRAWS = 999
@@ -101,8 +101,7 @@ def look(found: Diagnosis, recordings: Sequence[Recording] = (), *, draws: int =
     """The atlas of a diagnosis. recordings: those held out, for the temperatures recorded with them."""
     rows = looks.rows(found.tracks[1], recordings)
     rng = np.random.default_rng(seed)
-    power = np.sum(found.design.across.reshape(len(rows), -1) ** 2, axis=0) / rows.moves.sum(axis=0)
-    scale = found.before / np.maximum(np.sqrt(power), 1e-300)
+    scale = found.before / np.maximum(np.sqrt(mean_square(found.design.across.reshape(len(rows), -1), rows.moves)), 1e-300)
     nulls = _nulls(found, scale, rows)
     signs = rng.choice((-1.0, 1.0), size=(draws, len(rows.starts))), rng.choice((-1.0, 1.0), size=(draws, len(nulls[0].scores)))
     all_looks = list(looks.looks(rows, found.identified.model.robot.joints))

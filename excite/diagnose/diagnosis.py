@@ -102,8 +102,7 @@ class Diagnosis:
     @property
     def torque(self) -> Array:
         """RMS of the held-out torque there. Shape (n,) [N m]."""
-        moves, torque = self.moves, np.concatenate([one.torque for one in self.tracks[1]])
-        return np.asarray(np.sqrt(np.sum((torque * moves) ** 2, axis=0) / moves.sum(axis=0)))
+        return np.sqrt(search.mean_square(np.concatenate([one.torque for one in self.tracks[1]]), self.moves))
 
     @property
     def systematic(self) -> Array:
@@ -240,9 +239,9 @@ def _judged(
     before, after = _held_out(one, verdict, scale)
     fitted = _fitted(one, (), scale), _fitted(one, verdict.named, scale)
     quiet = np.sqrt(floor**2 + 2.0 * noisy.steps**2 + noisy.clock)
-    moves = one.halves[1].counts[one.halves[1].rows].reshape(before.shape)
+    moves = np.concatenate([t.moves for t in tracks[1]])
     expected = np.sqrt(quiet**2 + _reach(one, scale) ** 2)
-    rms = [np.sqrt(np.sum(r**2, axis=0) / moves.sum(axis=0)) for r in (before, after)]
+    rms = [np.sqrt(search.mean_square(r, moves)) for r in (before, after)]
     told = (identified, options, hertz, tracks, one, verdict, floor, noisy.method)
     return Diagnosis(*told, rms[0], rms[1], (before, after), refitted, expected=expected, fitted=fitted, quiet=quiet)
 

@@ -342,7 +342,12 @@ def remaining(one: Design, chosen: Sequence[int]) -> Array:
 def level(one: Design, chosen: Sequence[int]) -> Array:
     """Mean square of what remains on each joint, of the rows that count. Shape (n,)."""
     counts = one.both.counts[one.both.rows].reshape(-1, int(one.both.joint.max()) + 1)
-    return np.asarray(np.sum(np.square(remaining(one, chosen)), axis=0) / counts.sum(axis=0))
+    return mean_square(remaining(one, chosen), counts)
+
+
+def mean_square(x: Array, counts: Array) -> Array:
+    """Of the rows that count. Shapes (N, n) -> (n,)."""
+    return np.asarray(np.sum(np.square(x * counts), axis=0) / counts.sum(axis=0))
 
 
 def refined(one: Design, chosen: Sequence[int], sweeps: int = 2) -> tuple[Design, list[int]]:

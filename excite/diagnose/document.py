@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from ..wording import percent
 from .catalogue import BY_NAME
-from .diagnosis import Diagnosis
+from .diagnosis import FORESEEN, Diagnosis
 from .effect import Shape
 from .encoders import Gear
 from .interval import finding_parameters
@@ -182,10 +183,14 @@ def _doubted(found: Diagnosis, finding: Finding) -> dict[str, Any]:
 
 def _unknown(found: Diagnosis, joint: int) -> dict[str, Any]:
     name = found.identified.model.robot.joints[joint]
-    share = float(found.unexplained[joint])
+    share, sight = float(found.unexplained[joint]), found.sights[joint]
+    told = f"; {sight.regime} foresees {percent(sight.share)} of it, held out" if sight.share > FORESEEN else ""
     return {
         "joint": name,
-        "where": {"statement": f"joint '{name}': torque that repeats and that no effect of the catalogue takes"},
+        "where": {
+            "statement": f"joint '{name}': torque that no effect of the catalogue takes{told}",
+            "regime": sight.regime if told else "",
+        },
         "share": share,
         "probability": float(np.clip(0.5 + 0.5 * share, 0.5, 0.99)),
     }

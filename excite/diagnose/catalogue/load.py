@@ -18,6 +18,8 @@ FAR = 1.5
 """Distance of a payload's centre from its link's frame, at the most [m]."""
 ANGLE, LENGTH = 1e-4, 1e-5
 """Changes of geometry that a column is the secant of [rad, m]."""
+SHORTER = 0.1
+"""Of a turn's sine, how much of gravity may go amiss besides."""
 ROUNDED = 1e-6
 """Of the largest column, one that is rounding: a turn about the joint's own upright axis."""
 
@@ -52,11 +54,29 @@ def _payload(tracks: Sequence[Track]) -> Iterator[Shape]:
 
 
 def _leaning(t: Track, s: Shape) -> Array:
-    return t.reduce(t.leaning[:, :, :2], Grid.COARSE)
+    """Torque of gravity turned about x and y, per radian; and, of a turn that is not small, of what gravity lacks along its old direction."""
+    columns = [t.leaning[:, :, :2]]
+    if s.values["large"]:
+        columns.append(-(t.gravity @ t.body.model.gravity.linear)[:, :, None])
+    return t.reduce(np.concatenate(columns, axis=2), Grid.COARSE)
+
+
+def _turned(c: Array) -> dict[str, float]:
+    """Roll and pitch (of URDF's angles) of a base that sees gravity by components c: across, along, and 1 less of the old direction."""
+    if len(c) == 2:
+        return {"roll": float(c[0]), "pitch": float(c[1])}
+    return {"roll": float(np.arctan2(c[0], 1.0 + c[2])), "pitch": float(np.arctan2(c[1], np.hypot(c[0], 1.0 + c[2])))}
+
+
+def _leans(c: Array) -> bool:
+    """Whether gravity is turned, and no longer or shorter than it is."""
+    across = float(np.hypot(c[0], c[1]))
+    return across < 0.5 and (len(c) == 2 or abs(c[2] - np.sqrt(1.0 - across**2) + 1.0) < SHORTER * across)
 
 
 def _tilt(tracks: Sequence[Track]) -> Iterator[Shape]:
-    yield Shape("gravity_tilt", None, _leaning, parameters=named("roll", "pitch"), plausible=lambda c: bool(np.abs(c).max() < 0.3))
+    for large in (0.0, 1.0):
+        yield Shape("gravity_tilt", None, _leaning, {"large": large}, parameters=_turned, plausible=_leans)
 
 
 def _spun(t: Track, s: Shape) -> Array:

@@ -54,7 +54,7 @@ def _payload(tracks: Sequence[Track]) -> Iterator[Shape]:
 
 
 def _leaning(t: Track, s: Shape) -> Array:
-    """Torque of gravity turned about x and y, per radian; and, of a turn that is not small, of what gravity lacks along its old direction."""
+    """Torque of gravity turned about x and y, per radian; and of what a turn that is not small takes from its old direction."""
     columns = [t.leaning[:, :, :2]]
     if s.values["large"]:
         columns.append(-(t.gravity @ t.body.model.gravity.linear)[:, :, None])
@@ -62,7 +62,7 @@ def _leaning(t: Track, s: Shape) -> Array:
 
 
 def _turned(c: Array) -> dict[str, float]:
-    """Roll and pitch (of URDF's angles) of a base that sees gravity by components c: across, along, and 1 less of the old direction."""
+    """Roll and pitch, URDF's angles, of a base that sees gravity changed by c: twice across, and along."""
     if len(c) == 2:
         return {"roll": float(c[0]), "pitch": float(c[1])}
     return {"roll": float(np.arctan2(c[0], 1.0 + c[2])), "pitch": float(np.arctan2(c[1], np.hypot(c[0], 1.0 + c[2])))}

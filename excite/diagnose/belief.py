@@ -10,7 +10,6 @@ other forms than those that are scored, which is why a name is allowed to leave 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -56,14 +55,15 @@ def odds(effect: str, x: float) -> float:
 
 def unexplained(one: Design, verdict: Verdict, number: int, noise: Array) -> tuple[float, float]:
     """What is left where a finding acts by all but it, and by all: mean squares beyond noise, over the noise. noise: mean square over the
-    scale. Shape (n,)."""
+    scale. Shape (n,). What it explains is the difference, also where the noise is less than it was taken for."""
     together, own = verdict.together, [part.shape for part in verdict.findings[number].parts]
     assert together is not None
     where = sizes(one, together, together.shapes.index(own[0]))
     acts = where > ACTS * where.max()
     others = tuple(i for i in together.shapes if i not in own)
-    without, both = (_excess(one, shapes, noise, acts) for shapes in (others, together.shapes))
-    return without, both
+    without, both = ((search.level(one, shapes) / noise)[acts] for shapes in (others, together.shapes))
+    left = max(float(np.sum(both - 1.0)), UNSURE)
+    return left + max(float(np.sum(without - both)), 0.0), left
 
 
 def alike(finding: Finding, x: float) -> dict[str, float]:
@@ -74,12 +74,6 @@ def alike(finding: Finding, x: float) -> dict[str, float]:
         if gain > LEAST_ALIKE * finding.gain and (chance := odds(name, left)) > ODDS * best:
             out[name] = chance
     return dict(sorted(out.items(), key=lambda entry: -entry[1])[:MOST_ALIKE])
-
-
-def _excess(one: Design, shapes: Sequence[int], noise: Array, joints: Array) -> float:
-    """Mean square beyond noise, over the noise, that base and shapes leave of all recordings at some joints, added."""
-    square = search.level(one, shapes) / noise - 1.0
-    return float(max(square[joints].sum(), UNSURE))
 
 
 def probability(chance: float) -> float:

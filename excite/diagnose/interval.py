@@ -28,6 +28,8 @@ STEP = 0.02
 """Change of a value's logarithm that its column is the secant of."""
 FARTHEST = 1.5
 """Change of a value's logarithm, at the most."""
+UNFELT = 1e-6
+"""Torque of a coefficient over that of another of the same shape, below which it is rounding."""
 DRAWS = 200
 MIDDLE = 15.87, 84.13
 """Percentiles between which two standard deviations lie."""
@@ -93,8 +95,21 @@ def spreads(one: Design, verdict: Verdict) -> Spread:
     G = free.T @ free
     # a value's logarithm is known to one, as its grid's neighbours are
     G[np.diag_indices_from(G)] += np.concatenate([one.prior[which], np.ones(len(places))])
+    start = 0
+    for c in one.split(together.shapes, together.coefficients):
+        _unfelt(G, slice(start, start + len(c)), one.prior[which[start : start + len(c)]], c)
+        start += len(c)
     values, vectors = np.linalg.eigh(G)
     return Spread(vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1])), places)
+
+
+def _unfelt(G: Array, own: slice, prior: Array, c: Array) -> None:
+    """Directions of a shape that no joint feels, such as a force out of an arm's plane, are taken to be like those that one feels."""
+    unfelt = prior < UNFELT**2 * prior.max()
+    if unfelt.any():
+        places = np.arange(own.start, own.stop)[unfelt]
+        G[places] = G[:, places] = 0.0
+        G[places, places] = 1.0 / max(float(np.mean(c[~unfelt] ** 2)), 1e-300)
 
 
 def misfit(one: Design, verdict: Verdict, number: int) -> float:

@@ -17,6 +17,8 @@ the mean square that others leave, what a further effect may explain instead."""
 SMALLEST = 0.3
 """RMS torque of an effect over the scale, below which nothing is asserted: clocks, encoders and friction's step are never as the
 model has them."""
+CANCELS = 5.0
+"""Times what the base model leaves that one effect may be beside others: shapes that are far larger take each other off."""
 MOST = 6
 """Shapes, at the most."""
 FRONT = 24
@@ -78,6 +80,7 @@ def singles(one: Design, beside: tuple[int, ...] = ()) -> list[Hypothesis]:
     """Every effect at every joint in its best plausible shape, alone or beside shapes that are there already, the best first."""
     best: dict[tuple[str, int | None], Hypothesis] = {}
     there = {(one.shapes[i].effect, one.shapes[i].joint) for i in beside}
+    largest = CANCELS * float(np.sqrt(search.level(one, ()).max()))
     for i, shape in enumerate(one.shapes):
         if i in beside or (not shape.several and (shape.effect, shape.joint) in there):
             continue
@@ -86,6 +89,8 @@ def singles(one: Design, beside: tuple[int, ...] = ()) -> list[Hypothesis]:
         if (key in best and found.gain <= best[key].trial.gain) or not found.plausible or not agrees(one, found):
             continue
         large = size(one, found, len(beside))
+        if beside and large > largest:
+            continue
         best[key] = Hypothesis(shape.effect, shape.joint, i, found, large, large > SMALLEST)
     return sorted(best.values(), key=lambda h: -h.trial.gain)
 

@@ -106,5 +106,5 @@ def test_what_happens_at_one_half_only_is_not_foreseen():
 
 def test_a_recording_does_not_remember_the_one_before():
     made = rows()
-    past = ceiling.KINDS["past acceleration"](made, 0)
+    past = ceiling.KINDS["past acceleration"].features(made, 0)
     assert not past[COUNT, 1:].any() and not past[0, 1:].any() and past[COUNT + 1, 1] == past[COUNT, 0]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .looks import Rows
+from .looks import LEAST_ROWS, Rows
 
 Array = np.ndarray
 HARMONICS, BUMPS = 40, 13
@@ -22,8 +22,18 @@ MEMORY, LAGS = 4.0, 250
 """How long a resonance is remembered [s], and by how many values at the most."""
 RIDGES = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
 """Over the mean square of the features."""
+BINS = 100
 PARTS = 40
 """Stretches between which it is told how sure a share is."""
+
+
+@dataclass(frozen=True)
+class Response:
+    """A joint's residual over what it depends on. over: what that is, with its unit. Shapes (b,), (b,) [N m, of a force N]."""
+
+    over: str
+    x: Array
+    y: Array
 
 
 @dataclass(frozen=True)
@@ -34,6 +44,7 @@ class Sight:
     regime: str
     share: float
     sure: float
+    response: Response
 
 
 def _position(rows: Rows, joint: int) -> Array:
@@ -65,9 +76,14 @@ def _power(rows: Rows, joint: int) -> Array:
     return np.hstack([scaled, rows.direction(joint)[:, None] * drawn[:, None]])
 
 
+def _stride(rows: Rows) -> int:
+    """Rows between values that are remembered."""
+    return max(1, int(np.ceil(MEMORY * rows.rate / LAGS)))
+
+
 def _remembered(x: Array, rows: Rows) -> Array:
     """Values of the last seconds; zero before a recording begins."""
-    step = max(1, int(np.ceil(MEMORY * rows.rate / LAGS)))
+    step = _stride(rows)
     count = int(MEMORY * rows.rate / step)
     starts = [0, *(np.flatnonzero(np.diff(rows.time) > 1.5 / rows.rate) + 1).tolist(), len(rows)]
     out = np.zeros((len(rows), count))
@@ -78,33 +94,87 @@ def _remembered(x: Array, rows: Rows) -> Array:
     return out
 
 
-KINDS: Mapping[str, Callable[[Rows, int], Array]] = {
-    "position": _position,
-    "position and direction": _direction,
-    "speed": _speed,
-    "past acceleration": lambda rows, joint: _remembered(rows.ddq[:, joint], rows),
-    "past load": lambda rows, joint: _remembered(rows.load[:, joint], rows),
-    "power": _power,
+@dataclass(frozen=True)
+class Kind:
+    """features: of a joint at all rows, Shape (N, k). over: what its response is drawn against, [rows, joint] -> (N,), None: time since.
+    sign: by which the residual is taken there. experiment: what would show it alone."""
+
+    features: Callable[[Rows, int], Array]
+    experiment: str
+    label: str
+    over: Callable[[Rows, int], Array] | None = None
+    sign: Callable[[Rows, int], Array] = lambda rows, joint: np.ones(len(rows))
+
+
+STOP = "a sharp stop, then rest: what swings on does so alone"
+KINDS: Mapping[str, Kind] = {
+    "position": Kind(_position, "that joint alone, slowly to and fro over its range", "position [{}]", lambda rows, j: rows.q[:, j]),
+    "position and direction": Kind(
+        _direction,
+        "that joint alone, slowly to and fro, between ends that shift",
+        "position, along the motion [{}]",
+        lambda rows, j: rows.q[:, j],
+        lambda rows, j: rows.direction(j),
+    ),
+    "speed": Kind(_speed, "constant speeds of one joint after the other", "speed [{}/s]", lambda rows, j: rows.dq[:, j]),
+    "past acceleration": Kind(
+        lambda rows, j: _remembered(rows.ddq[:, j], rows),
+        STOP,
+        "since an acceleration [s]",
+    ),
+    "past load": Kind(lambda rows, j: _remembered(rows.load[:, j], rows), STOP, "since a load [s]"),
+    "power": Kind(
+        _power,
+        "that joint slowly, alone, then while the others move fast",
+        "power of all drives, along the torque [W]",
+        lambda rows, j: np.sum(rows.motor * rows.dq, axis=1),
+        lambda rows, j: np.sign(rows.motor[:, j]),
+    ),
 }
 
 
 def seen(rows: Rows, halves: Sequence[Array], residual: Array, joint: int) -> Sight:
-    """What a flexible model foresees of a joint's residual. halves: which rows either has, as masks. residual: Shapes (N,)."""
-    found = []
-    for regime, features in KINDS.items():
-        x = features(rows, joint)
+    """What a flexible model foresees of a joint's residual. halves: which rows either has, as masks. residual: Shape (N,)."""
+    best, share = "", -np.inf
+    told, sure, ridge = np.zeros(0), 0.0, 0.0
+    for regime, kind in KINDS.items():
+        x = kind.features(rows, joint)
         x -= x.mean(axis=0)
         spread = x.std(axis=0)
         x /= np.maximum(spread, 1e-3 * spread.max() + 1e-300)
-        found.append(Sight(regime, *_foreseen([x[half] for half in halves], [residual[half] for half in halves])))
-    return max(found, key=lambda one: one.share)
+        found = _foreseen([x[half] for half in halves], [residual[half] for half in halves])
+        if found[0] > share:
+            best, told, (share, sure, ridge) = regime, x, found
+    moves = np.logical_or(*halves)
+    kind = KINDS[best]
+    unit = "m" if rows.linear[joint] else "rad"
+    if kind.over is None:
+        return Sight(best, share, sure, Response(kind.label, *_impulse(rows, told[moves], residual[moves], ridge)))
+    curve = _binned(kind.over(rows, joint)[moves], (residual * kind.sign(rows, joint))[moves])
+    return Sight(best, share, sure, Response(kind.label.format(unit), *curve))
 
 
-def _foreseen(features: Sequence[Array], residual: Sequence[Array]) -> tuple[float, float]:
-    """The share of the residual's square that each half foresees of the other, at the ridge where that is most; and how sure that is."""
+def _impulse(rows: Rows, features: Array, residual: Array, ridge: float) -> tuple[Array, Array]:
+    """What is felt how long after [s], over its largest. Shapes (k,)."""
+    G = features.T @ features / len(features)
+    c = np.linalg.solve(G + ridge * np.eye(len(G)), features.T @ residual / len(features))
+    return _stride(rows) / rows.rate * np.arange(len(c)), c / max(float(np.abs(c).max()), 1e-300)
+
+
+def _binned(x: Array, y: Array) -> tuple[Array, Array]:
+    """Means between equal steps of x, where there are enough rows. Shapes (b,)."""
+    edges = np.linspace(x.min(), x.max(), BINS + 1)
+    place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, BINS - 1)
+    count = np.bincount(place, minlength=BINS)
+    enough = count >= LEAST_ROWS
+    mean = np.bincount(place, y, minlength=BINS) / np.maximum(count, 1)
+    return 0.5 * (edges[1:] + edges[:-1])[enough], mean[enough]
+
+
+def _foreseen(features: Sequence[Array], residual: Sequence[Array]) -> tuple[float, float, float]:
+    """The share of the residual's square that each half foresees of the other, how sure that is, and at which ridge it is most."""
     square = np.square(np.concatenate(residual))
-    spent = np.zeros((len(RIDGES), len(square)))
-    at = 0
+    spent, at = np.zeros((len(RIDGES), len(square))), 0
     for own, other in ((1, 0), (0, 1)):
         values, vectors = np.linalg.eigh(features[own].T @ features[own] / len(features[own]))
         score = vectors.T @ (features[own].T @ residual[own]) / len(features[own])
@@ -113,7 +183,8 @@ def _foreseen(features: Sequence[Array], residual: Sequence[Array]) -> tuple[flo
             left = residual[other] - turned @ (score / (np.maximum(values, 0.0) + ridge))
             spent[k, at : at + len(left)] = np.square(left)
         at += len(residual[other])
-    saved = max(square - spent, key=np.sum)
-    parts = np.array([part.sum() for part in np.array_split(saved, PARTS)])
-    error = parts.std() * np.sqrt(PARTS)
-    return float(saved.sum() / max(square.sum(), 1e-300)), float(saved.sum() / max(error, 1e-300))
+    saved = square - spent
+    best = int(np.argmax(saved.sum(axis=1)))
+    parts = np.array([part.sum() for part in np.array_split(saved[best], PARTS)])
+    error = max(float(parts.std() * np.sqrt(PARTS)), 1e-300)
+    return float(parts.sum() / max(square.sum(), 1e-300)), float(parts.sum() / error), RIDGES[best]

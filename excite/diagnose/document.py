@@ -8,6 +8,7 @@ import numpy as np
 
 from ..wording import percent
 from .catalogue import BY_NAME
+from .ceiling import KINDS
 from .diagnosis import FORESEEN, Diagnosis
 from .effect import Shape
 from .encoders import Gear
@@ -184,13 +185,17 @@ def _doubted(found: Diagnosis, finding: Finding) -> dict[str, Any]:
 def _unknown(found: Diagnosis, joint: int) -> dict[str, Any]:
     name = found.identified.model.robot.joints[joint]
     share, sight = float(found.unexplained[joint]), found.sights[joint]
-    told = f"; {sight.regime} foresees {percent(sight.share)} of it, held out" if sight.share > FORESEEN else ""
+    where: dict[str, Any] = {"statement": f"joint '{name}': torque that no effect of the catalogue takes", "regime": "all"}
+    experiment = "that joint alone, slowly to and fro over its range, then faster"
+    if sight.share > FORESEEN:
+        where["statement"] += f"; {sight.regime} foresees {percent(sight.share)} of it, held out"
+        where |= {"regime": sight.regime, "foreseen": sight.share}
+        where["response"] = {"over": sight.response.over, "x": sight.response.x.tolist(), "y": sight.response.y.tolist()}
+        experiment = KINDS[sight.regime].experiment
     return {
         "joint": name,
-        "where": {
-            "statement": f"joint '{name}': torque that no effect of the catalogue takes{told}",
-            "regime": sight.regime if told else "",
-        },
+        "where": where,
         "share": share,
         "probability": float(np.clip(0.5 + 0.5 * share, 0.5, 0.99)),
+        "experiment": experiment,
     }

@@ -16,7 +16,7 @@ from ..diagnose.diagnosis import QUIET, Diagnosis
 from ..diagnose.isolability import ALIKE, Candidate, isolability
 from ..recordings import Recording
 from ..wording import listed, percent
-from . import atlas_figures, diagnosis_figures, diagnosis_tables, gears
+from . import atlas_figures, diagnosis_figures, diagnosis_tables, gears, unnamed
 from .diagnosis_figures import told
 from .fit_figures import EXCERPT, drawn_points
 from .motion_figures import torque_units
@@ -134,7 +134,7 @@ def _what(found: Diagnosis, stated: Stated) -> Section:
     body = "".join(_finding(one) for one in findings)
     if stated["unknown"]:
         body += "<h3>Left without a name</h3>"
-        body += bullets(f"{u['joint']}: {percent(u['share'])} of what is left is more than noise" for u in stated["unknown"])
+        body += unnamed.told(found, stated)
     if findings or stated["considered"]:
         body += "<h3>What else was considered</h3>" + figure(diagnosis_figures.bars(stated))
         note = "Blue: asserted. An effect that gains much alone may be another one's shadow: it counts only if it gains beside the others."
@@ -324,10 +324,7 @@ def _next(found: Diagnosis, stated: Stated) -> Section:
             lines.append(told_apart + f"{one['experiment']}; and {BY_NAME[name].experiment}.")
         if not one["equivalents"]:
             lines.append(f"To pin down {_named(one['effect'], one['joint'])}: {one['experiment']}.")
-    lines += [
-        f"For what has no name in {one['joint']}: that joint alone, slowly to and fro over its range, then faster."
-        for one in stated["unknown"]
-    ]
+    lines += [f"For what has no name in {one['joint']}: {one['experiment']}." for one in stated["unknown"]]
     if found.method != "periods":
         lines.append(
             "Repeat the same period a few times in one recording: what differs between periods is noise, and the floor becomes known."

@@ -1,0 +1,52 @@
+"""What no name takes, in a diagnosis's report: which features foresee it, and the residual over them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ..diagnose.diagnosis import Diagnosis
+from ..wording import percent
+from .figures import BLUE, GREY, few_ticks, grid, render
+from .motion_figures import short, torque_units
+from .page import bullets, figure, paragraph
+
+_HEIGHT, _COLUMNS, _MOST = 1.6, 3, 6
+
+
+def told(found: Diagnosis, stated: Mapping[str, Any]) -> str:
+    """Joints with what a flexible model foresees, and its curves."""
+    lines = []
+    for one in stated["unknown"]:
+        line = f"{one['joint']}: {percent(one['share'])} of what is left is more than noise"
+        if "foreseen" in one["where"]:
+            line += f"; {one['where']['regime']} foresees {percent(one['where']['foreseen'])} of it in recordings that it was not fitted to"
+        lines.append(line)
+    curves = [one for one in stated["unknown"] if "response" in one["where"]][:_MOST]
+    body = bullets(lines)
+    if not curves:
+        return body
+    note = "What is left, over what foresees it best: its mean between steps. Of what goes on after a cause: the response to a short one, "
+    note += "over its largest."
+    robot = found.identified.model.robot
+    units = dict(zip(robot.joints, torque_units(robot), strict=True))
+    return body + figure(_curves(curves, units)) + paragraph(note, "note")
+
+
+def _curves(unknown: Sequence[Mapping[str, Any]], units: Mapping[str, str]) -> str:
+    rows = -(-len(unknown) // _COLUMNS)
+
+    def draw(drawing: Any) -> None:
+        panels = grid(drawing, rows, _COLUMNS, margins=(0.55, 0.1, 0.25, 0.45), gaps=(0.55, 0.7)).ravel()
+        for axes, one in zip(panels, unknown, strict=False):
+            response = one["where"]["response"]
+            axes.axhline(0.0, color=GREY, linewidth=0.5)
+            axes.plot(response["x"], response["y"], color=BLUE, linewidth=1.0)
+            unit = "" if "since" in response["over"] else f" [{units[one['joint']]}]"
+            axes.set_title(short(one["joint"], 24) + unit, loc="left", fontweight="bold", pad=3)
+            axes.set_xlabel(response["over"])
+            few_ticks(axes, 5, 4)
+        for axes in panels[len(unknown) :]:
+            axes.set_axis_off()
+
+    return render("What is left without a name, over what foresees it", rows * (_HEIGHT + 0.7), draw)

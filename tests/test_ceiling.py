@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from excite.diagnose import ceiling
-from excite.diagnose.diagnosis import FORESEEN, SURE
+from excite.diagnose.ceiling import FORESEEN, SURE
 from excite.diagnose.looks import Rows
 
 RATE, SECONDS = 50.0, 40.0
@@ -29,7 +29,7 @@ def rows() -> Rows:
     time = clock + np.repeat([0.0, SECONDS + 1.0], COUNT)
     load = 3.0 * np.sin(q) + 0.5 * ddq
     none, moves, starts = np.zeros_like(q), np.ones(q.shape, bool), np.array([0, COUNT])
-    return Rows(time, clock, q, dq, ddq, load, load + 0.5 * np.sign(dq), none, none, moves, starts, RATE, 20.0, (False, False))
+    return Rows(time, clock, q, dq, ddq, load, load + 0.5 * np.sign(dq), none, none, moves, starts, starts, RATE, 20.0, (False, False))
 
 
 def swung(drive: np.ndarray, hertz: float, damping: float) -> np.ndarray:

@@ -20,7 +20,7 @@ from .judge import Finding, Verdict, sizes
 from .search import Design
 
 Array = np.ndarray
-LEAVES, SPREAD = -4.0, 2.0
+LEAVES, SPREAD = -4.2, 1.5
 """Mean and standard deviation of the logarithm of the share that a right name leaves; `Effect.loose` adds to the mean."""
 RIGHT = 5.0
 """Odds that the name that predicts best is right, before what it leaves is seen."""
@@ -55,14 +55,14 @@ def odds(effect: str, x: float) -> float:
 
 def unexplained(one: Design, verdict: Verdict, number: int, noise: Array) -> tuple[float, float]:
     """What is left where a finding acts by all but it, and by all: mean squares beyond noise, over the noise. noise: mean square over the
-    scale. Shape (n,). What it explains is the difference, also where the noise is less than it was taken for."""
+    scale. Shape (n,). Where less is left than noise, the noise is off by as much; at the worst all that is left is no noise."""
     together, own = verdict.together, [part.shape for part in verdict.findings[number].parts]
     assert together is not None
     where = sizes(one, together, together.shapes.index(own[0]))
     acts = where > ACTS * where.max()
     others = tuple(i for i in together.shapes if i not in own)
     without, both = ((search.level(one, shapes) / noise)[acts] for shapes in (others, together.shapes))
-    left = max(float(np.sum(both - 1.0)), UNSURE)
+    left = min(max(abs(float(np.sum(both - 1.0))), UNSURE), float(np.sum(both)))
     return left + max(float(np.sum(without - both)), 0.0), left
 
 

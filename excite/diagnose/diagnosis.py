@@ -44,10 +44,7 @@ MUCH = 0.15
 """RMSE over the torque itself from which what is left is something, where no period repeats to show the noise."""
 LOUD = 1.6
 """RMSE over a right model's from which what is left is called something though nothing foresees it: the most in 90 simulated robots with
-nothing missing is 1.29, where a clock wavers."""
-FORESEEN, SURE = 0.05, 1.5
-"""Share of what is left that a flexible model must foresee in other recordings, and that share over its standard error, for it to be called
-something though it is not loud: 0.036 is the most in the same robots."""
+nothing missing is 1.44, where a clock wavers."""
 UNSAID = 0.1
 """Share of the excess over the noise that may stay unexplained beside a finding before it is called unknown."""
 
@@ -121,12 +118,11 @@ class Diagnosis:
 
     @property
     def unknown(self) -> list[int]:
-        """Joints where something repeatable is left that no name takes."""
+        """Joints where something is left that no name takes: a flexible model foresees it, or it is far louder than noise."""
         bare, named = self.fitted
         loud = named > LOUD * self.quiet
         for j, sight in self.sights.items():
-            counts = np.sqrt(max(sight.share, 0.0)) * named[j] > judge.SMALLEST * self.floor[j]
-            loud[j] |= counts and sight.share > FORESEEN and sight.sure > SURE
+            loud[j] |= sight.counts and np.sqrt(sight.share) * named[j] > judge.SMALLEST * self.floor[j]
         if self.method != "periods":  # nothing repeats: the floor is a guess from below, and only much is worth a word
             torque = np.concatenate([one.torque for half in self.tracks for one in half])
             loud &= named > MUCH * np.sqrt(np.mean(torque**2, axis=0))

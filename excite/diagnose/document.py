@@ -9,7 +9,7 @@ import numpy as np
 from ..wording import percent
 from .catalogue import BY_NAME
 from .ceiling import KINDS
-from .diagnosis import FORESEEN, Diagnosis
+from .diagnosis import Diagnosis
 from .effect import Shape
 from .encoders import Gear
 from .interval import finding_parameters
@@ -187,10 +187,12 @@ def _unknown(found: Diagnosis, joint: int) -> dict[str, Any]:
     share, sight = float(found.unexplained[joint]), found.sights[joint]
     where: dict[str, Any] = {"statement": f"joint '{name}': torque that no effect of the catalogue takes", "regime": "all"}
     experiment = "that joint alone, slowly to and fro over its range, then faster"
-    if sight.share > FORESEEN:
+    if sight.counts:
         where["statement"] += f"; {sight.regime} foresees {percent(sight.share)} of it, held out"
         where |= {"regime": sight.regime, "foreseen": sight.share}
-        where["response"] = {"over": sight.response.over, "x": sight.response.x.tolist(), "y": sight.response.y.tolist()}
+        response = sight.response
+        over = response.over if response.other is None else f"{found.identified.model.robot.joints[response.other]}: {response.over}"
+        where["response"] = {"over": over, "relative": response.relative, "x": response.x.tolist(), "y": response.y.tolist()}
         experiment = KINDS[sight.regime].experiment
     return {
         "joint": name,

@@ -18,7 +18,7 @@ SMALLEST = 0.3
 """RMS torque of an effect over the scale, below which nothing is asserted: clocks, encoders and friction's step are never as the
 model has them."""
 CANCELS = 5.0
-"""Times what the base model leaves that one effect may be beside others: shapes that are far larger take each other off."""
+"""Times what the base model leaves that an effect may be beside others."""
 MOST = 6
 """Shapes, at the most."""
 FRONT = 24
@@ -80,19 +80,32 @@ def singles(one: Design, beside: tuple[int, ...] = ()) -> list[Hypothesis]:
     """Every effect at every joint in its best plausible shape, alone or beside shapes that are there already, the best first."""
     best: dict[tuple[str, int | None], Hypothesis] = {}
     there = {(one.shapes[i].effect, one.shapes[i].joint) for i in beside}
-    largest = CANCELS * float(np.sqrt(search.level(one, ()).max()))
     for i, shape in enumerate(one.shapes):
-        if i in beside or (not shape.several and (shape.effect, shape.joint) in there):
+        if i in beside or (not shape.several and (shape.effect, shape.joint) in there) or _meanwhile(one, i, beside):
             continue
         found = trial(one, [*beside, i])
         key = (shape.effect, shape.joint)
         if (key in best and found.gain <= best[key].trial.gain) or not found.plausible or not agrees(one, found):
             continue
-        large = size(one, found, len(beside))
-        if beside and large > largest:
+        if beside and _cancels(one, found):
             continue
+        large = size(one, found, len(beside))
         best[key] = Hypothesis(shape.effect, shape.joint, i, found, large, large > SMALLEST)
     return sorted(best.values(), key=lambda h: -h.trial.gain)
+
+
+def _cancels(one: Design, found: Trial) -> bool:
+    """Whether shapes are so much larger than what the base model leaves that they can only take each other off."""
+    return any(size(one, found, number) > CANCELS * one.loudest for number in range(len(found.shapes)))
+
+
+def _meanwhile(one: Design, i: int, beside: Sequence[int]) -> bool:
+    """Whether a shape lasts for some of the time, and another at another joint is there meanwhile: one touch, not two that fight."""
+    own = one.shapes[i]
+    if own.interval is None:
+        return False
+    others = [one.shapes[k] for k in beside if one.shapes[k].source == own.source and one.shapes[k].joint != own.joint]
+    return any(o.interval is not None and o.interval[0] < own.interval[1] and own.interval[0] < o.interval[1] for o in others)
 
 
 def sizes(one: Design, found: Trial, number: int) -> Array:
@@ -238,8 +251,12 @@ def _best_pair(one: Design, ranked: Sequence[Hypothesis]) -> list[int] | None:
     best: tuple[float, list[int]] | None = None
     for i, a in enumerate(front):
         for b in front[i + 1 :]:
+            if _meanwhile(one, b.shape, (a.shape,)):
+                continue
             found = trial(one, [a.shape, b.shape])
-            if (best is None or found.gain > best[0]) and found.plausible and shows(one, found, 0) and shows(one, found, 1):
+            if best is not None and found.gain <= best[0]:
+                continue
+            if found.plausible and shows(one, found, 0) and shows(one, found, 1) and not _cancels(one, found):
                 best = (found.gain, [a.shape, b.shape])
     return None if best is None or best[0] - single < max(search.NATS, SHARE * single) else best[1]
 

@@ -68,7 +68,7 @@ class Rows:
     """What the robot did at every row. time: [s], one recording after the other. clock: [s] since a recording's start. Shape (N,).
 
     q, dq, ddq, load, motor, distance: Shape (N, n). temperature: the same, NaN where not recorded. moves: where a joint is judged.
-    starts: first row of each block.
+    starts: first row of each block. begins: first row of each stretch.
     """
 
     time: Array
@@ -82,6 +82,7 @@ class Rows:
     temperature: Array
     moves: Array
     starts: Array
+    begins: Array
     rate: float
     hertz: float
     linear: tuple[bool, ...]
@@ -119,7 +120,8 @@ def rows(tracks: Sequence[Track], recordings: Sequence[Recording] = ()) -> Rows:
     first = tracks[0]
     linear = tuple(entry.kind == "prismatic" for entry in first.body.robot.entries)
     rate = first.band.rate_of(Grid.KEPT)
-    return Rows(**joined, starts=np.concatenate(starts), rate=rate, hertz=first.band.hertz, linear=linear)
+    begins = np.cumsum([0, *(len(track) for track in tracks[:-1])])
+    return Rows(**joined, starts=np.concatenate(starts), begins=begins, rate=rate, hertz=first.band.hertz, linear=linear)
 
 
 def block_length(tracks: Sequence[Track]) -> float:

@@ -140,6 +140,11 @@ class Design:
     stepped: float = 0.0
     listed: tuple[Shape, ...] = ()
 
+    @cached_property
+    def loudest(self) -> float:
+        """RMS of what the base model leaves over the scale, on the joint where it is most."""
+        return float(np.sqrt(level(self, ()).max()))
+
     def bar(self, i: int) -> float:
         """Gain from which a shape is believed: more where steps look like it, and where what blurs positions blurs its columns alike."""
         shape = self.shapes[i]

@@ -128,7 +128,7 @@ def _what(found: Diagnosis, stated: Stated) -> Section:
         answer = listed(named)
         answer = answer[0].upper() + answer[1:] + "."
     elif stated["unknown"]:
-        answer = f"Not known: {_some([u['joint'] for u in stated['unknown']])} shows torque that repeats, but no name predicts it."
+        answer = f"Not known: {_some([u['joint'] for u in stated['unknown']])} shows torque that no name predicts."
     else:
         answer = "Nothing is asserted: no effect of the catalogue predicts what was held out better than the base model by enough."
     body = "".join(_finding(one) for one in findings)

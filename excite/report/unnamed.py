@@ -22,15 +22,16 @@ def told(found: Diagnosis, stated: Mapping[str, Any]) -> str:
         if "foreseen" in one["where"]:
             line += f"; {one['where']['regime']} foresees {percent(one['where']['foreseen'])} of it in recordings that it was not fitted to"
         lines.append(line)
-    curves = [one for one in stated["unknown"] if "response" in one["where"]][:_MOST]
+    curved = [one for one in stated["unknown"] if "response" in one["where"]]
     body = bullets(lines)
-    if not curves:
+    if not curved:
         return body
-    note = "What is left, over what foresees it best: its mean between steps. Of what goes on after a cause: the response to a short one, "
+    note = f"The first {_MOST} of {len(curved)}. " if len(curved) > _MOST else ""
+    note += "What is left, over what foresees it best: its mean between steps. Of what goes on after a cause: the response to a short one, "
     note += "over its largest."
     robot = found.identified.model.robot
     units = dict(zip(robot.joints, torque_units(robot), strict=True))
-    return body + figure(_curves(curves, units)) + paragraph(note, "note")
+    return body + figure(_curves(curved[:_MOST], units)) + paragraph(note, "note")
 
 
 def _curves(unknown: Sequence[Mapping[str, Any]], units: Mapping[str, str]) -> str:
@@ -42,7 +43,7 @@ def _curves(unknown: Sequence[Mapping[str, Any]], units: Mapping[str, str]) -> s
             response = one["where"]["response"]
             axes.axhline(0.0, color=GREY, linewidth=0.5)
             axes.plot(response["x"], response["y"], color=BLUE, linewidth=1.0)
-            unit = "" if "since" in response["over"] else f" [{units[one['joint']]}]"
+            unit = "" if response["relative"] else f" [{units[one['joint']]}]"
             axes.set_title(short(one["joint"], 24) + unit, loc="left", fontweight="bold", pad=3)
             axes.set_xlabel(response["over"])
             few_ticks(axes, 5, 4)

@@ -56,7 +56,7 @@ def _payload(tracks: Sequence[Track]) -> Iterator[Shape]:
 def _leaning(t: Track, s: Shape) -> Array:
     """Torque of gravity turned about x and y, per radian; and of what a turn that is not small takes from its old direction."""
     columns = [t.leaning[:, :, :2]]
-    if s.values["large"]:
+    if s.values.get("large"):
         columns.append(-(t.gravity @ t.body.model.gravity.linear)[:, :, None])
     return t.reduce(np.concatenate(columns, axis=2), Grid.COARSE)
 
@@ -71,11 +71,12 @@ def _turned(c: Array) -> dict[str, float]:
 def _leans(c: Array) -> bool:
     """Whether gravity is turned, and no longer or shorter than it is."""
     across = float(np.hypot(c[0], c[1]))
-    return across < 0.5 and (len(c) == 2 or abs(c[2] - np.sqrt(1.0 - across**2) + 1.0) < SHORTER * across)
+    return across < 0.7 and (len(c) == 2 or abs(c[2] - np.sqrt(1.0 - across**2) + 1.0) < SHORTER * across)
 
 
 def _tilt(tracks: Sequence[Track]) -> Iterator[Shape]:
-    for large in (0.0, 1.0):
+    upright = not np.any(tracks[0].body.model.gravity.linear[:2])  # else x and y are not across
+    for large in (0.0, 1.0) if upright else (0.0,):
         yield Shape("gravity_tilt", None, _leaning, {"large": large}, parameters=_turned, plausible=_leans)
 
 
@@ -142,7 +143,7 @@ EFFECTS = (
     ),
     Effect(
         "gravity_tilt",
-        "∂τ/∂g (g × ω), ω = (roll, pitch, 0) of the base",
+        "∂τ/∂g (Rᵀ − 1) g, R = roll and pitch of the base",
         _leaning,
         _tilt,
         {"roll": "rad", "pitch": "rad"},

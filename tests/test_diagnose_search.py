@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import types
 
 import numpy as np
 import pinocchio as pin
@@ -14,7 +15,7 @@ from test_diagnose import PLANTED, found, on, recordings_of
 
 from excite import dynamics
 from excite.diagnose import belief, diagnosis, interval, judge, noise, search, track, whole
-from excite.diagnose.catalogue import windup
+from excite.diagnose.catalogue import BY_NAME, windup
 from excite.diagnose.effect import Shape, family
 from excite.diagnose.track import Track
 from excite.errors import UnusableInput
@@ -30,6 +31,14 @@ Array = np.ndarray
 @pytest.fixture(scope="module")
 def subject() -> Model:
     return two_links()
+
+
+class Upright(types.SimpleNamespace):
+    """As much of a track as gravity's shapes ask for."""
+
+    def __init__(self) -> None:
+        model = pin.Model()
+        super().__init__(body=types.SimpleNamespace(model=model))
 
 
 def nothing(track: Track, shape: Shape) -> Array:
@@ -312,9 +321,9 @@ def derivatives(recording: Recording) -> Samples:
     return Samples(recording.q, spline(recording.t, 1), spline(recording.t, 2))
 
 
-def test_a_base_that_leans_is_told_with_its_sign(subject):
+@pytest.mark.parametrize(("roll", "pitch"), [(0.004, -0.006), (0.2, -0.3), (-0.3, 0.2)])
+def test_a_base_that_leans_is_told_with_its_sign(subject, roll, pitch):
     psi = perturbed(subject.parameters, np.random.default_rng(4))
-    roll, pitch = 0.004, -0.006
 
     def leant(recording: Recording) -> Recording:
         body = track.body(subject.robot, subject.parameters, psi)
@@ -327,15 +336,60 @@ def test_a_base_that_leans_is_told_with_its_sign(subject):
     options = diagnosis.Options(trusted=dict(enumerate(psi.tolist())), names=("gravity_tilt",))
     result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [held_out], options)
     values = interval.finding_parameters(result.design, result.verdict, 0)
-    # two links in one plane feel the lean within it alone
-    felt, true = max((("roll", roll), ("pitch", pitch)), key=lambda pair: abs(values[pair[0]][0]))
-    assert values[felt][0] == pytest.approx(true, rel=0.1)
+    # two links in one plane feel the lean within it alone, and how much of gravity is left there
+    assert values["pitch"][0] == pytest.approx(np.arctan(np.tan(pitch) / np.cos(roll)), rel=0.1 if abs(pitch) < 0.1 else 0.01)
+    assert len(result.verdict.named) == 1 and np.all(result.after < 1.3 * result.floor)
+
+
+def test_gravity_may_be_turned_but_not_longer():
+    leans = next(shape for shape in BY_NAME["gravity_tilt"].shapes([Upright()]) if shape.values["large"]).plausible
+    roll, pitch = 0.3, -0.2
+    gx, gy, gz = pin.rpy.rpyToMatrix(roll, pitch, 0.0).T @ [0.0, 0.0, -1.0]
+    exact = np.array([-gy, gx, -1.0 - gz])
+    assert leans(exact) and not leans(exact + np.array([0.0, 0.0, 0.2])) and not leans(exact - np.array([0.0, 0.0, 0.3]))
+    told = next(shape for shape in BY_NAME["gravity_tilt"].shapes([Upright()]) if shape.values["large"]).parameters(exact)
+    assert told == pytest.approx({"roll": roll, "pitch": pitch})
 
 
 def test_probabilities_fall_with_what_speaks_against_a_name():
     said = [belief.probability(belief.odds("drag", left)) for left in (0.02, 0.2, 0.6, 1.0)]
     assert said[0] > 0.9 and said[-1] < 0.5 and sorted(said, reverse=True) == said
     assert belief.odds("backlash", 0.6) > belief.odds("drag", 0.6)  # a simulation leaves more where it is right
+
+
+def left(monkeypatch: pytest.MonkeyPatch, without: float, both: float) -> float:
+    """Share that a name leaves whose joint has these mean squares over the noise."""
+    part = types.SimpleNamespace(shape=1)
+    verdict = types.SimpleNamespace(together=types.SimpleNamespace(shapes=(0, 1)), findings=[types.SimpleNamespace(parts=[part])])
+    monkeypatch.setattr(belief, "sizes", lambda *_: np.ones(1))
+    monkeypatch.setattr(belief.search, "level", lambda _, shapes: np.array([both if len(shapes) == 2 else without]))
+    return belief.share(belief.unexplained(None, verdict, 0, np.ones(1)))  # type: ignore[arg-type]
+
+
+def test_what_a_name_leaves_is_told_where_noise_was_taken_for_more_than_it_is(monkeypatch):
+    assert left(monkeypatch, 11.0, 2.0) == pytest.approx(0.09)
+    assert left(monkeypatch, 0.9, 0.02) < 0.1  # all of it is explained, whatever the noise
+    assert 0.3 < left(monkeypatch, 0.9, 0.5) < 0.6  # nobody knows
+    assert left(monkeypatch, 1.6, 1.02) < left(monkeypatch, 1.6, 1.3)
+
+
+def test_shapes_that_take_each_other_off_are_no_finding():
+    """A small residual, told as the difference of two large torques that are nearly the same."""
+    rng = np.random.default_rng(0)
+    gammas, same = [rng.normal(size=(400, 2)) for _ in range(2)], [rng.normal(size=400) for _ in range(2)]
+    slight = [rng.normal(size=400) for _ in range(2)]
+    columns = [{"drag": s, "stribeck": s + 0.01 * d} for s, d in zip(same, slight, strict=True)]
+    torques = [g @ [1.0, -2.0] + 2.0 * d + rng.normal(size=400) for g, d in zip(gammas, slight, strict=True)]
+    known = (1e-2 * np.eye(2), np.zeros(2))
+    first, second = (halved(g, t[:, None], known) for g, t in zip(gammas, torques, strict=True))
+
+    def build(shape: Shape) -> tuple[Array, Array]:
+        return columns[0][shape.effect][:, None], columns[1][shape.effect][:, None]
+
+    one = search.design((first, second), [Shape("drag", 0, nothing), Shape("stribeck", 0, nothing)], build)
+    one = dataclasses.replace(one, prior=np.full(2, 1e-6))
+    assert search.trial(one, [0, 1]).gain > 200.0
+    assert not judge.singles(one, (0,)) and not judge.judged(one)[1].findings
 
 
 def test_noise_hides_how_much_a_slight_effect_leaves():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import re
 from functools import cache
 
@@ -41,6 +42,38 @@ def found(amplitude: float) -> Diagnosis:
         both.append(dataclasses.replace(one, source=name, tau=one.tau + extra))
     options = diagnosis.Options(names=("stribeck", "drag", "asymmetric_viscous", "delay", "spring"))
     return diagnosis.diagnose(model.robot, model.parameters, model.base, both[:1], both[1:], options)
+
+
+@cache
+def ringing() -> Diagnosis:
+    """Two links with a liquid in the second: an oscillator that its acceleration excites, no louder than noise."""
+    model = two_links()
+    psi = perturbed(model.parameters, np.random.default_rng(3))
+    both = []
+    for seed, name in ((1, "train.csv"), (2, "validate.csv")):
+        one = recorded(model, psi, motion(2, seed), 3.0, 0.1)
+        ddq = np.gradient(np.gradient(one.q[:, 1], 1.0 / one.rate), 1.0 / one.rate)
+        omega, damping, place, speed, felt = 2.0 * np.pi * 0.45, 0.04, 0.0, 0.0, []
+        for push in ddq:
+            speed -= (push + 2.0 * damping * omega * speed + omega**2 * place) / one.rate
+            place += speed / one.rate
+            felt.append(omega**2 * place + 2.0 * damping * omega * speed)
+        extra = np.column_stack([0.0 * ddq, 0.06 * np.array(felt) / np.std(felt)])
+        both.append(dataclasses.replace(one, source=name, tau=one.tau + extra))
+    return diagnosis.diagnose(model.robot, model.parameters, model.base, both[:1], both[1:])
+
+
+def test_what_no_name_takes_is_drawn_over_what_foresees_it() -> None:
+    one = ringing()
+    assert one.unknown == [1] and one.name == "unexplained" and one.fitted[1][1] < 1.6 * one.quiet[1]
+    stated = document(one)
+    (unknown,) = stated["unknown"]
+    assert unknown["joint"] == "joint_2" and unknown["where"]["regime"].startswith("past") and "sharp stop" in unknown["experiment"]
+    json.loads(json.dumps(stated["unknown"], allow_nan=False))
+    text = diagnosis_page(one, stated)
+    check_page(text)
+    assert "Left without a name" in section(text, "what") and "What is left without a name, over what foresees it" in section(text, "what")
+    assert "joint_2" in answer(text, "what") and unknown["experiment"] in section(text, "next")
 
 
 @cache

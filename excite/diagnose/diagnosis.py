@@ -18,11 +18,11 @@ from ..identify.signals import Piece
 from ..parameters import Parameters
 from ..recordings import Recording
 from ..robot import Robot
-from . import belief, ceiling, encoders, judge, looks, noise, search, track, whole
+from . import belief, encoders, foreseen, judge, looks, noise, search, track, whole
 from .catalogue import BY_NAME, EFFECTS
-from .ceiling import Sight
 from .effect import Shape
 from .encoders import Gear
+from .foreseen import Sight
 from .judge import Verdict
 from .noise import Noise
 from .search import Design
@@ -258,7 +258,7 @@ def _sights(left: Array, tracks: tuple[list[Track], list[Track]], joints: Iterab
     out = {}
     for j in joints:
         moves = rows.moves[:, j]
-        out[int(j)] = ceiling.seen(rows, (moves & first, moves & ~first), left[:, j], int(j))
+        out[int(j)] = foreseen.seen(rows, (moves & first, moves & ~first), left[:, j], int(j))
     return out
 
 

@@ -8,10 +8,10 @@ import numpy as np
 
 from ..wording import percent
 from .catalogue import BY_NAME
-from .ceiling import KINDS
 from .diagnosis import Diagnosis
 from .effect import Shape
 from .encoders import Gear
+from .foreseen import BASES
 from .interval import finding_parameters
 from .judge import Finding, Hypothesis
 
@@ -193,7 +193,7 @@ def _unknown(found: Diagnosis, joint: int) -> dict[str, Any]:
         response = sight.response
         over = response.over if response.other is None else f"{found.identified.model.robot.joints[response.other]}: {response.over}"
         where["response"] = {"over": over, "relative": response.relative, "x": response.x.tolist(), "y": response.y.tolist()}
-        experiment = KINDS[sight.regime].experiment
+        experiment = BASES[sight.regime].experiment
     return {
         "joint": name,
         "where": where,

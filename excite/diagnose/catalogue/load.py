@@ -18,8 +18,8 @@ FAR = 1.5
 """Distance of a payload's centre from its link's frame, at the most [m]."""
 ANGLE, LENGTH = 1e-4, 1e-5
 """Changes of geometry that a column is the secant of [rad, m]."""
-SHORTER = 0.1
-"""Of a turn's sine, how much of gravity may go amiss besides."""
+STEEP, SHORTER, UNFELT = 0.7, 0.1, 0.08
+"""Sine of the largest turn; of a turn's sine, how much of gravity may go amiss besides; what an unfelt turn of 0.4 rad takes."""
 ROUNDED = 1e-6
 """Of the largest column, one that is rounding: a turn about the joint's own upright axis."""
 
@@ -69,9 +69,12 @@ def _turned(c: Array) -> dict[str, float]:
 
 
 def _leans(c: Array) -> bool:
-    """Whether gravity is turned, and no longer or shorter than it is."""
+    """Whether gravity is turned, and not longer than it is; shorter it may seem to an arm that does not feel all that it is turned by."""
     across = float(np.hypot(c[0], c[1]))
-    return across < 0.7 and (len(c) == 2 or abs(c[2] - np.sqrt(1.0 - across**2) + 1.0) < SHORTER * across)
+    if len(c) == 2 or across > STEEP:
+        return across < STEEP
+    longer = float(c[2] - np.sqrt(1.0 - across**2) + 1.0)
+    return -UNFELT - SHORTER * across < longer < SHORTER * across
 
 
 def _tilt(tracks: Sequence[Track]) -> Iterator[Shape]:

@@ -1,12 +1,14 @@
-"""The flexible ceiling: noise of any colour is foreseen by nothing, physics without a name by the features that it is made of."""
+"""The flexible foreseen: noise of any colour is foreseen by nothing, physics without a name by the features that it is made of."""
 
 from __future__ import annotations
+
+import dataclasses
 
 import numpy as np
 import pytest
 
-from excite.diagnose import ceiling
-from excite.diagnose.ceiling import FORESEEN, SURE
+from excite.diagnose import foreseen
+from excite.diagnose.foreseen import FORESEEN, SURE
 from excite.diagnose.looks import Rows
 
 RATE, SECONDS = 50.0, 40.0
@@ -22,14 +24,15 @@ def half(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return tuple(np.sum(size * x, axis=2) for x in (np.sin(angle), w * np.cos(angle), -(w**2) * np.sin(angle)))  # type: ignore[return-value]
 
 
-def rows() -> Rows:
-    """Two recordings of 40 s, one after the other."""
-    q, dq, ddq = (np.concatenate(pair) for pair in zip(half(1), half(2), strict=True))
+def rows(joints: int = 2, linear: bool = False, size: float = 1.0) -> Rows:
+    """Two recordings of 40 s, one after the other. size: of all torque."""
+    q, dq, ddq = (np.concatenate(pair)[:, :joints] for pair in zip(half(1), half(2), strict=True))
     clock = np.tile(np.arange(COUNT) / RATE, 2)
     time = clock + np.repeat([0.0, SECONDS + 1.0], COUNT)
-    load = 3.0 * np.sin(q) + 0.5 * ddq
+    load = size * (3.0 * np.sin(q) + 0.5 * ddq)
     none, moves, starts = np.zeros_like(q), np.ones(q.shape, bool), np.array([0, COUNT])
-    return Rows(time, clock, q, dq, ddq, load, load + 0.5 * np.sign(dq), none, none, moves, starts, starts, RATE, 20.0, (False, False))
+    motor, still = load + 0.5 * size * np.sign(dq), (linear,) * joints
+    return Rows(time, clock, q, dq, ddq, load, motor, none, none, moves, starts, starts, RATE, 20.0, still)
 
 
 def swung(drive: np.ndarray, hertz: float, damping: float) -> np.ndarray:
@@ -52,9 +55,9 @@ def coloured(rng: np.random.Generator) -> np.ndarray:
     return white / white.std()
 
 
-def seen(residual: np.ndarray, joint: int = 0) -> ceiling.Sight:
+def seen(residual: np.ndarray, made: Rows | None = None) -> foreseen.Sight:
     first = np.arange(2 * COUNT) < COUNT
-    return ceiling.seen(rows(), (first, ~first), residual, joint)
+    return foreseen.seen(made or rows(), (first, ~first), residual, 0)
 
 
 def physics(regime: str) -> np.ndarray:
@@ -106,5 +109,54 @@ def test_what_happens_at_one_half_only_is_not_foreseen():
 
 def test_a_recording_does_not_remember_the_one_before():
     made = rows()
-    past = ceiling.KINDS["past acceleration"].features(made, 0)
+    past = foreseen.BASES["past acceleration"].features(made, 0)
     assert not past[COUNT, 1:].any() and not past[0, 1:].any() and past[COUNT + 1, 1] == past[COUNT, 0]
+
+
+def test_a_robot_of_any_strength_is_told_alike():
+    """What all drives draw is told in its own size: a share of it that changes a torque is as visible in watts as in kilowatts."""
+    shares = []
+    for size in (1.0, 1000.0):
+        made = rows(size=size)
+        residual = made.motor[:, 0] * np.abs(made.motor[:, 1])
+        shares.append(seen(residual / residual.std() + coloured(np.random.default_rng(4)), made).share)
+    assert shares[1] == pytest.approx(shares[0], rel=0.02) and shares[0] > 0.3
+
+
+def test_the_curve_is_over_the_joint_whose_speed_it_is():
+    response = seen(physics("speed") + coloured(np.random.default_rng(7))).response
+    assert response.other == 1 and not response.relative
+    assert abs(response.x[np.argmax(response.y)] - 1.0) < 0.4
+
+
+def test_the_response_to_an_acceleration_rings_as_the_load_does():
+    response = seen(3.0 * physics("past acceleration") + coloured(np.random.default_rng(3))).response
+    assert response.relative and np.abs(response.y).max() == 1.0
+    spectrum = np.abs(np.fft.rfft(response.y, 4096))
+    assert np.fft.rfftfreq(4096, response.x[1] - response.x[0])[np.argmax(spectrum)] == pytest.approx(0.6, abs=0.15)
+
+
+def test_recordings_of_different_rates_remember_alike():
+    """The second recording has every third row only."""
+    made = rows()
+    keep = np.r_[0:COUNT, COUNT : 2 * COUNT : 3]
+    taken = {
+        name: getattr(made, name)[keep] for name in ("time", "clock", "q", "dq", "ddq", "load", "motor", "distance", "temperature", "moves")
+    }
+    thin = dataclasses.replace(made, **taken)
+    residual = physics("past acceleration")[keep]
+    sight = foreseen.seen(thin, (np.arange(len(keep)) < COUNT, np.arange(len(keep)) >= COUNT), residual, 0)
+    assert sight.regime == "past acceleration" and sight.share > 0.5
+
+
+@pytest.mark.parametrize("linear", [False, True])
+def test_one_joint_and_one_that_never_moves_are_told_too(linear):
+    noise = coloured(np.random.default_rng(1))
+    one = seen(physics("position") + noise, rows(1, linear))
+    assert one.share > 0.3 and one.response.over == f"position [{'m' if linear else 'rad'}]"
+    made = rows(1, linear)
+    still = dataclasses.replace(
+        made, q=0.0 * made.q + 0.3, dq=0.0 * made.dq, ddq=0.0 * made.ddq, load=0.0 * made.load, motor=0.0 * made.motor
+    )
+    assert not seen(noise, still).counts and np.isfinite(seen(noise, still).response.y).all()
+    assert not seen(0.0 * noise, made).counts

@@ -1,6 +1,6 @@
 """How much of what is left a flexible model foresees in recordings that it was not fitted to: physics, whatever its name. Noise it cannot.
 
-Ridge regression (Hoerl & Kennard, Technometrics 12, 1970) on one kind of features at a time, fitted to either half of the recordings
+Ridge regression (Hoerl & Kennard, Technometrics 12, 1970) on one basis of features at a time, fitted to either half of the recordings
 and judged on the other. Bumps over place and speed tell what a joint's state says; a finite impulse response of its acceleration or of its
 load tells any linear resonance, without knowing which (Ljung, System Identification, 1999, 4.2).
 """
@@ -46,7 +46,7 @@ class Response:
 
 @dataclass(frozen=True)
 class Sight:
-    """What predicts a joint's residual best. regime: which kind of features. share: of the mean square, held out, what they foresee; of
+    """What predicts a joint's residual best. regime: which basis of features. share: of the mean square, held out, what they foresee; of
     noise hardly above zero. sure: that share over its standard error between stretches."""
 
     regime: str
@@ -115,7 +115,7 @@ def _remembered(x: Array, rows: Rows) -> Array:
 
 
 @dataclass(frozen=True)
-class Kind:
+class Basis:
     """features: of a joint at all rows, Shape (N, k). experiment: what would show it alone. label: of what its response is drawn over.
     over: that, [rows, joint] -> (N,), None: time since. sign: by which the residual is taken there, 0 where it is not."""
 
@@ -127,23 +127,23 @@ class Kind:
 
 
 STOP = "a sharp stop, then rest: what swings on does so alone"
-KINDS: Mapping[str, Kind] = {
-    "position": Kind(_position, "that joint alone, slowly to and fro over its range", "position [{}]", lambda rows, j: rows.q[:, j]),
-    "position and direction": Kind(
+BASES: Mapping[str, Basis] = {
+    "position": Basis(_position, "that joint alone, slowly to and fro over its range", "position [{}]", lambda rows, j: rows.q[:, j]),
+    "position and direction": Basis(
         _direction,
         "that joint alone, slowly to and fro, between ends that shift",
         "position, along the motion [{}]",
         lambda rows, j: rows.q[:, j],
         lambda rows, j: rows.direction(j),
     ),
-    "speed": Kind(_speed, "constant speeds of one joint after the other", "speed [{}/s]", lambda rows, j: rows.dq[:, j]),
-    "past acceleration": Kind(
+    "speed": Basis(_speed, "constant speeds of one joint after the other", "speed [{}/s]", lambda rows, j: rows.dq[:, j]),
+    "past acceleration": Basis(
         lambda rows, j: _remembered(rows.ddq[:, j], rows),
         STOP,
         "since an acceleration [s]",
     ),
-    "past load": Kind(lambda rows, j: _remembered(rows.load[:, j], rows), STOP, "since a load [s]"),
-    "power": Kind(
+    "past load": Basis(lambda rows, j: _remembered(rows.load[:, j], rows), STOP, "since a load [s]"),
+    "power": Basis(
         _power,
         "that joint slowly, alone, then while the others move fast",
         "power of all drives, along the torque [W]",
@@ -157,8 +157,8 @@ def seen(rows: Rows, halves: Sequence[Array], residual: Array, joint: int) -> Si
     """What a flexible model foresees of a joint's residual, of what is sure the most. halves: rows of either, as masks.
     residual: Shape (N,)."""
     found = list[tuple[bool, float, float, float, str]]()
-    for regime, kind in KINDS.items():
-        x = _standard(kind.features(rows, joint))[0]
+    for regime, basis in BASES.items():
+        x = _standard(basis.features(rows, joint))[0]
         share, sure, ridge = _foreseen([x[half] for half in halves], [residual[half] for half in halves])
         found.append((sure > SURE, share, sure, ridge, regime))
     _, share, sure, ridge, regime = max(found)
@@ -175,23 +175,23 @@ def _standard(x: Array) -> tuple[Array, Array]:
 
 def _response(rows: Rows, moves: Array, residual: Array, joint: int, regime: str, ridge: float) -> Response:
     """The residual where a joint moves over what its regime says."""
-    kind, unit = KINDS[regime], "m" if rows.linear[joint] else "rad"
-    if kind.over is None or regime == "speed":
-        features, spread = _standard(kind.features(rows, joint))
+    basis, unit = BASES[regime], "m" if rows.linear[joint] else "rad"
+    if basis.over is None or regime == "speed":
+        features, spread = _standard(basis.features(rows, joint))
         x = features[moves]
         G = x.T @ x / len(x)
         c = np.linalg.solve(G + ridge * np.eye(len(G)), x.T @ residual[moves] / len(x))
-        if kind.over is None:
+        if basis.over is None:
             felt = np.where(np.isfinite(spread), c / spread, 0.0)
-            return Response(kind.label, _lag(rows) * np.arange(len(c)), felt / max(float(np.abs(felt).max()), 1e-300), relative=True)
+            return Response(basis.label, _lag(rows) * np.arange(len(c)), felt / max(float(np.abs(felt).max()), 1e-300), relative=True)
         part = (x.reshape(len(x), rows.n, -1) * c.reshape(rows.n, -1)).sum(axis=2)
         joint = int(np.argmax(part.var(axis=0)))
         unit = "m" if rows.linear[joint] else "rad"
-    assert kind.over is not None
-    sign = kind.sign(rows, joint)
+    assert basis.over is not None
+    sign = basis.sign(rows, joint)
     shown = moves & (sign != 0.0)
-    curve = _binned(kind.over(rows, joint)[shown], (residual * sign)[shown])
-    return Response(kind.label.format(unit), *curve, other=joint if regime == "speed" else None)
+    curve = _binned(basis.over(rows, joint)[shown], (residual * sign)[shown])
+    return Response(basis.label.format(unit), *curve, other=joint if regime == "speed" else None)
 
 
 def _binned(x: Array, y: Array) -> tuple[Array, Array]:

@@ -37,7 +37,8 @@ class _Parser(argparse.ArgumentParser):
     """Wrong use is one line, exit code 2."""
 
     def error(self, message: str) -> NoReturn:
-        raise UnusableInput(f"{self.prog}: {message} (see {self.prog} --help)")
+        command = self.prog.removeprefix("excite").strip()  # the name of the program stands before every message
+        raise UnusableInput(f"{command + ': ' if command else ''}{message} (see {self.prog} --help)")
 
 
 def parser() -> argparse.ArgumentParser:

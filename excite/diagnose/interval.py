@@ -104,7 +104,7 @@ def spreads(one: Design, verdict: Verdict) -> Spread:
 
 
 def _unfelt(G: Array, own: slice, prior: Array, c: Array) -> None:
-    """Directions of a shape that no joint feels, such as a force out of an arm's plane, are taken to be like those that one feels."""
+    """Columns of a shape that no joint feels, such as a force out of an arm's plane, are taken to be as large as those that one feels."""
     unfelt = prior < UNFELT**2 * prior.max()
     if unfelt.any():
         places = np.arange(own.start, own.stop)[unfelt]

@@ -373,6 +373,17 @@ def test_what_a_name_leaves_is_told_where_noise_was_taken_for_more_than_it_is(mo
     assert left(monkeypatch, 1.6, 1.02) < left(monkeypatch, 1.6, 1.3)
 
 
+def test_what_is_likelier_wrong_than_right_is_told_with_its_probability_and_not_asserted(monkeypatch):
+    tried = search.Trial((0,), np.ones(1), (np.ones(1), np.ones(1)), 50.0, True)
+    finding = judge.Finding((judge.Hypothesis("drag", 0, 0, tried, 1.0, True),), 50.0, {})
+    verdict = judge.Verdict((finding,), tried, ())
+    monkeypatch.setattr(belief, "unexplained", lambda *_: (3.0, 2.5))
+    weighed = belief.weighed(None, verdict, np.ones(1))  # type: ignore[arg-type]
+    assert not weighed.findings and weighed.together is None
+    (doubted,) = weighed.doubted
+    assert doubted.main.effect == "drag" and 0.0 < doubted.probability < 0.5
+
+
 def test_shapes_that_take_each_other_off_are_no_finding():
     """A small residual, told as the difference of two large torques that are nearly the same."""
     rng = np.random.default_rng(0)

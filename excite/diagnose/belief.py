@@ -96,6 +96,5 @@ def weighed(one: Design, verdict: Verdict, noise: Array) -> Verdict:
     kept = tuple(f for f in findings if f.probability >= ASSERTED)
     doubted = tuple(f for f in findings if f.probability < ASSERTED)
     if not kept:  # nothing that can be said: nothing is added either
-        considered = (*(f.main for f in doubted), *verdict.considered)
-        return Verdict((), None, considered)
+        return Verdict((), None, verdict.considered, doubted)
     return replace(verdict, findings=kept, doubted=doubted)

@@ -176,10 +176,10 @@ def _considered(found: Diagnosis, hypothesis: Hypothesis) -> dict[str, Any]:
 
 
 def _doubted(found: Diagnosis, finding: Finding) -> dict[str, Any]:
-    """What predicts better under a name that is likelier wrong than right: it is part of the model, but not asserted."""
+    """What predicts better under a name that is likelier wrong than right: not asserted, but modelled beside what is."""
     stated = _considered(found, finding.main)
-    evidence = {**stated["evidence"], **_weight(finding)}
-    return stated | {"probability": finding.probability, "equivalents": list(finding.equivalents), "evidence": evidence, "modelled": True}
+    told = {"probability": finding.probability, "equivalents": list(finding.equivalents), "modelled": found.verdict.together is not None}
+    return stated | told | {"evidence": {**stated["evidence"], **_weight(finding)}}
 
 
 def _unknown(found: Diagnosis, joint: int) -> dict[str, Any]:

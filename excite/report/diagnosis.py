@@ -25,6 +25,8 @@ from .page import Section, banner, bullets, cards, escape, figure, folded, meter
 Array = np.ndarray
 Stated = Mapping[str, Any]
 _UNFOLDED = 3
+_WORTH = 0.2
+"""Probability from which a name that is not asserted is worth a word."""
 _VERDICTS = {
     "no-mismatch": ("Nothing that these recordings could show is missing from the model.", "good"),
     "explained": ("Something was missing, and the findings explain it down to the noise.", "good"),
@@ -131,6 +133,9 @@ def _what(found: Diagnosis, stated: Stated) -> Section:
         answer = f"Not known: {_some([u['joint'] for u in stated['unknown']])} shows torque that no name predicts."
     else:
         answer = "Nothing is asserted: no effect of the catalogue predicts what was held out better than the base model by enough."
+    doubted = max(stated["considered"], key=lambda one: float(one["probability"]), default=None)
+    if not findings and doubted and doubted["probability"] > _WORTH:
+        answer += f" The likeliest, {_named(doubted['effect'], doubted['joint'])}, has probability {number(doubted['probability'], 2)}."
     body = "".join(_finding(one) for one in findings)
     if stated["unknown"]:
         body += "<h3>Left without a name</h3>"
@@ -190,13 +195,14 @@ def _considered(considered: Sequence[Stated]) -> str:
         (
             escape(told(c["effect"])),
             escape(_place(c["joint"])),
+            number(c["probability"], 2) if c["probability"] else "–",
             number(c["evidence"]["held_out_gain"]),
             number(c["evidence"]["severity"], 3),
             escape(", ".join(f"{k} {number(v['value'], 3)} {v['unit']}" for k, v in c["parameters"].items())),
         )
         for c in considered
     ]
-    return table(("effect", "joint", "held-out gain", "severity", "parameters, alone"), rows, (2, 3))
+    return table(("effect", "joint", "probability", "held-out gain", "severity", "parameters, alone"), rows, (2, 3, 4))
 
 
 # -- where -----------------------------------------------------------------------------------------------------------

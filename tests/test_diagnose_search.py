@@ -272,6 +272,18 @@ def test_a_push_is_found_in_its_time(subject, course):
     np.testing.assert_allclose(result.floor, found(subject, None).floor, rtol=0.2)
 
 
+def test_a_push_that_lasts_for_half_a_period_is_no_noise_either(subject):
+    def pushed(t: Array, q: Array, dq: Array, tau: Array) -> Array:
+        inside = np.where((t > 3.0) & (t < 8.0), np.sin(np.pi * (t - 3.0) / 5.0), 0.0)
+        return -inside[:, None] * force_along_x(subject.robot.model, q) * 30.0
+
+    result, quiet = found(subject, pushed), found(subject, None).floor
+    assert [(h.effect, h.joint) for h in result.verdict.chosen] == [("contact", 1)]
+    assert np.all(result.floor < 3.0 * quiet)
+    force, std = interval.finding_parameters(result.design, result.verdict, 0)["force"]
+    assert force == pytest.approx(30.0, rel=0.1) and abs(force - 30.0) < 2.0 * std
+
+
 def test_levers_are_the_jacobians_of_the_links_centres(subject):
     (track, *_), _ = found(subject, None).tracks
     np.testing.assert_allclose(track.levers[::50, 1, 0], force_along_x(track.body.model, track.coarse.q[::50]), atol=1e-9)

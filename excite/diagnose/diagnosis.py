@@ -167,6 +167,12 @@ def diagnose(
     progress(f"{len(one.shapes)} shapes of {len(EFFECTS)} effects, alone and together")
     one, verdict = judge.judged(_warned(one, noisy, scale))
     one, verdict, scale = _sharper(one, verdict, noisy, scale)
+    for _ in range(AGAIN):
+        if verdict.together is None or all(one.shapes[i].interval is None for i in verdict.together.shapes):
+            break
+        left = search.remaining(one, verdict.together.shapes) * scale  # without what touched the robot once, which looked like noise
+        noisy = noise.measured(identified, halves, [*train, *validate], track.split(left, [*halves[0], *halves[1]]))
+        one, verdict, scale = _sharper(one, verdict, noisy, scale)
     refitted = None
     if verdict.findings:
         progress("the base model without what was found")

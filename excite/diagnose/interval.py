@@ -68,7 +68,7 @@ def finding_parameters(one: Design, verdict: Verdict, number: int) -> dict[str, 
     out = {}
     for key, mean in value.items():
         low, high = np.nanpercentile([c[key] for c in cloud], MIDDLE)
-        halves = abs(others[0][key] - others[1][key]) / 2.0
+        halves = abs(others[0][key] - others[1][key]) / 2.0 if one.shapes[finding.main.shape].interval is None else 0.0
         form = effect.form.get(key, FORM) * abs(mean)
         out[key] = (mean, float(np.sqrt((0.5 * (high - low)) ** 2 + halves**2 + form**2)))
     return out

@@ -54,11 +54,18 @@ class Noise:
     feigned: tuple[tuple[Array, Array], ...] = ()
 
 
-def measured(identified: Identification, halves: Sequence[Sequence[Track]], recordings: Sequence[Recording]) -> Noise:
-    """The noise of recordings: from what does not repeat, else from the torque's density above the motion, a lower bound."""
+def measured(
+    identified: Identification, halves: Sequence[Sequence[Track]], recordings: Sequence[Recording], left: Sequence[Array] = ()
+) -> Noise:
+    """The noise of recordings: from what does not repeat, else from the torque's density above the motion, a lower bound.
+
+    left: torque that a model leaves of every stretch, where it is not the base model. Shapes (N, n).
+    """
     every = [one for half in halves for one in half]
     periods = {recording.source: _period(recording) for recording in recordings}
-    again = [made for one in every if (found := periods[one.piece.source]) for made in _repeats(one, *found)]
+    rest = left or [one.torque - one.gamma @ one.theta for one in every]
+    pairs = [(one, own, found) for one, own in zip(every, rest, strict=True) if (found := periods[one.piece.source])]
+    again = [made for one, own, found in pairs for made in _repeats(one, own, *found)]
     if again:
         spread, method, clock = np.sqrt(np.mean([made.square for made in again], axis=0)), "periods", _clock(again, every)
     else:
@@ -89,10 +96,9 @@ class _Again:
     square: Array
 
 
-def _repeats(track: Track, period: float, window: tuple[float, float]) -> list[_Again]:
-    """Of a recording that repeats for long enough, else nothing."""
+def _repeats(track: Track, left: Array, period: float, window: tuple[float, float]) -> list[_Again]:
+    """Of a recording that repeats for long enough, else nothing. left: Shape (N, n) [N m]."""
     low, high = window
-    left = track.torque - track.gamma @ track.theta
     rate = 1.0 / (track.time[1] - track.time[0])
     rows = int(np.floor(period * rate))
     later = _shifted(left, period * rate - rows)[rows:]

@@ -242,6 +242,11 @@ def _moving(q: Array, dq: Array, rate: float) -> Array:
     return out
 
 
+def split(rows: Array, stretches: Sequence[Track]) -> list[Array]:
+    """Rows of several stretches, one after the other, by stretch."""
+    return np.split(rows, np.cumsum([len(one) for one in stretches])[:-1])
+
+
 def tracks(model: Model, fitted: Body, theta: Array, pieces: Sequence[Piece], hertz: float) -> list[Track]:
     """Every stretch that is long enough for the band."""
     out = []

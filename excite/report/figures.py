@@ -6,18 +6,21 @@ import io
 import itertools
 import re
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from .page import escape, power_of_ten
 
 Array = np.ndarray
+T = TypeVar("T")
 BLUE, ORANGE, GREY, RED, GREEN, INK, SOFT = "#2f6fb5", "#d9822b", "#9aa4af", "#b3261e", "#1f7a4d", "#1c2530", "#5b6775"
 SHADES = {"approach": "#e3e8ee", "ramp_in": "#fbe6cc", "ramp_out": "#fbe6cc", "return": "#e3e8ee"}
 SEGMENT_WORDS = {"approach": "approach and return", "ramp_in": "ramps", "fourier": "excitation"}
 WIDTH = 10.6
 """Width of a figure [in]; 72 units of the SVG each."""
+_ACROSS = 3
+"""Small panels in a row."""
 MANY = 10
 """Robots with more joints than this get one figure per quantity."""
 _STYLE: dict[Any, Any] = {
@@ -100,6 +103,20 @@ def grid(
             first = out[0, 0] if "x" in share and (i or j) else None
             out[i, j] = figure.add_axes((x / width, y / height, cell[0] / width, cell[1] / height), sharex=first)
     return out
+
+
+def panels(title: str, things: Sequence[T], draw: Callable[[Any, T], None], height: float) -> str:
+    """A small panel of each thing, three in a row. draw: onto axes. height: of a panel's axes [inches]."""
+    rows = -(-len(things) // _ACROSS)
+
+    def every(figure: Any) -> None:
+        cells = grid(figure, rows, _ACROSS, margins=(0.55, 0.1, 0.25, 0.45), gaps=(0.55, 0.7)).ravel()
+        for axes, thing in zip(cells, things, strict=False):
+            draw(axes, thing)
+        for axes in cells[len(things) :]:
+            axes.set_axis_off()
+
+    return render(title, rows * (height + 0.7), every)
 
 
 def thin(t: Array, y: Array, count: int) -> tuple[Array, Array]:

@@ -10,11 +10,11 @@ import numpy as np
 from ..diagnose.diagnosis import Diagnosis
 from ..diagnose.encoders import Gear
 from ..wording import listed, percent
-from .figures import GREY, INK, ORANGE, few_ticks, grid, render
+from .figures import GREY, INK, ORANGE, few_ticks, panels
 from .motion_figures import short, torque_units
 from .page import Section, escape, figure, number, paragraph, table
 
-_HEIGHT, _COLUMNS, _DOTS = 1.9, 3, 1500
+_HEIGHT, _DOTS = 1.9, 1500
 
 
 def section(found: Diagnosis, stated: Mapping[str, Any]) -> Iterator[Section]:
@@ -44,20 +44,16 @@ def _with(value: Mapping[str, Any] | None) -> str:
 
 def _curves(found: Diagnosis) -> str:
     """Wind-up over the torque carried, a panel a joint."""
-    robot, rows = found.identified.model.robot, -(-len(found.gears) // _COLUMNS)
+    robot = found.identified.model.robot
     units = torque_units(robot)
 
-    def draw(drawing: Any) -> None:
-        panels = grid(drawing, rows, _COLUMNS, margins=(0.55, 0.1, 0.25, 0.45), gaps=(0.55, 0.7)).ravel()
-        for axes, gear in zip(panels, found.gears, strict=False):
-            _panel(axes, gear)
-            linear = units[gear.joint] == "N"
-            axes.set_title(f"{short(robot.joints[gear.joint], 20)} [{'mm' if linear else 'mrad'}]", loc="left", fontweight="bold", pad=3)
-            axes.set_xlabel(f"torque that the gear carries [{units[gear.joint]}]")
-        for axes in panels[len(found.gears) :]:
-            axes.set_axis_off()
+    def draw(axes: Any, gear: Gear) -> None:
+        _panel(axes, gear)
+        linear = units[gear.joint] == "N"
+        axes.set_title(f"{short(robot.joints[gear.joint], 20)} [{'mm' if linear else 'mrad'}]", loc="left", fontweight="bold", pad=3)
+        axes.set_xlabel(f"torque that the gear carries [{units[gear.joint]}]")
 
-    return render("Wind-up of the gears between two encoders", rows * (_HEIGHT + 0.7), draw)
+    return panels("Wind-up of the gears between two encoders", found.gears, draw, _HEIGHT)
 
 
 def _panel(axes: Any, gear: Gear) -> None:

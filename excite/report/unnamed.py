@@ -7,11 +7,11 @@ from typing import Any
 
 from ..diagnose.diagnosis import Diagnosis
 from ..wording import percent
-from .figures import BLUE, GREY, few_ticks, grid, render
+from .figures import BLUE, GREY, few_ticks, panels
 from .motion_figures import short, torque_units
 from .page import bullets, figure, paragraph
 
-_HEIGHT, _COLUMNS, _MOST = 1.6, 3, 6
+_HEIGHT, _MOST = 1.6, 6
 
 
 def told(found: Diagnosis, stated: Mapping[str, Any]) -> str:
@@ -35,19 +35,13 @@ def told(found: Diagnosis, stated: Mapping[str, Any]) -> str:
 
 
 def _curves(unknown: Sequence[Mapping[str, Any]], units: Mapping[str, str]) -> str:
-    rows = -(-len(unknown) // _COLUMNS)
+    def draw(axes: Any, one: Mapping[str, Any]) -> None:
+        response = one["where"]["response"]
+        axes.axhline(0.0, color=GREY, linewidth=0.5)
+        axes.plot(response["x"], response["y"], color=BLUE, linewidth=1.0)
+        unit = "" if response["relative"] else f" [{units[one['joint']]}]"
+        axes.set_title(short(one["joint"], 24) + unit, loc="left", fontweight="bold", pad=3)
+        axes.set_xlabel(response["over"])
+        few_ticks(axes, 5, 4)
 
-    def draw(drawing: Any) -> None:
-        panels = grid(drawing, rows, _COLUMNS, margins=(0.55, 0.1, 0.25, 0.45), gaps=(0.55, 0.7)).ravel()
-        for axes, one in zip(panels, unknown, strict=False):
-            response = one["where"]["response"]
-            axes.axhline(0.0, color=GREY, linewidth=0.5)
-            axes.plot(response["x"], response["y"], color=BLUE, linewidth=1.0)
-            unit = "" if response["relative"] else f" [{units[one['joint']]}]"
-            axes.set_title(short(one["joint"], 24) + unit, loc="left", fontweight="bold", pad=3)
-            axes.set_xlabel(response["over"])
-            few_ticks(axes, 5, 4)
-        for axes in panels[len(unknown) :]:
-            axes.set_axis_off()
-
-    return render("What is left without a name, over what foresees it", rows * (_HEIGHT + 0.7), draw)
+    return panels("What is left without a name, over what foresees it", unknown, draw, _HEIGHT)

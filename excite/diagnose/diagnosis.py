@@ -167,11 +167,12 @@ def diagnose(
     progress(f"{len(one.shapes)} shapes of {len(EFFECTS)} effects, alone and together")
     one, verdict = judge.judged(_warned(one, noisy, scale))
     one, verdict, scale = _sharper(one, verdict, noisy, scale)
+    every = [*halves[0], *halves[1]]
     for _ in range(AGAIN):
         if verdict.together is None or all(one.shapes[i].interval is None for i in verdict.together.shapes):
             break
         left = search.remaining(one, verdict.together.shapes) * scale  # without what touched the robot once, which looked like noise
-        noisy = noise.measured(identified, halves, [*train, *validate], track.split(left, [*halves[0], *halves[1]]))
+        noisy = noise.repeated(noisy, every, track.split(left, every))
         one, verdict, scale = _sharper(one, verdict, noisy, scale)
     refitted = None
     if verdict.findings:
@@ -331,7 +332,7 @@ def _half(tracks: list[Track], identified: Identification, options: Options, sca
         slopes = np.zeros((len(one), one.n, one.n))
         slopes[:, range(one.n), range(one.n)] = one.slopes
         columns.append(np.concatenate([one.gamma[:, :, places], slopes], axis=2))
-        torque.append(one.torque - one.gamma @ one.theta if options.trusted else one.torque)
+        torque.append(one.left if options.trusted else one.torque)
     return search.half(columns, torque, [one.moves for one in tracks], scale, _known(identified, options, columns[0].shape[2]))
 
 

@@ -6,8 +6,8 @@ residual, measured less predicted, whose repeats are compared (after Swevers et 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from .track import Track
 
 Array = np.ndarray
 Draw = Callable[[np.random.Generator], Array]
+Period = tuple[float, tuple[float, float]]
 DRAWS = 3
 """Times that an encoder's steps are made anew."""
 LEAST = 1.2
@@ -44,7 +45,8 @@ class Noise:
 
     clock: mean square beyond the floor's that a wavering clock makes where torque is steeper than where the floor was seen. steps: the
     part that a coarse encoder's steps make of the model's torque: it repeats with the motion. Shapes (n,). feigned: residuals
-    that the steps alone might leave, of either half in each of some draws; none where encoders are fine. Shapes (N, n).
+    that the steps alone might leave, of either half in each of some draws; none where encoders are fine. Shapes (N, n). periods: of
+    recordings that repeat, by source: after how long [s], and from when to when.
     """
 
     floor: Array
@@ -52,28 +54,35 @@ class Noise:
     clock: Array
     steps: Array
     feigned: tuple[tuple[Array, Array], ...] = ()
+    periods: Mapping[str, Period] = field(default_factory=dict)
 
 
-def measured(
-    identified: Identification, halves: Sequence[Sequence[Track]], recordings: Sequence[Recording], left: Sequence[Array] = ()
-) -> Noise:
-    """The noise of recordings: from what does not repeat, else from the torque's density above the motion, a lower bound.
-
-    left: torque that a model leaves of every stretch, where it is not the base model. Shapes (N, n).
-    """
+def measured(identified: Identification, halves: Sequence[Sequence[Track]], recordings: Sequence[Recording]) -> Noise:
+    """The noise of recordings: from what does not repeat, else from the torque's density above the motion, a lower bound."""
     every = [one for half in halves for one in half]
-    periods = {recording.source: _period(recording) for recording in recordings}
-    rest = left or [one.torque - one.gamma @ one.theta for one in every]
-    pairs = [(one, own, found) for one, own in zip(every, rest, strict=True) if (found := periods[one.piece.source])]
-    again = [made for one, own, found in pairs for made in _repeats(one, own, *found)]
-    if again:
-        spread, method, clock = np.sqrt(np.mean([made.square for made in again], axis=0)), "periods", _clock(again, every)
-    else:
-        spread, method, clock = _above(identified, every[0].band.hertz), "differences", np.zeros(every[0].n)
+    above = _above(identified, every[0].band.hertz)
     feigned = stepped(identified.model, halves)
-    rows = np.concatenate([part for draw in feigned for part in draw]) if feigned else np.zeros((1, len(spread)))
+    rows = np.concatenate([part for draw in feigned for part in draw]) if feigned else np.zeros((1, len(above)))
     steps = np.sqrt(np.mean(rows**2, axis=0))
-    return Noise(np.sqrt(np.maximum(spread, 1e-12) ** 2 + steps**2), method, clock, steps, feigned)
+    periods = {recording.source: found for recording in recordings if (found := _period(recording))}
+    nothing_repeats = Noise(_with(above, steps), "differences", np.zeros(len(above)), steps, feigned, periods)
+    return repeated(nothing_repeats, every, [one.left for one in every])
+
+
+def repeated(noisy: Noise, every: Sequence[Track], left: Sequence[Array]) -> Noise:
+    """The noise by what repeats of the torque that a model leaves of every stretch; as it was, where nothing does. left: Shapes (N, n)."""
+    periods = noisy.periods
+    pairs = [(one, own) for one, own in zip(every, left, strict=True) if one.piece.source in periods]
+    again = [made for one, own in pairs for made in _repeats(one, own, *periods[one.piece.source])]
+    if not again:
+        return noisy
+    spread = np.sqrt(np.mean([made.square for made in again], axis=0))
+    return replace(noisy, floor=_with(spread, noisy.steps), method="periods", clock=_clock(again, every))
+
+
+def _with(spread: Array, steps: Array) -> Array:
+    """Noise and the steps of encoders together. Shape (n,) each."""
+    return np.asarray(np.sqrt(np.maximum(spread, 1e-12) ** 2 + steps**2))
 
 
 def _above(identified: Identification, hertz: float) -> Array:
@@ -186,7 +195,7 @@ def _shifted(x: Array, by: float) -> Array:
     return np.asarray(np.fft.irfft(turned, len(whole), axis=0)[reach : reach + len(x)])
 
 
-def _period(recording: Recording) -> tuple[float, tuple[float, float]] | None:
+def _period(recording: Recording) -> Period | None:
     """After how long a recording repeats [s], and from when to when: as its sidecar says, else as its positions show."""
     side, t = recording.sidecar, recording.t
     if side.period is not None:

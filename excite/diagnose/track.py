@@ -77,6 +77,11 @@ class Track:
         return int(self.torque.shape[1])
 
     @functools.cached_property
+    def left(self) -> Array:
+        """Torque that the base fit leaves. Shape (N, n)."""
+        return self.torque - self.gamma @ self.theta
+
+    @functools.cached_property
     def fine(self) -> Samples:
         """Motion at every sample of the recording. Shapes (M, n)."""
         position = self.band.transformed(self.piece.q)

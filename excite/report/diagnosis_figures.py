@@ -10,6 +10,7 @@ import numpy as np
 
 from ..diagnose.diagnosis import Diagnosis
 from ..diagnose.isolability import Isolability
+from ..diagnose.track import split
 from ..identify.identification import Prediction
 from .figures import BLUE, GREY, INK, MANY, ORANGE, SOFT, few_ticks, render, thin
 from .fit_figures import SURE, window
@@ -55,15 +56,14 @@ def told(effect: str) -> str:
 
 def predictions(found: Diagnosis) -> Iterator[Prediction]:
     """Held-out recordings with the torque of the base model (`nominal`) and of that with the findings (`fitted`)."""
-    ends = np.cumsum([0, *(len(track) for track in found.tracks[1])])
-    spans = [(track, slice(a, b)) for track, a, b in zip(found.tracks[1], ends[:-1], ends[1:], strict=True)]
-    left = [np.where(found.moves, residual, np.nan) for residual in found.residuals]
-    for source, group in itertools.groupby(spans, key=lambda span: span[0].piece.source):
-        own = list(group)
-        time = np.concatenate([track.time for track, _ in own])
-        measured = np.concatenate([track.torque for track, _ in own])
-        before, after = (measured - np.concatenate([r[part] for _, part in own]) for r in left)
-        starts = np.cumsum([0, *(len(track) for track, _ in own)])[:-1]
+    every = found.tracks[1]
+    left = (split(np.where(found.moves, residual, np.nan), every) for residual in found.residuals)
+    for source, group in itertools.groupby(zip(every, *left, strict=True), key=lambda own: own[0].piece.source):
+        tracks, bare, named = zip(*group, strict=True)
+        time = np.concatenate([track.time for track in tracks])
+        measured = np.concatenate([track.torque for track in tracks])
+        before, after = (measured - np.concatenate(parts) for parts in (bare, named))
+        starts = np.cumsum([0, *(len(track) for track in tracks)])[:-1]
         yield Prediction(source, time, measured, before, after, found.floor, tuple(int(s) for s in starts))
 
 

@@ -98,9 +98,8 @@ def _largest(c: Array) -> dict[str, float]:
 def _contact(tracks: Sequence[Track]) -> Iterator[Shape]:
     """Where the residual is large for some of the time and the rest is quiet: the intervals that stand out most, and a little more."""
     for track in tracks:
-        left = track.torque - np.einsum("tip,p->ti", track.gamma, track.theta)
-        quiet = np.median(np.abs(left), axis=0) + 1e-12
-        loud = np.mean((left / quiet) ** 2, axis=1)
+        quiet = np.median(np.abs(track.left), axis=0) + 1e-12
+        loud = np.mean((track.left / quiet) ** 2, axis=1)
         for low, high in _intervals(track.time, loud):
             for wider, swells, knots in FORCES:
                 span = low - wider * (high - low), high + wider * (high - low)

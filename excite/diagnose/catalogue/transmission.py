@@ -80,7 +80,7 @@ def _ripple(tracks: Sequence[Track]) -> Iterator[Shape]:
 def _orders(tracks: Sequence[Track], joint: int, most: int = 12) -> list[float]:
     """Orders at which the base fit's residual has power, found on a fine grid from 3 to 300 a turn (Lomb 1976, over angle)."""
     track = max(tracks, key=len)
-    left = track.torque[:, joint] - track.gamma[:, joint] @ track.theta
+    left = track.left[:, joint]
     q = np.interp(track.time, track.clock, track.fine.q[:, joint])
     turn = float(np.ptp(q))
     if turn < 0.05:

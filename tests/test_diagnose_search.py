@@ -354,13 +354,13 @@ def test_a_base_that_leans_is_told_with_its_sign(subject, roll, pitch):
 
 
 def test_gravity_may_be_turned_but_not_longer():
-    leans = next(shape for shape in BY_NAME["gravity_tilt"].shapes([Upright()]) if shape.values["large"]).plausible
+    large = next(shape for shape in BY_NAME["gravity_tilt"].shapes([Upright()]) if shape.values["large"])
+    leans = large.plausible
     roll, pitch = 0.3, -0.2
     gx, gy, gz = pin.rpy.rpyToMatrix(roll, pitch, 0.0).T @ [0.0, 0.0, -1.0]
     exact = np.array([-gy, gx, -1.0 - gz])
     assert leans(exact) and not leans(exact + np.array([0.0, 0.0, 0.2])) and not leans(exact - np.array([0.0, 0.0, 0.3]))
-    told = next(shape for shape in BY_NAME["gravity_tilt"].shapes([Upright()]) if shape.values["large"]).parameters(exact)
-    assert told == pytest.approx({"roll": roll, "pitch": pitch})
+    assert large.parameters(exact) == pytest.approx({"roll": roll, "pitch": pitch})
 
 
 def test_probabilities_fall_with_what_speaks_against_a_name():

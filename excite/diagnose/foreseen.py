@@ -117,13 +117,15 @@ def _remembered(x: Array, rows: Rows) -> Array:
 @dataclass(frozen=True)
 class Basis:
     """features: of a joint at all rows, Shape (N, k). experiment: what would show it alone. label: of what its response is drawn over.
-    over: that, [rows, joint] -> (N,), None: time since. sign: by which the residual is taken there, 0 where it is not."""
+    over: that, [rows, joint] -> (N,), None: time since. sign: by which the residual is taken there, 0 where it is not. every: features
+    are of every joint, one after the other."""
 
     features: Callable[[Rows, int], Array]
     experiment: str
     label: str
     over: Callable[[Rows, int], Array] | None = None
     sign: Callable[[Rows, int], Array] = lambda rows, joint: np.ones(len(rows))
+    every: bool = False
 
 
 STOP = "a sharp stop, then rest: what swings on does so alone"
@@ -136,12 +138,8 @@ BASES: Mapping[str, Basis] = {
         lambda rows, j: rows.q[:, j],
         lambda rows, j: rows.direction(j),
     ),
-    "speed": Basis(_speed, "constant speeds of one joint after the other", "speed [{}/s]", lambda rows, j: rows.dq[:, j]),
-    "past acceleration": Basis(
-        lambda rows, j: _remembered(rows.ddq[:, j], rows),
-        STOP,
-        "since an acceleration [s]",
-    ),
+    "speed": Basis(_speed, "constant speeds of one joint after the other", "speed [{}/s]", lambda rows, j: rows.dq[:, j], every=True),
+    "past acceleration": Basis(lambda rows, j: _remembered(rows.ddq[:, j], rows), STOP, "since an acceleration [s]"),
     "past load": Basis(lambda rows, j: _remembered(rows.load[:, j], rows), STOP, "since a load [s]"),
     "power": Basis(
         _power,
@@ -175,23 +173,26 @@ def _standard(x: Array) -> tuple[Array, Array]:
 
 def _response(rows: Rows, moves: Array, residual: Array, joint: int, regime: str, ridge: float) -> Response:
     """The residual where a joint moves over what its regime says."""
-    basis, unit = BASES[regime], "m" if rows.linear[joint] else "rad"
-    if basis.over is None or regime == "speed":
-        features, spread = _standard(basis.features(rows, joint))
-        x = features[moves]
-        G = x.T @ x / len(x)
-        c = np.linalg.solve(G + ridge * np.eye(len(G)), x.T @ residual[moves] / len(x))
-        if basis.over is None:
-            felt = np.where(np.isfinite(spread), c / spread, 0.0)
-            return Response(basis.label, _lag(rows) * np.arange(len(c)), felt / max(float(np.abs(felt).max()), 1e-300), relative=True)
-        part = (x.reshape(len(x), rows.n, -1) * c.reshape(rows.n, -1)).sum(axis=2)
-        joint = int(np.argmax(part.var(axis=0)))
-        unit = "m" if rows.linear[joint] else "rad"
-    assert basis.over is not None
+    basis = BASES[regime]
+    if basis.over is None:
+        c, _, spread = _told(rows, basis, moves, residual, joint, ridge)
+        felt = c / spread  # 0 of what is constant
+        return Response(basis.label, _lag(rows) * np.arange(len(c)), felt / max(float(np.abs(felt).max()), 1e-300), relative=True)
+    if basis.every:  # over the one that tells most of it
+        c, x, _ = _told(rows, basis, moves, residual, joint, ridge)
+        joint = int(np.argmax((x * c).reshape(len(x), rows.n, -1).sum(axis=2).var(axis=0)))
     sign = basis.sign(rows, joint)
     shown = moves & (sign != 0.0)
     curve = _binned(basis.over(rows, joint)[shown], (residual * sign)[shown])
-    return Response(basis.label.format(unit), *curve, other=joint if regime == "speed" else None)
+    label = basis.label.format("m" if rows.linear[joint] else "rad")
+    return Response(label, *curve, other=joint if basis.every else None)
+
+
+def _told(rows: Rows, basis: Basis, moves: Array, residual: Array, joint: int, ridge: float) -> tuple[Array, Array, Array]:
+    """Coefficients of features by all rows where a joint moves, the features there, and the spread that they are over."""
+    features, spread = _standard(basis.features(rows, joint))
+    x = features[moves]
+    return np.linalg.solve(x.T @ x / len(x) + ridge * np.eye(x.shape[1]), x.T @ residual[moves] / len(x)), x, spread
 
 
 def _binned(x: Array, y: Array) -> tuple[Array, Array]:

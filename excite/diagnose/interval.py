@@ -95,19 +95,18 @@ def spreads(one: Design, verdict: Verdict) -> Spread:
     G = free.T @ free
     # a value's logarithm is known to one, as its grid's neighbours are
     G[np.diag_indices_from(G)] += np.concatenate([one.prior[which], np.ones(len(places))])
-    start = 0
-    for c in one.split(together.shapes, together.coefficients):
-        _unfelt(G, slice(start, start + len(c)), one.prior[which[start : start + len(c)]], c)
-        start += len(c)
+    own = one.split(together.shapes, np.arange(len(which)))
+    for rows, c in zip(own, one.split(together.shapes, together.coefficients), strict=True):
+        _unfelt(G, rows, one.prior[which[rows]], c)
     values, vectors = np.linalg.eigh(G)
     return Spread(vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1])), places)
 
 
-def _unfelt(G: Array, own: slice, prior: Array, c: Array) -> None:
+def _unfelt(G: Array, rows: Array, prior: Array, c: Array) -> None:
     """Columns of a shape that no joint feels, such as a force out of an arm's plane, are taken to be as large as those that one feels."""
     unfelt = prior < UNFELT**2 * prior.max()
     if unfelt.any():
-        places = np.arange(own.start, own.stop)[unfelt]
+        places = rows[unfelt]
         G[places] = G[:, places] = 0.0
         G[places, places] = 1.0 / max(float(np.mean(c[~unfelt] ** 2)), 1e-300)
 

@@ -87,16 +87,15 @@ def singles(one: Design, beside: tuple[int, ...] = ()) -> list[Hypothesis]:
         key = (shape.effect, shape.joint)
         if (key in best and found.gain <= best[key].trial.gain) or not found.plausible or not agrees(one, found):
             continue
-        if beside and _cancels(one, found):
-            continue
-        large = size(one, found, len(beside))
-        best[key] = Hypothesis(shape.effect, shape.joint, i, found, large, large > SMALLEST)
+        large = _each(one, found)
+        if not beside or max(large) <= CANCELS * one.loudest:
+            best[key] = Hypothesis(shape.effect, shape.joint, i, found, large[-1], large[-1] > SMALLEST)
     return sorted(best.values(), key=lambda h: -h.trial.gain)
 
 
-def _cancels(one: Design, found: Trial) -> bool:
-    """Whether shapes are so much larger than what the base model leaves that they can only take each other off."""
-    return any(size(one, found, number) > CANCELS * one.loudest for number in range(len(found.shapes)))
+def _each(one: Design, found: Trial) -> list[float]:
+    """The size of each of the fitted shapes. Far larger than what the base model leaves, they can only take each other off."""
+    return [size(one, found, number) for number in range(len(found.shapes))]
 
 
 def _meanwhile(one: Design, i: int, beside: Sequence[int]) -> bool:
@@ -117,11 +116,6 @@ def sizes(one: Design, found: Trial, number: int) -> Array:
 def size(one: Design, found: Trial, number: int) -> float:
     """The same on the joint where it is largest."""
     return float(sizes(one, found, number).max())
-
-
-def shows(one: Design, found: Trial, number: int) -> bool:
-    """Whether one of the fitted shapes is of a size that counts, on some joint."""
-    return size(one, found, number) > SMALLEST
 
 
 def agrees(one: Design, found: Trial) -> bool:
@@ -254,9 +248,10 @@ def _best_pair(one: Design, ranked: Sequence[Hypothesis]) -> list[int] | None:
             if _meanwhile(one, b.shape, (a.shape,)):
                 continue
             found = trial(one, [a.shape, b.shape])
-            if best is not None and found.gain <= best[0]:
+            if not found.plausible or (best is not None and found.gain <= best[0]):
                 continue
-            if found.plausible and shows(one, found, 0) and shows(one, found, 1) and not _cancels(one, found):
+            large = _each(one, found)
+            if min(large) > SMALLEST and max(large) <= CANCELS * one.loudest:
                 best = (found.gain, [a.shape, b.shape])
     return None if best is None or best[0] - single < max(search.NATS, SHARE * single) else best[1]
 

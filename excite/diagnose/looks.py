@@ -108,20 +108,20 @@ class Rows:
 def rows(tracks: Sequence[Track], recordings: Sequence[Recording] = ()) -> Rows:
     """Everything that looks need of some stretches. recordings: where temperatures are, by source."""
     parts: dict[str, list[Array]] = {}
-    starts, at, elapsed, length = list[Array](), 0, 0.0, block_length(tracks)
+    starts, begins, at, elapsed, length = list[Array](), list[int](), 0, 0.0, block_length(tracks)
     for track in tracks:
         for name, value in _motion(track, recordings).items():
             parts.setdefault(name, []).append(value)
         clock = track.time - track.time[0]
         parts.setdefault("time", []).append(clock + elapsed)
         starts.append(at + block_starts(clock, length))
+        begins.append(at)
         at, elapsed = at + len(track), elapsed + float(clock[-1]) + length
     joined = {name: np.concatenate(values) for name, values in parts.items()}
     first = tracks[0]
     linear = tuple(entry.kind == "prismatic" for entry in first.body.robot.entries)
     rate = first.band.rate_of(Grid.KEPT)
-    begins = np.cumsum([0, *(len(track) for track in tracks[:-1])])
-    return Rows(**joined, starts=np.concatenate(starts), begins=begins, rate=rate, hertz=first.band.hertz, linear=linear)
+    return Rows(**joined, starts=np.concatenate(starts), begins=np.array(begins), rate=rate, hertz=first.band.hertz, linear=linear)
 
 
 def block_length(tracks: Sequence[Track]) -> float:

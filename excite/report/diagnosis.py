@@ -130,7 +130,8 @@ def _what(found: Diagnosis, stated: Stated) -> Section:
         answer = listed(named)
         answer = answer[0].upper() + answer[1:] + "."
     elif stated["unknown"]:
-        answer = f"Not known: {_some([u['joint'] for u in stated['unknown']])} shows torque that no name predicts."
+        verb = "shows" if len(stated["unknown"]) == 1 else "show"
+        answer = f"Not known: {_some([u['joint'] for u in stated['unknown']])} {verb} torque that no name predicts."
     else:
         answer = "Nothing is asserted: no effect of the catalogue predicts what was held out better than the base model by enough."
     doubted = max(stated["considered"], key=lambda one: float(one["probability"]), default=None)

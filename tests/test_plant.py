@@ -364,3 +364,17 @@ def test_one_seed_gives_one_recording():
     first, second = (laboratory.session(laboratory.robot(urdf("two_link"), motion, setting), motion, setting) for _ in range(2))
     assert first.recording.csv() == second.recording.csv() and first.truth == second.truth
     assert first.truth["seed"] == 11
+
+
+def test_noise_of_another_motion_is_another_and_of_the_same_motion_the_same():
+    """What is seen in two recordings of one seed must not be what they were drawn from."""
+    setting = Setting(seed=11, noise=0.01)
+
+    def noise(motion: Reference) -> np.ndarray:
+        plant = laboratory.robot(urdf("two_link"), motion, setting)
+        silent, loud = (laboratory.session(plant, motion, replace(setting, noise=level)) for level in (0.0, 0.01))
+        return loud.recording.tau - silent.recording.tau
+
+    first, again, other = noise(swing(1.5)), noise(swing(1.5)), noise(swing(1.5, seed=1))
+    assert (first == again).all() and len(first) == len(other)
+    assert abs(np.corrcoef(first[:, 0], other[:, 0])[0, 1]) < 0.2 < first.std()

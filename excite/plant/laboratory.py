@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -21,6 +22,9 @@ from .record import Recording
 from .reference import Reference
 from .tree import Tree
 from .wrong import deformed
+
+TOLD_BY = 64
+"""Points of a motion that tell it from another."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,12 @@ class Setting:
     def generators(self) -> list[np.random.Generator]:
         """Independent ones for bodies, drives, measurement and effects."""
         return np.random.default_rng(self.seed).spawn(4)
+
+    def measuring(self, reference: Reference) -> np.random.Generator:
+        """For the noise of a motion: that of another motion is another, as no two recordings share theirs."""
+        joints = reference.at(np.linspace(0.0, reference.duration, TOLD_BY))[0]
+        told = zlib.crc32((np.round(joints, 6) + 0.0).tobytes())
+        return np.random.default_rng([told, *self.generators()[2].integers(2**32, size=2).tolist()])
 
 
 @dataclass(frozen=True)
@@ -84,7 +94,7 @@ def session(plant: Plant, reference: Reference, setting: Setting, facts: dict[st
     """Run a robot along a reference and measure it; `facts` enter the truth first, `run` is one already made."""
     made = plant.run(reference) if run is None else run
     measured = chain(plant, setting)
-    recording = records.record(made, reference, measured, setting.generators()[2])
+    recording = records.record(made, reference, measured, setting.measuring(reference))
     own = {"seed": setting.seed, "setting": asdict(setting)}
     return Session(plant, measured, made, recording, records.truth(plant, measured, {**(facts or {}), **own}))
 

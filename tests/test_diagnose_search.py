@@ -87,9 +87,24 @@ def test_another_residual_is_judged_as_if_it_had_been_measured():
     direct = designed(others)
     assert search.trial(told, [0]).gain == pytest.approx(search.trial(direct, [0]).gain)
     np.testing.assert_allclose(search.trial(told, [0]).coefficients, search.trial(direct, [0]).coefficients)
-    warned = judge.warned(designed(torques), [(others[0].ravel(), others[1].ravel())], 0.0)
+    residual, quiet = (others[0].ravel(), others[1].ravel()), (np.zeros(50), np.zeros(30))
     best = judge.singles(direct)[0].trial.gain if judge.singles(direct) else 0.0
-    assert warned.bar(0) == pytest.approx(search.NATS + search.FEIGNED * best)
+    by_steps, by_rare_samples = (judge.warned(designed(torques), *told, 0.0) for told in (([residual], quiet), ([], residual)))
+    assert by_steps.bar(0) == pytest.approx(search.NATS + search.FEIGNED * best)
+    assert by_rare_samples.bar(0) == pytest.approx(search.NATS + best)
+
+
+def test_a_reversal_that_falls_on_a_sample_may_have_either_sign():
+    """Friction makes a speed turn where it reverses: how sharply, samples cannot tell, and near zero that decides friction's sign."""
+
+    def left(first: float) -> np.ndarray:
+        speed = first + 0.2 * np.arange(-5.0, 6.0) * np.where(np.arange(-5, 6) < 0, 1.0, 0.6)
+        track = types.SimpleNamespace(fine=types.SimpleNamespace(dq=speed[:, None]), n=1, widths=np.array([0.005]), reduce=lambda x: x)
+        track.body = types.SimpleNamespace(drive=lambda name: {"coulomb": np.array([3.0])}[name])
+        return np.asarray(noise._turned(track))[:, 0]
+
+    assert np.abs(left(0.1)).max() < 1e-9  # between samples
+    assert left(-0.02)[5] == pytest.approx(6.0, rel=0.01) and np.abs(np.delete(left(-0.02), 5)).max() < 1e-9
 
 
 def test_what_remains_is_what_least_squares_leaves():

@@ -193,9 +193,9 @@ def _scale(noisy: Noise, left: Array) -> Array:
 
 
 def _warned(one: Design, noisy: Noise, scale: Array) -> Design:
-    """The design that knows what the encoders' steps feign."""
-    feigned = [((a / scale).ravel(), (b / scale).ravel()) for a, b in noisy.feigned]
-    return judge.warned(one, feigned, float(np.mean((noisy.steps / noisy.floor) ** 2)))
+    """The design that knows what the encoders' steps feign, and samples that are too rare."""
+    *feigned, sharpened = [((a / scale).ravel(), (b / scale).ravel()) for a, b in (*noisy.feigned, noisy.sharpened)]
+    return judge.warned(one, feigned, sharpened, float(np.mean((noisy.steps / noisy.floor) ** 2)))
 
 
 def _sharper(one: Design, verdict: Verdict, noisy: Noise, scale: Array) -> tuple[Design, Verdict, Array]:

@@ -132,12 +132,13 @@ def agrees(one: Design, found: Trial) -> bool:
     return power > 0.0 and float(a @ G @ b) > 0.5 * np.sqrt(power)
 
 
-def warned(one: Design, residuals: Sequence[tuple[Array, Array]], stepped: float) -> Design:
-    """The design that knows what each effect gains from residuals that an encoder alone may leave (`search.pretended`), and their share."""
+def warned(one: Design, steps: Sequence[tuple[Array, Array]], sharpened: tuple[Array, Array], stepped: float) -> Design:
+    """The design that knows what each effect gains from residuals that an encoder alone, drawn anew, or rare samples may leave
+    (`search.pretended`); and the encoder's share of the noise."""
     most: dict[str, float] = {}
-    for residual in residuals:
+    for residual, times in (*((own, search.FEIGNED) for own in steps), (sharpened, 1.0)):
         for h in singles(search.pretended(one, residual)):
-            most[h.effect] = max(most.get(h.effect, 0.0), h.trial.gain)
+            most[h.effect] = max(most.get(h.effect, 0.0), times * h.trial.gain)
     return replace(one, feigned=most, stepped=stepped)
 
 

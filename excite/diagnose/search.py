@@ -31,8 +31,8 @@ STEPPED = 100.0
 """The same, for each time that an effect is doubted, of noise that is all an encoder's steps: they are in its columns and the
 residual alike."""
 FEIGNED = 12.0
-"""The same over what it gains, at the joint where that is most, from what an encoder's steps would leave: friction reverses more sharply
-than the smooth motion that is rounded for it, and a few draws don't show the worst (nine times in 13 simulated robots)."""
+"""The same, over what it gains, at the joint where that is most, from what an encoder's steps drawn anew would leave: friction reverses
+more sharply than the smooth motion that is rounded for it, and a few draws don't show the worst (nine times in 13 simulated robots)."""
 
 
 def inverse(columns: Array) -> Array:
@@ -119,9 +119,9 @@ class Design:
     places: of each shape's columns. both: the halves stacked. columns: of each half, at its recorded rows. Shapes (m, K). left: the
     residual of each half by its own base fit. across: torque of the second half less what the first half's base fit makes of it.
     grams: of each half, the base fitted to it; whole: of both, the base fitted to both. power: of each shape, the mean products of
-    its columns in `whole`, per joint, Shape (n, k, k). feigned: gain of each effect, by name, that faults
-    of the measurement are known to give it on some joint. stepped: share of the noise that is an encoder's steps. listed: all shapes
-    that there were, before the best were picked.
+    its columns in `whole`, per joint, Shape (n, k, k). feigned: further gain that each effect
+    needs, by name, for what faults of the measurement are known to give it on some joint. stepped: share of the noise that is an
+    encoder's steps. listed: all shapes that there were, before the best were picked.
     """
 
     shapes: tuple[Shape, ...]
@@ -149,7 +149,7 @@ class Design:
         """Gain from which a shape is believed: more where steps look like it, and where what blurs positions blurs its columns alike."""
         shape = self.shapes[i]
         blurred = (shape.doubt - 1.0) * (NATS + STEPPED * self.stepped)
-        return NATS + FEIGNED * self.feigned.get(shape.effect, 0.0) + blurred
+        return NATS + self.feigned.get(shape.effect, 0.0) + blurred
 
     def which(self, chosen: Sequence[int]) -> Array:
         """Columns of several shapes."""

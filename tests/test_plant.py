@@ -287,6 +287,17 @@ def test_severity_is_zero_for_what_a_refit_absorbs_and_scales(bench):
     assert reached.value == pytest.approx(3.0, rel=0.16)
 
 
+def test_no_severity_makes_friction_push(bench):
+    plant, motion, setting, _ = bench
+    chain = laboratory.chain(plant, setting)
+    for text, key, most in (("thermal_drift:joint_2:change=-0.5", "change", 0.9), ("load_friction:joint_2:mu=0.3", "mu", 0.6)):
+        effect = effects.parse(text, plant)
+        assert effect.most == pytest.approx(most / abs(effect.values[key]))
+        reached = severity.reach(effect, 1e3, plant, motion, chain)[0]
+        assert 0.0 < abs(reached.values[key]) <= most + 1e-12
+    assert effects.parse("spring:joint_2", plant).most == np.inf
+
+
 def test_a_robot_that_is_lost_is_said_to_be(bench):
     plant, motion, *_ = bench
     with pytest.raises(UnusableInput, match="smaller"):

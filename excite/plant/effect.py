@@ -48,6 +48,12 @@ class Effect:
         values = {key: self.kind.quantity(key).sized(value, size) for key, value in self.values.items()}
         return replace(self, values=values)
 
+    @property
+    def most(self) -> float:
+        """How many times as large it may be made at the most."""
+        grown = [(self.kind.quantity(key), value) for key, value in self.values.items()]
+        return min((float((q.most / abs(value)) ** (1.0 / q.power)) for q, value in grown if np.isfinite(q.most) and value), default=np.inf)
+
     def document(self) -> dict[str, Any]:
         """As the truth states it; `details` are parameters that the contract doesn't name."""
         stated = {q.name: {"value": self.values[q.name], "unit": q.unit} for q in self.kind.quantities if q.stated}

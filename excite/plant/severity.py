@@ -117,8 +117,8 @@ def reach(
 ) -> tuple[Effect, Run, Severity]:
     """The effect scaled until its severity is `target`, to a factor of 1 ± tolerance, or as near as `tries` runs come.
 
-    Secant steps in the logarithms, from the effect as given and never beyond `largest` times it. A robot that the controller
-    loses has too much of it. Raises UnusableInput when all tries are lost.
+    Secant steps in the logarithms, from the effect as given and never beyond `largest` times it, nor beyond what physics allows. A robot
+    that the controller loses has too much of it. Raises UnusableInput when all tries are lost.
     """
 
     def probe(size: float) -> tuple[Effect, Run, Severity]:
@@ -126,7 +126,8 @@ def reach(
         run = hide(plant, (sized,)).run(reference)
         return sized, run, of(run, plant, reference, chain, trusted=trusted)
 
-    size, slope, last = 1.0, 1.0, None
+    largest = min(largest, effect.most)
+    size, slope, last = min(1.0, largest), 1.0, None
     found: list[tuple[float, tuple[Effect, Run, Severity]]] = []
     for _ in range(tries):
         try:

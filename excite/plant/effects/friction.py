@@ -252,7 +252,7 @@ KINDS = (
         (Quantity("coefficient", "N m (s/rad)^exponent", 0.01, 0.05, "viscous"), Quantity("exponent", "1", 2.2, 3.2, power=0.0)),
         {"tuning": power, "scored": rounded_power},
     ),
-    Kind("load_friction", (Quantity("mu", "1", 0.03, 0.3),), {"tuning": load_power, "scored": load_quadrants}),
+    Kind("load_friction", (Quantity("mu", "1", 0.03, 0.3, most=0.6),), {"tuning": load_power, "scored": load_quadrants}),
     Kind(
         "position_friction",
         (Quantity("amplitude", "N m", 0.002, 0.01, "torque"), Quantity("waves", "1", 1.0, 2.0, power=0.0, stated=False), angle()),
@@ -268,7 +268,7 @@ KINDS = (
     ),
     Kind(
         "thermal_drift",
-        (Quantity("change", "1", -0.7, -0.2), Quantity("time_constant", "s", 5.0, 30.0, power=0.0)),
+        (Quantity("change", "1", -0.7, -0.2, most=0.9), Quantity("time_constant", "s", 5.0, 30.0, power=0.0)),
         {
             "tuning": lambda site, p: Warming(site, p["change"], p["time_constant"]),
             "scored": lambda site, p: Heating(site, p["change"], p["time_constant"]),

@@ -22,7 +22,8 @@ class Quantity:
     """A parameter. low, high: its usual size, times `of` at the joint: 1, torque limit, torque/speed, torque/speed², 1/speed….
 
     power: how it grows with the size of the effect: 1 for an amplitude, −1 for a stiffness, 0 for what is only shape;
-    about: value of an effect of size 0, when that is not 0. stated: whether the contract names it.
+    about: value of an effect of size 0, when that is not 0. stated: whether the contract names it. most: what physics allows of it, of
+    either sign: friction never pushes, a motor never brakes itself.
     """
 
     name: str
@@ -33,6 +34,7 @@ class Quantity:
     power: float = 1.0
     about: float = 0.0
     stated: bool = True
+    most: float = np.inf
 
     def range(self, torque: float, speed: float) -> tuple[float, float]:
         """Usual size at a joint of these limits [N m, rad/s]."""

@@ -120,7 +120,7 @@ KINDS = (
     ),
     Kind(
         "supply_sag",
-        (Quantity("loss", "1", 0.05, 0.3),),
+        (Quantity("loss", "1", 0.05, 0.3, most=0.7),),
         {"tuning": lambda site, p: Sag(site, p["loss"]), "scored": lambda site, p: Sag(site, p["loss"])},
         outsider=True,
     ),

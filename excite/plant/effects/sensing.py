@@ -103,7 +103,7 @@ KINDS = (
     Kind("torque_gain", (Quantity("gain", "1", 1.05, 1.2, about=1.0),), {"tuning": gain, "scored": gain_breathing}),
     Kind(
         "torque_saturation",
-        (Quantity("loss", "1", 0.03, 0.15), Quantity("at", "N m", 0.4, 0.4, "torque", power=0.0, stated=False)),
+        (Quantity("loss", "1", 0.03, 0.15, most=0.7), Quantity("at", "N m", 0.4, 0.4, "torque", power=0.0, stated=False)),
         {"tuning": saturation_cubic, "scored": saturation_knee},
     ),
     Kind(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import types
+from collections.abc import Callable
 
 import numpy as np
 import pinocchio as pin
@@ -15,8 +16,8 @@ from test_diagnose import PLANTED, found, on, recordings_of
 
 from excite import dynamics
 from excite.diagnose import belief, diagnosis, interval, judge, noise, search, track, whole
-from excite.diagnose.catalogue import BY_NAME, windup
-from excite.diagnose.effect import Shape, family
+from excite.diagnose.catalogue import BY_NAME, environment, windup
+from excite.diagnose.effect import Knob, Shape, family
 from excite.diagnose.track import Track
 from excite.errors import UnusableInput
 from excite.identify import identification, signals
@@ -146,6 +147,27 @@ def test_a_grid_is_left_for_the_value_between_its_neighbours():
     assert search.trial(finer, [best]).gain > search.trial(one, [coarse]).gain
 
 
+def test_a_value_that_no_grid_has_is_found_from_kin_to_kin():
+    x = np.linspace(0.0, 1.0, 400)
+    noise_of = np.random.default_rng(1).normal(size=(400, 1))
+    halves = [halved(np.ones((400, 1)), 5.0 * np.exp(-4.0 * x[:, None]) * np.sin(9.0 * x[:, None]) + 0.1 * noise_of, EMPTY, 0.1)] * 2
+
+    def rung(damping: float) -> Callable[[float], Shape]:
+        def shape(speed: float) -> Shape:
+            kin = lambda: [Knob(speed, speed / 1.2, speed * 1.2, rung(damping * by)).at(speed) for by in (0.5, 2.0)]  # noqa: E731
+            return Shape("drag", 0, nothing, {"speed": speed, "damping": damping}, kin=kin)
+
+        return shape
+
+    def build(shape: Shape) -> tuple[Array, Array]:
+        column = np.exp(-shape.values["damping"] * x[:, None]) * np.sin(shape.values["speed"] * x[:, None]) / 0.1
+        return column, column
+
+    one = search.design((halves[0], halves[1]), list(family((4.0, 6.0, 10.0, 16.0), rung(1.0))), build)
+    finer, (best,) = search.refined(one, [max(range(len(one.shapes)), key=lambda i: search.trial(one, [i]).gain)])
+    assert finer.shapes[best].values == pytest.approx({"speed": 9.0, "damping": 4.0}, rel=0.05)
+
+
 EMPTY = (np.zeros((0, 1)), np.zeros(0))
 
 
@@ -183,17 +205,20 @@ def test_a_period_is_found_where_nobody_states_it(subject):
 
 
 def test_wind_up_is_that_of_the_differential_equation():
-    dt, K = 1e-3, 400.0
-    t = np.arange(2000) * dt
+    """At the rate at which dynamics are evaluated, with a link that hung still while its motor turned."""
+    dt, start = 8e-3, (0.01, -0.3)
+    t = np.arange(500) * dt
     force, inertia = np.sin(9.0 * t) + 0.4 * np.sin(31.0 * t), 0.5 + 0.1 * np.sin(2.0 * t)
-    place, _ = windup.oscillator(force, inertia, K, 0.07, dt)
+    stiffness, damping = 400.0 + 30.0 * np.cos(3.0 * t), 1.5 + np.sin(5.0 * t)
+    place, speed = windup.oscillator(force, inertia, stiffness, damping, dt, start)
 
     def slope(at: float, state: Array) -> Array:
-        f, m = np.interp(at, t, force), np.interp(at, t, inertia)
-        return np.array([state[1], (f - K * state[0] - 2.0 * 0.07 * np.sqrt(K * m) * state[1]) / m])
+        f, m, k, d = (np.interp(at, t, x) for x in (force, inertia, stiffness, damping))
+        return np.array([state[1], (f - k * state[0] - d * state[1]) / m])
 
-    exact = integrate.solve_ivp(slope, (0.0, t[-1]), [force[0] / K, 0.0], t_eval=t, rtol=1e-8, atol=1e-12).y[0]
-    assert np.abs(place - exact).max() < 0.02 * np.abs(exact).max()
+    exact = integrate.solve_ivp(slope, (0.0, t[-1]), start, t_eval=t, rtol=1e-8, atol=1e-12).y
+    assert np.abs(place - exact[0]).max() < 0.02 * np.abs(exact[0]).max()
+    assert np.abs(speed - exact[1]).max() < 0.02 * np.abs(exact[1]).max()
 
 
 def test_what_was_found_is_predicted_and_gone_from_the_recording(subject):
@@ -302,6 +327,26 @@ def test_a_push_that_lasts_for_half_a_period_is_no_noise_either(subject):
 def test_levers_are_the_jacobians_of_the_links_centres(subject):
     (track, *_), _ = found(subject, None).tracks
     np.testing.assert_allclose(track.levers[::50, 1, 0], force_along_x(track.body.model, track.coarse.q[::50]), atol=1e-9)
+
+
+def test_gravity_takes_off_a_rocking_bases_spring_what_it_gains_by_leaning(subject):
+    (track, *_), _ = found(subject, None).tracks
+    model, q = track.body.model, track.coarse.q[::200]
+
+    def moment(axis: int, lean: float) -> np.ndarray:
+        leaning = model.copy()
+        leaning.gravity.linear = pin.exp3(-lean * np.eye(3)[axis]) @ model.gravity.linear
+        data, still = leaning.createData(), np.zeros(leaning.nv)
+        out = []
+        for pose in q:
+            pin.rnea(leaning, data, pose, still, still)
+            out.append(-data.liMi[1].act(data.f[1]).angular[axis])
+        return np.array(out)
+
+    for axis in range(3):
+        slope = (moment(axis, 1e-4) - moment(axis, -1e-4)) / 2e-4
+        np.testing.assert_allclose(environment._toppling(track, 3 + axis)[::200], slope, atol=1e-6)
+    assert not environment._toppling(track, 0).any()
 
 
 def test_what_hides_behind_another_effect_is_found_beside_it(subject):

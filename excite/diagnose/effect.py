@@ -19,8 +19,9 @@ class Shape:
     joint: index of the joint that carries it, None where it is nobody's. add: the torque it adds, which depends on what is said here and
     nothing else. values: the fixed, non-linear parameters. other: a further joint it is tied to. interval, source: when [s] and in
     which recording, if only then. parameters: from coefficients (k,) to the contract's names and values. plausible: whether
-    coefficients (k,) can be physics: sign, range, dissipation. knob: turns the value that a grid has fixed. several: whether one joint
-    can have more than one of the kind. doubt: how many times the usual gain it takes to be believed.
+    coefficients (k,) can be physics: sign, range, dissipation. knob: turns the value that a grid has fixed. kin: the shapes beside it, by
+    a further value that no grid is worth. several: whether one joint can have more than one of the kind. doubt: how many times the
+    usual gain it takes to be believed.
     """
 
     effect: str
@@ -33,6 +34,7 @@ class Shape:
     parameters: Callable[[Array], dict[str, float]] = lambda c: {}
     plausible: Callable[[Array], bool] = lambda c: bool(np.isfinite(c).all())
     knob: Knob | None = None
+    kin: Callable[[], Sequence[Shape]] = tuple
     several: bool = False
     doubt: float = 1.0
 

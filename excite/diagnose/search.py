@@ -167,6 +167,8 @@ class Design:
         return np.asarray(self.columns[1][:, which] - second.gamma[second.rows] @ part)
 
 
+KIN = 4
+"""Steps from kin to kin, at the most."""
 FEW, SEVERAL, BESIDE = 4, 6, 3
 """Shapes of an effect at a joint that are searched, of one that a joint can have several of, and of those looked for beside others."""
 
@@ -360,16 +362,28 @@ def refined(one: Design, chosen: Sequence[int], sweeps: int = 2) -> tuple[Design
     chosen = list(chosen)
     for _ in range(sweeps):
         for place, i in enumerate(chosen):
-            knob = one.shapes[i].knob
-            if knob is None:
-                continue
-            others = [k for k in chosen if k != i]
-            small = _only(one, others)
-            best = knob.turned(lambda shape, small=small: _beside(small, shape))  # type: ignore[misc]
+            best = _turned(_only(one, [k for k in chosen if k != i]), one.shapes[i])
             if best is not one.shapes[i]:
                 one = appended(one, [best])
                 chosen[place] = len(one.shapes) - 1
     return one, chosen
+
+
+def _turned(small: Design, shape: Shape) -> Shape:
+    """A shape, or its kin, where it predicts best beside all of a small design's."""
+
+    def gain(other: Shape) -> float:
+        return _beside(small, other)
+
+    if shape.knob is None:
+        return shape
+    best = shape.knob.turned(gain)
+    for _ in range(KIN):
+        near = max(best.kin(), key=gain, default=best)
+        if near.knob is None or gain(near := near.knob.turned(gain)) <= gain(best) + 1e-6:
+            break
+        best = near
+    return best
 
 
 def _only(one: Design, chosen: Sequence[int]) -> Design:

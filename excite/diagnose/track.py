@@ -127,6 +127,12 @@ class Track:
         return self._inverse(self.coarse.q, self.coarse.dq, self.coarse.ddq)
 
     @functools.cached_property
+    def held(self) -> Array:
+        """Torque of the rigid bodies where they begin, at rest. Shape (n,)."""
+        q = self.coarse.q[:1]
+        return np.asarray(self._inverse(q, np.zeros_like(q), np.zeros_like(q))[0])
+
+    @functools.cached_property
     def transmitted(self) -> Array:
         """What the gear carries: the rigid bodies' torque at every sample. Shape (M, n)."""
         return self.upsampled(self.rigid)
@@ -203,11 +209,16 @@ class Track:
         """Mass and moments of inertia of the whole robot about the base's axes, at the coarse samples. Shape (C, 6)."""
         return self._composite[1]
 
+    @property
+    def first_moment(self) -> Array:
+        """Of the whole robot's mass about the base's origin, base frame, at the coarse samples. Shape (C, 3) [kg m]."""
+        return self._composite[2]
+
     @functools.cached_property
-    def _composite(self) -> tuple[Array, Array]:
+    def _composite(self) -> tuple[Array, Array, Array]:
         robot, model = self.body.robot, self.body.model
         data, out = model.createData(), np.zeros((len(self.coarse), robot.n, 6))
-        whole = np.zeros((len(self.coarse), 6))
+        whole, first = np.zeros((len(self.coarse), 6)), np.zeros((len(self.coarse), 3))
         for t, q in enumerate(robot.expand(self.coarse.q)):
             pin.crba(model, data, q, pin.Convention.WORLD)
             jacobian = np.reshape(data.J, (6, -1))
@@ -217,7 +228,8 @@ class Track:
                 out[t] += np.outer(robot.spread[v], jacobian[:, v] @ composite)
                 if model.parents[j] == 0:
                     whole[t] += np.diag(composite)
-        return out, whole
+                    first[t] += data.oYcrb[j].mass * data.oYcrb[j].lever
+        return out, whole, first
 
     @functools.cached_property
     def levers(self) -> Array:

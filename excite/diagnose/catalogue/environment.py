@@ -8,9 +8,9 @@ import numpy as np
 
 from ...identify.band import Grid
 from ...recordings.missing import runs
-from ..effect import Effect, Shape, family, named
+from ..effect import Effect, Knob, Shape, family, named
 from ..track import Track
-from .windup import oscillator
+from .windup import SOFTEST, damped, oscillator
 
 Array = np.ndarray
 PARTS = 40
@@ -25,6 +25,8 @@ SHAKY, PATIENT = 16.0, 4.0
 """A clock that wavers shakes all joints at once, as a base does, and most where motion is fast: for some of the time, as a contact does."""
 WAYS = ((0, 1), (3, 4), (5,), (3,), (4,))
 """Coordinates of a base that slides, rocks, turns about the vertical, or rocks about one axis."""
+SWINGS, NEAR = (1.5, 19.0, 13), 1.1
+"""Frequencies of a base, tried [Hz]; and the factor by which one may turn with its damping."""
 PEDESTAL = 0.3
 """Inertia of what the robot stands on, over the robot's mean one: a guess that the coefficient corrects."""
 
@@ -32,16 +34,17 @@ PEDESTAL = 0.3
 def _swung(t: Track, s: Shape) -> Array:
     """Torque of a base that swings on springs under the robot's reaction, a column a coordinate; the arm's inertia is its pose's.
 
-    A base that rocks also leans: its joints feel gravity turned, which is most of what a slow motion shows.
+    A base that rocks also leans: its joints feel gravity turned, which is most of what a slow motion shows, and so do its springs.
     """
     columns, dt = [], 1.0 / t.band.rate_of(Grid.COARSE)
     for axis in WAYS[int(s.values["way"])]:
         mean = float(t.borne[:, axis].mean())
         inertia = t.borne[:, axis] + PEDESTAL * mean
-        stiffness = (2.0 * np.pi * s.values["frequency"]) ** 2 * (1.0 + PEDESTAL) * mean
+        spring = (2.0 * np.pi * s.values["frequency"]) ** 2 * (1.0 + PEDESTAL) * mean
+        stiffness = np.maximum(spring - _toppling(t, axis), SOFTEST * spring)
         force = t.reaction[:, axis].mean() - t.reaction[:, axis]
-        place, speed = oscillator(force, inertia, stiffness, s.values["damping"], dt)
-        damping = 2.0 * s.values["damping"] * np.sqrt(stiffness * inertia)
+        damping = 2.0 * s.values["damping"] * np.sqrt(spring * inertia)
+        place, speed = oscillator(force, inertia, stiffness, damping, dt, (float(force[0] / stiffness[0]), 0.0))
         hastened = ((force - stiffness * place - damping * speed) / inertia)[:, None]
         columns.append(t.shaken[:, :, axis] * hastened)
         if axis >= 3:
@@ -49,18 +52,31 @@ def _swung(t: Track, s: Shape) -> Array:
     return t.reduce(np.stack(columns, axis=2), Grid.COARSE)
 
 
+def _toppling(t: Track, axis: int) -> Array:
+    """What gravity takes off the spring of a base that rocks: the moment about an axis of a robot that leans by a radian. Shape (C,)."""
+    if axis < 3:
+        return np.zeros(len(t.coarse))
+    g = t.body.model.gravity.linear
+    return np.asarray(g[axis - 3] * t.first_moment[:, axis - 3] - t.first_moment @ g)
+
+
 def _compliance(tracks: Sequence[Track]) -> Iterator[Shape]:
     def swing(way: int, damping: float) -> Callable[[float], Shape]:
         def shape(frequency: float) -> Shape:
             fixed = {"frequency": frequency, "damping": damping, "way": float(way)}
+
+            def kin() -> list[Shape]:
+                turned = [Knob(frequency, frequency / NEAR, frequency * NEAR, swing(way, z)) for z in damped(damping)]
+                return [knob.at(frequency) for knob in turned]
+
             told = named(frequency=frequency)
-            return Shape("base_compliance", None, _swung, fixed, parameters=told, plausible=_gives_way, several=True, doubt=SHAKY)
+            return Shape("base_compliance", None, _swung, fixed, parameters=told, plausible=_gives_way, kin=kin, several=True, doubt=SHAKY)
 
         return shape
 
     for way in range(len(WAYS)):
         for damping in (0.04, 0.12):
-            yield from family(np.geomspace(2.5, 19.0, 11).tolist(), swing(way, damping))
+            yield from family(np.geomspace(*SWINGS).tolist(), swing(way, damping))
 
 
 def _gives_way(c: Array) -> bool:

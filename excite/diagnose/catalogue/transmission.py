@@ -9,13 +9,17 @@ import numpy as np
 from ...identify.band import Grid
 from ..effect import Effect, Knob, Shape, alone, amplitude, family, named, within
 from ..track import Track
-from .windup import felt, mass, played, wound
+from .windup import damped, felt, launched, mass, played, wound
 
 Array = np.ndarray
 
 
-RESONANCES = np.geomspace(5.0, 34.0, 14)
+RESONANCES = np.geomspace(2.0, 34.0, 20)
 """Of a link on its motor, which stiffnesses are tried by [Hz]."""
+USUAL = 0.07
+"""Damping ratio of a link on its motor: gears have a few per cent."""
+NEAR = 1.12
+"""Factor by which a stiffness may turn with its damping."""
 WIDTHS = np.geomspace(1e-4, 1e-2, 7)
 """Of play, tried [rad]."""
 HOLDS = (0.0, 1.5, 3.0)
@@ -23,24 +27,37 @@ HOLDS = (0.0, 1.5, 3.0)
 
 
 def _sprung(t: Track, s: Shape) -> Array:
-    return felt(t, s.place, wound(t, s.place, s.values["stiffness"]), Grid.COARSE)
+    lag = wound(t, s.place, s.values["stiffness"], s.values["damping"], bool(s.values["rests"]))
+    return felt(t, s.place, lag, Grid.COARSE)
 
 
 def _elasticity(tracks: Sequence[Track]) -> Iterator[Shape]:
-    """The wind-up for a stiffness, times a coefficient that should come out near 1; where it is too stiff to swing, at any below."""
+    """The wind-up for a stiffness, times a coefficient that should come out near 1; where it is too stiff to swing, at any below.
 
-    def spring(joint: int, least: float) -> Callable[[float], Shape]:
+    A link that swings below the band tells its stiffness by how fast it does, else by how far it lies behind.
+    """
+    hertz = tracks[0].band.hertz
+
+    def spring(joint: int, inertia: float, rests: float, least: float, damping: float = USUAL) -> Callable[[float], Shape]:
         def shape(stiffness: float) -> Shape:
-            told = lambda c: {"stiffness": float(stiffness / c[0])}  # noqa: E731
-            return Shape("elasticity", joint, _sprung, {"stiffness": stiffness}, parameters=told, plausible=within(least, 3.0))
+            swings = np.sqrt(stiffness / inertia) < 2.0 * np.pi * hertz
+            told = named(stiffness=stiffness) if swings else lambda c: {"stiffness": float(stiffness / c[0])}
+            fixed = {"stiffness": stiffness, "damping": damping, "rests": rests}
+
+            def kin() -> list[Shape]:
+                near = (spring(joint, inertia, rests, least, z) for z in damped(damping))
+                return [Knob(stiffness, stiffness / NEAR, stiffness * NEAR, other).at(stiffness) for other in near]
+
+            return Shape("elasticity", joint, _sprung, fixed, parameters=told, plausible=within(least, 3.0), kin=kin)
 
         return shape
 
     for j in range(tracks[0].n):
         inertia = float(np.mean([mass(t, j).mean() for t in tracks]))
         grid = [float(inertia * (2.0 * np.pi * f) ** 2) for f in RESONANCES]
-        yield from family(grid[:-1], spring(j, 0.3))
-        yield spring(j, 0.01)(grid[-1])
+        for rests in (0.0, 1.0) if any(launched(t, j) for t in tracks) else (0.0,):
+            yield from family(grid[:-1], spring(j, inertia, rests, 0.3))
+        yield spring(j, inertia, 0.0, 0.01)(grid[-1])
 
 
 def _loose(t: Track, s: Shape) -> Array:

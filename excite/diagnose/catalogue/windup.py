@@ -12,8 +12,11 @@ from ...identify.band import Grid
 from ..track import Track
 
 Array = np.ndarray
-DAMPING = 0.07
-"""Damping ratio of a link on its motor: gears have a few per cent."""
+LEAST_DAMPED, MOST_DAMPED = 0.008, 0.3
+SOFTEST, STEADIEST = 0.2, 0.9
+"""Of a spring, what may be left of it beside gravity; and the largest damping ratio, of either sign."""
+LAUNCHED = 0.01
+"""Of its largest speed, from which a motor turns already."""
 OIL = 0.3
 """Damping ratio of a link that is held in its play."""
 
@@ -35,27 +38,53 @@ def mass(track: Track, joint: int) -> Array:
     return np.maximum(track.derivatives[2][:, joint, joint], 1e-9)
 
 
-def wound(track: Track, joint: int, stiffness: float) -> Array:
-    """Wind-up of a spring of `stiffness` [N m/rad], damped a little, at the coarse samples. Shape (C,)."""
-    return oscillator(track.rigid[:, joint], mass(track, joint), stiffness, DAMPING, 1.0 / track.band.rate_of(Grid.COARSE))[0]
+def damped(ratio: float) -> list[float]:
+    """Damping ratios that are tried beside one: twice and half of it, between those of steel and of rubber."""
+    return [ratio * by for by in (0.5, 2.0) if LEAST_DAMPED < ratio * by < MOST_DAMPED]
 
 
-def oscillator(force: Array, inertia: Array, stiffness: float, damping: float, dt: float) -> tuple[Array, Array]:
-    """Place and speed of an inertia that changes slowly, on a spring; exact for steps of constant force. Three shapes of (M,)."""
+def launched(track: Track, joint: int) -> bool:
+    """Whether a recording begins with a motor that turns already: the link may have been at rest, or have turned with it."""
+    speed = np.abs(track.coarse.dq[:, joint])
+    return bool(speed[0] > LAUNCHED * speed.max())
+
+
+def wound(track: Track, joint: int, stiffness: float, ratio: float, rests: bool) -> Array:
+    """Wind-up of a spring of `stiffness` [N m/rad] and a damping ratio, at the coarse samples. Shape (C,).
+
+    M δ̈ + (∂τ/∂q̇ + D) δ̇ + (∂τ/∂q + K) δ = τ_r: the link's load is not quite what it would be where its motor is. rests: whether the link
+    hung still when the recording began, however its motor turned; else it turned with it.
+    """
+    by_q, by_v = (part[:, joint, joint] for part in track.derivatives[:2])
+    force, inertia = track.rigid[:, joint], mass(track, joint)
+    damping = 2.0 * ratio * np.sqrt(stiffness * inertia.mean())
+    stiff = np.maximum(stiffness + by_q, SOFTEST * stiffness)
+    start = (track.held[joint] / stiff[0], track.coarse.dq[0, joint]) if rests else (force[0] / stiff[0], 0.0)
+    return oscillator(force, inertia, stiff, damping + by_v, 1.0 / track.band.rate_of(Grid.COARSE), start)[0]
+
+
+def oscillator(
+    force: Array, inertia: Array, stiffness: Array, damping: Array, dt: float, start: tuple[float, float]
+) -> tuple[Array, Array]:
+    """Place and speed of an inertia on a spring and a damper that change slowly, from a place and speed; each step is exact for the mean
+    of the forces at its ends. Shapes (M,)."""
     omega = np.sqrt(stiffness / inertia)
-    slow = omega * np.sqrt(1.0 - damping**2)
-    decay, ratio = np.exp(-damping * omega * dt), damping / np.sqrt(1.0 - damping**2)
+    ratio = np.clip(damping / (2.0 * omega * inertia), -STEADIEST, STEADIEST)
+    root = np.sqrt(1.0 - ratio**2)
+    slow, decay = omega * root, np.exp(-ratio * omega * dt)
     cosine, sine = decay * np.cos(slow * dt), decay * np.sin(slow * dt)
     steps = zip(
-        (force / stiffness).tolist(),
-        (cosine + ratio * sine).tolist(),
-        (sine / slow).tolist(),
-        (-sine * omega * omega / slow).tolist(),
-        (cosine - ratio * sine).tolist(),
+        (0.5 * (force[1:] + force[:-1]) / stiffness[1:]).tolist(),
+        (cosine + ratio / root * sine)[1:].tolist(),
+        (sine / slow)[1:].tolist(),
+        (-sine * omega / root)[1:].tolist(),
+        (cosine - ratio / root * sine)[1:].tolist(),
         strict=True,
     )
-    out, x, v = np.empty((2, len(force))), float(force[0] / stiffness), 0.0
-    for k, (rest, a, b, c, d) in enumerate(steps):
+    x, v = start
+    out = np.empty((2, len(force)))
+    out[:, 0] = start
+    for k, (rest, a, b, c, d) in enumerate(steps, start=1):
         away = x - rest
         x, v = rest + a * away + b * v, c * away + d * v
         out[0, k], out[1, k] = x, v

@@ -143,7 +143,7 @@ EFFECTS = (
         "the same resonance in all joints",
         ("elasticity",),
         "a chirp of joint 1 with the arm stretched",
-        form={"frequency": 0.1},
+        form={"frequency": 0.2},
         loose=2.0,
     ),
     Effect(

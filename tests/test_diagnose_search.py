@@ -91,7 +91,7 @@ def test_another_residual_is_judged_as_if_it_had_been_measured():
     residual, quiet = (others[0].ravel(), others[1].ravel()), (np.zeros(50), np.zeros(30))
     best = judge.singles(direct)[0].trial.gain if judge.singles(direct) else 0.0
     by_steps, by_rare_samples = (judge.warned(designed(torques), *told, 0.0) for told in (([residual], quiet), ([], residual)))
-    assert by_steps.bar(0) == pytest.approx(search.NATS + search.FEIGNED * best)
+    assert by_steps.bar(0) == pytest.approx(search.NATS + judge.FEIGNED * best)
     assert by_rare_samples.bar(0) == pytest.approx(search.NATS + best)
 
 

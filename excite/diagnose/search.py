@@ -30,9 +30,6 @@ NATS = 25.0
 STEPPED = 100.0
 """The same, for each time that an effect is doubted, of noise that is all an encoder's steps: they are in its columns and the
 residual alike."""
-FEIGNED = 12.0
-"""The same, over what it gains, at the joint where that is most, from what an encoder's steps drawn anew would leave: friction reverses
-more sharply than the smooth motion that is rounded for it, and a few draws don't show the worst (nine times in 13 simulated robots)."""
 
 
 def inverse(columns: Array) -> Array:
@@ -119,9 +116,9 @@ class Design:
     places: of each shape's columns. both: the halves stacked. columns: of each half, at its recorded rows. Shapes (m, K). left: the
     residual of each half by its own base fit. across: torque of the second half less what the first half's base fit makes of it.
     grams: of each half, the base fitted to it; whole: of both, the base fitted to both. power: of each shape, the mean products of
-    its columns in `whole`, per joint, Shape (n, k, k). feigned: further gain that each effect
-    needs, by name, for what faults of the measurement are known to give it on some joint. stepped: share of the noise that is an
-    encoder's steps. listed: all shapes that there were, before the best were picked.
+    its columns in `whole`, per joint, Shape (n, k, k). feigned: further gain that
+    each effect needs, by name, for what faults of the measurement are known to give it on some joint. stepped: share of the noise that is
+    an encoder's steps. listed: all shapes that there were, before the best were picked.
     """
 
     shapes: tuple[Shape, ...]
@@ -378,11 +375,15 @@ def _turned(small: Design, shape: Shape) -> Shape:
     if shape.knob is None:
         return shape
     best = shape.knob.turned(gain)
+    most = gain(best)
     for _ in range(KIN):
-        near = max(best.kin(), key=gain, default=best)
-        if near.knob is None or gain(near := near.knob.turned(gain)) <= gain(best) + 1e-6:
+        near = max(best.kin(), key=gain, default=None)
+        if near is None or near.knob is None:
             break
-        best = near
+        near = near.knob.turned(gain)
+        if (found := gain(near)) <= most + 1e-6:
+            break
+        best, most = near, found
     return best
 
 

@@ -287,7 +287,7 @@ def test_severity_is_zero_for_what_a_refit_absorbs_and_scales(bench):
     assert reached.value == pytest.approx(3.0, rel=0.16)
 
 
-def test_no_severity_makes_friction_push(bench):
+def test_no_severity_goes_beyond_what_physics_allows(bench):
     plant, motion, setting, _ = bench
     chain = laboratory.chain(plant, setting)
     for text, key, most in (("thermal_drift:joint_2:change=-0.5", "change", 0.9), ("load_friction:joint_2:mu=0.3", "mu", 0.6)):
@@ -388,4 +388,5 @@ def test_noise_of_another_motion_is_another_and_of_the_same_motion_the_same():
 
     first, again, other = noise(swing(1.5)), noise(swing(1.5)), noise(swing(1.5, seed=1))
     assert (first == again).all() and len(first) == len(other)
-    assert abs(np.corrcoef(first[:, 0], other[:, 0])[0, 1]) < 0.2 < first.std()
+    assert abs(np.corrcoef(first[:, 0], other[:, 0])[0, 1]) < 0.2
+    assert (first.std(axis=0) > 0.0).all()

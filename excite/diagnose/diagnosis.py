@@ -194,8 +194,8 @@ def _scale(noisy: Noise, left: Array) -> Array:
 
 def _warned(one: Design, noisy: Noise, scale: Array) -> Design:
     """The design that knows what the encoders' steps feign, and samples that are too rare."""
-    *feigned, sharpened = [((a / scale).ravel(), (b / scale).ravel()) for a, b in (*noisy.feigned, noisy.sharpened)]
-    return judge.warned(one, feigned, sharpened, float(np.mean((noisy.steps / noisy.floor) ** 2)))
+    steps, sharpened = ([((a / scale).ravel(), (b / scale).ravel()) for a, b in own] for own in (noisy.feigned, [noisy.sharpened]))
+    return judge.warned(one, steps, sharpened[0], float(np.mean((noisy.steps / noisy.floor) ** 2)))
 
 
 def _sharper(one: Design, verdict: Verdict, noisy: Noise, scale: Array) -> tuple[Design, Verdict, Array]:

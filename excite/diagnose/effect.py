@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -78,6 +78,32 @@ class Knob:
     def at(self, value: float) -> Shape:
         """The shape at a value, which can be turned further within the same range."""
         return replace(self.shape(value), knob=replace(self, value=value))
+
+
+KIN = 4
+"""Steps from kin to kin, at the most."""
+
+
+def turned(shape: Shape, gain: Callable[[Shape], float]) -> Shape:
+    """A shape, or its kin, where the gain is highest."""
+    if shape.knob is None:
+        return shape
+    best = shape.knob.turned(gain)
+    most = gain(best)
+    for _ in range(KIN):
+        near = max(best.kin(), key=gain, default=None)
+        if near is None or near.knob is None:
+            break
+        near = near.knob.turned(gain)
+        if (found := gain(near)) <= most + 1e-6:
+            break
+        best, most = near, found
+    return best
+
+
+def beside(value: float, factor: float, families: Iterable[Callable[[float], Shape]]) -> list[Shape]:
+    """The shape of each of several families at one value, to be turned within a factor."""
+    return [Knob(value, value / factor, value * factor, shape).at(value) for shape in families]
 
 
 def family(grid: Sequence[float], shape: Callable[[float], Shape]) -> Iterator[Shape]:

@@ -20,8 +20,9 @@ model has them."""
 CANCELS = 5.0
 """Times what the base model leaves that an effect may be beside others."""
 FEIGNED = 12.0
-"""Further gain that an effect needs (`search.NATS`), over what it gains, at the joint where that is most, from what an encoder's steps drawn anew would leave: friction reverses
-more sharply than the smooth motion that is rounded for it, and a few draws don't show the worst (nine times in 13 simulated robots)."""
+"""Further gain that an effect needs, over what it gains, at the joint where that is most, from what an encoder's steps drawn anew would
+leave: friction reverses more sharply than the smooth motion that is rounded for it, and a few draws don't show the worst (nine times in 13
+simulated robots)."""
 MOST = 6
 """Shapes, at the most."""
 FRONT = 24

@@ -245,12 +245,12 @@ def _sharpened(halves: Sequence[Sequence[Track]]) -> tuple[Array, Array]:
 
     Where a reversal falls on a sample, its sign is then another; and a motion that repeats in step with the samples repeats that.
     """
-    first, second = (np.concatenate([_turned(one) for one in half]) for half in halves)
+    first, second = (np.concatenate([_reversing(one) for one in half]) for half in halves)
     return first, second
 
 
-def _turned(one: Track) -> Array:
-    """Of a stretch. Shape (N, n) [N m]."""
+def _reversing(one: Track) -> Array:
+    """F_c (tanh(v/w) − tanh(q̇/w)), v = q̇ − Δ²q̇: of a stretch, below the band. Shape (N, n) [N m]."""
     speed, ends = one.fine.dq, np.zeros((1, one.n))
     sharper = speed - BENT * np.vstack([ends, np.diff(speed, 2, axis=0), ends])
     return one.reduce(one.body.drive("coulomb") * (np.tanh(sharper / one.widths) - np.tanh(speed / one.widths)))

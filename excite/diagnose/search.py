@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from .effect import Shape
+from .effect import Shape, turned
 
 Array = np.ndarray
 Build = Callable[[Shape], tuple[Array, Array] | None]
@@ -143,7 +143,7 @@ class Design:
         return float(np.sqrt(level(self, ()).max()))
 
     def bar(self, i: int) -> float:
-        """Gain from which a shape is believed: more where steps look like it, and where what blurs positions blurs its columns alike."""
+        """Gain from which a shape is believed: more where faults of the measurement look like it, or blur its columns too."""
         shape = self.shapes[i]
         blurred = (shape.doubt - 1.0) * (NATS + STEPPED * self.stepped)
         return NATS + self.feigned.get(shape.effect, 0.0) + blurred
@@ -164,8 +164,6 @@ class Design:
         return np.asarray(self.columns[1][:, which] - second.gamma[second.rows] @ part)
 
 
-KIN = 4
-"""Steps from kin to kin, at the most."""
 FEW, SEVERAL, BESIDE = 4, 6, 3
 """Shapes of an effect at a joint that are searched, of one that a joint can have several of, and of those looked for beside others."""
 
@@ -359,32 +357,12 @@ def refined(one: Design, chosen: Sequence[int], sweeps: int = 2) -> tuple[Design
     chosen = list(chosen)
     for _ in range(sweeps):
         for place, i in enumerate(chosen):
-            best = _turned(_only(one, [k for k in chosen if k != i]), one.shapes[i])
+            small = _only(one, [k for k in chosen if k != i])
+            best = turned(one.shapes[i], lambda shape, small=small: _beside(small, shape))  # type: ignore[misc]
             if best is not one.shapes[i]:
                 one = appended(one, [best])
                 chosen[place] = len(one.shapes) - 1
     return one, chosen
-
-
-def _turned(small: Design, shape: Shape) -> Shape:
-    """A shape, or its kin, where it predicts best beside all of a small design's."""
-
-    def gain(other: Shape) -> float:
-        return _beside(small, other)
-
-    if shape.knob is None:
-        return shape
-    best = shape.knob.turned(gain)
-    most = gain(best)
-    for _ in range(KIN):
-        near = max(best.kin(), key=gain, default=None)
-        if near is None or near.knob is None:
-            break
-        near = near.knob.turned(gain)
-        if (found := gain(near)) <= most + 1e-6:
-            break
-        best, most = near, found
-    return best
 
 
 def _only(one: Design, chosen: Sequence[int]) -> Design:

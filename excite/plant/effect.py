@@ -51,8 +51,7 @@ class Effect:
     @property
     def most(self) -> float:
         """How many times as large it may be made at the most."""
-        grown = [(self.kind.quantity(key), value) for key, value in self.values.items()]
-        return min((float((q.most / abs(value)) ** (1.0 / q.power)) for q, value in grown if np.isfinite(q.most) and value), default=np.inf)
+        return min(self.kind.quantity(key).room(value) for key, value in self.values.items())
 
     def document(self) -> dict[str, Any]:
         """As the truth states it; `details` are parameters that the contract doesn't name."""

@@ -1,4 +1,4 @@
-"""One call from a URDF and a trajectory to a recording and its truth; every draw comes from one seed."""
+"""One call from a URDF and a trajectory to a recording and its truth; every draw comes from one seed, noise from the motion too."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Setting:
     control: Control = field(default_factory=Control)
 
     def generators(self) -> list[np.random.Generator]:
-        """Independent ones for bodies, drives, measurement and effects."""
+        """Independent ones for bodies, drives, measurement (see `measuring`) and effects."""
         return np.random.default_rng(self.seed).spawn(4)
 
     def measuring(self, reference: Reference) -> np.random.Generator:

@@ -8,9 +8,9 @@ import numpy as np
 
 from ...identify.band import Grid
 from ...recordings.missing import runs
-from ..effect import Effect, Knob, Shape, family, named
+from ..effect import Effect, Shape, beside, family, named
 from ..track import Track
-from .windup import SOFTEST, damped, oscillator
+from .windup import NEAR, SOFTEST, damped, oscillator
 
 Array = np.ndarray
 PARTS = 40
@@ -25,8 +25,8 @@ SHAKY, PATIENT = 16.0, 4.0
 """A clock that wavers shakes all joints at once, as a base does, and most where motion is fast: for some of the time, as a contact does."""
 WAYS = ((0, 1), (3, 4), (5,), (3,), (4,))
 """Coordinates of a base that slides, rocks, turns about the vertical, or rocks about one axis."""
-SWINGS, NEAR = (1.5, 19.0, 13), 1.1
-"""Frequencies of a base, tried [Hz]; and the factor by which one may turn with its damping."""
+SWINGS = np.geomspace(1.5, 19.0, 13)
+"""Frequencies of a base, tried [Hz]."""
 PEDESTAL = 0.3
 """Inertia of what the robot stands on, over the robot's mean one: a guess that the coefficient corrects."""
 
@@ -34,7 +34,8 @@ PEDESTAL = 0.3
 def _swung(t: Track, s: Shape) -> Array:
     """Torque of a base that swings on springs under the robot's reaction, a column a coordinate; the arm's inertia is its pose's.
 
-    A base that rocks also leans: its joints feel gravity turned, which is most of what a slow motion shows, and so do its springs.
+    I φ̈ + (İ + D) φ̇ + (K − T) φ = what the robot pushes beyond its mean. A base that rocks also leans: its joints feel gravity turned, which
+    is most of what a slow motion shows, and its springs bear that much less, T.
     """
     columns, dt = [], 1.0 / t.band.rate_of(Grid.COARSE)
     for axis in WAYS[int(s.values["way"])]:
@@ -43,7 +44,7 @@ def _swung(t: Track, s: Shape) -> Array:
         spring = (2.0 * np.pi * s.values["frequency"]) ** 2 * (1.0 + PEDESTAL) * mean
         stiffness = np.maximum(spring - _toppling(t, axis), SOFTEST * spring)
         force = t.reaction[:, axis].mean() - t.reaction[:, axis]
-        damping = 2.0 * s.values["damping"] * np.sqrt(spring * inertia)
+        damping = 2.0 * s.values["damping"] * np.sqrt(spring * (1.0 + PEDESTAL) * mean) + np.gradient(inertia, dt)
         place, speed = oscillator(force, inertia, stiffness, damping, dt, (float(force[0] / stiffness[0]), 0.0))
         hastened = ((force - stiffness * place - damping * speed) / inertia)[:, None]
         columns.append(t.shaken[:, :, axis] * hastened)
@@ -66,8 +67,7 @@ def _compliance(tracks: Sequence[Track]) -> Iterator[Shape]:
             fixed = {"frequency": frequency, "damping": damping, "way": float(way)}
 
             def kin() -> list[Shape]:
-                turned = [Knob(frequency, frequency / NEAR, frequency * NEAR, swing(way, z)) for z in damped(damping)]
-                return [knob.at(frequency) for knob in turned]
+                return beside(frequency, NEAR, (swing(way, z) for z in damped(damping)))
 
             told = named(frequency=frequency)
             return Shape("base_compliance", None, _swung, fixed, parameters=told, plausible=_gives_way, kin=kin, several=True, doubt=SHAKY)
@@ -76,7 +76,7 @@ def _compliance(tracks: Sequence[Track]) -> Iterator[Shape]:
 
     for way in range(len(WAYS)):
         for damping in (0.04, 0.12):
-            yield from family(np.geomspace(*SWINGS).tolist(), swing(way, damping))
+            yield from family(SWINGS.tolist(), swing(way, damping))
 
 
 def _gives_way(c: Array) -> bool:

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from ...identify.band import Grid
-from ..effect import Effect, Knob, Shape, alone, amplitude, family, named, within
+from ..effect import Effect, Knob, Shape, alone, amplitude, beside, family, named, within
 from ..track import Track
-from .windup import damped, felt, launched, mass, played, wound
+from .windup import NEAR, damped, felt, launched, mass, played, wound
 
 Array = np.ndarray
 
@@ -18,8 +18,6 @@ RESONANCES = np.geomspace(2.0, 34.0, 20)
 """Of a link on its motor, which stiffnesses are tried by [Hz]."""
 USUAL = 0.07
 """Damping ratio of a link on its motor: gears have a few per cent."""
-NEAR = 1.12
-"""Factor by which a stiffness may turn with its damping."""
 WIDTHS = np.geomspace(1e-4, 1e-2, 7)
 """Of play, tried [rad]."""
 HOLDS = (0.0, 1.5, 3.0)
@@ -45,8 +43,7 @@ def _elasticity(tracks: Sequence[Track]) -> Iterator[Shape]:
             fixed = {"stiffness": stiffness, "damping": damping, "rests": rests}
 
             def kin() -> list[Shape]:
-                near = (spring(joint, inertia, rests, least, z) for z in damped(damping))
-                return [Knob(stiffness, stiffness / NEAR, stiffness * NEAR, other).at(stiffness) for other in near]
+                return beside(stiffness, NEAR**2, (spring(joint, inertia, rests, least, z) for z in damped(damping)))
 
             return Shape("elasticity", joint, _sprung, fixed, parameters=told, plausible=within(least, 3.0), kin=kin)
 

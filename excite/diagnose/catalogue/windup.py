@@ -1,7 +1,7 @@
 """How far a link lies behind its motor, where a spring or play is between them, and what all joints feel of it.
 
-The motor's encoder is what was recorded, so the link's motion has to be found: M δ̈ = τ_r − (what the gear passes on), with δ = θ − q the
-wind-up, τ_r the torque that would carry a rigid joint's link along θ, and M the link's own inertia (Spong 1987).
+The motor's encoder is what was recorded, so the link's motion has to be found: M δ̈ + ∂τ/∂q̇ δ̇ + ∂τ/∂q δ = τ_r − (what the gear passes on),
+with δ = θ − q the wind-up, τ_r the torque that would carry a rigid joint's link along θ, and M the link's own inertia (Spong 1987).
 """
 
 from __future__ import annotations
@@ -13,10 +13,13 @@ from ..track import Track
 
 Array = np.ndarray
 LEAST_DAMPED, MOST_DAMPED = 0.008, 0.3
+"""Damping ratios that are tried, between those of steel and of rubber."""
+NEAR = 1.06
+"""Factor by which a frequency may turn with its damping."""
 SOFTEST, STEADIEST = 0.2, 0.9
 """Of a spring, what may be left of it beside gravity; and the largest damping ratio, of either sign."""
-LAUNCHED = 0.01
-"""Of its largest speed, from which a motor turns already."""
+LAUNCHED, CARRIED = 0.01, 0.5
+"""Of its largest speed, from which a motor turns already, and from which it has taken its link along."""
 OIL = 0.3
 """Damping ratio of a link that is held in its play."""
 
@@ -39,50 +42,53 @@ def mass(track: Track, joint: int) -> Array:
 
 
 def damped(ratio: float) -> list[float]:
-    """Damping ratios that are tried beside one: twice and half of it, between those of steel and of rubber."""
+    """Damping ratios that are tried beside one: twice and half of it."""
     return [ratio * by for by in (0.5, 2.0) if LEAST_DAMPED < ratio * by < MOST_DAMPED]
 
 
 def launched(track: Track, joint: int) -> bool:
-    """Whether a recording begins with a motor that turns already: the link may have been at rest, or have turned with it."""
+    """Whether a recording begins with a motor that turns already, and a link that may hang still."""
     speed = np.abs(track.coarse.dq[:, joint])
-    return bool(speed[0] > LAUNCHED * speed.max())
+    return bool(LAUNCHED * speed.max() < speed[0] < CARRIED * speed.max())
 
 
 def wound(track: Track, joint: int, stiffness: float, ratio: float, rests: bool) -> Array:
     """Wind-up of a spring of `stiffness` [N m/rad] and a damping ratio, at the coarse samples. Shape (C,).
 
-    M δ̈ + (∂τ/∂q̇ + D) δ̇ + (∂τ/∂q + K) δ = τ_r: the link's load is not quite what it would be where its motor is. rests: whether the link
-    hung still when the recording began, however its motor turned; else it turned with it.
+    M δ̈ + (∂τ/∂q̇ + D) δ̇ + (∂τ/∂q + K) δ = τ_r: the link's load is not quite what it would be where its motor is. rests: whether the
+    link hung still where a recording begins with a motor that turns (`launched`); else it turned with it.
     """
     by_q, by_v = (part[:, joint, joint] for part in track.derivatives[:2])
     force, inertia = track.rigid[:, joint], mass(track, joint)
     damping = 2.0 * ratio * np.sqrt(stiffness * inertia.mean())
     stiff = np.maximum(stiffness + by_q, SOFTEST * stiffness)
-    start = (track.held[joint] / stiff[0], track.coarse.dq[0, joint]) if rests else (force[0] / stiff[0], 0.0)
+    start = (force[0] / stiff[0], 0.0)
+    if rests and launched(track, joint):
+        start = (track.held[joint] / stiffness, track.coarse.dq[0, joint])
     return oscillator(force, inertia, stiff, damping + by_v, 1.0 / track.band.rate_of(Grid.COARSE), start)[0]
 
 
 def oscillator(
     force: Array, inertia: Array, stiffness: Array, damping: Array, dt: float, start: tuple[float, float]
 ) -> tuple[Array, Array]:
-    """Place and speed of an inertia on a spring and a damper that change slowly, from a place and speed; each step is exact for the mean
-    of the forces at its ends. Shapes (M,)."""
+    """m ẍ + d ẋ + k x = f, from a place and a speed: both at every sample. Each step is exact for the means of f, m, k and d at its ends.
+    Shapes (M,)."""
+    force, inertia, stiffness, damping = (0.5 * (x[1:] + x[:-1]) for x in (force, inertia, stiffness, damping))
     omega = np.sqrt(stiffness / inertia)
     ratio = np.clip(damping / (2.0 * omega * inertia), -STEADIEST, STEADIEST)
     root = np.sqrt(1.0 - ratio**2)
     slow, decay = omega * root, np.exp(-ratio * omega * dt)
     cosine, sine = decay * np.cos(slow * dt), decay * np.sin(slow * dt)
     steps = zip(
-        (0.5 * (force[1:] + force[:-1]) / stiffness[1:]).tolist(),
-        (cosine + ratio / root * sine)[1:].tolist(),
-        (sine / slow)[1:].tolist(),
-        (-sine * omega / root)[1:].tolist(),
-        (cosine - ratio / root * sine)[1:].tolist(),
+        (force / stiffness).tolist(),
+        (cosine + ratio / root * sine).tolist(),
+        (sine / slow).tolist(),
+        (-sine * omega / root).tolist(),
+        (cosine - ratio / root * sine).tolist(),
         strict=True,
     )
     x, v = start
-    out = np.empty((2, len(force)))
+    out = np.empty((2, len(force) + 1))
     out[:, 0] = start
     for k, (rest, a, b, c, d) in enumerate(steps, start=1):
         away = x - rest

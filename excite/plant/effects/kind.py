@@ -23,7 +23,7 @@ class Quantity:
 
     power: how it grows with the size of the effect: 1 for an amplitude, −1 for a stiffness, 0 for what is only shape;
     about: value of an effect of size 0, when that is not 0. stated: whether the contract names it. most: what physics allows of it, of
-    either sign: friction never pushes, a motor never brakes itself.
+    either sign: friction that falls as it warms never pushes, a motor that saturates never brakes.
     """
 
     name: str
@@ -59,6 +59,11 @@ class Quantity:
         """A random size; evenly in the logarithm where all are positive."""
         low, high = self.range(torque, speed)
         return float(np.exp(rng.uniform(np.log(low), np.log(high)))) if low > 0.0 else float(rng.uniform(low, high))
+
+    def room(self, value: float) -> float:
+        """How many times as large an effect of this value may be made at the most."""
+        size = abs(value - self.about)
+        return float((self.most / size) ** (1.0 / self.power)) if np.isfinite(self.most) and size else np.inf
 
     def sized(self, value: float, size: float) -> float:
         """The parameter of the effect made `size` > 0 times as large."""

@@ -25,7 +25,7 @@ SHAKY, PATIENT = 16.0, 4.0
 """A clock that wavers shakes all joints at once, as a base does, and most where motion is fast: for some of the time, as a contact does."""
 WAYS = ((0, 1), (3, 4), (5,), (3,), (4,))
 """Coordinates of a base that slides, rocks, turns about the vertical, or rocks about one axis."""
-SWINGS = np.geomspace(1.5, 19.0, 13)
+SWINGS = np.geomspace(1.5, 19.0, 11)
 """Frequencies of a base, tried [Hz]."""
 PEDESTAL = 0.3
 """Inertia of what the robot stands on, over the robot's mean one: a guess that the coefficient corrects."""

@@ -14,7 +14,7 @@ from .windup import NEAR, damped, felt, launched, mass, played, wound
 Array = np.ndarray
 
 
-RESONANCES = np.geomspace(2.0, 34.0, 20)
+RESONANCES = np.geomspace(2.0, 34.0, 16)
 """Of a link on its motor, which stiffnesses are tried by [Hz]."""
 USUAL = 0.07
 """Damping ratio of a link on its motor: gears have a few per cent."""

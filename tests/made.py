@@ -38,12 +38,17 @@ def perturbed(standard: Parameters, rng: np.random.Generator, size: float = 0.1)
     return psi
 
 
+def bodied(model: Model, psi: Array) -> pin.Model:
+    """Pinocchio's model with those bodies."""
+    own = model.robot.model.copy()
+    for i in range(model.parameters.bodies):
+        own.inertias[i + 1] = pin.Inertia.FromDynamicParameters(psi[10 * i : 10 * i + 10])
+    return own
+
+
 def torque(model: Model, psi: Array, q: Array, dq: Array, ddq: Array) -> Array:
     """Inverse dynamics of a model with those bodies, by Pinocchio's rnea and not by a regressor."""
-    machine, standard = model.robot, model.parameters
-    own = machine.model.copy()
-    for i in range(standard.bodies):
-        own.inertias[i + 1] = pin.Inertia.FromDynamicParameters(psi[10 * i : 10 * i + 10])
+    standard, own = model.parameters, bodied(model, psi)
     data = own.createData()
     rigid = np.array([pin.rnea(own, data, *state) for state in zip(q, dq, ddq, strict=True)])
     drive = {kind: psi[standard.block(kind)] for kind in standard.drive}

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import pinocchio as pin
 import pytest
-from made import WIDTH, motion, perturbed, recorded, two_links
+from made import WIDTH, bodied, motion, perturbed, recorded, two_links
 from scipy import integrate, stats
 from scipy.interpolate import CubicSpline
 from test_diagnose import PLANTED, found, on, recordings_of
@@ -17,7 +17,7 @@ from test_diagnose import PLANTED, found, on, recordings_of
 from excite import dynamics
 from excite.diagnose import belief, diagnosis, interval, judge, noise, search, track, whole
 from excite.diagnose.catalogue import BY_NAME, environment, windup
-from excite.diagnose.effect import Knob, Shape, family
+from excite.diagnose.effect import Shape, beside, family
 from excite.diagnose.track import Grid, Track
 from excite.errors import UnusableInput
 from excite.identify import identification, signals
@@ -154,8 +154,8 @@ def test_a_value_that_no_grid_has_is_found_from_kin_to_kin():
 
     def rung(damping: float) -> Callable[[float], Shape]:
         def shape(speed: float) -> Shape:
-            kin = lambda: [Knob(speed, speed / 1.2, speed * 1.2, rung(damping * by)).at(speed) for by in (0.5, 2.0)]  # noqa: E731
-            return Shape("drag", 0, nothing, {"speed": speed, "damping": damping}, kin=kin)
+            near = (0.5 * damping, 2.0 * damping)
+            return Shape("drag", 0, nothing, {"speed": speed, "damping": damping}, kin=lambda: beside(speed, 1.2, map(rung, near)))
 
         return shape
 
@@ -246,10 +246,7 @@ def swung(bodies: pin.Model, stiffness: float, damping: float, t: Array, q: Arra
 
 
 def test_a_link_on_a_spring_that_is_hardly_damped_is_found(subject):
-    psi = perturbed(subject.parameters, np.random.default_rng(4))
-    bodies = subject.robot.model.copy()
-    for i in range(2):
-        bodies.inertias[i + 1] = pin.Inertia.FromDynamicParameters(psi[10 * i : 10 * i + 10])
+    bodies = bodied(subject, perturbed(subject.parameters, np.random.default_rng(4)))
     result = found(subject, lambda t, q, dq, tau: swung(bodies, 60.0, 0.1, t, q, False)[1])
     assert [(h.effect, h.joint) for h in result.verdict.chosen] == [("elasticity", 1)]
     stiffness, _ = interval.finding_parameters(result.design, result.verdict, 0)["stiffness"]

@@ -10,6 +10,8 @@ import numpy as np
 from .track import Track
 
 Array = np.ndarray
+KIN = 4
+"""Steps from kin to kin, at the most."""
 
 
 @dataclass(frozen=True)
@@ -19,8 +21,8 @@ class Shape:
     joint: index of the joint that carries it, None where it is nobody's. add: the torque it adds, which depends on what is said here and
     nothing else. values: the fixed, non-linear parameters. other: a further joint it is tied to. interval, source: when [s] and in
     which recording, if only then. parameters: from coefficients (k,) to the contract's names and values. plausible: whether
-    coefficients (k,) can be physics: sign, range, dissipation. knob: turns the value that a grid has fixed. kin: the shapes beside it, by
-    a further value that no grid is worth. several: whether one joint can have more than one of the kind. doubt: how many times the
+    coefficients (k,) can be physics: sign, range, dissipation. knob: turns the value that a grid has fixed. kin: knobs of the shapes beside
+    it, by a further value that no grid is worth. several: whether one joint can have more than one of the kind. doubt: how many times the
     usual gain it takes to be believed.
     """
 
@@ -34,7 +36,7 @@ class Shape:
     parameters: Callable[[Array], dict[str, float]] = lambda c: {}
     plausible: Callable[[Array], bool] = lambda c: bool(np.isfinite(c).all())
     knob: Knob | None = None
-    kin: Callable[[], Sequence[Shape]] = tuple
+    kin: Callable[[], Sequence[Knob]] = tuple
     several: bool = False
     doubt: float = 1.0
 
@@ -62,7 +64,20 @@ class Knob:
     shape: Callable[[float], Shape]
 
     def turned(self, gain: Callable[[Shape], float]) -> Shape:
-        """The shape where the gain is highest, between the neighbours. In the logarithm, to two parts in a thousand of the range."""
+        """The shape where the gain is highest, between the neighbours, or one of its kin where that is more, from kin to kin."""
+        best, most = self._turned(gain)
+        for _ in range(KIN):
+            near = max(best.kin(), key=lambda knob: gain(knob.at(knob.value)), default=None)
+            if near is None:
+                break
+            better, found = near._turned(gain)
+            if found <= most + 1e-6:
+                break
+            best, most = better, found
+        return best
+
+    def _turned(self, gain: Callable[[Shape], float]) -> tuple[Shape, float]:
+        """Of this value alone, with the gain. In the logarithm, to two parts in a thousand of the range."""
         from scipy.optimize import minimize_scalar  # slow to import
 
         low, high = np.log(self.low), np.log(self.high)
@@ -72,38 +87,19 @@ class Knob:
             method="bounded",
             options={"xatol": 4e-3 * (high - low), "maxiter": 12},
         )
-        best, here = self.at(float(np.exp(found.x))), self.at(self.value)
-        return best if -found.fun > gain(here) + 1e-6 else here
+        best, most = self.at(float(np.exp(found.x))), -float(found.fun)
+        here = self.at(self.value)
+        now = gain(here)
+        return (best, most) if most > now + 1e-6 else (here, now)
 
     def at(self, value: float) -> Shape:
         """The shape at a value, which can be turned further within the same range."""
         return replace(self.shape(value), knob=replace(self, value=value))
 
 
-KIN = 4
-"""Steps from kin to kin, at the most."""
-
-
-def turned(shape: Shape, gain: Callable[[Shape], float]) -> Shape:
-    """A shape, or its kin, where the gain is highest."""
-    if shape.knob is None:
-        return shape
-    best = shape.knob.turned(gain)
-    most = gain(best)
-    for _ in range(KIN):
-        near = max(best.kin(), key=gain, default=None)
-        if near is None or near.knob is None:
-            break
-        near = near.knob.turned(gain)
-        if (found := gain(near)) <= most + 1e-6:
-            break
-        best, most = near, found
-    return best
-
-
-def beside(value: float, factor: float, families: Iterable[Callable[[float], Shape]]) -> list[Shape]:
-    """The shape of each of several families at one value, to be turned within a factor."""
-    return [Knob(value, value / factor, value * factor, shape).at(value) for shape in families]
+def beside(value: float, factor: float, families: Iterable[Callable[[float], Shape]]) -> list[Knob]:
+    """Each of several families at one value, to be turned within a factor."""
+    return [Knob(value, value / factor, value * factor, shape) for shape in families]
 
 
 def family(grid: Sequence[float], shape: Callable[[float], Shape]) -> Iterator[Shape]:

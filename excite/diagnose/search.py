@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from .effect import Shape, turned
+from .effect import Shape
 
 Array = np.ndarray
 Build = Callable[[Shape], tuple[Array, Array] | None]
@@ -116,9 +116,9 @@ class Design:
     places: of each shape's columns. both: the halves stacked. columns: of each half, at its recorded rows. Shapes (m, K). left: the
     residual of each half by its own base fit. across: torque of the second half less what the first half's base fit makes of it.
     grams: of each half, the base fitted to it; whole: of both, the base fitted to both. power: of each shape, the mean products of
-    its columns in `whole`, per joint, Shape (n, k, k). feigned: further gain that
-    each effect needs, by name, for what faults of the measurement are known to give it on some joint. stepped: share of the noise that is
-    an encoder's steps. listed: all shapes that there were, before the best were picked.
+    its columns in `whole`, per joint, Shape (n, k, k). feigned: further gain that each effect needs, by name, for what faults of the
+    measurement are known to give it on some joint. stepped: share of the noise that is an encoder's steps. listed: all shapes that there
+    were, before the best were picked.
     """
 
     shapes: tuple[Shape, ...]
@@ -357,8 +357,11 @@ def refined(one: Design, chosen: Sequence[int], sweeps: int = 2) -> tuple[Design
     chosen = list(chosen)
     for _ in range(sweeps):
         for place, i in enumerate(chosen):
+            knob = one.shapes[i].knob
+            if knob is None:
+                continue
             small = _only(one, [k for k in chosen if k != i])
-            best = turned(one.shapes[i], lambda shape, small=small: _beside(small, shape))  # type: ignore[misc]
+            best = knob.turned(lambda shape, small=small: _beside(small, shape))  # type: ignore[misc]
             if best is not one.shapes[i]:
                 one = appended(one, [best])
                 chosen[place] = len(one.shapes) - 1

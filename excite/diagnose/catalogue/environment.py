@@ -8,7 +8,7 @@ import numpy as np
 
 from ...identify.band import Grid
 from ...recordings.missing import runs
-from ..effect import Effect, Shape, beside, family, named
+from ..effect import Effect, Knob, Shape, beside, family, named
 from ..track import Track
 from .windup import NEAR, SOFTEST, damped, oscillator
 
@@ -45,7 +45,7 @@ def _swung(t: Track, s: Shape) -> Array:
         stiffness = np.maximum(spring - _toppling(t, axis), SOFTEST * spring)
         force = t.reaction[:, axis].mean() - t.reaction[:, axis]
         damping = 2.0 * s.values["damping"] * np.sqrt(spring * (1.0 + PEDESTAL) * mean) + np.gradient(inertia, dt)
-        place, speed = oscillator(force, inertia, stiffness, damping, dt, (float(force[0] / stiffness[0]), 0.0))
+        place, speed = oscillator(force, inertia, stiffness, damping, dt)
         hastened = ((force - stiffness * place - damping * speed) / inertia)[:, None]
         columns.append(t.shaken[:, :, axis] * hastened)
         if axis >= 3:
@@ -66,7 +66,7 @@ def _compliance(tracks: Sequence[Track]) -> Iterator[Shape]:
         def shape(frequency: float) -> Shape:
             fixed = {"frequency": frequency, "damping": damping, "way": float(way)}
 
-            def kin() -> list[Shape]:
+            def kin() -> list[Knob]:
                 return beside(frequency, NEAR, (swing(way, z) for z in damped(damping)))
 
             told = named(frequency=frequency)

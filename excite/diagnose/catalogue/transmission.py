@@ -42,7 +42,7 @@ def _elasticity(tracks: Sequence[Track]) -> Iterator[Shape]:
             told = named(stiffness=stiffness) if swings else lambda c: {"stiffness": float(stiffness / c[0])}
             fixed = {"stiffness": stiffness, "damping": damping, "rests": rests}
 
-            def kin() -> list[Shape]:
+            def kin() -> list[Knob]:
                 return beside(stiffness, NEAR**2, (spring(joint, inertia, rests, least, z) for z in damped(damping)))
 
             return Shape("elasticity", joint, _sprung, fixed, parameters=told, plausible=within(least, 3.0), kin=kin)

@@ -62,17 +62,16 @@ def wound(track: Track, joint: int, stiffness: float, ratio: float, rests: bool)
     force, inertia = track.rigid[:, joint], mass(track, joint)
     damping = 2.0 * ratio * np.sqrt(stiffness * inertia.mean())
     stiff = np.maximum(stiffness + by_q, SOFTEST * stiffness)
-    start = (force[0] / stiff[0], 0.0)
-    if rests and launched(track, joint):
-        start = (track.held[joint] / stiffness, track.coarse.dq[0, joint])
+    start = (track.held[joint] / stiffness, track.coarse.dq[0, joint]) if rests and launched(track, joint) else None
     return oscillator(force, inertia, stiff, damping + by_v, 1.0 / track.band.rate_of(Grid.COARSE), start)[0]
 
 
 def oscillator(
-    force: Array, inertia: Array, stiffness: Array, damping: Array, dt: float, start: tuple[float, float]
+    force: Array, inertia: Array, stiffness: Array, damping: Array, dt: float, start: tuple[float, float] | None = None
 ) -> tuple[Array, Array]:
-    """m ẍ + d ẋ + k x = f, from a place and a speed: both at every sample. Each step is exact for the means of f, m, k and d at its ends.
-    Shapes (M,)."""
+    """m ẍ + d ẋ + k x = f, from a place and a speed, or else from where f holds it: both at every sample. Each step is exact for the means
+    of f, m, k and d at its ends. Shapes (M,)."""
+    x, v = start or (float(force[0] / stiffness[0]), 0.0)
     force, inertia, stiffness, damping = (0.5 * (x[1:] + x[:-1]) for x in (force, inertia, stiffness, damping))
     omega = np.sqrt(stiffness / inertia)
     ratio = np.clip(damping / (2.0 * omega * inertia), -STEADIEST, STEADIEST)
@@ -87,9 +86,8 @@ def oscillator(
         (cosine - ratio / root * sine).tolist(),
         strict=True,
     )
-    x, v = start
     out = np.empty((2, len(force) + 1))
-    out[:, 0] = start
+    out[:, 0] = x, v
     for k, (rest, a, b, c, d) in enumerate(steps, start=1):
         away = x - rest
         x, v = rest + a * away + b * v, c * away + d * v

@@ -348,7 +348,3 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         sys.stderr.close()
     return code
-
-
-if __name__ == "__main__":
-    sys.exit(main())

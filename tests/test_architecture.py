@@ -19,7 +19,7 @@ LAYERS = (
     {"evaluate", "start", "subproblem", "solver", "starts", "design", "ramps", "wording", "scenarios", "identifiability", "recordings"}
     | {"artefact", "identify", "diagnose"},
     {"verify", "export", "report", "files", "workflow", "plan", "validation"},
-    {"cluster", "arguments", "diagnosing", "fitting", "simulate", "viewing", "commands", "cli", "trial"},
+    {"cluster", "arguments", "diagnosing", "fitting", "simulate", "viewing", "commands", "cli", "trial", "__main__"},
 )
 
 

@@ -328,7 +328,7 @@ def test_unusable_recording(capsys, tmp_path, text):
 
 
 def test_as_a_program():
-    result = subprocess.run([sys.executable, "-m", "excite.cli", "verify", "nowhere.json"], capture_output=True, text=True, check=False)
+    result = subprocess.run([sys.executable, "-m", "excite", "verify", "nowhere.json"], capture_output=True, text=True, check=False)
     assert result.returncode == 2
     assert result.stdout == ""
     assert result.stderr.startswith("excite: nowhere.json")

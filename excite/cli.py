@@ -281,17 +281,20 @@ def _simulate(commands: Commands) -> None:
         "--severity", type=float, metavar="S", help="scale each effect until a refit of the base model leaves S times the noise of it"
     )
     sub.add_argument("--trusted", action="store_true", help="with --severity: nothing is refit, as with a trusted prior")
-    sub.add_argument("--seed", type=int, default=0, metavar="N", help="of the true bodies, the drives and the noise (default %(default)s)")
+    sub.add_argument(
+        "--like",
+        metavar="FILE",
+        help="the .truth.json of another recording: the same robot, and effects of the same size",
+    )
+    sub.add_argument("--seed", type=int, metavar="N", help="of the true bodies, the drives and the noise (default 0)")
+    sub.add_argument("--model-error", type=float, metavar="F", help="how far the true bodies are from the URDF's (default 0.05)")
     sub.add_argument("--periods", type=int, metavar="N", help="repeats of the excitation (default: as the trajectory says)")
     group = sub.add_argument_group("measurement")
-    group.add_argument("--rate", type=float, default=500.0, metavar="HZ", help="125 to 1000 (default %(default)s)")
-    group.add_argument("--noise", type=float, default=0.005, metavar="F", help="of torque, over the torque limit (default %(default)s)")
+    group.add_argument("--rate", type=float, metavar="HZ", help="125 to 1000 (default 500)")
+    group.add_argument("--noise", type=float, metavar="F", help="of torque, over the torque limit (default 0.005)")
     group.add_argument("--colour", type=float, metavar="HZ", help="corner of the noise's spectrum (default: white)")
-    group.add_argument("--jitter", type=float, default=0.0, metavar="S", help="of the times of sampling, unseen by the clock [s]")
-    group.add_argument("--encoder", type=float, default=2e-6, metavar="RAD", help="resolution of position (default %(default)s)")
-    group.add_argument(
-        "--model-error", type=float, default=0.05, metavar="F", help="how far the true bodies are from the URDF's (default %(default)s)"
-    )
+    group.add_argument("--jitter", type=float, metavar="S", help="of the times of sampling, unseen by the clock [s]")
+    group.add_argument("--encoder", type=float, metavar="RAD", help="resolution of position (default 2e-6)")
 
 
 def _view(commands: Commands) -> None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from . import files, robot
+from . import artefact, files, robot
 from .errors import UnusableInput
 
 Array = np.ndarray
@@ -24,10 +25,13 @@ def command(arguments: argparse.Namespace) -> tuple[int, Any, str]:
     out = Path(arguments.out)
     if out.suffix != ".csv":
         raise UnusableInput(f"-o {out}: should end in .csv; its sidecar, truth and plot take the same name")
-    source, setting = robot.locate(arguments.robot), _setting(arguments)
+    source, like = robot.locate(arguments.robot), _like(arguments)
+    setting = _setting(arguments, like)
     motion = reference.read(Path(arguments.trajectory), arguments.periods)
     plant = laboratory.robot(source, motion, setting)
-    effects = tuple(effect.parse(text, plant) for text in arguments.effect)
+    if like is not None and like.joints != plant.joints:
+        raise UnusableInput(f"{arguments.like}: has joints {', '.join(like.joints)}; give the robot that it is of")
+    effects = tuple(effect.parse(text, plant) for text in arguments.effect) if like is None else like.effects
     if arguments.severity is not None:
         if not arguments.severity > 0.0:
             raise UnusableInput(f"--severity {arguments.severity:g}: should be above 0")
@@ -57,19 +61,47 @@ def command(arguments: argparse.Namespace) -> tuple[int, Any, str]:
     return 0, document, _text(document, effects, found.value, trusted.value)
 
 
-def _setting(arguments: argparse.Namespace) -> Any:
+@dataclass(frozen=True)
+class _Robot:
+    """What a truth says of its robot."""
+
+    joints: tuple[str, ...]
+    setting: Any
+    effects: tuple[Any, ...]
+
+
+def _like(arguments: argparse.Namespace) -> _Robot | None:
+    """The robot of another recording, if that is what is asked for."""
+    if arguments.like is None:
+        return None
+    from .plant import effect, laboratory
+
+    for name in ("effect", "severity", "seed", "model_error"):
+        if getattr(arguments, name) not in (None, []):
+            raise UnusableInput(f"--{name.replace('_', '-')}: is as {arguments.like} says; leave it out, or leave out --like")
+    path = Path(arguments.like)
+    truth = artefact.stated(path, ("excite.truth/1",), "truth", "the .truth.json of 'excite simulate'")
+    try:
+        return _Robot(tuple(truth["joints"]), laboratory.Setting.stated(truth["setting"]), effect.stated(truth))
+    except (KeyError, TypeError, ValueError) as error:
+        raise UnusableInput(f"{path}: is incomplete or malformed ({type(error).__name__}: {error}); simulate it again") from error
+
+
+def _setting(arguments: argparse.Namespace, like: _Robot | None) -> Any:
+    """As asked for, and what was not asked for as it was, or as usual."""
     from .plant.laboratory import Setting
 
+    names = ("seed", "rate", "noise", "colour", "jitter", "encoder", "model_error")
+    asked = {name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None}
     for name, low in (("rate", 125.0), ("noise", 0.0), ("jitter", 0.0), ("encoder", 0.0), ("model_error", 0.0)):
-        value = getattr(arguments, name)
+        value = asked.get(name, low)
         if not np.isfinite(value) or value < low or (name == "rate" and value > 1000.0):
             remedy = "be between 125 and 1000 Hz" if name == "rate" else "be a number not below 0"
             raise UnusableInput(f"--{name.replace('_', '-')} {value:g}: should {remedy}")
-    if arguments.colour is not None and not 0.0 < arguments.colour < 0.5 * arguments.rate:
-        raise UnusableInput(f"--colour {arguments.colour:g}: should be above 0 and below half the --rate")
-    return Setting(
-        arguments.seed, arguments.rate, arguments.noise, arguments.colour, arguments.jitter, arguments.encoder, arguments.model_error
-    )
+    out = replace(Setting() if like is None else like.setting, **asked)
+    if out.colour is not None and not 0.0 < out.colour < 0.5 * out.rate:
+        raise UnusableInput(f"--colour {out.colour:g}: should be above 0 and below half the --rate")
+    return out
 
 
 def _text(document: dict[str, Any], effects: tuple[Any, ...], survives: float, trusted: float) -> str:
@@ -84,7 +116,8 @@ def _text(document: dict[str, Any], effects: tuple[Any, ...], survives: float, t
         )
     else:
         lines.append("nothing hidden; name what to hide: --effect NAME:JOINT[:k=v,…]")
-    return "\n".join([*lines, *(f"wrote {path}" for path in document["files"])])
+    truth = next(path for path in document["files"] if path.endswith(".truth.json"))
+    return "\n".join([*lines, *(f"wrote {path}" for path in document["files"]), f"the same robot on another motion: --like {truth}"])
 
 
 def _picture(recording: Any, bare: Any, effects: tuple[Any, ...]) -> str:

@@ -290,12 +290,18 @@ def test_severity_is_zero_for_what_a_refit_absorbs_and_scales(bench):
 def test_no_severity_goes_beyond_what_physics_allows(bench):
     plant, motion, setting, _ = bench
     chain = laboratory.chain(plant, setting)
-    for text, key, most in (("thermal_drift:joint_2:change=-0.5", "change", 0.9), ("load_friction:joint_2:mu=0.3", "mu", 0.6)):
+    viscous, coulomb = (float(getattr(plant.drive, kind)[1]) for kind in ("viscous", "coulomb"))
+    for text, key, most in (
+        ("thermal_drift:joint_2:change=-0.5", "change", 0.9),
+        ("load_friction:joint_2:mu=0.3", "mu", 0.6),
+        ("asymmetric_viscous:joint_2", "negative", viscous),
+        ("position_friction:joint_2", "amplitude", coulomb),
+    ):
         effect = effects.parse(text, plant)
-        assert effect.most == pytest.approx(most / abs(effect.values[key]))
+        assert effect.most(plant) == pytest.approx(most / abs(effect.values[key]))
         reached = severity.reach(effect, 1e3, plant, motion, chain)[0]
         assert 0.0 < abs(reached.values[key]) <= most + 1e-12
-    assert effects.parse("spring:joint_2", plant).most == np.inf
+    assert effects.parse("spring:joint_2", plant).most(plant) == np.inf
 
 
 def test_a_robot_that_is_lost_is_said_to_be(bench):

@@ -64,6 +64,33 @@ def test_severity_is_reached(tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["severity"]["joint_1"] == pytest.approx(10.0, rel=0.2)
 
 
+def test_another_motion_of_the_same_robot_hides_the_same(tmp_path, capsys):
+    asked = ("--effect", "coupling:joint_2", "--effect", "spring:joint_1", "--severity", "4", "--seed", "5", "--rate", "250")
+    assert main(simulate(*asked, "-o", str(tmp_path / "one.csv"))) == 0
+    document = json.loads(TRAJECTORY.read_text())
+    document["offset"] = [value + 0.3 for value in document["offset"]]
+    (tmp_path / "other.json").write_text(json.dumps(document))
+    again = ["simulate", "two_link", str(tmp_path / "other.json"), "--periods", "1", "--like", str(tmp_path / "one.truth.json")]
+    assert main([*again, "--noise", "0.01", "-o", str(tmp_path / "two.csv")]) == 0
+    assert f"--like {tmp_path / 'one.truth.json'}" in capsys.readouterr().out
+    one, two = (json.loads((tmp_path / f"{name}.truth.json").read_text()) for name in ("one", "two"))
+    assert one["effects"] == two["effects"] and one["bodies"] == two["bodies"] and one["drive"] == two["drive"]
+    assert two["setting"] == {**one["setting"], "noise": 0.01}
+    assert one["severity"] != two["severity"]
+    for more, words in ((("--seed", "6"), "--seed"), (("--effect", "drag:joint_1"), "--effect"), (("--severity", "3"), "--severity")):
+        assert main([*again, *more, "-o", str(tmp_path / "no.csv")]) == 2
+        assert f"{words}: is as" in capsys.readouterr().err
+    again[again.index("two_link")] = "ur10e"
+    again[2] = str(TRAJECTORY.with_name("ur10e.json"))
+    assert main([*again, "-o", str(tmp_path / "no.csv")]) == 2
+    assert "has joints joint_1, joint_2" in capsys.readouterr().err
+    one.pop("setting")
+    (tmp_path / "one.truth.json").write_text(json.dumps(one))
+    assert main([*again, "-o", str(tmp_path / "no.csv")]) == 2
+    assert "is incomplete or malformed (KeyError: 'setting')" in capsys.readouterr().err
+    assert not list(tmp_path.glob("no.*"))
+
+
 def test_a_misspelt_effect_lists_all_and_their_parameters(tmp_path, capsys):
     assert main(simulate("--effect", "stribek:joint_1", "-o", str(tmp_path / "rec.csv"))) == 2
     said = capsys.readouterr().err

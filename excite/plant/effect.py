@@ -48,10 +48,10 @@ class Effect:
         values = {key: self.kind.quantity(key).sized(value, size) for key, value in self.values.items()}
         return replace(self, values=values)
 
-    @property
-    def most(self) -> float:
-        """How many times as large it may be made at the most."""
-        return min(self.kind.quantity(key).room(value) for key, value in self.values.items())
+    def most(self, plant: Plant) -> float:
+        """How many times as large physics lets it be made at the most, on a robot."""
+        at = site(plant, self.joint, self.source)
+        return min(self.kind.quantity(key).room(value, at) for key, value in self.values.items())
 
     def document(self) -> dict[str, Any]:
         """As the truth states it; `details` are parameters that the contract doesn't name."""
@@ -113,6 +113,15 @@ def parse(text: str, plant: Plant) -> Effect:
     if kind.vanishes and min(values.values()) == 0.0:
         raise UnusableInput(f"--effect {text}: should be above 0; leave the effect out to have none")
     return Effect(name, place, family, values, plant.joints[at.source] if name == "coupling" else None)
+
+
+def stated(truth: Mapping[str, Any]) -> tuple[Effect, ...]:
+    """The effects of a truth: see `Effect.document`."""
+    out = []
+    for one in truth["effects"]:
+        values = {key: float(own["value"]) for key, own in {**one["parameters"], **one["details"]}.items()}
+        out.append(Effect(one["effect"], one["joint"], one["family"], values, one.get("from")))
+    return tuple(out)
 
 
 def _place(text: str, kind: Kind, joint: str, plant: Plant) -> str | None:

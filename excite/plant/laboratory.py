@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -43,6 +43,11 @@ class Setting:
     encoder: float = 2e-6
     model_error: float = 0.05
     control: Control = field(default_factory=Control)
+
+    @classmethod
+    def stated(cls, document: Mapping[str, Any]) -> Setting:
+        """As a truth states it."""
+        return cls(**{**document, "control": Control(**document["control"])})
 
     def generators(self) -> list[np.random.Generator]:
         """Independent ones for bodies, drives, measurement (see `measuring`) and effects."""

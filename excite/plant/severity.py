@@ -126,7 +126,7 @@ def reach(
         run = hide(plant, (sized,)).run(reference)
         return sized, run, of(run, plant, reference, chain, trusted=trusted)
 
-    largest = min(largest, effect.most)
+    largest = min(largest, effect.most(plant))
     size, slope, last = min(1.0, largest), 1.0, None
     found: list[tuple[float, tuple[Effect, Run, Severity]]] = []
     for _ in range(tries):

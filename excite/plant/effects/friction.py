@@ -239,7 +239,10 @@ AMPLITUDE = Quantity("amplitude", "N m", 0.005, 0.03, "torque")
 KINDS = (
     Kind(
         "asymmetric_viscous",
-        (Quantity("positive", "N m s/rad", 0.002, 0.006, "viscous"), Quantity("negative", "N m s/rad", -0.006, -0.002, "viscous")),
+        (
+            Quantity("positive", "N m s/rad", 0.002, 0.006, "viscous"),
+            Quantity("negative", "N m s/rad", -0.006, -0.002, "viscous", within="viscous"),
+        ),
         {"tuning": asymmetric_blend, "scored": asymmetric_bent},
     ),
     Kind(
@@ -255,7 +258,11 @@ KINDS = (
     Kind("load_friction", (Quantity("mu", "1", 0.03, 0.3, most=0.6),), {"tuning": load_power, "scored": load_quadrants}),
     Kind(
         "position_friction",
-        (Quantity("amplitude", "N m", 0.002, 0.01, "torque"), Quantity("waves", "1", 1.0, 2.0, power=0.0, stated=False), angle()),
+        (
+            Quantity("amplitude", "N m", 0.002, 0.01, "torque", within="coulomb"),
+            Quantity("waves", "1", 1.0, 2.0, power=0.0, stated=False),
+            angle(),
+        ),
         {"tuning": position_triangle, "scored": position_bumps},
     ),
     Kind(

@@ -23,7 +23,8 @@ class Quantity:
 
     power: how it grows with the size of the effect: 1 for an amplitude, −1 for a stiffness, 0 for what is only shape;
     about: value of an effect of size 0, when that is not 0. stated: whether the contract names it. most: what physics allows of it, of
-    either sign: friction that falls as it warms never pushes, a motor that saturates never brakes.
+    either sign: friction that falls as it warms never pushes, a motor that saturates never brakes. within: the joint's own friction,
+    "viscous" or "coulomb", of which it takes away no more than there is.
     """
 
     name: str
@@ -35,6 +36,7 @@ class Quantity:
     about: float = 0.0
     stated: bool = True
     most: float = np.inf
+    within: str = ""
 
     def range(self, torque: float, speed: float) -> tuple[float, float]:
         """Usual size at a joint of these limits [N m, rad/s]."""
@@ -60,10 +62,11 @@ class Quantity:
         low, high = self.range(torque, speed)
         return float(np.exp(rng.uniform(np.log(low), np.log(high)))) if low > 0.0 else float(rng.uniform(low, high))
 
-    def room(self, value: float) -> float:
-        """How many times as large an effect of this value may be made at the most."""
+    def room(self, value: float, site: Site) -> float:
+        """How many times as large an effect of this value may be made at the most, where it sits."""
         size = abs(value - self.about)
-        return float((self.most / size) ** (1.0 / self.power)) if np.isfinite(self.most) and size else np.inf
+        most = float(getattr(site.drive, self.within)[site.j]) if self.within else self.most
+        return float((most / size) ** (1.0 / self.power)) if np.isfinite(most) and size else np.inf
 
     def sized(self, value: float, size: float) -> float:
         """The parameter of the effect made `size` > 0 times as large."""

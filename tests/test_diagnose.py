@@ -144,6 +144,18 @@ def test_a_coupling_takes_energy_whichever_way_the_other_joint_turns_the_shaft(s
         assert not result.design.shapes[one.shape].plausible(-one.trial.coefficients)
 
 
+def test_a_spring_that_stiffens_is_no_ripple(subject):
+    """A stop of rubber, met at one end of the range."""
+    result = found(subject, lambda t, q, dq, tau: on(1, 1.5 * q[:, 1] + 12.0 * np.maximum(q[:, 1] - 0.5, 0.0)))
+    assert [(h.effect, h.joint) for h in result.verdict.chosen] == [("spring", 1)]
+    q = np.concatenate([one.fine.q[:, 1] for half in result.tracks for one in half])
+    grid = np.linspace(q.min(), q.max(), 400)
+    law = 1.5 * grid + 12.0 * np.maximum(grid - 0.5, 0.0)
+    values = interval.finding_parameters(result.design, result.verdict, 0)
+    for name, truth in (("stiffness", np.polyfit(grid, law, 1)[0]), ("amplitude", 0.5 * np.ptp(law))):
+        assert abs(values[name][0] - truth) < 3.0 * values[name][1] and values[name][1] < 0.5 * truth
+
+
 def test_two_effects_are_both_named(subject):
     def both(t: Array, q: Array, dq: Array, tau: Array) -> Array:
         return PLANTED["stribeck"][0](t, q, dq, tau) + PLANTED["spring"][0](t, q, dq, tau)

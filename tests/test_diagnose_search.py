@@ -90,7 +90,7 @@ def test_another_residual_is_judged_as_if_it_had_been_measured():
     np.testing.assert_allclose(search.trial(told, [0]).coefficients, search.trial(direct, [0]).coefficients)
     residual, quiet = (others[0].ravel(), others[1].ravel()), (np.zeros(50), np.zeros(30))
     best = judge.singles(direct)[0].trial.gain if judge.singles(direct) else 0.0
-    by_steps, by_rare_samples = (judge.warned(designed(torques), *told, 0.0) for told in (([residual], quiet), ([], residual)))
+    by_steps, by_rare_samples = (judge.warned(designed(torques), *told, 0.0, True) for told in (([residual], quiet), ([], residual)))
     assert by_steps.bar(0) == pytest.approx(search.NATS + judge.FEIGNED * best)
     assert by_rare_samples.bar(0) == pytest.approx(search.NATS + best)
 
@@ -518,6 +518,52 @@ def test_shapes_that_take_each_other_off_are_no_finding():
     one = dataclasses.replace(one, prior=np.full(2, 1e-6))
     assert search.trial(one, [0, 1]).gain > 200.0
     assert not judge.singles(one, (0,)) and not judge.judged(one)[1].findings
+
+
+def two_joints(slight: float, wrong: float, seed: int = 0) -> search.Design:
+    """A strong drag at one of two joints, whose form is a little wrong, and a slight effect at the other."""
+    rng = np.random.default_rng(seed)
+    strong, rest, other = ([rng.normal(size=300) for _ in range(2)] for _ in range(3))
+    halves, columns = list[search.Half](), list[dict[tuple[str, int | None], Array]]()
+    for s, r, o in zip(strong, rest, other, strict=True):
+        both = np.column_stack([30.0 * s + wrong * r, slight * o])
+        left = both + rng.normal(size=(300, 2))
+        halves.append(search.half([np.ones((300, 2, 1))], [left], [np.ones(left.shape, bool)], np.ones(2), EMPTY))
+        joints = {("drag", 0): np.column_stack([s, 0.0 * s]), ("spring", 0): np.column_stack([r, 0.0 * r])}
+        columns.append({**joints, ("stribeck", 1): np.column_stack([0.0 * o, o])})
+
+    def build(shape: Shape) -> tuple[Array, Array]:
+        first, second = (own[shape.effect, shape.joint].reshape(-1, 1) for own in columns)
+        return first, second
+
+    shapes = [Shape(effect, joint, nothing) for effect, joint in columns[0]]
+    return search.design((halves[0], halves[1]), shapes, build)
+
+
+def test_where_a_strong_effect_does_not_act_a_slight_one_needs_no_share_of_it():
+    one = two_joints(slight=0.8, wrong=0.8)
+    _, verdict = judge.judged(one)
+    assert {(h.effect, h.joint) for h in verdict.chosen} == {("drag", 0), ("stribeck", 1)}  # what mends the drag is no finding
+    guessed = dataclasses.replace(one, measured=search.Measured(repeats=False))
+    assert {(h.effect, h.joint) for h in judge.judged(guessed)[1].chosen} == {("drag", 0)}
+
+
+def test_halves_agree_about_what_both_see():
+    rng = np.random.default_rng(2)
+    a, b, noise_ = ([rng.normal(size=200) for _ in range(2)] for _ in range(3))
+    slight = 0.01  # of the second column, the first half sees next to nothing
+
+    def designed(first: float, second: float) -> search.Design:
+        """b's coefficient in either half, of columns a and b."""
+        seen = (slight, 1.0)
+        columns = [np.column_stack([x, by * y]) for x, y, by in zip(a, b, seen, strict=True)]
+        own = [c @ [2.0, k] + 0.1 * n for c, k, n in zip(columns, (first, second), noise_, strict=True)]
+        halves = [halved(np.ones((200, 1)), t[:, None], EMPTY, 0.1) for t in own]
+        return search.design((halves[0], halves[1]), [Shape("drag", 0, nothing)], lambda _: (columns[0] / 0.1, columns[1] / 0.1))
+
+    for other, agree in ((3.0, True), (-40.0, True), (-3e3, False)):
+        one = designed(other, 3.0)
+        assert judge.agrees(one, search.trial(one, [0])) is agree
 
 
 def test_noise_hides_how_much_a_slight_effect_leaves():

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..base import Base
 from ..errors import UnusableInput
-from ..identify import consistent, forward, identification, signals
+from ..identify import forward, identification, signals
 from ..identify.band import WIDER
 from ..identify.forward import SimulationError
 from ..identify.identification import Identification
@@ -18,8 +18,8 @@ from ..identify.signals import Piece
 from ..parameters import Parameters
 from ..recordings import Recording
 from ..robot import Robot
-from . import belief, encoders, foreseen, judge, looks, noise, search, track, whole
-from .catalogue import BY_NAME, EFFECTS
+from . import belief, encoders, equations, foreseen, judge, looks, noise, search, track, whole
+from .catalogue import EFFECTS
 from .effect import Shape
 from .encoders import Gear
 from .foreseen import Sight
@@ -153,7 +153,7 @@ def diagnose(
     hertz = options.band or _band([*pieces[0], *pieces[1]])
     settings = identification.Options(band=hertz, trusted=options.trusted)
     identified = identification.identify(robot, parameters, base, train, validate, settings, progress)
-    psi = _kept(identified.psi, options)
+    psi = equations.kept(identified.psi, options.trusted)
     fitted, model, theta = track.body(robot, parameters, psi), identified.model, base.matrix @ psi
     halves = tuple(track.tracks(model, fitted, theta, parts, hertz) for parts in pieces)
     for group, own in zip((train, validate), halves, strict=True):
@@ -162,8 +162,8 @@ def diagnose(
     noisy = noise.measured(identified, halves, [*train, *validate])
     progress("columns of the catalogue")
     scale = _scale(noisy, np.sqrt(np.mean(identified.data.residual**2, axis=0)))
-    first, second = (_half(own, identified, options, scale) for own in halves)
-    one = search.design((first, second), _shapes(halves, options), _builder(halves, scale))
+    first, second = (equations.half(own, identified, options.trusted, scale) for own in halves)
+    one = search.design((first, second), equations.shapes(halves, bool(options.trusted), options.names), equations.builder(halves, scale))
     progress(f"{len(one.shapes)} shapes of {len(EFFECTS)} effects, alone and together")
     one, verdict = judge.judged(_warned(one, noisy, scale))
     one, verdict, scale = _sharper(one, verdict, noisy, scale)
@@ -195,7 +195,8 @@ def _scale(noisy: Noise, left: Array) -> Array:
 def _warned(one: Design, noisy: Noise, scale: Array) -> Design:
     """The design that knows what the encoders' steps feign, and samples that are too rare."""
     steps, sharpened = ([((a / scale).ravel(), (b / scale).ravel()) for a, b in own] for own in (noisy.feigned, [noisy.sharpened]))
-    return judge.warned(one, steps, sharpened[0], float(np.mean((noisy.steps / noisy.floor) ** 2)))
+    stepped = float(np.mean((noisy.steps / noisy.floor) ** 2))
+    return judge.warned(one, steps, sharpened[0], stepped, noisy.method == "periods")
 
 
 def _sharper(one: Design, verdict: Verdict, noisy: Noise, scale: Array) -> tuple[Design, Verdict, Array]:
@@ -226,10 +227,10 @@ def _refitted(
     model, found = identified.model, whole.parts(one, verdict.together)
     pure = [[whole.removed(found, r, own) for r in group] for group, own in zip(recordings, halves, strict=True)]
     refitted = identification.identify(model.robot, model.parameters, model.base, pure[0], pure[1], settings, lambda _: None)
-    body = track.body(model.robot, model.parameters, _kept(refitted.psi, options))
+    body = track.body(model.robot, model.parameters, equations.kept(refitted.psi, options.trusted))
     again = [[dataclasses.replace(t, body=body) for t in own] for own in halves]
-    named = dataclasses.replace(options, names=tuple({f.main.effect for f in verdict.findings}))
-    one, verdict = _again(one, verdict, _shapes(again, named), _builder(again, scale))
+    named = {f.main.effect for f in verdict.findings}
+    one, verdict = _again(one, verdict, equations.shapes(again, bool(options.trusted), named), equations.builder(again, scale))
     return one, verdict, refitted
 
 
@@ -302,7 +303,7 @@ def _again(one: Design, verdict: Verdict, shapes: Sequence[Shape], build: search
     """The same findings with columns of a base model that they no longer distort; as they were, where that changes the names."""
     named = {(f.main.effect, f.main.joint) for f in verdict.findings}
     small = search.design(one.halves, [s for s in shapes if (s.effect, s.joint) in named], build)
-    small, better = judge.judged(dataclasses.replace(small, feigned=one.feigned, stepped=one.stepped))
+    small, better = judge.judged(dataclasses.replace(small, measured=one.measured))
     if {(f.main.effect, f.main.joint) for f in better.findings} != named or better.together is None:
         return one, verdict
     start = len(one.shapes)
@@ -310,67 +311,6 @@ def _again(one: Design, verdict: Verdict, shapes: Sequence[Shape], build: search
     if len(wider.shapes) != start + len(better.together.shapes):
         return one, verdict
     return wider, judge.moved(wider, verdict, better, start)
-
-
-def _kept(psi: Array, options: Options) -> Array:
-    """Parameters with what is trusted as it was told: a fit to data that have more in them would bend it."""
-    out = psi.copy()
-    for place, value in options.trusted.items():
-        out[place] = value
-    return out
-
-
-def _half(tracks: list[Track], identified: Identification, options: Options, scale: Array) -> search.Half:
-    """Base columns and what they explain: all parameters, or beside a trusted prior those that it leaves free."""
-    base, parameters = identified.model.base, identified.model.parameters
-    places = np.arange(base.count)
-    if options.trusted:
-        drives = 10 * parameters.bodies
-        places = np.array([k for k, place in enumerate(base.independent) if place >= drives and int(place) not in options.trusted], int)
-    columns, torque = [], []
-    for one in tracks:
-        slopes = np.zeros((len(one), one.n, one.n))
-        slopes[:, range(one.n), range(one.n)] = one.slopes
-        columns.append(np.concatenate([one.gamma[:, :, places], slopes], axis=2))
-        torque.append(one.left if options.trusted else one.torque)
-    return search.half(columns, torque, [one.moves for one in tracks], scale, _known(identified, options, columns[0].shape[2]))
-
-
-def _known(identified: Identification, options: Options, width: int) -> tuple[Array, Array]:
-    """What is known of the base parameters beforehand, as rows: a short recording alone would not predict another."""
-    n = identified.model.robot.n
-    slopes = np.hstack([np.zeros((n, width - n)), np.eye(n)])  # friction's width is known within a factor e: what is linear is no further
-    if options.trusted:
-        return slopes, np.zeros(n)
-    base, prior = identified.model.base, identified.prior
-    spread = base.matrix @ consistent.inverse(consistent.metric_matrix(identified.model.parameters, prior)) @ base.matrix.T
-    values, vectors = np.linalg.eigh(consistent.inverse(spread))
-    root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-    rows = np.zeros((base.count, width))
-    rows[:, : base.count] = root
-    return np.vstack([rows, slopes]), np.concatenate([root @ (base.matrix @ prior.nominal), np.zeros(n)])
-
-
-def _shapes(halves: Sequence[list[Track]], options: Options) -> list[Shape]:
-    """Every shape of the effects that are looked for."""
-    every = [*halves[0], *halves[1]]
-    wanted = [effect for effect in EFFECTS if (options.trusted or not effect.prior_only) and effect.name in (options.names or BY_NAME)]
-    return [shape for effect in wanted for shape in effect.shapes(every)]
-
-
-def _builder(halves: Sequence[list[Track]], scale: Array) -> search.Build:
-    """Columns of a shape on both halves, over the scale."""
-
-    def build(shape: Shape) -> tuple[Array, Array] | None:
-        both = []
-        for own in halves:
-            stacked = np.concatenate([shape.columns(one) * one.moves[:, :, None] / scale[:, None] for one in own])
-            both.append(stacked.reshape(-1, stacked.shape[2]))
-        if not all(np.isfinite(x).all() for x in both) or not any(np.abs(x).max(initial=0.0) > 1e-9 for x in both):
-            return None
-        return both[0], both[1]
-
-    return build
 
 
 def _held_out(one: Design, verdict: Verdict, scale: Array) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from . import search
-from .search import Design, Trial, trial
+from .search import Design, Measured, Trial, trial
 
 Array = np.ndarray
 SHARE, SAME, MOSTLY = 0.04, 0.02, 0.5
@@ -23,6 +23,8 @@ FEIGNED = 12.0
 """Further gain that an effect needs, over what it gains, at the joint where that is most, from what an encoder's steps drawn anew would
 leave: friction reverses more sharply than the smooth motion that is rounded for it, and a few draws don't show the worst (nine times in 13
 simulated robots)."""
+SEEN = 9.0
+"""Log-likelihood, twice, from which a half sees an effect: three standard deviations."""
 MOST = 6
 """Shapes, at the most."""
 FRONT = 24
@@ -123,27 +125,30 @@ def size(one: Design, found: Trial, number: int) -> float:
 
 
 def agrees(one: Design, found: Trial) -> bool:
-    """Whether the two halves say the same of the torque: each half's coefficients explain most of what the other's explain.
+    """Whether the two halves say the same of the torque: what both say together, and what each says, explain most of the same in it.
 
-    What happens only then has no second time to be compared with.
+    What a half does not see, it need not know. What happens only then has no second time to be compared with.
     """
     if any(one.shapes[i].interval is not None for i in found.shapes):
         return True
     which = one.which(found.shapes)
-    G = sum(gram.matrix[np.ix_(which, which)] for gram in one.grams)
-    a, b = found.halves
-    power = float(a @ G @ a) * float(b @ G @ b)
-    return power > 0.0 and float(a @ G @ b) > 0.5 * np.sqrt(power)
+    c = found.coefficients
+    for gram, own in zip(one.grams, found.halves, strict=True):
+        G = gram.matrix[np.ix_(which, which)]
+        power = float(c @ G @ c)
+        if power > SEEN and float(c @ G @ own) <= 0.5 * np.sqrt(power * float(own @ G @ own)):
+            return False
+    return True
 
 
-def warned(one: Design, steps: Sequence[tuple[Array, Array]], sharpened: tuple[Array, Array], stepped: float) -> Design:
+def warned(one: Design, steps: Sequence[tuple[Array, Array]], sharpened: tuple[Array, Array], stepped: float, repeats: bool) -> Design:
     """The design that knows what each effect gains from residuals that an encoder alone, drawn anew, or rare samples may leave
-    (`search.pretended`); and the encoder's share of the noise."""
+    (`search.pretended`); the encoder's share of the noise; and whether that is known from a motion made again."""
     most: dict[str, float] = {}
     for residual, times in (*((own, FEIGNED) for own in steps), (sharpened, 1.0)):
         for h in singles(search.pretended(one, residual)):
             most[h.effect] = max(most.get(h.effect, 0.0), times * h.trial.gain)
-    return replace(one, feigned=most, stepped=stepped)
+    return replace(one, measured=Measured(most, stepped, repeats))
 
 
 def judged(one: Design, chosen: Sequence[int] = ()) -> tuple[Design, Verdict]:
@@ -212,15 +217,24 @@ def _earns(one: Design, shape: int, others: Sequence[int], adds: float, rest: fl
     there = any((one.shapes[i].effect, one.shapes[i].joint) == own for i in others)
     if adds < one.bar(shape):
         return False
-    return adds > (SAME if there else SHARE) * rest or (not there and _takes(one, shape, others) > MOSTLY)
+    share = (SAME if there else SHARE) * rest
+    if adds > share:
+        return True
+    before, rested, after, acts = _levels(one, shape, others)
+    taken = np.maximum(before - rested, 0.0)
+    # others that explain nothing where it acts have no form there to mend
+    if one.measured.repeats and adds > share * float(taken @ acts / max(taken.sum(), 1e-300)):
+        return True
+    joint = int(np.argmax(acts))
+    return not there and 1.0 - after[joint] / rested[joint] > MOSTLY
 
 
-def _takes(one: Design, shape: int, others: Sequence[int]) -> float:
-    """Of the mean square that others leave at the joint where a shape is largest, noise and all, what it explains."""
+def _levels(one: Design, shape: int, others: Sequence[int]) -> tuple[Array, Array, Array, Array]:
+    """Mean squares that the base model leaves, others, and others with a shape; and how much the shape acts, 1 where most. Shapes (n,)."""
     both = (*others, shape)
-    joint = int(np.argmax(sizes(one, trial(one, both), len(others))))
-    before, after = (float(search.level(one, shapes)[joint]) for shapes in (others, both))
-    return 1.0 - after / before
+    before, rested, after = (search.level(one, shapes) for shapes in ((), tuple(others), both))
+    acts = np.square(sizes(one, trial(one, both), len(others)))
+    return before, rested, after, acts / max(float(acts.max()), 1e-300)
 
 
 def _replaced(one: Design, chosen: list[int]) -> list[int]:

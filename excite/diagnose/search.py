@@ -110,15 +110,24 @@ class Gram:
 
 
 @dataclass(frozen=True)
+class Measured:
+    """How well recordings were made. feigned: further gain that each effect needs, by name, for what faults of the measurement are known to
+    give it on some joint. stepped: share of the noise that is an encoder's steps. repeats: whether noise is what differs when a motion is
+    made again, and not a guess from below."""
+
+    feigned: Mapping[str, float] = field(default_factory=dict)
+    stepped: float = 0.0
+    repeats: bool = True
+
+
+@dataclass(frozen=True)
 class Design:
     """Two halves with all shapes' columns, and the products that fits are made of.
 
     places: of each shape's columns. both: the halves stacked. columns: of each half, at its recorded rows. Shapes (m, K). left: the
     residual of each half by its own base fit. across: torque of the second half less what the first half's base fit makes of it.
     grams: of each half, the base fitted to it; whole: of both, the base fitted to both. power: of each shape, the mean products of
-    its columns in `whole`, per joint, Shape (n, k, k). feigned: further gain that each effect needs, by name, for what faults of the
-    measurement are known to give it on some joint. stepped: share of the noise that is an encoder's steps. listed: all shapes that there
-    were, before the best were picked.
+    its columns in `whole`, per joint, Shape (n, k, k). measured: how well. listed: all shapes that there were, before the best were picked.
     """
 
     shapes: tuple[Shape, ...]
@@ -133,8 +142,7 @@ class Design:
     power: tuple[Array, ...]
     prior: Array
     build: Build
-    feigned: Mapping[str, float] = field(default_factory=dict)
-    stepped: float = 0.0
+    measured: Measured = field(default_factory=Measured)
     listed: tuple[Shape, ...] = ()
 
     @cached_property
@@ -145,8 +153,8 @@ class Design:
     def bar(self, i: int) -> float:
         """Gain from which a shape is believed: more where faults of the measurement look like it, or blur its columns too."""
         shape = self.shapes[i]
-        blurred = (shape.doubt - 1.0) * (NATS + STEPPED * self.stepped)
-        return NATS + self.feigned.get(shape.effect, 0.0) + blurred
+        blurred = (shape.doubt - 1.0) * (NATS + STEPPED * self.measured.stepped)
+        return NATS + self.measured.feigned.get(shape.effect, 0.0) + blurred
 
     def which(self, chosen: Sequence[int]) -> Array:
         """Columns of several shapes."""
@@ -232,12 +240,15 @@ def _shortlist(one: Design, first: int = 0, most: int | None = None) -> list[tup
     before = range(first)
     gains = {i: trial(one, [*before, i]).gain for i in range(first, len(one.shapes))}
     taken: dict[int | None, int] = {}
+    laws = set[tuple[int | None, frozenset[str]]]()
     kept = []
     for i in sorted(gains, key=lambda i: -gains[i]):
         shape, place = one.shapes[i], one.places[i]
         taken[shape.joint] = taken.get(shape.joint, 0) + 1
-        if taken[shape.joint] <= (most or (SEVERAL if shape.several else FEW)):
+        law = shape.joint, frozenset(shape.values)  # the best of each law at least: turned, it may be better than others' neighbours
+        if taken[shape.joint] <= (most or (SEVERAL if shape.several else FEW)) or law not in laws:
             kept.append((shape, (one.columns[0][:, place], one.columns[1][:, place])))
+            laws.add(law)
     return kept
 
 
@@ -370,7 +381,7 @@ def refined(one: Design, chosen: Sequence[int], sweeps: int = 2) -> tuple[Design
 
 def _only(one: Design, chosen: Sequence[int]) -> Design:
     """The design with some of its shapes; its halves are not inverted again."""
-    bare = dataclasses.replace(_bare(one.halves, one.both, one.build), feigned=one.feigned, stepped=one.stepped)
+    bare = dataclasses.replace(_bare(one.halves, one.both, one.build), measured=one.measured)
     return _extended(bare, [(one.shapes[i], (one.columns[0][:, one.places[i]], one.columns[1][:, one.places[i]])) for i in chosen])
 
 

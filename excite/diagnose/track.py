@@ -215,11 +215,19 @@ class Track:
         return self._composite[2]
 
     @functools.cached_property
+    def stood(self) -> Array:
+        """What `borne` is with all joints at zero: the same of every recording of a robot. Shape (6,)."""
+        return np.asarray(self._composites(np.zeros((1, self.n)))[1][0])
+
+    @functools.cached_property
     def _composite(self) -> tuple[Array, Array, Array]:
+        return self._composites(self.coarse.q)
+
+    def _composites(self, positions: Array) -> tuple[Array, Array, Array]:
         robot, model = self.body.robot, self.body.model
-        data, out = model.createData(), np.zeros((len(self.coarse), robot.n, 6))
-        whole, first = np.zeros((len(self.coarse), 6)), np.zeros((len(self.coarse), 3))
-        for t, q in enumerate(robot.expand(self.coarse.q)):
+        data, out = model.createData(), np.zeros((len(positions), robot.n, 6))
+        whole, first = np.zeros((len(positions), 6)), np.zeros((len(positions), 3))
+        for t, q in enumerate(robot.expand(positions)):
             pin.crba(model, data, q, pin.Convention.WORLD)
             jacobian = np.reshape(data.J, (6, -1))
             for j in range(1, model.njoints):

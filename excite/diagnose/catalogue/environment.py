@@ -28,23 +28,24 @@ WAYS = ((0, 1), (3, 4), (5,), (3,), (4,))
 SWINGS = np.geomspace(1.5, 19.0, 11)
 """Frequencies of a base, tried [Hz]."""
 PEDESTAL = 0.3
-"""Inertia of what the robot stands on, over the robot's mean one: a guess that the coefficient corrects."""
+"""Inertia of what the robot stands on, over the robot's with all joints at zero: a guess that the coefficient corrects."""
 
 
 def _swung(t: Track, s: Shape) -> Array:
-    """Torque of a base that swings on springs under the robot's reaction, a column a coordinate; the arm's inertia is its pose's.
+    """Torque of a base that swings on springs under the robot's reaction, a column a coordinate; the arm's inertia is its pose's, and the
+    frequency that of all joints at zero: a spring is the same in every recording.
 
     I φ̈ + (İ + D) φ̇ + (K − T) φ = what the robot pushes beyond its mean. A base that rocks also leans: its joints feel gravity turned, which
     is most of what a slow motion shows, and its springs bear that much less, T.
     """
     columns, dt = [], 1.0 / t.band.rate_of(Grid.COARSE)
     for axis in WAYS[int(s.values["way"])]:
-        mean = float(t.borne[:, axis].mean())
-        inertia = t.borne[:, axis] + PEDESTAL * mean
-        spring = (2.0 * np.pi * s.values["frequency"]) ** 2 * (1.0 + PEDESTAL) * mean
+        upright = float(t.stood[axis])
+        inertia = t.borne[:, axis] + PEDESTAL * upright
+        spring = (2.0 * np.pi * s.values["frequency"]) ** 2 * (1.0 + PEDESTAL) * upright
         stiffness = np.maximum(spring - _toppling(t, axis), SOFTEST * spring)
         force = t.reaction[:, axis].mean() - t.reaction[:, axis]
-        damping = 2.0 * s.values["damping"] * np.sqrt(spring * (1.0 + PEDESTAL) * mean) + np.gradient(inertia, dt)
+        damping = 2.0 * s.values["damping"] * np.sqrt(spring * (1.0 + PEDESTAL) * upright) + np.gradient(inertia, dt)
         place, speed = oscillator(force, inertia, stiffness, damping, dt)
         hastened = ((force - stiffness * place - damping * speed) / inertia)[:, None]
         columns.append(t.shaken[:, :, axis] * hastened)

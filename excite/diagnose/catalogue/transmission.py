@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from itertools import product
 
 import numpy as np
 
@@ -22,6 +24,8 @@ WIDTHS = np.geomspace(1e-4, 1e-2, 7)
 """Of play, tried [rad]."""
 HOLDS = (0.0, 1.5, 3.0)
 """Of a link in its play, tried [Hz]."""
+LEAST_TURN, ROUND = 0.05, 1.5
+"""Of a joint, from which anything is said of its angle [rad]; and waves in what was seen, from which a torque comes round."""
 
 
 def _sprung(t: Track, s: Shape) -> Array:
@@ -71,8 +75,9 @@ def _backlash(tracks: Sequence[Track]) -> Iterator[Shape]:
         return shape
 
     for j in range(tracks[0].n):
-        for hold in HOLDS:
-            yield from family(WIDTHS.tolist(), play(j, hold))
+        if any(np.ptp(np.sign(t.rigid[:, j])) > 1.0 for t in tracks):  # else it lies on one flank, like a link that is mounted askew
+            for hold in HOLDS:
+                yield from family(WIDTHS.tolist(), play(j, hold))
 
 
 def _waved(t: Track, s: Shape) -> Array:
@@ -92,16 +97,19 @@ def _ripple(tracks: Sequence[Track]) -> Iterator[Shape]:
 
 
 def _orders(tracks: Sequence[Track], joint: int, most: int = 12) -> list[float]:
-    """Orders at which the base fit's residual has power, found on a fine grid from 3 to 300 a turn (Lomb 1976, over angle)."""
+    """Orders at which the base fit's residual has power, found on a fine grid up to 300 a turn (Lomb 1976, over angle).
+
+    What has not come round half as often again in all that was seen of it is a spring as well.
+    """
     track = max(tracks, key=len)
     left = track.left[:, joint]
     q = np.interp(track.time, track.clock, track.fine.q[:, joint])
     turn = float(np.ptp(q))
-    if turn < 0.05:
+    if turn < LEAST_TURN:
         return []
     speed = np.interp(track.time, track.clock, track.fine.dq[:, joint])
     step = 2.0 * np.pi / turn / 3.0
-    orders = np.arange(max(3.0, 2.0 * step), 300.0, max(step, 0.05))
+    orders = np.arange(max(3.0, ROUND * 2.0 * np.pi / turn), 300.0, max(step, 0.05))
 
     def power(order: float) -> float:
         seen = np.abs(order * speed) < 2.0 * np.pi * track.band.hertz  # the rest is above the band
@@ -127,17 +135,51 @@ FORMS: tuple[Callable[[Array], Array], ...] = (
     lambda q: np.column_stack([np.cos(q), np.sin(q), np.cos(2 * q), np.sin(2 * q)]),
 )
 """Of a spring, over its joint's angle."""
+SLOW, BENDS = (0.35, 0.6, 0.9), np.linspace(0.15, 0.85, 8)
+"""Waves of a spring's torque over the range seen, and shares of it from which its slope is another, tried."""
+SPANS = 200
+"""Angles that a spring's torque is told from: its slope is the straight line's through them, its amplitude half of what it varies by."""
+
+
+def _force(values: Mapping[str, float], q: Array) -> Array:
+    """Columns of a spring's torque over its joint's angle. Shape (M,) -> (M, k)."""
+    if "bend" in values:
+        return np.column_stack([q, np.maximum(q - values["bend"], 0.0)])
+    if "order" in values:
+        return np.column_stack([q, np.cos(values["order"] * q), np.sin(values["order"] * q)])
+    return FORMS[int(values["form"])](q)
 
 
 def _pulled(t: Track, s: Shape) -> Array:
-    return alone(t, s.place, FORMS[int(s.values["form"])](t.fine.q[:, s.place]))
+    return alone(t, s.place, _force(s.values, t.fine.q[:, s.place]))
 
 
 def _spring(tracks: Sequence[Track]) -> Iterator[Shape]:
+    """Laws of the field; a line with a slow wave about it, for those that stiffen, yield or turn over; and one with a bend: a stop, a slack
+    cable."""
+
+    def law(j: int, low: float, high: float, values: dict[str, float]) -> Shape:
+        q = np.linspace(low, high, SPANS)
+
+        def told(c: Array) -> dict[str, float]:
+            torque = _force(values, q) @ c
+            return {"stiffness": float(np.polyfit(q, torque, 1)[0]), "amplitude": 0.5 * float(np.ptp(torque))}
+
+        return Shape("spring", j, _pulled, values, parameters=told)
+
+    def waved(j: int, low: float, high: float, order: float) -> Shape:
+        return law(j, low, high, {"order": order})
+
+    def bent(j: int, low: float, high: float, into: float) -> Shape:
+        return law(j, low, high, {"bend": low + into})
+
     for j in range(tracks[0].n):
+        low, high = (float(f([f(t.fine.q[:, j]) for t in tracks])) for f in (np.min, np.max))
         for form in range(len(FORMS)):
-            told = named("stiffness") if form == 0 else amplitude()
-            yield Shape("spring", j, _pulled, {"form": float(form)}, parameters=told)
+            yield law(j, low, high, {"form": float(form)})
+        if high - low > LEAST_TURN:
+            yield from family((2.0 * np.pi / (high - low) * np.array(SLOW)).tolist(), partial(waved, j, low, high))
+            yield from family(((high - low) * BENDS).tolist(), partial(bent, j, low, high))
 
 
 RATIOS = (0.5, 1.0, 2.0)
@@ -149,12 +191,14 @@ AGAINST = 0.1
 def _turned(t: Track, s: Shape) -> Array:
     """Friction and inertia of a shaft that turns with w = q̇ᵢ + r q̇ⱼ, as joint i feels them: viscous w, Coulomb sgn w, inertia r q̈ⱼ.
 
-    What w, sgn q̇ᵢ and q̈ᵢ have of joint i's own is the base model's.
+    What w, sgn q̇ᵢ and q̈ᵢ have of joint i's own is the base model's. A shaft whose inertia does not show has none: fitted, it would be
+    whatever else is left, and of either sign.
     """
     assert s.other is not None
     ratio = s.values["ratio"]
     speed = t.fine.dq[:, s.place] + ratio * t.fine.dq[:, s.other]
-    return alone(t, s.place, np.column_stack([speed, np.tanh(speed / t.widths[s.place]), ratio * t.fine.ddq[:, s.other]]))
+    columns = [speed, np.tanh(speed / t.widths[s.place]), ratio * t.fine.ddq[:, s.other]]
+    return alone(t, s.place, np.column_stack(columns if s.values["heavy"] else columns[:2]))
 
 
 def _rubs(speed: float, acceleration: float) -> Callable[[Array], bool]:
@@ -164,7 +208,7 @@ def _rubs(speed: float, acceleration: float) -> Callable[[Array], bool]:
     """
 
     def plausible(c: Array) -> bool:
-        parts = np.array([c[0] * speed, c[1], c[2] * acceleration])
+        parts = c * np.array([speed, 1.0, acceleration])[: len(c)]
         return bool(parts[:2].max() > 0.0 and parts.min() > -AGAINST * parts.max())
 
     return plausible
@@ -175,23 +219,24 @@ def _coupling(tracks: Sequence[Track]) -> Iterator[Shape]:
     n = tracks[0].n
 
     def told(ratio: float) -> Callable[[Array], dict[str, float]]:
-        return lambda c: {"viscous": float(c[0] * ratio), "coulomb": float(c[1]), "inertia": float(c[2] * ratio)}
+        names = {"viscous": ratio, "coulomb": 1.0, "inertia": ratio}
+        return lambda c: {name: float(value * by) for (name, by), value in zip(names.items(), c, strict=False)}
 
-    def shaft(i: int, j: int, sign: float) -> Callable[[float], Shape]:
+    def shaft(i: int, j: int, sign: float, heavy: float) -> Callable[[float], Shape]:
         def shape(ratio: float) -> Shape:
             turns, hastes = (
                 max(float(np.abs(x[:, i] + sign * ratio * x[:, j]).max()) for x in both)
                 for both in ([t.fine.dq for t in tracks], [t.fine.ddq for t in tracks])
             )
-            gate = _rubs(turns, hastes)
-            return Shape("coupling", i, _turned, {"ratio": sign * ratio}, j, parameters=told(ratio), plausible=gate)
+            fixed = {"ratio": sign * ratio, "heavy": heavy}
+            return Shape("coupling", i, _turned, fixed, j, parameters=told(ratio), plausible=_rubs(turns, hastes))
 
         return shape
 
     for i in range(n):
         for j in range(max(0, i - 2), min(n, i + 3)):
-            for sign in (1.0, -1.0) if i != j else ():
-                yield from family(RATIOS, shaft(i, j, sign))
+            for sign, heavy in product((1.0, -1.0), (1.0, 0.0)) if i != j else ():
+                yield from family(RATIOS, shaft(i, j, sign, heavy))
 
 
 EFFECTS = (

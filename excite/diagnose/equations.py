@@ -1,0 +1,77 @@
+"""A diagnosis's equations: both halves of the recordings beside the base model, and the columns of the catalogue on them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+
+import numpy as np
+
+from ..identify import consistent
+from ..identify.identification import Identification
+from . import search
+from .catalogue import BY_NAME, EFFECTS
+from .effect import Shape
+from .track import Track
+
+Array = np.ndarray
+
+
+def kept(psi: Array, trusted: Mapping[int, float]) -> Array:
+    """Parameters with what is trusted as it was told: a fit to data that have more in them would bend it."""
+    out = psi.copy()
+    for place, value in trusted.items():
+        out[place] = value
+    return out
+
+
+def half(tracks: list[Track], identified: Identification, trusted: Mapping[int, float], scale: Array) -> search.Half:
+    """Base columns and what they explain: all parameters, or beside a trusted prior those that it leaves free."""
+    base, parameters = identified.model.base, identified.model.parameters
+    places = np.arange(base.count)
+    if trusted:
+        drives = 10 * parameters.bodies
+        places = np.array([k for k, place in enumerate(base.independent) if place >= drives and int(place) not in trusted], int)
+    columns, torque = [], []
+    for one in tracks:
+        slopes = np.zeros((len(one), one.n, one.n))
+        slopes[:, range(one.n), range(one.n)] = one.slopes
+        columns.append(np.concatenate([one.gamma[:, :, places], slopes], axis=2))
+        torque.append(one.left if trusted else one.torque)
+    return search.half(columns, torque, [one.moves for one in tracks], scale, _known(identified, trusted, columns[0].shape[2]))
+
+
+def _known(identified: Identification, trusted: Mapping[int, float], width: int) -> tuple[Array, Array]:
+    """What is known of the base parameters beforehand, as rows: a short recording alone would not predict another."""
+    n = identified.model.robot.n
+    slopes = np.hstack([np.zeros((n, width - n)), np.eye(n)])  # friction's width is known within a factor e: what is linear is no further
+    if trusted:
+        return slopes, np.zeros(n)
+    base, prior = identified.model.base, identified.prior
+    spread = base.matrix @ consistent.inverse(consistent.metric_matrix(identified.model.parameters, prior)) @ base.matrix.T
+    values, vectors = np.linalg.eigh(consistent.inverse(spread))
+    root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    rows = np.zeros((base.count, width))
+    rows[:, : base.count] = root
+    return np.vstack([rows, slopes]), np.concatenate([root @ (base.matrix @ prior.nominal), np.zeros(n)])
+
+
+def shapes(halves: Sequence[list[Track]], trusted: bool, names: Collection[str] = ()) -> list[Shape]:
+    """Every shape of the effects that are looked for."""
+    every = [*halves[0], *halves[1]]
+    wanted = [effect for effect in EFFECTS if (trusted or not effect.prior_only) and effect.name in (names or BY_NAME)]
+    return [shape for effect in wanted for shape in effect.shapes(every)]
+
+
+def builder(halves: Sequence[list[Track]], scale: Array) -> search.Build:
+    """Columns of a shape on both halves, over the scale."""
+
+    def build(shape: Shape) -> tuple[Array, Array] | None:
+        both = []
+        for own in halves:
+            stacked = np.concatenate([shape.columns(one) * one.moves[:, :, None] / scale[:, None] for one in own])
+            both.append(stacked.reshape(-1, stacked.shape[2]))
+        if not all(np.isfinite(x).all() for x in both) or not any(np.abs(x).max(initial=0.0) > 1e-9 for x in both):
+            return None
+        return both[0], both[1]
+
+    return build

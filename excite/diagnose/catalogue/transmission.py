@@ -138,7 +138,7 @@ FORMS: tuple[Callable[[Array], Array], ...] = (
 SLOW, BENDS = (0.35, 0.6, 0.9), np.linspace(0.15, 0.85, 8)
 """Waves of a spring's torque over the range seen, and shares of it from which its slope is another, tried."""
 SPANS = 200
-"""Angles that a spring's torque is told from: its slope is the straight line's through them, its amplitude half of what it varies by."""
+"""Angles that a spring's torque is told from: its stiffness is the slope where it is steepest, its amplitude half of what it varies by."""
 
 
 def _force(values: Mapping[str, float], q: Array) -> Array:
@@ -163,7 +163,8 @@ def _spring(tracks: Sequence[Track]) -> Iterator[Shape]:
 
         def told(c: Array) -> dict[str, float]:
             torque = _force(values, q) @ c
-            return {"stiffness": float(np.polyfit(q, torque, 1)[0]), "amplitude": 0.5 * float(np.ptp(torque))}
+            slope = np.gradient(torque, q)
+            return {"stiffness": float(slope[np.argmax(np.abs(slope))]), "amplitude": 0.5 * float(np.ptp(torque))}
 
         return Shape("spring", j, _pulled, values, parameters=told)
 
@@ -284,6 +285,7 @@ EFFECTS = (
         "the same in both directions, pose alone",
         ("payload", "gravity_tilt"),
         "poses up to both ends",
+        form={"stiffness": 1.0, "amplitude": 0.25},  # a refit base takes as much of a slope for gravity as a law lets it
     ),
     Effect(
         "coupling",

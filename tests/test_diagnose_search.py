@@ -18,6 +18,7 @@ from excite import dynamics
 from excite.diagnose import belief, diagnosis, interval, judge, noise, search, track, whole
 from excite.diagnose.catalogue import BY_NAME, environment, windup
 from excite.diagnose.effect import Shape, beside, family
+from excite.diagnose.half import Half, whitened
 from excite.diagnose.track import Grid, Track
 from excite.errors import UnusableInput
 from excite.identify import identification, signals
@@ -46,9 +47,9 @@ def nothing(track: Track, shape: Shape) -> Array:
     raise AssertionError("not asked for")
 
 
-def halved(gamma: Array, torque: Array, known: tuple[Array, Array], scale: float = 1.0) -> search.Half:
+def halved(gamma: Array, torque: Array, known: tuple[Array, Array], scale: float = 1.0) -> Half:
     """Of a robot with one joint, which never rests."""
-    return search.half([gamma[:, None, :]], [torque], [np.ones(torque.shape, bool)], np.full(1, scale), known)
+    return whitened([gamma[:, None, :]], [torque], [np.ones(torque.shape, bool)], np.full(1, scale), known)
 
 
 def test_the_gain_is_the_quotient_of_marginal_likelihoods():
@@ -72,6 +73,20 @@ def test_the_gain_is_the_quotient_of_marginal_likelihoods():
 
     assert gain == pytest.approx(predictive(True) - predictive(False), abs=1e-6)
     assert search.trial(one, []).gain == 0.0
+
+
+def test_all_gains_at_once_are_those_of_one_after_the_other():
+    rng = np.random.default_rng(7)
+    gammas, torques = ([rng.normal(size=(m, k)) for m in (60, 50)] for k in (3, 1))
+    first, second = (halved(g, t, (np.eye(3), np.zeros(3))) for g, t in zip(gammas, torques, strict=True))
+    columns = {width: [rng.normal(size=(m, width)) for m in (60, 50)] for width in (1, 2, 4)}
+    columns[5] = [np.column_stack([4.0 * c, c[:, :1]]) for c in columns[4]]  # the same once more
+    shapes = [Shape("spring", 0, nothing, {"width": float(width)}) for width in columns]
+    one = search.design((first, second), shapes, lambda shape: (columns[shape.values["width"]][0], columns[shape.values["width"]][1]))
+    for beside_ in ((), (0,), (2, 1)):
+        told = search.gains(one, beside_)
+        for i in set(range(len(one.shapes))) - set(beside_):
+            assert told[i] == pytest.approx(search.trial(one, [*beside_, i]).gain, abs=1e-7)
 
 
 def test_another_residual_is_judged_as_if_it_had_been_measured():
@@ -524,11 +539,11 @@ def two_joints(slight: float, wrong: float, seed: int = 0) -> search.Design:
     """A strong drag at one of two joints, whose form is a little wrong, and a slight effect at the other."""
     rng = np.random.default_rng(seed)
     strong, rest, other = ([rng.normal(size=300) for _ in range(2)] for _ in range(3))
-    halves, columns = list[search.Half](), list[dict[tuple[str, int | None], Array]]()
+    halves, columns = list[Half](), list[dict[tuple[str, int | None], Array]]()
     for s, r, o in zip(strong, rest, other, strict=True):
         both = np.column_stack([30.0 * s + wrong * r, slight * o])
         left = both + rng.normal(size=(300, 2))
-        halves.append(search.half([np.ones((300, 2, 1))], [left], [np.ones(left.shape, bool)], np.ones(2), EMPTY))
+        halves.append(whitened([np.ones((300, 2, 1))], [left], [np.ones(left.shape, bool)], np.ones(2), EMPTY))
         joints = {("drag", 0): np.column_stack([s, 0.0 * s]), ("spring", 0): np.column_stack([r, 0.0 * r])}
         columns.append({**joints, ("stribeck", 1): np.column_stack([0.0 * o, o])})
 
@@ -584,7 +599,7 @@ def test_rows_that_do_not_count_change_nothing():
     counts = np.arange(60) % 4 > 0
 
     def designed(g: Array, c: Array, t: Array, seen: Array) -> search.Design:
-        half = search.half([g[:, None, :]], [t], [seen[:, None]], np.ones(1), (np.zeros((0, 3)), np.zeros(0)))
+        half = whitened([g[:, None, :]], [t], [seen[:, None]], np.ones(1), (np.zeros((0, 3)), np.zeros(0)))
         return search.design((half, half), [Shape("drag", 0, nothing)], lambda _: (c * seen[:, None], c * seen[:, None]))
 
     part = designed(gamma, column, torque + 9.0 * ~counts[:, None], counts)

@@ -21,8 +21,9 @@ import numpy as np
 from ..recordings import Recording
 from . import looks
 from .diagnosis import Diagnosis
+from .half import inverse
 from .looks import Kind, Look, Rows
-from .search import inverse, mean_square
+from .search import mean_square
 
 Array = np.ndarray
 DRAWS = 999

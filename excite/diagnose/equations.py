@@ -11,6 +11,7 @@ from ..identify.identification import Identification
 from . import search
 from .catalogue import BY_NAME, EFFECTS
 from .effect import Shape
+from .half import Half, whitened
 from .track import Track
 
 Array = np.ndarray
@@ -24,7 +25,7 @@ def kept(psi: Array, trusted: Mapping[int, float]) -> Array:
     return out
 
 
-def half(tracks: list[Track], identified: Identification, trusted: Mapping[int, float], scale: Array) -> search.Half:
+def half(tracks: list[Track], identified: Identification, trusted: Mapping[int, float], scale: Array) -> Half:
     """Base columns and what they explain: all parameters, or beside a trusted prior those that it leaves free."""
     base, parameters = identified.model.base, identified.model.parameters
     places = np.arange(base.count)
@@ -37,7 +38,7 @@ def half(tracks: list[Track], identified: Identification, trusted: Mapping[int, 
         slopes[:, range(one.n), range(one.n)] = one.slopes
         columns.append(np.concatenate([one.gamma[:, :, places], slopes], axis=2))
         torque.append(one.left if trusted else one.torque)
-    return search.half(columns, torque, [one.moves for one in tracks], scale, _known(identified, trusted, columns[0].shape[2]))
+    return whitened(columns, torque, [one.moves for one in tracks], scale, _known(identified, trusted, columns[0].shape[2]))
 
 
 def _known(identified: Identification, trusted: Mapping[int, float], width: int) -> tuple[Array, Array]:

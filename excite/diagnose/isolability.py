@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .search import Design, trial
+from .search import Design, gains
 
 Array = np.ndarray
 RANK = 1e-9
@@ -48,8 +48,7 @@ class Isolability:
 def isolability(one: Design) -> Isolability:
     """Canonical correlations over both recording sets of what the base model leaves of every effect's columns."""
     best: dict[tuple[str, int | None], tuple[float, int]] = {}
-    for i, shape in enumerate(one.shapes):
-        gain = trial(one, [i]).gain
+    for i, (shape, gain) in enumerate(zip(one.shapes, gains(one).tolist(), strict=True)):
         key = (shape.effect, shape.joint)
         if key not in best or gain > best[key][0]:
             best[key] = gain, i

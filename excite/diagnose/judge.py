@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice
 
 import numpy as np
 
 from . import search
+from .effect import Shape
 from .search import Design, Measured, Trial, trial
 
 Array = np.ndarray
@@ -27,8 +29,8 @@ SEEN = 9.0
 """Log-likelihood, twice, from which a half sees an effect: three standard deviations."""
 MOST = 6
 """Shapes, at the most."""
-FRONT = 24
-"""Effects that are tried in pairs."""
+FRONT, CONSIDERED = 24, 8
+"""Effects that are tried in pairs; and those told beside the findings."""
 
 
 @dataclass(frozen=True)
@@ -82,21 +84,37 @@ class Verdict:
         return tuple(finding.main for finding in self.findings)
 
 
-def singles(one: Design, beside: tuple[int, ...] = ()) -> list[Hypothesis]:
-    """Every effect at every joint in its best plausible shape, alone or beside shapes that are there already, the best first."""
-    best: dict[tuple[str, int | None], Hypothesis] = {}
-    there = {(one.shapes[i].effect, one.shapes[i].joint) for i in beside}
-    for i, shape in enumerate(one.shapes):
-        if i in beside or (not shape.several and (shape.effect, shape.joint) in there) or _meanwhile(one, i, beside):
+def _place(shape: Shape) -> tuple[str, int | None]:
+    return shape.effect, shape.joint
+
+
+def _name(shape: Shape) -> str:
+    return shape.effect
+
+
+def ranked(one: Design, beside: tuple[int, ...] = (), each: Callable[[Shape], object] = _place) -> Iterator[Hypothesis]:
+    """Every effect at every joint in its best plausible shape, alone or beside shapes that are there already, the best first.
+
+    each: what only the best is wanted of, if not an effect at a joint.
+    """
+    gains, done = search.gains(one, beside), set[object]()
+    there = {_place(one.shapes[i]) for i in beside}
+    for i in (int(k) for k in np.argsort(-gains, kind="stable")):
+        shape = one.shapes[i]
+        if i in beside or each(shape) in done or (not shape.several and _place(shape) in there) or _meanwhile(one, i, beside):
             continue
         found = trial(one, [*beside, i])
-        key = (shape.effect, shape.joint)
-        if (key in best and found.gain <= best[key].trial.gain) or not found.plausible or not agrees(one, found):
+        if not found.plausible or not agrees(one, found):
             continue
         large = _each(one, found)
         if not beside or max(large) <= CANCELS * one.loudest:
-            best[key] = Hypothesis(shape.effect, shape.joint, i, found, large[-1], large[-1] > SMALLEST)
-    return sorted(best.values(), key=lambda h: -h.trial.gain)
+            done.add(each(shape))
+            yield Hypothesis(shape.effect, shape.joint, i, found, large[-1], large[-1] > SMALLEST)
+
+
+def singles(one: Design, beside: tuple[int, ...] = ()) -> list[Hypothesis]:
+    """All of them."""
+    return list(ranked(one, beside))
 
 
 def _each(one: Design, found: Trial) -> list[float]:
@@ -146,7 +164,7 @@ def warned(one: Design, steps: Sequence[tuple[Array, Array]], sharpened: tuple[A
     (`search.pretended`); the encoder's share of the noise; and whether that is known from a motion made again."""
     most: dict[str, float] = {}
     for residual, times in (*((own, FEIGNED) for own in steps), (sharpened, 1.0)):
-        for h in singles(search.pretended(one, residual)):
+        for h in ranked(search.pretended(one, residual), each=_name):
             most[h.effect] = max(most.get(h.effect, 0.0), times * h.trial.gain)
     return replace(one, measured=Measured(most, stepped, repeats))
 
@@ -154,13 +172,12 @@ def warned(one: Design, steps: Sequence[tuple[Array, Array]], sharpened: tuple[A
 def judged(one: Design, chosen: Sequence[int] = ()) -> tuple[Design, Verdict]:
     """Names at joints, or none; and the design with the shapes that were found. chosen: shapes to begin with, else the best."""
     if not chosen:
-        ranked = singles(one)
-        counts = [h for h in ranked if h.shows and h.trial.gain > one.bar(h.shape)]
+        alone = singles(one)
+        counts = [h for h in alone if h.shows and h.trial.gain > one.bar(h.shape)]
         if not counts:
-            return one, Verdict((), None, tuple(ranked[:8]))
+            return one, Verdict((), None, tuple(alone[:CONSIDERED]))
         chosen = _best_pair(one, counts) or [counts[0].shape]
     one, chosen = _searched(one, list(chosen))
-    ranked = singles(one)
     together = trial(one, chosen)
     groups: dict[tuple[str, int | None], list[Hypothesis]] = {}
     for number, i in enumerate(chosen):
@@ -170,7 +187,8 @@ def judged(one: Design, chosen: Sequence[int] = ()) -> tuple[Design, Verdict]:
     findings = [_finding(one, together, tuple(sorted(parts, key=lambda h: -h.size))) for parts in groups.values()]
     findings.sort(key=lambda f: -f.gain)
     named = {(f.main.effect, f.main.joint) for f in findings}
-    return one, Verdict(tuple(findings), together, tuple([h for h in ranked if (h.effect, h.joint) not in named][:8]))
+    others = (h for h in ranked(one) if (h.effect, h.joint) not in named)
+    return one, Verdict(tuple(findings), together, tuple(islice(others, CONSIDERED)))
 
 
 def moved(one: Design, verdict: Verdict, better: Verdict, start: int) -> Verdict:
@@ -204,8 +222,8 @@ def _searched(one: Design, chosen: list[int]) -> tuple[Design, list[int]]:
 def _further(one: Design, chosen: Sequence[int]) -> int | None:
     """What predicts best beside those chosen, if it is worth it."""
     now = trial(one, chosen).gain
-    ranked = singles(one, tuple(chosen))
-    return next((h.shape for h in ranked if h.shows and _earns(one, h.shape, chosen, h.trial.gain - now, now)), None)
+    further = (h for h in ranked(one, tuple(chosen)) if h.shows)
+    return next((h.shape for h in further if _earns(one, h.shape, chosen, h.trial.gain - now, now)), None)
 
 
 def _earns(one: Design, shape: int, others: Sequence[int], adds: float, rest: float) -> bool:
@@ -246,21 +264,21 @@ def _replaced(one: Design, chosen: list[int]) -> list[int]:
             if not others:
                 continue
             rest, now = trial(one, others).gain, trial(one, chosen).gain
-            best = singles(one, tuple(others))[:1]
+            best = next(ranked(one, tuple(others)), None)
             if not _earns(one, i, others, now - rest, rest):
                 chosen = others
-            elif best and best[0].trial.gain > now + 1e-9 and best[0].shows:
-                chosen = [*others, best[0].shape]
+            elif best is not None and best.trial.gain > now + 1e-9 and best.shows:
+                chosen = [*others, best.shape]
         if chosen == before:
             break
     return chosen
 
 
-def _best_pair(one: Design, ranked: Sequence[Hypothesis]) -> list[int] | None:
+def _best_pair(one: Design, alone: Sequence[Hypothesis]) -> list[int] | None:
     """The pair that predicts best, if it predicts enough better than the best single and both parts are of a size that counts."""
-    single = ranked[0].trial.gain
-    beside = singles(one, (ranked[0].shape,))
-    front = list({h.shape: h for h in (*ranked[: FRONT // 2], *beside[: FRONT // 2])}.values())
+    single = alone[0].trial.gain
+    beside = islice(ranked(one, (alone[0].shape,)), FRONT // 2)
+    front = list({h.shape: h for h in (*alone[: FRONT // 2], *beside)}.values())
     best: tuple[float, list[int]] | None = None
     for i, a in enumerate(front):
         for b in front[i + 1 :]:
@@ -280,8 +298,5 @@ def _finding(one: Design, together: Trial, parts: tuple[Hypothesis, ...]) -> Fin
     others = _without(together.shapes, parts)
     effect, rest = parts[0].effect, trial(one, others).gain
     gain = together.gain - rest
-    best: dict[str, float] = {}
-    for h in singles(one, tuple(others)):
-        best.setdefault(h.effect, h.trial.gain - rest)
-    best.pop(effect, None)
+    best = {h.effect: h.trial.gain - rest for h in ranked(one, tuple(others), _name) if h.effect != effect}
     return Finding(parts, gain, best)

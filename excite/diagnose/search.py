@@ -16,11 +16,11 @@ from functools import cached_property
 import numpy as np
 
 from .effect import Shape
+from .half import Half, stacked
 
 Array = np.ndarray
 Build = Callable[[Shape], tuple[Array, Array] | None]
 """A shape's columns over the scale at the recorded rows of both halves; None where it says nothing."""
-RANK = 1e-8
 USUAL = 30.0
 """Standard deviation of an effect's torque over the noise, before anything is seen: what is looked for is 1 to 100."""
 
@@ -30,75 +30,6 @@ NATS = 25.0
 STEPPED = 100.0
 """The same, for each time that an effect is doubted, of noise that is all an encoder's steps: they are in its columns and the
 residual alike."""
-
-
-def inverse(columns: Array) -> Array:
-    """Γ⁺ with relative tolerance, columns at unit length. Shapes (m, p) -> (p, m)."""
-    size = np.linalg.norm(columns, axis=0)
-    size[size <= 1e-9 * size.max(initial=0.0)] = np.inf
-    return np.asarray(np.linalg.pinv(columns / size, rcond=RANK) / size[:, None])
-
-
-@dataclass(frozen=True)
-class Half:
-    """Whitened equations of some recordings, and below them what was known before. gamma: base columns. Shape (m + k, p).
-
-    torque: Shape (m + k,). joint: of each row, −1 of the k rows that no recording made. Shape (m + k,). counts: rows that are judged by;
-    all else is zero in the others. Shape (m + k,).
-    """
-
-    gamma: Array
-    torque: Array
-    joint: Array
-    counts: Array
-
-    @property
-    def rows(self) -> Array:
-        """Rows that were recorded."""
-        return self.joint >= 0
-
-    @cached_property
-    def inverse(self) -> Array:
-        """Γ⁺. Shape (p, m + k)."""
-        return inverse(self.gamma)
-
-    def full(self, columns: Array) -> Array:
-        """Columns at the recorded rows, with the zeros that they have elsewhere. Shapes (m, k) -> (m + k, k)."""
-        out = np.zeros((len(self.joint), columns.shape[1]))
-        out[self.rows] = columns
-        return out
-
-    def free(self, columns: Array) -> Array:
-        """What the base leaves of columns. Shapes (m, k) -> (m + k, k)."""
-        full = self.full(columns)
-        return np.asarray(full - self.gamma @ (self.inverse @ full))
-
-    @cached_property
-    def left(self) -> Array:
-        """Torque that the base leaves. Shape (m + k,)."""
-        return np.asarray(self.torque - self.gamma @ (self.inverse @ self.torque))
-
-
-def half(base: Sequence[Array], torque: Sequence[Array], counts: Sequence[Array], scale: Array, known: tuple[Array, Array]) -> Half:
-    """Rows of several stretches over a scale. base: base columns of each, (N, n, p); torque: what they explain, (N, n); counts: see `Half`.
-
-    known: further rows and their right side, already over their uncertainty. Shapes (k, p), (k,).
-    """
-    n = len(scale)
-    gamma = np.concatenate([b / scale[:, None] for b in base]).reshape(-1, base[0].shape[2])
-    left = np.concatenate([t / scale for t in torque]).ravel()
-    seen = np.concatenate([c.ravel() for c in counts])
-    joint = np.concatenate([np.tile(np.arange(n), len(left) // n), np.full(len(known[1]), -1)])
-    every = np.concatenate([seen, np.ones(len(known[1]), bool)])
-    return Half(np.vstack([gamma * seen[:, None], known[0]]), np.concatenate([left * seen, known[1]]), joint, every)
-
-
-def _stacked(halves: tuple[Half, Half]) -> Half:
-    """Both halves, what was known before counted once."""
-    first, second = halves
-    seen = second.rows
-    fields = ("gamma", "torque", "joint", "counts")
-    return Half(*(np.concatenate([getattr(first, name), getattr(second, name)[seen]]) for name in fields))
 
 
 @dataclass(frozen=True)
@@ -156,6 +87,12 @@ class Design:
         blurred = (shape.doubt - 1.0) * (NATS + STEPPED * self.measured.stepped)
         return NATS + self.measured.feigned.get(shape.effect, 0.0) + blurred
 
+    @cached_property
+    def scaled(self) -> tuple[Array, Array]:
+        """Products of either half and of both, in units of the prior's deviation. Shapes (3, K, K), (3, K)."""
+        root, grams = 1.0 / np.sqrt(np.maximum(self.prior, 1e-300)), (*self.grams, self.whole)
+        return np.stack([gram.matrix for gram in grams]) * np.outer(root, root), np.stack([gram.score for gram in grams]) * root
+
     def which(self, chosen: Sequence[int]) -> Array:
         """Columns of several shapes."""
         return np.concatenate([np.arange(0), *(np.arange(self.places[i].start, self.places[i].stop) for i in chosen)])
@@ -178,7 +115,7 @@ FEW, SEVERAL, BESIDE = 4, 6, 3
 
 def design(halves: tuple[Half, Half], shapes: Sequence[Shape], build: Build) -> Design:
     """All products that the search needs, of the shapes that say something, the best of each effect at each joint."""
-    out = _bare(halves, _stacked(halves), build)
+    out = _bare(halves, stacked(halves), build)
     kept = list[tuple[Shape, tuple[Array, Array]]]()
     for effect in dict.fromkeys(shape.effect for shape in shapes):
         kept += _shortlist(appended(out, [shape for shape in shapes if shape.effect == effect]))
@@ -214,7 +151,7 @@ def rescaled(one: Design, factor: Array) -> Design:
 
     columns = weighed(one.columns)
     pairs = [(shape, (columns[0][:, place], columns[1][:, place])) for shape, place in zip(one.shapes, one.places, strict=True)]
-    return dataclasses.replace(_extended(_bare((first, second), _stacked((first, second)), build), pairs), listed=one.listed)
+    return dataclasses.replace(_extended(_bare((first, second), stacked((first, second)), build), pairs), listed=one.listed)
 
 
 def _key(shape: Shape) -> tuple[object, ...]:
@@ -237,12 +174,11 @@ def _shortlist(one: Design, first: int = 0, most: int | None = None) -> list[tup
 
     They are those from the `first` on, each beside all before it; `most` of a joint.
     """
-    before = range(first)
-    gains = {i: trial(one, [*before, i]).gain for i in range(first, len(one.shapes))}
+    predicts = gains(one, range(first))
     taken: dict[int | None, int] = {}
     laws = set[tuple[int | None, frozenset[str]]]()
     kept = []
-    for i in sorted(gains, key=lambda i: -gains[i]):
+    for i in (int(k) for k in np.argsort(-predicts, kind="stable") if k >= first):
         shape, place = one.shapes[i], one.places[i]
         taken[shape.joint] = taken.get(shape.joint, 0) + 1
         law = shape.joint, frozenset(shape.values)  # the best of each law at least: turned, it may be better than others' neighbours
@@ -330,18 +266,36 @@ class Trial:
 def trial(one: Design, chosen: Sequence[int]) -> Trial:
     """Fit the shapes on each half, judge on the other, and once more on both together; no shapes: the base model."""
     which = one.which(chosen)
-    index, prior = np.ix_(which, which), one.prior[which]
-    root = 1.0 / np.sqrt(np.maximum(prior, 1e-300))
-    grams = (*one.grams, one.whole)
-    # in units of the prior's deviation: G + I, well scaled; the halves and both at once
-    G = np.stack([gram.matrix[index] for gram in grams]) * np.outer(root, root) + np.eye(len(which))
-    factor = np.linalg.cholesky(G)
-    half = np.linalg.solve(factor, np.stack([gram.score[which] * root for gram in grams])[:, :, None])
-    first, second, c = root * np.linalg.solve(factor.transpose(0, 2, 1), half)[:, :, 0]
-    evidence = 0.5 * np.sum(half**2, axis=(1, 2)) - np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+    root, (products, scores) = 1.0 / np.sqrt(np.maximum(one.prior[which], 1e-300)), one.scaled
+    factor, half, evidence = _evidence(products[:, which[:, None], which], scores[:, which])
+    first, second, c = root * np.linalg.solve(factor.swapaxes(-1, -2), half[..., None])[..., 0]
     gain = float(2.0 * evidence[2] - evidence[0] - evidence[1])
     plausible = all(bool(one.shapes[i].plausible(own)) for i, own in zip(chosen, one.split(chosen, c), strict=True))
     return Trial(tuple(chosen), c, (first, second), gain, plausible)
+
+
+def _evidence(products: Array, scores: Array) -> tuple[Array, Array, Array]:
+    """Cholesky factor L of G + I, L⁻¹ of the scores, and the logarithm of a marginal likelihood. Shapes (…, k, k), (…, k)."""
+    factor = np.linalg.cholesky(products + np.eye(products.shape[-1]))
+    half = np.linalg.solve(factor, scores[..., None])[..., 0]
+    return factor, half, 0.5 * np.sum(half**2, axis=-1) - np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
+
+
+def gains(one: Design, beside: Sequence[int] = ()) -> Array:
+    """`Trial.gain` of each shape beside some, all at once: what is beside is eliminated once (Schur complement). Shape (shapes,)."""
+    (products, scores), which = one.scaled, one.which(beside)
+    factor, half, first = _evidence(products[:, which[:, None], which], scores[:, which])
+    cross = np.linalg.solve(factor, products[:, which, :])
+    left = scores - np.einsum("hbk,hb->hk", cross, half)
+    widths, out = np.array([place.stop - place.start for place in one.places], int), np.zeros(len(one.places))
+    for width in np.unique(widths):
+        same = np.flatnonzero(widths == width)
+        columns = np.array([np.arange(one.places[i].start, one.places[i].stop) for i in same])
+        taken = np.einsum("hbni,hbnj->hnij", cross[:, :, columns], cross[:, :, columns])
+        _, _, evidence = _evidence(products[:, columns[:, :, None], columns[:, None, :]] - taken, left[:, columns])
+        evidence += first[:, None]
+        out[same] = 2.0 * evidence[2] - evidence[0] - evidence[1]
+    return out
 
 
 def remaining(one: Design, chosen: Sequence[int]) -> Array:

@@ -13,9 +13,10 @@ from .effect import Shape
 from .search import Design, Measured, Trial, trial
 
 Array = np.ndarray
-SHARE, SAME, MOSTLY = 0.04, 0.02, 0.5
+SHARE, SAME, MOSTLY, NOTHING = 0.04, 0.02, 0.5, 0.1
 """Of the gain so far, what a further effect must add, and a further shape of one that is there: forms are never quite the catalogue's. Of
-the mean square that others leave, what a further effect may explain instead."""
+the mean square that others leave, what a further effect may explain instead. And of what others explain, what may be where it acts, if it
+is to add less."""
 SMALLEST = 0.3
 """RMS torque of an effect over the scale, below which nothing is asserted: clocks, encoders and friction's step are never as the
 model has them."""
@@ -213,9 +214,10 @@ def _searched(one: Design, chosen: list[int]) -> tuple[Design, list[int]]:
         one = search.relisted(one, chosen, joints)
         looked |= joints
         more = None if len(chosen) == MOST else _further(one, chosen)
-        if more is None:
+        wider = _replaced(one, chosen) if more is None else [*chosen, more]  # what one tuned well needs beside it may be less than before
+        if wider == chosen:
             break
-        chosen = [*chosen, more]
+        chosen = wider
     return one, chosen
 
 
@@ -240,8 +242,9 @@ def _earns(one: Design, shape: int, others: Sequence[int], adds: float, rest: fl
         return True
     before, rested, after, acts = _levels(one, shape, others)
     taken = np.maximum(before - rested, 0.0)
-    # others that explain nothing where it acts have no form there to mend
-    if one.measured.repeats and adds > share * float(taken @ acts / max(taken.sum(), 1e-300)):
+    # others that explain next to nothing where it acts have no form there to mend
+    elsewhere = float(taken @ acts / max(taken.sum(), 1e-300))
+    if one.measured.repeats and elsewhere < NOTHING and adds > elsewhere * share:
         return True
     joint = int(np.argmax(acts))
     return not there and 1.0 - after[joint] / rested[joint] > MOSTLY

@@ -144,9 +144,11 @@ SPANS = 200
 def _force(values: Mapping[str, float], q: Array) -> Array:
     """Columns of a spring's torque over its joint's angle. Shape (M,) -> (M, k)."""
     if "bend" in values:
-        return np.column_stack([q, np.maximum(q - values["bend"], 0.0)])
+        away = q - values["bend"]
+        return np.column_stack([np.minimum(away, 0.0), np.maximum(away, 0.0)])
     if "order" in values:
-        return np.column_stack([q, np.cos(values["order"] * q), np.sin(values["order"] * q)])
+        away = q - values["about"]
+        return np.column_stack([away, np.cos(values["order"] * away) - 1.0, np.sin(values["order"] * away)])
     return FORMS[int(values["form"])](q)
 
 
@@ -156,7 +158,7 @@ def _pulled(t: Track, s: Shape) -> Array:
 
 def _spring(tracks: Sequence[Track]) -> Iterator[Shape]:
     """Laws of the field; a line with a slow wave about it, for those that stiffen, yield or turn over; and one with a bend: a stop, a slack
-    cable."""
+    cable. Both are nothing in the middle and at the bend: a constant torque is an offset."""
 
     def law(j: int, low: float, high: float, values: dict[str, float]) -> Shape:
         q = np.linspace(low, high, SPANS)
@@ -169,7 +171,7 @@ def _spring(tracks: Sequence[Track]) -> Iterator[Shape]:
         return Shape("spring", j, _pulled, values, parameters=told)
 
     def waved(j: int, low: float, high: float, order: float) -> Shape:
-        return law(j, low, high, {"order": order})
+        return law(j, low, high, {"order": order, "about": 0.5 * (low + high)})
 
     def bent(j: int, low: float, high: float, into: float) -> Shape:
         return law(j, low, high, {"bend": low + into})

@@ -40,6 +40,8 @@ def command(arguments: argparse.Namespace) -> tuple[int, Any, str]:
     with_effects = effect.hide(plant, effects)
     bare = plant.run(motion)
     session = laboratory.session(with_effects, motion, setting, run=bare if not effects else None)
+    if like is not None and record.dumps(session.truth["bodies"]) != like.bodies:
+        raise UnusableInput(f"{arguments.like}: its bodies are not those of {source}; give the URDF that it was recorded with")
     found = severity.of(session.run, plant, motion, session.chain)
     trusted = severity.of(session.run, plant, motion, session.chain, trusted=True)
     facts = {
@@ -63,9 +65,10 @@ def command(arguments: argparse.Namespace) -> tuple[int, Any, str]:
 
 @dataclass(frozen=True)
 class _Robot:
-    """What a truth says of its robot."""
+    """What a truth says of its robot. bodies: as JSON."""
 
     joints: tuple[str, ...]
+    bodies: str
     setting: Any
     effects: tuple[Any, ...]
 
@@ -74,7 +77,7 @@ def _like(arguments: argparse.Namespace) -> _Robot | None:
     """The robot of another recording, if that is what is asked for."""
     if arguments.like is None:
         return None
-    from .plant import effect, laboratory
+    from .plant import effect, laboratory, record
 
     for name in ("effect", "severity", "seed", "model_error"):
         if getattr(arguments, name) not in (None, []):
@@ -82,7 +85,8 @@ def _like(arguments: argparse.Namespace) -> _Robot | None:
     path = Path(arguments.like)
     truth = artefact.stated(path, ("excite.truth/1",), "truth", "the .truth.json of 'excite simulate'")
     try:
-        return _Robot(tuple(truth["joints"]), laboratory.Setting.stated(truth["setting"]), effect.stated(truth))
+        bodies = record.dumps(truth["bodies"])
+        return _Robot(tuple(truth["joints"]), bodies, laboratory.Setting.stated(truth["setting"]), effect.stated(truth))
     except (KeyError, TypeError, ValueError) as error:
         raise UnusableInput(f"{path}: is incomplete or malformed ({type(error).__name__}: {error}); simulate it again") from error
 

@@ -13,6 +13,7 @@ pytest.importorskip("mujoco")
 from excite import recordings
 from excite.cli import main
 from excite.plant.effects import KINDS
+from excite.plant.laboratory import Setting
 from excite.robot import load
 
 TRAJECTORY = Path(__file__).parents[1] / "trajectories" / "two_link.json"
@@ -80,15 +81,28 @@ def test_another_motion_of_the_same_robot_hides_the_same(tmp_path, capsys):
     for more, words in ((("--seed", "6"), "--seed"), (("--effect", "drag:joint_1"), "--effect"), (("--severity", "3"), "--severity")):
         assert main([*again, *more, "-o", str(tmp_path / "no.csv")]) == 2
         assert f"{words}: is as" in capsys.readouterr().err
-    again[again.index("two_link")] = "ur10e"
-    again[2] = str(TRAJECTORY.with_name("ur10e.json"))
-    assert main([*again, "-o", str(tmp_path / "no.csv")]) == 2
+    assert main(["simulate", "ur10e", str(TRAJECTORY.with_name("ur10e.json")), *again[3:], "-o", str(tmp_path / "no.csv")]) == 2
     assert "has joints joint_1, joint_2" in capsys.readouterr().err
-    one.pop("setting")
-    (tmp_path / "one.truth.json").write_text(json.dumps(one))
-    assert main([*again, "-o", str(tmp_path / "no.csv")]) == 2
-    assert "is incomplete or malformed (KeyError: 'setting')" in capsys.readouterr().err
+    bodies = json.loads(json.dumps(one["bodies"]))
+    next(iter(bodies.values()))[0] += 0.1
+    for change, words in (
+        ({"setting": {}}, "is incomplete or malformed (KeyError: 'control')"),
+        ({"effects": [{**one["effects"][0], "family": "mine"}]}, "no coupling of this form"),
+        ({"effects": [{**one["effects"][0], "joint": "elbow"}]}, "coupling in joint elbow"),
+        ({"bodies": bodies}, "its bodies are not those of"),
+    ):
+        (tmp_path / "one.truth.json").write_text(json.dumps({**one, **change}))
+        assert main([*again, "-o", str(tmp_path / "no.csv")]) == 2
+        assert words in capsys.readouterr().err
     assert not list(tmp_path.glob("no.*"))
+
+
+def test_what_help_says_is_the_default_is(capsys):
+    with pytest.raises(SystemExit):
+        main(["simulate", "--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    for value in (Setting().seed, Setting().rate, Setting().noise, Setting().encoder, Setting().model_error):
+        assert f"(default {value:g})" in said.replace("2e-6", "2e-06")
 
 
 def test_a_misspelt_effect_lists_all_and_their_parameters(tmp_path, capsys):

@@ -90,7 +90,7 @@ class Knob:
         best, most = self.at(float(np.exp(found.x))), -float(found.fun)
         here = self.at(self.value)
         now = gain(here)
-        return (best, most) if most > now + 1e-6 else (here, now)
+        return (best, most) if most > max(now + 1e-6, -1e12) else (here, now)
 
     def at(self, value: float) -> Shape:
         """The shape at a value, which can be turned further within the same range."""

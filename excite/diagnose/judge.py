@@ -85,7 +85,7 @@ class Verdict:
         return tuple(finding.main for finding in self.findings)
 
 
-def _place(shape: Shape) -> tuple[str, int | None]:
+def _who(shape: Shape) -> tuple[str, int | None]:
     return shape.effect, shape.joint
 
 
@@ -93,16 +93,16 @@ def _name(shape: Shape) -> str:
     return shape.effect
 
 
-def ranked(one: Design, beside: tuple[int, ...] = (), each: Callable[[Shape], object] = _place) -> Iterator[Hypothesis]:
+def ranked(one: Design, beside: tuple[int, ...] = (), each: Callable[[Shape], object] = _who) -> Iterator[Hypothesis]:
     """Every effect at every joint in its best plausible shape, alone or beside shapes that are there already, the best first.
 
     each: what only the best is wanted of, if not an effect at a joint.
     """
-    gains, done = search.gains(one, beside), set[object]()
-    there = {_place(one.shapes[i]) for i in beside}
-    for i in (int(k) for k in np.argsort(-gains, kind="stable")):
+    predicts, done = search.gains(one, beside), set[object]()
+    there = {_who(one.shapes[i]) for i in beside}
+    for i in (int(k) for k in np.argsort(-predicts, kind="stable")):
         shape = one.shapes[i]
-        if i in beside or each(shape) in done or (not shape.several and _place(shape) in there) or _meanwhile(one, i, beside):
+        if i in beside or each(shape) in done or (not shape.several and _who(shape) in there) or _meanwhile(one, i, beside):
             continue
         found = trial(one, [*beside, i])
         if not found.plausible or not agrees(one, found):
@@ -111,11 +111,6 @@ def ranked(one: Design, beside: tuple[int, ...] = (), each: Callable[[Shape], ob
         if not beside or max(large) <= CANCELS * one.loudest:
             done.add(each(shape))
             yield Hypothesis(shape.effect, shape.joint, i, found, large[-1], large[-1] > SMALLEST)
-
-
-def singles(one: Design, beside: tuple[int, ...] = ()) -> list[Hypothesis]:
-    """All of them."""
-    return list(ranked(one, beside))
 
 
 def _each(one: Design, found: Trial) -> list[float]:
@@ -162,7 +157,7 @@ def agrees(one: Design, found: Trial) -> bool:
 
 def warned(one: Design, steps: Sequence[tuple[Array, Array]], sharpened: tuple[Array, Array], stepped: float, repeats: bool) -> Design:
     """The design that knows what each effect gains from residuals that an encoder alone, drawn anew, or rare samples may leave
-    (`search.pretended`); the encoder's share of the noise; and whether that is known from a motion made again."""
+    (`search.pretended`); the encoder's share of the noise; and whether the noise is known from a motion made again."""
     most: dict[str, float] = {}
     for residual, times in (*((own, FEIGNED) for own in steps), (sharpened, 1.0)):
         for h in ranked(search.pretended(one, residual), each=_name):
@@ -173,7 +168,7 @@ def warned(one: Design, steps: Sequence[tuple[Array, Array]], sharpened: tuple[A
 def judged(one: Design, chosen: Sequence[int] = ()) -> tuple[Design, Verdict]:
     """Names at joints, or none; and the design with the shapes that were found. chosen: shapes to begin with, else the best."""
     if not chosen:
-        alone = singles(one)
+        alone = list(ranked(one))
         counts = [h for h in alone if h.shows and h.trial.gain > one.bar(h.shape)]
         if not counts:
             return one, Verdict((), None, tuple(alone[:CONSIDERED]))
@@ -184,7 +179,7 @@ def judged(one: Design, chosen: Sequence[int] = ()) -> tuple[Design, Verdict]:
     for number, i in enumerate(chosen):
         shape = one.shapes[i]
         own = Hypothesis(shape.effect, shape.joint, i, trial(one, [i]), size(one, together, number), True)
-        groups.setdefault((shape.effect, shape.joint), []).append(own)
+        groups.setdefault(_who(shape), []).append(own)
     findings = [_finding(one, together, tuple(sorted(parts, key=lambda h: -h.size))) for parts in groups.values()]
     findings.sort(key=lambda f: -f.gain)
     named = {(f.main.effect, f.main.joint) for f in findings}
@@ -231,10 +226,10 @@ def _further(one: Design, chosen: Sequence[int]) -> int | None:
 def _earns(one: Design, shape: int, others: Sequence[int], adds: float, rest: float) -> bool:
     """Whether a shape adds enough to the gain of others, `rest`: a share of it, lest it mend their form, or most of what they leave.
 
-    A name that is there already earns one more shape sooner, and not by what is left.
+    Where they explain next to nothing, a share of that is enough, if the noise is known: else what is left there may be anything. A name
+    that is there already earns one more shape sooner, and not by what is left.
     """
-    own = (one.shapes[shape].effect, one.shapes[shape].joint)
-    there = any((one.shapes[i].effect, one.shapes[i].joint) == own for i in others)
+    there = any(_who(one.shapes[i]) == _who(one.shapes[shape]) for i in others)
     if adds < one.bar(shape):
         return False
     share = (SAME if there else SHARE) * rest

@@ -23,8 +23,6 @@ Build = Callable[[Shape], tuple[Array, Array] | None]
 """A shape's columns over the scale at the recorded rows of both halves; None where it says nothing."""
 USUAL = 30.0
 """Standard deviation of an effect's torque over the noise, before anything is seen: what is looked for is 1 to 100."""
-
-
 NATS = 25.0
 """Held-out log-likelihood that a name must gain: the most in 60 simulated robots with nothing missing is below 15."""
 STEPPED = 100.0
@@ -88,9 +86,14 @@ class Design:
         return NATS + self.measured.feigned.get(shape.effect, 0.0) + blurred
 
     @cached_property
+    def usual(self) -> Array:
+        """Standard deviation of every coefficient before anything is seen. Shape (K,)."""
+        return np.asarray(1.0 / np.sqrt(np.maximum(self.prior, 1e-300)))
+
+    @cached_property
     def scaled(self) -> tuple[Array, Array]:
-        """Products of either half and of both, in units of the prior's deviation. Shapes (3, K, K), (3, K)."""
-        root, grams = 1.0 / np.sqrt(np.maximum(self.prior, 1e-300)), (*self.grams, self.whole)
+        """Products of either half and of both, in units of what is usual. Shapes (3, K, K), (3, K)."""
+        root, grams = self.usual, (*self.grams, self.whole)
         return np.stack([gram.matrix for gram in grams]) * np.outer(root, root), np.stack([gram.score for gram in grams]) * root
 
     def which(self, chosen: Sequence[int]) -> Array:
@@ -110,7 +113,8 @@ class Design:
 
 
 FEW, SEVERAL, BESIDE = 4, 6, 3
-"""Shapes of an effect at a joint that are searched, of one that a joint can have several of, and of those looked for beside others."""
+"""Shapes of an effect at a joint that are searched, of one that a joint can have several of, and of those looked for beside others; and the
+best of each law, if it is not among them."""
 
 
 def design(halves: tuple[Half, Half], shapes: Sequence[Shape], build: Build) -> Design:
@@ -204,12 +208,12 @@ def _extended(one: Design, pairs: Sequence[tuple[Shape, tuple[Array, Array]]]) -
     new = np.hstack([b[0] for b in built]), np.hstack([b[1] for b in built])
     columns = np.hstack([one.columns[0], new[0]]), np.hstack([one.columns[1], new[1]])
     grams = [_wider(gram, half, own, all_) for gram, half, own, all_ in zip(one.grams, one.halves, new, columns, strict=True)]
-    stacked = one.both.free(np.concatenate(new))
-    whole = _grown(one.whole, stacked, one.both.full(np.concatenate(columns)), one.both.left)
+    free = one.both.free(np.concatenate(new))
+    whole = _grown(one.whole, free, one.both.full(np.concatenate(columns)), one.both.left)
     rows = one.both.joint
-    groups = [stacked[rows == joint] for joint in range(int(rows.max()) + 1)]
+    groups = [free[rows == joint] for joint in range(int(rows.max()) + 1)]
     first = places[0].start
-    power = [np.stack([_mean_square(g[:, p.start - first : p.stop - first]) for g in groups]) for p in places]
+    power = [np.stack([_products(g[:, p.start - first : p.stop - first]) for g in groups]) for p in places]
     rms = np.sqrt(np.sum(np.square(np.concatenate(new)), axis=0) / len(rows))
     return dataclasses.replace(
         one,
@@ -223,7 +227,7 @@ def _extended(one: Design, pairs: Sequence[tuple[Shape, tuple[Array, Array]]]) -
     )
 
 
-def _mean_square(columns: Array) -> Array:
+def _products(columns: Array) -> Array:
     return np.asarray(columns.T @ columns / max(len(columns), 1))
 
 
@@ -266,9 +270,9 @@ class Trial:
 def trial(one: Design, chosen: Sequence[int]) -> Trial:
     """Fit the shapes on each half, judge on the other, and once more on both together; no shapes: the base model."""
     which = one.which(chosen)
-    root, (products, scores) = 1.0 / np.sqrt(np.maximum(one.prior[which], 1e-300)), one.scaled
+    products, scores = one.scaled
     factor, half, evidence = _evidence(products[:, which[:, None], which], scores[:, which])
-    first, second, c = root * np.linalg.solve(factor.swapaxes(-1, -2), half[..., None])[..., 0]
+    first, second, c = one.usual[which] * np.linalg.solve(factor.swapaxes(-1, -2), half[..., None])[..., 0]
     gain = float(2.0 * evidence[2] - evidence[0] - evidence[1])
     plausible = all(bool(one.shapes[i].plausible(own)) for i, own in zip(chosen, one.split(chosen, c), strict=True))
     return Trial(tuple(chosen), c, (first, second), gain, plausible)
@@ -327,7 +331,7 @@ def refined(one: Design, chosen: Sequence[int], sweeps: int = 2) -> tuple[Design
                 continue
             small = _only(one, [k for k in chosen if k != i])
             best = knob.turned(lambda shape, small=small: _beside(small, shape))  # type: ignore[misc]
-            if best is not one.shapes[i]:
+            if best.values != one.shapes[i].values:
                 one = appended(one, [best])
                 chosen[place] = len(one.shapes) - 1
     return one, chosen

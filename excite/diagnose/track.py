@@ -224,6 +224,7 @@ class Track:
         return self._composites(self.coarse.q)
 
     def _composites(self, positions: Array) -> tuple[Array, Array, Array]:
+        """`shaken`, `borne` and `first_moment` at any positions. Shape (C, n)."""
         robot, model = self.body.robot, self.body.model
         data, out = model.createData(), np.zeros((len(positions), robot.n, 6))
         whole, first = np.zeros((len(positions), 6)), np.zeros((len(positions), 3))

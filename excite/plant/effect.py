@@ -116,11 +116,16 @@ def parse(text: str, plant: Plant) -> Effect:
 
 
 def stated(truth: Mapping[str, Any]) -> tuple[Effect, ...]:
-    """The effects of a truth: see `Effect.document`."""
+    """The effects of a truth: see `Effect.document`. Raises KeyError, TypeError or ValueError where there are no such effects."""
     out = []
     for one in truth["effects"]:
         values = {key: float(own["value"]) for key, own in {**one["parameters"], **one["details"]}.items()}
-        out.append(Effect(one["effect"], one["joint"], one["family"], values, one.get("from")))
+        kind = KINDS[one["effect"]]
+        if one["family"] not in kind.forms or set(values) != {q.name for q in kind.quantities}:
+            raise ValueError(f"no {kind.name} of this form with these parameters")
+        if one["joint"] not in (None, *truth["joints"]):
+            raise ValueError(f"{kind.name} in joint {one['joint']}, which is not among its joints")
+        out.append(Effect(kind.name, one["joint"], one["family"], values, one.get("from")))
     return tuple(out)
 
 

@@ -41,7 +41,8 @@ def bars(stated: Mapping[str, Any]) -> str:
         few_ticks(axes, 6, 3)
         axes.set_yticks(y, labels)
         for place, gain in zip(y, gains, strict=True):
-            axes.text(max(gain, 0.0), place, f" {gain:.0f}".replace("-", "−"), va="center", fontsize=7, color=SOFT)
+            words, at = f"{gain:.0f}".replace("-", "−"), (max(gain, 0.0), place)
+            axes.annotate(words, at, (4.0, 0.0), textcoords="offset points", va="center", fontsize=7, color=SOFT)
 
     return render("Held-out gain of what was considered", 0.5 + 0.22 * len(entries), draw)
 

@@ -26,7 +26,7 @@ SHAKY, PATIENT = 16.0, 4.0
 WAYS = ((0, 1), (3, 4), (5,), (3,), (4,))
 """Coordinates of a base that slides, rocks, turns about the vertical, or rocks about one axis."""
 SWINGS = np.geomspace(1.5, 19.0, 11)
-"""Frequencies of a base, tried [Hz]."""
+"""Frequencies of a base under an arm as it moves, tried [Hz]."""
 PEDESTAL = 0.3
 """Inertia of what the robot stands on, over the robot's with all joints at zero: a guess that the coefficient corrects."""
 
@@ -40,7 +40,7 @@ def _swung(t: Track, s: Shape) -> Array:
     """
     columns, dt = [], 1.0 / t.band.rate_of(Grid.COARSE)
     for axis in WAYS[int(s.values["way"])]:
-        upright = float(t.stood[axis])
+        upright = _upright(t, axis)
         inertia = t.borne[:, axis] + PEDESTAL * upright
         spring = (2.0 * np.pi * s.values["frequency"]) ** 2 * (1.0 + PEDESTAL) * upright
         stiffness = np.maximum(spring - _toppling(t, axis), SOFTEST * spring)
@@ -52,6 +52,15 @@ def _swung(t: Track, s: Shape) -> Array:
         if axis >= 3:
             columns[-1] += t.leaning[:, :, axis - 3] * place[:, None]
     return t.reduce(np.stack(columns, axis=2), Grid.COARSE)
+
+
+def _upright(t: Track, axis: int) -> float:
+    """Inertia that a base's frequency is told for: all joints at zero, of the axes of a kind the one about which it is the greatest.
+
+    What a robot stands on is about as stiff in one direction as in another, however its arm lies.
+    """
+    kind = next(way for way in WAYS if axis in way)
+    return max(float(t.stood[list(kind)].max()), 1e-9)
 
 
 def _toppling(t: Track, axis: int) -> Array:
@@ -75,9 +84,12 @@ def _compliance(tracks: Sequence[Track]) -> Iterator[Shape]:
 
         return shape
 
-    for way in range(len(WAYS)):
+    for way, axes in enumerate(WAYS):
+        upright = _upright(tracks[0], axes[0])
+        borne = np.mean(np.concatenate([t.borne[:, axes] for t in tracks]), axis=0).max()
+        told = SWINGS * np.sqrt((borne + PEDESTAL * upright) / ((1.0 + PEDESTAL) * upright))  # with all joints at zero
         for damping in (0.04, 0.12):
-            yield from family(SWINGS.tolist(), swing(way, damping))
+            yield from family(told.tolist(), swing(way, damping))
 
 
 def _gives_way(c: Array) -> bool:
@@ -137,7 +149,7 @@ def _intervals(time: Array, loud: Array) -> list[tuple[float, float]]:
 EFFECTS = (
     Effect(
         "base_compliance",
-        "a mass on springs under the robot, that slides, rocks or turns",
+        "a mass on springs under the robot, that slides, rocks or turns (its frequency: all joints at zero)",
         _swung,
         _compliance,
         {"frequency": "Hz"},

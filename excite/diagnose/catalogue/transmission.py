@@ -24,8 +24,9 @@ WIDTHS = np.geomspace(1e-4, 1e-2, 7)
 """Of play, tried [rad]."""
 HOLDS = (0.0, 1.5, 3.0)
 """Of a link in its play, tried [Hz]."""
-LEAST_TURN, ROUND = 0.05, 1.5
-"""Of a joint, from which anything is said of its angle [rad]; and waves in what was seen, from which a torque comes round."""
+LEAST_STROKE, LEAST_TURN, ROUND = 1e-6, 0.05, 1.5
+"""Of a joint, from which it moves at all, and from which more is said of its place than that it pulls [rad or m]; and waves in the longest
+stretch, from which a torque comes round."""
 
 
 def _sprung(t: Track, s: Shape) -> Array:
@@ -99,7 +100,7 @@ def _ripple(tracks: Sequence[Track]) -> Iterator[Shape]:
 def _orders(tracks: Sequence[Track], joint: int, most: int = 12) -> list[float]:
     """Orders at which the base fit's residual has power, found on a fine grid up to 300 a turn (Lomb 1976, over angle).
 
-    What has not come round half as often again in all that was seen of it is a spring as well.
+    What has not come round half as often again in the longest stretch is a spring as well.
     """
     track = max(tracks, key=len)
     left = track.left[:, joint]
@@ -138,7 +139,8 @@ FORMS: tuple[Callable[[Array], Array], ...] = (
 SLOW, BENDS = (0.35, 0.6, 0.9), np.linspace(0.15, 0.85, 8)
 """Waves of a spring's torque over the range seen, and shares of it from which its slope is another, tried."""
 SPANS = 200
-"""Angles that a spring's torque is told from: its stiffness is the slope where it is steepest, its amplitude half of what it varies by."""
+"""Angles that a spring's torque is told from: its stiffness is the slope where it is steepest, with the sign of
+all of it, its amplitude half of what it varies by."""
 
 
 def _force(values: Mapping[str, float], q: Array) -> Array:
@@ -165,8 +167,8 @@ def _spring(tracks: Sequence[Track]) -> Iterator[Shape]:
 
         def told(c: Array) -> dict[str, float]:
             torque = _force(values, q) @ c
-            slope = np.gradient(torque, q)
-            return {"stiffness": float(slope[np.argmax(np.abs(slope))]), "amplitude": 0.5 * float(np.ptp(torque))}
+            steepest = np.abs(np.gradient(torque, q)).max() * np.sign((q - q.mean()) @ torque)
+            return {"stiffness": float(steepest), "amplitude": 0.5 * float(np.ptp(torque))}
 
         return Shape("spring", j, _pulled, values, parameters=told)
 
@@ -178,6 +180,8 @@ def _spring(tracks: Sequence[Track]) -> Iterator[Shape]:
 
     for j in range(tracks[0].n):
         low, high = (float(f([f(t.fine.q[:, j]) for t in tracks])) for f in (np.min, np.max))
+        if high - low < LEAST_STROKE:
+            continue
         for form in range(len(FORMS)):
             yield law(j, low, high, {"form": float(form)})
         if high - low > LEAST_TURN:
@@ -201,7 +205,7 @@ def _turned(t: Track, s: Shape) -> Array:
     ratio = s.values["ratio"]
     speed = t.fine.dq[:, s.place] + ratio * t.fine.dq[:, s.other]
     columns = [speed, np.tanh(speed / t.widths[s.place]), ratio * t.fine.ddq[:, s.other]]
-    return alone(t, s.place, np.column_stack(columns if s.values["heavy"] else columns[:2]))
+    return alone(t, s.place, np.column_stack(columns[:2] if "light" in s.values else columns))
 
 
 def _rubs(speed: float, acceleration: float) -> Callable[[Array], bool]:
@@ -225,21 +229,21 @@ def _coupling(tracks: Sequence[Track]) -> Iterator[Shape]:
         names = {"viscous": ratio, "coulomb": 1.0, "inertia": ratio}
         return lambda c: {name: float(value * by) for (name, by), value in zip(names.items(), c, strict=False)}
 
-    def shaft(i: int, j: int, sign: float, heavy: float) -> Callable[[float], Shape]:
+    def shaft(i: int, j: int, sign: float, light: bool) -> Callable[[float], Shape]:
         def shape(ratio: float) -> Shape:
             turns, hastes = (
                 max(float(np.abs(x[:, i] + sign * ratio * x[:, j]).max()) for x in both)
                 for both in ([t.fine.dq for t in tracks], [t.fine.ddq for t in tracks])
             )
-            fixed = {"ratio": sign * ratio, "heavy": heavy}
+            fixed = {"ratio": sign * ratio} | ({"light": 1.0} if light else {})
             return Shape("coupling", i, _turned, fixed, j, parameters=told(ratio), plausible=_rubs(turns, hastes))
 
         return shape
 
     for i in range(n):
         for j in range(max(0, i - 2), min(n, i + 3)):
-            for sign, heavy in product((1.0, -1.0), (1.0, 0.0)) if i != j else ():
-                yield from family(RATIOS, shaft(i, j, sign, heavy))
+            for sign, light in product((1.0, -1.0), (False, True)) if i != j else ():
+                yield from family(RATIOS, shaft(i, j, sign, light))
 
 
 EFFECTS = (

@@ -40,7 +40,7 @@ def _swung(t: Track, s: Shape) -> Array:
     """
     columns, dt = [], 1.0 / t.band.rate_of(Grid.COARSE)
     for axis in WAYS[int(s.values["way"])]:
-        upright = _upright(t, axis)
+        upright = max(float(t.stood[axis]), 1e-9)
         inertia = t.borne[:, axis] + PEDESTAL * upright
         spring = (2.0 * np.pi * s.values["frequency"]) ** 2 * (1.0 + PEDESTAL) * upright
         stiffness = np.maximum(spring - _toppling(t, axis), SOFTEST * spring)
@@ -52,15 +52,6 @@ def _swung(t: Track, s: Shape) -> Array:
         if axis >= 3:
             columns[-1] += t.leaning[:, :, axis - 3] * place[:, None]
     return t.reduce(np.stack(columns, axis=2), Grid.COARSE)
-
-
-def _upright(t: Track, axis: int) -> float:
-    """Inertia that a base's frequency is told for: all joints at zero, of the axes of a kind the one about which it is the greatest.
-
-    What a robot stands on is about as stiff in one direction as in another, however its arm lies.
-    """
-    kind = next(way for way in WAYS if axis in way)
-    return max(float(t.stood[list(kind)].max()), 1e-9)
 
 
 def _toppling(t: Track, axis: int) -> Array:
@@ -85,11 +76,15 @@ def _compliance(tracks: Sequence[Track]) -> Iterator[Shape]:
         return shape
 
     for way, axes in enumerate(WAYS):
-        upright = _upright(tracks[0], axes[0])
-        borne = np.mean(np.concatenate([t.borne[:, axes] for t in tracks]), axis=0).max()
-        told = SWINGS * np.sqrt((borne + PEDESTAL * upright) / ((1.0 + PEDESTAL) * upright))  # with all joints at zero
         for damping in (0.04, 0.12):
-            yield from family(told.tolist(), swing(way, damping))
+            yield from family((SWINGS * _heavier(tracks, axes)).tolist(), swing(way, damping))
+
+
+def _heavier(tracks: Sequence[Track], axes: Sequence[int]) -> float:
+    """A base's frequency with all joints at zero, over that under the arm as it moves: a straight one is light about the vertical."""
+    upright = np.maximum(tracks[0].stood[list(axes)], 1e-9)
+    borne = np.mean([t.borne[:, axes].mean(axis=0) for t in tracks], axis=0)
+    return float(np.exp(0.5 * np.mean(np.log((borne + PEDESTAL * upright) / ((1.0 + PEDESTAL) * upright)))))
 
 
 def _gives_way(c: Array) -> bool:

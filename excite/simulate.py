@@ -29,19 +29,19 @@ def command(arguments: argparse.Namespace) -> tuple[int, Any, str]:
     setting = _setting(arguments, like)
     motion = reference.read(Path(arguments.trajectory), arguments.periods)
     plant = laboratory.robot(source, motion, setting)
+    chain = laboratory.chain(plant, setting)
     if like is not None and like.joints != plant.joints:
         raise UnusableInput(f"{arguments.like}: has joints {', '.join(like.joints)}; give the robot that it is of")
+    if like is not None and record.dumps(record.truth(plant, chain, {})["bodies"]) != like.bodies:
+        raise UnusableInput(f"{arguments.like}: its bodies are not those of {source}; give the URDF that it was recorded with")
     effects = tuple(effect.parse(text, plant) for text in arguments.effect) if like is None else like.effects
     if arguments.severity is not None:
         if not arguments.severity > 0.0:
             raise UnusableInput(f"--severity {arguments.severity:g}: should be above 0")
-        chain = laboratory.chain(plant, setting)
         effects = tuple(severity.reach(one, arguments.severity, plant, motion, chain, trusted=arguments.trusted)[0] for one in effects)
     with_effects = effect.hide(plant, effects)
     bare = plant.run(motion)
     session = laboratory.session(with_effects, motion, setting, run=bare if not effects else None)
-    if like is not None and record.dumps(session.truth["bodies"]) != like.bodies:
-        raise UnusableInput(f"{arguments.like}: its bodies are not those of {source}; give the URDF that it was recorded with")
     found = severity.of(session.run, plant, motion, session.chain)
     trusted = severity.of(session.run, plant, motion, session.chain, trusted=True)
     facts = {

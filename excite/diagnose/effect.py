@@ -65,19 +65,20 @@ class Knob:
 
     def turned(self, gain: Callable[[Shape], float]) -> Shape:
         """The shape where the gain is highest, between the neighbours, or one of its kin where that is more, from kin to kin."""
-        best, most = self._turned(gain)
+        best, most = self._turned(gain, gain(self.at(self.value)))
         for _ in range(KIN):
-            near = max(best.kin(), key=lambda knob: gain(knob.at(knob.value)), default=None)
-            if near is None:
+            gains = [(gain(knob.at(knob.value)), knob) for knob in best.kin()]
+            if not gains:
                 break
-            better, found = near._turned(gain)
+            now, near = max(gains, key=lambda pair: pair[0])
+            better, found = near._turned(gain, now)
             if found <= most + 1e-6:
                 break
             best, most = better, found
         return best
 
-    def _turned(self, gain: Callable[[Shape], float]) -> tuple[Shape, float]:
-        """Of this value alone, with the gain. In the logarithm, to two parts in a thousand of the range."""
+    def _turned(self, gain: Callable[[Shape], float], now: float) -> tuple[Shape, float]:
+        """Of this value alone, whose gain is `now`, with the gain. In the logarithm, to two parts in a thousand of the range."""
         from scipy.optimize import minimize_scalar  # slow to import
 
         low, high = np.log(self.low), np.log(self.high)
@@ -88,9 +89,7 @@ class Knob:
             options={"xatol": 4e-3 * (high - low), "maxiter": 12},
         )
         best, most = self.at(float(np.exp(found.x))), -float(found.fun)
-        here = self.at(self.value)
-        now = gain(here)
-        return (best, most) if most > max(now + 1e-6, -1e12) else (here, now)
+        return (best, most) if most > max(now + 1e-6, -1e12) else (self.at(self.value), now)
 
     def at(self, value: float) -> Shape:
         """The shape at a value, which can be turned further within the same range."""

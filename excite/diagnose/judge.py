@@ -238,8 +238,8 @@ def _earns(one: Design, shape: int, others: Sequence[int], adds: float, rest: fl
     before, rested, after, acts = _levels(one, shape, others)
     taken = np.maximum(before - rested, 0.0)
     # others that explain next to nothing where it acts have no form there to mend
-    elsewhere = float(taken @ acts / max(taken.sum(), 1e-300))
-    if one.measured.repeats and elsewhere < NOTHING and adds > elsewhere * share:
+    here = float(taken @ acts / max(taken.sum(), 1e-300))
+    if one.measured.repeats and here < NOTHING and adds > here * share:
         return True
     joint = int(np.argmax(acts))
     return not there and 1.0 - after[joint] / rested[joint] > MOSTLY
@@ -262,10 +262,11 @@ def _replaced(one: Design, chosen: list[int]) -> list[int]:
             if not others:
                 continue
             rest, now = trial(one, others).gain, trial(one, chosen).gain
-            best = next(ranked(one, tuple(others)), None)
             if not _earns(one, i, others, now - rest, rest):
                 chosen = others
-            elif best is not None and best.trial.gain > now + 1e-9 and best.shows:
+                continue
+            best = next(ranked(one, tuple(others)), None)
+            if best is not None and best.trial.gain > now + 1e-9 and best.shows:
                 chosen = [*others, best.shape]
         if chosen == before:
             break

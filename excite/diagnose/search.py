@@ -273,9 +273,8 @@ def trial(one: Design, chosen: Sequence[int]) -> Trial:
     products, scores = one.scaled
     factor, half, evidence = _evidence(products[:, which[:, None], which], scores[:, which])
     first, second, c = one.usual[which] * np.linalg.solve(factor.swapaxes(-1, -2), half[..., None])[..., 0]
-    gain = float(2.0 * evidence[2] - evidence[0] - evidence[1])
     plausible = all(bool(one.shapes[i].plausible(own)) for i, own in zip(chosen, one.split(chosen, c), strict=True))
-    return Trial(tuple(chosen), c, (first, second), gain, plausible)
+    return Trial(tuple(chosen), c, (first, second), float(_predictive(evidence)), plausible)
 
 
 def _evidence(products: Array, scores: Array) -> tuple[Array, Array, Array]:
@@ -283,6 +282,11 @@ def _evidence(products: Array, scores: Array) -> tuple[Array, Array, Array]:
     factor = np.linalg.cholesky(products + np.eye(products.shape[-1]))
     half = np.linalg.solve(factor, scores[..., None])[..., 0]
     return factor, half, 0.5 * np.sum(half**2, axis=-1) - np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
+
+
+def _predictive(evidence: Array) -> Array:
+    """log p(y₂ | y₁) + log p(y₁ | y₂) of the evidence of either half and of both. Shape (3, …) -> (…)."""
+    return np.asarray(2.0 * evidence[2] - evidence[0] - evidence[1])
 
 
 def gains(one: Design, beside: Sequence[int] = ()) -> Array:
@@ -297,8 +301,7 @@ def gains(one: Design, beside: Sequence[int] = ()) -> Array:
         columns = np.array([np.arange(one.places[i].start, one.places[i].stop) for i in same])
         taken = np.einsum("hbni,hbnj->hnij", cross[:, :, columns], cross[:, :, columns])
         _, _, evidence = _evidence(products[:, columns[:, :, None], columns[:, None, :]] - taken, left[:, columns])
-        evidence += first[:, None]
-        out[same] = 2.0 * evidence[2] - evidence[0] - evidence[1]
+        out[same] = _predictive(first[:, None] + evidence)
     return out
 
 

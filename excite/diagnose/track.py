@@ -216,8 +216,8 @@ class Track:
 
     @functools.cached_property
     def stood(self) -> Array:
-        """What `borne` is with all joints at zero: the same of every recording of a robot. Shape (6,)."""
-        return np.asarray(self._composites(np.zeros((1, self.n)))[1][0])
+        """What `borne` is with all joints at zero, and above zero: the same of every recording of a robot. Shape (6,)."""
+        return np.maximum(self._composites(np.zeros((1, self.n)))[1][0], 1e-9)
 
     @functools.cached_property
     def _composite(self) -> tuple[Array, Array, Array]:

@@ -40,7 +40,7 @@ def _swung(t: Track, s: Shape) -> Array:
     """
     columns, dt = [], 1.0 / t.band.rate_of(Grid.COARSE)
     for axis in WAYS[int(s.values["way"])]:
-        upright = max(float(t.stood[axis]), 1e-9)
+        upright = float(t.stood[axis])
         inertia = t.borne[:, axis] + PEDESTAL * upright
         spring = (2.0 * np.pi * s.values["frequency"]) ** 2 * (1.0 + PEDESTAL) * upright
         stiffness = np.maximum(spring - _toppling(t, axis), SOFTEST * spring)
@@ -76,13 +76,14 @@ def _compliance(tracks: Sequence[Track]) -> Iterator[Shape]:
         return shape
 
     for way, axes in enumerate(WAYS):
+        frequencies = (SWINGS * _heavier(tracks, axes)).tolist()
         for damping in (0.04, 0.12):
-            yield from family((SWINGS * _heavier(tracks, axes)).tolist(), swing(way, damping))
+            yield from family(frequencies, swing(way, damping))
 
 
 def _heavier(tracks: Sequence[Track], axes: Sequence[int]) -> float:
     """A base's frequency with all joints at zero, over that under the arm as it moves: a straight one is light about the vertical."""
-    upright = np.maximum(tracks[0].stood[list(axes)], 1e-9)
+    upright = tracks[0].stood[list(axes)]
     borne = np.mean([t.borne[:, axes].mean(axis=0) for t in tracks], axis=0)
     return float(np.exp(0.5 * np.mean(np.log((borne + PEDESTAL * upright) / ((1.0 + PEDESTAL) * upright)))))
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
 from itertools import product
 
 import numpy as np
@@ -139,8 +138,8 @@ FORMS: tuple[Callable[[Array], Array], ...] = (
 SLOW, BENDS = (0.35, 0.6, 0.9), np.linspace(0.15, 0.85, 8)
 """Waves of a spring's torque over the range seen, and shares of it from which its slope is another, tried."""
 SPANS = 200
-"""Angles that a spring's torque is told from: its stiffness is the slope where it is steepest, with the sign of
-all of it, its amplitude half of what it varies by."""
+"""Angles that a spring's torque is told from: its stiffness is the slope where it is steepest, with the sign of all of it, its amplitude
+half of what it varies by."""
 
 
 def _force(values: Mapping[str, float], q: Array) -> Array:
@@ -162,31 +161,28 @@ def _spring(tracks: Sequence[Track]) -> Iterator[Shape]:
     """Laws of the field; a line with a slow wave about it, for those that stiffen, yield or turn over; and one with a bend: a stop, a slack
     cable. Both are nothing in the middle and at the bend: a constant torque is an offset."""
 
-    def law(j: int, low: float, high: float, values: dict[str, float]) -> Shape:
+    def laws(j: int, low: float, high: float) -> Iterator[Shape]:
         q = np.linspace(low, high, SPANS)
 
-        def told(c: Array) -> dict[str, float]:
-            torque = _force(values, q) @ c
-            steepest = np.abs(np.gradient(torque, q)).max() * np.sign((q - q.mean()) @ torque)
-            return {"stiffness": float(steepest), "amplitude": 0.5 * float(np.ptp(torque))}
+        def law(**values: float) -> Shape:
+            def told(c: Array) -> dict[str, float]:
+                torque = _force(values, q) @ c
+                steepest = np.abs(np.gradient(torque, q)).max() * np.sign((q - q.mean()) @ torque)
+                return {"stiffness": float(steepest), "amplitude": 0.5 * float(np.ptp(torque))}
 
-        return Shape("spring", j, _pulled, values, parameters=told)
+            return Shape("spring", j, _pulled, values, parameters=told)
 
-    def waved(j: int, low: float, high: float, order: float) -> Shape:
-        return law(j, low, high, {"order": order, "about": 0.5 * (low + high)})
-
-    def bent(j: int, low: float, high: float, into: float) -> Shape:
-        return law(j, low, high, {"bend": low + into})
+        for form in range(len(FORMS)):
+            yield law(form=float(form))
+        if high - low > LEAST_TURN:
+            slow = (2.0 * np.pi / (high - low) * np.array(SLOW)).tolist()
+            yield from family(slow, lambda order: law(order=order, about=0.5 * (low + high)))
+            yield from family(((high - low) * BENDS).tolist(), lambda into: law(bend=low + into))
 
     for j in range(tracks[0].n):
         low, high = (float(f([f(t.fine.q[:, j]) for t in tracks])) for f in (np.min, np.max))
-        if high - low < LEAST_STROKE:
-            continue
-        for form in range(len(FORMS)):
-            yield law(j, low, high, {"form": float(form)})
-        if high - low > LEAST_TURN:
-            yield from family((2.0 * np.pi / (high - low) * np.array(SLOW)).tolist(), partial(waved, j, low, high))
-            yield from family(((high - low) * BENDS).tolist(), partial(bent, j, low, high))
+        if high - low >= LEAST_STROKE:
+            yield from laws(j, low, high)
 
 
 RATIOS = (0.5, 1.0, 2.0)

@@ -1,7 +1,8 @@
 """The health check: from rows as found to a recording that can be trusted, with what was done.
 
 Wrong units, a clock that cannot be repaired and mostly missing numbers are errors (`units`, `clock`, `missing`); order, repeats, jitter,
-gaps and few missing numbers are repaired by the rules stated there, remarked and warned of; `signs` are remarked only.
+stamps that waver (`waver`), gaps and few missing numbers are repaired by the rules stated there, remarked and warned of; `signs` are
+remarked only.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from ..errors import ExciteWarning, UnusableInput
 from ..limits import Limits
 from ..robot import Robot
-from . import missing, signs, units
+from . import missing, signs, units, waver
 from .block import Block
 from .clock import Clock, even
 from .recording import SHORTEST, Recording
@@ -23,6 +24,7 @@ from .remark import Kind, Remark
 from .sidecar import KEYS, Sidecar
 
 Array = np.ndarray
+ENCODERS = ("q", "qlink")
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,8 @@ def recording(patient: Patient, window: Window, clock: Clock, *, whole: bool) ->
     remarks = [*block.remarks, *window.remarks, *lacks, *uneven]
     if whole:
         remarks += [*_unknown(patient.sidecar), *unlike, *signs.look(block, robot, patient.limits)]
+        gridded, wavered = _steadied(gridded, clock)
+        remarks += wavered
     inside = gridded.rows((gridded.t >= window.start) & (gridded.t <= window.end))
     own = window.block.t[(window.block.t >= window.start) & (window.block.t <= window.end)]
     return Recording(
@@ -76,6 +80,16 @@ def recording(patient: Patient, window: Window, clock: Clock, *, whole: bool) ->
         own_times=own,
         run_in=int(np.searchsorted(inside.t, window.done, side="right")),
     )
+
+
+def _steadied(block: Block, clock: Clock) -> tuple[Block, list[Remark]]:
+    """Rows whose positions are what they were at their stamps, where all joints say together that they were read at other instants."""
+    found = waver.found(block.t, block.values["q"], clock.step)
+    if found is None:
+        return block, []
+    values = {name: found.taken(value) if name in ENCODERS else value for name, value in block.values.items()}
+    text = f"positions of all joints were read {1e3 * found.rms:.2g} ms (rms) off their stamps; where they were at the stamps is estimated"
+    return Block(block.t, values, block.remarks), [Remark(Kind.WAVER, text, repaired=True)]
 
 
 def warn(source: str, remarks: Iterable[Remark]) -> None:

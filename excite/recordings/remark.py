@@ -14,6 +14,7 @@ class Kind(Enum):
     REPEATED = "repeated"
     CLOCK = "clock"
     JITTER = "jitter"
+    WAVER = "waver"
     GAP = "gap"
     MISSING = "missing"
     UNIT = "unit"

@@ -565,16 +565,17 @@ def test_shapes_that_take_each_other_off_are_no_finding():
     assert not list(judge.ranked(one, (0,))) and not judge.judged(one)[1].findings
 
 
-def two_joints() -> search.Design:
-    """A strong drag at one of two joints, whose form is a little wrong, and a slight effect at the other."""
+def two_joints(blurred: float = 1.0) -> search.Design:
+    """A strong drag at one of two joints, of a form that a blurred spring mends; and a slight effect at the other."""
     rng = np.random.default_rng(0)
     strong, rest, other = ([rng.normal(size=300) for _ in range(2)] for _ in range(3))
+    blur = [blurred * rng.normal(size=300) for _ in range(2)]
     halves, columns = list[Half](), list[dict[tuple[str, int | None], Array]]()
-    for s, r, o in zip(strong, rest, other, strict=True):
+    for s, r, o, b in zip(strong, rest, other, blur, strict=True):
         both = np.column_stack([30.0 * s + 0.8 * r, 0.8 * o])
         left = both + rng.normal(size=(300, 2))
         halves.append(whitened([np.ones((300, 2, 1))], [left], [np.ones(left.shape, bool)], np.ones(2), EMPTY))
-        joints = {("drag", 0): np.column_stack([s, 0.0 * s]), ("spring", 0): np.column_stack([r, 0.0 * r])}
+        joints = {("drag", 0): np.column_stack([s, 0.0 * s]), ("spring", 0): np.column_stack([r + b, 0.0 * r])}
         columns.append({**joints, ("stribeck", 1): np.column_stack([0.0 * o, o])})
 
     def build(shape: Shape) -> tuple[Array, Array]:
@@ -582,15 +583,48 @@ def two_joints() -> search.Design:
         return first, second
 
     shapes = [Shape(effect, joint, nothing) for effect, joint in columns[0]]
-    return search.design((halves[0], halves[1]), shapes, build)
+    one = search.design((halves[0], halves[1]), shapes, build)
+    return dataclasses.replace(one, measured=search.Measured(noise=np.ones(2)))
 
 
 def test_where_a_strong_effect_does_not_act_a_slight_one_needs_no_share_of_it():
     one = two_joints()
     _, verdict = judge.judged(one)
     assert {(h.effect, h.joint) for h in verdict.chosen} == {("drag", 0), ("stribeck", 1)}  # what mends the drag is no finding
-    guessed = dataclasses.replace(one, measured=search.Measured(repeats=False))
+    guessed = dataclasses.replace(one, measured=search.Measured())
     assert {(h.effect, h.joint) for h in judge.judged(guessed)[1].chosen} == {("drag", 0)}
+
+
+def test_what_explains_all_that_another_leaves_beyond_noise_needs_no_share_of_it():
+    one = two_joints(blurred=0.0)
+    _, verdict = judge.judged(one)
+    assert {(h.effect, h.joint) for h in verdict.chosen} == {("drag", 0), ("spring", 0), ("stribeck", 1)}
+    louder = dataclasses.replace(one, measured=search.Measured(noise=np.full(2, 1.5)))  # then there is nothing beyond it
+    assert {(h.effect, h.joint) for h in judge.judged(louder)[1].chosen} == {("drag", 0), ("stribeck", 1)}
+
+
+def test_beside_another_a_strong_effect_may_need_another_of_its_shapes():
+    """x³ and x/(1 + |x|) look like x^1.5 or so: alone, the power is told between them, beside which the other is told of the wrong sign."""
+    rng = np.random.default_rng(1)
+    x = [rng.normal(size=400) for _ in range(2)]
+    torques = [3.0 * own**3 + 20.0 * own / (1.0 + np.abs(own)) for own in x]
+    halves = [halved(np.ones((400, 1)), t[:, None] + rng.normal(size=(400, 1)), EMPTY) for t in torques]
+
+    def build(shape: Shape) -> tuple[Array, Array]:
+        if shape.effect == "stribeck":
+            first, second = (own / (1.0 + np.abs(own)) for own in x)
+        else:
+            first, second = (np.sign(own) * np.abs(own) ** shape.values["exponent"] for own in x)
+        return first[:, None], second[:, None]
+
+    powers = [Shape("drag", 0, nothing, {"exponent": k}, plausible=lambda c: bool(c[0] > 0.0)) for k in (2.0, 2.5, 3.0)]
+    shapes = [*powers, Shape("stribeck", 0, nothing, plausible=lambda c: bool(c[0] > 0.0))]
+    one = dataclasses.replace(search.design((halves[0], halves[1]), shapes, build), measured=search.Measured(noise=np.ones(1)))
+    alone = next(judge.ranked(one))
+    assert one.shapes[alone.shape].values != {"exponent": 3.0}
+    together, verdict = judge.judged(one, [alone.shape])
+    assert {together.shapes[i].effect for i in verdict.named} == {"drag", "stribeck"}
+    assert {together.shapes[i].values["exponent"] for i in verdict.named if together.shapes[i].effect == "drag"} == {3.0}
 
 
 def test_the_best_of_each_law_is_looked_at():

@@ -120,13 +120,15 @@ class Diagnosis:
     def unknown(self) -> list[int]:
         """Joints where something is left that no name takes: a flexible model foresees it, or it is far louder than noise."""
         bare, named = self.fitted
-        loud = named > LOUD * self.quiet
+        loud, floor = named > LOUD * self.quiet, self.floor.copy()
         for j, sight in self.sights.items():
-            loud[j] |= sight.counts and np.sqrt(sight.share) * named[j] > judge.SMALLEST * self.floor[j]
+            if sight.counts:  # what is foreseen is no noise, though it may differ each time: a load that swings on from where it was
+                floor[j] = min(floor[j], np.sqrt(1.0 - sight.share) * named[j])
+                loud[j] |= np.sqrt(sight.share) * named[j] > judge.SMALLEST * floor[j]
         if self.method != "periods":  # nothing repeats: the floor is a guess from below, and only much is worth a word
             torque = np.concatenate([one.torque for half in self.tracks for one in half])
             loud &= named > MUCH * np.sqrt(np.mean(torque**2, axis=0))
-        return [int(j) for j in np.flatnonzero(loud & (_left(bare, named, self.floor) > UNSAID))]
+        return [int(j) for j in np.flatnonzero(loud & (_left(bare, named, floor) > UNSAID))]
 
     @property
     def name(self) -> str:
@@ -196,7 +198,7 @@ def _warned(one: Design, noisy: Noise, scale: Array) -> Design:
     """The design that knows what the encoders' steps feign, and samples that are too rare."""
     steps, sharpened = ([((a / scale).ravel(), (b / scale).ravel()) for a, b in own] for own in (noisy.feigned, [noisy.sharpened]))
     stepped = float(np.mean((noisy.steps / noisy.floor) ** 2))
-    return judge.warned(one, steps, sharpened[0], stepped, noisy.method == "periods")
+    return judge.warned(one, steps, sharpened[0], stepped, (noisy.floor / scale) ** 2 if noisy.method == "periods" else None)
 
 
 def _sharper(one: Design, verdict: Verdict, noisy: Noise, scale: Array) -> tuple[Design, Verdict, Array]:
@@ -255,7 +257,7 @@ def _judged(
     expected = np.sqrt(quiet**2 + _reach(one, scale) ** 2)
     rms = [np.sqrt(search.mean_square(r, moves)) for r in (before, after)]
     told = (identified, options, hertz, tracks, one, verdict, floor, noisy.method)
-    sights = _sights(search.remaining(one, verdict.named) * scale, tracks, np.flatnonzero(_left(*fitted, floor) > UNSAID))
+    sights = _sights(search.remaining(one, verdict.named) * scale, tracks, np.flatnonzero(_left(*fitted, 0.0 * floor) > UNSAID))
     return Diagnosis(*told, rms[0], rms[1], (before, after), refitted, expected=expected, fitted=fitted, quiet=quiet, sights=sights)
 
 

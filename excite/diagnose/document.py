@@ -190,6 +190,7 @@ def _unknown(found: Diagnosis, joint: int) -> dict[str, Any]:
     if sight.counts:
         where["statement"] += f"; {sight.regime} foresees {percent(sight.share)} of it, held out"
         where |= {"regime": sight.regime, "foreseen": sight.share}
+        share = max(share, sight.share)
         response = sight.response
         over = response.over if response.other is None else f"{found.identified.model.robot.joints[response.other]}: {response.over}"
         where["response"] = {"over": over, "relative": response.relative, "x": response.x.tolist(), "y": response.y.tolist()}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import islice
+from itertools import islice, takewhile
 
 import numpy as np
 
@@ -17,6 +17,9 @@ SHARE, SAME, MOSTLY, NOTHING = 0.04, 0.02, 0.5, 0.1
 """Of the gain so far, what a further effect must add, and a further shape of one that is there: forms are never quite the catalogue's. Of
 the mean square that others leave, what a further effect may explain instead. And of what others explain, what may be where it acts, if it
 is to add less."""
+BEYOND, CLEARLY = 0.8, 0.2
+"""Of what others leave beyond noise, what a further effect may explain instead too: all but a little, which no law does that only mends
+another's form; and over the noise, how much that must be."""
 SMALLEST = 0.3
 """RMS torque of an effect over the scale, below which nothing is asserted: clocks, encoders and friction's step are never as the
 model has them."""
@@ -28,8 +31,8 @@ leave: friction reverses more sharply than the smooth motion that is rounded for
 simulated robots)."""
 SEEN = 9.0
 """Log-likelihood, twice, from which a half sees an effect: three standard deviations."""
-MOST = 6
-"""Shapes, at the most."""
+MOST, BENT = 6, 2
+"""Shapes, at the most; and those beside which each is tried in other shapes for one more."""
 FRONT, CONSIDERED = 24, 8
 """Effects that are tried in pairs; and those told beside the findings."""
 
@@ -155,14 +158,16 @@ def agrees(one: Design, found: Trial) -> bool:
     return True
 
 
-def warned(one: Design, steps: Sequence[tuple[Array, Array]], sharpened: tuple[Array, Array], stepped: float, repeats: bool) -> Design:
+def warned(
+    one: Design, steps: Sequence[tuple[Array, Array]], sharpened: tuple[Array, Array], stepped: float, noise: Array | None
+) -> Design:
     """The design that knows what each effect gains from residuals that an encoder alone, drawn anew, or rare samples may leave
-    (`search.pretended`); the encoder's share of the noise; and whether the noise is known from a motion made again."""
+    (`search.pretended`); the encoder's share of the noise; and the noise, if it is known from a motion made again."""
     most: dict[str, float] = {}
     for residual, times in (*((own, FEIGNED) for own in steps), (sharpened, 1.0)):
         for h in ranked(search.pretended(one, residual), each=_name):
             most[h.effect] = max(most.get(h.effect, 0.0), times * h.trial.gain)
-    return replace(one, measured=Measured(most, stepped, repeats))
+    return replace(one, measured=Measured(most, stepped, noise))
 
 
 def judged(one: Design, chosen: Sequence[int] = ()) -> tuple[Design, Verdict]:
@@ -209,48 +214,78 @@ def _searched(one: Design, chosen: list[int]) -> tuple[Design, list[int]]:
         one = search.relisted(one, chosen, joints)
         looked |= joints
         more = None if len(chosen) == MOST else _further(one, chosen)
-        wider = _replaced(one, chosen) if more is None else [*chosen, more]  # what one tuned well needs beside it may be less than before
+        wider = _replaced(one, chosen) if more is None else more  # what one tuned well needs beside it may be less than before
         if wider == chosen:
             break
         chosen = wider
     return one, chosen
 
 
-def _further(one: Design, chosen: Sequence[int]) -> int | None:
-    """What predicts best beside those chosen, if it is worth it."""
+def _further(one: Design, chosen: list[int]) -> list[int] | None:
+    """Those chosen and what predicts best beside them, if it is worth it; or beside one of them in another of its shapes: what is told
+    alone bends to take what is another's."""
     now = trial(one, chosen).gain
-    further = (h for h in ranked(one, tuple(chosen)) if h.shows)
-    return next((h.shape for h in further if _earns(one, h.shape, chosen, h.trial.gain - now, now)), None)
+    for wider in _wider(one, chosen):
+        if _earns(one, chosen, wider, trial(one, wider).gain - now, now):
+            return wider
+    return None
 
 
-def _earns(one: Design, shape: int, others: Sequence[int], adds: float, rest: float) -> bool:
-    """Whether a shape adds enough to the gain of others, `rest`: a share of it, lest it mend their form, or most of what they leave.
+def _wider(one: Design, chosen: list[int]) -> Iterator[list[int]]:
+    """Those chosen, or with one of them in another shape, beside one more, the best first of each way."""
+    enough = trial(one, chosen).gain + search.NATS
+    beside = takewhile(lambda h: h.trial.gain > enough, ranked(one, tuple(chosen)))
+    yield from ([*chosen, h.shape] for h in beside if h.shows)
+    if len(chosen) > BENT:
+        return
+    found = list[tuple[float, list[int]]]()
+    for i in chosen:
+        others = [k for k in chosen if k != i]
+        for turned in _siblings(one, i):
+            best = next((h for h in ranked(one, (*others, turned)) if h.shows and _who(one.shapes[h.shape]) != _who(one.shapes[i])), None)
+            if best is not None:
+                found.append((best.trial.gain, [*others, turned, best.shape]))
+    yield from (wider for _, wider in sorted(found, key=lambda pair: -pair[0])[:1])
 
-    Where they explain next to nothing, a share of that is enough, if the noise is known: else what is left there may be anything. A name
-    that is there already earns one more shape sooner, and not by what is left.
+
+def _siblings(one: Design, i: int) -> list[int]:
+    """Other shapes of the same effect at the same joint."""
+    own = one.shapes[i]
+    if own.interval is not None:
+        return []
+    return [k for k, shape in enumerate(one.shapes) if k != i and _who(shape) == _who(own) and shape.other == own.other]
+
+
+def _earns(one: Design, others: Sequence[int], wider: Sequence[int], adds: float, rest: float) -> bool:
+    """Whether the last of some shapes adds enough to the gain of others, `rest`: a share of it, lest it mend their form, or most of what
+    they leave.
+
+    Where they explain next to nothing, a share of that is enough, if the noise is known: else what is left there may be anything. What
+    explains nearly all that is left beyond known noise needs no share. A name that is there earns one more shape sooner, and by its share.
     """
+    shape = wider[-1]
     there = any(_who(one.shapes[i]) == _who(one.shapes[shape]) for i in others)
     if adds < one.bar(shape):
         return False
     share = (SAME if there else SHARE) * rest
     if adds > share:
         return True
-    before, rested, after, acts = _levels(one, shape, others)
+    before, rested, after = (search.level(one, shapes) for shapes in ((), tuple(others), tuple(wider)))
+    acts = np.square(sizes(one, trial(one, wider), len(wider) - 1))
+    acts /= max(float(acts.max()), 1e-300)
     taken = np.maximum(before - rested, 0.0)
     # others that explain next to nothing where it acts have no form there to mend
     here = float(taken @ acts / max(taken.sum(), 1e-300))
-    if one.measured.repeats and here < NOTHING and adds > here * share:
+    noise, joint = one.measured.noise, int(np.argmax(acts))
+    if noise is not None and here < NOTHING and adds > here * share:
         return True
-    joint = int(np.argmax(acts))
-    return not there and 1.0 - after[joint] / rested[joint] > MOSTLY
-
-
-def _levels(one: Design, shape: int, others: Sequence[int]) -> tuple[Array, Array, Array, Array]:
-    """Mean squares that the base model leaves, others, and others with a shape; and how much the shape acts, 1 where most. Shapes (n,)."""
-    both = (*others, shape)
-    before, rested, after = (search.level(one, shapes) for shapes in ((), tuple(others), both))
-    acts = np.square(sizes(one, trial(one, both), len(others)))
-    return before, rested, after, acts / max(float(acts.max()), 1e-300)
+    if there:
+        return False
+    if noise is not None:
+        beyond = rested[joint] / noise[joint] - 1.0
+        if beyond > CLEARLY and after[joint] / noise[joint] - 1.0 < (1.0 - BEYOND) * beyond:
+            return True
+    return bool(1.0 - after[joint] / rested[joint] > MOSTLY)
 
 
 def _replaced(one: Design, chosen: list[int]) -> list[int]:
@@ -262,7 +297,7 @@ def _replaced(one: Design, chosen: list[int]) -> list[int]:
             if not others:
                 continue
             rest, now = trial(one, others).gain, trial(one, chosen).gain
-            if not _earns(one, i, others, now - rest, rest):
+            if not _earns(one, others, [*others, i], now - rest, rest):
                 chosen = others
                 continue
             best = next(ranked(one, tuple(others)), None)

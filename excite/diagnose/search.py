@@ -41,12 +41,12 @@ class Gram:
 @dataclass(frozen=True)
 class Measured:
     """How well recordings were made. feigned: further gain that each effect needs, by name, for what faults of the measurement are known to
-    give it on some joint. stepped: share of the noise that is an encoder's steps. repeats: whether noise is what differs when a motion is
-    made again, and not a guess from below."""
+    give it on some joint. stepped: share of the noise that is an encoder's steps. noise: its mean square over the scale, per joint, Shape
+    (n,), where it is what differs when a motion is made again; None where it is but a guess from below."""
 
     feigned: Mapping[str, float] = field(default_factory=dict)
     stepped: float = 0.0
-    repeats: bool = True
+    noise: Array | None = None
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ from scipy.interpolate import CubicSpline
 from test_diagnose import PLANTED, found, on, recordings_of
 
 from excite import dynamics
-from excite.diagnose import belief, diagnosis, interval, judge, noise, search, track, whole
-from excite.diagnose.catalogue import BY_NAME, environment, windup
+from excite.diagnose import belief, diagnosis, equations, interval, judge, noise, search, track, whole
+from excite.diagnose.catalogue import BY_NAME, electrical, environment, windup
 from excite.diagnose.effect import Shape, beside, family
 from excite.diagnose.half import Half, whitened
 from excite.diagnose.track import Grid, Track
@@ -326,6 +326,52 @@ def test_a_measured_delay_is_predicted_from_what_is_predicted(subject, seconds):
     inside = slice(200, -200)
     left = np.sqrt(np.mean((late - expected)[inside] ** 2, axis=0))
     assert np.all(left < 0.1 * np.sqrt(np.mean((early - expected)[inside] ** 2, axis=0)))
+
+
+LOSS: dict[str, float] = {"power": 3.0, "largest": 40.0}
+
+
+def drawn(made: Array, loss: float) -> Array:
+    """What a drive is recorded with that makes some torque at a loss of its square, by bisection."""
+    low, high = np.zeros_like(made), np.full_like(made, 55.0)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        short = middle * (1.0 - loss * (middle / LOSS["largest"]) ** 2) < np.abs(made)
+        low, high = np.where(short, middle, low), np.where(short, high, middle)
+    return np.sign(made) * low
+
+
+def saturated(t: Array, q: Array, dq: Array, tau: Array) -> Array:
+    return on(0, drawn(tau[:, 0], 0.15) - tau[:, 0])
+
+
+def test_a_drive_that_loses_torque_is_told_by_what_was_measured(subject):
+    train, validate = recordings_of(subject, saturated)
+    done = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [validate])
+    (finding,) = done.verdict.findings
+    assert (finding.main.effect, finding.main.joint) == ("torque_saturation", 0) and not done.unknown
+    shape = done.design.shapes[finding.main.shape]
+    assert done.verdict.together is not None
+    loss = shape.parameters(done.verdict.together.coefficients)["loss"]
+    largest = float(np.abs(train.torque[:, 0]).max())
+    assert loss == pytest.approx(0.15 * (largest / LOSS["largest"]) ** 2, rel=0.15)
+    noisy = equations.shapes(done.tracks, False, np.full(2, 0.1 * largest), ["torque_saturation"])
+    calm = equations.shapes(done.tracks, False, np.full(2, 1e-4 * largest), ["torque_saturation"])
+    assert any("measured" in s.values for s in calm) and not any("measured" in s.values for s in noisy)
+
+
+def test_a_measured_loss_is_predicted_from_what_is_predicted(subject):
+    _, along = recordings_of(subject, None)
+    lossy = stated("torque_saturation", "joint_1", LOSS | {"measured": 1.0}, 0.15)
+    t, torque = whole.predict(fitted_with(subject, ()), along)
+    assert np.allclose(t, whole.predict(fitted_with(subject, (lossy,)), along)[0])
+    recorded_as = whole.predict(fitted_with(subject, (lossy,)), along)[1]
+    expected = drawn(torque[:, 0], 0.15)
+    inner = slice(100, -100)
+    assert np.abs(recorded_as[inner, 0] - expected[inner]).max() < 0.05 * np.abs(expected - torque[:, 0]).max()
+    assert np.array_equal(recorded_as[:, 1], torque[:, 1])
+    most = electrical.overdrawn(0.9, LOSS, np.array([-1e3, 0.0, 1e3]))  # more than it can make
+    assert np.isfinite(most).all() and most[2] == -most[0] and most[1] == 0.0
 
 
 def test_a_model_of_an_earlier_version_is_refused_in_one_line(subject):

@@ -65,7 +65,7 @@ def ringing() -> Diagnosis:
             speed -= (push + 2.0 * damping * omega * speed + omega**2 * place) / one.rate
             place += speed / one.rate
             felt.append(omega**2 * place + 2.0 * damping * omega * speed)
-        extra = np.column_stack([0.0 * ddq, 0.06 * np.array(felt) / np.std(felt)])
+        extra = np.column_stack([0.0 * ddq, 0.05 * np.array(felt) / np.std(felt)])
         both.append(dataclasses.replace(one, source=name, tau=one.tau + extra))
     return diagnosis.diagnose(model.robot, model.parameters, model.base, both[:1], both[1:])
 

@@ -165,7 +165,9 @@ def diagnose(
     progress("columns of the catalogue")
     scale = _scale(noisy, np.sqrt(np.mean(identified.data.residual**2, axis=0)))
     first, second = (equations.half(own, identified, options.trusted, scale) for own in halves)
-    one = search.design((first, second), equations.shapes(halves, bool(options.trusted), options.names), equations.builder(halves, scale))
+    one = search.design(
+        (first, second), equations.shapes(halves, bool(options.trusted), noisy.floor, options.names), equations.builder(halves, scale)
+    )
     progress(f"{len(one.shapes)} shapes of {len(EFFECTS)} effects, alone and together")
     one, verdict = judge.judged(_warned(one, noisy, scale))
     one, verdict, scale = _sharper(one, verdict, noisy, scale)
@@ -179,7 +181,7 @@ def diagnose(
     refitted = None
     if verdict.findings:
         progress("the base model without what was found")
-        one, verdict, refitted = _refitted(one, verdict, identified, halves, (train, validate), settings, options, scale)
+        one, verdict, refitted = _refitted(one, verdict, identified, halves, (train, validate), settings, options, noisy.floor, scale)
     out = _judged(one, verdict, identified, refitted, (halves[0], halves[1]), noisy, options, hertz, scale)
     out = dataclasses.replace(out, gears=encoders.gears(halves, (train, validate)))
     if refitted is None or not out.verdict.findings:
@@ -223,6 +225,7 @@ def _refitted(
     recordings: tuple[Sequence[Recording], Sequence[Recording]],
     settings: identification.Options,
     options: Options,
+    floor: Array,
     scale: Array,
 ) -> tuple[Design, Verdict, Identification]:
     """The base model of the recordings without what was found, and the findings with columns of that model."""
@@ -232,7 +235,7 @@ def _refitted(
     body = track.body(model.robot, model.parameters, equations.kept(refitted.psi, options.trusted))
     again = [[dataclasses.replace(t, body=body) for t in own] for own in halves]
     named = {f.main.effect for f in verdict.findings}
-    one, verdict = _again(one, verdict, equations.shapes(again, bool(options.trusted), named), equations.builder(again, scale))
+    one, verdict = _again(one, verdict, equations.shapes(again, bool(options.trusted), floor, named), equations.builder(again, scale))
     return one, verdict, refitted
 
 

@@ -23,7 +23,7 @@ class Shape:
     which recording, if only then. parameters: from coefficients (k,) to the contract's names and values. plausible: whether
     coefficients (k,) can be physics: sign, range, dissipation. knob: turns the value that a grid has fixed. kin: knobs of the shapes beside
     it, by a further value that no grid is worth. several: whether one joint can have more than one of the kind. doubt: how many times the
-    usual gain it takes to be believed.
+    usual gain it takes to be believed. grain: noise over the torque up to which its columns, of measured torque, are not noise themselves.
     """
 
     effect: str
@@ -39,6 +39,7 @@ class Shape:
     kin: Callable[[], Sequence[Knob]] = tuple
     several: bool = False
     doubt: float = 1.0
+    grain: float = np.inf
 
     def columns(self, track: Track) -> Array:
         """Torque that it adds, where the track's rows are, per unit of each coefficient. Shape (N, n, k)."""

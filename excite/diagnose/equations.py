@@ -56,11 +56,13 @@ def _known(identified: Identification, trusted: Mapping[int, float], width: int)
     return np.vstack([rows, slopes]), np.concatenate([root @ (base.matrix @ prior.nominal), np.zeros(n)])
 
 
-def shapes(halves: Sequence[list[Track]], trusted: bool, names: Collection[str] = ()) -> list[Shape]:
-    """Every shape of the effects that are looked for."""
+def shapes(halves: Sequence[list[Track]], trusted: bool, floor: Array, names: Collection[str] = ()) -> list[Shape]:
+    """Every shape of the effects that are looked for, where noise is not too loud for it. floor: of the noise. Shape (n,) [N m]."""
     every = [*halves[0], *halves[1]]
     wanted = [effect for effect in EFFECTS if (trusted or not effect.prior_only) and effect.name in (names or BY_NAME)]
-    return [shape for effect in wanted for shape in effect.shapes(every)]
+    grain = floor / np.maximum(np.sqrt(np.mean(np.concatenate([one.torque for one in every]) ** 2, axis=0)), 1e-300)
+    every_shape = (shape for effect in wanted for shape in effect.shapes(every))
+    return [shape for shape in every_shape if shape.joint is None or grain[shape.joint] <= shape.grain]
 
 
 def builder(halves: Sequence[list[Track]], scale: Array) -> search.Build:

@@ -17,6 +17,7 @@ from ..recordings import Recording
 from ..robot import Robot
 from . import track
 from .catalogue import BY_NAME
+from .catalogue.electrical import overdrawn
 from .effect import Shape
 from .search import Design, Trial
 from .track import Track
@@ -88,6 +89,14 @@ def restored(stated: Mapping[str, Any], robot: Robot, source: str) -> Part:
     return Part(shape, np.array(stated["coefficients"], float))
 
 
+def _lost(part: Part, along: Track, added: Array) -> Array:
+    """What a drive that loses torque at high current is recorded with beyond what it makes. Shape (M, n)."""
+    joint, out = part.shape.place, np.zeros_like(added)
+    made = (along.motor + added)[:, joint]
+    out[:, joint] = overdrawn(float(part.coefficients[0]), part.shape.values, made) - made
+    return along.band.low(out, Grid.RECORDED)
+
+
 def _behind(part: Part, along: Track, added: Array) -> Array:
     """What a delay of all that was measured does to what is predicted: base model's torque and what others add. Shape (M, n)."""
     seconds, joint, now = float(part.coefficients[0]), part.shape.joint, along.motor + added
@@ -111,8 +120,8 @@ def predict(fitted: FittedModel, recording: Recording) -> tuple[Array, Array]:
         empty = nothing[:, :, None]
         along = Track(piece, band, body, fitted.widths, np.zeros(0), nothing, empty, nothing, slice(0), np.zeros(0))
         added = torque(own, along)
-        for part in late:
-            added += _behind(part, along, added)
+        for part in sorted(late, key=lambda part: part.shape.effect == "delay"):  # what is late is all that was made
+            added += (_behind if part.shape.effect == "delay" else _lost)(part, along, added)
         return added
 
     try:

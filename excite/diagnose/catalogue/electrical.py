@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,6 +11,8 @@ from ..effect import Effect, Shape, alone, named, within
 from ..track import Track
 
 Array = np.ndarray
+FINE, GRAINY = 0.01, 3.0
+"""Noise of measured torque over the torque, up to which its cube is a column; and how many times the usual gain that takes."""
 
 
 def _constant(t: Track, s: Shape) -> Array:
@@ -32,21 +35,38 @@ def _gain(tracks: Sequence[Track]) -> Iterator[Shape]:
 
 
 def _bent(t: Track, s: Shape) -> Array:
-    x = t.motor[:, s.place]
+    x = (t.drawn if s.values.get("measured") else t.motor)[:, s.place]
     return alone(t, s.place, x * (np.abs(x) / s.values["largest"]) ** (s.values["power"] - 1.0))
 
 
 def _saturation(tracks: Sequence[Track]) -> Iterator[Shape]:
-    """Recorded τ stands for a current that made less: true = τ (1 − loss (τ/τ_max)²), so recorded ≈ true + loss true³/τ_max²."""
+    """Recorded τ stands for a current that made less: true = τ (1 − loss (τ/τ_max)²), or recorded ≈ true + loss true³/τ_max².
 
-    def told(c: Array) -> dict[str, float]:
-        return {"loss": float(c[0] / (1.0 + c[0]))}
+    The first is exact, of torque as it was measured: only where that has little noise, whose square its cube has in it. The second is of
+    the base model's, which a strong loss has bent.
+    """
+
+    def laws(joint: int, largest: float, measured: float) -> Iterator[Shape]:
+        told = (lambda c: {"loss": float(c[0])}) if measured else (lambda c: {"loss": float(c[0] / (1.0 + c[0]))})
+        for power in (2.0, 3.0, 5.0):
+            fixed = {"power": power, "largest": largest} | ({"measured": measured} if measured else {})
+            gate = within(0.0, 1.0 if measured else 2.0)
+            law = Shape("torque_saturation", joint, _bent, fixed, parameters=told, plausible=gate)
+            yield replace(law, doubt=GRAINY, grain=FINE) if measured else law
 
     for j in range(tracks[0].n):
-        largest = max(*(float(np.abs(t.motor[:, j]).max()) for t in tracks), 1e-9)
-        for power in (2.0, 3.0, 5.0):
-            fixed = {"power": power, "largest": largest}
-            yield Shape("torque_saturation", j, _bent, fixed, parameters=told, plausible=within(0.0, 2.0))
+        for measured in (0.0, 1.0):
+            seen = (np.abs((t.drawn if measured else t.motor)[:, j]).max() for t in tracks)
+            yield from laws(j, max(*(float(x) for x in seen), 1e-9), measured)
+
+
+def overdrawn(loss: float, values: Mapping[str, float], torque: Array) -> Array:
+    """What is recorded where a drive that loses as `_bent` says makes a torque: x of x − c x |x/L|^(p−1) = τ. Shape (M,)."""
+    most = values["largest"]
+    x = np.linspace(0.0, 2.0 * most, 4001)
+    made = x - loss * x * (x / most) ** (values["power"] - 1.0)
+    rising = slice(0, int(np.argmax(made)) + 1)  # a drive makes no more than that
+    return np.asarray(np.sign(torque) * np.interp(np.abs(torque), made[rising], x[rising]))
 
 
 EFFECTS = (

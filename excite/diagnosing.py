@@ -41,7 +41,7 @@ def diagnose(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outco
     if not arguments.no_report:
         from . import report  # slow to import
 
-        contents["report.html"] = report.diagnosis_page(result, told_all, held_out)
+        contents["report.html"] = report.diagnosis_page(result, told_all, held_out, [r for one in (*train, *held_out) for r in one.remarks])
     written = files.write_all(Path(arguments.out), contents)
     return 0, told_all | {"files": [str(path) for path in written]}, _text(told_all, [str(path) for path in written])
 

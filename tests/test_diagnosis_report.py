@@ -15,7 +15,7 @@ from test_report import answer, check_page, section
 from excite.diagnose import diagnosis
 from excite.diagnose.diagnosis import Diagnosis
 from excite.diagnose.document import document
-from excite.recordings import Recording
+from excite.recordings import Kind, Recording, Remark
 from excite.report import diagnosis_page
 from excite.report.atlas_figures import plain, probability
 
@@ -81,6 +81,13 @@ def test_what_no_name_takes_is_drawn_over_what_foresees_it() -> None:
     check_page(text)
     assert "Left without a name" in section(text, "what") and "What is left without a name, over what foresees it" in section(text, "what")
     assert "joint_2" in answer(text, "what") and unknown["experiment"] in section(text, "next")
+
+
+def test_what_the_health_check_did_to_the_recordings_is_told() -> None:
+    one = found(0.0)
+    assert "the health check had nothing to remark" in answer(page(0.0), "made")
+    text = diagnosis_page(one, document(one), remarks=[Remark(Kind.WAVER, "read 0.05 ms off their stamps", repaired=True)])
+    assert "the health check had 1 remark" in answer(text, "made") and "read 0.05 ms off their stamps" in section(text, "made")
 
 
 def test_what_is_foreseen_is_no_noise_though_it_never_repeats() -> None:

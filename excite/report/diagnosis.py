@@ -14,9 +14,10 @@ from ..diagnose.atlas import SIGNIFICANT, Atlas
 from ..diagnose.catalogue import BY_NAME, EFFECTS
 from ..diagnose.diagnosis import QUIET, Diagnosis
 from ..diagnose.isolability import ALIKE, Candidate, isolability
-from ..recordings import Recording
+from ..recordings import Recording, Remark
 from ..wording import listed, percent
 from . import atlas_figures, diagnosis_figures, diagnosis_tables, gears, unnamed
+from . import remarks as remarked
 from .diagnosis_figures import told
 from .fit_figures import EXCERPT, drawn_points
 from .motion_figures import torque_units
@@ -39,10 +40,11 @@ _FLOORS = {
 }
 
 
-def diagnosis_page(found: Diagnosis, stated: Stated, recordings: Sequence[Recording] = ()) -> str:
+def diagnosis_page(found: Diagnosis, stated: Stated, recordings: Sequence[Recording] = (), remarks: Sequence[Remark] = ()) -> str:
     """The report of `excite diagnose` as HTML.
 
     stated: the document of the diagnosis, `diagnose.document.document`. recordings: those held out, for temperatures recorded with them.
+    remarks: what the health check of all found.
     """
     looked = atlas.look(found, recordings)
     sections = [
@@ -53,7 +55,7 @@ def diagnosis_page(found: Diagnosis, stated: Stated, recordings: Sequence[Record
         *gears.section(found, stated),
         _apart(found, stated),
         _next(found, stated),
-        _made(found, looked),
+        _made(found, looked, remarks),
     ]
     lede = "What the robot's model leaves out: where it shows, what it is, how large it is, and how we know."
     robot = found.identified.model.robot
@@ -344,13 +346,14 @@ def _next(found: Diagnosis, stated: Stated) -> Section:
     return Section("next", "What to do next?", answer, bullets(lines) if lines else "")
 
 
-def _made(found: Diagnosis, looked: Atlas) -> Section:
+def _made(found: Diagnosis, looked: Atlas, remarks: Sequence[Remark]) -> Section:
     identified, robot = found.identified, found.identified.model.robot
     sources = [list(dict.fromkeys(t.piece.source for t in half)) for half in found.tracks]
     answer = (
         f"{plural(len(found.design.shapes), 'shape')} of {len(EFFECTS)} effects, alone and together, each refit with the base model on "
     )
-    answer += f"{plural(len(sources[0]), 'recording')} and judged on {plural(len(sources[1]), 'other recording')}."
+    answer += f"{plural(len(sources[0]), 'recording')} and judged on {plural(len(sources[1]), 'other recording')}; "
+    answer += f"{remarked.said(remarks)}."
     facts = {
         "robot": f"{robot.name} ({robot.source})",
         "SHA-256 of the URDF": robot.sha256,
@@ -364,4 +367,5 @@ def _made(found: Diagnosis, looked: Atlas) -> Section:
         "p-values": f"{atlas.DRAWS} nulls by random signs of {looked.blocks} blocks; the largest of {len(looked.panels)} counts",
         "versions": ", ".join(f"{k} {v}" for k, v in versions().items()),
     }
-    return Section("made", "How was it made?", answer, table(("what", "value"), [(escape(k), escape(v)) for k, v in facts.items()]))
+    body = table(("what", "value"), [(escape(k), escape(v)) for k, v in facts.items()]) + remarked.listed(remarks)
+    return Section("made", "How was it made?", answer, body)

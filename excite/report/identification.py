@@ -15,6 +15,7 @@ from ..parameters import DRIVE
 from ..recordings import Remark
 from ..wording import percent
 from . import estimates, noise, prediction
+from . import remarks as remarked
 from .identifiability import bare
 from .page import Section, banner, bullets, cards, escape, folded, number, page, paragraph, plural, table
 
@@ -146,10 +147,9 @@ def uncapital(text: str) -> str:
 def made_section(found: Identification, remarks: Sequence[Remark], stated: Mapping[str, str]) -> Section:
     """How was it made?"""
     robot, options = found.model.robot, found.options
-    repaired = sum(r.repaired for r in remarks)
     answer = f"By {_METHODS[options.method.value]}, then the consistent robot nearest to data and prior at once, "
     answer += f"from {plural(len(found.fits), 'recording')}"
-    answer += f"; the health check had {plural(len(remarks), 'remark')}." if remarks else "; the health check had nothing to remark."
+    answer += f"; {remarked.said(remarks)}."
     facts = {
         "robot": f"{robot.name} ({robot.source})",
         "SHA-256 of the URDF": robot.sha256,
@@ -170,8 +170,7 @@ def made_section(found: Identification, remarks: Sequence[Remark], stated: Mappi
         "versions": ", ".join(f"{k} {v}" for k, v in versions().items()),
     }
     body = table(("what", "value"), [(escape(k), escape(v)) for k, v in facts.items()])
-    if remarks:
-        body += f"<h3>Remarks on the recordings ({repaired} repaired by a stated rule)</h3>" + _remarks(remarks)
+    body += remarked.listed(remarks)
     if found.tried:
         rows = [(number(g, 2), number(error, 4)) for g, error in found.tried]
         body += folded("Every γ that was tried, with its squared error on blocks left out", table(("γ of bodies", "error"), rows, (0, 1)))
@@ -194,17 +193,3 @@ def _bounds(found: Identification) -> str:
     bounds = found.options.bounds
     parts = [f"mass of {link} {low:g} to {high:g} kg" for link, (low, high) in bounds.mass.items()]
     return ", ".join([*parts, *(f"centre of {link} in its box" for link in bounds.centre)]) or "none"
-
-
-def _remarks(remarks: Sequence[Remark]) -> str:
-    rows = [
-        (
-            escape(r.kind.value),
-            escape(r.joint or "all"),
-            "–" if r.start is None or r.end is None else f"{number(r.start)} to {number(r.end)}",
-            escape(r.text),
-            "yes" if r.repaired else "no",
-        )
-        for r in remarks
-    ]
-    return table(("about", "joint", "when [s]", "what", "repaired"), rows)

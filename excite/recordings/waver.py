@@ -37,6 +37,8 @@ AGAIN, ROUNDS, CLOSE = 4, 300, 1e-6
 """Times that spectra are found; steps of conjugate gradients at the most, and their residual."""
 NARROW, OWN = 0.2, 0.05
 """Part of a frequency over which a spectrum is smoothed either way; and of it, what is the motion's own at the least, to begin with."""
+LOOKED = 3
+"""Stretches that tell whether a clock wavers."""
 REACH, LONGEST, EDGE = 1.0, 60.0, 0.2
 """How far a stretch is continued at its ends, how long it may be, and how much of its ends a filter spoils [s]."""
 
@@ -61,12 +63,14 @@ def found(t: Array, q: Array, step: float) -> Waver | None:
     """By how much rows were read late; None where joints don't agree that they were. Shapes (N,), (N, n)."""
     if ROOM * ABOVE * step > 1.0:
         return None
-    seen = [(rows, _Seen(q[rows], step)) for rows in _stretches(t, step)]
-    if not seen or np.sum(np.sum([one.foretold for _, one in seen], axis=0) > SHARED * len(seen)) < 2:
+    stretches = list(_stretches(t, step))
+    seen = [_Seen(q[rows], step) for rows in stretches[:LOOKED]]
+    if not seen or np.sum(np.sum([one.foretold for one in seen], axis=0) > SHARED * len(seen)) < 2:
         return None
     late, speed = np.zeros(len(q)), np.zeros(q.shape)
-    variance = float(np.mean([one.variance for _, one in seen]))
-    for rows, one in seen:
+    variance = float(np.mean([one.variance for one in seen]))
+    for number, rows in enumerate(stretches):
+        one = seen[number] if number < LOOKED else _Seen(q[rows], step)
         late[rows], speed[rows] = one.late(variance), one.speed
     return Waver(late, speed, float(np.sqrt(variance)))
 

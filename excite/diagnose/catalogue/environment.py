@@ -21,9 +21,8 @@ it is told at."""
 BEYOND = 0.3
 """How far before and after the loud interval a force of any course is told, over its length."""
 
-SHAKY, PATIENT = 4.0, 4.0
-"""What a clock that wavers leaves (`recordings.waver`) shakes all joints at once, as a base does, and most where motion is fast: for some
-of the time, as a contact does. In 180 simulated robots with nothing missing neither was believed."""
+SHAKY, PATIENT = 16.0, 4.0
+"""A clock that wavers shakes all joints at once, as a base does, and most where motion is fast: for some of the time, as a contact does."""
 WAYS = ((0, 1), (3, 4), (5,), (3,), (4,))
 """Coordinates of a base that slides, rocks, turns about the vertical, or rocks about one axis."""
 SWINGS = np.geomspace(1.5, 19.0, 11)

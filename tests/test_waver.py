@@ -59,6 +59,15 @@ def test_one_joint_that_wavers_says_nothing_of_a_clock():
     assert waver.found(t, q + 1e-6 * np.random.default_rng(1).normal(size=q.shape), 1.0 / RATE) is None
 
 
+def test_joints_that_stand_neither_hide_a_waver_nor_make_one():
+    t, q, speed = motion(7, 3)
+    still = np.tile([0.7, -0.3, 0.0, 1.1], (len(t), 1))
+    assert waver.found(t, still, 1.0 / RATE) is None and waver.found(t, np.hstack([q, still]), 1.0 / RATE) is None
+    read = q + speed * (LATE * np.random.default_rng(0).normal(size=len(t)))[:, None]
+    found = waver.found(t, np.hstack([read, still]), 1.0 / RATE)
+    assert found is not None and found.rms == pytest.approx(LATE, rel=0.1)
+
+
 @pytest.mark.parametrize("rate", [50.0, 100.0])
 def test_rows_too_rare_to_show_it_are_left(rate):
     every = int(RATE / rate)

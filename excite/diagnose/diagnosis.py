@@ -342,4 +342,4 @@ def _reach(one: Design, scale: Array) -> Array:
 
 def _left(before: Array, after: Array, floor: Array) -> Array:
     """Of the mean square beyond the noise, what remains. Shape (n,)."""
-    return np.asarray(np.maximum(after**2 - floor**2, 0.0) / np.maximum(before**2 - floor**2, 0.1 * floor**2))
+    return np.asarray(np.maximum(after**2 - floor**2, 0.0) / np.maximum(before**2 - floor**2, 0.1 * floor**2 + 1e-300))

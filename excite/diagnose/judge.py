@@ -241,19 +241,19 @@ def _wider(one: Design, chosen: list[int]) -> Iterator[list[int]]:
     found = list[tuple[float, list[int]]]()
     for i in chosen:
         others = [k for k in chosen if k != i]
-        for turned in _siblings(one, i):
+        for turned in _siblings(one, i, chosen):
             best = next((h for h in ranked(one, (*others, turned)) if h.shows and _who(one.shapes[h.shape]) != _who(one.shapes[i])), None)
             if best is not None:
                 found.append((best.trial.gain, [*others, turned, best.shape]))
     yield from (wider for _, wider in sorted(found, key=lambda pair: -pair[0])[:1])
 
 
-def _siblings(one: Design, i: int) -> list[int]:
-    """Other shapes of the same effect at the same joint."""
+def _siblings(one: Design, i: int, chosen: Sequence[int]) -> list[int]:
+    """Other shapes of the same effect at the same joint, not chosen themselves."""
     own = one.shapes[i]
     if own.interval is not None:
         return []
-    return [k for k, shape in enumerate(one.shapes) if k != i and _who(shape) == _who(own) and shape.other == own.other]
+    return [k for k, shape in enumerate(one.shapes) if k not in chosen and _who(shape) == _who(own) and shape.other == own.other]
 
 
 def _earns(one: Design, others: Sequence[int], wider: Sequence[int], adds: float, rest: float) -> bool:

@@ -31,6 +31,8 @@ ROOM = 4.0
 SHARED = 0.5
 """Share of what a joint does above the motion that the others must foretell, of two joints at the least: of noise of its own they foretell
 less than nothing."""
+SLIGHT, ROUNDED = 5e-6, 1e-12
+"""An error of instants that nobody needs to take out [s]; and of positions, what a filter's rounding leaves of a joint that stands."""
 FAINT = 1e-3
 """Of the mean square of speeds, what is added to it: where all stand, no δ is told."""
 AGAIN, ROUNDS, CLOSE = 4, 300, 1e-6
@@ -67,8 +69,10 @@ def found(t: Array, q: Array, step: float) -> Waver | None:
     seen = [_Seen(q[rows], step) for rows in stretches[:LOOKED]]
     if not seen or np.sum(np.sum([one.foretold for one in seen], axis=0) > SHARED * len(seen)) < 2:
         return None
-    late, speed = np.zeros(len(q)), np.zeros(q.shape)
     variance = float(np.mean([one.variance for one in seen]))
+    if variance < SLIGHT**2:
+        return None
+    late, speed = np.zeros(len(q)), np.zeros(q.shape)
     for number, rows in enumerate(stretches):
         one = seen[number] if number < LOOKED else _Seen(q[rows], step)
         late[rows], speed[rows] = one.late(variance), one.speed
@@ -97,7 +101,7 @@ class _Seen:
         edge = int(EDGE / step)
         high[:edge] = high[-edge:] = 0.0
         square = np.mean(high**2, axis=0)
-        weight = np.divide(1.0, square, out=np.zeros_like(square), where=square > 0.0)
+        weight = np.divide(1.0, square, out=np.zeros_like(square), where=square > (ROUNDED * np.abs(q).max(axis=0)) ** 2)
         told, known = weight * self.speed * high, weight * self.speed**2
         faint = FAINT * float(known.sum(axis=1).mean()) + 1e-300
         others = (told.sum(axis=1)[:, None] - told) / (known.sum(axis=1)[:, None] - known + faint)

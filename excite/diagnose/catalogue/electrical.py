@@ -66,7 +66,8 @@ def overdrawn(loss: float, values: Mapping[str, float], torque: Array) -> Array:
     x = np.linspace(0.0, 2.0 * most, 4001)
     made = x - loss * x * (x / most) ** (values["power"] - 1.0)
     rising = slice(0, int(np.argmax(made)) + 1)  # a drive makes no more than that
-    return np.asarray(np.sign(torque) * np.interp(np.abs(torque), made[rising], x[rising]))
+    size = np.abs(torque)
+    return np.asarray(np.sign(torque) * np.maximum(size, np.interp(size, made[rising], x[rising])))
 
 
 EFFECTS = (

@@ -45,7 +45,7 @@ def _asymmetric(tracks: Sequence[Track]) -> Iterator[Shape]:
 
     for j in range(tracks[0].n):
         viscous, coulomb = (max(float(tracks[0].body.drive(kind)[j]), 1e-9) for kind in ("viscous", "coulomb"))
-        most = 1.5 * (viscous + coulomb / _fastest(tracks, j))  # what is dissipated in both directions, with all that resists
+        most = 1.5 * (viscous + coulomb / max(_fastest(tracks, j), 1e-9))  # what is dissipated in both directions, with all that resists
         yield Shape("asymmetric_viscous", j, _slanted, parameters=parameters(viscous), plausible=within(-most, most))
 
 

@@ -260,7 +260,7 @@ def _judged(
     expected = np.sqrt(quiet**2 + _reach(one, scale) ** 2)
     rms = [np.sqrt(search.mean_square(r, moves)) for r in (before, after)]
     told = (identified, options, hertz, tracks, one, verdict, floor, noisy.method)
-    sights = _sights(search.remaining(one, verdict.named) * scale, tracks, np.flatnonzero(_left(*fitted, 0.0 * floor) > UNSAID))
+    sights = _sights(search.remaining(one, verdict.named) * scale, tracks, np.flatnonzero(fitted[1] ** 2 > UNSAID * fitted[0] ** 2))
     return Diagnosis(*told, rms[0], rms[1], (before, after), refitted, expected=expected, fitted=fitted, quiet=quiet, sights=sights)
 
 
@@ -342,4 +342,4 @@ def _reach(one: Design, scale: Array) -> Array:
 
 def _left(before: Array, after: Array, floor: Array) -> Array:
     """Of the mean square beyond the noise, what remains. Shape (n,)."""
-    return np.asarray(np.maximum(after**2 - floor**2, 0.0) / np.maximum(before**2 - floor**2, 0.1 * floor**2 + 1e-300))
+    return np.asarray(np.maximum(after**2 - floor**2, 0.0) / np.maximum(before**2 - floor**2, 0.1 * floor**2))

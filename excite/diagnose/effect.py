@@ -53,6 +53,7 @@ class Shape:
 
 
 Add = Callable[[Track, Shape], Array]
+Recorded = Callable[[Track, Shape, Array, Array], Array]
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,8 @@ class Effect:
     name: the contract's. add: the torque that a shape of it adds. shapes: all forms on a robot whose recordings are these tracks.
     units: of its parameters. prior_only: a refit of the base model absorbs it. signature: what it looks like. confused: names it
     is taken for. experiment: what would tell them apart. form: relative standard deviation of parameters where a robot's form is not
-    quite this one. told: the contract's parameters of a joint's shapes with their coefficients, the largest first.
+    quite this one. told: the contract's parameters of a joint's shapes with their coefficients, the largest first. recorded: of an effect
+    with shapes of measured torque, what one adds where nothing is measured yet, by all the torque that is made, Shape (M, n).
     """
 
     name: str
@@ -132,6 +134,7 @@ class Effect:
     form: Mapping[str, float] = field(default_factory=dict)
     loose: float = 0.0
     told: Callable[[Sequence[tuple[Shape, Array]]], dict[str, float]] = lambda parts: parts[0][0].parameters(parts[0][1])
+    recorded: Recorded | None = None
 
 
 def alone(track: Track, joint: int, x: Array) -> Array:

@@ -225,27 +225,23 @@ def _further(one: Design, chosen: list[int]) -> list[int] | None:
     """Those chosen and what predicts best beside them, if it is worth it; or beside one of them in another of its shapes: what is told
     alone bends to take what is another's."""
     now = trial(one, chosen).gain
-    for wider in _wider(one, chosen):
-        if _earns(one, chosen, wider, trial(one, wider).gain - now, now):
-            return wider
-    return None
+    return next((list(found.shapes) for found in _wider(one, chosen, now) if _earns(one, chosen, found, now)), None)
 
 
-def _wider(one: Design, chosen: list[int]) -> Iterator[list[int]]:
-    """Those chosen, or with one of them in another shape, beside one more, the best first of each way."""
-    enough = trial(one, chosen).gain + search.NATS
-    beside = takewhile(lambda h: h.trial.gain > enough, ranked(one, tuple(chosen)))
-    yield from ([*chosen, h.shape] for h in beside if h.shows)
+def _wider(one: Design, chosen: list[int], now: float) -> Iterator[Trial]:
+    """Those chosen, or with one of them in another shape, beside one more at the end, the best first of each way. now: their gain."""
+    beside = takewhile(lambda h: h.trial.gain > now + search.NATS, ranked(one, tuple(chosen)))
+    yield from (h.trial for h in beside if h.shows)
     if len(chosen) > BENT:
         return
-    found = list[tuple[float, list[int]]]()
+    found = list[Trial]()
     for i in chosen:
         others = [k for k in chosen if k != i]
         for turned in _siblings(one, i, chosen):
-            best = next((h for h in ranked(one, (*others, turned)) if h.shows and _who(one.shapes[h.shape]) != _who(one.shapes[i])), None)
-            if best is not None:
-                found.append((best.trial.gain, [*others, turned, best.shape]))
-    yield from (wider for _, wider in sorted(found, key=lambda pair: -pair[0])[:1])
+            besides = (h for h in ranked(one, (*others, turned)) if h.shows and (h.effect, h.joint) != _who(one.shapes[i]))
+            found += [h.trial for h in islice(besides, 1)]
+    if found:
+        yield max(found, key=lambda one: one.gain)
 
 
 def _siblings(one: Design, i: int, chosen: Sequence[int]) -> list[int]:
@@ -256,22 +252,22 @@ def _siblings(one: Design, i: int, chosen: Sequence[int]) -> list[int]:
     return [k for k, shape in enumerate(one.shapes) if k not in chosen and _who(shape) == _who(own) and shape.other == own.other]
 
 
-def _earns(one: Design, others: Sequence[int], wider: Sequence[int], adds: float, rest: float) -> bool:
+def _earns(one: Design, others: Sequence[int], wider: Trial, rest: float) -> bool:
     """Whether the last of some shapes adds enough to the gain of others, `rest`: a share of it, lest it mend their form, or most of what
     they leave.
 
     Where they explain next to nothing, a share of that is enough, if the noise is known: else what is left there may be anything. What
     explains nearly all that is left beyond known noise needs no share. A name that is there earns one more shape sooner, and by its share.
     """
-    shape = wider[-1]
+    shape, adds = wider.shapes[-1], wider.gain - rest
     there = any(_who(one.shapes[i]) == _who(one.shapes[shape]) for i in others)
     if adds < one.bar(shape):
         return False
     share = (SAME if there else SHARE) * rest
     if adds > share:
         return True
-    before, rested, after = (search.level(one, shapes) for shapes in ((), tuple(others), tuple(wider)))
-    acts = np.square(sizes(one, trial(one, wider), len(wider) - 1))
+    before, rested, after = (search.level(one, shapes) for shapes in ((), others, wider.shapes))
+    acts = np.square(sizes(one, wider, len(others)))
     acts /= max(float(acts.max()), 1e-300)
     taken = np.maximum(before - rested, 0.0)
     # others that explain next to nothing where it acts have no form there to mend
@@ -296,12 +292,12 @@ def _replaced(one: Design, chosen: list[int]) -> list[int]:
             others = [k for k in chosen if k != i]
             if not others:
                 continue
-            rest, now = trial(one, others).gain, trial(one, chosen).gain
-            if not _earns(one, others, [*others, i], now - rest, rest):
+            now = trial(one, [*others, i])
+            if not _earns(one, others, now, trial(one, others).gain):
                 chosen = others
                 continue
             best = next(ranked(one, tuple(others)), None)
-            if best is not None and best.trial.gain > now + 1e-9 and best.shows:
+            if best is not None and best.trial.gain > now.gain + 1e-9 and best.shows:
                 chosen = [*others, best.shape]
         if chosen == before:
             break

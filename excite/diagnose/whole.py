@@ -17,7 +17,6 @@ from ..recordings import Recording
 from ..robot import Robot
 from . import track
 from .catalogue import BY_NAME
-from .catalogue.electrical import overdrawn
 from .effect import Shape
 from .search import Design, Trial
 from .track import Track
@@ -89,22 +88,6 @@ def restored(stated: Mapping[str, Any], robot: Robot, source: str) -> Part:
     return Part(shape, np.array(stated["coefficients"], float))
 
 
-def _lost(part: Part, along: Track, added: Array) -> Array:
-    """What a drive that loses torque at high current is recorded with beyond what it makes. Shape (M, n)."""
-    joint, out = part.shape.place, np.zeros_like(added)
-    made = (along.motor + added)[:, joint]
-    out[:, joint] = overdrawn(float(part.coefficients[0]), part.shape.values, made) - made
-    return along.band.low(out, Grid.RECORDED)
-
-
-def _behind(part: Part, along: Track, added: Array) -> Array:
-    """What a delay of all that was measured does to what is predicted: base model's torque and what others add. Shape (M, n)."""
-    seconds, joint, now = float(part.coefficients[0]), part.shape.joint, along.motor + added
-    late = np.column_stack([np.interp(along.clock - seconds, along.clock, column) for column in now.T])
-    out = along.band.low(late - now, Grid.RECORDED)
-    return out if joint is None else out * (np.arange(along.n) == joint)
-
-
 def predict(fitted: FittedModel, recording: Recording) -> tuple[Array, Array]:
     """Torque along a recording at its own times, effects included: (times, torque). Shapes (N,) [s], (N, n) [N m]."""
     found = [restored(stated, fitted.robot, fitted.source) for stated in fitted.effects]
@@ -112,6 +95,7 @@ def predict(fitted: FittedModel, recording: Recording) -> tuple[Array, Array]:
         return fitted.predict(recording)
     body = track.body(fitted.robot, fitted.layout, fitted.psi)
     own, late = ([part for part in found if (part.shape.values.get("measured", 0.0) > 0.0) is last] for last in (False, True))
+    late.sort(key=lambda part: list(BY_NAME).index(part.shape.effect))  # a drive's loss before a clock's delay, as the catalogue has them
     nothing = np.zeros((0, fitted.robot.n))
 
     def beyond(stretch: Recording) -> Array:
@@ -120,8 +104,10 @@ def predict(fitted: FittedModel, recording: Recording) -> tuple[Array, Array]:
         empty = nothing[:, :, None]
         along = Track(piece, band, body, fitted.widths, np.zeros(0), nothing, empty, nothing, slice(0), np.zeros(0))
         added = torque(own, along)
-        for part in sorted(late, key=lambda part: part.shape.effect == "delay"):  # what is late is all that was made
-            added += (_behind if part.shape.effect == "delay" else _lost)(part, along, added)
+        for part in late:
+            recorded = BY_NAME[part.shape.effect].recorded
+            assert recorded is not None  # a shape of measured torque has one
+            added += band.low(recorded(along, part.shape, part.coefficients, along.motor + added), Grid.RECORDED)
         return added
 
     try:

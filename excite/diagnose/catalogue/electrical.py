@@ -60,6 +60,13 @@ def _saturation(tracks: Sequence[Track]) -> Iterator[Shape]:
             yield from laws(j, max(*(float(x) for x in seen), 1e-9), measured)
 
 
+def _overdrawn(t: Track, s: Shape, c: Array, made: Array) -> Array:
+    """What a drive that loses torque is recorded with beyond what it makes. Shape (M, n)."""
+    out = np.zeros_like(made)
+    out[:, s.place] = overdrawn(float(c[0]), s.values, made[:, s.place]) - made[:, s.place]
+    return out
+
+
 def overdrawn(loss: float, values: Mapping[str, float], torque: Array) -> Array:
     """What is recorded where a drive that loses as `_bent` says makes a torque: x of x − c x |x/L|^(p−1) = τ. Shape (M,)."""
     most = values["largest"]
@@ -104,5 +111,6 @@ EFFECTS = (
         "torque is missing at high current only",
         ("load_friction", "nonlinear_viscous"),
         "short bursts near the torque limit",
+        recorded=_overdrawn,
     ),
 )

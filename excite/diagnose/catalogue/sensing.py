@@ -30,6 +30,12 @@ def _late(t: Track, s: Shape) -> Array:
     return _of(s, t.reduce((then - t.motor) / seconds))
 
 
+def _behind(t: Track, s: Shape, c: Array, made: Array) -> Array:
+    """What a delay of all that was measured adds to what is made. Shape (M, n)."""
+    late = np.column_stack([np.interp(t.clock - float(c[0]), t.clock, column) for column in made.T])
+    return _of(s, late - made)[:, :, 0]
+
+
 def _of(s: Shape, torque: Array) -> Array:
     """Of all joints' torque that of the shape's joint, or all of it. Shape (N, n) -> (N, n, 1)."""
     if s.joint is None:
@@ -96,6 +102,7 @@ EFFECTS = (
         ("hysteresis", "elasticity", "stribeck"),
         "fast, jerky motion; the same delay on all joints is the logging's",
         form={"seconds": 0.1},
+        recorded=_behind,
     ),
     Effect(
         "encoder_error",

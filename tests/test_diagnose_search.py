@@ -17,6 +17,7 @@ from test_diagnose import PLANTED, found, on, recordings_of
 from excite import dynamics
 from excite.diagnose import belief, diagnosis, equations, interval, judge, noise, search, track, whole
 from excite.diagnose.catalogue import BY_NAME, electrical, environment, windup
+from excite.diagnose.columns import Columns
 from excite.diagnose.effect import Shape, beside, family
 from excite.diagnose.half import Half, whitened
 from excite.diagnose.track import Grid, Track
@@ -52,6 +53,11 @@ def halved(gamma: Array, torque: Array, known: tuple[Array, Array], scale: float
     return whitened([gamma[:, None, :]], [torque], [np.ones(torque.shape, bool)], np.full(1, scale), known)
 
 
+def on_one(first: Array, second: Array) -> tuple[Columns, Columns]:
+    """Columns of both halves, of a robot with one joint."""
+    return Columns.of(first[:, None]), Columns.of(second[:, None])
+
+
 def test_the_gain_is_the_quotient_of_marginal_likelihoods():
     rng = np.random.default_rng(0)
     rows, p, k = (40, 30), 3, 2
@@ -59,7 +65,7 @@ def test_the_gain_is_the_quotient_of_marginal_likelihoods():
     torques = [g @ [1.0, -2.0, 0.5] + c @ [0.4, 0.1] + rng.normal(size=len(g)) for g, c in zip(gammas, columns, strict=True)]
     known = (1e-2 * np.eye(p), np.zeros(p))  # a proper prior, so that densities exist
     first, second = (halved(g, t[:, None], known) for g, t in zip(gammas, torques, strict=True))
-    one = search.design((first, second), [Shape("drag", 0, nothing)], lambda _: (columns[0], columns[1]))
+    one = search.design((first, second), [Shape("drag", 0, nothing)], lambda _: on_one(*columns))
     gain = search.trial(one, [0]).gain
 
     def evidence(parts: tuple[int, ...], wide: bool) -> float:
@@ -82,7 +88,7 @@ def test_all_gains_at_once_are_those_of_one_after_the_other():
     columns = {width: [rng.normal(size=(m, width)) for m in (60, 50)] for width in (1, 2, 4)}
     columns[5] = [np.column_stack([4.0 * c, c[:, :1]]) for c in columns[4]]  # the same once more
     shapes = [Shape("spring", 0, nothing, {"width": float(width)}) for width in columns]
-    one = search.design((first, second), shapes, lambda shape: (columns[shape.values["width"]][0], columns[shape.values["width"]][1]))
+    one = search.design((first, second), shapes, lambda shape: on_one(*columns[shape.values["width"]]))
     for beside_ in ((), (0,), (2, 1)):
         told = search.gains(one, beside_)
         for i in set(range(len(one.shapes))) - set(beside_):
@@ -96,7 +102,7 @@ def test_another_residual_is_judged_as_if_it_had_been_measured():
 
     def designed(own: list[Array]) -> search.Design:
         first, second = (halved(g, t, known) for g, t in zip(gammas, own, strict=True))
-        return search.design((first, second), [Shape("drag", 0, nothing)], lambda _: (columns[0], columns[1]))
+        return search.design((first, second), [Shape("drag", 0, nothing)], lambda _: on_one(*columns))
 
     others = [c[:, :1] - g[:, :1] for c, g in zip(columns, gammas, strict=True)]
     told = search.pretended(designed(torques), (others[0].ravel(), others[1].ravel()))
@@ -129,7 +135,7 @@ def test_what_remains_is_what_least_squares_leaves():
     gammas, columns = ([rng.normal(size=(m, k)) for m in (60, 40)] for k in (3, 1))
     torques = [rng.normal(size=(len(g), 1)) + 50.0 * c for g, c in zip(gammas, columns, strict=True)]
     first, second = (halved(g, t, (np.zeros((0, 3)), np.zeros(0))) for g, t in zip(gammas, torques, strict=True))
-    one = search.design((first, second), [Shape("drag", 0, nothing)], lambda _: (columns[0], columns[1]))
+    one = search.design((first, second), [Shape("drag", 0, nothing)], lambda _: on_one(*columns))
     y = np.concatenate(torques)
     for chosen, wide in (((), gammas), ((0,), [np.hstack(pair) for pair in zip(gammas, columns, strict=True)])):
         G = np.concatenate(wide)
@@ -151,9 +157,9 @@ def test_a_grid_is_left_for_the_value_between_its_neighbours():
     x = np.linspace(0.0, 1.0, 400)
     halves = [halved(np.ones((400, 1)), 5.0 * x[:, None] ** 1.7 + 0.1 * rng.normal(size=(400, 1)), EMPTY, 0.1)] * 2
 
-    def build(shape: Shape) -> tuple[Array, Array]:
+    def build(shape: Shape) -> tuple[Columns, Columns]:
         column = x[:, None] ** shape.values["power"] / 0.1
-        return column, column
+        return on_one(column, column)
 
     shapes = list(family((1.0, 1.4, 2.0, 2.8), lambda power: Shape("drag", 0, nothing, {"power": power})))
     one = search.design((halves[0], halves[1]), shapes, build)
@@ -175,9 +181,9 @@ def test_a_value_that_no_grid_has_is_found_from_kin_to_kin():
 
         return shape
 
-    def build(shape: Shape) -> tuple[Array, Array]:
+    def build(shape: Shape) -> tuple[Columns, Columns]:
         column = np.exp(-shape.values["damping"] * x[:, None]) * np.sin(shape.values["speed"] * x[:, None]) / 0.1
-        return column, column
+        return on_one(column, column)
 
     one = search.design((halves[0], halves[1]), list(family((4.0, 6.0, 10.0, 16.0), rung(1.0))), build)
     finer, (best,) = search.refined(one, [max(range(len(one.shapes)), key=lambda i: search.trial(one, [i]).gain)])
@@ -603,8 +609,8 @@ def test_shapes_that_take_each_other_off_are_no_finding():
     known = (1e-2 * np.eye(2), np.zeros(2))
     first, second = (halved(g, t[:, None], known) for g, t in zip(gammas, torques, strict=True))
 
-    def build(shape: Shape) -> tuple[Array, Array]:
-        return columns[0][shape.effect][:, None], columns[1][shape.effect][:, None]
+    def build(shape: Shape) -> tuple[Columns, Columns]:
+        return on_one(*(own[shape.effect][:, None] for own in columns))
 
     one = search.design((first, second), [Shape("drag", 0, nothing), Shape("stribeck", 0, nothing)], build)
     one = dataclasses.replace(one, prior=np.full(2, 1e-6))
@@ -625,8 +631,8 @@ def two_joints(blurred: float = 1.0) -> search.Design:
         joints = {("drag", 0): np.column_stack([s, 0.0 * s]), ("spring", 0): np.column_stack([r + b, 0.0 * r])}
         columns.append({**joints, ("stribeck", 1): np.column_stack([0.0 * o, o])})
 
-    def build(shape: Shape) -> tuple[Array, Array]:
-        first, second = (own[shape.effect, shape.joint].reshape(-1, 1) for own in columns)
+    def build(shape: Shape) -> tuple[Columns, Columns]:
+        first, second = (Columns.of(own[shape.effect, shape.joint][:, :, None]) for own in columns)
         return first, second
 
     shapes = [Shape(effect, joint, nothing) for effect, joint in columns[0]]
@@ -657,12 +663,12 @@ def test_beside_another_a_strong_effect_may_need_another_of_its_shapes():
     torques = [3.0 * own**3 + 20.0 * own / (1.0 + np.abs(own)) for own in x]
     halves = [halved(np.ones((400, 1)), t[:, None] + rng.normal(size=(400, 1)), EMPTY) for t in torques]
 
-    def build(shape: Shape) -> tuple[Array, Array]:
+    def build(shape: Shape) -> tuple[Columns, Columns]:
         if shape.effect == "stribeck":
             first, second = (own / (1.0 + np.abs(own)) for own in x)
         else:
             first, second = (np.sign(own) * np.abs(own) ** shape.values["exponent"] for own in x)
-        return first[:, None], second[:, None]
+        return on_one(first[:, None], second[:, None])
 
     powers = [Shape("drag", 0, nothing, {"exponent": k}, plausible=lambda c: bool(c[0] > 0.0)) for k in (2.0, 2.5, 3.0)]
     shapes = [*powers, Shape("stribeck", 0, nothing, plausible=lambda c: bool(c[0] > 0.0))]
@@ -681,9 +687,9 @@ def test_the_best_of_each_law_is_looked_at():
     halves = [halved(np.ones((200, 1)), 5.0 * t[:, None] + rng.normal(size=(200, 1)), EMPTY) for t in truth]
     blurred = {ratio: [t + 0.1 * ratio * rng.normal(size=200) for t in truth] for ratio in range(1, 8)}
 
-    def build(shape: Shape) -> tuple[Array, Array]:
+    def build(shape: Shape) -> tuple[Columns, Columns]:
         first, second = (x[:, None] for x in blurred[int(shape.values["ratio"])])
-        return first, second
+        return on_one(first, second)
 
     heavy = [Shape("coupling", 0, nothing, {"ratio": float(ratio)}, 1) for ratio in range(1, 7)]
     one = search.design((halves[0], halves[1]), [*heavy, Shape("coupling", 0, nothing, {"ratio": 7.0, "light": 1.0}, 1)], build)
@@ -701,7 +707,7 @@ def test_halves_agree_about_what_both_see():
         columns = [np.column_stack([x, by * y]) for x, y, by in zip(a, b, seen, strict=True)]
         own = [c @ [2.0, k] + 0.1 * n for c, k, n in zip(columns, (first, second), noise_, strict=True)]
         halves = [halved(np.ones((200, 1)), t[:, None], EMPTY, 0.1) for t in own]
-        return search.design((halves[0], halves[1]), [Shape("drag", 0, nothing)], lambda _: (columns[0] / 0.1, columns[1] / 0.1))
+        return search.design((halves[0], halves[1]), [Shape("drag", 0, nothing)], lambda _: on_one(columns[0] / 0.1, columns[1] / 0.1))
 
     for other, agree in ((3.0, True), (-40.0, True), (-3e3, False)):
         one = designed(other, 3.0)
@@ -727,7 +733,7 @@ def test_rows_that_do_not_count_change_nothing():
 
     def designed(g: Array, c: Array, t: Array, seen: Array) -> search.Design:
         half = whitened([g[:, None, :]], [t], [seen[:, None]], np.ones(1), (np.zeros((0, 3)), np.zeros(0)))
-        return search.design((half, half), [Shape("drag", 0, nothing)], lambda _: (c * seen[:, None], c * seen[:, None]))
+        return search.design((half, half), [Shape("drag", 0, nothing)], lambda _: on_one(c * seen[:, None], c * seen[:, None]))
 
     part = designed(gamma, column, torque + 9.0 * ~counts[:, None], counts)
     short = designed(gamma[counts], column[counts], torque[counts], counts[counts])

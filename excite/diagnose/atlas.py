@@ -169,7 +169,7 @@ def _nulls(found: Diagnosis, scale: Array, rows: Rows) -> tuple[_Null, _Null]:
     together = found.verdict.together
     if together is not None:
         which = design.which(together.shapes)
-        columns.append(fitted.free(design.columns[0][:, which]))
+        columns.append(fitted.free(design.columns[0].picked(which).full()))
         left = left - columns[1] @ together.halves[0]
     # what the fit took out of its own residual is put back on average
     spent = min(sum(c.shape[1] for c in columns) / int(recorded.sum()), 0.5)

@@ -10,6 +10,7 @@ from ..identify import consistent
 from ..identify.identification import Identification
 from . import search
 from .catalogue import BY_NAME, EFFECTS
+from .columns import Columns
 from .effect import Shape
 from .half import Half, whitened
 from .track import Track
@@ -68,13 +69,13 @@ def shapes(halves: Sequence[list[Track]], trusted: bool, floor: Array, names: Co
 def builder(halves: Sequence[list[Track]], scale: Array) -> search.Build:
     """Columns of a shape on both halves, over the scale."""
 
-    def build(shape: Shape) -> tuple[Array, Array] | None:
-        both = []
-        for own in halves:
-            stacked = np.concatenate([shape.columns(one) * one.moves[:, :, None] / scale[:, None] for one in own])
-            both.append(stacked.reshape(-1, stacked.shape[2]))
-        if not all(np.isfinite(x).all() for x in both) or not any(np.abs(x).max(initial=0.0) > 1e-9 for x in both):
+    def build(shape: Shape) -> tuple[Columns, Columns] | None:
+        first, second = (
+            Columns.of(np.concatenate([shape.columns(one) * one.moves[:, :, None] / scale[:, None] for one in own])) for own in halves
+        )
+        every = [*first.values, *second.values]
+        if not all(np.isfinite(x).all() for x in every) or not any(np.abs(x).max(initial=0.0) > 1e-9 for x in every):
             return None
-        return both[0], both[1]
+        return first, second
 
     return build

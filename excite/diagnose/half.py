@@ -12,11 +12,19 @@ Array = np.ndarray
 RANK = 1e-8
 
 
-def inverse(columns: Array) -> Array:
-    """Γ⁺ with relative tolerance, columns at unit length. Shapes (m, p) -> (p, m)."""
+def factors(columns: Array) -> tuple[Array, Array]:
+    """Orthonormal Q and S with Γ⁺ = S Qᵀ, with relative tolerance, columns at unit length. Shapes (m, p) -> (m, r), (p, r)."""
     size = np.linalg.norm(columns, axis=0)
     size[size <= 1e-9 * size.max(initial=0.0)] = np.inf
-    return np.asarray(np.linalg.pinv(columns / size, rcond=RANK) / size[:, None])
+    u, s, vt = np.linalg.svd(columns / size, full_matrices=False)
+    kept = s > RANK * s.max(initial=0.0)
+    return u[:, kept], (vt[kept] / s[kept, None]).T / size[:, None]
+
+
+def inverse(columns: Array) -> Array:
+    """Γ⁺. Shapes (m, p) -> (p, m)."""
+    q, s = factors(columns)
+    return np.asarray(s @ q.T)
 
 
 @dataclass(frozen=True)
@@ -38,9 +46,24 @@ class Half:
         return self.joint >= 0
 
     @cached_property
+    def _factors(self) -> tuple[Array, Array]:
+        return factors(self.gamma)
+
+    @property
+    def basis(self) -> Array:
+        """Orthonormal columns that span Γ's. Shape (m + k, r)."""
+        return self._factors[0]
+
+    @cached_property
+    def shares(self) -> Array:
+        """QᵀQ of the basis's rows on each joint. Shape (n, r, r)."""
+        own = self.basis[self.rows].reshape(-1, int(self.joint.max()) + 1, self.basis.shape[1])
+        return np.stack([own[:, j].T @ own[:, j] for j in range(own.shape[1])])
+
+    @cached_property
     def inverse(self) -> Array:
         """Γ⁺. Shape (p, m + k)."""
-        return inverse(self.gamma)
+        return np.asarray(self._factors[1] @ self.basis.T)
 
     def full(self, columns: Array) -> Array:
         """Columns at the recorded rows, with the zeros that they have elsewhere. Shapes (m, k) -> (m + k, k)."""
@@ -51,12 +74,12 @@ class Half:
     def free(self, columns: Array) -> Array:
         """What the base leaves of columns. Shapes (m, k) -> (m + k, k)."""
         full = self.full(columns)
-        return np.asarray(full - self.gamma @ (self.inverse @ full))
+        return np.asarray(full - self.basis @ (self.basis.T @ full))
 
     @cached_property
     def left(self) -> Array:
         """Torque that the base leaves. Shape (m + k,)."""
-        return np.asarray(self.torque - self.gamma @ (self.inverse @ self.torque))
+        return np.asarray(self.torque - self.basis @ (self.basis.T @ self.torque))
 
 
 def whitened(base: Sequence[Array], torque: Sequence[Array], counts: Sequence[Array], scale: Array, known: tuple[Array, Array]) -> Half:

@@ -84,14 +84,16 @@ def spreads(one: Design, verdict: Verdict) -> Spread:
     together = verdict.together
     assert together is not None
     which = one.which(together.shapes)
-    columns = [[part[:, which] for part in one.columns]]
+    columns = [part.picked(which) for part in one.columns]
+    turned = list[list[Array]]()
     places: dict[int, int] = {}
     for k, (i, c) in enumerate(zip(together.shapes, one.split(together.shapes, together.coefficients), strict=True)):
         above, below = (one.build(_turned(one.shapes[i], by)) if one.shapes[i].knob else None for by in (STEP, -STEP))
         if above is not None and below is not None:
             places[k] = len(which) + len(places)
-            columns.append([(((a - b) @ c) / (2.0 * STEP))[:, None] for a, b in zip(above, below, strict=True)])
-    free = one.both.free(np.concatenate([np.hstack([group[half] for group in columns]) for half in (0, 1)]))
+            turned.append([((a.full() - b.full()) @ c)[:, None] / (2.0 * STEP) for a, b in zip(above, below, strict=True)])
+    every = [np.hstack([part.full(), *(own[half] for own in turned)]) for half, part in enumerate(columns)]
+    free = one.both.free(np.concatenate(every))
     G = free.T @ free
     # a value's logarithm is known to one, as its grid's neighbours are
     G[np.diag_indices_from(G)] += np.concatenate([one.prior[which], np.ones(len(places))])

@@ -9,18 +9,22 @@ log p(y₂ | y₁) + log p(y₁ | y₂), each the quotient of two marginal likel
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
+from .columns import Columns
 from .effect import Shape
+from .gram import Beside, Gram, grown, powers
 from .half import Half, stacked
 
 Array = np.ndarray
-Build = Callable[[Shape], tuple[Array, Array] | None]
+Build = Callable[[Shape], tuple[Columns, Columns] | None]
 """A shape's columns over the scale at the recorded rows of both halves; None where it says nothing."""
+Built = tuple[Shape, tuple[Columns, Columns]]
 USUAL = 30.0
 """Standard deviation of an effect's torque over the noise, before anything is seen: what is looked for is 1 to 100."""
 NATS = 25.0
@@ -28,14 +32,6 @@ NATS = 25.0
 STEPPED = 100.0
 """The same, for each time that an effect is doubted, of noise that is all an encoder's steps: they are in its columns and the
 residual alike."""
-
-
-@dataclass(frozen=True)
-class Gram:
-    """Products of the columns that a base fit leaves, with each other and with the residual. Shapes (K, K), (K,)."""
-
-    matrix: Array
-    score: Array
 
 
 @dataclass(frozen=True)
@@ -53,7 +49,7 @@ class Measured:
 class Design:
     """Two halves with all shapes' columns, and the products that fits are made of.
 
-    places: of each shape's columns. both: the halves stacked. columns: of each half, at its recorded rows. Shapes (m, K). left: the
+    places: of each shape's columns. both: the halves stacked. columns: of each half, at its recorded rows. left: the
     residual of each half by its own base fit. across: torque of the second half less what the first half's base fit makes of it.
     grams: of each half, the base fitted to it; whole: of both, the base fitted to both. power: of each shape, the mean products of
     its columns in `whole`, per joint, Shape (n, k, k). measured: how well. listed: all shapes that there were, before the best were picked.
@@ -63,7 +59,7 @@ class Design:
     places: tuple[slice, ...]
     halves: tuple[Half, Half]
     both: Half
-    columns: tuple[Array, Array]
+    columns: tuple[Columns, Columns]
     left: tuple[Array, Array]
     across: Array
     grams: tuple[Gram, Gram]
@@ -108,8 +104,8 @@ class Design:
     def carried(self, which: Array) -> Array:
         """Columns of the second half less what the first half's base fit makes of them. Shape (m, k)."""
         first, second = self.halves
-        part = first.inverse @ first.full(self.columns[0][:, which])
-        return np.asarray(self.columns[1][:, which] - second.gamma[second.rows] @ part)
+        part = first.inverse @ first.full(self.columns[0].picked(which).full())
+        return np.asarray(self.columns[1].picked(which).full() - second.gamma[second.rows] @ part)
 
 
 FEW, SEVERAL, BESIDE = 4, 6, 3
@@ -120,7 +116,7 @@ best of each law, if it is not among them."""
 def design(halves: tuple[Half, Half], shapes: Sequence[Shape], build: Build) -> Design:
     """All products that the search needs, of the shapes that say something, the best of each effect at each joint."""
     out = _bare(halves, stacked(halves), build)
-    kept = list[tuple[Shape, tuple[Array, Array]]]()
+    kept = list[Built]()
     for effect in dict.fromkeys(shape.effect for shape in shapes):
         kept += _shortlist(appended(out, [shape for shape in shapes if shape.effect == effect]))
     return dataclasses.replace(_extended(out, kept), listed=tuple(shapes))
@@ -132,7 +128,7 @@ def relisted(one: Design, chosen: Sequence[int], joints: Collection[int | None])
         return one
     there, small = {_key(shape) for shape in one.shapes}, _only(one, chosen)
     spare = [shape for shape in one.listed if shape.joint in joints and _key(shape) not in there]
-    kept = list[tuple[Shape, tuple[Array, Array]]]()
+    kept = list[Built]()
     for effect in dict.fromkeys(shape.effect for shape in spare):
         kept += _shortlist(appended(small, [shape for shape in spare if shape.effect == effect]), len(chosen), BESIDE)
     return _extended(one, kept)
@@ -145,17 +141,13 @@ def rescaled(one: Design, factor: Array) -> Design:
         dataclasses.replace(h, gamma=h.gamma * w[:, None], torque=h.torque * w) for h, w in zip(one.halves, weights, strict=True)
     )
 
-    def weighed(columns: tuple[Array, Array]) -> tuple[Array, Array]:
-        own = [w[h.rows, None] * part for h, w, part in zip(one.halves, weights, columns, strict=True)]
-        return own[0], own[1]
-
-    def build(shape: Shape) -> tuple[Array, Array] | None:
+    def build(shape: Shape) -> tuple[Columns, Columns] | None:
         made = one.build(shape)
-        return None if made is None else weighed(made)
+        return None if made is None else (made[0].scaled(factor), made[1].scaled(factor))
 
-    columns = weighed(one.columns)
-    pairs = [(shape, (columns[0][:, place], columns[1][:, place])) for shape, place in zip(one.shapes, one.places, strict=True)]
-    return dataclasses.replace(_extended(_bare((first, second), stacked((first, second)), build), pairs), listed=one.listed)
+    columns = one.columns[0].scaled(factor), one.columns[1].scaled(factor)
+    bare = _bare((first, second), stacked((first, second)), build)
+    return dataclasses.replace(_widened(bare, one.shapes, one.places, columns), listed=one.listed)
 
 
 def _key(shape: Shape) -> tuple[object, ...]:
@@ -166,14 +158,14 @@ def _bare(halves: tuple[Half, Half], both: Half, build: Build) -> Design:
     """A design without shapes."""
     first, second = halves
     carried = second.gamma @ (first.inverse @ first.torque)
-    nothing, none = np.zeros((0, 0)), np.zeros(0)
-    empty = Gram(nothing, none)
-    columns = np.zeros((int(first.rows.sum()), 0)), np.zeros((int(second.rows.sum()), 0))
+    n = int(both.joint.max()) + 1
+    columns = Columns.none(int(first.rows.sum()) // n, n), Columns.none(int(second.rows.sum()) // n, n)
     across = (second.torque - carried)[second.rows]
-    return Design((), (), halves, both, columns, (first.left, second.left), across, (empty, empty), empty, (), none, build)
+    grams = [Gram(np.zeros((0, 0)), np.zeros(0), np.zeros((half.basis.shape[1], 0))) for half in (first, second, both)]
+    return Design((), (), halves, both, columns, (first.left, second.left), across, (grams[0], grams[1]), grams[2], (), np.zeros(0), build)
 
 
-def _shortlist(one: Design, first: int = 0, most: int | None = None) -> list[tuple[Shape, tuple[Array, Array]]]:
+def _shortlist(one: Design, first: int = 0, most: int | None = None) -> list[Built]:
     """The shapes of one effect that predict best at each joint, with their columns: their neighbours on the grid say the same.
 
     They are those from the `first` on, each beside all before it; `most` of a joint.
@@ -187,7 +179,7 @@ def _shortlist(one: Design, first: int = 0, most: int | None = None) -> list[tup
         taken[shape.joint] = taken.get(shape.joint, 0) + 1
         law = shape.joint, frozenset(shape.values)  # the best of each law at least: turned, it may be better than others' neighbours
         if taken[shape.joint] <= (most or (SEVERAL if shape.several else FEW)) or law not in laws:
-            kept.append((shape, (one.columns[0][:, place], one.columns[1][:, place])))
+            kept.append((shape, _columns(one, place)))
             laws.add(law)
     return kept
 
@@ -197,62 +189,64 @@ def appended(one: Design, shapes: Sequence[Shape]) -> Design:
     return _extended(one, [(shape, found) for shape in shapes if (found := one.build(shape)) is not None])
 
 
-def _extended(one: Design, pairs: Sequence[tuple[Shape, tuple[Array, Array]]]) -> Design:
+def _columns(one: Design, place: slice) -> tuple[Columns, Columns]:
+    """Columns of one of the shapes."""
+    which = np.arange(place.start, place.stop)
+    return one.columns[0].picked(which), one.columns[1].picked(which)
+
+
+def _extended(one: Design, built: Sequence[Built]) -> Design:
     """The same with columns that are there already."""
-    kept, built, places, start = [p[0] for p in pairs], [p[1] for p in pairs], list[slice](), one.columns[0].shape[1]
-    for found in built:
-        places.append(slice(start, start + found[0].shape[1]))
-        start += found[0].shape[1]
-    if not kept:
+    if not built:
         return one
-    new = np.hstack([b[0] for b in built]), np.hstack([b[1] for b in built])
-    columns = np.hstack([one.columns[0], new[0]]), np.hstack([one.columns[1], new[1]])
-    grams = [_wider(gram, half, own, all_) for gram, half, own, all_ in zip(one.grams, one.halves, new, columns, strict=True)]
-    free = one.both.free(np.concatenate(new))
-    whole = _grown(one.whole, free, one.both.full(np.concatenate(columns)), one.both.left)
-    rows = one.both.joint
-    groups = [free[rows == joint] for joint in range(int(rows.max()) + 1)]
-    first = places[0].start
-    power = [np.stack([_products(g[:, p.start - first : p.stop - first]) for g in groups]) for p in places]
-    rms = np.sqrt(np.sum(np.square(np.concatenate(new)), axis=0) / len(rows))
+    shapes, columns = zip(*built, strict=True)
+    ends = np.cumsum([0, *(first.count for first, _ in columns)]).tolist()
+    bare = (Columns.none(len(part.values[0]), part.joints) for part in one.columns)
+    first, second = (part.beside([own[half] for own in columns]) for half, part in enumerate(bare))
+    return _widened(one, shapes, [slice(a, b) for a, b in itertools.pairwise(ends)], (first, second))
+
+
+def _widened(one: Design, shapes: Sequence[Shape], places: Sequence[slice], new: tuple[Columns, Columns]) -> Design:
+    """The same with more shapes, whose columns stand at `places` among the new ones."""
+    first, second = (old.beside([own]) for old, own in zip(one.columns, new, strict=True))
+    start, middle, both = one.columns[0].count, int(one.halves[0].rows.sum()), one.both
+    basis, left = both.basis[both.rows], both.left[both.rows]
+    every = [
+        Beside(own, columns, basis[rows], left[rows])
+        for own, columns, rows in zip(new, (first, second), (slice(middle), slice(middle, None)), strict=True)
+    ]
+    alone = [
+        Beside(own, columns, half.basis[half.rows], half.left[half.rows])
+        for own, columns, half in zip(new, (first, second), one.halves, strict=True)
+    ]
+    grams = [grown(gram, [part]) for gram, part in zip(one.grams, alone, strict=True)]
+    whole = grown(one.whole, every)
+    rms = np.sqrt((new[0].squares() + new[1].squares()) / len(both.joint))
     return dataclasses.replace(
         one,
-        shapes=(*one.shapes, *kept),
-        places=(*one.places, *places),
-        columns=columns,
+        shapes=(*one.shapes, *shapes),
+        places=(*one.places, *(slice(start + place.start, start + place.stop) for place in places)),
+        columns=(first, second),
         grams=(grams[0], grams[1]),
         whole=whole,
-        power=(*one.power, *power),
+        power=(*one.power, *powers(every, both.shares, whole.shadow[:, start:], places)),
         prior=np.concatenate([one.prior, (rms / USUAL) ** 2]),
     )
 
 
-def _products(columns: Array) -> Array:
-    return np.asarray(columns.T @ columns / max(len(columns), 1))
-
-
-def _wider(gram: Gram, half: Half, new: Array, columns: Array) -> Gram:
-    return _grown(gram, half.free(new), half.full(columns), half.left)
-
-
-def _grown(gram: Gram, free: Array, full: Array, left: Array) -> Gram:
-    """Products with further columns: free of the base, beside all as they are (what is projected once is projected)."""
-    cross, old = full.T @ free, len(gram.matrix)
-    matrix = np.empty((full.shape[1], full.shape[1]))
-    matrix[:old, :old] = gram.matrix
-    matrix[:, old:], matrix[old:, :old] = cross, cross[:old].T
-    matrix[old:, old:] = 0.5 * (cross[old:] + cross[old:].T)
-    return Gram(matrix, np.concatenate([gram.score, free.T @ left]))
-
-
 def pretended(one: Design, residual: tuple[Array, Array]) -> Design:
     """The design of recordings whose base fit leaves something else. residual: of each half, over the scale. Shape (m,), recorded rows."""
+
+    def freed(half: Half, own: Array) -> Array:
+        return half.free(own[:, None])[half.rows]
+
     grams = [
-        Gram(gram.matrix, half.full(columns).T @ half.free(own[:, None])[:, 0])
+        dataclasses.replace(gram, score=columns.along(freed(half, own))[:, 0])
         for gram, half, columns, own in zip(one.grams, one.halves, one.columns, residual, strict=True)
     ]
-    columns, whole = one.both.full(np.concatenate(one.columns)), one.both.free(np.concatenate(residual)[:, None])[:, 0]
-    return dataclasses.replace(one, grams=(grams[0], grams[1]), whole=Gram(one.whole.matrix, columns.T @ whole))
+    first, second = np.split(freed(one.both, np.concatenate(residual)), [len(residual[0])])
+    score = one.columns[0].along(first)[:, 0] + one.columns[1].along(second)[:, 0]
+    return dataclasses.replace(one, grams=(grams[0], grams[1]), whole=dataclasses.replace(one.whole, score=score))
 
 
 @dataclass(frozen=True)
@@ -308,7 +302,7 @@ def gains(one: Design, beside: Sequence[int] = ()) -> Array:
 def remaining(one: Design, chosen: Sequence[int]) -> Array:
     """What is left of both halves' torque when base and shapes are fitted to both, over the scale. Shape (N, n)."""
     which = one.which(chosen)
-    columns = np.concatenate([part[:, which] for part in one.columns])
+    columns = np.concatenate([part.picked(which).full() for part in one.columns])
     left = one.both.left - one.both.free(columns) @ trial(one, chosen).coefficients
     return np.asarray(left[one.both.rows].reshape(-1, int(one.both.joint.max()) + 1))
 
@@ -343,7 +337,7 @@ def refined(one: Design, chosen: Sequence[int], sweeps: int = 2) -> tuple[Design
 def _only(one: Design, chosen: Sequence[int]) -> Design:
     """The design with some of its shapes; its halves are not inverted again."""
     bare = dataclasses.replace(_bare(one.halves, one.both, one.build), measured=one.measured)
-    return _extended(bare, [(one.shapes[i], (one.columns[0][:, one.places[i]], one.columns[1][:, one.places[i]])) for i in chosen])
+    return _extended(bare, [(one.shapes[i], _columns(one, one.places[i])) for i in chosen])
 
 
 def _beside(small: Design, shape: Shape) -> float:

@@ -78,21 +78,23 @@ def oscillator(
     root = np.sqrt(1.0 - ratio**2)
     slow, decay = omega * root, np.exp(-ratio * omega * dt)
     cosine, sine = decay * np.cos(slow * dt), decay * np.sin(slow * dt)
-    steps = zip(
-        (force / stiffness).tolist(),
-        (cosine + ratio / root * sine).tolist(),
-        (sine / slow).tolist(),
-        (-sine * omega / root).tolist(),
-        (cosine - ratio / root * sine).tolist(),
-        strict=True,
-    )
-    out = np.empty((2, len(force) + 1))
-    out[:, 0] = x, v
-    for k, (rest, a, b, c, d) in enumerate(steps, start=1):
-        away = x - rest
-        x, v = rest + a * away + b * v, c * away + d * v
-        out[0, k], out[1, k] = x, v
-    return out[0], out[1]
+    a, b, c, d = cosine + ratio / root * sine, sine / slow, -sine * omega / root, cosine - ratio / root * sine
+    rest = force / stiffness
+    return _stepped(np.array([[a, b], [c, d]]), np.array([rest - a * rest, -c * rest]), np.array([x, v]))
+
+
+def _stepped(turn: Array, push: Array, start: Array) -> tuple[Array, Array]:
+    """zₖ₊₁ = A(k) zₖ + b(k), all steps at once: a banded triangular system. Shapes (2, 2, M), (2, M), (2,) -> two of (M + 1,)."""
+    from scipy.linalg.lapack import dtbtrs  # slow to import
+
+    right = np.column_stack([start, push]).T.ravel()
+    bands = np.zeros((4, len(right)))
+    bands[0] = 1.0
+    bands[2, :-2:2], bands[2, 1:-2:2] = -turn[0, 0], -turn[1, 1]
+    bands[1, 1:-2:2] = -turn[0, 1]
+    bands[3, :-2:2] = -turn[1, 0]
+    out = dtbtrs(bands, right[:, None], uplo="L")[0].reshape(-1, 2)
+    return out[:, 0], out[:, 1]
 
 
 def played(track: Track, joint: int, width: float, hold: float) -> Array:

@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -67,7 +68,17 @@ def setting(spec: Spec) -> Setting:
 
 
 def bench(spec: Spec, models: Path) -> Bench:
-    """Simulate a case. models: folder of the robots' URDFs. The same spec gives the same numbers."""
+    """Simulate a case. models: folder of the robots' URDFs. The same spec gives the same numbers.
+
+    A robot that its controller loses whatever is hidden is drawn anew. Raises UnusableInput where all are.
+    """
+    for again in range(DRAWS - 1):
+        with suppress(UnusableInput):
+            return _drawn(replace(spec, seed=spec.seed + again), models)
+    return _drawn(replace(spec, seed=spec.seed + DRAWS - 1), models)
+
+
+def _drawn(spec: Spec, models: Path) -> Bench:
     rng, chosen, path = np.random.default_rng([spec.seed, 2]), setting(spec), models / f"{spec.robot}.urdf"
     tree = trees.read(path)
     plant = laboratory.robot(path, _standing(tree.joints), chosen)

@@ -15,7 +15,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 
 from excite import cli
-from excite.diagnose import diagnosis, interval
+from excite.diagnose import belief, diagnosis, interval
 from excite.diagnose.catalogue import BY_NAME, EFFECTS
 from excite.diagnose.diagnosis import Diagnosis, Options
 from excite.diagnose.document import document
@@ -129,6 +129,33 @@ def test_parameters_come_with_intervals_that_hold_the_truth(subject):
     result = found(subject, PLANTED["torque_ripple"][0])
     value, std = interval.finding_parameters(result.design, result.verdict, 0)["amplitude"]
     assert value == pytest.approx(0.5, rel=0.1) and std < 0.05
+
+
+def test_a_ripple_is_told_with_its_multiples_and_slight_orders_beside_strong_ones(subject):
+    def cogging(t: Array, q: Array, dq: Array, tau: Array) -> Array:
+        angle = 19.0 * q[:, 1]
+        return on(
+            1, 2.0 * np.cos(angle) + 0.5 * np.cos(2.0 * angle + 0.4) + 0.15 * np.cos(3.0 * angle + 1.0) + 0.3 * np.cos(27.0 * q[:, 1])
+        )
+
+    result = found(subject, cogging)
+    (finding,) = result.verdict.findings
+    told = [result.design.shapes[part.shape].values for part in finding.parts]
+    assert (
+        finding.main.effect == "torque_ripple" and told[0]["order"] == pytest.approx(19.0, rel=1e-3) and {"twice", "thrice"} <= set(told[0])
+    )
+    assert any(one["order"] == pytest.approx(27.0, rel=5e-3) for one in told)
+    assert interval.finding_parameters(result.design, result.verdict, 0)["amplitude"][0] == pytest.approx(2.0, rel=0.02)
+    assert np.all(result.after < 1.4 * result.floor)
+
+
+def test_what_only_a_doubted_name_foresees_is_unknown(subject, monkeypatch):
+    monkeypatch.setattr(belief, "ASSERTED", 0.995)  # nothing is sure enough to be named
+    result = found(subject, PLANTED["stribeck"][0])
+    assert not result.verdict.findings and [f.main.effect for f in result.verdict.doubted] == ["stribeck"]
+    assert result.unknown == [0] and result.name == "unexplained" and result.doubted[0] > result.floor[0]
+    (stated,) = document(result)["unknown"]
+    assert "likest to stribeck" in stated["where"]["statement"]
 
 
 def test_a_coupling_takes_energy_whichever_way_the_other_joint_turns_the_shaft(subject):

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from excite import recordings
 from excite.errors import ExciteWarning, UnusableInput
+from excite.identify import signals
 from excite.limits import resolve
 from excite.recordings import Kind, parse
 from excite.robot import load
@@ -312,6 +313,19 @@ def test_jitter_is_resampled(two_link, tmp_path, damage):
     assert kinds(found) == [Kind.JITTER] and "even grid" in texts[0]
     assert np.ptp(np.diff(found.t)) < 1e-9 and (found.own_times == t).all()
     assert np.abs(found.q[:, 1] - 0.5 * np.sin(3.0 * found.t)).max() < 1e-6
+
+
+def test_how_coarse_an_encoder_is_outlives_another_grid(two_link, tmp_path, damage):
+    t, step = damage.columns["t"] + np.random.default_rng(1).uniform(-3e-3, 3e-3, 400), 2e-3
+    for name, rate in (("joint_1", 2.0), ("joint_2", 3.0)):
+        damage.columns[f"q.{name}"] = 0.5 * np.sin(rate * t)
+    damage.columns["q.joint_2"] = np.round(damage.columns["q.joint_2"] / step) * step
+    del damage.columns["dq.joint_1"], damage.columns["dq.joint_2"]
+    damage.columns["t"] = t
+    found, _ = damage.read(tmp_path, two_link)
+    assert np.abs(found.q[:, 1] / step - np.round(found.q[:, 1] / step)).max() > 0.2  # interpolated: no steps to be seen
+    assert found.encoder == pytest.approx([0.0, step / np.sqrt(12.0)])
+    assert next(signals.pieces([found])).band(5.0).encoder == pytest.approx(step / np.sqrt(12.0))
 
 
 def test_few_missing_rows_are_filled_and_more_split(two_link, tmp_path, damage):

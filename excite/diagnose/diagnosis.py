@@ -45,6 +45,8 @@ MUCH = 0.15
 LOUD = 1.6
 """RMSE over a right model's from which what is left is called something though nothing foresees it: the most in 90 simulated robots with
 nothing missing is 1.44, where a clock wavers."""
+LITTLE = 0.03
+"""The same, of what a doubted name takes of it in recordings that it was not fitted to: something is there, whatever its name."""
 UNSAID = 0.1
 """Share of the excess over the noise that may stay unexplained beside a finding before it is called unknown."""
 
@@ -69,7 +71,8 @@ class Diagnosis:
     window is long enough. expected: RMSE that a right model would leave on the held-out recordings: noise, an encoder's steps, and what
     the base parameters are not known to. fitted: RMSE of the base model fitted to all recordings, alone and with what is asserted: no
     base parameters take what that leaves. quiet: what it is of a right model. Shape (n,) each. sights: what a flexible model foresees of
-    what is left at a joint. gears: what two encoders say of joints that have them.
+    what is left at a joint. doubted: RMS of what names take of it that are likelier wrong than right. Shape (n,). gears: what two encoders
+    say of joints that have them.
     """
 
     identified: Identification
@@ -89,6 +92,7 @@ class Diagnosis:
     fitted: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
     quiet: Array = field(default_factory=lambda: np.zeros(0))
     sights: Mapping[int, Sight] = field(default_factory=dict)
+    doubted: Array = field(default_factory=lambda: np.zeros(0))
     gears: tuple[Gear, ...] = ()
 
     @property
@@ -118,16 +122,17 @@ class Diagnosis:
 
     @property
     def unknown(self) -> list[int]:
-        """Joints where something is left that no name takes: a flexible model foresees it, or it is far louder than noise."""
+        """Joints where something is left that no name takes: a flexible model foresees it, or a name that is doubted, or it is far louder
+        than noise."""
         bare, named = self.fitted
-        loud, floor = named > LOUD * self.quiet, self.floor.copy()
+        loud, floor = (named > LOUD * self.quiet) | (self.doubted > self.floor), self.floor.copy()
         for j, sight in self.sights.items():
             if sight.counts:  # what is foreseen is no noise, though it may differ each time: a load that swings on from where it was
                 floor[j] = min(floor[j], np.sqrt(1.0 - sight.share) * named[j])
                 loud[j] |= np.sqrt(sight.share) * named[j] > judge.SMALLEST * floor[j]
         if self.method != "periods":  # nothing repeats: the floor is a guess from below, and only much is worth a word
-            torque = np.concatenate([one.torque for half in self.tracks for one in half])
-            loud &= named > MUCH * np.sqrt(np.mean(torque**2, axis=0))
+            torque = np.sqrt(np.mean(np.concatenate([one.torque for half in self.tracks for one in half]) ** 2, axis=0))
+            loud &= (named > MUCH * torque) | (self.doubted > LITTLE * torque)
         return [int(j) for j in np.flatnonzero(loud & (_left(bare, named, floor) > UNSAID))]
 
     @property
@@ -261,7 +266,9 @@ def _judged(
     rms = [np.sqrt(search.mean_square(r, moves)) for r in (before, after)]
     told = (identified, options, hertz, tracks, one, verdict, floor, noisy.method)
     sights = _sights(search.remaining(one, verdict.named) * scale, tracks, np.flatnonzero(fitted[1] ** 2 > UNSAID * fitted[0] ** 2))
-    return Diagnosis(*told, rms[0], rms[1], (before, after), refitted, expected=expected, fitted=fitted, quiet=quiet, sights=sights)
+    known = Diagnosis(*told, rms[0], rms[1], (before, after), refitted, expected=expected, fitted=fitted, quiet=quiet, sights=sights)
+    every = _fitted(one, (*verdict.named, *(part.shape for finding in verdict.doubted for part in finding.parts)), scale)
+    return dataclasses.replace(known, doubted=np.sqrt(np.maximum(fitted[1] ** 2 - every**2, 0.0)))
 
 
 def _sights(left: Array, tracks: tuple[list[Track], list[Track]], joints: Iterable[int]) -> dict[int, Sight]:
@@ -301,7 +308,8 @@ def _band(pieces: Sequence[Piece]) -> float:
     share = np.where(line, power, 0.0) / np.maximum(power.sum(axis=0), 1e-300)
     if share.sum(axis=0).max() < MUCH:
         return BAND_HZ
-    return float(1.2 * frequency[np.flatnonzero((share > 0.02).any(axis=1))[-1]])
+    further = np.cumsum(share[::-1], axis=0)[::-1].max(axis=1)  # in all lines from there on: a speed that varies spreads each over many
+    return float(1.2 * frequency[np.flatnonzero(further > 0.02)[-1]])
 
 
 def _again(one: Design, verdict: Verdict, shapes: Sequence[Shape], build: search.Build) -> tuple[Design, Verdict]:

@@ -13,10 +13,10 @@ from .effect import Shape
 from .search import Design, Measured, Trial, trial
 
 Array = np.ndarray
-SHARE, SAME, MOSTLY, NOTHING = 0.04, 0.02, 0.5, 0.1
-"""Of the gain so far, what a further effect must add, and a further shape of one that is there: forms are never quite the catalogue's. Of
-the mean square that others leave, what a further effect may explain instead. And of what others explain, what may be where it acts, if it
-is to add less."""
+SHARE, SAME, LIKE, MOSTLY, NOTHING = 0.04, 0.02, 0.005, 0.5, 0.1
+"""Of the gain so far, what a further effect must add, a further shape of one that is there, and one of a kind that a joint may have several
+of, such as a gear's orders: forms are never quite the catalogue's. Of the mean square that others leave, what a further effect may explain
+instead. And of what others explain, what may be where it acts, if it is to add less."""
 BEYOND, CLEARLY = 0.8, 0.2
 """Of what others leave beyond noise, what a further effect may explain instead too: all but a little, which no law does that only mends
 another's form; and over the noise, how much that must be."""
@@ -263,7 +263,7 @@ def _earns(one: Design, others: Sequence[int], wider: Trial, rest: float) -> boo
     there = any(_who(one.shapes[i]) == _who(one.shapes[shape]) for i in others)
     if adds < one.bar(shape):
         return False
-    share = (SAME if there else SHARE) * rest
+    share = (LIKE if there and one.shapes[shape].several else SAME if there else SHARE) * rest
     if adds > share:
         return True
     before, rested, after = (search.level(one, shapes) for shapes in ((), others, wider.shapes))

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..identify.band import WIDER, Grid, encoder_noise
+from ..identify.band import WIDER, Grid
 from ..identify.equations import Model, filtered
 from ..identify.identification import Identification
 from ..recordings import Recording
@@ -261,7 +261,7 @@ def stepped(model: Model, halves: Sequence[Sequence[Track]]) -> tuple[tuple[Arra
 
     Which error each reading has is not known, only how errors come about: smooth positions are rounded once more, from another origin.
     """
-    if not any(encoder_noise(one.piece.q).any() for half in halves for one in half):
+    if not any(one.piece.encoder.any() for half in halves for one in half):
         return ()
     rng = np.random.default_rng(0)
     first, second = ([_misled(model, one) for one in half] for half in halves)
@@ -275,7 +275,7 @@ def _rounded(half: Sequence[Draw], rng: np.random.Generator) -> Array:
 
 def _misled(model: Model, one: Track) -> Draw:
     """What draws such residuals of a stretch: only what is rounded has to be filtered anew."""
-    step = encoder_noise(one.piece.q) * np.sqrt(12.0)
+    step = one.piece.encoder * np.sqrt(12.0)
     coarse = step > 0.0
     if not coarse.any():
         return lambda rng: np.zeros((len(one), one.n))

@@ -18,9 +18,11 @@ from ..robot import Robot
 from ..trajectory import Samples
 
 Array = np.ndarray
-STILL, REST, LOOSE = 0.01, 0.2, 0.02
-"""Of a joint's largest speed, below which it stands; for how long until that is rest [s]; and of its range, by how much it must have moved
-since: until then friction is whatever held it."""
+STILL, LOOSE = 0.01, 0.02
+"""Of a joint's largest speed, below which it stands; and of its range, by how much it must have moved since it rested: until then friction
+is whatever held it."""
+REST, BLURRED = 0.06, 0.2
+"""For how long a joint stands until that is rest [s]; and where a coarse encoder hides how fast it turns back."""
 MOVING = 0.3
 """Of its time, what a joint must move at the least, lest it be judged where it stands too: there is little else."""
 
@@ -94,7 +96,8 @@ class Track:
         rows = np.rint((self.time - self.piece.start) * self.piece.rate).astype(int)
         out = np.empty((len(self), self.n), bool)
         for j in range(self.n):
-            moving = _moving(self.fine.q[:, j], self.fine.dq[:, j], self.piece.rate)[rows]
+            rest = BLURRED if self.piece.encoder.max() > 0.0 else REST
+            moving = _moving(self.fine.q[:, j], self.fine.dq[:, j], self.piece.rate, rest)[rows]
             out[:, j] = moving if moving.mean() > MOVING else True
         return out
 
@@ -257,12 +260,13 @@ class Track:
         return np.asarray((jacobians[:, None, :3] + turning) * carried[:, None] @ robot.spread)
 
 
-def _moving(q: Array, dq: Array, rate: float) -> Array:
-    """Samples at which a joint moves: not at rest, nor within a little of where it rested. Shapes (M,)."""
+def _moving(q: Array, dq: Array, rate: float, rest: float) -> Array:
+    """Samples at which a joint moves: not at rest, nor within a little of where it rested. rest: how long it stands until that is [s].
+    Shapes (M,)."""
     out, far = np.ones(len(q), bool), LOOSE * float(np.ptp(q))
     still = np.abs(dq) < STILL * np.abs(dq).max()
     for start, end in runs(still).tolist():
-        if end - start > REST * rate:
+        if end - start > rest * rate:
             away = np.abs(q[end:] - q[end - 1]) > far
             out[start : end + int(np.argmax(away)) if away.any() else len(q)] = False
     return out
@@ -277,7 +281,7 @@ def tracks(model: Model, fitted: Body, theta: Array, pieces: Sequence[Piece], he
     """Every stretch that is long enough for the band."""
     out = []
     for piece in pieces:
-        band = Band(hertz, piece.rate, len(piece))
+        band = piece.band(hertz)
         step, margin = band.steps(Grid.KEPT), band.margin
         kept = slice(margin // step, -(-(len(piece) - margin) // step))
         if len(piece) <= 2 * margin + 8 * step:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import UnusableInput
-from ..identify.band import Band, Grid
+from ..identify.band import Grid
 from ..identify.model import FittedModel
 from ..identify.signals import Piece
 from ..recordings import Recording
@@ -99,8 +99,8 @@ def predict(fitted: FittedModel, recording: Recording) -> tuple[Array, Array]:
     nothing = np.zeros((0, fitted.robot.n))
 
     def beyond(stretch: Recording) -> Array:
-        piece = Piece(recording.source, float(stretch.t[0]), stretch.rate, stretch.q, np.zeros(stretch.q.shape))
-        band = Band(min(fitted.hertz, 0.45 * piece.rate), piece.rate, len(piece))
+        piece = Piece(recording.source, float(stretch.t[0]), stretch.rate, stretch.q, np.zeros(stretch.q.shape), encoder=recording.encoder)
+        band = piece.band(min(fitted.hertz, 0.45 * piece.rate))
         empty = nothing[:, :, None]
         along = Track(piece, band, body, fitted.widths, np.zeros(0), nothing, empty, nothing, slice(0), np.zeros(0))
         added = torque(own, along)

@@ -42,12 +42,14 @@ class Band:
     """A low-pass to `hertz` for a stretch of `count` samples at `rate` [Hz], and the sampling it leads to.
 
     Rows are kept at twice the band; of a period just as many as have harmonics in it, so that white noise stays white.
+    encoder: standard deviation of positions by the coarsest encoder's steps [rad or m].
     """
 
     hertz: float
     rate: float
     count: int
     periodic: bool = False
+    encoder: float = 0.0
 
     def __post_init__(self) -> None:
         if not 0.0 < self.hertz < 0.5 * self.rate:
@@ -166,40 +168,17 @@ def _fast(least: int) -> int:
     return best
 
 
-def encoder_noise(positions: Array) -> Array:
-    """Standard deviation of positions by the encoder's resolution, step/√12. Shapes (M, n) -> (n,) [rad or m]."""
-    out = np.zeros(positions.shape[1])
-    for joint, q in enumerate(positions.T):
-        steps = np.abs(np.diff(q))
-        steps = steps[steps > 1e-12]
-        if len(steps):
-            out[joint] = _resolution(steps, len(q)) / np.sqrt(12.0)
-    return out
-
-
-def _resolution(steps: Array, samples: int) -> float:
-    """Of what these are multiples, as most rows are of an encoder; 0 where they are of nothing."""
-    least = float(steps.min())
-    few = steps[steps < 50.0 * least]  # more would show the digits that a file leaves out
-    whole = np.round(few / least)
-    if len(few) > 20 and np.mean(np.abs(few / least - whole) < 0.1) > 0.99:
-        return float(np.median(few / whole))
-    repeated = samples - 1 - len(steps) > 0.02 * samples
-    return float(np.percentile(steps, 1.0)) if repeated else 0.0
-
-
 def friction_speed(positions: Array, band: Band, transformed: Transformed | None = None) -> Array:
     """The speed that Coulomb friction sees, at every sample. transformed: of the positions, where it is at hand. Shapes (M, n).
 
     It keeps EDGE bands, or as many as leave it quieter than QUIET with a coarse encoder.
     """
-    return (transformed or band.transformed(positions)).low(Grid.RECORDED, 1, _edge(positions, band))
+    return (transformed or band.transformed(positions)).low(Grid.RECORDED, 1, _edge(band))
 
 
-def _edge(positions: Array, band: Band) -> float:
+def _edge(band: Band) -> float:
     """How many bands that speed may keep: white noise σ of positions makes σ 2πf √(2f/3f_s) of speed below f."""
-    noise = float(encoder_noise(positions).max(initial=0.0))
-    if noise == 0.0:
+    if band.encoder == 0.0:
         return EDGE
-    f = (QUIET / (2.0 * np.pi * noise) * np.sqrt(1.5 * band.rate)) ** (2.0 / 3.0)
+    f = (QUIET / (2.0 * np.pi * band.encoder) * np.sqrt(1.5 * band.rate)) ** (2.0 / 3.0)
     return float(np.clip(f / band.hertz, 1.0, EDGE))

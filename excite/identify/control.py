@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..trajectory import Samples
-from .band import EDGE, Band, Grid
+from .band import EDGE, Grid
 from .mechanism import Mechanism
 from .signals import Piece
 
@@ -52,7 +52,7 @@ class Command:
 
 def commanded(mechanism: Mechanism, reference: Piece, hertz: float) -> Command:
     """The command along a reference motion, from a piece whose q is q_ref."""
-    band = Band(hertz, reference.rate, len(reference), reference.periodic)
+    band = reference.band(hertz)
     motion = Samples(*(band.low(reference.q, Grid.RECORDED, order, reach=EDGE) for order in range(3)))
     coulomb = mechanism.coulomb * np.tanh(motion.dq / mechanism.widths)
     return Command(motion, np.stack([mechanism.rigid(motion), coulomb, motion.dq]), reference.rate, reference.periodic)
@@ -80,7 +80,7 @@ def identified(commands: Sequence[Command], measured: Sequence[Piece], hertz: fl
 
 def _columns(command: Command, piece: Piece, hertz: float) -> Array:
     """The law's six columns and the torque, below the band. Shape (7, rows, n)."""
-    band = Band(hertz, piece.rate, len(piece), piece.periodic)
+    band = piece.band(hertz)
     error = command.motion.q - piece.q
     summed = np.cumsum(error - error.mean(axis=0) if piece.periodic else error, axis=0) / piece.rate
     parts = [*(band.low(column, Grid.KEPT) for column in command.columns), band.low(error, Grid.KEPT), band.low(error, Grid.KEPT, 1)]

@@ -92,7 +92,7 @@ def build(model: Model, pieces: Iterable[Piece], hertz: float) -> Equations:
     """The equations of all stretches below `hertz`. Raises UnusableInput when no row is left."""
     parts, starts, count, shortest = list[Equations](), list[tuple[int, Piece, int]](), 0, 0.0
     for piece in pieces:
-        band = Band(hertz, piece.rate, len(piece), piece.periodic)
+        band = piece.band(hertz)
         own = list(_chunked(model, piece, band))
         if own:
             starts.append((count, piece, sum(map(len, own))))

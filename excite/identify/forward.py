@@ -15,7 +15,7 @@ import numpy as np
 
 from ..errors import UnusableInput
 from . import mechanism
-from .band import EDGE, Band, Grid
+from .band import EDGE, Grid
 from .equations import Model
 from .mechanism import Mechanism
 from .signals import Piece
@@ -89,7 +89,7 @@ def cut(pieces: Sequence[Piece], hertz: float, horizon: float = HORIZON, most: i
     """
     starts, total = [], 0.0
     for k, piece in enumerate(pieces):
-        band, size = Band(hertz, piece.rate, len(piece), piece.periodic), _size(piece, horizon)
+        band, size = piece.band(hertz), _size(piece, horizon)
         starts += [(k, begin) for begin in range(band.margin, len(piece) - band.margin - size, size)]
         total += len(piece) / piece.rate
     if not starts:
@@ -107,7 +107,7 @@ def _size(piece: Piece, horizon: float) -> int:
 
 
 def _windows(piece: Piece, begins: list[int], hertz: float, horizon: float) -> Windows:
-    band = Band(hertz, piece.rate, len(piece), piece.periodic)
+    band = piece.band(hertz)
     states = np.concatenate([band.low(piece.q, Grid.RECORDED, order, reach=EDGE) for order in range(2)], axis=1)
     size = _size(piece, horizon)
     every = max(1, size // SAMPLES)

@@ -19,7 +19,7 @@ import numpy as np
 from ..errors import UnusableInput
 from ..recordings import Recording
 from . import control, equations, mechanism, signals
-from .band import Band, Grid
+from .band import Grid
 from .control import Law
 from .equations import Equations, Model
 from .mechanism import Mechanism
@@ -131,7 +131,7 @@ def _delay(measured: Sequence[Piece], told: Sequence[Piece], hertz: float) -> Ar
     for _ in range(3):
         up, down = np.zeros_like(delay), np.zeros_like(delay)
         for piece, reference in zip(measured, told, strict=True):
-            band, late = Band(hertz, piece.rate, len(piece), piece.periodic), _later(reference, delay)
+            band, late = piece.band(hertz), _later(reference, delay)
             speed = band.low(late.q, Grid.KEPT, 1)
             up += np.sum(speed * band.low(late.q - piece.q, Grid.KEPT), axis=0)
             down += np.sum(speed**2, axis=0)
@@ -177,7 +177,7 @@ def _distance(measured: Sequence[Piece], others: Sequence[Piece], hertz: float) 
     """RMS of the difference of positions below the band. Shape (n,)."""
     parts = []
     for piece, other in zip(measured, others, strict=True):
-        band = Band(hertz, piece.rate, len(piece), piece.periodic)
+        band = piece.band(hertz)
         parts.append(band.low(piece.q - other.q, Grid.KEPT))
     return np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0))
 

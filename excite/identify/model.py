@@ -69,7 +69,7 @@ class FittedModel:
         """
         times, torques = [], []
         for piece in recording.segments():
-            band = Band(min(self.hertz, 0.45 * piece.rate), piece.rate, len(piece))
+            band = Band(min(self.hertz, 0.45 * piece.rate), piece.rate, len(piece), encoder=float(recording.encoder.max()))
             position = band.transformed(piece.q)
             motion = Samples(*(position.low(Grid.RECORDED, order, WIDER) for order in range(3)))
             torque = band.low(self.torque(motion, friction_speed(piece.q, band, position)), Grid.RECORDED)

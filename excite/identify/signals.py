@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -31,7 +31,8 @@ CHUNK = 1 << 17
 class Piece:
     """An evenly sampled stretch. q, torque: Shape (N, n) [rad, N m]. start: its time [s]. source: the recording's name.
 
-    periods: how many were averaged; 0: not periodic. noise: each period's torque less the mean's. Shape (periods, N, n).
+    periods: how many were averaged; 0: not periodic. noise: each period's torque less the mean's. Shape (periods, N, n). encoder: standard
+    deviation of positions by the encoders' steps. Shape (n,).
     """
 
     source: str
@@ -41,6 +42,7 @@ class Piece:
     torque: Array
     periods: int = 0
     noise: Array | None = None
+    encoder: Array = field(default_factory=lambda: np.zeros(1))
 
     def __len__(self) -> int:
         return len(self.q)
@@ -48,6 +50,10 @@ class Piece:
     @property
     def periodic(self) -> bool:
         return self.periods > 0
+
+    def band(self, hertz: float) -> Band:
+        """The low-pass to `hertz` of this stretch."""
+        return Band(hertz, self.rate, len(self), self.periodic, float(self.encoder.max()))
 
 
 def pieces(recordings: Iterable[Recording], *, average: bool = True) -> Iterator[Piece]:
@@ -60,7 +66,7 @@ def pieces(recordings: Iterable[Recording], *, average: bool = True) -> Iterator
                 yield mean
                 continue
         for part in recording.segments():
-            yield Piece(recording.source, float(part.t[0]), part.rate, part.q, part.torque)
+            yield Piece(recording.source, float(part.t[0]), part.rate, part.q, part.torque, encoder=recording.encoder)
 
 
 def first(parts: Sequence[Piece], samples: int) -> list[Piece]:
@@ -85,7 +91,7 @@ def averaged(recording: Recording, period: float, window: tuple[float, float]) -
     samples = round(period * recording.rate)
     q, torque = (_folded(recording.t, values, first, period, count, samples) for values in (recording.q, recording.torque))
     mean = torque.mean(axis=0)
-    return Piece(recording.source, first, samples / period, q.mean(axis=0), mean, count, torque - mean)
+    return Piece(recording.source, first, samples / period, q.mean(axis=0), mean, count, torque - mean, recording.encoder / np.sqrt(count))
 
 
 def _folded(t: Array, values: Array, first: float, period: float, count: int, samples: int) -> Array:

@@ -63,7 +63,7 @@ def _tried(pieces: Sequence[Piece], hertz: float) -> dict[float, Array]:
 
 def _speeds(piece: Piece, hertz: float) -> Iterator[tuple[Band, slice, Array]]:
     """Chunk by chunk its band, the rows kept, and speed at every sample."""
-    band = Band(hertz, piece.rate, len(piece), piece.periodic)
+    band = piece.band(hertz)
     for rows, kept in kept_rows(piece, band):
         part = dataclasses.replace(band, count=rows.stop - rows.start)
         yield part, kept, friction_speed(piece.q[rows], part)

@@ -16,7 +16,7 @@ import numpy as np
 from ..errors import ExciteWarning, UnusableInput
 from ..limits import Limits
 from ..robot import Robot
-from . import missing, signs, units, waver
+from . import encoder, missing, signs, units, waver
 from .block import Block
 from .clock import Clock, even
 from .recording import SHORTEST, Recording
@@ -78,6 +78,7 @@ def recording(patient: Patient, window: Window, clock: Clock, *, whole: bool) ->
         sidecar=patient.sidecar,
         remarks=tuple(remarks),
         own_times=own,
+        steps=encoder.noise(block.values["q"]),
         run_in=int(np.searchsorted(inside.t, window.done, side="right")),
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from ..errors import UnusableInput
 from ..trajectory import Samples
+from . import encoder
 from .block import QUANTITIES
 from .clock import pieces
 from .remark import Remark
@@ -28,7 +30,8 @@ class Recording:
     t: Shape (N,) [s]. q: position [rad or m]. dq: velocity [rad/s]. tau: torque [N m or N]. current: of the motor [A].
     qref: commanded position. qlink: position by the encoder behind the gear. temperature: [°C].
     remarks: what the health check found and did. own_times: times of the file's rows, in order, each once: N rows or, where the rows
-    were put on an even grid, another number. Shape (M,) [s]. run_in: leading rows that repeat the end of the block before (`stream`).
+    were put on an even grid, another number. Shape (M,) [s]. steps: standard deviation of positions by their encoders' steps, as they were
+    read. Shape (n,); None where q is as it was read. run_in: leading rows that repeat the end of the block before (`stream`).
     """
 
     source: str
@@ -44,6 +47,7 @@ class Recording:
     sidecar: Sidecar = field(default_factory=Sidecar)
     remarks: tuple[Remark, ...] = ()
     own_times: Array = field(default_factory=lambda: np.empty(0))
+    steps: Array | None = None
     run_in: int = 0
 
     def __len__(self) -> int:
@@ -53,6 +57,11 @@ class Recording:
     def step(self) -> float:
         """Time between rows [s]."""
         return float(np.median(np.diff(self.t)))
+
+    @functools.cached_property
+    def encoder(self) -> Array:
+        """Standard deviation of positions by the encoders' steps, 0 where none shows. Shape (n,)."""
+        return encoder.noise(self.q) if self.steps is None else self.steps
 
     @property
     def rate(self) -> float:

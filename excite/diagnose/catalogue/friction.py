@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -97,16 +98,41 @@ def _drag(tracks: Sequence[Track]) -> Iterator[Shape]:
 
 
 def _rubbed(t: Track, s: Shape) -> Array:
-    scale = s.values["scale"]
-    return alone(t, s.place, _sign(t, s.place) * scale * (np.abs(t.transmitted[:, s.place]) / scale) ** s.values["power"])
+    """sgn q̇ times a power of the load: what the link weighs, or where it is `driven` what the motor makes. Where a `velocity` is stated,
+    the same once more as far as it fades with speed."""
+    scale, place = s.values["scale"], s.place
+    load = (t.motor if "driven" in s.values else t.transmitted)[:, place]
+    rubs = _sign(t, place) * scale * (np.abs(load) / scale) ** s.values["power"]
+    return alone(t, place, np.column_stack([rubs, rubs * _faded(t, s)]) if "velocity" in s.values else rubs)
+
+
+def _faded(t: Track, s: Shape) -> Array:
+    return np.asarray(np.exp(-((np.abs(_speed(t, s.place)) / s.values["velocity"]) ** s.values["exponent"])))
 
 
 def _load(tracks: Sequence[Track]) -> Iterator[Shape]:
+    def fading(j: int, fixed: Mapping[str, float]) -> Callable[[float], Shape]:
+        def shape(velocity: float) -> Shape:
+            bare = Shape("load_friction", j, _rubbed, {**fixed, "velocity": velocity}, plausible=_rubs)
+            mean = float(np.mean(np.concatenate([_faded(t, bare) for t in tracks])))
+            return replace(bare, parameters=lambda c: {"mu": float(c[0] + mean * c[1])})  # on the average of the motion
+
+        return shape
+
     for j in range(tracks[0].n):
-        largest = max(*(float(np.abs(t.transmitted[:, j]).max()) for t in tracks), 1e-9)
-        for power in (1.0, 1.5, 2.0):
-            fixed = {"power": power, "scale": largest}
-            yield Shape("load_friction", j, _rubbed, fixed, parameters=named("mu"), plausible=within(0.0, 1.0))
+        scale = {"scale": max(*(float(np.abs(t.transmitted[:, j]).max()) for t in tracks), 1e-9)}
+        speeds = (np.array([0.02, 0.06, 0.2]) * _fastest(tracks, j)).tolist()
+        for powers, drive in ((1.0, 1.5, 2.0), {}), ((1.0,), {"driven": 1.0}):
+            for power in powers:
+                fixed = {"power": power, **scale, **drive}
+                yield Shape("load_friction", j, _rubbed, fixed, parameters=named("mu"), plausible=within(0.0, 1.0))
+            for exponent in (1.0, 2.0):
+                yield from family(speeds, fading(j, {"power": 1.0, "exponent": exponent, **scale, **drive}))
+
+
+def _rubs(c: Array) -> bool:
+    """Friction that grows with the load at every speed, the more the slower."""
+    return bool(c[0] >= 0.0 and c[1] > 0.0 and c[0] + c[1] < 1.0)
 
 
 def _placed(t: Track, s: Shape) -> Array:
@@ -248,7 +274,7 @@ EFFECTS = (
     ),
     Effect(
         "load_friction",
-        "μ |τ_L|^k sgn q̇ (Hamon, Gautier & Garrec 2010)",
+        "μ |τ_L|^k sgn q̇ (Hamon, Gautier & Garrec 2010); |τ_L| (μ + μ_s exp(−(|q̇|/v)^δ)) sgn q̇ (Bittencourt & Gunnarsson 2012)",
         _rubbed,
         _load,
         {"mu": "1"},

@@ -23,6 +23,10 @@ WIDTHS = np.geomspace(1e-4, 1e-2, 7)
 """Of play, tried [rad]."""
 HOLDS = (0.0, 1.5, 3.0)
 """Of a link in its play, tried [Hz]."""
+MULTIPLES, NEARBY = {2: "twice", 3: "thrice"}, 0.02
+"""Of an order, that are told with it; and how near two orders are the same."""
+ORDERS, CELLS = 12, 20_000_000
+"""Orders of a ripple that are tried, at the most; and orders times rows that are looked at at once."""
 LEAST_STROKE, LEAST_TURN, ROUND = 1e-6, 0.05, 1.5
 """Of a joint, from which it moves at all, and from which more is said of its place than that it pulls [rad or m]; and waves in the longest
 stretch, from which a torque comes round."""
@@ -81,28 +85,37 @@ def _backlash(tracks: Sequence[Track]) -> Iterator[Shape]:
 
 
 def _waved(t: Track, s: Shape) -> Array:
+    """Waves of an order, and of those of its multiples that are stated."""
     angle = s.values["order"] * t.fine.q[:, s.place]
-    return alone(t, s.place, np.column_stack([np.cos(angle), np.sin(angle)]))
+    multiples = [1, *(k for k, name in MULTIPLES.items() if name in s.values)]
+    return alone(t, s.place, np.column_stack([f(k * angle) for k in multiples for f in (np.cos, np.sin)]))
 
 
 def _ripple(tracks: Sequence[Track]) -> Iterator[Shape]:
-    def rippled(j: int) -> Callable[[float], Shape]:
-        return lambda order: Shape("torque_ripple", j, _waved, {"order": order}, parameters=amplitude(order=order), several=True)
+    def rippled(j: int, multiples: Mapping[str, float]) -> Callable[[float], Shape]:
+        def shape(order: float) -> Shape:
+            return Shape("torque_ripple", j, _waved, {"order": order, **multiples}, parameters=amplitude(order=order), several=True)
+
+        return shape
 
     for j in range(tracks[0].n):
-        turn = max(float(np.ptp(t.fine.q[:, j])) for t in tracks)
-        for order in _orders(tracks, j):
+        turn, taken = max(float(np.ptp(t.fine.q[:, j])) for t in tracks), list[float]()
+        for order in _orders(tracks, j):  # the strongest first: what it has with its multiples, no weaker one has with its own
             near = 1.0 + 1.5 / (turn * order)
-            yield Knob(order, order / near, order * near, rippled(j)).at(order)
+            free = [k for k in MULTIPLES if all(abs(k * order - other) > NEARBY * other for other in taken)]
+            yield Knob(order, order / near, order * near, rippled(j, {})).at(order)
+            if free and all(abs(order - other) > NEARBY * other for other in taken):
+                yield Knob(order, order / near, order * near, rippled(j, {MULTIPLES[k]: 1.0 for k in free})).at(order)
+                taken += [order, *(k * order for k in free)]
 
 
-def _orders(tracks: Sequence[Track], joint: int, most: int = 12) -> list[float]:
-    """Orders at which the base fit's residual has power, found on a fine grid up to 300 a turn (Lomb 1976, over angle).
+def _orders(tracks: Sequence[Track], joint: int) -> list[float]:
+    """Orders at which the base fit's residual has power, found on a fine grid up to 300 a turn (Lomb 1976, over angle); each in what those
+    before it leave, lest a strong one's neighbours hide a slight one (Högbom 1974).
 
     What has not come round half as often again in the longest stretch is a spring as well.
     """
     track = max(tracks, key=len)
-    left = track.left[:, joint]
     q = np.interp(track.time, track.clock, track.fine.q[:, joint])
     turn = float(np.ptp(q))
     if turn < LEAST_TURN:
@@ -110,20 +123,32 @@ def _orders(tracks: Sequence[Track], joint: int, most: int = 12) -> list[float]:
     speed = np.interp(track.time, track.clock, track.fine.dq[:, joint])
     step = 2.0 * np.pi / turn / 3.0
     orders = np.arange(max(3.0, ROUND * 2.0 * np.pi / turn), 300.0, max(step, 0.05))
+    if len(orders) * len(q) > CELLS:  # not every so many rows: that would be a rate of its own
+        some = np.sort(np.random.default_rng(0).permutation(len(q))[: CELLS // len(orders)])
+        q, speed, left = q[some], speed[some], track.left[some, joint]
+    else:
+        left = track.left[:, joint].copy()
+    fastest = 2.0 * np.pi * track.band.hertz
 
-    def power(order: float) -> float:
-        seen = np.abs(order * speed) < 2.0 * np.pi * track.band.hertz  # the rest is above the band
-        if seen.sum() < 0.05 * len(seen):
-            return 0.0
-        return float(((left @ (np.cos(order * q) * seen)) ** 2 + (left @ (np.sin(order * q) * seen)) ** 2) / seen.sum())
+    def waves(which: Array) -> Array:
+        return np.exp(1j * np.outer(which, q)) * (np.abs(np.outer(which, speed)) < fastest)  # the rest is above the band
 
-    found = np.array([power(order) for order in orders])
-    out: list[float] = []
-    for i in np.argsort(-found):
-        if len(out) >= most:
+    def power(of: Array) -> Array:
+        count = np.count_nonzero(of, axis=1)
+        return np.where(count < 0.05 * len(q), 0.0, np.abs(of @ left) ** 2 / np.maximum(count, 1))
+
+    every, out = waves(orders), list[float]()
+    while len(out) < ORDERS:
+        found = power(every)
+        for other in out:
+            found[np.abs(orders - other) <= 1.5 * step] = 0.0
+        if not found.any():
             break
-        if found[i] > 0.0 and all(abs(orders[i] - other) > 1.5 * step for other in out):
-            out.append(float(max(orders[i] + step * np.linspace(-1.0, 1.0, 41), key=power)))
+        near = orders[int(np.argmax(found))] + step * np.linspace(-1.0, 1.0, 41)
+        out.append(float(near[int(np.argmax(power(waves(near))))]))
+        wave = waves(np.array(out[-1:]))[0]
+        columns = np.column_stack([wave.real, wave.imag])
+        left -= columns @ np.linalg.lstsq(columns, left, rcond=None)[0]
     return out
 
 

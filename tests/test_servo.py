@@ -1,7 +1,7 @@
 """A servo on a pendulum, whose gear rubs as servos' gears were measured to: more under load, and less as it turns faster.
 
 M. Duclusaud, G. Passault, V. Padois and O. Ly, Extended friction models for the physics simulation of servo actuators, ICRA 2025; the
-parameters are those published with it for an MX-106, rounded. The joint sticks as long as friction can hold it.
+parameters are those published with it for an MX-106, rounded; the encoder is finer. The joint sticks as long as friction can hold it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ MASS, LENGTH, ARMATURE, GRAVITY = 1.0, 0.15, 0.026, 9.81
 GAIN, FEEDBACK = 1.09, 2.4
 """Torque per volt, and what it loses to speed [N m s/rad]."""
 STEP, RATE, SECONDS = 2.5e-4, 200.0, 6.0
-ENCODER = 2.0 * np.pi / 4096
+ENCODER = 2.0 * np.pi / 2**19
 
 URDF = f"""<robot name="servo"><link name="base"/><link name="arm"><inertial><origin xyz="0 0 {-LENGTH}"/><mass value="{MASS}"/>
 <inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>

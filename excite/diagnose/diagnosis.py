@@ -46,7 +46,7 @@ LOUD = 1.6
 """RMSE over a right model's from which what is left is called something though nothing foresees it: the most in 90 simulated robots with
 nothing missing is 1.44, where a clock wavers."""
 LITTLE = 0.03
-"""The same, of what a doubted name takes of it in recordings that it was not fitted to: something is there, whatever its name."""
+"""The same, of what a doubted name or a flexible model foresees in recordings that it was not fitted to: something is there."""
 UNSAID = 0.1
 """Share of the excess over the noise that may stay unexplained beside a finding before it is called unknown."""
 
@@ -126,13 +126,15 @@ class Diagnosis:
         than noise."""
         bare, named = self.fitted
         loud, floor = (named > LOUD * self.quiet) | (self.doubted > self.floor), self.floor.copy()
+        told = self.doubted.copy()
         for j, sight in self.sights.items():
             if sight.counts:  # what is foreseen is no noise, though it may differ each time: a load that swings on from where it was
                 floor[j] = min(floor[j], np.sqrt(1.0 - sight.share) * named[j])
+                told[j] = max(told[j], np.sqrt(sight.share) * named[j])
                 loud[j] |= np.sqrt(sight.share) * named[j] > judge.SMALLEST * floor[j]
         if self.method != "periods":  # nothing repeats: the floor is a guess from below, and only much is worth a word
             torque = np.sqrt(np.mean(np.concatenate([one.torque for half in self.tracks for one in half]) ** 2, axis=0))
-            loud &= (named > MUCH * torque) | (self.doubted > LITTLE * torque)
+            loud &= (named > MUCH * torque) | (told > LITTLE * torque)
         return [int(j) for j in np.flatnonzero(loud & (_left(bare, named, floor) > UNSAID))]
 
     @property

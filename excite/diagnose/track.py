@@ -21,8 +21,9 @@ Array = np.ndarray
 STILL, LOOSE = 0.01, 0.02
 """Of a joint's largest speed, below which it stands; and of its range, by how much it must have moved since it rested: until then friction
 is whatever held it."""
-REST, BLURRED = 0.06, 0.2
-"""For how long a joint stands until that is rest [s]; and where a coarse encoder hides how fast it turns back."""
+REST, BLURRED, COUNTS = 0.06, 0.2, 50.0
+"""For how long a joint stands until that is rest [s]; and where an encoder hides how fast it turns back: so many of its steps, at the
+least, should lie in the way that a joint can have gone meanwhile."""
 MOVING = 0.3
 """Of its time, what a joint must move at the least, lest it be judged where it stands too: there is little else."""
 
@@ -96,8 +97,9 @@ class Track:
         rows = np.rint((self.time - self.piece.start) * self.piece.rate).astype(int)
         out = np.empty((len(self), self.n), bool)
         for j in range(self.n):
-            rest = BLURRED if self.piece.encoder.max() > 0.0 else REST
-            moving = _moving(self.fine.q[:, j], self.fine.dq[:, j], self.piece.rate, rest)[rows]
+            speed, steps = self.fine.dq[:, j], COUNTS * np.sqrt(12.0) * float(self.piece.encoder.max())
+            rest = REST if STILL * float(np.abs(speed).max()) * REST > steps else BLURRED
+            moving = _moving(self.fine.q[:, j], speed, self.piece.rate, rest)[rows]
             out[:, j] = moving if moving.mean() > MOVING else True
         return out
 

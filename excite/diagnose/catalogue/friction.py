@@ -17,6 +17,10 @@ effects perhaps all: Coulomb friction is taken to be this share of the joint's l
 COLDEST = 3.0
 """Times its mean, what friction at the start may have more: a joint that is cold, not one that has yet to slide."""
 
+FADING = 6.0
+"""Times the usual gain that it takes to believe friction under load that fades with speed: what a coarse encoder makes of a reversal does
+so too, wherever some load is."""
+
 
 def _sign(track: Track, joint: int) -> Array:
     return np.tanh(track.fine.dq[:, joint] / track.widths[joint])
@@ -113,7 +117,7 @@ def _faded(t: Track, s: Shape) -> Array:
 def _load(tracks: Sequence[Track]) -> Iterator[Shape]:
     def fading(j: int, fixed: Mapping[str, float]) -> Callable[[float], Shape]:
         def shape(velocity: float) -> Shape:
-            bare = Shape("load_friction", j, _rubbed, {**fixed, "velocity": velocity}, plausible=_rubs)
+            bare = Shape("load_friction", j, _rubbed, {**fixed, "velocity": velocity}, plausible=_rubs, doubt=FADING)
             mean = float(np.mean(np.concatenate([_faded(t, bare) for t in tracks])))
             return replace(bare, parameters=lambda c: {"mu": float(c[0] + mean * c[1])})  # on the average of the motion
 

@@ -268,9 +268,10 @@ def _judged(
     rms = [np.sqrt(search.mean_square(r, moves)) for r in (before, after)]
     told = (identified, options, hertz, tracks, one, verdict, floor, noisy.method)
     sights = _sights(search.remaining(one, verdict.named) * scale, tracks, np.flatnonzero(fitted[1] ** 2 > UNSAID * fitted[0] ** 2))
-    known = Diagnosis(*told, rms[0], rms[1], (before, after), refitted, expected=expected, fitted=fitted, quiet=quiet, sights=sights)
     every = _fitted(one, (*verdict.named, *(part.shape for finding in verdict.doubted for part in finding.parts)), scale)
-    return dataclasses.replace(known, doubted=np.sqrt(np.maximum(fitted[1] ** 2 - every**2, 0.0)))
+    doubted = np.sqrt(np.maximum(fitted[1] ** 2 - every**2, 0.0))
+    judged = (rms[0], rms[1], (before, after), refitted)
+    return Diagnosis(*told, *judged, expected=expected, fitted=fitted, quiet=quiet, sights=sights, doubted=doubted)
 
 
 def _sights(left: Array, tracks: tuple[list[Track], list[Track]], joints: Iterable[int]) -> dict[int, Sight]:

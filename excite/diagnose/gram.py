@@ -24,11 +24,11 @@ class Gram:
 
 @dataclass(frozen=True)
 class Beside:
-    """New columns of a recording set beside all, themselves included. basis: of its base fit, at the recorded rows; left: its residual.
-    Shapes (m, r), (m,)."""
+    """New columns of a recording set. products: of all columns, these at the end, with them. Shape (K, k). basis: of the base fit, at the
+    recorded rows; left: its residual. Shapes (m, r), (m,)."""
 
     new: Columns
-    every: Columns
+    products: Array
     basis: Array
     left: Array
 
@@ -37,7 +37,7 @@ def grown(gram: Gram, parts: Sequence[Beside]) -> Gram:
     """Products with further columns, free of the base: CᵀC less what the base takes of either."""
     shadow = np.hstack([gram.shadow, sum((part.new.along(part.basis) for part in parts), start=np.zeros(())).T])
     old, own = len(gram.matrix), shadow[:, len(gram.matrix) :]
-    cross = sum((part.every.products(part.new) for part in parts), start=np.zeros(())) - shadow.T @ own
+    cross = sum((part.products for part in parts), start=np.zeros(())) - shadow.T @ own
     matrix = np.empty((len(cross), len(cross)))
     matrix[:old, :old] = gram.matrix
     matrix[:, old:], matrix[old:, :old] = cross, cross[:old].T

@@ -209,15 +209,12 @@ def _extended(one: Design, built: Sequence[Built]) -> Design:
 def _widened(one: Design, shapes: Sequence[Shape], places: Sequence[slice], new: tuple[Columns, Columns]) -> Design:
     """The same with more shapes, whose columns stand at `places` among the new ones."""
     first, second = (old.beside([own]) for old, own in zip(one.columns, new, strict=True))
-    start, middle, both = one.columns[0].count, int(one.halves[0].rows.sum()), one.both
-    basis, left = both.basis[both.rows], both.left[both.rows]
-    every = [
-        Beside(own, columns, basis[rows], left[rows])
-        for own, columns, rows in zip(new, (first, second), (slice(middle), slice(middle, None)), strict=True)
-    ]
+    products = first.products(new[0]), second.products(new[1])  # whichever base they are freed of
+    start, both = one.columns[0].count, one.both
+    basis, left = (np.split(x[both.rows], [int(one.halves[0].rows.sum())]) for x in (both.basis, both.left))
+    every = [Beside(*part) for part in zip(new, products, basis, left, strict=True)]
     alone = [
-        Beside(own, columns, half.basis[half.rows], half.left[half.rows])
-        for own, columns, half in zip(new, (first, second), one.halves, strict=True)
+        Beside(own, cross, half.basis[half.rows], half.left[half.rows]) for own, cross, half in zip(new, products, one.halves, strict=True)
     ]
     grams = [grown(gram, [part]) for gram, part in zip(one.grams, alone, strict=True)]
     whole = grown(one.whole, every)

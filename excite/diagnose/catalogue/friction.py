@@ -16,7 +16,6 @@ STICKIEST, LEAST_STUCK = 5.0, 0.05
 effects perhaps all: Coulomb friction is taken to be this share of the joint's largest torque, at the least."""
 COLDEST = 3.0
 """Times its mean, what friction at the start may have more: a joint that is cold, not one that has yet to slide."""
-
 FADING = 6.0
 """Times the usual gain that it takes to believe friction under load that fades with speed: what a coarse encoder makes of a reversal does
 so too, wherever some load is."""

@@ -9,12 +9,19 @@ from typing import Any
 
 import numpy as np
 
+from ..plant.effects import FAMILIES, KINDS
+
 Array = np.ndarray
 BINS = ((0.0, 0.7), (0.7, 2.0), (2.0, 6.0), (6.0, 18.0), (18.0, np.inf))
 SAME = ({"drag", "nonlinear_viscous"},)
 """Names that the contract calls equivalent unless the motion tells them apart."""
-APART = {("torque_saturation", "loss")}
-"""Parameters that the key states otherwise than the contract: the loss at a fixed torque, not at the largest seen."""
+APART = {
+    # the loss at a fixed torque, not at the largest seen, which the key does not tell
+    *(("torque_saturation", family, "loss") for family in FAMILIES),
+    # Coulomb friction changes half as much as viscous friction, and either as much as the motion heats the joint
+    ("thermal_drift", "scored", "change"),
+}
+"""Parameters (effect, family, name) that the key states otherwise than the contract, without what would turn one into the other."""
 NOTHING, UNKNOWN, NO_ANSWER = "(nothing)", "(unknown)", "(no answer)"
 
 
@@ -108,20 +115,30 @@ def _overlap(right: Iterable[tuple[Mapping[str, Any], Mapping[str, Any]]]) -> fl
 
 
 def whole(effect: Mapping[str, Any], case: Mapping[str, Any]) -> Mapping[str, Any]:
-    """An effect with its parameters as the contract means them: viscous friction is all of it, the key states what was added."""
-    if effect["effect"] != "asymmetric_viscous":
-        return effect
-    own = float(case["truth"]["drive"]["viscous"][effect["joint"]])
-    totals = {name: {**true, "value": float(true["value"]) + own} for name, true in effect["parameters"].items()}
-    return {**effect, "parameters": totals}
+    """An effect with its parameters as the contract means them, where the key has those of its law; those `APART` are left out.
+
+    Viscous friction that differs by direction is all of it, the key states what was added.
+    """
+    name, family = effect["effect"], effect.get("family", "")
+    own = float(case["truth"]["drive"]["viscous"][effect["joint"]]) if name == "asymmetric_viscous" else 0.0
+    law = {key: float(one["value"]) + own for key, one in {**effect["parameters"], **effect["details"]}.items()}
+    meaning = KINDS[name].meant.get(family)
+    values = law if meaning is None else {**law, **meaning(law)}
+    kept = {key: true for key, true in effect["parameters"].items() if (name, family, key) not in APART}
+    return {**effect, "parameters": {key: {**true, "value": values[key]} for key, true in kept.items()}}
 
 
 def _errors(finding: Mapping[str, Any], effect: Mapping[str, Any]) -> list[tuple[str, float, bool | None]]:
-    """Relative error of each parameter that both name, and whether value ± 2 std covers the truth."""
+    """Relative error of each parameter that both name, and whether value ± 2 std covers the truth.
+
+    Nothing where the finding has the other of two equal names: a drag's coefficient and a power law's have different units.
+    """
+    if finding["effect"] != effect["effect"]:
+        return []
     out = []
     for name, true in effect["parameters"].items():
         said = finding.get("parameters", {}).get(name)
-        if said is None or said.get("value") is None or not true["value"] or (effect["effect"], name) in APART:
+        if said is None or said.get("value") is None or not true["value"]:
             continue
         away = abs(float(said["value"]) - float(true["value"]))
         std = said.get("std")

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..law import Instant, Law
-from .kind import Kind, Quantity, Site, angle, curve, put, sign
+from .kind import Kind, Meaning, Quantity, Site, angle, curve, put, sign
 
 Array = np.ndarray
 Values = Mapping[str, float]
@@ -71,14 +71,18 @@ def position_triangle(site: Site, p: Values) -> Law:
 def position_bumps(site: Site, p: Values) -> Law:
     """A (e^{4(cos(kq+φ)−1)} + ½ e^{8(cos(kq+2φ)−1)}) sgn(v): two tight spots."""
     w = p["waves"]
-    return curve(
-        site,
-        lambda x: (
-            p["amplitude"]
-            * sign(x.v)
-            * (np.exp(4 * (np.cos(w * x.q + p["phase"]) - 1)) + 0.5 * np.exp(8 * (np.cos(w * x.q + 2 * p["phase"]) - 1)))
-        ),
-    )
+    return curve(site, lambda x: p["amplitude"] * sign(x.v) * _spots(w * x.q + p["phase"], w * x.q + 2 * p["phase"]))
+
+
+def _spots(first: Array, second: Array) -> Array:
+    """Two tight spots at 0 of two angles, the second half as high and narrower."""
+    return np.asarray(np.exp(4 * (np.cos(first) - 1)) + 0.5 * np.exp(8 * (np.cos(second) - 1)))
+
+
+def _half_range(p: Values) -> Values:
+    """An amplitude is half of what lies between highest and lowest: the mean is the base model's Coulomb friction."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 3600)
+    return {"amplitude": 0.5 * p["amplitude"] * float(np.ptp(_spots(turn, turn + p["phase"])))}
 
 
 @dataclass(frozen=True)
@@ -235,6 +239,18 @@ def coupling_difference(site: Site, p: Values) -> Law:
     return _coupling(site, p, -0.9, 12e-3)
 
 
+def _fallen(times: float) -> Meaning:
+    """The speed of textbooks, (Fₛ − F_c) e^{−(v/vₛ)^δ}: where the excess is down to 1/e, whatever δ; `times` the law's own."""
+    return lambda p: {"velocity": times * p["velocity"]}
+
+
+def _risen(p: Values) -> Values:
+    """When 1 − 1/e of the change is done, as the time constant of a response that is not of first order."""
+    return {"time_constant": ONE_OF_TWO * p["time_constant"]}
+
+
+ONE_OF_TWO = 1.42393068
+"""Root of (2 e^{−x} + e^{−x/3})/3 = 1/e: see `Warming`."""
 AMPLITUDE = Quantity("amplitude", "N m", 0.005, 0.03, "torque")
 KINDS = (
     Kind(
@@ -249,6 +265,7 @@ KINDS = (
         "stribeck",
         (AMPLITUDE, Quantity("velocity", "rad/s", 0.02, 0.3, power=0.0)),
         {"tuning": stribeck_rational, "scored": stribeck_sech},
+        meant={"tuning": _fallen(np.sqrt(np.e - 1.0)), "scored": _fallen(np.arccosh(np.e))},
     ),
     Kind(
         "nonlinear_viscous",
@@ -264,6 +281,7 @@ KINDS = (
             angle(),
         ),
         {"tuning": position_triangle, "scored": position_bumps},
+        meant={"scored": _half_range},
     ),
     Kind(
         "hysteresis",
@@ -280,6 +298,7 @@ KINDS = (
             "tuning": lambda site, p: Warming(site, p["change"], p["time_constant"]),
             "scored": lambda site, p: Heating(site, p["change"], p["time_constant"]),
         },
+        meant={"tuning": _risen},
     ),
     Kind("drag", (Quantity("coefficient", "N m s²/rad²", 0.01, 0.06, "square"),), {"tuning": drag_near_square, "scored": drag_rounded}),
     Kind(

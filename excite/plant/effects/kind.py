@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -91,13 +91,16 @@ class Site:
 
 
 Form = Callable[[Site, Mapping[str, float]], Law]
+Meaning = Callable[[Mapping[str, float]], Mapping[str, float]]
+"""From a law's parameters to those whose number is another one in the contract's words."""
 
 
 @dataclass(frozen=True)
 class Kind:
     """One name of the contract's list, or an outsider. forms: one per family. place: "joint", "robot" or "either".
 
-    vanishes: an effect of size 0 has no finite parameters (a rigid spring), so it is left out.
+    vanishes: an effect of size 0 has no finite parameters (a rigid spring), so it is left out. meant: by family, where the contract's
+    words mean another number than the law's parameter of that name.
     """
 
     name: str
@@ -106,6 +109,7 @@ class Kind:
     place: str = "joint"
     outsider: bool = False
     vanishes: bool = False
+    meant: Mapping[str, Meaning] = field(default_factory=dict)
 
     def quantity(self, name: str) -> Quantity:
         return next(q for q in self.quantities if q.name == name)

@@ -99,6 +99,11 @@ def encoder_eccentric(site: Site, p: Values) -> Law:
     return Encoder(site.j, lambda q: 2.0 * p["amplitude"] * np.sin(n * q + phase) / (1.5 + np.cos(n * q + phase)))
 
 
+def _fundamental(p: Values) -> Values:
+    """The wave of the order named, from sin θ/(a + cos θ) = 2 Σ (−1)ᵏ⁺¹ rᵏ sin kθ with r = a − √(a² − 1)."""
+    return {"amplitude": 4.0 * (1.5 - np.sqrt(1.25)) * p["amplitude"]}
+
+
 KINDS = (
     Kind("torque_gain", (Quantity("gain", "1", 1.05, 1.2, about=1.0),), {"tuning": gain, "scored": gain_breathing}),
     Kind(
@@ -116,5 +121,6 @@ KINDS = (
         "encoder_error",
         (Quantity("amplitude", "rad", 2e-4, 2e-3), Quantity("order", "1/turn", 1.0, 4.0, power=0.0), angle()),
         {"tuning": encoder_harmonics, "scored": encoder_eccentric},
+        meant={"scored": _fundamental},
     ),
 )

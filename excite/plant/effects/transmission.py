@@ -8,6 +8,7 @@ from functools import cached_property
 from math import exp, log1p
 
 import numpy as np
+from scipy.special import jv
 
 from ..law import Instant, Law, Spring
 from .kind import Kind, Quantity, Site, angle, curve
@@ -115,6 +116,11 @@ def ripple_loaded(site: Site, p: Values) -> Law:
     return curve(site, law)
 
 
+def _fundamental(p: Values) -> Values:
+    """The wave of the order named, without load: sin(θ + m sin θ) = Σ Jₖ(m) sin (k + 1)θ over all whole k (Jacobi-Anger)."""
+    return {"amplitude": float(jv(0, 0.4) - jv(2, 0.4)) * p["amplitude"]}
+
+
 KINDS = (
     Kind(
         "elasticity",
@@ -135,5 +141,6 @@ KINDS = (
         "torque_ripple",
         (Quantity("order", "1/turn", 6.0, 60.0, power=0.0), Quantity("amplitude", "N m", 0.005, 0.05, "torque"), angle()),
         {"tuning": ripple_pair, "scored": ripple_loaded},
+        meant={"scored": _fundamental},
     ),
 )

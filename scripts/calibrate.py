@@ -17,14 +17,17 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
+from excite.diagnose.belief import LEAVES
 from excite.diagnose.catalogue import BY_NAME
 from excite.diagnose.interval import FORM
 from excite.trial import seal
-from excite.trial.score import APART, equal, whole
+from excite.trial.score import equal, whole
 
 Array = np.ndarray
 RIDGE = 0.02
 """Weight against large weights, a finding."""
+LOOSE_CASES = 5.0
+"""As many cases say that an effect leaves what most do."""
 PRIOR_CASES, PRIOR_FORM = 2.0, 0.1
 """What is said of a parameter that few cases show: as many cases with errors of this deviation. What is fitted to all other
 effects covers nine in ten of an effect's parameters: a law that nobody has seen needs no less, whatever the cases at hand say."""
@@ -70,6 +73,16 @@ def leaves(stated: list[tuple[dict[str, Any], dict[str, Any]]]) -> tuple[float, 
     return round(float(left.mean()), 2), round(float(left.std()), 2)
 
 
+def loose(stated: list[tuple[dict[str, Any], dict[str, Any]]]) -> dict[str, float]:
+    """By how much the logarithm of the share that an effect leaves, where it is rightly named, differs from what most leave; drawn towards
+    no difference where few cases show it."""
+    left: dict[str, list[float]] = {}
+    for one, case in stated:
+        if hidden(one["effect"], case):
+            left.setdefault(one["effect"], []).append(float(np.log(one["evidence"]["left"])) - LEAVES)
+    return {name: round(sum(own) / (len(own) + LOOSE_CASES), 1) for name, own in sorted(left.items())}
+
+
 def forms(stated: list[tuple[dict[str, Any], dict[str, Any]]]) -> dict[str, dict[str, float]]:
     """Relative deviation of each parameter beyond what the fit says of it, from rightly named findings at the right joint."""
     errors: dict[str, dict[str, list[float]]] = {}
@@ -78,8 +91,6 @@ def forms(stated: list[tuple[dict[str, Any], dict[str, Any]]]) -> dict[str, dict
             if effect["outsider"] or not equal(one["effect"], effect["effect"]) or one["joint"] != effect["joint"]:
                 continue
             for name, true in whole(effect, case)["parameters"].items():
-                if (effect["effect"], name) in APART:
-                    continue
                 said = one["parameters"].get(name)
                 if said and said["value"] and said["std"] is not None and true["value"]:
                     size = abs(said["value"])
@@ -105,6 +116,7 @@ def main() -> None:
     stated = findings(arguments.folder, arguments.analyst)
     print(f"BIAS, SLOPE = {weights(stated)}  # {len(stated)} findings, {np.mean([right(*pair) for pair in stated]):.2f} right")
     print(f"LEAVES, SPREAD = {leaves(stated)}")
+    print(f"loose: {loose(stated)}")
     for effect, own in forms(stated).items():
         print(f"{effect}: form={own}")
 

@@ -593,10 +593,22 @@ def test_what_is_likelier_wrong_than_right_is_told_with_its_probability_and_not_
     finding = judge.Finding((judge.Hypothesis("drag", 0, 0, tried, 1.0, True),), 50.0, {})
     verdict = judge.Verdict((finding,), tried, ())
     monkeypatch.setattr(belief, "unexplained", lambda *_: (3.0, 2.5))
-    weighed = belief.weighed(None, verdict, np.ones(1))  # type: ignore[arg-type]
+    weighed = belief.weighed(None, verdict, np.ones(1), np.full(1, 0.9))  # type: ignore[arg-type]
     assert not weighed.findings and weighed.together is None
     (doubted,) = weighed.doubted
     assert doubted.main.effect == "drag" and 0.0 < doubted.probability < 0.5
+
+
+def test_what_foretells_held_out_torque_worse_is_not_asserted(monkeypatch):
+    tried = search.Trial((0, 1), np.ones(2), (np.ones(2), np.ones(2)), 90.0, True)
+    findings = tuple(judge.Finding((judge.Hypothesis("drag", joint, joint, tried, 1.0, True),), 50.0, {}) for joint in (0, 1))
+    verdict = judge.Verdict(findings, tried, ())
+    monkeypatch.setattr(belief, "unexplained", lambda *_: (30.0, 0.1))
+    monkeypatch.setattr(belief.search, "trial", lambda _, shapes: dataclasses.replace(tried, shapes=tuple(shapes)))
+    weighed = belief.weighed(None, verdict, np.ones(2), np.array([0.9, 1.2]))  # type: ignore[arg-type]
+    assert [f.main.joint for f in weighed.findings] == [0] and weighed.together.shapes == (0,)
+    (doubted,) = weighed.doubted
+    assert doubted.main.joint == 1 and doubted.probability < 0.5
 
 
 def test_shapes_that_take_each_other_off_are_no_finding():

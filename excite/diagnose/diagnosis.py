@@ -259,11 +259,12 @@ def _judged(
 ) -> Diagnosis:
     """Probabilities, and what the held-out recordings say of what is asserted."""
     floor = noisy.floor
-    verdict = belief.weighed(one, verdict, (floor / scale) ** 2)
+    moves = np.concatenate([t.moves for t in tracks[1]])
+    without, together = (search.mean_square(r, moves) for r in _held_out(one, verdict, scale))
+    verdict = belief.weighed(one, verdict, (floor / scale) ** 2, foretold=together / np.maximum(without, 1e-300))
     before, after = _held_out(one, verdict, scale)
     fitted = _fitted(one, (), scale), _fitted(one, verdict.named, scale)
     quiet = np.sqrt(floor**2 + 2.0 * noisy.steps**2 + noisy.clock)
-    moves = np.concatenate([t.moves for t in tracks[1]])
     expected = np.sqrt(quiet**2 + _reach(one, scale) ** 2)
     rms = [np.sqrt(search.mean_square(r, moves)) for r in (before, after)]
     told = (identified, options, hertz, tracks, one, verdict, floor, noisy.method)

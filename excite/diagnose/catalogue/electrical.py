@@ -112,5 +112,6 @@ EFFECTS = (
         ("load_friction", "nonlinear_viscous"),
         "short bursts near the torque limit",
         recorded=_overdrawn,
+        loose=-0.2,
     ),
 )

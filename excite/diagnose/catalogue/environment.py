@@ -165,5 +165,6 @@ EFFECTS = (
         (),
         "the same motion without anything near the robot",
         form={"force": 0.1},
+        loose=0.5,
     ),
 )

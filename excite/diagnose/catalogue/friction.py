@@ -242,6 +242,7 @@ EFFECTS = (
         ("thermal_drift", "drag"),
         "constant speeds in both directions, several of them",
         form={"positive": 0.09, "negative": 0.09},
+        loose=0.4,
     ),
     Effect(
         "stribeck",
@@ -253,6 +254,7 @@ EFFECTS = (
         ("hysteresis", "nonlinear_viscous", "delay"),
         "a ladder of slow constant speeds, 1 mrad/s to 0.5 rad/s",
         form={"amplitude": 0.5, "velocity": 1.1},
+        loose=0.7,
     ),
     Effect(
         "nonlinear_viscous",
@@ -264,6 +266,7 @@ EFFECTS = (
         ("drag", "stribeck", "thermal_drift"),
         "a wide range of constant speeds",
         form={"coefficient": 0.25, "exponent": 0.25},
+        loose=-0.6,
     ),
     Effect(
         "drag",
@@ -297,6 +300,7 @@ EFFECTS = (
         "the same stroke at shifted positions",
         told=_range,
         form={"amplitude": 0.8},
+        loose=-0.8,
     ),
     Effect(
         "hysteresis",
@@ -308,6 +312,7 @@ EFFECTS = (
         ("delay", "backlash", "stribeck"),
         "strokes of many small amplitudes",
         form={"amplitude": 0.1, "stiffness": 0.4},
+        loose=1.0,
     ),
     Effect(
         "friction",
@@ -331,5 +336,6 @@ EFFECTS = (
         ("asymmetric_viscous",),
         "a long run that ends with its first motion",
         form={"change": 0.25, "time_constant": 0.25},
+        loose=-0.4,
     ),
 )

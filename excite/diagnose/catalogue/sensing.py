@@ -114,5 +114,6 @@ EFFECTS = (
         ("torque_ripple",),
         "constant speeds, slow and fast, over a turn",
         form={"amplitude": 0.45, "order": 0.5},
+        loose=0.8,
     ),
 )

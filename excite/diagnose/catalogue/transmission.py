@@ -302,6 +302,7 @@ EFFECTS = (
         ("encoder_error",),
         "slow constant speed over a turn",
         form={"order": 0.02, "amplitude": 0.1},
+        loose=-0.5,
     ),
     Effect(
         "spring",
@@ -313,6 +314,7 @@ EFFECTS = (
         ("payload", "gravity_tilt"),
         "poses up to both ends",
         form={"stiffness": 1.0, "amplitude": 0.25},  # a refit base takes as much of a slope for gravity as a law lets it
+        loose=-0.9,
     ),
     Effect(
         "coupling",
@@ -324,5 +326,6 @@ EFFECTS = (
         ("load_friction",),
         "each joint singly, then together",
         form={"viscous": 0.1, "coulomb": 0.1, "inertia": 0.1},
+        loose=-1.0,
     ),
 )

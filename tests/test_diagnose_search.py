@@ -588,12 +588,27 @@ def test_what_a_name_leaves_is_told_where_noise_was_taken_for_more_than_it_is(mo
     assert left(monkeypatch, 1.6, 1.02) < left(monkeypatch, 1.6, 1.3)
 
 
+MEASURED = types.SimpleNamespace(measured=search.Measured())
+
+
+def test_what_an_encoder_may_feign_of_a_gain_speaks_for_no_name(monkeypatch):
+    tried = search.Trial((0,), np.ones(1), (np.ones(1), np.ones(1)), 50.0, True)
+    verdict = judge.Verdict((judge.Finding((judge.Hypothesis("stribeck", 0, 0, tried, 1.0, True),), 50.0, {}),), tried, ())
+    monkeypatch.setattr(belief, "unexplained", lambda *_: (10.0, 1.0))
+    said = []
+    for feigned in (0.0, 20.0, 45.0):
+        one = types.SimpleNamespace(measured=search.Measured({"stribeck": feigned}))
+        weighed = belief.weighed(one, verdict, np.ones(1), np.full(1, 0.9))  # type: ignore[arg-type]
+        said.append((*weighed.findings, *weighed.doubted)[0].probability)
+    assert said[0] > said[1] > 0.5 > said[2]
+
+
 def test_what_is_likelier_wrong_than_right_is_told_with_its_probability_and_not_asserted(monkeypatch):
     tried = search.Trial((0,), np.ones(1), (np.ones(1), np.ones(1)), 50.0, True)
     finding = judge.Finding((judge.Hypothesis("drag", 0, 0, tried, 1.0, True),), 50.0, {})
     verdict = judge.Verdict((finding,), tried, ())
     monkeypatch.setattr(belief, "unexplained", lambda *_: (3.0, 2.5))
-    weighed = belief.weighed(None, verdict, np.ones(1), np.full(1, 0.9))  # type: ignore[arg-type]
+    weighed = belief.weighed(MEASURED, verdict, np.ones(1), np.full(1, 0.9))  # type: ignore[arg-type]
     assert not weighed.findings and weighed.together is None
     (doubted,) = weighed.doubted
     assert doubted.main.effect == "drag" and 0.0 < doubted.probability < 0.5
@@ -605,7 +620,7 @@ def test_what_foretells_held_out_torque_worse_is_not_asserted(monkeypatch):
     verdict = judge.Verdict(findings, tried, ())
     monkeypatch.setattr(belief, "unexplained", lambda *_: (30.0, 0.1))
     monkeypatch.setattr(belief.search, "trial", lambda _, shapes: dataclasses.replace(tried, shapes=tuple(shapes)))
-    weighed = belief.weighed(None, verdict, np.ones(2), np.array([0.9, 1.2]))  # type: ignore[arg-type]
+    weighed = belief.weighed(MEASURED, verdict, np.ones(2), np.array([0.9, 1.2]))  # type: ignore[arg-type]
     assert [f.main.joint for f in weighed.findings] == [0] and weighed.together.shapes == (0,)
     (doubted,) = weighed.doubted
     assert doubted.main.joint == 1 and doubted.probability < 0.5

@@ -93,7 +93,9 @@ def weighed(one: Design, verdict: Verdict, noise: Array, foretold: Array) -> Ver
     for number, finding in enumerate(verdict.findings):
         x = share(unexplained(one, verdict, number, noise))
         others = alike(finding, x)
-        chance = odds(finding.main.effect, x) + sum(others.values())
+        # what an encoder may feign of the gain speaks for no name
+        genuine = max(1.0 - one.measured.feigned.get(finding.main.effect, 0.0) / finding.gain, LEAST)
+        chance = (odds(finding.main.effect, x) + sum(others.values())) * genuine
         most = REFUTED if refuted(finding, foretold) else MOST
         evidence = {"left": x, "odds": chance}
         findings.append(replace(finding, equivalents=tuple(others), probability=min(probability(chance), most), evidence=evidence))

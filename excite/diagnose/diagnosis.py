@@ -47,8 +47,9 @@ LOUD = 1.6
 nothing missing is 1.44, where a clock wavers."""
 LITTLE = 0.03
 """The same, of what a doubted name or a flexible model foresees in recordings that it was not fitted to: something is there."""
-UNSAID = 0.1
-"""Share of the excess over the noise that may stay unexplained beside a finding before it is called unknown."""
+UNSAID, UNTOLD = 0.1, 0.2
+"""Share of the excess over the noise that may stay unexplained beside a finding before it is called unknown; and over what a right model
+would leave, of held-out torque."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +136,8 @@ class Diagnosis:
         if self.method != "periods":  # nothing repeats: the floor is a guess from below, and only much is worth a word
             torque = np.sqrt(np.mean(np.concatenate([one.torque for half in self.tracks for one in half]) ** 2, axis=0))
             loud &= (named > MUCH * torque) | (told > LITTLE * torque)
-        return [int(j) for j in np.flatnonzero(loud & (_left(bare, named, floor) > UNSAID))]
+        untold = (self.after > LOUD * self.expected) & (_left(self.before, self.after, self.expected) > UNTOLD)
+        return [int(j) for j in np.flatnonzero(loud & (untold | (_left(bare, named, floor) > UNSAID)))]
 
     @property
     def name(self) -> str:
@@ -268,7 +270,8 @@ def _judged(
     expected = np.sqrt(quiet**2 + _reach(one, scale) ** 2)
     rms = [np.sqrt(search.mean_square(r, moves)) for r in (before, after)]
     told = (identified, options, hertz, tracks, one, verdict, floor, noisy.method)
-    sights = _sights(search.remaining(one, verdict.named) * scale, tracks, np.flatnonzero(fitted[1] ** 2 > UNSAID * fitted[0] ** 2))
+    much = (fitted[1] ** 2 > UNSAID * fitted[0] ** 2) | (rms[1] > LOUD * expected)
+    sights = _sights(search.remaining(one, verdict.named) * scale, tracks, np.flatnonzero(much))
     every = _fitted(one, (*verdict.named, *(part.shape for finding in verdict.doubted for part in finding.parts)), scale)
     doubted = np.sqrt(np.maximum(fitted[1] ** 2 - every**2, 0.0))
     judged = (rms[0], rms[1], (before, after), refitted)

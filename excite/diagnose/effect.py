@@ -111,6 +111,15 @@ def family(grid: Sequence[float], shape: Callable[[float], Shape]) -> Iterator[S
         yield Knob(value, low, high, shape).at(value)
 
 
+MULTIPLES = {2: "twice", 3: "thrice"}
+"""Of an order, that are told with it where a shape states them."""
+
+
+def multiples(values: Mapping[str, float]) -> list[int]:
+    """Those of a shape, the order itself first."""
+    return [1, *(k for k, name in MULTIPLES.items() if name in values)]
+
+
 @dataclass(frozen=True)
 class Effect:
     """An entry of the catalogue.

@@ -209,7 +209,9 @@ def _searched(one: Design, chosen: list[int]) -> tuple[Design, list[int]]:
     """Shapes that predict best together: those chosen, then more while each is worth it, all tuned and looked at again."""
     looked = set[int | None]()
     for _ in range(MOST):
-        one, chosen = search.refined(one, _replaced(one, chosen), sweeps=1)
+        chosen = _replaced(one, chosen)
+        one, turned = search.refined(one, chosen, sweeps=1)
+        chosen = turned if max(_each(one, trial(one, turned)), default=0.0) <= CANCELS * one.loudest else chosen
         joints = {one.shapes[i].joint for i in chosen} - {None} - looked
         one = search.relisted(one, chosen, joints)
         looked |= joints

@@ -146,8 +146,11 @@ def _placed(t: Track, s: Shape) -> Array:
 
 def _position(tracks: Sequence[Track]) -> Iterator[Shape]:
     def waved(j: int, waves: float) -> Callable[[float], Shape]:
+        low, high = (float(f([f(t.fine.q[:, j]) for t in tracks])) for f in (np.min, np.max))
+
         def shape(order: float) -> Shape:
-            return Shape("position_friction", j, _placed, {"order": order, "waves": waves}, parameters=amplitude(), several=True)
+            fixed = {"order": order, "waves": waves, "low": low, "high": high}
+            return Shape("position_friction", j, _placed, fixed, parameters=amplitude(), several=True)
 
         return shape
 
@@ -157,8 +160,8 @@ def _position(tracks: Sequence[Track]) -> Iterator[Shape]:
 
 
 def _range(parts: Sequence[tuple[Shape, Array]]) -> dict[str, float]:
-    """Half of how much friction varies over a turn, all waves together."""
-    angle = np.linspace(-np.pi, np.pi, 721)
+    """Half of how much friction varies where the joint was, all waves together."""
+    angle = np.linspace(parts[0][0].values["low"], parts[0][0].values["high"], 721)
     wave = np.zeros(len(angle))
     for shape, c in parts:
         for k, (cosine, sine) in enumerate(c.reshape(-1, 2), start=1):
@@ -254,7 +257,6 @@ EFFECTS = (
         ("hysteresis", "nonlinear_viscous", "delay"),
         "a ladder of slow constant speeds, 1 mrad/s to 0.5 rad/s",
         form={"amplitude": 0.5, "velocity": 1.1},
-        loose=0.7,
     ),
     Effect(
         "nonlinear_viscous",
@@ -299,7 +301,7 @@ EFFECTS = (
         ("load_friction",),
         "the same stroke at shifted positions",
         told=_range,
-        form={"amplitude": 0.8},
+        form={"amplitude": 0.5},
         loose=-0.8,
     ),
     Effect(

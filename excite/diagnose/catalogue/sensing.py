@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
 from ...identify.band import Grid
-from ..effect import Effect, Shape, amplitude, family, named, within
+from ..effect import MULTIPLES, Effect, Shape, amplitude, family, multiples, named, within
 from ..track import Track
 
 Array = np.ndarray
 LATE = (0.003, 0.008, 0.02)
 """Delays that are tried [s]."""
+MISREAD = 0.1
+"""What no encoder is off by [rad]."""
 BLURRED = 6.0
 """Whatever blurs positions puts the steps of friction at another time."""
 
@@ -67,7 +69,7 @@ def _misread(t: Track, s: Shape) -> Array:
     """Torque when a joint is where its encoder says less an error: −(∂τ/∂q δ + ∂τ/∂q̇ δ̇ + (M + I_a) δ̈)."""
     by_q, by_v, mass = t.derivatives
     joint, angle, columns = s.place, s.values["order"] * t.coarse.q[:, s.place], []
-    for shift in (np.cos(angle), np.sin(angle)):
+    for shift in (f(k * angle) for k in multiples(s.values) for f in (np.cos, np.sin)):
         line = t.band.transformed(shift, Grid.COARSE)
         first, second = line.low(Grid.COARSE, 1, 2.0), line.low(Grid.COARSE, 2, 2.0)
         torque = by_q[:, :, joint] * shift[:, None] + by_v[:, :, joint] * first[:, None] + mass[:, :, joint] * second[:, None]
@@ -77,18 +79,21 @@ def _misread(t: Track, s: Shape) -> Array:
 
 
 def _encoder(tracks: Sequence[Track]) -> Iterator[Shape]:
-    def small(c: Array) -> bool:
-        return bool(np.hypot(c[0], c[1]) < 0.1)
+    """A wave; and one with its multiples: of a disc off its centre, which torque shows by the square of their order."""
 
-    def wrong(j: int) -> Callable[[float], Shape]:
+    def small(c: Array) -> bool:
+        return bool(np.hypot(c[::2], c[1::2]).max() < MISREAD)
+
+    def wrong(j: int, more: Mapping[str, float]) -> Callable[[float], Shape]:
         def shape(order: float) -> Shape:
-            told = amplitude(order=order)
-            return Shape("encoder_error", j, _misread, {"order": order}, parameters=told, plausible=small, several=True)
+            fixed, told = {"order": order, **more}, amplitude(order=order)
+            return Shape("encoder_error", j, _misread, fixed, parameters=told, plausible=small, several=True)
 
         return shape
 
     for j in range(tracks[0].n):
-        yield from family((0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 11.0, 16.0), wrong(j))
+        yield from family((0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 11.0, 16.0), wrong(j, {}))
+        yield from family((1.0, 1.6, 2.5, 4.0), wrong(j, dict.fromkeys(MULTIPLES.values(), 1.0)))
 
 
 EFFECTS = (
@@ -106,14 +111,14 @@ EFFECTS = (
     ),
     Effect(
         "encoder_error",
-        "q + ε cos(kq + φ)",
+        "q + ε cos(kq + φ), with its multiples",
         _misread,
         _encoder,
         {"amplitude": "rad", "order": "1/turn"},
         "once or a few times a turn, growing with the square of speed",
         ("torque_ripple",),
         "constant speeds, slow and fast, over a turn",
-        form={"amplitude": 0.45, "order": 0.5},
+        form={"amplitude": 0.4, "order": 0.4},
         loose=0.8,
     ),
 )

@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from ...identify.band import Grid
-from ..effect import Effect, Knob, Shape, alone, amplitude, beside, family, named, within
+from ..effect import MULTIPLES, Effect, Knob, Shape, alone, amplitude, beside, family, multiples, named, within
 from ..track import Track
 from .windup import NEAR, damped, felt, launched, mass, played, wound
 
@@ -23,8 +23,8 @@ WIDTHS = np.geomspace(1e-4, 1e-2, 7)
 """Of play, tried [rad]."""
 HOLDS = (0.0, 1.5, 3.0)
 """Of a link in its play, tried [Hz]."""
-MULTIPLES, NEARBY = {2: "twice", 3: "thrice"}, 0.02
-"""Of an order, that are told with it; and how near two orders are the same."""
+NEARBY = 0.02
+"""How near two orders are the same."""
 ORDERS, CELLS = 12, 20_000_000
 """Orders of a ripple that are tried, at the most; and orders times rows that are looked at at once."""
 LEAST_STROKE, LEAST_TURN, ROUND = 1e-6, 0.05, 1.5
@@ -87,14 +87,13 @@ def _backlash(tracks: Sequence[Track]) -> Iterator[Shape]:
 def _waved(t: Track, s: Shape) -> Array:
     """Waves of an order, and of those of its multiples that are stated."""
     angle = s.values["order"] * t.fine.q[:, s.place]
-    multiples = [1, *(k for k, name in MULTIPLES.items() if name in s.values)]
-    return alone(t, s.place, np.column_stack([f(k * angle) for k in multiples for f in (np.cos, np.sin)]))
+    return alone(t, s.place, np.column_stack([f(k * angle) for k in multiples(s.values) for f in (np.cos, np.sin)]))
 
 
 def _ripple(tracks: Sequence[Track]) -> Iterator[Shape]:
-    def rippled(j: int, multiples: Mapping[str, float]) -> Callable[[float], Shape]:
+    def rippled(j: int, more: Mapping[str, float]) -> Callable[[float], Shape]:
         def shape(order: float) -> Shape:
-            return Shape("torque_ripple", j, _waved, {"order": order, **multiples}, parameters=amplitude(order=order), several=True)
+            return Shape("torque_ripple", j, _waved, {"order": order, **more}, parameters=amplitude(order=order), several=True)
 
         return shape
 

@@ -131,6 +131,41 @@ def test_parameters_come_with_intervals_that_hold_the_truth(subject):
     assert value == pytest.approx(0.5, rel=0.1) and std < 0.05
 
 
+@pytest.mark.parametrize(("after", "unknown"), [(2.0, []), (6.0, [0, 1])])
+def test_what_a_finding_does_not_foretell_is_unknown_though_fitted_it_takes_nearly_all(subject, after, unknown):
+    result = found(subject, PLANTED["spring"][0])
+    said = dataclasses.replace(
+        result,
+        fitted=(10.0 * result.quiet, 2.0 * result.quiet),
+        before=10.0 * result.expected,
+        after=after * result.expected,
+    )
+    assert said.unknown == unknown
+
+
+def test_an_encoder_off_its_centre_is_told_by_its_first_wave(subject):
+    """Torque shows the second wave more than the first: by the square of its order."""
+    misread = []
+    for one in recordings_of(subject, None):
+        angle, q = 2.0 * one.q[:, 1] + 0.4, one.q.copy()
+        q[:, 1] += 0.02 * (np.sin(angle) + 0.4 * np.sin(2.0 * angle))
+        misread.append(dataclasses.replace(one, q=q))
+    result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, misread[:1], misread[1:])
+    (finding,) = result.verdict.findings
+    assert (finding.main.effect, finding.main.joint) == ("encoder_error", 1)
+    values = interval.finding_parameters(result.design, result.verdict, 0)
+    assert values["order"][0] == pytest.approx(2.0, rel=0.1) and values["amplitude"][0] == pytest.approx(0.02, rel=0.2)
+    assert np.all(result.after < 0.5 * result.before)
+
+
+def test_friction_by_place_is_told_where_the_joint_was(subject):
+    result = found(subject, PLANTED["position_friction"][0])
+    train = np.concatenate([t.fine.q[:, 0] for half in result.tracks for t in half])
+    wave = 0.8 * np.cos(2.0 * np.linspace(train.min(), train.max(), 500) + 1.0)
+    value, _ = interval.finding_parameters(result.design, result.verdict, 0)["amplitude"]
+    assert value == pytest.approx(0.5 * np.ptp(wave), rel=0.1)
+
+
 def test_a_ripple_is_told_with_its_multiples_and_slight_orders_beside_strong_ones(subject):
     def cogging(t: Array, q: Array, dq: Array, tau: Array) -> Array:
         angle = 19.0 * q[:, 1]

@@ -325,6 +325,6 @@ EFFECTS = (
         ("load_friction",),
         "each joint singly, then together",
         form={"viscous": 0.1, "coulomb": 0.1, "inertia": 0.1},
-        loose=-1.0,
+        loose=-0.4,
     ),
 )

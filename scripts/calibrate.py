@@ -3,8 +3,8 @@
 
     scripts/calibrate.py out/tuning --analyst excite
 
-Prints the constants of `excite/diagnose/belief.py` and, for each parameter, the relative standard deviation that makes value ± 2 std
-cover 95 % of the true values: the `form` of the effects in `excite/diagnose/catalogue/`.
+Prints constants of `excite/diagnose/belief.py` and, for the effects in `excite/diagnose/catalogue/`, by how much they leave more or less
+than most (`loose`), and for each parameter the relative standard deviation that makes value ± 2 std cover 95 % of the true values (`form`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from excite.diagnose.belief import LEAVES
 from excite.diagnose.catalogue import BY_NAME
 from excite.diagnose.interval import FORM
 from excite.trial import seal
@@ -73,13 +72,13 @@ def leaves(stated: list[tuple[dict[str, Any], dict[str, Any]]]) -> tuple[float, 
     return round(float(left.mean()), 2), round(float(left.std()), 2)
 
 
-def loose(stated: list[tuple[dict[str, Any], dict[str, Any]]]) -> dict[str, float]:
-    """By how much the logarithm of the share that an effect leaves, where it is rightly named, differs from what most leave; drawn towards
+def loose(stated: list[tuple[dict[str, Any], dict[str, Any]]], mean: float) -> dict[str, float]:
+    """By how much the logarithm of the share that an effect leaves, where it is rightly named, differs from the mean of all; drawn towards
     no difference where few cases show it."""
     left: dict[str, list[float]] = {}
     for one, case in stated:
         if hidden(one["effect"], case):
-            left.setdefault(one["effect"], []).append(float(np.log(one["evidence"]["left"])) - LEAVES)
+            left.setdefault(one["effect"], []).append(float(np.log(one["evidence"]["left"])) - mean)
     return {name: round(sum(own) / (len(own) + LOOSE_CASES), 1) for name, own in sorted(left.items())}
 
 
@@ -88,7 +87,7 @@ def forms(stated: list[tuple[dict[str, Any], dict[str, Any]]]) -> dict[str, dict
     errors: dict[str, dict[str, list[float]]] = {}
     for one, case in stated:
         for effect in case["effects"]:
-            if effect["outsider"] or not equal(one["effect"], effect["effect"]) or one["joint"] != effect["joint"]:
+            if effect["outsider"] or one["effect"] != effect["effect"] or one["joint"] != effect["joint"]:
                 continue
             for name, true in whole(effect, case)["parameters"].items():
                 said = one["parameters"].get(name)
@@ -115,8 +114,9 @@ def main() -> None:
     arguments = parser.parse_args()
     stated = findings(arguments.folder, arguments.analyst)
     print(f"BIAS, SLOPE = {weights(stated)}  # {len(stated)} findings, {np.mean([right(*pair) for pair in stated]):.2f} right")
-    print(f"LEAVES, SPREAD = {leaves(stated)}")
-    print(f"loose: {loose(stated)}")
+    mean, spread = leaves(stated)
+    print(f"LEAVES, SPREAD = {mean, spread}")
+    print(f"loose: {loose(stated, mean)}")
     for effect, own in forms(stated).items():
         print(f"{effect}: form={own}")
 

@@ -576,7 +576,7 @@ def left(monkeypatch: pytest.MonkeyPatch, without: float, both: float) -> float:
     """Share that a name leaves whose joint has these mean squares over the noise."""
     part = types.SimpleNamespace(shape=1)
     verdict = types.SimpleNamespace(together=types.SimpleNamespace(shapes=(0, 1)), findings=[types.SimpleNamespace(parts=[part])])
-    monkeypatch.setattr(belief, "sizes", lambda *_: np.ones(1))
+    monkeypatch.setattr(judge, "sizes", lambda *_: np.ones(1))
     monkeypatch.setattr(belief.search, "level", lambda _, shapes: np.array([both if len(shapes) == 2 else without]))
     return belief.share(belief.unexplained(None, verdict, 0, np.ones(1)))  # type: ignore[arg-type]
 
@@ -598,7 +598,7 @@ def test_what_an_encoder_may_feign_of_a_gain_speaks_for_no_name(monkeypatch):
     said = []
     for feigned in (0.0, 20.0, 45.0):
         one = types.SimpleNamespace(measured=search.Measured({"stribeck": feigned}))
-        weighed = belief.weighed(one, verdict, np.ones(1), np.full(1, 0.9))  # type: ignore[arg-type]
+        weighed = belief.weighed(one, verdict, np.ones(1))  # type: ignore[arg-type]
         said.append((*weighed.findings, *weighed.doubted)[0].probability)
     assert said[0] > said[1] > 0.5 > said[2]
 
@@ -608,22 +608,10 @@ def test_what_is_likelier_wrong_than_right_is_told_with_its_probability_and_not_
     finding = judge.Finding((judge.Hypothesis("drag", 0, 0, tried, 1.0, True),), 50.0, {})
     verdict = judge.Verdict((finding,), tried, ())
     monkeypatch.setattr(belief, "unexplained", lambda *_: (3.0, 2.5))
-    weighed = belief.weighed(MEASURED, verdict, np.ones(1), np.full(1, 0.9))  # type: ignore[arg-type]
+    weighed = belief.weighed(MEASURED, verdict, np.ones(1))  # type: ignore[arg-type]
     assert not weighed.findings and weighed.together is None
     (doubted,) = weighed.doubted
     assert doubted.main.effect == "drag" and 0.0 < doubted.probability < 0.5
-
-
-def test_what_foretells_held_out_torque_worse_is_not_asserted(monkeypatch):
-    tried = search.Trial((0, 1), np.ones(2), (np.ones(2), np.ones(2)), 90.0, True)
-    findings = tuple(judge.Finding((judge.Hypothesis("drag", joint, joint, tried, 1.0, True),), 50.0, {}) for joint in (0, 1))
-    verdict = judge.Verdict(findings, tried, ())
-    monkeypatch.setattr(belief, "unexplained", lambda *_: (30.0, 0.1))
-    monkeypatch.setattr(belief.search, "trial", lambda _, shapes: dataclasses.replace(tried, shapes=tuple(shapes)))
-    weighed = belief.weighed(MEASURED, verdict, np.ones(2), np.array([0.9, 1.2]))  # type: ignore[arg-type]
-    assert [f.main.joint for f in weighed.findings] == [0] and weighed.together.shapes == (0,)
-    (doubted,) = weighed.doubted
-    assert doubted.main.joint == 1 and doubted.probability < 0.5
 
 
 def test_shapes_that_take_each_other_off_are_no_finding():

@@ -4,8 +4,8 @@ A law that is not quite the catalogue's leaves a share x of its own torque, whos
 some share in common with the truth, any as likely as any. Gain, rank, and the lead over other names were tried beside it and say nothing
 more.
 
-`scripts/calibrate.py` fits the constants to answered cases of the concealed trial whose key is open (the tuning family: its effects have
-other forms than those that are scored, which is why a name is allowed to leave a little more than they do).
+`scripts/calibrate.py` fits LEAVES, SPREAD, `Effect.loose`, BIAS and SLOPE to answered cases of the concealed trial whose key is open (the
+tuning family: its effects have other forms than those that are scored, which is why a name is allowed to leave a little more than they do).
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from . import search
+from . import judge, search
 from .catalogue import BY_NAME
-from .judge import Finding, Verdict, sizes
+from .judge import Finding, Verdict
 from .search import Design
 
 Array = np.ndarray
@@ -34,12 +34,7 @@ LEAST_LEFT = 1e-3
 """Share that any law leaves."""
 UNSURE = 0.1
 """Mean square over the noise to which the noise itself is known."""
-ACTS = 0.2
-"""Of an effect's torque at the joint where it is largest, what another joint must feel of it to be looked at too."""
 LEAST, MOST = 0.02, 0.99
-REFUTED = 0.12
-"""The most of a finding with which the held-out torque of its joint is told worse than without: of 300 simulated robots six were such, none
-of them right."""
 ASSERTED = 0.5
 """Probability from which a finding is asserted (the contract)."""
 
@@ -61,8 +56,7 @@ def unexplained(one: Design, verdict: Verdict, number: int, noise: Array) -> tup
     scale. Shape (n,). Where less is left than noise, the noise is off by as much; at the worst all that is left is no noise."""
     together, own = verdict.together, [part.shape for part in verdict.findings[number].parts]
     assert together is not None
-    where = sizes(one, together, together.shapes.index(own[0]))
-    acts = where > ACTS * where.max()
+    acts = judge.acting(one, together, own[0])
     others = tuple(i for i in together.shapes if i not in own)
     without, both = ((search.level(one, shapes) / noise)[acts] for shapes in (others, together.shapes))
     left = min(max(abs(float(np.sum(both - 1.0))), UNSURE), float(np.sum(both)))
@@ -84,31 +78,25 @@ def probability(chance: float) -> float:
     return float(np.clip(1.0 / (1.0 + np.exp(-BIAS - SLOPE * np.log(chance))), LEAST, MOST))
 
 
-def weighed(one: Design, verdict: Verdict, noise: Array, foretold: Array) -> Verdict:
+def weighed(one: Design, verdict: Verdict, noise: Array) -> Verdict:
     """The verdict with probabilities. What is less likely right than wrong by name still predicts, and stays in the model beside what is
-    asserted, if it does. noise: see `unexplained`. foretold: held-out mean square with all findings over that without, Shape (n,) each."""
+    asserted. noise: see `unexplained`. Shape (n,)."""
     if not verdict.findings:
         return verdict
     findings = []
     for number, finding in enumerate(verdict.findings):
         x = share(unexplained(one, verdict, number, noise))
-        others = alike(finding, x)
-        # what an encoder may feign of the gain speaks for no name
-        genuine = max(1.0 - one.measured.feigned.get(finding.main.effect, 0.0) / finding.gain, LEAST)
-        chance = (odds(finding.main.effect, x) + sum(others.values())) * genuine
-        most = REFUTED if refuted(finding, foretold) else MOST
+        others = {name: chance * genuine(one, name, finding.rivals[name]) for name, chance in alike(finding, x).items()}
+        chance = odds(finding.main.effect, x) * genuine(one, finding.main.effect, finding.gain) + sum(others.values())
         evidence = {"left": x, "odds": chance}
-        findings.append(replace(finding, equivalents=tuple(others), probability=min(probability(chance), most), evidence=evidence))
+        findings.append(replace(finding, equivalents=tuple(others), probability=probability(chance), evidence=evidence))
     kept = tuple(f for f in findings if f.probability >= ASSERTED)
-    doubted = tuple(f for f in findings if f.probability < ASSERTED)
+    doubted = (*(f for f in findings if f.probability < ASSERTED), *verdict.doubted)
     if not kept:  # nothing that can be said: nothing is added either
         return Verdict((), None, verdict.considered, doubted)
-    shapes = [part.shape for f in findings if not refuted(f, foretold) for part in f.parts]
-    together = verdict.together if len(shapes) == sum(len(f.parts) for f in findings) else search.trial(one, shapes)
-    return replace(verdict, findings=kept, doubted=doubted, together=together)
+    return replace(verdict, findings=kept, doubted=doubted)
 
 
-def refuted(finding: Finding, foretold: Array) -> bool:
-    """Whether held-out torque speaks against a finding. foretold: see `weighed`."""
-    joint = finding.main.joint
-    return bool((foretold.mean() if joint is None else foretold[joint]) > 1.0)
+def genuine(one: Design, effect: str, gain: float) -> float:
+    """Share of a gain that faults of the measurement, such as an encoder's steps, do not feign."""
+    return float(np.clip(1.0 - one.measured.feigned.get(effect, 0.0) / max(gain, 1e-9), LEAST, 1.0))

@@ -18,7 +18,7 @@ from ..identify.signals import Piece
 from ..parameters import Parameters
 from ..recordings import Recording
 from ..robot import Robot
-from . import belief, encoders, equations, foreseen, judge, looks, noise, search, track, whole
+from . import belief, encoders, equations, foreseen, foretold, judge, looks, noise, search, track, whole
 from .catalogue import EFFECTS
 from .effect import Shape
 from .encoders import Gear
@@ -124,7 +124,7 @@ class Diagnosis:
     @property
     def unknown(self) -> list[int]:
         """Joints where something is left that no name takes: a flexible model foresees it, or a name that is doubted, or it is far louder
-        than noise."""
+        than noise; much of it, by a fit to all recordings, or of the held-out torque by the others."""
         bare, named = self.fitted
         loud, floor = (named > LOUD * self.quiet) | (self.doubted > self.floor), self.floor.copy()
         told = self.doubted.copy()
@@ -187,13 +187,14 @@ def diagnose(
         left = search.remaining(one, verdict.together.shapes) * scale  # without what touched the robot once, which looked like noise
         noisy = noise.repeated(noisy, every, track.split(left, every))
         one, verdict, scale = _sharper(one, verdict, noisy, scale)
-    refitted = None
+    moves = np.concatenate([t.moves for t in halves[1]])
+    verdict, refitted = foretold.tested(one, verdict, moves, (noisy.floor / scale) ** 2), None
     if verdict.findings:
         progress("the base model without what was found")
         one, verdict, refitted = _refitted(one, verdict, identified, halves, (train, validate), settings, options, noisy.floor, scale)
     out = _judged(one, verdict, identified, refitted, (halves[0], halves[1]), noisy, options, hertz, scale)
     out = dataclasses.replace(out, gears=encoders.gears(halves, (train, validate)))
-    if refitted is None or not out.verdict.findings:
+    if refitted is None or out.refitted is None:
         return out
     progress("simulating ahead")
     bare = [whole.removed(out.parts, r, halves[1]) for r in validate]
@@ -262,19 +263,18 @@ def _judged(
     """Probabilities, and what the held-out recordings say of what is asserted."""
     floor = noisy.floor
     moves = np.concatenate([t.moves for t in tracks[1]])
-    without, together = (search.mean_square(r, moves) for r in _held_out(one, verdict, scale))
-    verdict = belief.weighed(one, verdict, (floor / scale) ** 2, foretold=together / np.maximum(without, 1e-300))
-    before, after = _held_out(one, verdict, scale)
+    verdict = belief.weighed(one, verdict, (floor / scale) ** 2)
+    before, after = foretold.residuals(one, verdict.together, scale)
     fitted = _fitted(one, (), scale), _fitted(one, verdict.named, scale)
     quiet = np.sqrt(floor**2 + 2.0 * noisy.steps**2 + noisy.clock)
-    expected = np.sqrt(quiet**2 + _reach(one, scale) ** 2)
+    expected = np.sqrt(quiet**2 + foretold.reach(one, scale) ** 2)
     rms = [np.sqrt(search.mean_square(r, moves)) for r in (before, after)]
     told = (identified, options, hertz, tracks, one, verdict, floor, noisy.method)
     much = (fitted[1] ** 2 > UNSAID * fitted[0] ** 2) | (rms[1] > LOUD * expected)
     sights = _sights(search.remaining(one, verdict.named) * scale, tracks, np.flatnonzero(much))
     every = _fitted(one, (*verdict.named, *(part.shape for finding in verdict.doubted for part in finding.parts)), scale)
     doubted = np.sqrt(np.maximum(fitted[1] ** 2 - every**2, 0.0))
-    judged = (rms[0], rms[1], (before, after), refitted)
+    judged = (rms[0], rms[1], (before, after), refitted if verdict.findings else None)
     return Diagnosis(*told, *judged, expected=expected, fitted=fitted, quiet=quiet, sights=sights, doubted=doubted)
 
 
@@ -331,28 +331,6 @@ def _again(one: Design, verdict: Verdict, shapes: Sequence[Shape], build: search
     if len(wider.shapes) != start + len(better.together.shapes):
         return one, verdict
     return wider, judge.moved(wider, verdict, better, start)
-
-
-def _held_out(one: Design, verdict: Verdict, scale: Array) -> tuple[Array, Array]:
-    """Torque of the second half that the base model fitted to the first leaves, and with the findings. Shapes (N, n) [N m]."""
-    before = one.across.reshape(-1, len(scale)) * scale
-    if verdict.together is None:
-        return before, before
-    together = verdict.together
-    which = one.which(together.shapes)
-    # what happened once, in one recording, is known from it alone
-    known = (one.split(together.shapes, c) for c in (together.coefficients, together.halves[0]))
-    own = [c if one.shapes[i].interval is not None else first for i, c, first in zip(together.shapes, *known, strict=True)]
-    added = one.carried(which) @ np.concatenate(own)
-    return before, before - added.reshape(before.shape) * scale
-
-
-def _reach(one: Design, scale: Array) -> Array:
-    """RMS by which the held-out torque is off because the first half does not tell the base parameters better. Shape (n,) [N m]."""
-    first, second = one.halves
-    gamma, covariance = second.gamma[second.rows], first.inverse @ first.inverse.T
-    variance = np.sum((gamma @ covariance) * gamma, axis=1)
-    return np.asarray(np.sqrt(np.mean(np.maximum(variance, 0.0).reshape(-1, len(scale)), axis=0)) * scale)
 
 
 def _left(before: Array, after: Array, floor: Array) -> Array:

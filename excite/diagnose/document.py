@@ -176,9 +176,10 @@ def _considered(found: Diagnosis, hypothesis: Hypothesis) -> dict[str, Any]:
 
 
 def _doubted(found: Diagnosis, finding: Finding) -> dict[str, Any]:
-    """What predicts better under a name that is likelier wrong than right: not asserted, but modelled beside what is."""
-    stated = _considered(found, finding.main)
-    told = {"probability": finding.probability, "equivalents": list(finding.equivalents), "modelled": found.verdict.together is not None}
+    """What is likelier wrong than right by its name: not asserted, but modelled beside what is, if it predicts better."""
+    stated, together = _considered(found, finding.main), found.verdict.together
+    modelled = together is not None and finding.main.shape in together.shapes
+    told = {"probability": finding.probability, "equivalents": list(finding.equivalents), "modelled": modelled}
     return stated | told | {"evidence": {**stated["evidence"], **_weight(finding)}}
 
 

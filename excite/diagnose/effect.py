@@ -10,6 +10,8 @@ import numpy as np
 from .track import Track
 
 Array = np.ndarray
+MULTIPLES = {2: "twice", 3: "thrice"}
+"""Of an order, that are told with it where a shape states them."""
 KIN = 4
 """Steps from kin to kin, at the most."""
 
@@ -111,10 +113,6 @@ def family(grid: Sequence[float], shape: Callable[[float], Shape]) -> Iterator[S
         yield Knob(value, low, high, shape).at(value)
 
 
-MULTIPLES = {2: "twice", 3: "thrice"}
-"""Of an order, that are told with it where a shape states them."""
-
-
 def multiples(values: Mapping[str, float]) -> list[int]:
     """Those of a shape, the order itself first."""
     return [1, *(k for k, name in MULTIPLES.items() if name in values)]
@@ -127,8 +125,9 @@ class Effect:
     name: the contract's. add: the torque that a shape of it adds. shapes: all forms on a robot whose recordings are these tracks.
     units: of its parameters. prior_only: a refit of the base model absorbs it. signature: what it looks like. confused: names it
     is taken for. experiment: what would tell them apart. form: relative standard deviation of parameters where a robot's form is not
-    quite this one. told: the contract's parameters of a joint's shapes with their coefficients, the largest first. recorded: of an effect
-    with shapes of measured torque, what one adds where nothing is measured yet, by all the torque that is made, Shape (M, n).
+    quite this one. loose: by how much more than of most the logarithm of the share is that it leaves where it is right (`belief.py`).
+    told: the contract's parameters of a joint's shapes with their coefficients, the largest first. recorded: of an effect with shapes of
+    measured torque, what one adds where nothing is measured yet, by all the torque that is made, Shape (M, n).
     """
 
     name: str

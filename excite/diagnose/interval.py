@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import search
-from .belief import ACTS
 from .catalogue import BY_NAME
 from .effect import Shape
-from .judge import Verdict, sizes
+from .judge import Verdict, acting
 from .search import Design
 
 Array = np.ndarray
@@ -117,6 +116,5 @@ def misfit(one: Design, verdict: Verdict, number: int) -> float:
     """Norm of what the fit leaves beyond unit noise where a finding acts."""
     together, main = verdict.together, verdict.findings[number].main
     assert together is not None
-    where = sizes(one, together, together.shapes.index(main.shape))
-    left = search.remaining(one, together.shapes)[:, where > ACTS * where.max()]
+    left = search.remaining(one, together.shapes)[:, acting(one, together, main.shape)]
     return float(np.sqrt(max(np.sum(left**2) - left.size, 0.0)))

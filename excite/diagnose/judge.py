@@ -33,6 +33,8 @@ SEEN = 9.0
 """Log-likelihood, twice, from which a half sees an effect: three standard deviations."""
 MOST, BENT = 6, 2
 """Shapes, at the most; and those beside which each is tried in other shapes for one more."""
+ACTS = 0.2
+"""Of an effect's torque at the joint where it is largest, what another joint must feel of it to be looked at too."""
 FRONT, CONSIDERED = 24, 8
 """Effects that are tried in pairs; and those told beside the findings."""
 
@@ -69,8 +71,8 @@ class Finding:
 
 @dataclass(frozen=True)
 class Verdict:
-    """findings: the largest gain first. doubted: that predict better too, under a name that is likelier wrong than right. together: the
-    parts of both, fitted at once. considered: the best alternatives."""
+    """findings: the largest gain first. doubted: under a name that is likelier wrong than right. together: the parts of both that predict
+    better, fitted at once. considered: the best alternatives."""
 
     findings: tuple[Finding, ...]
     together: Trial | None
@@ -141,6 +143,12 @@ def size(one: Design, found: Trial, number: int) -> float:
     return float(sizes(one, found, number).max())
 
 
+def acting(one: Design, found: Trial, shape: int) -> Array:
+    """Joints that feel one of the fitted shapes. Shape (n,)."""
+    where = sizes(one, found, found.shapes.index(shape))
+    return np.asarray(where > ACTS * where.max())
+
+
 def agrees(one: Design, found: Trial) -> bool:
     """Whether the two halves say the same of the torque: what both say together, and what each says, explain most of the same in it.
 
@@ -179,6 +187,16 @@ def judged(one: Design, chosen: Sequence[int] = ()) -> tuple[Design, Verdict]:
             return one, Verdict((), None, tuple(alone[:CONSIDERED]))
         chosen = _best_pair(one, counts) or [counts[0].shape]
     one, chosen = _searched(one, list(chosen))
+    verdict = said(one, chosen)
+    named = {(f.main.effect, f.main.joint) for f in verdict.findings}
+    others = (h for h in ranked(one) if (h.effect, h.joint) not in named)
+    return one, replace(verdict, considered=tuple(islice(others, CONSIDERED)))
+
+
+def said(one: Design, chosen: Sequence[int], considered: tuple[Hypothesis, ...] = ()) -> Verdict:
+    """What some shapes say together: the findings that they are parts of."""
+    if not chosen:
+        return Verdict((), None, considered)
     together = trial(one, chosen)
     groups: dict[tuple[str, int | None], list[Hypothesis]] = {}
     for number, i in enumerate(chosen):
@@ -186,10 +204,7 @@ def judged(one: Design, chosen: Sequence[int] = ()) -> tuple[Design, Verdict]:
         own = Hypothesis(shape.effect, shape.joint, i, trial(one, [i]), size(one, together, number), True)
         groups.setdefault(_who(shape), []).append(own)
     findings = [_finding(one, together, tuple(sorted(parts, key=lambda h: -h.size))) for parts in groups.values()]
-    findings.sort(key=lambda f: -f.gain)
-    named = {(f.main.effect, f.main.joint) for f in findings}
-    others = (h for h in ranked(one) if (h.effect, h.joint) not in named)
-    return one, Verdict(tuple(findings), together, tuple(islice(others, CONSIDERED)))
+    return Verdict(tuple(sorted(findings, key=lambda f: -f.gain)), together, considered)
 
 
 def moved(one: Design, verdict: Verdict, better: Verdict, start: int) -> Verdict:
@@ -210,8 +225,9 @@ def _searched(one: Design, chosen: list[int]) -> tuple[Design, list[int]]:
     looked = set[int | None]()
     for _ in range(MOST):
         chosen = _replaced(one, chosen)
-        one, turned = search.refined(one, chosen, sweeps=1)
-        chosen = turned if max(_each(one, trial(one, turned)), default=0.0) <= CANCELS * one.loudest else chosen
+        finer, turned = search.refined(one, chosen, sweeps=1)
+        if max(_each(finer, trial(finer, turned))) <= CANCELS * one.loudest:
+            one, chosen = finer, turned
         joints = {one.shapes[i].joint for i in chosen} - {None} - looked
         one = search.relisted(one, chosen, joints)
         looked |= joints

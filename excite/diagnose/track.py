@@ -274,6 +274,12 @@ def _moving(q: Array, dq: Array, rate: float, rest: float) -> Array:
     return out
 
 
+def stroke(stretches: Sequence[Track], joint: int) -> tuple[float, float]:
+    """Ends of where a joint was [rad or m]."""
+    places = [one.fine.q[:, joint] for one in stretches]
+    return min(float(q.min()) for q in places), max(float(q.max()) for q in places)
+
+
 def split(rows: Array, stretches: Sequence[Track]) -> list[Array]:
     """Rows of several stretches, one after the other, by stretch."""
     return np.split(rows, np.cumsum([len(one) for one in stretches])[:-1])

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..effect import Effect, Shape, alone, amplitude, family, named, positive, within
-from ..track import Track
+from ..track import Track, stroke
 
 Array = np.ndarray
 STICKIEST, LEAST_STUCK = 5.0, 0.05
@@ -16,6 +16,8 @@ STICKIEST, LEAST_STUCK = 5.0, 0.05
 effects perhaps all: Coulomb friction is taken to be this share of the joint's largest torque, at the least."""
 COLDEST = 3.0
 """Times its mean, what friction at the start may have more: a joint that is cold, not one that has yet to slide."""
+POINTS = 200
+"""A wave, that its largest and least are told from."""
 FADING = 6.0
 """Times the usual gain that it takes to believe friction under load that fades with speed: what a coarse encoder makes of a reversal does
 so too, wherever some load is."""
@@ -146,7 +148,7 @@ def _placed(t: Track, s: Shape) -> Array:
 
 def _position(tracks: Sequence[Track]) -> Iterator[Shape]:
     def waved(j: int, waves: float) -> Callable[[float], Shape]:
-        low, high = (float(f([f(t.fine.q[:, j]) for t in tracks])) for f in (np.min, np.max))
+        low, high = stroke(tracks, j)
 
         def shape(order: float) -> Shape:
             fixed = {"order": order, "waves": waves, "low": low, "high": high}
@@ -161,7 +163,8 @@ def _position(tracks: Sequence[Track]) -> Iterator[Shape]:
 
 def _range(parts: Sequence[tuple[Shape, Array]]) -> dict[str, float]:
     """Half of how much friction varies where the joint was, all waves together."""
-    angle = np.linspace(parts[0][0].values["low"], parts[0][0].values["high"], 721)
+    first, turns = parts[0][0].values, max(shape.values["order"] * shape.values["waves"] for shape, _ in parts) / (2.0 * np.pi)
+    angle = np.linspace(first["low"], first["high"], int(POINTS * max(1.0, turns * (first["high"] - first["low"]))) + 1)
     wave = np.zeros(len(angle))
     for shape, c in parts:
         for k, (cosine, sine) in enumerate(c.reshape(-1, 2), start=1):

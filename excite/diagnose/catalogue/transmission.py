@@ -9,7 +9,7 @@ import numpy as np
 
 from ...identify.band import Grid
 from ..effect import MULTIPLES, Effect, Knob, Shape, alone, amplitude, beside, family, multiples, named, within
-from ..track import Track
+from ..track import Track, stroke
 from .windup import NEAR, damped, felt, launched, mass, played, wound
 
 Array = np.ndarray
@@ -204,7 +204,7 @@ def _spring(tracks: Sequence[Track]) -> Iterator[Shape]:
             yield from family(((high - low) * BENDS).tolist(), lambda into: law(bend=low + into))
 
     for j in range(tracks[0].n):
-        low, high = (float(f([f(t.fine.q[:, j]) for t in tracks])) for f in (np.min, np.max))
+        low, high = stroke(tracks, j)
         if high - low >= LEAST_STROKE:
             yield from laws(j, low, high)
 

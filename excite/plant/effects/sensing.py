@@ -12,6 +12,8 @@ from .kind import Kind, Quantity, Site, angle
 
 Array = np.ndarray
 Values = Mapping[str, float]
+INWARD = 1.5
+"""Of an eccentric disc, where it is read, over how far it is off its centre."""
 
 
 @dataclass(frozen=True)
@@ -96,12 +98,12 @@ def encoder_harmonics(site: Site, p: Values) -> Law:
 def encoder_eccentric(site: Site, p: Values) -> Law:
     """2A sin θ/(1.5 + cos θ), θ = Nq + φ: a disc off its centre, read close to its edge."""
     n, phase = p["order"], p["phase"]
-    return Encoder(site.j, lambda q: 2.0 * p["amplitude"] * np.sin(n * q + phase) / (1.5 + np.cos(n * q + phase)))
+    return Encoder(site.j, lambda q: 2.0 * p["amplitude"] * np.sin(n * q + phase) / (INWARD + np.cos(n * q + phase)))
 
 
 def _fundamental(p: Values) -> Values:
     """The wave of the order named, from sin θ/(a + cos θ) = 2 Σ (−1)ᵏ⁺¹ rᵏ sin kθ with r = a − √(a² − 1)."""
-    return {"amplitude": 4.0 * (1.5 - np.sqrt(1.25)) * p["amplitude"]}
+    return {"amplitude": 4.0 * (INWARD - np.sqrt(INWARD**2 - 1.0)) * p["amplitude"]}
 
 
 KINDS = (

@@ -15,6 +15,8 @@ from .kind import Kind, Quantity, Site, angle, curve
 
 Array = np.ndarray
 Values = Mapping[str, float]
+SKEW = 0.4
+"""Of a loaded mesh's wave: sin(θ + m sin θ)."""
 DAMPING = 0.04
 """Damping ratio of a joint's own wind-up."""
 
@@ -111,14 +113,14 @@ def ripple_loaded(site: Site, p: Values) -> Law:
 
     def law(x: Instant) -> Array:
         turn = order * x.q + phase
-        return p["amplitude"] * (1.0 + 0.5 * x.load / top) * np.sin(turn + 0.4 * np.sin(turn))
+        return p["amplitude"] * (1.0 + 0.5 * x.load / top) * np.sin(turn + SKEW * np.sin(turn))
 
     return curve(site, law)
 
 
 def _fundamental(p: Values) -> Values:
     """The wave of the order named, without load: sin(θ + m sin θ) = Σ Jₖ(m) sin (k + 1)θ over all whole k (Jacobi-Anger)."""
-    return {"amplitude": float(jv(0, 0.4) - jv(2, 0.4)) * p["amplitude"]}
+    return {"amplitude": float(jv(0, SKEW) - jv(2, SKEW)) * p["amplitude"]}
 
 
 KINDS = (

@@ -213,7 +213,7 @@ def moved(one: Design, verdict: Verdict, better: Verdict, start: int) -> Verdict
     place = {shape: start + k for k, shape in enumerate(better.together.shapes)}
     parts = {(f.main.effect, f.main.joint): tuple(replace(p, shape=place[p.shape]) for p in f.parts) for f in better.findings}
     findings = tuple(replace(f, parts=parts[f.main.effect, f.main.joint]) for f in verdict.findings)
-    return Verdict(findings, trial(one, [place[shape] for shape in better.together.shapes]), verdict.considered)
+    return replace(verdict, findings=findings, together=trial(one, [place[shape] for shape in better.together.shapes]))
 
 
 def _without(shapes: Sequence[int], parts: Sequence[Hypothesis]) -> list[int]:

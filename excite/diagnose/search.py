@@ -249,13 +249,15 @@ def pretended(one: Design, residual: tuple[Array, Array]) -> Design:
 @dataclass(frozen=True)
 class Trial:
     """A set of shapes, fitted. coefficients: on both halves together. halves: on each. gain: log-likelihood of each half given
-    the other, both added, beyond the base model's. plausible: whether every part passes its gates."""
+    the other, both added, beyond the base model's. plausible: whether every part passes its gates. seen: what either half shows of them
+    by itself: both marginal likelihoods' logarithms, added, beyond the base model's."""
 
     shapes: tuple[int, ...]
     coefficients: Array
     halves: tuple[Array, Array]
     gain: float
     plausible: bool
+    seen: float = 0.0
 
 
 def trial(one: Design, chosen: Sequence[int]) -> Trial:
@@ -265,7 +267,7 @@ def trial(one: Design, chosen: Sequence[int]) -> Trial:
     factor, half, evidence = _evidence(products[:, which[:, None], which], scores[:, which])
     first, second, c = one.usual[which] * np.linalg.solve(factor.swapaxes(-1, -2), half[..., None])[..., 0]
     plausible = all(bool(one.shapes[i].plausible(own)) for i, own in zip(chosen, one.split(chosen, c), strict=True))
-    return Trial(tuple(chosen), c, (first, second), float(_predictive(evidence)), plausible)
+    return Trial(tuple(chosen), c, (first, second), float(_predictive(evidence)), plausible, float(evidence[0] + evidence[1]))
 
 
 def _evidence(products: Array, scores: Array) -> tuple[Array, Array, Array]:

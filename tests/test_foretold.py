@@ -22,7 +22,8 @@ def nothing(track: Track, shape: Shape) -> Array:
 
 def halved(moved: float, spread: float = 1.0, bent: float = 3.0, once: bool = False) -> search.Design:
     """A drag at either joint, and an offset that the base model has. At the second joint the drag's column is `moved` more in the other
-    half and varies by `spread` in either, and the torque by three times that; in the first half by `bent` times. once: for some of the time."""
+    half and varies by `spread` in either, and the torque by three times that; in the first half by `bent` times. once: for some of
+    the time."""
     rng = np.random.default_rng(3)
     halves, columns = list[Half](), list[list[Array]]()
     for number in (0, 1):

@@ -47,6 +47,8 @@ LOUD = 1.6
 nothing missing is 1.44, where a clock wavers."""
 LITTLE = 0.03
 """The same, of what a doubted name or a flexible model foresees in recordings that it was not fitted to: something is there."""
+GENUINE = 0.75
+"""Share of a doubted name's gain that an encoder's steps must not feign, if what it foresees is to be called something."""
 UNSAID, UNTOLD = 0.1, 0.2
 """Share of the excess over the noise that may stay unexplained beside a finding before it is called unknown; and over what a right model
 would leave, of held-out torque."""
@@ -272,7 +274,8 @@ def _judged(
     told = (identified, options, hertz, tracks, one, verdict, floor, noisy.method)
     much = (fitted[1] ** 2 > UNSAID * fitted[0] ** 2) | (rms[1] > LOUD * expected)
     sights = _sights(search.remaining(one, verdict.named) * scale, tracks, np.flatnonzero(much))
-    every = _fitted(one, (*verdict.named, *(part.shape for finding in verdict.doubted for part in finding.parts)), scale)
+    real = [f for f in verdict.doubted if belief.genuine(one, f.main.effect, f.gain) > GENUINE]
+    every = _fitted(one, (*verdict.named, *(part.shape for finding in real for part in finding.parts)), scale)
     doubted = np.sqrt(np.maximum(fitted[1] ** 2 - every**2, 0.0))
     judged = (rms[0], rms[1], (before, after), refitted if verdict.findings else None)
     return Diagnosis(*told, *judged, expected=expected, fitted=fitted, quiet=quiet, sights=sights, doubted=doubted)

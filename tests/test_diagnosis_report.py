@@ -83,6 +83,13 @@ def test_what_no_name_takes_is_drawn_over_what_foresees_it() -> None:
     assert "joint_2" in answer(text, "what") and unknown["experiment"] in section(text, "next")
 
 
+def test_what_held_out_recordings_refute_is_told() -> None:
+    stated = document(found(0.0))
+    assert "Refuted" not in diagnosis_page(found(0.0), stated)
+    stated["considered"][0]["evidence"]["foretold"] = 9.0
+    assert "makes what is left of the others 3 times as large" in diagnosis_page(found(0.0), stated)
+
+
 def test_what_the_health_check_did_to_the_recordings_is_told() -> None:
     one = found(0.0)
     assert "the health check had nothing to remark" in answer(page(0.0), "made")

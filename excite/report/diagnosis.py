@@ -140,6 +140,7 @@ def _what(found: Diagnosis, stated: Stated) -> Section:
     if not findings and doubted and doubted["probability"] > _WORTH:
         answer += f" The likeliest, {_named(doubted['effect'], doubted['joint'])}, has probability {number(doubted['probability'], 2)}."
     body = "".join(_finding(one) for one in findings)
+    body += "".join(_refuted(one) for one in stated["considered"] if "foretold" in one["evidence"])
     if stated["unknown"]:
         body += "<h3>Left without a name</h3>"
         body += unnamed.told(found, stated)
@@ -182,6 +183,14 @@ def _finding(one: Stated) -> str:
     facts.append(f"What would tell it from others ({listed([told(c) for c in effect.confused])}): {one['experiment']}."
                  if effect.confused else f"What would confirm it: {one['experiment']}.")  # fmt: skip
     return body + bullets(facts)
+
+
+def _refuted(one: Stated) -> str:
+    """Of a name that the recordings fitted suggest and those held out speak against."""
+    name, times = _named(one["effect"], one["joint"]), number(float(np.sqrt(one["evidence"]["foretold"])), 2)
+    return paragraph(
+        f"Refuted: {name}. What is learnt of it from some recordings makes what is left of the others {times} times as large.", "note"
+    )
 
 
 def _interval(v: Stated) -> str:

@@ -54,10 +54,10 @@ def odds(effect: str, x: float) -> float:
 def unexplained(one: Design, verdict: Verdict, number: int, noise: Array) -> tuple[float, float]:
     """What is left where a finding acts by all but it, and by all: mean squares beyond noise, over the noise. noise: mean square over the
     scale. Shape (n,). Where less is left than noise, the noise is off by as much; at the worst all that is left is no noise."""
-    together, own = verdict.together, [part.shape for part in verdict.findings[number].parts]
+    together, parts = verdict.together, verdict.findings[number].parts
     assert together is not None
-    acts = judge.acting(one, together, own[0])
-    others = tuple(i for i in together.shapes if i not in own)
+    acts = judge.acting(one, together, parts[0].shape)
+    others = judge.without(together.shapes, parts)
     without, both = ((search.level(one, shapes) / noise)[acts] for shapes in (others, together.shapes))
     left = min(max(abs(float(np.sum(both - 1.0))), UNSURE), float(np.sum(both)))
     return left + max(float(np.sum(without - both)), 0.0), left

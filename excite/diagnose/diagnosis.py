@@ -106,7 +106,7 @@ class Diagnosis:
     @property
     def moves(self) -> Array:
         """Where the held-out torque is judged. Shape (N, n)."""
-        return np.concatenate([one.moves for one in self.tracks[1]])
+        return _moves(self.tracks[1])
 
     @property
     def torque(self) -> Array:
@@ -189,18 +189,17 @@ def diagnose(
         left = search.remaining(one, verdict.together.shapes) * scale  # without what touched the robot once, which looked like noise
         noisy = noise.repeated(noisy, every, track.split(left, every))
         one, verdict, scale = _sharper(one, verdict, noisy, scale)
-    moves = np.concatenate([t.moves for t in halves[1]])
-    verdict, refitted = foretold.tested(one, verdict, moves, (noisy.floor / scale) ** 2), None
+    verdict, refitted = foretold.tested(one, verdict, _moves(halves[1]), (noisy.floor / scale) ** 2), None
     if verdict.findings:
         progress("the base model without what was found")
         one, verdict, refitted = _refitted(one, verdict, identified, halves, (train, validate), settings, options, noisy.floor, scale)
     out = _judged(one, verdict, identified, refitted, (halves[0], halves[1]), noisy, options, hertz, scale)
     out = dataclasses.replace(out, gears=encoders.gears(halves, (train, validate)))
-    if refitted is None or out.refitted is None:
+    if out.refitted is None:
         return out
     progress("simulating ahead")
     bare = [whole.removed(out.parts, r, halves[1]) for r in validate]
-    return dataclasses.replace(out, ahead=(_ahead(identified, validate, hertz), _ahead(refitted, bare, hertz)))
+    return dataclasses.replace(out, ahead=(_ahead(identified, validate, hertz), _ahead(out.refitted, bare, hertz)))
 
 
 def _scale(noisy: Noise, left: Array) -> Array:
@@ -264,12 +263,12 @@ def _judged(
 ) -> Diagnosis:
     """Probabilities, and what the held-out recordings say of what is asserted."""
     floor = noisy.floor
-    moves = np.concatenate([t.moves for t in tracks[1]])
     verdict = belief.weighed(one, verdict, (floor / scale) ** 2)
     before, after = foretold.residuals(one, verdict.together, scale)
     fitted = _fitted(one, (), scale), _fitted(one, verdict.named, scale)
     quiet = np.sqrt(floor**2 + 2.0 * noisy.steps**2 + noisy.clock)
     expected = np.sqrt(quiet**2 + foretold.reach(one, scale) ** 2)
+    moves = _moves(tracks[1])
     rms = [np.sqrt(search.mean_square(r, moves)) for r in (before, after)]
     told = (identified, options, hertz, tracks, one, verdict, floor, noisy.method)
     much = (fitted[1] ** 2 > UNSAID * fitted[0] ** 2) | (rms[1] > LOUD * expected)
@@ -334,6 +333,11 @@ def _again(one: Design, verdict: Verdict, shapes: Sequence[Shape], build: search
     if len(wider.shapes) != start + len(better.together.shapes):
         return one, verdict
     return wider, judge.moved(wider, verdict, better, start)
+
+
+def _moves(half: Sequence[Track]) -> Array:
+    """Rows of one half that are judged. Shape (N, n)."""
+    return np.concatenate([one.moves for one in half])
 
 
 def _left(before: Array, after: Array, floor: Array) -> Array:

@@ -44,7 +44,7 @@ def tested(one: Design, verdict: Verdict, moves: Array, noise: Array) -> Verdict
 
     moves: rows of the second half that are judged, Shape (N, n). noise: mean square over the scale, Shape (n,).
     """
-    refuted = list[Finding]()
+    refuted, considered, doubted = list[Finding](), verdict.considered, verdict.doubted
     while verdict.findings:
         ratios = [_ratio(one, verdict, finding, moves, noise) for finding in verdict.findings]
         worst = int(np.argmax(ratios))
@@ -53,9 +53,8 @@ def tested(one: Design, verdict: Verdict, moves: Array, noise: Array) -> Verdict
         finding = verdict.findings[worst]
         refuted.append(replace(finding, probability=BELIEVED, evidence={"foretold": ratios[worst]}))
         assert verdict.together is not None
-        own = {part.shape for part in finding.parts}
-        verdict = judge.said(one, [i for i in verdict.together.shapes if i not in own], verdict.considered)
-    return replace(verdict, doubted=(*verdict.doubted, *refuted))
+        verdict = judge.said(one, judge.without(verdict.together.shapes, finding.parts))
+    return replace(verdict, considered=considered, doubted=(*doubted, *refuted))
 
 
 def _ratio(one: Design, verdict: Verdict, finding: Finding, moves: Array, noise: Array) -> float:
@@ -63,9 +62,8 @@ def _ratio(one: Design, verdict: Verdict, finding: Finding, moves: Array, noise:
     more. 0 of what happened once, which is not to be foretold, and of what a half shows by itself."""
     together = verdict.together
     assert together is not None
-    own = {part.shape for part in finding.parts}
-    rest = search.trial(one, [i for i in together.shapes if i not in own])
-    if together.seen - rest.seen > SHOWN * finding.gain or any(one.shapes[i].interval is not None for i in own):
+    rest = search.trial(one, judge.without(together.shapes, finding.parts))
+    if together.seen - rest.seen > SHOWN * finding.gain or any(one.shapes[part.shape].interval is not None for part in finding.parts):
         return 0.0
     acts, unit = judge.acting(one, together, finding.main.shape), np.ones(len(noise))
     bare, with_all = residuals(one, together, unit)

@@ -193,10 +193,10 @@ def judged(one: Design, chosen: Sequence[int] = ()) -> tuple[Design, Verdict]:
     return one, replace(verdict, considered=tuple(islice(others, CONSIDERED)))
 
 
-def said(one: Design, chosen: Sequence[int], considered: tuple[Hypothesis, ...] = ()) -> Verdict:
+def said(one: Design, chosen: Sequence[int]) -> Verdict:
     """What some shapes say together: the findings that they are parts of."""
     if not chosen:
-        return Verdict((), None, considered)
+        return Verdict((), None, ())
     together = trial(one, chosen)
     groups: dict[tuple[str, int | None], list[Hypothesis]] = {}
     for number, i in enumerate(chosen):
@@ -204,7 +204,7 @@ def said(one: Design, chosen: Sequence[int], considered: tuple[Hypothesis, ...] 
         own = Hypothesis(shape.effect, shape.joint, i, trial(one, [i]), size(one, together, number), True)
         groups.setdefault(_who(shape), []).append(own)
     findings = [_finding(one, together, tuple(sorted(parts, key=lambda h: -h.size))) for parts in groups.values()]
-    return Verdict(tuple(sorted(findings, key=lambda f: -f.gain)), together, considered)
+    return Verdict(tuple(sorted(findings, key=lambda f: -f.gain)), together, ())
 
 
 def moved(one: Design, verdict: Verdict, better: Verdict, start: int) -> Verdict:
@@ -216,7 +216,7 @@ def moved(one: Design, verdict: Verdict, better: Verdict, start: int) -> Verdict
     return replace(verdict, findings=findings, together=trial(one, [place[shape] for shape in better.together.shapes]))
 
 
-def _without(shapes: Sequence[int], parts: Sequence[Hypothesis]) -> list[int]:
+def without(shapes: Sequence[int], parts: Sequence[Hypothesis]) -> list[int]:
     return [i for i in shapes if all(i != part.shape for part in parts)]
 
 
@@ -343,7 +343,7 @@ def _best_pair(one: Design, alone: Sequence[Hypothesis]) -> list[int] | None:
 
 def _finding(one: Design, together: Trial, parts: tuple[Hypothesis, ...]) -> Finding:
     """With what other names would gain in its place."""
-    others = _without(together.shapes, parts)
+    others = without(together.shapes, parts)
     effect, rest = parts[0].effect, trial(one, others).gain
     gain = together.gain - rest
     best = {h.effect: h.trial.gain - rest for h in ranked(one, tuple(others), _name) if h.effect != effect}

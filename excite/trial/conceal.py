@@ -29,8 +29,11 @@ from .plan import Spec
 
 Array = np.ndarray
 NOISE, COARSE, JITTER, STEP = 0.002, 2.0 * np.pi / 2**16, 5e-5, 2e-3
-LARGEST, DRAWS = 10.0, 3
+LARGEST = 10.0
 """An effect is at most this many times its usual size, whatever severity was asked for."""
+DRAWS, FURTHER, SHOWS = 3, 12, 0.5
+"""Times that a robot, or an effect's place and size, is drawn; how often at the most where none shows this severity: what is not in the
+recording (a limit that the torque never comes to) is no truth to be found."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +141,7 @@ def _effect(
     """An effect of random size and place (`joint` first, where it may sit there), scaled to its severity; and the severity reached.
 
     Where a joint shows too little of it whatever its size (a wrist that hardly loads its spring), or the controller loses the
-    robot at any, another draw is made.
+    robot at any, another draw is made; and more where none shows.
     """
     kind, n, (short, whole) = KINDS[name], len(plant.joints), motions
     first = {"payload": n // 2, "contact": n // 2}.get(name, 0)
@@ -146,7 +149,9 @@ def _effect(
     chain, along = laboratory.chain(plant, chosen), whole if name == "thermal_drift" else short
     all_late = rng.random() < 0.3
     found: list[tuple[float, Effect, float]] = []
-    for draw in range(DRAWS):
+    for draw in range(FURTHER):
+        if draw >= DRAWS and (not found or max(shown for _, _, shown in found) > SHOWS):
+            break
         drawn = plant.joints[int(rng.integers(first, end))]
         where = joint if draw == 0 and joint in plant.joints[first:end] else drawn
         place = None if kind.place == "robot" or (kind.place == "either" and all_late) else where

@@ -131,6 +131,26 @@ def test_parameters_come_with_intervals_that_hold_the_truth(subject):
     assert value == pytest.approx(0.5, rel=0.1) and std < 0.05
 
 
+def slips(q: Array, ways: Array) -> Array:
+    """Mean force of springs that each slip after a way of their own: the play operator, by what was last pushed past."""
+    out, rest = np.empty((len(q), len(ways))), np.full(len(ways), q[0])
+    for k, place in enumerate(q):
+        rest = np.clip(rest, place - ways, place + ways)
+        out[k] = (place - rest) / ways
+    return np.asarray(out.mean(axis=1))
+
+
+def test_friction_whose_springs_slip_one_after_the_other_is_hysteresis_and_nothing_else(subject):
+    ways = np.geomspace(0.004, 0.2, 9)
+    result = found(subject, lambda t, q, dq, tau: on(1, 4.0 * slips(q[:, 1], ways)))
+    assert [(h.effect, h.joint) for h in result.verdict.chosen] == [("hysteresis", 1)] and not result.unknown
+    told = interval.finding_parameters(result.design, result.verdict, 0)
+    for key, truth in (("amplitude", 4.0), ("stiffness", 4.0 * float((1.0 / ways).mean()))):
+        value, std = told[key]
+        assert abs(value - truth) < 2.0 * std < 2.0 * truth
+    assert told["stiffness"][1] > 0.45 * told["stiffness"][0]  # what slips sooner than the first would look the same
+
+
 @pytest.mark.parametrize(("after", "unknown"), [(2.0, []), (6.0, [0, 1])])
 def test_what_a_finding_does_not_foretell_is_unknown_though_fitted_it_takes_nearly_all(subject, after, unknown):
     result = found(subject, PLANTED["spring"][0])

@@ -633,8 +633,8 @@ def test_shapes_that_take_each_other_off_are_no_finding():
     assert not list(judge.ranked(one, (0,))) and not judge.judged(one)[1].findings
 
 
-def two_joints(blurred: float = 1.0) -> search.Design:
-    """A strong drag at one of two joints, of a form that a blurred spring mends; and a slight effect at the other."""
+def two_joints(blurred: float = 1.0, mend: str = "spring") -> search.Design:
+    """A strong drag at one of two joints, of a form that a blurred spring mends, or another effect; and a slight one at the other."""
     rng = np.random.default_rng(0)
     strong, rest, other = ([rng.normal(size=300) for _ in range(2)] for _ in range(3))
     blur = [blurred * rng.normal(size=300) for _ in range(2)]
@@ -643,7 +643,7 @@ def two_joints(blurred: float = 1.0) -> search.Design:
         both = np.column_stack([30.0 * s + 0.8 * r, 0.8 * o])
         left = both + rng.normal(size=(300, 2))
         halves.append(whitened([np.ones((300, 2, 1))], [left], [np.ones(left.shape, bool)], np.ones(2), EMPTY))
-        joints = {("drag", 0): np.column_stack([s, 0.0 * s]), ("spring", 0): np.column_stack([r + b, 0.0 * r])}
+        joints = {("drag", 0): np.column_stack([s, 0.0 * s]), (mend, 0): np.column_stack([r + b, 0.0 * r])}
         columns.append({**joints, ("stribeck", 1): np.column_stack([0.0 * o, o])})
 
     def build(shape: Shape) -> tuple[Columns, Columns]:
@@ -669,6 +669,8 @@ def test_what_explains_all_that_another_leaves_beyond_noise_needs_no_share_of_it
     assert {(h.effect, h.joint) for h in verdict.chosen} == {("drag", 0), ("spring", 0), ("stribeck", 1)}
     louder = dataclasses.replace(one, measured=search.Measured(noise=np.full(2, 1.5)))  # then there is nothing beyond it
     assert {(h.effect, h.joint) for h in judge.judged(louder)[1].chosen} == {("drag", 0), ("stribeck", 1)}
+    alike = two_joints(blurred=0.0, mend="nonlinear_viscous")  # what is taken for a drag mends one, and all of it
+    assert {(h.effect, h.joint) for h in judge.judged(alike)[1].chosen} == {("drag", 0), ("stribeck", 1)}
 
 
 def test_beside_another_a_strong_effect_may_need_another_of_its_shapes():

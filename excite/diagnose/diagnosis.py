@@ -23,7 +23,7 @@ from .catalogue import EFFECTS
 from .effect import Shape
 from .encoders import Gear
 from .foreseen import Sight
-from .judge import Verdict
+from .judge import Finding, Verdict
 from .noise import Noise
 from .search import Design
 from .track import Track
@@ -102,6 +102,11 @@ class Diagnosis:
     def parts(self) -> tuple[Part, ...]:
         """What was found, as it adds to the base model."""
         return whole.parts(self.design, self.verdict.together)
+
+    @property
+    def real(self) -> tuple[Finding, ...]:
+        """What is doubted, though something is there."""
+        return _real(self.design, self.verdict)
 
     @property
     def moves(self) -> Array:
@@ -273,11 +278,15 @@ def _judged(
     told = (identified, options, hertz, tracks, one, verdict, floor, noisy.method)
     much = (fitted[1] ** 2 > UNSAID * fitted[0] ** 2) | (rms[1] > LOUD * expected)
     sights = _sights(search.remaining(one, verdict.named) * scale, tracks, np.flatnonzero(much))
-    real = [f for f in verdict.doubted if belief.genuine(one, f.main.effect, f.gain) > GENUINE]
-    every = _fitted(one, (*verdict.named, *(part.shape for finding in real for part in finding.parts)), scale)
+    every = _fitted(one, (*verdict.named, *(part.shape for finding in _real(one, verdict) for part in finding.parts)), scale)
     doubted = np.sqrt(np.maximum(fitted[1] ** 2 - every**2, 0.0))
     judged = (rms[0], rms[1], (before, after), refitted if verdict.findings else None)
     return Diagnosis(*told, *judged, expected=expected, fitted=fitted, quiet=quiet, sights=sights, doubted=doubted)
+
+
+def _real(one: Design, verdict: Verdict) -> tuple[Finding, ...]:
+    """What is doubted for its name, and nothing that an encoder's steps may feign."""
+    return tuple(f for f in verdict.doubted if belief.genuine(one, f.main.effect, f.gain) > GENUINE)
 
 
 def _sights(left: Array, tracks: tuple[list[Track], list[Track]], joints: Iterable[int]) -> dict[int, Sight]:

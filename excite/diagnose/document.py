@@ -188,7 +188,7 @@ def _unknown(found: Diagnosis, joint: int) -> dict[str, Any]:
     share, sight = float(found.unexplained[joint]), found.sights[joint]
     where: dict[str, Any] = {"statement": f"joint '{name}': torque that no effect of the catalogue takes", "regime": "all"}
     experiment = "that joint alone, slowly to and fro over its range, then faster"
-    doubted = [f for f in found.verdict.doubted if f.main.joint in (joint, None)]
+    doubted = [f for f in found.real if f.main.joint in (joint, None)]
     if doubted and found.doubted[joint] > found.floor[joint]:
         likest = max(doubted, key=lambda f: f.probability).main.effect
         where["statement"] += f"; likest to {likest}, and not enough so"

@@ -127,7 +127,8 @@ class Effect:
     is taken for. experiment: what would tell them apart. form: relative standard deviation of parameters where a robot's form is not
     quite this one. loose: by how much more than of most the logarithm of the share is that it leaves where it is right (`belief.py`).
     told: the contract's parameters of a joint's shapes with their coefficients, the largest first. recorded: of an effect with shapes of
-    measured torque, what one adds where nothing is measured yet, by all the torque that is made, Shape (M, n).
+    measured torque, what one adds where nothing is measured yet, by all the torque that is made, Shape (M, n). unseen: standard
+    deviation of parameters by what such shapes could have and recordings would not show.
     """
 
     name: str
@@ -143,6 +144,7 @@ class Effect:
     loose: float = 0.0
     told: Callable[[Sequence[tuple[Shape, Array]]], dict[str, float]] = lambda parts: parts[0][0].parameters(parts[0][1])
     recorded: Recorded | None = None
+    unseen: Callable[[Sequence[tuple[Shape, Array]]], dict[str, float]] = lambda parts: {}
 
 
 def alone(track: Track, joint: int, x: Array) -> Array:

@@ -1,8 +1,8 @@
 """Parameters of what was found, and how far off they may be.
 
 Three things move a parameter: noise, by the fit's covariance; values that a grid had fixed, linearised beside the coefficients; and a law
-that is not quite the catalogue's. Of the last, the fit leaves a part, r, and takes the rest for its own: by Cauchy and Schwarz a misfit as
-large as r moves a parameter by no more than ‖r‖ √(G⁻¹)ᵢᵢ, G the products of the columns that the base leaves.
+that is not quite the catalogue's, or has what no recording shows. Of the last, the fit leaves a part, r, and takes the rest for its own: by
+Cauchy and Schwarz a misfit as large as r moves a parameter by no more than ‖r‖ √(G⁻¹)ᵢᵢ, G the products of columns that the base leaves.
 """
 
 from __future__ import annotations
@@ -51,25 +51,26 @@ def finding_parameters(one: Design, verdict: Verdict, number: int) -> dict[str, 
     effect = BY_NAME[finding.main.effect]
     alike = [together.shapes.index(part.shape) for part in finding.parts]
 
-    def told(c: Array, turned: Array | None = None) -> dict[str, float]:
+    def parts(c: Array, turned: Array | None = None) -> list[tuple[Shape, Array]]:
         split = one.split(together.shapes, c)
         shapes = {k: one.shapes[together.shapes[k]] for k in alike}
         if turned is not None:
             shapes = {k: _turned(shape, turned[spread.places[k]] if k in spread.places else 0.0) for k, shape in shapes.items()}
-        return effect.told([(shapes[k], split[k]) for k in alike])
+        return [(shapes[k], split[k]) for k in alike]
 
     spread = spreads(one, verdict)
-    value, others = told(together.coefficients), [told(half) for half in together.halves]
+    fitted = parts(together.coefficients)
+    value, unseen, others = effect.told(fitted), effect.unseen(fitted), [effect.told(parts(half)) for half in together.halves]
     wide = np.sqrt(1.0 + (HIDDEN * misfit(one, verdict, number)) ** 2)
     draws = wide * np.random.default_rng(0).normal(size=(DRAWS, len(spread.root))) @ spread.root.T
     count = len(together.coefficients)
-    cloud = [told(together.coefficients + draw[:count], np.clip(draw, -FARTHEST, FARTHEST)) for draw in draws]
+    cloud = [effect.told(parts(together.coefficients + draw[:count], np.clip(draw, -FARTHEST, FARTHEST))) for draw in draws]
     out = {}
     for key, mean in value.items():
         low, high = np.nanpercentile([c[key] for c in cloud], MIDDLE)
         halves = abs(others[0][key] - others[1][key]) / 2.0 if one.shapes[finding.main.shape].interval is None else 0.0
         form = effect.form.get(key, FORM) * abs(mean)
-        out[key] = (mean, float(np.sqrt((0.5 * (high - low)) ** 2 + halves**2 + form**2)))
+        out[key] = (mean, float(np.sqrt((0.5 * (high - low)) ** 2 + halves**2 + form**2 + unseen.get(key, 0.0) ** 2)))
     return out
 
 

@@ -9,6 +9,7 @@ from itertools import islice, takewhile
 import numpy as np
 
 from . import search
+from .catalogue import BY_NAME
 from .effect import Shape
 from .search import Design, Measured, Trial, trial
 
@@ -295,11 +296,18 @@ def _earns(one: Design, others: Sequence[int], wider: Trial, rest: float) -> boo
         return True
     if there:
         return False
-    if noise is not None:
+    if noise is not None and not _mends(one, others, shape):
         beyond = rested[joint] / noise[joint] - 1.0
         if beyond > CLEARLY and after[joint] / noise[joint] - 1.0 < (1.0 - BEYOND) * beyond:
             return True
     return bool(1.0 - after[joint] / rested[joint] > MOSTLY)
+
+
+def _mends(one: Design, others: Sequence[int], shape: int) -> bool:
+    """Whether a shape's effect is taken for one that is at its joint already: it could mend that one's form whatever it leaves."""
+    own = one.shapes[shape]
+    there = {one.shapes[i].effect for i in others if one.shapes[i].joint == own.joint}
+    return any(own.effect in BY_NAME[name].confused or name in BY_NAME[own.effect].confused for name in there)
 
 
 def _replaced(one: Design, chosen: list[int]) -> list[int]:

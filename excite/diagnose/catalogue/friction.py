@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..effect import Effect, Shape, alone, amplitude, family, named, positive, within
+from ..effect import Effect, Shape, alone, amplitude, beside, family, named, positive, within
 from ..track import Track, stroke
 
 Array = np.ndarray
@@ -18,6 +18,10 @@ COLDEST = 3.0
 """Times its mean, what friction at the start may have more: a joint that is cold, not one that has yet to slide."""
 POINTS = 200
 """A wave, that its largest and least are told from."""
+SLIPS = np.array([1.0 / 3.0, 1.0, 3.0])
+"""Ways over a middle one, after which springs slip that make up friction's memory."""
+BACKWARD = 0.05
+"""Of all their force, what one of them may have against it by chance."""
 FADING = 6.0
 """Times the usual gain that it takes to believe friction under load that fades with speed: what a coarse encoder makes of a reversal does
 so too, wherever some load is."""
@@ -185,21 +189,50 @@ def dahl(q: Array, stiffness: float, start: float = 0.0) -> Array:
     return out
 
 
+def slipping(q: Array, reach: float, start: float = 0.0) -> Array:
+    """Force of a spring of unit strength that slips `reach` from where it rests. Shape (M,)."""
+    out, z = np.empty(len(q)), start
+    for k, step in enumerate((np.diff(q, prepend=q[0]) / reach).tolist()):
+        z = min(max(z + step, -1.0), 1.0)
+        out[k] = z
+    return out
+
+
 def _softened(t: Track, s: Shape) -> Array:
-    return alone(t, s.place, dahl(t.fine.q[:, s.place], 1.0 / s.values["reach"]) - _sign(t, s.place))
+    q, reach = t.fine.q[:, s.place], s.values["reach"]
+    if "slips" not in s.values:
+        return alone(t, s.place, dahl(q, 1.0 / reach) - _sign(t, s.place))
+    return alone(t, s.place, np.column_stack([slipping(q, by * reach) - _sign(t, s.place) for by in SLIPS]))
 
 
 def _hysteresis(tracks: Sequence[Track]) -> Iterator[Shape]:
+    """Dahl's curve; beside it, springs that slip one after the other, for curves that begin steeper or bend later."""
+
+    def slips(j: int, most: float) -> Callable[[float], Shape]:
+        def shape(reach: float) -> Shape:
+            told = lambda c: {"amplitude": float(c.sum()), "stiffness": float(np.sum(c / SLIPS) / reach)}  # noqa: E731
+            plausible = lambda c: bool(0.0 < c.sum() < most and c.min() > -BACKWARD * c.sum())  # noqa: E731
+            return Shape("hysteresis", j, _softened, {"reach": reach, "slips": 1.0}, parameters=told, plausible=plausible)
+
+        return shape
+
     def soft(j: int, most: float) -> Callable[[float], Shape]:
         def shape(reach: float) -> Shape:
             told = lambda c: {"amplitude": float(c[0]), "stiffness": float(c[0] / reach)}  # noqa: E731
-            return Shape("hysteresis", j, _softened, {"reach": reach}, parameters=told, plausible=within(0.0, most))
+            kin = lambda: beside(reach, 4.0, [slips(j, most)])  # noqa: E731
+            return Shape("hysteresis", j, _softened, {"reach": reach}, parameters=told, plausible=within(0.0, most), kin=kin)
 
         return shape
 
     for j in range(tracks[0].n):
         most = _stickiest(tracks, j)
         yield from family(np.geomspace(1e-4, 1e-1, 9).tolist(), soft(j, most))
+
+
+def _steepest(parts: Sequence[tuple[Shape, Array]]) -> dict[str, float]:
+    """Springs that slip sooner than the first would look the same: the slope that is told is known to what that one has of it."""
+    shape, c = parts[0]
+    return {"stiffness": abs(float(c[0])) / (SLIPS[0] * shape.values["reach"])} if "slips" in shape.values else {}
 
 
 def _resisted(t: Track, s: Shape) -> Array:
@@ -309,7 +342,7 @@ EFFECTS = (
     ),
     Effect(
         "hysteresis",
-        "F z, ż = σ q̇ (1 − z sgn q̇) (Dahl 1968) instead of F sgn q̇",
+        "F z, ż = σ q̇ (1 − z sgn q̇) (Dahl 1968), or springs that slip, ż = q̇/s, |z| ≤ 1 (Iwan 1966), instead of F sgn q̇",
         _softened,
         _hysteresis,
         {"amplitude": "N m", "stiffness": "N m/rad"},
@@ -318,6 +351,7 @@ EFFECTS = (
         "strokes of many small amplitudes",
         form={"amplitude": 0.1, "stiffness": 0.4},
         loose=1.0,
+        unseen=_steepest,
     ),
     Effect(
         "friction",

@@ -16,6 +16,7 @@ from excite.diagnose import diagnosis
 from excite.diagnose.diagnosis import Diagnosis
 from excite.diagnose.document import document
 from excite.recordings import Kind, Recording, Remark
+from excite.report import diagnosis as pages
 from excite.report import diagnosis_page
 from excite.report.atlas_figures import plain, probability
 
@@ -132,6 +133,13 @@ def test_a_finding_is_told_with_its_parameters_and_its_picture() -> None:
     assert "joint_2 against speed" in answer(text, "where")
     assert answer(text, "better").startswith("Yes")
     assert "with the findings" in section(text, "where")
+
+
+def test_the_interval_of_a_size_ends_at_zero() -> None:
+    first = document(found(2.0))["findings"][0]
+    told = {"value": 0.1, "std": 0.1, "unit": ""}
+    assert ">0 … 0.296<" in pages._finding({**first, "parameters": {"velocity": told}})
+    assert "0 … 0.296" not in pages._finding({**first, "effect": "spring", "parameters": {"stiffness": told}})
 
 
 def test_nothing_missing_is_said_and_nothing_else_is_claimed() -> None:

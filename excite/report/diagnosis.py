@@ -28,6 +28,11 @@ Stated = Mapping[str, Any]
 _UNFOLDED = 3
 _WORTH = 0.2
 """Probability from which a name that is not asserted is worth a word."""
+_SIZES = {
+    "amplitude", "exponent", "frequency", "gain", "loss", "mass", "mu", "order", "stiffness", "time_constant", "velocity", "width",
+}  # fmt: skip
+_SIGNED = {("spring", "stiffness")}
+"""Parameters that are never negative; but a spring may push away."""
 _VERDICTS = {
     "no-mismatch": ("Nothing that these recordings could show is missing from the model.", "good"),
     "explained": ("Something was missing, and the findings explain it down to the noise.", "good"),
@@ -163,7 +168,7 @@ def _finding(one: Stated) -> str:
             escape(key.replace("_", " ")),
             number(v["value"]),
             "± " + number(v["std"], 2) if v["std"] is not None else "–",
-            _interval(v),
+            _interval(v, key in _SIZES and (one["effect"], key) not in _SIGNED),
             escape(v["unit"]),
         )
         for key, v in one["parameters"].items()
@@ -193,13 +198,15 @@ def _refuted(one: Stated) -> str:
     )
 
 
-def _interval(v: Stated) -> str:
+def _interval(v: Stated, size: bool) -> str:
+    """size: whether it is never below zero, which is where its interval ends."""
     std = v["std"]
     if std is None or not np.isfinite(std):
         return "–"
     if std < 1e-6 * abs(v["value"]):
         return "on a grid"
-    return f"{number(v['value'] - 1.96 * std, 3)} … {number(v['value'] + 1.96 * std, 3)}"
+    low, high = v["value"] - 1.96 * std, v["value"] + 1.96 * std
+    return f"{number(max(low, 0.0) if size else low, 3)} … {number(high, 3)}"
 
 
 def _considered(considered: Sequence[Stated]) -> str:

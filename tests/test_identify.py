@@ -85,6 +85,23 @@ def test_whole_periods_are_averaged_and_their_spread_is_the_noise(model, truth):
     assert np.allclose(signals.floor([piece], 20.0, tapered=True), left * signals.floor([piece], 20.0), rtol=0.02)
 
 
+@pytest.mark.parametrize("period", [PERIOD, 5.2017])
+def test_periods_that_a_gap_interrupts_are_left_out(model, truth, period):
+    recording = recorded(model, truth, motion(2, period=period), 6.1, 0.01)
+    turns = recording.t / period
+    gone = ((turns > 2.2) & (turns < 2.3)) | ((turns > 3.9) & (turns < 3.95))
+    (piece,) = signals.pieces([recording.rows(~gone)])
+    assert piece.periods == len(piece.noise) == 4
+    assert np.sqrt(np.mean(np.square(piece.noise))) < 0.02  # through the holes a curve would swing by newton metres
+
+
+def test_a_period_without_a_window_is_that_of_all_the_recording(model, truth):
+    recording = recorded(model, truth, motion(2), 4, 0.0)
+    bare = dataclasses.replace(recording, sidecar=dataclasses.replace(recording.sidecar, periodic=None))
+    (one,), (other,) = signals.pieces([recording]), signals.pieces([bare])
+    assert one.periods == other.periods == 4 and np.array_equal(one.torque, other.torque)
+
+
 def test_a_period_that_is_no_whole_number_of_samples_is_interpolated(model, truth):
     fourier = motion(2, period=5.2017)
     (piece,) = signals.pieces([recorded(model, truth, fourier, 4.1, 0.0)])

@@ -201,12 +201,11 @@ def _shifted(x: Array, by: float) -> Array:
 
 def _period(recording: Recording) -> Period | None:
     """After how long a recording repeats [s], and from when to when: as its sidecar says, else as its positions show."""
-    side, t = recording.sidecar, recording.t
-    if side.period is not None:
-        window = side.periodic or (float(t[0]), float(t[-1]))
-        return (side.period, window) if window[1] - window[0] >= LEAST * side.period else None
+    if recording.repeats is not None:
+        period, (start, end) = recording.repeats
+        return recording.repeats if end - start >= LEAST * period else None
     lag = _lag(recording.q, recording.rate)
-    return None if lag is None else (lag, (float(t[0]), float(t[-1])))
+    return None if lag is None else (lag, (float(recording.t[0]), float(recording.t[-1])))
 
 
 def _lag(q: Array, rate: float) -> float | None:

@@ -59,9 +59,8 @@ class Piece:
 def pieces(recordings: Iterable[Recording], *, average: bool = True) -> Iterator[Piece]:
     """The stretches of recordings, in order: the mean period of those that repeat, else every stretch without a gap."""
     for recording in recordings:
-        side = recording.sidecar
-        if average and side.period is not None and side.periodic is not None:
-            mean = averaged(recording, side.period, side.periodic)
+        if average and recording.repeats is not None:
+            mean = averaged(recording, *recording.repeats)
             if mean is not None:
                 yield mean
                 continue
@@ -82,30 +81,37 @@ def first(parts: Sequence[Piece], samples: int) -> list[Piece]:
 
 
 def averaged(recording: Recording, period: float, window: tuple[float, float]) -> Piece | None:
-    """The mean over the whole periods within a window, on a grid of a whole number of samples; None where fewer than two are."""
+    """The mean over the whole periods within a window, on a grid of a whole number of samples; None where fewer than two are.
+
+    Periods that a gap interrupts are left out.
+    """
     first = float(recording.t[min(int(np.searchsorted(recording.t, window[0] - 1e-9)), len(recording) - 1)])
     last = min(window[1], float(recording.t[-1]) + 1.0 / recording.rate)
-    count = int((last - first) / period + 1e-6)
+    starts = first + period * np.arange(int((last - first) / period + 1e-6))
+    inside = np.arange(round(period * recording.rate)) * (period / round(period * recording.rate))
+    found = [
+        _folded(part, (starts[whole, None] + inside))
+        for part in recording.segments()
+        if (whole := (starts > part.t[0] - 0.5 * part.step) & (starts + inside[-1] < part.t[-1] + 0.5 * part.step)).any()
+    ]
+    count = sum(len(q) for q, _ in found)
     if count < 2:
         return None
-    samples = round(period * recording.rate)
-    q, torque = (_folded(recording.t, values, first, period, count, samples) for values in (recording.q, recording.torque))
+    q, torque = (np.concatenate(values) for values in zip(*found, strict=True))
     mean = torque.mean(axis=0)
-    return Piece(recording.source, first, samples / period, q.mean(axis=0), mean, count, torque - mean, recording.encoder / np.sqrt(count))
+    rate, coarse = len(inside) / period, recording.encoder / np.sqrt(count)
+    return Piece(recording.source, first, rate, q.mean(axis=0), mean, count, torque - mean, coarse)
 
 
-def _folded(t: Array, values: Array, first: float, period: float, count: int, samples: int) -> Array:
-    """Values at `count` periods of `samples` each. Shape (count, samples, n)."""
-    wanted = first + np.arange(count * samples) * (period / samples)
-    index = np.searchsorted(t, wanted - 0.25 * period / samples)
-    on_grid = index[-1] < len(t) and np.abs(t[index] - wanted).max() < 1e-3 * period / samples
-    if on_grid:
-        found = values[index]
-    else:
-        from scipy.interpolate import CubicSpline  # slow to import
+def _folded(part: Recording, wanted: Array) -> tuple[Array, Array]:
+    """Positions and torque of a stretch without a gap, at times. Shapes (count, samples) -> (count, samples, n)."""
+    step = wanted[0, 1] - wanted[0, 0]
+    index = np.searchsorted(part.t, wanted - 0.25 * step)
+    if index.max() < len(part) and np.abs(part.t[index] - wanted).max() < 1e-3 * step:
+        return part.q[index], part.torque[index]
+    from scipy.interpolate import CubicSpline  # slow to import
 
-        found = CubicSpline(t, values, axis=0)(wanted)
-    return np.asarray(found).reshape(count, samples, -1)
+    return np.asarray(CubicSpline(part.t, part.q, axis=0)(wanted)), np.asarray(CubicSpline(part.t, part.torque, axis=0)(wanted))
 
 
 # -- noise and band --------------------------------------------------------------------------------------------------

@@ -68,6 +68,12 @@ class Recording:
         """Rows a second [Hz]."""
         return 1.0 / self.step
 
+    @property
+    def repeats(self) -> tuple[float, tuple[float, float]] | None:
+        """After how long the motion is stated to repeat, and from when to when: all of the recording, where no window is stated [s]."""
+        period = self.sidecar.period
+        return None if period is None else (period, self.sidecar.periodic or (float(self.t[0]), float(self.t[-1])))
+
     def has(self, quantity: str, joint: str) -> bool:
         """Whether a quantity of a joint was measured at all."""
         values = getattr(self, quantity)

@@ -7,13 +7,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from . import arguments as told
 from . import artefact, base, files, parameters, recordings
 from .diagnose import diagnosis, whole
 from .diagnose.document import document
-from .errors import UnusableInput
 from .identify import model, priors
 
 Outcome = tuple[int, Any, str]
@@ -27,11 +24,8 @@ def diagnose(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outco
     found = base.find(robot, standard, table)
     both = (arguments.recordings, arguments.validate)
     train, held_out = ([recordings.read(Path(path), robot, table) for path in paths] for paths in both)
-    for one in held_out:
-        for other in train:
-            if len(one) == len(other) and np.array_equal(one.q, other.q):
-                raise UnusableInput(f"{one.source}: is the same motion as {other.source}; validate with another recording")
-    known = priors.trusted(Path(arguments.prior), standard) if arguments.prior else {}
+    recordings.refuse_same(train, held_out)
+    known = priors.trusted(Path(arguments.prior), robot, standard) if arguments.prior else {}
     result = diagnosis.diagnose(robot, standard, found, train, held_out, diagnosis.Options(arguments.band, known), say)
     told_all = document(result)
     contents = {

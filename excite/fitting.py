@@ -41,7 +41,8 @@ def identify(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outco
     window = (arguments.period, arguments.window)
     say(f"reading {', '.join([*arguments.recordings, *arguments.validate])}")
     train, held_out = ([_read(Path(path), robot, table, *window) for path in paths] for paths in (arguments.recordings, arguments.validate))
-    known = priors.trusted(Path(arguments.prior), standard) if arguments.prior else {}
+    recordings.refuse_same(train, held_out)
+    known = priors.trusted(Path(arguments.prior), robot, standard) if arguments.prior else {}
     result = identification.identify(robot, standard, found, train, held_out, _options(arguments, standard, known), say)
     document = model.document(result, train)
     checked = _lmi(result) if arguments.check_lmi else None
@@ -105,10 +106,15 @@ def _bounds(path: Path, standard: Parameters) -> Bounds:
         stated = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise UnusableInput(f"{path}: cannot be read as bounds ({error}); give TOML with [links.NAME] mass = [least, most]") from error
+    links = stated.get("links")
+    if set(stated) != {"links"} or not isinstance(links, dict) or not all(isinstance(entries, dict) for entries in links.values()):
+        raise UnusableInput(f"{path}: should have [links.NAME] tables and nothing else, each with mass = [least, most] or centre")
     mass, centre = {}, {}
-    for link, entries in stated.get("links", {}).items():
+    for link, entries in links.items():
         if link not in standard.links:
             raise UnusableInput(f"{path}: no moving link '{link}'; there are {', '.join(standard.links)}")
+        if unknown := set(entries) - {"mass", "centre"}:
+            raise UnusableInput(f"{path}: link '{link}' has an unknown key '{min(unknown)}'; known are mass, centre")
         for key, shape in (("mass", (2,)), ("centre", (2, 3))):
             if key not in entries:
                 continue

@@ -308,7 +308,7 @@ def diagnosed(folder, urdf, train, held_out, prior=None, band=None):
     table = limits.resolve(machine)
     standard = parameters.standard(machine, table)
     first, last = ([recordings.read(place / f"{name}.csv", machine, table) for name in names] for names in (train, held_out))
-    known = priors.trusted(place / prior, standard) if prior else {}
+    known = priors.trusted(place / prior, robot, standard) if prior else {}
     options = diagnosis.Options(band, known)
     return diagnosis.diagnose(machine, standard, base.find(machine, standard, table), first, last, options)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,8 @@ from conftest import states, text_of
 from made import motion, perturbed, recorded, two_links, written
 
 from excite import cli, dynamics, limits, parameters, robot, workflow
-from excite.identify import consistent, model
+from excite.errors import ExciteWarning
+from excite.identify import consistent, model, priors
 
 
 @pytest.fixture(scope="module")
@@ -110,6 +112,30 @@ def test_a_prior_and_bounds_are_kept(folder):
     assert run("identify", "two_link", folder / "train.csv", "--prior", folder / "out" / "model.json", "-o", folder / "same") == 0
 
 
+def test_a_model_of_other_parameters_or_of_another_robot_is_no_prior(folder, capsys, tmp_path):
+    assert run("identify", "two_link", folder / "train.csv", "--without", "offset", "-o", tmp_path / "less") == 0
+    words = ("identify", "two_link", folder / "train.csv", "-o", tmp_path / "out", "--prior")
+    assert "wanted are rotor_inertia, viscous, coulomb, offset; identify with" in told(capsys, *words, tmp_path / "less" / "model.json")
+    longer = json.loads((folder / "out" / "model.json").read_text())
+    moved = re.sub(r'(<joint name="joint_2".*?<origin xyz=")[^"]*', r"\g<1>0.7 0 0", longer["urdf"], flags=re.DOTALL)
+    assert moved != longer["urdf"]
+    (tmp_path / "longer.json").write_text(json.dumps({**longer, "urdf": moved}))
+    assert "is a model of another robot" in told(capsys, *words, tmp_path / "longer.json")
+
+
+def test_a_key_that_no_prior_has_is_told(folder, tmp_path):
+    prior = tmp_path / "prior.json"
+    prior.write_text(json.dumps({"schema": "excite.prior/1", "trust_prior": True, "joint": {"joint_1": {"coulomb": 1.25}}}))
+    machine = robot.load("two_link")
+    with pytest.warns(ExciteWarning, match="'joint' is no key of a prior"):
+        priors.trusted(prior, machine, parameters.standard(machine, limits.resolve(machine)))
+
+
+def test_a_recording_that_is_fitted_is_none_to_judge_by(folder, capsys, tmp_path):
+    train = folder / "train.csv"
+    assert "is the same motion as" in told(capsys, "identify", "two_link", train, "--validate", train, "-o", tmp_path / "out")
+
+
 @pytest.mark.parametrize("estimator", ["ols", "full", "huber"])
 def test_every_estimator_runs(folder, estimator):
     out = folder / estimator
@@ -167,6 +193,9 @@ def test_bad_input_is_one_line_that_names_the_remedy(folder, capsys, tmp_path):
         ("[links.link_2]\nmass = [3, 2]\n", "mass should be"),
         ("[links.link_2]\ncentre = [1, 2, 3]\n", "centre should be"),
         ("links", "cannot be read as bounds"),
+        ("[links.link_2]\ncenter = [[0, 0, 0], [1, 1, 1]]\n", "unknown key 'center'"),
+        ("[joints.joint_1]\nmass = [1, 2]\n", "[links.NAME] tables"),
+        ("[links]\nlink_2 = 3\n", "[links.NAME] tables"),
     ],
 )
 def test_bad_bounds(folder, capsys, tmp_path, text, part):
@@ -181,6 +210,8 @@ def test_bad_bounds(folder, capsys, tmp_path, text, part):
         ({"schema": "excite.prior/2"}, "excite.prior/2"),
         ({"schema": "excite.prior/1", "trust_prior": False}, "trust_prior"),
         ({"schema": "excite.prior/1", "trust_prior": True, "joints": {"elbow": {}}}, "no joint 'elbow'"),
+        ({"schema": "excite.prior/1", "trust_prior": True, "joints": None}, '"joints" should be'),
+        ({"schema": "excite.prior/1", "trust_prior": True, "joints": {"joint_1": 0.3}}, '"joints" should be'),
         ({"schema": "excite.prior/1", "trust_prior": True, "joints": {"joint_1": {"backlash": 1}}}, "no parameter 'backlash'"),
         ({"schema": "excite.prior/1", "trust_prior": True, "joints": {"joint_1": {"coulomb": "much"}}}, "no number"),
     ],

@@ -3,28 +3,35 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from .. import artefact
-from ..errors import UnusableInput
+from ..errors import ExciteWarning, UnusableInput
 from ..parameters import DRIVE, Parameters
+from ..robot import Robot
 from . import model
 
 SCHEMA = "excite.prior/1"
+KEYS = ("schema", "trust_prior", "joints")
 
 
-def trusted(path: Path, parameters: Parameters) -> Mapping[int, float]:
+def trusted(path: Path, robot: Robot, parameters: Parameters) -> Mapping[int, float]:
     """Places in ψ -> values that are right as they stand: all inertial parameters and what is stated of the joints.
 
     A `model.json` serves too: all that it says. Raises UnusableInput for a file that cannot be read or does not fit the robot.
     """
     stated = artefact.stated(path, (SCHEMA, model.SCHEMA), "prior", f"{{'schema': '{SCHEMA}', …}} or a model.json")
     if stated["schema"] == model.SCHEMA:
-        return _of_model(path, parameters)
+        return _of_model(path, robot, parameters)
     if stated.get("trust_prior") is not True:
         raise UnusableInput(f'{path}: says "trust_prior": {stated.get("trust_prior")!r}; leave --prior out where the URDF is a guess')
+    if unknown := set(stated) - {*KEYS, "notes"}:
+        warnings.warn(f"{path}: '{min(unknown)}' is no key of a prior, which has {', '.join(KEYS)}; ignored", ExciteWarning, stacklevel=2)
     known = dict(enumerate(parameters.nominal[: 10 * parameters.bodies].tolist()))
     for joint, values in _joints(path, stated, parameters).items():
         for kind, value in values.items():
@@ -34,7 +41,10 @@ def trusted(path: Path, parameters: Parameters) -> Mapping[int, float]:
 
 def _joints(path: Path, stated: Mapping[str, Any], parameters: Parameters) -> dict[str, dict[str, float]]:
     out: dict[str, dict[str, float]] = {}
-    for joint, values in stated.get("joints", {}).items():
+    joints = stated.get("joints", {})
+    if not isinstance(joints, dict) or not all(isinstance(values, dict) for values in joints.values()):
+        raise UnusableInput(f'{path}: "joints" should be {{"<joint>": {{"coulomb": …, "viscous": …}}}}; correct it')
+    for joint, values in joints.items():
         if joint not in parameters.joints:
             raise UnusableInput(f"{path}: no joint '{joint}'; there are {', '.join(parameters.joints)}")
         for kind, value in values.items():
@@ -47,8 +57,21 @@ def _joints(path: Path, stated: Mapping[str, Any], parameters: Parameters) -> di
     return out
 
 
-def _of_model(path: Path, parameters: Parameters) -> Mapping[int, float]:
+def _of_model(path: Path, robot: Robot, parameters: Parameters) -> Mapping[int, float]:
     fitted = model.read(path)
-    if fitted.robot.joints != parameters.joints or fitted.drive != parameters.drive or len(fitted.psi) != parameters.count:
+    if fitted.robot.joints != parameters.joints:
         raise UnusableInput(f"{path}: is a model of other joints ({', '.join(fitted.robot.joints)}); choose them with --joints")
+    if not _built_alike(fitted.robot, robot):
+        raise UnusableInput(f"{path}: is a model of another robot, whose joints sit elsewhere than in {robot.source}; identify this one")
+    if fitted.drive != parameters.drive or len(fitted.psi) != parameters.count:
+        raise UnusableInput(
+            f"{path}: has {', '.join(fitted.drive) or 'no parameters of drives'}, wanted are {', '.join(parameters.drive) or 'none'}; "
+            "identify with the same --parameters and --without"
+        )
     return dict(enumerate(fitted.psi.tolist()))
+
+
+def _built_alike(one: Robot, other: Robot) -> bool:
+    """Whether the joints of two robots sit alike in their links, to what a URDF's digits leave."""
+    here, there = ([place.homogeneous for place in robot.model.jointPlacements] for robot in (one, other))
+    return len(here) == len(there) and bool(np.allclose(here, there, atol=1e-6))

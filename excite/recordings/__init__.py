@@ -2,8 +2,8 @@
 
 from .block import QUANTITIES
 from .reading import read, stream
-from .recording import Recording
+from .recording import Recording, refuse_same
 from .remark import Kind, Remark
 from .sidecar import Sidecar
 
-__all__ = ["QUANTITIES", "Kind", "Recording", "Remark", "Sidecar", "read", "stream"]
+__all__ = ["QUANTITIES", "Kind", "Recording", "Remark", "Sidecar", "read", "refuse_same", "stream"]

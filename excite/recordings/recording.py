@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -142,3 +142,11 @@ class Recording:
         dq = [np.gradient(q, dt, axis=0) for q in filtered]
         ddq = [np.gradient(v, dt, axis=0) for v in dq]
         return Samples(np.concatenate(filtered), np.concatenate(dq), np.concatenate(ddq))
+
+
+def refuse_same(fitted: Sequence[Recording], held_out: Sequence[Recording]) -> None:
+    """Raise UnusableInput where a recording to judge by is one of those that are fitted."""
+    for one in held_out:
+        for other in fitted:
+            if len(one) == len(other) and np.array_equal(one.q, other.q):
+                raise UnusableInput(f"{one.source}: is the same motion as {other.source}; validate with another recording")

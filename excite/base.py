@@ -29,7 +29,7 @@ class Base:
     matrix: B in reduced row-echelon form, θ = Bψ. Shape (p, P).
     independent: for each θ the place in ψ of the parameter it is named after. Shape (p,).
     geometric: W = G₀^{-1/2} V, V an orthonormal basis of Range(G₀^{-1/2} Bᵀ). Shape (P, p). The eigenvalues of
-        Wᵀ (Σ Yᵀ Σ⁻¹ Y) W are those of I·H₀⁻¹ (METHOD eq. 20).
+        Wᵀ (Σ Yᵀ Σ⁻¹ Y) W are those of I·H₀⁻¹ (Lee, Wensing & Park, eq. 20).
     plain: the same with orthonormal rows of B and H₀ = 1. Shape (P, p).
     expressions: a name such as "m3 + m4 + 0.613*mcx2" for each θ.
     """

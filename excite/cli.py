@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import warnings
 from collections.abc import Callable, Sequence
@@ -39,6 +40,28 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         command = self.prog.removeprefix("excite").strip()  # the name of the program stands before every message
         raise UnusableInput(f"{command + ': ' if command else ''}{message} (see {self.prog} --help)")
+
+
+def _positive(text: str) -> float:
+    """A type of options: a number above zero, and finite."""
+    value = float(text)
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text} should be a positive number")
+    return value
+
+
+def _seed(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{text} should be 0 or more")
+    return value
+
+
+def _processes(text: str) -> int:
+    value = int(text)
+    if value == 0:
+        raise argparse.ArgumentTypeError("0 processes do nothing; give 1 or more, or -1 for one per core")
+    return value
 
 
 def parser() -> argparse.ArgumentParser:
@@ -101,7 +124,7 @@ def _model_options(sub: argparse.ArgumentParser) -> None:
         "--torque-noise", metavar="SIGMA[,…]", help="standard deviation, one or per joint [N m] (default 1 %% of the torque limit)"
     )
     group.add_argument(
-        "--threshold", type=float, default=1e-2, help="largest scale-free variance that counts as identifiable (default %(default)s)"
+        "--threshold", type=_positive, default=1e-2, help="largest scale-free variance that counts as identifiable (default %(default)s)"
     )
 
 
@@ -125,7 +148,7 @@ def _design(commands: Commands) -> None:
     group.add_argument("--optimise-period", metavar="MIN,MAX", help="let the period vary between these [s]")
     group.add_argument("--samples", type=int, metavar="N", help="the optimiser's grid over one period (default 20 per harmonic)")
     group.add_argument("--periods", type=int, metavar="N", help="repeats in the motion (default 2, or what fits --time)")
-    group.add_argument("--rate", type=float, default=100.0, metavar="HZ", help="rows a second in trajectory.csv (default %(default)s)")
+    group.add_argument("--rate", type=_positive, default=100.0, metavar="HZ", help="rows a second in trajectory.csv (default %(default)s)")
     group.add_argument(
         "--validation", action="store_true", help="a second, different motion too, in DIR/validation, to judge the identified model by"
     )
@@ -144,8 +167,8 @@ def _design(commands: Commands) -> None:
     _surroundings(sub)
     group = sub.add_argument_group("search")
     group.add_argument("--starts", type=int, default=2, metavar="N", help="random starts (default %(default)s)")
-    group.add_argument("--seed", type=int, default=0, metavar="N", help="default %(default)s")
-    group.add_argument("--jobs", type=int, default=-1, metavar="N", help="processes (default: one per core)")
+    group.add_argument("--seed", type=_seed, default=0, metavar="N", help="default %(default)s")
+    group.add_argument("--jobs", type=_processes, default=-1, metavar="N", help="processes (default: one per core)")
     group.add_argument("--backend", choices=("multiprocessing", "loky", "dask", "ray"), help="where starts run (default: processes here)")
     group.add_argument("--cluster", metavar="ADDRESS", help="of a running Dask scheduler (tcp://host:8786) or Ray head (ray://host:10001)")
     group.add_argument("--iterations", type=int, default=300, metavar="N", help="per start (default %(default)s)")
@@ -188,7 +211,7 @@ def _export(commands: Commands) -> None:
         "--format", required=True, metavar="F", help="csv, json, ros2-joint-trajectory, ros2-follow-joint-trajectory, ur-csv, …"
     )
     sub.add_argument("-o", dest="out", metavar="FILE", required=True)
-    sub.add_argument("--rate", type=float, metavar="HZ", help="rows or knots a second, where the format leaves it open")
+    sub.add_argument("--rate", type=_positive, metavar="HZ", help="rows or knots a second, where the format leaves it open")
     sub.add_argument("--speed", type=float, default=1.0, metavar="F", help="play at F times its speed, for a first careful run")
     sub.add_argument("--robot", metavar="URDF", help="where the robot's URDF is now")
     sub.add_argument("--force", action="store_true", help="export a trajectory that fails its certificate; the file says so")
@@ -213,10 +236,10 @@ def _identify(commands: Commands) -> None:
     group.add_argument("--without", metavar="A,B,…", default="", help="leave out of: rotor_inertia, viscous, coulomb, offset")
     group.add_argument("--parameters", choices=("inertial", "full"), default="full", help="full: with all these (default)")
     group.add_argument(
-        "--threshold", type=float, default=1e-2, help="largest scale-free variance of what counts as identified (default %(default)s)"
+        "--threshold", type=_positive, default=1e-2, help="largest scale-free variance of what counts as identified (default %(default)s)"
     )
     group = sub.add_argument_group("signals")
-    group.add_argument("--band", type=float, metavar="HZ", help="torque below this frequency is fitted (default: from the data)")
+    group.add_argument("--band", type=_positive, metavar="HZ", help="torque below this frequency is fitted (default: from the data)")
     group.add_argument("--period", type=float, metavar="S", help="of the excitation, where the recording's .json does not say it")
     group.add_argument("--window", metavar="T0,T1", help="where it repeats, with --period (default: the whole recording) [s]")
     group.add_argument("--align", action="store_true", help="move each joint's torque by the delay that is found")
@@ -264,7 +287,7 @@ def _diagnose(commands: Commands) -> None:
     sub.add_argument("--validate", metavar="RECORDING", nargs="+", default=[], help="recordings to judge by (needed)")
     sub.add_argument("--prior", metavar="FILE", help="what is right as it stands: excite.prior/1 or a model.json")
     sub.add_argument(
-        "--band", type=float, metavar="HZ", help="torque below this is looked at (default: 20, more where the data asks for it)"
+        "--band", type=_positive, metavar="HZ", help="torque below this is looked at (default: 20, more where the data asks for it)"
     )
     sub.add_argument("--no-report", action="store_true", help="leave report.html out, which takes a third of the time")
 
@@ -286,11 +309,11 @@ def _simulate(commands: Commands) -> None:
         metavar="FILE",
         help="the .truth.json of another recording: the same robot, and effects of the same size",
     )
-    sub.add_argument("--seed", type=int, metavar="N", help="of the true bodies, the drives and the noise (default 0)")
+    sub.add_argument("--seed", type=_seed, metavar="N", help="of the true bodies, the drives and the noise (default 0)")
     sub.add_argument("--model-error", type=float, metavar="F", help="how far the true bodies are from the URDF's (default 0.05)")
     sub.add_argument("--periods", type=int, metavar="N", help="repeats of the excitation (default: as the trajectory says)")
     group = sub.add_argument_group("measurement")
-    group.add_argument("--rate", type=float, metavar="HZ", help="125 to 1000 (default 500)")
+    group.add_argument("--rate", type=_positive, metavar="HZ", help="125 to 1000 (default 500)")
     group.add_argument("--noise", type=float, metavar="F", help="of torque, over the torque limit (default 0.005)")
     group.add_argument("--colour", type=float, metavar="HZ", help="corner of the noise's spectrum (default: white)")
     group.add_argument("--jitter", type=float, metavar="S", help="of the times of sampling, unseen by the clock [s]")

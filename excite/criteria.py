@@ -1,6 +1,6 @@
 """Optimality criteria: functions of the spectrum of the information matrix.
 
-λ = eigenvalues of I·H₀⁻¹ (geometric, METHOD eq. 20) or of I in an orthonormal base (plain). All smooth criteria are
+λ = eigenvalues of I·H₀⁻¹ (geometric, Lee, Wensing & Park, eq. 20) or of I in an orthonormal base (plain). All smooth criteria are
 one family: with s_ρ = Σ λ^{−ρ}, A is ρ = 1, D is ρ → 0 and E is ρ → ∞ of log(s_ρ)/ρ; the condition number joins both
 ends of the spectrum. Each has an exact gradient with respect to the information matrix.
 """
@@ -82,7 +82,7 @@ def weighting(criterion: Criterion, base: Base, noise: Array, *, plain: bool) ->
 
 
 def value(criterion: Criterion, spectrum: Array) -> float:
-    """The criterion as METHOD defines it; `spectrum` ascending. inf or 0 where a direction is not seen at all."""
+    """The criterion of a spectrum in ascending order. inf or 0 where a direction is not seen at all."""
     low, high = float(spectrum[0]), float(spectrum[-1])
     if criterion is Criterion.E:
         return max(low, 0.0)

@@ -9,7 +9,7 @@ from typing import Any
 
 from . import arguments as told
 from . import artefact, base, files, parameters, recordings
-from .diagnose import diagnosis, whole
+from .diagnose import atlas, diagnosis, whole
 from .diagnose.document import document
 from .identify import model, priors
 
@@ -27,15 +27,16 @@ def diagnose(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outco
     recordings.refuse_same(train, held_out)
     known = priors.trusted(Path(arguments.prior), robot, standard) if arguments.prior else {}
     result = diagnosis.diagnose(robot, standard, found, train, held_out, diagnosis.Options(arguments.band, known), say)
-    told_all = document(result)
+    looked = None if arguments.no_report else atlas.look(result, held_out)
+    told_all = document(result, looked)
     contents = {
         "diagnosis.json": artefact.dumps(told_all),
         "model.json": artefact.dumps(_model(result, train)),
     }
-    if not arguments.no_report:
+    if looked is not None:
         from . import report  # slow to import
 
-        contents["report.html"] = report.diagnosis_page(result, told_all, held_out, [r for one in (*train, *held_out) for r in one.remarks])
+        contents["report.html"] = report.diagnosis_page(result, told_all, looked, [r for one in (*train, *held_out) for r in one.remarks])
     written = files.write_all(Path(arguments.out), contents)
     return 0, told_all | {"files": [str(path) for path in written]}, _text(told_all, [str(path) for path in written])
 

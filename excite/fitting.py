@@ -83,8 +83,6 @@ def _options(arguments: argparse.Namespace, standard: Parameters, known: Mapping
         gamma = (values[0], values[-1])
     if arguments.band is not None and not arguments.band > 0.0:
         raise UnusableInput(f"--band {arguments.band:g}: should be a positive frequency [Hz]")
-    if not arguments.threshold > 0.0:
-        raise UnusableInput(f"--threshold {arguments.threshold:g}: should be positive")
     return Options(
         method=Method(arguments.estimator),
         distance=Distance(arguments.distance),
@@ -148,6 +146,7 @@ def _text(found: Identification, facts: Sequence[str], written: Sequence[Path]) 
         f"{'joint':25}{'nominal':>11}{'identified':>12}{'noise':>11}{'relative':>10}",
     ]
     for prediction in shown:
+        lines += [prediction.source] * (len(shown) > 1)
         for i, joint in enumerate(robot.joints):
             floor = "" if prediction.floor is None else f"{prediction.floor[i]:.4g}"
             before, after, share = prediction.error("nominal")[i], prediction.error()[i], prediction.relative()[i]

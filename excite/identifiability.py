@@ -1,7 +1,7 @@
 """Practical identifiability: how well a recording will show each direction of the parameters, in words too.
 
 1/λ, λ an eigenvalue of I·H₀⁻¹ with I the information of the whole recording, is the scale-free variance of its
-direction; a direction is identifiable when 1/λ ≤ threshold (METHOD, review section 4.4).
+direction; a direction is identifiable when 1/λ ≤ threshold (Lee, Wensing & Park, section 4.4).
 """
 
 from __future__ import annotations

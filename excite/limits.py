@@ -100,6 +100,9 @@ def _sensible(brake: Braking) -> Braking:
     return brake
 
 
+_EXAMPLES = {"position": "[-2.9, 2.9]", "braking": "{ offset = 0.2, rate = 7.0, stop = [-2.9, 2.9] }"}
+
+
 def resolve(robot: Robot, file: Path | None = None) -> Limits:
     """Limits of a robot: the URDF's, then the built-in model's own table, then `file`, the later overriding.
 
@@ -238,7 +241,7 @@ def _checked(file: Path, joint: str, quantity: str, value: Any) -> Any:
             raise ValueError("not a number")
         numbers = np.array(value, float)
     except (TypeError, ValueError, KeyError, IndexError) as error:
-        raise UnusableInput(f"{where} = {value!r} is no limit; see the README's section on limits") from error
+        raise UnusableInput(f"{where} = {value!r} is no limit; write e.g. {_EXAMPLES.get(quantity, '3.0')}") from error
     if quantity == "position":
         if numbers.shape != (2,) or np.isnan(numbers).any():
             raise UnusableInput(f"{where} = {value!r} should be [lower, upper]")

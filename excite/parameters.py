@@ -152,7 +152,7 @@ def proper_body(phi: Array, robot_mass: float) -> tuple[Array, bool]:
 def standard(robot: Robot, limits: Limits, drive: Iterable[str] = DRIVE) -> Parameters:
     """Lay out the standard parameters of `robot`; `drive` names the joint parameters to include.
 
-    Scales of drive parameters (METHOD "Distances"): the nominal value, or where that is 0: Coulomb and offset
+    Scales of drive parameters: the nominal value, or where that is 0: Coulomb and offset
     0.02 τ_max, viscous 0.02 τ_max/v_max, rotor inertia 5 % of the joint's mean mass-matrix diagonal.
     """
     wanted = tuple(drive)

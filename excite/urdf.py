@@ -29,6 +29,12 @@ class JointEntry:
     rotor_inertia: float = 0.0  # this and the next by <excite>, for which URDF has no words
     offset: float = 0.0
 
+    def unit(self, turning: str) -> str:
+        """What stands for a turning joint's unit: of a sliding one N, m and kg for N m, rad and kg m²; its angles of waves are m too."""
+        if self.kind != "prismatic":
+            return turning
+        return {"kg m²": "kg", "1/turn": "rad/m"}.get(turning, turning.replace("N m", "N").replace("rad", "m"))
+
 
 @dataclass(frozen=True)
 class Urdf:

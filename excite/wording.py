@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -71,6 +71,11 @@ def _leading(shares: Mapping[str, float]) -> str:
 
 def listed(words: list[str]) -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def some(words: Sequence[str]) -> str:
+    """Joints, if they are few; else how many."""
+    return listed(list(words)) if len(words) <= 3 else f"{len(words)} joints"
 
 
 def spoken(name: str, parameters: Parameters) -> str:

@@ -385,6 +385,11 @@ def test_a_model_of_an_earlier_version_is_refused_in_one_line(subject):
     _, along = recordings_of(subject, None)
     with pytest.raises(UnusableInput, match=r"model\.json.*'hold'.*diagnose again"):
         whole.predict(fitted_with(subject, (stated("backlash", "joint_1", {"width": 1e-3}, 1.0),)), along)
+    untimed = {key: value for key, value in stated("drag", "joint_1", {}, 1.0).items() if key != "time"}
+    with pytest.raises(UnusableInput, match=r"model\.json: effect 'drag' has no 'time'.*diagnose again"):
+        whole.predict(fitted_with(subject, (untimed,)), along)
+    with pytest.raises(UnusableInput, match=r"model\.json.*diagnose again"):
+        whole.predict(fitted_with(subject, (stated("drag", "joint_1", {}, 1.0, 2.0),)), along)
 
 
 def test_options_name_what_is_looked_for(subject):

@@ -5,14 +5,16 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
+from collections.abc import Sequence
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
 from made import WIDTH, motion, perturbed, recorded, two_links
 from test_report import answer, check_page, section
 
-from excite.diagnose import diagnosis
+from excite.diagnose import atlas, diagnosis
 from excite.diagnose.diagnosis import Diagnosis
 from excite.diagnose.document import document
 from excite.recordings import Kind, Recording, Remark
@@ -29,6 +31,10 @@ QUESTIONS = {
     "next": "What to do next?",
     "made": "How was it made?",
 }
+
+
+def drawn(one: Diagnosis, stated: dict[str, Any], remarks: Sequence[Remark] = ()) -> str:
+    return diagnosis_page(one, stated, atlas.look(one), remarks)
 
 
 def noisy(one: Recording, seed: int) -> Recording:
@@ -78,7 +84,7 @@ def test_what_no_name_takes_is_drawn_over_what_foresees_it() -> None:
     (unknown,) = stated["unknown"]
     assert unknown["joint"] == "joint_2" and unknown["where"]["regime"].startswith("past") and "sharp stop" in unknown["experiment"]
     json.loads(json.dumps(stated["unknown"], allow_nan=False))
-    text = diagnosis_page(one, stated)
+    text = drawn(one, stated)
     check_page(text)
     assert "Left without a name" in section(text, "what") and "What is left without a name, over what foresees it" in section(text, "what")
     assert "joint_2" in answer(text, "what") and unknown["experiment"] in section(text, "next")
@@ -86,15 +92,15 @@ def test_what_no_name_takes_is_drawn_over_what_foresees_it() -> None:
 
 def test_what_held_out_recordings_refute_is_told() -> None:
     stated = document(found(0.0))
-    assert "Refuted" not in diagnosis_page(found(0.0), stated)
+    assert "Refuted" not in drawn(found(0.0), stated)
     stated["considered"][0]["evidence"]["foretold"] = 9.0
-    assert "makes what is left of the others 3 times as large" in diagnosis_page(found(0.0), stated)
+    assert "makes what is left of the others 3 times as large" in drawn(found(0.0), stated)
 
 
 def test_what_the_health_check_did_to_the_recordings_is_told() -> None:
     one = found(0.0)
     assert "the health check had nothing to remark" in answer(page(0.0), "made")
-    text = diagnosis_page(one, document(one), remarks=[Remark(Kind.WAVER, "read 0.05 ms off their stamps", repaired=True)])
+    text = drawn(one, document(one), remarks=[Remark(Kind.WAVER, "read 0.05 ms off their stamps", repaired=True)])
     assert "the health check had 1 remark" in answer(text, "made") and "read 0.05 ms off their stamps" in section(text, "made")
 
 
@@ -110,7 +116,7 @@ def test_what_is_foreseen_is_no_noise_though_it_never_repeats() -> None:
 
 @cache
 def page(amplitude: float) -> str:
-    return diagnosis_page(found(amplitude), document(found(amplitude)))
+    return drawn(found(amplitude), document(found(amplitude)))
 
 
 @pytest.mark.parametrize("amplitude", [0.0, 2.0])
@@ -126,7 +132,9 @@ def test_it_stands_alone_and_answers_every_question(amplitude: float) -> None:
 def test_a_finding_is_told_with_its_parameters_and_its_picture() -> None:
     text, stated = page(2.0), document(found(2.0))
     first = stated["findings"][0]
-    assert (first["effect"], first["joint"]) == ("stribeck", "joint_2")
+    assert (first["effect"], first["joint"]) == ("stribeck", "joint_2") and first["evidence"]["p_value"] is None
+    looked = document(found(2.0), atlas.look(found(2.0)))["findings"][0]
+    assert looked["evidence"]["p_value"] < 0.01
     assert answer(text, "what").startswith("Stribeck at joint_2")
     assert "amplitude" in section(text, "what") and "95 % interval" in section(text, "what").replace("\u00a0", " ")
     assert first["experiment"] in section(text, "next")
@@ -156,7 +164,7 @@ def test_what_a_refit_absorbs_is_named_and_names_that_are_markup_stay_text() -> 
     model = one.identified.model
     evil = dataclasses.replace(model.robot, name="<b>x</b>")
     changed = dataclasses.replace(one.identified, model=dataclasses.replace(model, robot=evil))
-    text = diagnosis_page(dataclasses.replace(one, identified=changed), document(one))
+    text = drawn(dataclasses.replace(one, identified=changed), document(one))
     assert "<b>x</b>" not in text and "&lt;b&gt;x" in text
     assert "--prior" in section(text, "apart") and "payload" in section(text, "apart")
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from made import motion, perturbed, recorded, two_links
 
-from excite.diagnose import diagnosis, encoders
+from excite.diagnose import atlas, diagnosis, encoders
 from excite.diagnose.diagnosis import Options
 from excite.diagnose.document import document
 from excite.diagnosing import _text
@@ -85,4 +85,4 @@ def test_it_is_told_in_every_place(subject):
     (name,) = stated["encoders"]
     assert name == subject.robot.joints[0] and stated["encoders"][name]["stiffness"]["unit"] == "N m/rad"
     assert f"two encoders at {name}: stiffness" in _text(stated, [])
-    assert "What do the two encoders say?" in diagnosis_page(result, stated)
+    assert "What do the two encoders say?" in diagnosis_page(result, stated, atlas.look(result))

@@ -169,7 +169,7 @@ def test_bad_input_is_one_line_that_names_the_remedy(folder, capsys, tmp_path):
     go = ("identify", "two_link", train, "-o", out)
     cases = {
         ("identify", "two_link", folder / "absent.csv", "-o", out): "absent.csv",
-        (*go, "--band", "-3"): "--band -3",
+        (*go, "--band", "-3"): "--band: -3 should be a positive number",
         (*go, "--band", "400"): "half the recording's rate",
         (*go, "--gamma", "much"): "--gamma",
         (*go, "--gamma", "0"): "positive",

@@ -30,6 +30,7 @@ from excite.errors import ExciteWarning, UnusableInput
 from excite.limits import resolve
 from excite.robot import Payload, Robot, builtin_names, load
 from excite.trajectory import Samples
+from excite.urdf import JointEntry
 
 INERTIAL: tuple[str, ...] = ()
 
@@ -326,3 +327,10 @@ def test_names_that_occur_twice_are_named(tag, name):
 def test_a_payload_whose_inertia_is_no_bodys_is_refused():
     with pytest.raises(UnusableInput, match="no body has that inertia"):
         loaded(pendulum(), payload=Payload("arm", 1.0, inertia=(-1.0, 0.0, 0.0, 0.0, 0.0, 0.0)))
+
+
+def test_a_sliding_joint_has_units_of_its_own():
+    slide, hinge = (JointEntry("a", kind, "arm", None, None, None, 0.0, 0.0, None) for kind in ("prismatic", "revolute"))
+    units = {"N m": "N", "rad/s": "m/s", "N m s/rad": "N s/m", "N m/rad": "N/m", "kg m²": "kg", "N m (s/rad)^k": "N (s/m)^k", "s": "s"}
+    assert {unit: slide.unit(unit) for unit in units} == units
+    assert {hinge.unit(unit) for unit in units} == set(units)

@@ -37,8 +37,8 @@ CHUNK = 4096
 class Panel:
     """One curve of one joint. joint: its index. centres, mean_before, mean_after, error: Shape (b,) [`unit`; N m]; amplitudes have no sign.
 
-    error: standard error of mean_before over blocks. p_before, p_after: see the module. score_before, score_after: the statistic in null
-    deviations. share_before, share_after: part of the joint's held-out residual power that this curve explains.
+    error: standard error of mean_before over blocks. p_before, p_after: see the module. score_before: the statistic in null
+    deviations. share_before: part of the joint's held-out residual power that this curve explains.
     """
 
     joint: int
@@ -52,9 +52,7 @@ class Panel:
     p_before: float
     p_after: float
     score_before: float
-    score_after: float
     share_before: float
-    share_after: float
     logarithmic: bool = False
 
 
@@ -126,9 +124,7 @@ def look(found: Diagnosis, recordings: Sequence[Recording] = (), *, draws: int =
                 p_before=float(judged[0][0][k]),
                 p_after=float(judged[1][0][k]),
                 score_before=float(judged[0][1][k]),
-                score_after=float(judged[1][1][k]),
                 share_before=share[0],
-                share_after=share[1],
                 logarithmic=one.logarithmic,
             )
         )

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from ..wording import percent
+from .atlas import Atlas
 from .catalogue import BY_NAME
 from .diagnosis import Diagnosis
 from .effect import Shape
@@ -40,8 +42,8 @@ REGIMES = {
 }
 
 
-def document(found: Diagnosis) -> dict[str, Any]:
-    """Everything that a diagnosis says."""
+def document(found: Diagnosis, looked: Atlas | None = None) -> dict[str, Any]:
+    """Everything that a diagnosis says. looked: its atlas, for p-values, which are null without."""
     joints = found.identified.model.robot.joints
     rows = {
         joint: {
@@ -54,7 +56,7 @@ def document(found: Diagnosis) -> dict[str, Any]:
         }
         for i, joint in enumerate(joints)
     }
-    findings = [_finding(found, i) for i in range(len(found.verdict.findings))]
+    findings = [_finding(found, i, looked) for i in range(len(found.verdict.findings))]
     return {
         "schema": SCHEMA,
         "verdict": found.name,
@@ -128,7 +130,7 @@ def _where(found: Diagnosis, shape: Shape) -> dict[str, Any]:
     return where
 
 
-def _finding(found: Diagnosis, number: int) -> dict[str, Any]:
+def _finding(found: Diagnosis, number: int, looked: Atlas | None) -> dict[str, Any]:
     finding = found.verdict.findings[number]
     hypothesis = finding.main
     shape, effect = found.design.shapes[hypothesis.shape], BY_NAME[hypothesis.effect]
@@ -139,13 +141,22 @@ def _finding(found: Diagnosis, number: int) -> dict[str, Any]:
         "probability": finding.probability,
         "equivalents": list(finding.equivalents),
         "where": _where(found, shape),
-        "parameters": {key: {"value": v, "std": s, "unit": effect.units.get(key, "")} for key, (v, s) in values.items() if np.isfinite(v)},
-        "evidence": {"severity": hypothesis.size, **_share(found, hypothesis), **_weight(finding)},
+        "parameters": _told(found, shape, values),
+        "evidence": {"severity": hypothesis.size, **_share(found, hypothesis), "p_value": _chance(looked, hypothesis), **_weight(finding)},
         "experiment": effect.experiment,
     }
     if shape.other is not None:
         out["from"] = _joint(found, shape.other)
     return out
+
+
+def _told(found: Diagnosis, shape: Shape, values: Mapping[str, tuple[float, float | None]]) -> dict[str, dict[str, Any]]:
+    """Parameters in the units of the joint: a slide has N and m. An angle is one wherever it is."""
+    units = dict(BY_NAME[shape.effect].units)
+    if shape.joint is not None:
+        entry = found.identified.model.robot.entries[shape.joint]
+        units |= {key: entry.unit(unit) for key, unit in units.items() if key != "angle"}
+    return {key: {"value": v, "std": s, "unit": units.get(key, "")} for key, (v, s) in values.items() if np.isfinite(v)}
 
 
 def _weight(finding: Finding) -> dict[str, Any]:
@@ -160,6 +171,14 @@ def _share(found: Diagnosis, hypothesis: Hypothesis) -> dict[str, float]:
     return {"systematic_share": float(share.max() if hypothesis.joint is None else share[hypothesis.joint])}
 
 
+def _chance(looked: Atlas | None, hypothesis: Hypothesis) -> float | None:
+    """That noise alone would show anything as clear as the clearest curve of the joint, or of all, in all the atlas."""
+    if looked is None:
+        return None
+    own = looked.panels if hypothesis.joint is None else looked.of(hypothesis.joint)
+    return min((panel.p_before for panel in own), default=None)
+
+
 def _considered(found: Diagnosis, hypothesis: Hypothesis) -> dict[str, Any]:
     shape, effect = found.design.shapes[hypothesis.shape], BY_NAME[hypothesis.effect]
     values = shape.parameters(hypothesis.trial.coefficients)
@@ -169,7 +188,7 @@ def _considered(found: Diagnosis, hypothesis: Hypothesis) -> dict[str, Any]:
         "probability": 0.0,
         "equivalents": [],
         "where": _where(found, shape),
-        "parameters": {key: {"value": v, "std": None, "unit": effect.units.get(key, "")} for key, v in values.items() if np.isfinite(v)},
+        "parameters": _told(found, shape, {key: (v, None) for key, v in values.items()}),
         "evidence": {"severity": hypothesis.size, "held_out_gain": hypothesis.trial.gain},
         "experiment": effect.experiment,
     }

@@ -22,6 +22,8 @@ from .search import Design, Trial
 from .track import Track
 
 Array = np.ndarray
+KEYS = {"effect", "joint", "from", "values", "coefficients", "time", "recording"}
+"""Of an effect in `model.json`."""
 
 
 @dataclass(frozen=True)
@@ -78,8 +80,10 @@ def entry(part: Part, robot: Robot) -> dict[str, Any]:
 
 
 def restored(stated: Mapping[str, Any], robot: Robot, source: str) -> Part:
-    """The same read back. Raises UnusableInput where it names what is not there."""
-    name, joints = stated["effect"], robot.joints
+    """The same read back. Raises UnusableInput where it names what is not there, or was written by another version."""
+    name, joints = stated.get("effect"), robot.joints
+    if missing := KEYS - set(stated):
+        raise UnusableInput(f"{source}: effect '{name}' has no '{min(missing)}', as in another version; diagnose again")
     if name not in BY_NAME or any(stated[key] is not None and stated[key] not in joints for key in ("joint", "from")):
         raise UnusableInput(f"{source}: effect '{name}' of joint '{stated['joint']}' is not of this version or robot; diagnose again")
     joint, other = (None if stated[key] is None else joints.index(stated[key]) for key in ("joint", "from"))
@@ -112,5 +116,5 @@ def predict(fitted: FittedModel, recording: Recording) -> tuple[Array, Array]:
 
     try:
         return fitted.predict(recording, beyond)
-    except KeyError as lacking:
-        raise UnusableInput(f"{fitted.source}: an effect has no {lacking}, which an earlier version did not save; diagnose again") from None
+    except (KeyError, ValueError) as error:
+        raise UnusableInput(f"{fitted.source}: says an effect otherwise than this version ({error}); diagnose again") from error

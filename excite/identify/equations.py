@@ -1,4 +1,4 @@
-"""The equations τ = Γ θ of recordings, both sides below one band (METHOD eq. 9): what every estimator works on."""
+"""The equations τ = Γ θ of recordings, both sides below one band (Lee, Wensing & Park, eq. 9): what every estimator works on."""
 
 from __future__ import annotations
 

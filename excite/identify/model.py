@@ -133,7 +133,8 @@ def document(found: Identification, recordings: Sequence[Recording]) -> dict[str
 def _standard(found: Identification) -> list[dict[str, Any]]:
     parameters = found.model.parameters
     deviation = np.sqrt(np.maximum(np.diag(found.posterior.covariance), 0.0))
-    units = [*INERTIAL_UNITS] * parameters.bodies + [UNITS[kind] for kind in parameters.drive for _ in parameters.joints]
+    drives = [entry.unit(UNITS[kind]) for kind in parameters.drive for entry in found.model.robot.entries]
+    units = [*INERTIAL_UNITS] * parameters.bodies + drives
     columns = (parameters.names, parameters.owners(), parameters.nominal, found.psi, found.reduced.psi, deviation, units)
     keys = ("name", "of", "nominal", "value", "reduced", "std", "unit")
     return [dict(zip(keys, row, strict=True)) for row in zip(*columns, strict=True)]

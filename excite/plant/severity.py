@@ -1,4 +1,4 @@
-"""How much of a hidden effect survives a refit of the base model, over the noise (METHOD: severity of a hidden effect)."""
+"""How much of a hidden effect survives a refit of the base model, over the noise."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ def deformed(tree: Tree, size: float, rng: np.random.Generator) -> Tree:
     """A tree whose bodies differ by about `size` (0.05: 5 %).
 
     P → (1 + ε) A P Aᵀ with A near 1: an affine map of the body's points and another density, so P stays a pseudo-inertia
-    (METHOD, eq. 15) whatever the numbers.
+    (Lee, Wensing & Park, eq. 15) whatever the numbers.
     """
     for link in tree.links:
         pseudo = tree.body(link)

@@ -14,7 +14,7 @@ from ..robot import Robot
 from .block import Block
 from .columns import listed, similar
 from .remark import Kind, Remark
-from .sidecar import Sidecar
+from .sidecar import Sidecar, beside
 
 Array = np.ndarray
 ROWS = 20_000
@@ -37,12 +37,12 @@ def blocks(path: Path, robot: Robot, sidecar: Sidecar) -> Iterator[Block]:
     rosbags = _package(path)
     if path.is_dir() and not (path / "metadata.yaml").is_file():
         raise UnusableInput(f"{path}: is a folder without metadata.yaml; give a rosbag2 folder, or the .mcap in it")
-    stores = rosbags.typesys.Stores
+    stores, own = rosbags.typesys.Stores, (rosbags.highlevel.AnyReaderError, rosbags.rosbag2.ReaderError, rosbags.serde.SerdeError)
     try:
         # Bags written before ROS 2 Iron hold no definitions; JointState is the same in all.
         with rosbags.highlevel.AnyReader([path], default_typestore=rosbags.typesys.get_typestore(stores.ROS2_HUMBLE)) as reader:
             yield from _messages(path, reader, robot, sidecar)
-    except (rosbags.highlevel.AnyReaderError, rosbags.rosbag2.ReaderError, rosbags.serde.SerdeError, OSError, AssertionError) as error:
+    except (*own, OSError, AssertionError, ValueError) as error:  # the last two of files that are no bags
         raise UnusableInput(f"{path}: cannot be read as a bag ({error or 'cut short'}); record it again or 'ros2 bag reindex'") from error
 
 
@@ -86,7 +86,7 @@ def _topic(path: Path, reader: Any, robot: Robot, sidecar: Sidecar) -> str:
     if len(fitting) == 1:
         return fitting[0]
     many = "several topics with" if fitting else "no topic with"
-    remedy = f'say which with "topic" in {path.stem}.json' if fitting else "record one that publishes them"
+    remedy = f'say which with "topic" in {beside(path).name}' if fitting else "record one that publishes them"
     raise UnusableInput(f"{path}: has {many} all of {', '.join(robot.joints)} among {listed(topics)}; {remedy}")
 
 
@@ -176,7 +176,8 @@ def _remarks(path: Path, topic: str, table: _Table, sidecar: Sidecar) -> tuple[R
         out.append(Remark(Kind.CLOCK, f"stamps on {topic} are zero; the time of reception is used", repaired=True))
     if "effort" in table.there and sidecar.effort is None:
         text = (
-            f'effort is taken to be in N m; if the driver publishes current, put "effort": "current" and drive_gain into {path.stem}.json'
+            "effort is taken to be in N m; if the driver publishes current, "
+            f'put "effort": "current" and drive_gain into {beside(path).name}'
         )
         out.append(Remark(Kind.UNIT, text))
     return tuple(out)

@@ -215,8 +215,8 @@ def _limits_answer(margins: Sequence[tuple[float, Mapping[str, Any]]]) -> str:
 def _margin_row(room: float, margin: Mapping[str, Any], robot: Robot) -> tuple[str, ...]:
     limit, joint = str(margin["limit"]), str(margin["joint"])
     unit = _UNITS.get(limit, "m")
-    if joint in robot.joints and robot.entries[robot.joints.index(joint)].kind == "prismatic":
-        unit = unit.replace("rad", "m").replace("N m", "N")
+    if joint in robot.joints:
+        unit = robot.entries[robot.joints.index(joint)].unit(unit)
     return (
         escape(limit),
         escape(joint),

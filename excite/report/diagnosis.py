@@ -14,8 +14,8 @@ from ..diagnose.atlas import SIGNIFICANT, Atlas
 from ..diagnose.catalogue import BY_NAME, EFFECTS
 from ..diagnose.diagnosis import QUIET, Diagnosis
 from ..diagnose.isolability import ALIKE, Candidate, isolability
-from ..recordings import Recording, Remark
-from ..wording import listed, percent
+from ..recordings import Remark
+from ..wording import listed, percent, some
 from . import atlas_figures, diagnosis_figures, diagnosis_tables, gears, unnamed
 from . import remarks as remarked
 from .diagnosis_figures import told
@@ -45,13 +45,12 @@ _FLOORS = {
 }
 
 
-def diagnosis_page(found: Diagnosis, stated: Stated, recordings: Sequence[Recording] = (), remarks: Sequence[Remark] = ()) -> str:
+def diagnosis_page(found: Diagnosis, stated: Stated, looked: Atlas, remarks: Sequence[Remark] = ()) -> str:
     """The report of `excite diagnose` as HTML.
 
-    stated: the document of the diagnosis, `diagnose.document.document`. recordings: those held out, for temperatures recorded with them.
-    remarks: what the health check of all found.
+    stated: the document of the diagnosis, `diagnose.document.document`. looked: its atlas, `diagnose.atlas.look`. remarks: what the
+    health check of all recordings found.
     """
-    looked = atlas.look(found, recordings)
     sections = [
         _missing(found, stated),
         _what(found, stated),
@@ -103,7 +102,7 @@ def _missing(found: Diagnosis, stated: Stated) -> Section:
         worst = max(loud, key=lambda j: joints[j]["rmse_before"] / joints[j]["noise_floor"])
         ratio = number(joints[worst]["rmse_before"] / joints[worst]["noise_floor"], 3)
         answer = f"{'Yes' if stated['findings'] or stated['unknown'] else 'Hardly'}: the base model leaves more than noise in "
-        answer += f"{_some(loud)}, the most in {worst}: {ratio} noise floors, {percent(joints[worst]['systematic_share'])} of its power."
+        answer += f"{some(loud)}, the most in {worst}: {ratio} noise floors, {percent(joints[worst]['systematic_share'])} of its power."
     rows = []
     for joint, v in joints.items():
         ratio_before, ratio_after = v["rmse_before"] / v["noise_floor"], v["rmse_after"] / v["noise_floor"]
@@ -123,10 +122,6 @@ def _missing(found: Diagnosis, stated: Stated) -> Section:
     return Section("missing", "Is anything missing?", answer, body, _VERDICTS[stated["verdict"]][1])
 
 
-def _some(joints: Sequence[str]) -> str:
-    return listed(list(joints)) if len(joints) <= 3 else f"{len(joints)} joints"
-
-
 # -- what ------------------------------------------------------------------------------------------------------------
 
 
@@ -138,7 +133,7 @@ def _what(found: Diagnosis, stated: Stated) -> Section:
         answer = answer[0].upper() + answer[1:] + "."
     elif stated["unknown"]:
         verb = "shows" if len(stated["unknown"]) == 1 else "show"
-        answer = f"Not known: {_some([u['joint'] for u in stated['unknown']])} {verb} torque that no name predicts."
+        answer = f"Not known: {some([u['joint'] for u in stated['unknown']])} {verb} torque that no name predicts."
     else:
         answer = "Nothing is asserted: no effect of the catalogue predicts what was held out better than the base model by enough."
     doubted = max(stated["considered"], key=lambda one: float(one["probability"]), default=None)

@@ -23,8 +23,6 @@ _NOTICED = 0.05
 """Distance of two bodies from which on one speaks of a change: a mass by 7 %."""
 _KINDS = {"rotor_inertia": "rotor inertia", "viscous": "viscous friction", "coulomb": "Coulomb friction", "offset": "offset"}
 
-_SLIDING = {"rotor_inertia": "kg", "viscous": "N s/m", "coulomb": "N", "offset": "N"}
-
 
 def parameters_section(found: Identification) -> Section:
     """What were the parameters, what are they now?"""
@@ -96,8 +94,8 @@ def _drives(found: Identification) -> str:
             cells.append(f"{number(parameters.nominal[k], 3)} → <b>{number(found.psi[k], 3)}</b> {open_}")
         rows.append(cells)
     sliding = is_prismatic(robot)
-    units = _SLIDING if all(sliding) else UNITS
-    head = ["joint", *(f"{_KINDS[kind]} [{units[kind]}]" for kind in parameters.drive)]
+    told = robot.entries[0].unit if all(sliding) else str
+    head = ["joint", *(f"{_KINDS[kind]} [{told(UNITS[kind])}]" for kind in parameters.drive)]
     text = "± is 95 % of what data and prior together leave open. 'Not shown': neither narrows the value down, "
     text += "though its sum with others may be known."
     if any(sliding) and not all(sliding):

@@ -44,7 +44,7 @@ def is_prismatic(robot: Robot) -> list[bool]:
 
 def torque_units(robot: Robot) -> list[str]:
     """What the torque of each moving joint is measured in."""
-    return ["N" if slides else "N m" for slides in is_prismatic(robot)]
+    return [entry.unit("N m") for entry in robot.entries]
 
 
 def kinematics(scene: Scene) -> list[str]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..identify.identification import Identification, Prediction
 from ..robot import Robot
-from ..wording import listed, percent
+from ..wording import percent, some
 from . import fit_figures
 from .fit_figures import EXCERPT, SURE
 from .motion_figures import torque_units
@@ -62,19 +62,15 @@ def verdict(predictions: Sequence[Prediction], robot: Robot) -> tuple[str, str]:
         if not beyond:
             text = f"Yes, down to the noise: {where} the worst joint, {robot.joints[worst]}, errs by {ratio[worst]:.2f} noise floors."
             return text, "good"
-        text = f"Not down to the noise: {where} the error {span}; in {_named(beyond)} it is more than {WITHIN:g} noise floors, "
+        text = f"Not down to the noise: {where} the error {span}; in {some(beyond)} it is more than {WITHIN:g} noise floors, "
         return text + f"up to {ratio[worst]:.2g} in {robot.joints[worst]}.", "warn"
     useless = [j for j, r in zip(robot.joints, relative, strict=True) if r >= 1.0]
     poor = [j for j, r in zip(robot.joints, relative, strict=True) if ROUGHLY < r < 1.0]
     if useless:
-        return f"Not for {_named(useless)}, where predicting no torque at all would err less; {where} the error {span}.", "bad"
+        return f"Not for {some(useless)}, where predicting no torque at all would err less; {where} the error {span}.", "bad"
     if poor:
-        return f"Not well for {_named(poor)}: {where} the error {span}.", "warn"
+        return f"Not well for {some(poor)}: {where} the error {span}.", "warn"
     return (f"Yes: {where} the error {span}.", "good") if relative.max() <= WELL else (f"Roughly: {where} the error {span}.", "")
-
-
-def _named(joints: Sequence[str]) -> str:
-    return listed(list(joints)) if len(joints) <= 3 else f"{len(joints)} joints"
 
 
 def _span(predictions: Sequence[Prediction], robot: Robot) -> str:

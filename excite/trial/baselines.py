@@ -19,7 +19,6 @@ from .candidates import Candidate, candidates
 from .scene import Problem, load
 
 Array = np.ndarray
-ANALYSTS = ("greedy", "stribeck", "blackbox")
 STEPS, LEVEL = 4, 1e-3
 FEATURES, RIDGES = 200, (0.1, 1.0, 10.0, 100.0, 1e3)
 

@@ -294,8 +294,8 @@ from IPython.display import display
 from matplotlib.figure import Figure
 
 from excite import base, limits, parameters, recordings, robot
-from excite.diagnose import diagnosis, interval
-from excite.diagnose.catalogue import BY_NAME
+from excite.diagnose import diagnosis
+from excite.diagnose.document import document
 from excite.identify import priors
 
 warnings.simplefilter("ignore")
@@ -308,7 +308,7 @@ def diagnosed(folder, urdf, train, held_out, prior=None, band=None):
     table = limits.resolve(machine)
     standard = parameters.standard(machine, table)
     first, last = ([recordings.read(place / f"{name}.csv", machine, table) for name in names] for names in (train, held_out))
-    known = priors.trusted(place / prior, robot, standard) if prior else {}
+    known = priors.trusted(place / prior, machine, standard) if prior else {}
     options = diagnosis.Options(band, known)
     return diagnosis.diagnose(machine, standard, base.find(machine, standard, table), first, last, options)
 
@@ -316,12 +316,9 @@ def diagnosed(folder, urdf, train, held_out, prior=None, band=None):
 def told(found):
     joints = found.identified.model.robot.joints
     print(f"{found.name}; band {found.hertz:.0f} Hz, noise by {found.method}")
-    for number, finding in enumerate(found.verdict.findings):
-        main = finding.main
-        values = interval.finding_parameters(found.design, found.verdict, number)
-        units = BY_NAME[main.effect].units
-        words = ", ".join(f"{key} {v:.4g} ± {s:.2g} {units.get(key, '')}" for key, (v, s) in values.items())
-        print(f"  {main.effect} at {joints[main.joint] if main.joint is not None else 'all'} (p {finding.probability:.2f}): {words}")
+    for one in document(found)["findings"]:
+        words = ", ".join(f"{key} {v['value']:.4g} ± {v['std']:.2g} {v['unit']}" for key, v in one["parameters"].items())
+        print(f"  {one['effect']} at {one['joint'] or 'all'} (p {one['probability']:.2f}): {words}")
     for joint, before, after, whole in zip(joints, found.before, found.after, found.torque, strict=True):
         print(f"  {joint:10} held-out error {100 * before / whole:6.1f} % → {100 * after / whole:5.1f} %")
 

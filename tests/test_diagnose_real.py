@@ -23,7 +23,7 @@ def diagnosed(folder: str, train: tuple[str, ...], held_out: str, prior: str | N
     table = limits.resolve(machine)
     standard = parameters.standard(machine, table)
     first, last = ([recordings.read(place / f"{name}.csv", machine, table) for name in names] for names in (train, (held_out,)))
-    known = priors.trusted(place / prior, robot, standard) if prior else {}
+    known = priors.trusted(place / prior, machine, standard) if prior else {}
     return diagnosis.diagnose(machine, standard, base.find(machine, standard, table), first, last, Options(band, known))
 
 

@@ -660,6 +660,14 @@ def two_joints(blurred: float = 1.0, mend: str = "spring") -> search.Design:
     return dataclasses.replace(one, measured=search.Measured(noise=np.ones(2)))
 
 
+def test_what_is_left_alone_must_be_believed_by_itself():
+    one = two_joints()
+    _, verdict = judge.judged(one, [0])
+    assert ("drag", 0) in {(h.effect, h.joint) for h in verdict.chosen}
+    doubtful = dataclasses.replace(one, shapes=tuple(dataclasses.replace(shape, doubt=1e6) for shape in one.shapes))
+    assert not judge.judged(doubtful, [0])[1].chosen
+
+
 def test_where_a_strong_effect_does_not_act_a_slight_one_needs_no_share_of_it():
     one = two_joints()
     _, verdict = judge.judged(one)

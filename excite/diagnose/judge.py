@@ -226,6 +226,8 @@ def _searched(one: Design, chosen: list[int]) -> tuple[Design, list[int]]:
     looked = set[int | None]()
     for _ in range(MOST):
         chosen = _replaced(one, chosen)
+        if not chosen:
+            break
         finer, turned = search.refined(one, chosen, sweeps=1)
         if max(_each(finer, trial(finer, turned))) <= CANCELS * one.loudest:
             one, chosen = finer, turned
@@ -316,9 +318,10 @@ def _replaced(one: Design, chosen: list[int]) -> list[int]:
         before = list(chosen)
         for i in before:
             others = [k for k in chosen if k != i]
-            if not others:
-                continue
             now = trial(one, [*others, i])
+            if not others:  # what stayed when the others went must be believed by itself
+                chosen = chosen if now.gain > one.bar(i) else []
+                continue
             if not _earns(one, others, now, trial(one, others).gain):
                 chosen = others
                 continue

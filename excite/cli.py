@@ -50,20 +50,6 @@ def _positive(text: str) -> float:
     return value
 
 
-def _seed(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{text} should be 0 or more")
-    return value
-
-
-def _processes(text: str) -> int:
-    value = int(text)
-    if value == 0:
-        raise argparse.ArgumentTypeError("0 processes do nothing; give 1 or more, or -1 for one per core")
-    return value
-
-
 def parser() -> argparse.ArgumentParser:
     """The whole command line."""
     top = _Parser(
@@ -167,8 +153,8 @@ def _design(commands: Commands) -> None:
     _surroundings(sub)
     group = sub.add_argument_group("search")
     group.add_argument("--starts", type=int, default=2, metavar="N", help="random starts (default %(default)s)")
-    group.add_argument("--seed", type=_seed, default=0, metavar="N", help="default %(default)s")
-    group.add_argument("--jobs", type=_processes, default=-1, metavar="N", help="processes (default: one per core)")
+    group.add_argument("--seed", type=int, default=0, metavar="N", help="default %(default)s")
+    group.add_argument("--jobs", type=int, default=-1, metavar="N", help="processes (default: one per core)")
     group.add_argument("--backend", choices=("multiprocessing", "loky", "dask", "ray"), help="where starts run (default: processes here)")
     group.add_argument("--cluster", metavar="ADDRESS", help="of a running Dask scheduler (tcp://host:8786) or Ray head (ray://host:10001)")
     group.add_argument("--iterations", type=int, default=300, metavar="N", help="per start (default %(default)s)")
@@ -211,7 +197,7 @@ def _export(commands: Commands) -> None:
         "--format", required=True, metavar="F", help="csv, json, ros2-joint-trajectory, ros2-follow-joint-trajectory, ur-csv, …"
     )
     sub.add_argument("-o", dest="out", metavar="FILE", required=True)
-    sub.add_argument("--rate", type=_positive, metavar="HZ", help="rows or knots a second, where the format leaves it open")
+    sub.add_argument("--rate", type=float, metavar="HZ", help="rows or knots a second, where the format leaves it open")
     sub.add_argument("--speed", type=float, default=1.0, metavar="F", help="play at F times its speed, for a first careful run")
     sub.add_argument("--robot", metavar="URDF", help="where the robot's URDF is now")
     sub.add_argument("--force", action="store_true", help="export a trajectory that fails its certificate; the file says so")
@@ -309,11 +295,11 @@ def _simulate(commands: Commands) -> None:
         metavar="FILE",
         help="the .truth.json of another recording: the same robot, and effects of the same size",
     )
-    sub.add_argument("--seed", type=_seed, metavar="N", help="of the true bodies, the drives and the noise (default 0)")
+    sub.add_argument("--seed", type=int, metavar="N", help="of the true bodies, the drives and the noise (default 0)")
     sub.add_argument("--model-error", type=float, metavar="F", help="how far the true bodies are from the URDF's (default 0.05)")
     sub.add_argument("--periods", type=int, metavar="N", help="repeats of the excitation (default: as the trajectory says)")
     group = sub.add_argument_group("measurement")
-    group.add_argument("--rate", type=_positive, metavar="HZ", help="125 to 1000 (default 500)")
+    group.add_argument("--rate", type=float, metavar="HZ", help="125 to 1000 (default 500)")
     group.add_argument("--noise", type=float, metavar="F", help="of torque, over the torque limit (default 0.005)")
     group.add_argument("--colour", type=float, metavar="HZ", help="corner of the noise's spectrum (default: white)")
     group.add_argument("--jitter", type=float, metavar="S", help="of the times of sampling, unseen by the clock [s]")

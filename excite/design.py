@@ -89,6 +89,8 @@ def check(options: Options) -> None:
         raise UnusableInput(f"--uncertainty {o.uncertainty:g} should be 0 or more")
     if o.seed < 0:
         raise UnusableInput(f"--seed {o.seed} should be 0 or more")
+    if o.jobs == 0:
+        raise UnusableInput("--jobs 0 does nothing; give 1 or more, or -1 for one per core")
     for box in o.boxes:
         if not all(low < high for low, high in zip(box.lower, box.upper, strict=True)):
             raise UnusableInput(f"--box {box.frame}: its lower corner {box.lower} is not below its upper one {box.upper}")

@@ -70,8 +70,11 @@ def _read(path: Path, robot: Robot, table: Limits, period: float | None, window:
         return recording
     if not 0.0 < period < float(recording.t[-1] - recording.t[0]):
         raise UnusableInput(f"--period {period:g}: should be shorter than the recording; {path} is {np.ptp(recording.t):.6g} s long")
-    first, last = told.floats("--window", window, (2,)) if window else (float(recording.t[0]), float(recording.t[-1]))
-    return dataclasses.replace(recording, sidecar=dataclasses.replace(recording.sidecar, period=period, periodic=(first, last)))
+    periodic = None
+    if window:
+        first, last = told.floats("--window", window, (2,))
+        periodic = first, last
+    return dataclasses.replace(recording, sidecar=dataclasses.replace(recording.sidecar, period=period, periodic=periodic))
 
 
 def _options(arguments: argparse.Namespace, standard: Parameters, known: Mapping[int, float]) -> Options:
@@ -81,8 +84,6 @@ def _options(arguments: argparse.Namespace, standard: Parameters, known: Mapping
         if min(values) <= 0.0:
             raise UnusableInput(f"--gamma {arguments.gamma}: should be positive")
         gamma = (values[0], values[-1])
-    if arguments.band is not None and not arguments.band > 0.0:
-        raise UnusableInput(f"--band {arguments.band:g}: should be a positive frequency [Hz]")
     return Options(
         method=Method(arguments.estimator),
         distance=Distance(arguments.distance),
@@ -146,7 +147,8 @@ def _text(found: Identification, facts: Sequence[str], written: Sequence[Path]) 
         f"{'joint':25}{'nominal':>11}{'identified':>12}{'noise':>11}{'relative':>10}",
     ]
     for prediction in shown:
-        lines += [prediction.source] * (len(shown) > 1)
+        if len(shown) > 1:
+            lines.append(prediction.source)
         for i, joint in enumerate(robot.joints):
             floor = "" if prediction.floor is None else f"{prediction.floor[i]:.4g}"
             before, after, share = prediction.error("nominal")[i], prediction.error()[i], prediction.relative()[i]

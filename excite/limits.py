@@ -21,6 +21,8 @@ Array = np.ndarray
 QUANTITIES = ("position", "velocity", "acceleration", "jerk", "torque")
 REQUIRED = ("position", "velocity", "torque")
 DERIVED = "derived"
+_EXAMPLES = {"position": "[-2.9, 2.9]", "braking": "{ offset = 0.2, rate = 7.0, stop = [-2.9, 2.9] }"}
+"""What a limits file would say, of limits that are no number."""
 
 
 @dataclass(frozen=True)
@@ -98,9 +100,6 @@ def _sensible(brake: Braking) -> Braking:
     if brake.offset < 0.0 or brake.rate <= 0.0 or brake.stop[0] >= brake.stop[1]:
         raise ValueError("offset ≥ 0, rate > 0 and stop = [lower, upper] are needed")
     return brake
-
-
-_EXAMPLES = {"position": "[-2.9, 2.9]", "braking": "{ offset = 0.2, rate = 7.0, stop = [-2.9, 2.9] }"}
 
 
 def resolve(robot: Robot, file: Path | None = None) -> Limits:

@@ -97,7 +97,7 @@ def _setting(arguments: argparse.Namespace, like: _Robot | None) -> Any:
 
     names = ("seed", "rate", "noise", "colour", "jitter", "encoder", "model_error")
     asked = {name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None}
-    for name, low in (("rate", 125.0), ("noise", 0.0), ("jitter", 0.0), ("encoder", 0.0), ("model_error", 0.0)):
+    for name, low in (("seed", 0.0), ("rate", 125.0), ("noise", 0.0), ("jitter", 0.0), ("encoder", 0.0), ("model_error", 0.0)):
         value = asked.get(name, low)
         if not np.isfinite(value) or value < low or (name == "rate" and value > 1000.0):
             remedy = "be between 125 and 1000 Hz" if name == "rate" else "be a number not below 0"

@@ -83,19 +83,18 @@ def _simulation(found: Diagnosis) -> dict[str, Any] | None:
 
 def _gear(found: Diagnosis, gear: Gear) -> dict[str, Any]:
     """What two encoders say of the gear between them, and RMS of their difference, held out, without and with it."""
-    linear = found.identified.model.robot.entries[gear.joint].kind == "prismatic"
-    angle, force = ("m", "N") if linear else ("rad", "N m")
+    unit = found.identified.model.robot.entries[gear.joint].unit
 
-    def told(value: tuple[float, float] | None, unit: str) -> dict[str, Any] | None:
-        return None if value is None else {"value": value[0], "std": value[1], "unit": unit}
+    def told(value: tuple[float, float] | None, turning: str) -> dict[str, Any] | None:
+        return None if value is None else {"value": value[0], "std": value[1], "unit": unit(turning)}
 
     return {
-        "stiffness": told(gear.stiffness, f"{force}/{angle}"),
-        "lost_motion": told(gear.play, angle),
+        "stiffness": told(gear.stiffness, "N m/rad"),
+        "lost_motion": told(gear.play, "rad"),
         "read_apart": told(gear.apart, "s"),
         "before": gear.before,
         "after": gear.after,
-        "unit": angle,
+        "unit": unit("rad"),
     }
 
 

@@ -88,9 +88,10 @@ def averaged(recording: Recording, period: float, window: tuple[float, float]) -
     first = float(recording.t[min(int(np.searchsorted(recording.t, window[0] - 1e-9)), len(recording) - 1)])
     last = min(window[1], float(recording.t[-1]) + 1.0 / recording.rate)
     starts = first + period * np.arange(int((last - first) / period + 1e-6))
-    inside = np.arange(round(period * recording.rate)) * (period / round(period * recording.rate))
+    samples = round(period * recording.rate)
+    inside = np.arange(samples) * (period / samples)
     found = [
-        _folded(part, (starts[whole, None] + inside))
+        _folded(part, starts[whole, None] + inside)
         for part in recording.segments()
         if (whole := (starts > part.t[0] - 0.5 * part.step) & (starts + inside[-1] < part.t[-1] + 0.5 * part.step)).any()
     ]
@@ -99,19 +100,19 @@ def averaged(recording: Recording, period: float, window: tuple[float, float]) -
         return None
     q, torque = (np.concatenate(values) for values in zip(*found, strict=True))
     mean = torque.mean(axis=0)
-    rate, coarse = len(inside) / period, recording.encoder / np.sqrt(count)
-    return Piece(recording.source, first, rate, q.mean(axis=0), mean, count, torque - mean, coarse)
+    return Piece(recording.source, first, samples / period, q.mean(axis=0), mean, count, torque - mean, recording.encoder / np.sqrt(count))
 
 
 def _folded(part: Recording, wanted: Array) -> tuple[Array, Array]:
     """Positions and torque of a stretch without a gap, at times. Shapes (count, samples) -> (count, samples, n)."""
-    step = wanted[0, 1] - wanted[0, 0]
+    both, step = (part.q, part.torque), wanted[0, 1] - wanted[0, 0]
     index = np.searchsorted(part.t, wanted - 0.25 * step)
     if index.max() < len(part) and np.abs(part.t[index] - wanted).max() < 1e-3 * step:
-        return part.q[index], part.torque[index]
+        return both[0][index], both[1][index]
     from scipy.interpolate import CubicSpline  # slow to import
 
-    return np.asarray(CubicSpline(part.t, part.q, axis=0)(wanted)), np.asarray(CubicSpline(part.t, part.torque, axis=0)(wanted))
+    q, torque = (np.asarray(CubicSpline(part.t, values, axis=0)(wanted)) for values in both)
+    return q, torque
 
 
 # -- noise and band --------------------------------------------------------------------------------------------------

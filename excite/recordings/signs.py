@@ -65,12 +65,10 @@ def resolution(values: Array) -> float | None:
 def coarse(block: Block, robot: Robot, i: int) -> Remark | None:
     """A position on a grid coarser than 1e-4 rad (1e-5 m)."""
     spacing = resolution(block.values["q"][:, i])
-    prismatic = robot.entries[i].kind == "prismatic"
     if spacing is None or spacing <= COARSE.get(robot.entries[i].kind, ANGLE):
         return None
-    return Remark(
-        Kind.COARSE, f"joint '{robot.joints[i]}': positions are multiples of {spacing:.3g} {'m' if prismatic else 'rad'}", robot.joints[i]
-    )
+    joint = robot.joints[i]
+    return Remark(Kind.COARSE, f"joint '{joint}': positions are multiples of {spacing:.3g} {robot.entries[i].unit('rad')}", joint)
 
 
 def outside(block: Block, robot: Robot, i: int, limits: Limits | None) -> Remark | None:

@@ -89,9 +89,9 @@ def torques(t: Array, nominal: Array, width: Array, scene: Scene) -> str:
     robot = scene.robot
     columns = 1 if robot.n == 1 else 2 if robot.n <= 4 else 3 if robot.n <= MANY else 5
     banded, cells = bool(np.any(width > 0.0)), []
-    for j, (joint, slides) in enumerate(zip(robot.joints, is_prismatic(robot), strict=True)):
+    for j, (joint, unit) in enumerate(zip(robot.joints, torque_units(robot), strict=True)):
         limit = float(scene.limits.torque[j])
-        title = f"{short(joint, 22)} [{'N' if slides else 'N m'}]"
+        title = f"{short(joint, 22)} [{unit}]"
         cells.append(Panel(title, t, nominal[:, j], (-limit, limit), width[:, j] if banded else None))
     height = 52.0 if robot.n > MANY else 90.0
     return small_multiples("Torque of every joint with its limits", cells, scene.motion, columns=columns, height=height)

@@ -176,11 +176,11 @@ def _range(parts: Sequence[tuple[Shape, Array]]) -> dict[str, float]:
     return {"amplitude": 0.5 * float(np.ptp(wave))}
 
 
-def dahl(q: Array, stiffness: float, start: float = 0.0) -> Array:
+def dahl(q: Array, stiffness: float) -> Array:
     """z of Dahl's model with unit friction: ż = σ q̇ (1 − z sgn q̇), exact for steps of constant speed. Shape (M,)."""
     steps = np.diff(q, prepend=q[0])
     decay = np.exp(-stiffness * np.abs(steps))
-    out, z = np.empty(len(q)), start
+    out, z = np.empty(len(q)), 0.0
     for k, (step, keep) in enumerate(zip(steps.tolist(), decay.tolist(), strict=True)):
         if step != 0.0:
             limit = 1.0 if step > 0.0 else -1.0
@@ -189,9 +189,9 @@ def dahl(q: Array, stiffness: float, start: float = 0.0) -> Array:
     return out
 
 
-def slipping(q: Array, reach: float, start: float = 0.0) -> Array:
+def slipping(q: Array, reach: float) -> Array:
     """Force of a spring of unit strength that slips `reach` from where it rests. Shape (M,)."""
-    out, z = np.empty(len(q)), start
+    out, z = np.empty(len(q)), 0.0
     for k, step in enumerate((np.diff(q, prepend=q[0]) / reach).tolist()):
         z = min(max(z + step, -1.0), 1.0)
         out[k] = z
@@ -200,9 +200,8 @@ def slipping(q: Array, reach: float, start: float = 0.0) -> Array:
 
 def _softened(t: Track, s: Shape) -> Array:
     q, reach = t.fine.q[:, s.place], s.values["reach"]
-    if "slips" not in s.values:
-        return alone(t, s.place, dahl(q, 1.0 / reach) - _sign(t, s.place))
-    return alone(t, s.place, np.column_stack([slipping(q, by * reach) - _sign(t, s.place) for by in SLIPS]))
+    curves = [slipping(q, by * reach) for by in SLIPS] if "slips" in s.values else [dahl(q, 1.0 / reach)]
+    return alone(t, s.place, np.column_stack(curves) - _sign(t, s.place)[:, None])
 
 
 def _hysteresis(tracks: Sequence[Track]) -> Iterator[Shape]:

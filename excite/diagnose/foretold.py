@@ -14,6 +14,8 @@ Array = np.ndarray
 WORSE, SHOWN = 1.05, 0.1
 """Held-out mean square with a finding over that without, from which it is refuted; unless the halves, each by itself, show so much of its
 gain: a law whose columns are nearly alike in the first is foretold badly though it is right."""
+CHANCE = 4.0
+"""Variance that it may have, over what it has by what the first half's coefficients are not known to: two standard deviations."""
 BELIEVED = 0.12
 """Probability of a finding that is refuted."""
 
@@ -69,4 +71,14 @@ def _ratio(one: Design, verdict: Verdict, finding: Finding, moves: Array, noise:
     bare, with_all = residuals(one, together, unit)
     without = residuals(one, rest, unit)[1] if rest.shapes else bare
     spent = [float(np.sum((search.mean_square(left, moves) / noise)[acts])) for left in (with_all, without, bare)]
-    return spent[0] / max(min(spent[1:]), 1e-300)
+    by_chance = float(np.sum((_unsure(one, together, len(noise)) / noise)[acts]))
+    return (spent[0] - CHANCE * by_chance) / max(min(spent[1:]), 1e-300)
+
+
+def _unsure(one: Design, together: Trial, n: int) -> Array:
+    """Mean square by which the second half's torque is off because the first half does not tell coefficients better, over the scale.
+    Shape (n,)."""
+    which = one.which(together.shapes)
+    precision = one.grams[0].matrix[np.ix_(which, which)] + np.diag(one.prior[which])
+    carried = one.carried(which)
+    return np.asarray(np.mean(np.sum((carried @ np.linalg.inv(precision)) * carried, axis=1).reshape(-1, n), axis=0))

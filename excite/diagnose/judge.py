@@ -34,6 +34,8 @@ SEEN = 9.0
 """Log-likelihood, twice, from which a half sees an effect: three standard deviations."""
 MOST, BENT = 6, 2
 """Shapes, at the most; and those beside which each is tried in other shapes for one more."""
+CLOSE, CONTENDERS = 0.6, 2
+"""Of a name's gain, what another must have to be tuned in its place; and how many are."""
 ACTS = 0.2
 """Of an effect's torque at the joint where it is largest, what another joint must feel of it to be looked at too."""
 FRONT, CONSIDERED = 24, 8
@@ -234,35 +236,71 @@ def _searched(one: Design, chosen: list[int]) -> tuple[Design, list[int]]:
         joints = {one.shapes[i].joint for i in chosen} - {None} - looked
         one = search.relisted(one, chosen, joints)
         looked |= joints
-        more = None if len(chosen) == MOST else _further(one, chosen)
+        more = None
+        if len(chosen) < MOST:
+            one, more = _further(one, chosen)
         wider = _replaced(one, chosen) if more is None else more  # what one tuned well needs beside it may be less than before
+        if wider == chosen:
+            one, wider = _contested(one, chosen)
         if wider == chosen:
             break
         chosen = wider
     return one, chosen
 
 
-def _further(one: Design, chosen: list[int]) -> list[int] | None:
-    """Those chosen and what predicts best beside them, if it is worth it; or beside one of them in another of its shapes: what is told
-    alone bends to take what is another's."""
+def _tuned(one: Design, shapes: Sequence[int]) -> tuple[Design, Trial | None]:
+    """Shapes where they predict best together, and what they do then; None where that is no physics, or the last is none that counts."""
+    finer, turned = search.refined(one, shapes, sweeps=1)
+    found = trial(finer, turned)
+    large = _each(finer, found)
+    good = found.plausible and agrees(finer, found) and large[-1] > SMALLEST and max(large) <= CANCELS * one.loudest
+    return (finer, found) if good else (one, None)
+
+
+def _contested(one: Design, chosen: list[int]) -> tuple[Design, list[int]]:
+    """One of the names that were tuned replaced by another that predicts better when it is tuned as well: a grid has it not at its best."""
     now = trial(one, chosen).gain
-    return next((list(found.shapes) for found in _wider(one, chosen, now) if _earns(one, chosen, found, now)), None)
+    for i in chosen:
+        others = [k for k in chosen if k != i]
+        least = now - (1.0 - CLOSE) * (now - trial(one, others).gain)
+        rivals = (h for h in ranked(one, tuple(others), _name) if h.effect != one.shapes[i].effect)
+        for h in islice(takewhile(lambda h, least=least: h.trial.gain > least, rivals), CONTENDERS):  # type: ignore[misc]
+            finer, found = _tuned(one, [*others, h.shape])
+            if found is not None and found.gain > now + search.NATS:
+                return finer, list(found.shapes)
+    return one, chosen
 
 
-def _wider(one: Design, chosen: list[int], now: float) -> Iterator[Trial]:
-    """Those chosen, or with one of them in another shape, beside one more at the end, the best first of each way. now: their gain."""
-    beside = takewhile(lambda h: h.trial.gain > now + search.NATS, ranked(one, tuple(chosen)))
-    yield from (h.trial for h in beside if h.shows)
+def _further(one: Design, chosen: list[int]) -> tuple[Design, list[int] | None]:
+    """Those chosen and what predicts best beside them, if it is worth it; or beside one of them in another of its shapes: what is told
+    alone bends to take what is another's. What is not worth it as a grid has it may be, where both are tuned together."""
+    now = trial(one, chosen).gain
+    beside, bent = _beside(one, chosen, now), _bent(one, chosen)
+    if (found := next((found for found in (*beside, *bent) if _earns(one, chosen, found, now)), None)) is not None:
+        return one, list(found.shapes)
+    for found in (*beside[:1], *bent):
+        finer, tuned = _tuned(one, found.shapes)
+        if tuned is not None and _earns(finer, chosen, tuned, now):
+            return finer, list(tuned.shapes)
+    return one, None
+
+
+def _beside(one: Design, chosen: list[int], now: float) -> list[Trial]:
+    """Those chosen beside one more at the end, the best first. now: their gain."""
+    return [h.trial for h in takewhile(lambda h: h.trial.gain > now + search.NATS, ranked(one, tuple(chosen))) if h.shows]
+
+
+def _bent(one: Design, chosen: list[int]) -> list[Trial]:
+    """The best of those chosen with one of them in another shape, beside one more at the end."""
     if len(chosen) > BENT:
-        return
+        return []
     found = list[Trial]()
     for i in chosen:
         others = [k for k in chosen if k != i]
         for turned in _siblings(one, i, chosen):
             besides = (h for h in ranked(one, (*others, turned)) if h.shows and (h.effect, h.joint) != _who(one.shapes[i]))
             found += [h.trial for h in islice(besides, 1)]
-    if found:
-        yield max(found, key=lambda one: one.gain)
+    return [max(found, key=lambda one: one.gain)] if found else []
 
 
 def _siblings(one: Design, i: int, chosen: Sequence[int]) -> list[int]:

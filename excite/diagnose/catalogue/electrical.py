@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from ..effect import Effect, Shape, alone, named, within
+from ..effect import Effect, Shape, alone, family, named, within
 from ..track import Track
 
 Array = np.ndarray
-FINE, GRAINY = 0.01, 3.0
-"""Noise of measured torque over the torque, up to which its cube is a column; and how many times the usual gain that takes."""
+FINE, FINEST, GRAINY = 0.01, 0.003, 3.0
+"""Noise of measured torque over the torque, up to which its cube is a column, and what of it is beyond a level: that is nearly all of its
+noise. And how many times the usual gain that takes."""
+POWERS, BENDS, FULL, LITTLE = (2.0, 3.0, 5.0), (1.0, 2.0, 4.0), 1.1, 0.3
+"""Of torque, that are lost; how sharply a drive levels off, what it may lose beyond, at the most, and what of its usual torque."""
 
 
 def _constant(t: Track, s: Shape) -> Array:
@@ -35,29 +37,50 @@ def _gain(tracks: Sequence[Track]) -> Iterator[Shape]:
 
 
 def _bent(t: Track, s: Shape) -> Array:
-    x = (t.drawn if s.values.get("measured") else t.motor)[:, s.place]
-    return alone(t, s.place, x * (np.abs(x) / s.values["largest"]) ** (s.values["power"] - 1.0))
+    return alone(t, s.place, _missing(s.values, (t.drawn if s.values.get("measured") else t.motor)[:, s.place]))
+
+
+def _missing(values: Mapping[str, float], x: Array) -> Array:
+    """Torque that is lost of one, per unit of loss: a power of it, or what levels off. Shape (M,)."""
+    if "level" in values:
+        bend = values["bend"]
+        return np.asarray(x * (1.0 - (1.0 + np.abs(x / values["level"]) ** bend) ** (-1.0 / bend)))
+    return np.asarray(x * (np.abs(x) / values["largest"]) ** (values["power"] - 1.0))
 
 
 def _saturation(tracks: Sequence[Track]) -> Iterator[Shape]:
     """Recorded τ stands for a current that made less: true = τ (1 − loss (τ/τ_max)²), or recorded ≈ true + loss true³/τ_max².
 
     The first is exact, of torque as it was measured: only where that has little noise, whose square its cube has in it. The second is of
-    the base model's, which a strong loss has bent.
+    the base model's, which a strong loss has bent. A drive whose iron is full makes hardly more however much it draws, of what was measured
+    τ/(1 + |τ/L|^p)^(1/p).
     """
 
-    def laws(joint: int, largest: float, measured: float) -> Iterator[Shape]:
-        told = (lambda c: {"loss": float(c[0])}) if measured else (lambda c: {"loss": float(c[0] / (1.0 + c[0]))})
-        for power in (2.0, 3.0, 5.0):
-            fixed = {"power": power, "largest": largest} | ({"measured": measured} if measured else {})
-            gate = within(0.0, 1.0 if measured else 2.0)
-            law = Shape("torque_saturation", joint, _bent, fixed, parameters=told, plausible=gate)
-            yield replace(law, doubt=GRAINY, grain=FINE) if measured else law
+    def of_motor(joint: int, largest: float) -> Iterator[Shape]:
+        for power in POWERS:
+            told = lambda c: {"loss": float(c[0] / (1.0 + c[0]))}  # noqa: E731
+            fixed = {"power": power, "largest": largest}
+            yield Shape("torque_saturation", joint, _bent, fixed, parameters=told, plausible=within(0.0, 2.0))
+
+    def of_measured(joint: int, drawn: Array) -> Iterator[Shape]:
+        usual, largest = max(float(np.median(drawn)), 1e-9), max(float(drawn.max()), 1e-9)
+
+        def law(most: float, grain: float, **values: float) -> Shape:
+            """With the loss at the largest torque seen; of a usual one it is little, or it is all of the torque that is taken for lost."""
+            fixed = {"measured": 1.0, "largest": largest, **values}
+            little, there = (_missing(fixed, np.array([usual, largest])) / [usual, largest]).tolist()
+            told, gate = (lambda c: {"loss": there * float(c[0])}), within(0.0, min(most, LITTLE / max(little, 1e-9)))
+            return Shape("torque_saturation", joint, _bent, fixed, parameters=told, plausible=gate, doubt=GRAINY, grain=grain)
+
+        for power in POWERS:
+            yield law(1.0, FINE, power=power)
+        for bend in BENDS:
+            level = lambda at, bend=bend: law(FULL, FINEST, level=at, bend=bend)  # noqa: E731
+            yield from family(np.geomspace(usual, largest, 6).tolist(), level)
 
     for j in range(tracks[0].n):
-        for measured in (0.0, 1.0):
-            seen = (np.abs((t.drawn if measured else t.motor)[:, j]).max() for t in tracks)
-            yield from laws(j, max(*(float(x) for x in seen), 1e-9), measured)
+        yield from of_motor(j, max(*(float(np.abs(t.motor[:, j]).max()) for t in tracks), 1e-9))
+        yield from of_measured(j, np.concatenate([np.abs(t.drawn[:, j]) for t in tracks]))
 
 
 def _overdrawn(t: Track, s: Shape, c: Array, made: Array) -> Array:
@@ -68,10 +91,9 @@ def _overdrawn(t: Track, s: Shape, c: Array, made: Array) -> Array:
 
 
 def overdrawn(loss: float, values: Mapping[str, float], torque: Array) -> Array:
-    """What is recorded where a drive that loses as `_bent` says makes a torque: x of x − c x |x/L|^(p−1) = τ. Shape (M,)."""
-    most = values["largest"]
-    x = np.linspace(0.0, 2.0 * most, 4001)
-    made = x - loss * x * (x / most) ** (values["power"] - 1.0)
+    """What is recorded where a drive that loses as `_bent` says makes a torque: x of x − c lost(x) = τ. Shape (M,)."""
+    x = np.linspace(0.0, 2.0 * values["largest"], 4001)
+    made = x - loss * _missing(values, x)
     rising = slice(0, int(np.argmax(made)) + 1)  # a drive makes no more than that
     size = np.abs(torque)
     return np.asarray(np.sign(torque) * np.maximum(size, np.interp(size, made[rising], x[rising])))
@@ -104,7 +126,7 @@ EFFECTS = (
     ),
     Effect(
         "torque_saturation",
-        "k_t (1 − β i²)",
+        "k_t (1 − β i²); or τ/(1 + |τ/L|^p)^(1/p), which levels off (Fröhlich 1881 for p = 1)",
         _bent,
         _saturation,
         {"loss": "1"},

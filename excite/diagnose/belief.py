@@ -32,6 +32,8 @@ LEAST_ALIKE, MOST_ALIKE = 0.2, 3
 """Of the best name's gain, what a rival must gain to be told with it; and how many are told."""
 LEAST_LEFT = 1e-3
 """Share that any law leaves."""
+MENDED = 5.0
+"""Times what others' laws usually leave that a finding must be about, lest it mends them."""
 UNSURE = 0.1
 """Mean square over the noise to which the noise itself is known."""
 LEAST, MOST = 0.02, 0.99
@@ -39,10 +41,9 @@ ASSERTED = 0.5
 """Probability from which a finding is asserted (the contract)."""
 
 
-def share(left: tuple[float, float]) -> float:
-    """What a name leaves of what it should explain, as far as the noise lets it be known. left: see `unexplained`."""
-    without, both = left
-    return float(np.clip(max(both - UNSURE, 0.5 * UNSURE) / max(without, both), LEAST_LEFT, 1.0))
+def share(left: float, taken: float) -> float:
+    """What a name leaves of what it should explain, as far as the noise lets it be known. Mean squares over the noise."""
+    return float(np.clip(max(left - UNSURE, 0.5 * UNSURE) / (left + max(taken, 0.0)), LEAST_LEFT, 1.0))
 
 
 def odds(effect: str, x: float) -> float:
@@ -51,16 +52,36 @@ def odds(effect: str, x: float) -> float:
     return float(RIGHT * np.exp(-0.5 * z * z) / (SPREAD * np.sqrt(2.0 * np.pi)) / x)
 
 
-def unexplained(one: Design, verdict: Verdict, number: int, noise: Array) -> tuple[float, float]:
-    """What is left where a finding acts by all but it, and by all: mean squares beyond noise, over the noise. noise: mean square over the
-    scale. Shape (n,). Where less is left than noise, the noise is off by as much; at the worst all that is left is no noise."""
-    together, parts = verdict.together, verdict.findings[number].parts
+def shares(one: Design, verdict: Verdict, noise: Array) -> list[float]:
+    """What each finding leaves, where it acts, of what it should explain. noise: mean square over the scale. Shape (n,).
+
+    Where several act, what all leave is at the most what one leaves, at the least its part by what such laws usually leave: it is taken to
+    lie between, unless all that the finding is about may be what the others' laws leave. What happened once bends to whatever that is.
+    """
+    together = verdict.together
     assert together is not None
-    acts = judge.acting(one, together, parts[0].shape)
-    others = judge.without(together.shapes, parts)
-    without, both = ((search.level(one, shapes) / noise)[acts] for shapes in (others, together.shapes))
-    left = min(max(abs(float(np.sum(both - 1.0))), UNSURE), float(np.sum(both)))
-    return left + max(float(np.sum(without - both)), 0.0), left
+    left = search.level(one, together.shapes) / noise
+    acts = np.array([judge.acting(one, together, f.main.shape) for f in verdict.findings])
+    without = np.array([search.level(one, judge.without(together.shapes, f.parts)) / noise for f in verdict.findings])
+    taken = np.where(acts, np.maximum(without - left, 0.0), 0.0)
+    usual = taken * np.exp([[LEAVES + BY_NAME[f.main.effect].loose] for f in verdict.findings])
+    out = []
+    for k, finding in enumerate(verdict.findings):
+        here = acts[k]
+        x = share(_left(left[here], 1.0), float(np.sum((without[k] - left)[here])))
+        others = float(np.sum((usual.sum(axis=0) - usual[k])[here]))
+        about = float(np.sum(taken[k] + np.maximum(left - 1.0, 0.0), where=here))
+        if one.shapes[finding.main.shape].interval is None and about > MENDED * others:
+            part = usual[k] / np.maximum(usual.sum(axis=0), 1e-300)
+            x = float(np.sqrt(x * share(_left(left[here], part[here]), float(np.sum((without[k] - left)[here])))))
+        out.append(x)
+    return out
+
+
+def _left(level: Array, part: Array | float) -> float:
+    """Of mean squares over the noise, a part of what is beyond it. Where less is left than noise, the noise is off by as much; at the worst
+    all that is left is no noise."""
+    return float(min(max(abs(float(np.sum((level - 1.0) * part))), UNSURE), float(np.sum(level))))
 
 
 def alike(finding: Finding, x: float) -> dict[str, float]:
@@ -80,12 +101,11 @@ def probability(chance: float) -> float:
 
 def weighed(one: Design, verdict: Verdict, noise: Array) -> Verdict:
     """The verdict with probabilities. What is less likely right than wrong by name still predicts, and stays in the model beside what is
-    asserted. noise: see `unexplained`. Shape (n,)."""
+    asserted. noise: see `shares`."""
     if not verdict.findings:
         return verdict
     findings = []
-    for number, finding in enumerate(verdict.findings):
-        x = share(unexplained(one, verdict, number, noise))
+    for finding, x in zip(verdict.findings, shares(one, verdict, noise), strict=True):
         others = {name: chance * genuine(one, name, finding.rivals[name]) for name, chance in alike(finding, x).items()}
         chance = odds(finding.main.effect, x) * genuine(one, finding.main.effect, finding.gain) + sum(others.values())
         evidence = {"left": x, "odds": chance}

@@ -15,8 +15,8 @@ from scipy.interpolate import CubicSpline
 from test_diagnose import PLANTED, found, on, recordings_of
 
 from excite import dynamics
-from excite.diagnose import belief, diagnosis, equations, interval, judge, noise, search, track, whole
-from excite.diagnose.catalogue import BY_NAME, electrical, environment, windup
+from excite.diagnose import diagnosis, interval, judge, noise, search, track, whole
+from excite.diagnose.catalogue import BY_NAME, environment, windup
 from excite.diagnose.columns import Columns
 from excite.diagnose.effect import Shape, beside, family
 from excite.diagnose.half import Half, whitened
@@ -334,53 +334,6 @@ def test_a_measured_delay_is_predicted_from_what_is_predicted(subject, seconds):
     assert np.all(left < 0.1 * np.sqrt(np.mean((early - expected)[inside] ** 2, axis=0)))
 
 
-LOSS: dict[str, float] = {"power": 3.0, "largest": 40.0}
-
-
-def drawn(made: Array, loss: float) -> Array:
-    """What a drive is recorded with that makes some torque at a loss of its square, by bisection."""
-    low, high = np.zeros_like(made), np.full_like(made, 55.0)
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        short = middle * (1.0 - loss * (middle / LOSS["largest"]) ** 2) < np.abs(made)
-        low, high = np.where(short, middle, low), np.where(short, high, middle)
-    return np.sign(made) * low
-
-
-def saturated(t: Array, q: Array, dq: Array, tau: Array) -> Array:
-    return on(0, drawn(tau[:, 0], 0.15) - tau[:, 0])
-
-
-def test_a_drive_that_loses_torque_is_told_by_what_was_measured(subject):
-    train, validate = recordings_of(subject, saturated)
-    done = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [validate])
-    (finding,) = done.verdict.findings
-    assert (finding.main.effect, finding.main.joint) == ("torque_saturation", 0) and not done.unknown
-    shape = done.design.shapes[finding.main.shape]
-    assert done.verdict.together is not None
-    loss = shape.parameters(done.verdict.together.coefficients)["loss"]
-    largest = float(np.abs(train.torque[:, 0]).max())
-    assert loss == pytest.approx(0.15 * (largest / LOSS["largest"]) ** 2, rel=0.15)
-    noisy = equations.shapes(done.tracks, False, np.full(2, 0.1 * largest), ["torque_saturation"])
-    calm = equations.shapes(done.tracks, False, np.full(2, 1e-4 * largest), ["torque_saturation"])
-    assert any("measured" in s.values for s in calm) and not any("measured" in s.values for s in noisy)
-
-
-def test_a_measured_loss_is_predicted_from_what_is_predicted(subject):
-    _, along = recordings_of(subject, None)
-    lossy = stated("torque_saturation", "joint_1", LOSS | {"measured": 1.0}, 0.15)
-    t, torque = whole.predict(fitted_with(subject, ()), along)
-    assert np.allclose(t, whole.predict(fitted_with(subject, (lossy,)), along)[0])
-    recorded_as = whole.predict(fitted_with(subject, (lossy,)), along)[1]
-    expected = drawn(torque[:, 0], 0.15)
-    inner = slice(100, -100)
-    assert np.abs(recorded_as[inner, 0] - expected[inner]).max() < 0.05 * np.abs(expected - torque[:, 0]).max()
-    assert np.array_equal(recorded_as[:, 1], torque[:, 1])
-    most = electrical.overdrawn(0.9, LOSS, np.array([-1e3, 0.0, 1e3]))  # more than it can make
-    assert np.isfinite(most).all() and most[2] == -most[0] and most[1] == 0.0
-    assert most[2] >= 1e3  # what is recorded is never less than what is made
-
-
 def test_a_model_of_an_earlier_version_is_refused_in_one_line(subject):
     _, along = recordings_of(subject, None)
     with pytest.raises(UnusableInput, match=r"model\.json.*'hold'.*diagnose again"):
@@ -571,54 +524,6 @@ def test_gravity_may_be_turned_but_not_longer():
     assert large.parameters(exact) == pytest.approx({"roll": roll, "pitch": pitch})
 
 
-def test_probabilities_fall_with_what_speaks_against_a_name():
-    said = [belief.probability(belief.odds("drag", left)) for left in (0.02, 0.2, 0.6, 1.0)]
-    assert said[0] > 0.9 and said[-1] < 0.5 and sorted(said, reverse=True) == said
-    assert belief.odds("backlash", 0.6) > belief.odds("drag", 0.6)  # a simulation leaves more where it is right
-
-
-def left(monkeypatch: pytest.MonkeyPatch, without: float, both: float) -> float:
-    """Share that a name leaves whose joint has these mean squares over the noise."""
-    part = types.SimpleNamespace(shape=1)
-    verdict = types.SimpleNamespace(together=types.SimpleNamespace(shapes=(0, 1)), findings=[types.SimpleNamespace(parts=[part])])
-    monkeypatch.setattr(judge, "sizes", lambda *_: np.ones(1))
-    monkeypatch.setattr(belief.search, "level", lambda _, shapes: np.array([both if len(shapes) == 2 else without]))
-    return belief.share(belief.unexplained(None, verdict, 0, np.ones(1)))  # type: ignore[arg-type]
-
-
-def test_what_a_name_leaves_is_told_where_noise_was_taken_for_more_than_it_is(monkeypatch):
-    assert left(monkeypatch, 11.0, 2.0) == pytest.approx(0.09)
-    assert left(monkeypatch, 0.9, 0.02) < 0.1  # all of it is explained, whatever the noise
-    assert 0.3 < left(monkeypatch, 0.9, 0.5) < 0.6  # nobody knows
-    assert left(monkeypatch, 1.6, 1.02) < left(monkeypatch, 1.6, 1.3)
-
-
-MEASURED = types.SimpleNamespace(measured=search.Measured())
-
-
-def test_what_an_encoder_may_feign_of_a_gain_speaks_for_no_name(monkeypatch):
-    tried = search.Trial((0,), np.ones(1), (np.ones(1), np.ones(1)), 50.0, True)
-    verdict = judge.Verdict((judge.Finding((judge.Hypothesis("stribeck", 0, 0, tried, 1.0, True),), 50.0, {}),), tried, ())
-    monkeypatch.setattr(belief, "unexplained", lambda *_: (10.0, 1.0))
-    said = []
-    for feigned in (0.0, 20.0, 45.0):
-        one = types.SimpleNamespace(measured=search.Measured({"stribeck": feigned}))
-        weighed = belief.weighed(one, verdict, np.ones(1))  # type: ignore[arg-type]
-        said.append((*weighed.findings, *weighed.doubted)[0].probability)
-    assert said[0] > said[1] > 0.5 > said[2]
-
-
-def test_what_is_likelier_wrong_than_right_is_told_with_its_probability_and_not_asserted(monkeypatch):
-    tried = search.Trial((0,), np.ones(1), (np.ones(1), np.ones(1)), 50.0, True)
-    finding = judge.Finding((judge.Hypothesis("drag", 0, 0, tried, 1.0, True),), 50.0, {})
-    verdict = judge.Verdict((finding,), tried, ())
-    monkeypatch.setattr(belief, "unexplained", lambda *_: (3.0, 2.5))
-    weighed = belief.weighed(MEASURED, verdict, np.ones(1))  # type: ignore[arg-type]
-    assert not weighed.findings and weighed.together is None
-    (doubted,) = weighed.doubted
-    assert doubted.main.effect == "drag" and 0.0 < doubted.probability < 0.5
-
-
 def test_shapes_that_take_each_other_off_are_no_finding():
     """A small residual, told as the difference of two large torques that are nearly the same."""
     rng = np.random.default_rng(0)
@@ -742,18 +647,6 @@ def test_halves_agree_about_what_both_see():
     for other, agree in ((3.0, True), (-40.0, True), (-3e3, False)):
         one = designed(other, 3.0)
         assert judge.agrees(one, search.trial(one, [0])) is agree
-
-
-def test_noise_hides_how_much_a_slight_effect_leaves():
-    assert belief.share((10.0, 1.0)) == pytest.approx(0.09)
-    assert belief.share((0.3, 0.1)) < belief.share((0.3, 0.25))
-
-
-def test_equivalents_are_the_names_within_reach_of_a_wrong_form():
-    main = judge.Hypothesis("nonlinear_viscous", 0, 0, search.Trial((0,), np.ones(1), (np.ones(1), np.ones(1)), 100.0, True), 1.0, True)
-    finding = judge.Finding((main,), 100.0, {"drag": 99.0, "spring": 80.0, "stribeck": 20.0})
-    assert tuple(belief.alike(finding, 0.1)) == ("drag", "spring")
-    assert tuple(belief.alike(finding, 0.002)) == ("drag",)
 
 
 def test_rows_that_do_not_count_change_nothing():

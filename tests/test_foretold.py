@@ -68,6 +68,13 @@ def test_what_only_the_difference_between_halves_shows_and_makes_held_out_torque
     assert gains[1] > 100.0 and verdict.findings[0].gain == pytest.approx(gains[0], rel=0.05)
 
 
+def test_what_the_first_half_does_not_tell_refutes_nothing(monkeypatch):
+    one = halved(1.0, spread=0.01, bent=-8.0)  # two standard deviations from what the other half has
+    assert not left_by(one).doubted
+    monkeypatch.setattr(foretold, "CHANCE", 0.0)
+    assert [f.main.joint for f in left_by(one).doubted] == [1]
+
+
 def test_what_happens_once_is_not_to_be_foretold():
     assert not left_by(halved(**ODD, once=True)).doubted
 

@@ -1,0 +1,110 @@
+"""How often a finding is right, by what it leaves of what it should explain."""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from excite.diagnose import belief, judge, search
+from excite.diagnose.effect import Shape
+from excite.diagnose.track import Track
+
+Array = np.ndarray
+TRIED = search.Trial((0,), np.ones(1), (np.ones(1), np.ones(1)), 50.0, True)
+
+
+def nothing(track: Track, shape: Shape) -> Array:
+    raise NotImplementedError
+
+
+def only(effect: str) -> judge.Verdict:
+    """Nothing but one effect, at the first joint."""
+    return judge.Verdict((judge.Finding((judge.Hypothesis(effect, 0, 0, TRIED, 1.0, True),), 50.0, {}),), TRIED, ())
+
+
+def shares(
+    monkeypatch: pytest.MonkeyPatch, effects: Sequence[str], both: float, without: Sequence[float], once: Sequence[bool] | None = None
+) -> list[float]:
+    """What each of some effects leaves on a joint where mean squares over the noise are as stated, with all and without each.
+
+    once: which of them happen for some of the time.
+    """
+    places = tuple(range(len(effects)))
+    intervals = [(1.0, 2.0) if happens else None for happens in once or [False] * len(effects)]
+    shapes = tuple(Shape(name, 0, nothing, interval=own) for name, own in zip(effects, intervals, strict=True))
+    tried = search.Trial(places, np.ones(len(effects)), (np.ones(1), np.ones(1)), 50.0, True)
+    findings = tuple(judge.Finding((judge.Hypothesis(name, 0, i, tried, 1.0, True),), 50.0, {}) for i, name in enumerate(effects))
+
+    def level(_: object, chosen: Sequence[int]) -> Array:
+        (gone,) = set(places) - set(chosen) or {None}
+        return np.array([both if gone is None else without[gone]])
+
+    monkeypatch.setattr(judge, "acting", lambda *_: np.array([True]))
+    monkeypatch.setattr(search, "level", level)
+    return belief.shares(types.SimpleNamespace(shapes=shapes), judge.Verdict(findings, tried, ()), np.ones(1))  # type: ignore[arg-type]
+
+
+def test_probabilities_fall_with_what_speaks_against_a_name():
+    said = [belief.probability(belief.odds("drag", left)) for left in (0.02, 0.2, 0.6, 1.0)]
+    assert said[0] > 0.9 and said[-1] < 0.5 and sorted(said, reverse=True) == said
+    assert belief.odds("backlash", 0.6) > belief.odds("drag", 0.6)  # a simulation leaves more where it is right
+
+
+def test_what_a_name_leaves_is_told_where_noise_was_taken_for_more_than_it_is(monkeypatch):
+    def left(without: float, both: float) -> float:
+        return shares(monkeypatch, ["drag"], both, [without])[0]
+
+    assert left(11.0, 2.0) == pytest.approx(0.09)
+    assert left(0.9, 0.02) < 0.1  # all of it is explained, whatever the noise
+    assert 0.3 < left(0.9, 0.5) < 0.6  # nobody knows
+    assert left(1.6, 1.02) < left(1.6, 1.3)
+
+
+def test_noise_hides_how_much_a_slight_effect_leaves():
+    assert belief.share(1.0, 9.0) == pytest.approx(0.09)
+    assert belief.share(0.1, 0.2) < belief.share(0.25, 0.05)
+
+
+def test_of_what_two_leave_neither_is_charged_with_all(monkeypatch):
+    alone = shares(monkeypatch, ["position_friction"], 5.0, [60.0])[0]
+    slight, strong = shares(monkeypatch, ["position_friction", "base_compliance"], 5.0, [60.0, 60.0])
+    assert slight < 0.4 * alone  # a rocking base leaves ten times as much of its own
+    whole = shares(monkeypatch, ["base_compliance"], 5.0, [60.0])[0]
+    assert 0.9 * whole < strong < whole
+
+
+def test_what_may_mend_another_is_charged_with_all_that_is_left(monkeypatch):
+    assert shares(monkeypatch, ["position_friction", "base_compliance"], 5.0, [15.0, 600.0])[0] == pytest.approx(
+        shares(monkeypatch, ["position_friction"], 5.0, [15.0])[0]
+    )
+    once = shares(monkeypatch, ["contact", "base_compliance"], 5.0, [15.0, 60.0], [True, False])[0]
+    assert once == pytest.approx(shares(monkeypatch, ["contact"], 5.0, [15.0], [True])[0])
+
+
+def test_what_an_encoder_may_feign_of_a_gain_speaks_for_no_name(monkeypatch):
+    monkeypatch.setattr(belief, "shares", lambda *_: [0.09])
+    said = []
+    for feigned in (0.0, 20.0, 45.0):
+        one = types.SimpleNamespace(measured=search.Measured({"stribeck": feigned}))
+        weighed = belief.weighed(one, only("stribeck"), np.ones(1))  # type: ignore[arg-type]
+        said.append((*weighed.findings, *weighed.doubted)[0].probability)
+    assert said[0] > said[1] > 0.5 > said[2]
+
+
+def test_what_is_likelier_wrong_than_right_is_told_with_its_probability_and_not_asserted(monkeypatch):
+    monkeypatch.setattr(belief, "shares", lambda *_: [0.8])
+    one = types.SimpleNamespace(measured=search.Measured())
+    weighed = belief.weighed(one, only("drag"), np.ones(1))  # type: ignore[arg-type]
+    assert not weighed.findings and weighed.together is None
+    (doubted,) = weighed.doubted
+    assert doubted.main.effect == "drag" and 0.0 < doubted.probability < 0.5
+
+
+def test_equivalents_are_the_names_within_reach_of_a_wrong_form():
+    (finding,) = only("nonlinear_viscous").findings
+    finding = judge.Finding(finding.parts, 100.0, {"drag": 99.0, "spring": 80.0, "stribeck": 20.0})
+    assert tuple(belief.alike(finding, 0.1)) == ("drag", "spring")
+    assert tuple(belief.alike(finding, 0.002)) == ("drag",)

@@ -65,6 +65,8 @@ def physics(regime: str) -> np.ndarray:
     direction, angle = np.sign(made.dq[:, 0]), made.q[:, 0] % (2.0 * np.pi)
     if regime == "position":
         out = 1.0 * (np.abs(angle - 0.5) < 0.15)
+    elif regime == "place":
+        out = np.exp(-np.square((made.q[:, 0] - 0.5) / 0.015))
     elif regime == "position and direction":
         out = direction * (np.abs(angle - 0.5) < 0.25)
     elif regime == "speed":
@@ -83,7 +85,7 @@ def test_coloured_noise_is_foreseen_by_nothing():
     assert not any(one.share > FORESEEN for one in sights)
 
 
-@pytest.mark.parametrize("regime", ["position", "position and direction", "speed", "past acceleration", "power"])
+@pytest.mark.parametrize("regime", ["position", "place", "position and direction", "speed", "past acceleration", "power"])
 def test_physics_without_a_name_is_foreseen_by_what_it_is_made_of(regime):
     found = seen(physics(regime) + coloured(np.random.default_rng(7)))
     assert found.regime == regime

@@ -1,7 +1,7 @@
 """How much of what is left a flexible model foresees in recordings that it was not fitted to: physics, whatever its name. Noise it cannot.
 
 Ridge regression (Hoerl & Kennard, Technometrics 12, 1970) on one basis of features at a time, fitted to either half of the recordings
-and judged on the other. Bumps over place and speed tell what a joint's state says; a finite impulse response of its acceleration or of its
+and judged on the other. Waves and bumps over place and speed tell what a joint's state says; a finite impulse response of its acceleration or of its
 load tells any linear resonance, without knowing which (Ljung, System Identification, 1999, 4.2).
 """
 
@@ -16,8 +16,8 @@ import numpy as np
 from .looks import LEAST_ROWS, Rows
 
 Array = np.ndarray
-HARMONICS, BUMPS = 40, 13
-"""Of a turn, or of a slide's range; and bumps over a joint's speeds."""
+HARMONICS, BUMPS, PLACES = 40, 13, 150
+"""Of a turn, or of a slide's range; bumps over a joint's speeds; and narrow ones over its range."""
 MEMORY, LAGS = 4.0, 250
 """How long a resonance is remembered [s], and by how many values at the most."""
 FORESEEN, SURE = 0.05, 1.5
@@ -65,6 +65,14 @@ def _position(rows: Rows, joint: int) -> Array:
     turn = 2.0 * np.pi * (q - q.min()) / max(np.ptp(q), 1e-12) if rows.linear[joint] else q
     waves = np.outer(turn, np.arange(1, HARMONICS + 1))
     return np.hstack([np.cos(waves), np.sin(waves)])
+
+
+def _place(rows: Rows, joint: int) -> Array:
+    """Narrow bumps over the joint's range, each its own: a broken tooth, a dent in a race."""
+    q = rows.q[:, joint]
+    centres = np.linspace(q.min(), q.max(), PLACES)
+    width = max(float(centres[1] - centres[0]), 1e-12)
+    return np.asarray(np.exp(-0.5 * np.square((q[:, None] - centres) / width)))
 
 
 def _direction(rows: Rows, joint: int) -> Array:
@@ -131,6 +139,7 @@ class Basis:
 STOP = "a sharp stop, then rest: what swings on does so alone"
 BASES: Mapping[str, Basis] = {
     "position": Basis(_position, "that joint alone, slowly to and fro over its range", "position [{}]", lambda rows, j: rows.q[:, j]),
+    "place": Basis(_place, "that joint alone, slowly past the place, both ways", "position [{}]", lambda rows, j: rows.q[:, j]),
     "position and direction": Basis(
         _direction,
         "that joint alone, slowly to and fro, between ends that shift",

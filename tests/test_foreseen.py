@@ -64,7 +64,7 @@ def physics(regime: str) -> np.ndarray:
     made = rows()
     direction, angle = np.sign(made.dq[:, 0]), made.q[:, 0] % (2.0 * np.pi)
     if regime == "position":
-        out = 1.0 * (np.abs(angle - 0.5) < 0.15)
+        out = np.cos(3.0 * angle) + np.cos(7.0 * angle + 1.0)
     elif regime == "place":
         out = np.exp(-np.square((made.q[:, 0] - 0.5) / 0.015))
     elif regime == "position and direction":

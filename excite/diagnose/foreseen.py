@@ -1,8 +1,8 @@
 """How much of what is left a flexible model foresees in recordings that it was not fitted to: physics, whatever its name. Noise it cannot.
 
 Ridge regression (Hoerl & Kennard, Technometrics 12, 1970) on one basis of features at a time, fitted to either half of the recordings
-and judged on the other. Waves and bumps over place and speed tell what a joint's state says; a finite impulse response of its acceleration or of its
-load tells any linear resonance, without knowing which (Ljung, System Identification, 1999, 4.2).
+and judged on the other. Waves and bumps over place and speed tell what a joint's state says; a finite impulse response of its
+acceleration or of its load tells any linear resonance, without knowing which (Ljung, System Identification, 1999, 4.2).
 """
 
 from __future__ import annotations

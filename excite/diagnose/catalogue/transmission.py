@@ -17,8 +17,9 @@ Array = np.ndarray
 
 RESONANCES = np.geomspace(2.0, 34.0, 16)
 """Of a link on its motor, which stiffnesses are tried by [Hz]."""
-USUAL = 0.07
-"""Damping ratio of a link on its motor: gears have a few per cent."""
+DAMPINGS = (0.07, 0.25)
+"""Damping ratios of a link on its motor that are tried first: gears have a few per cent; the second says where a resonance is that lies
+between two of those frequencies; it is turned from there."""
 WIDTHS = np.geomspace(1e-4, 1e-2, 7)
 """Of play, tried [rad]."""
 HOLDS = (0.0, 1.5, 3.0)
@@ -44,7 +45,7 @@ def _elasticity(tracks: Sequence[Track]) -> Iterator[Shape]:
     """
     hertz = tracks[0].band.hertz
 
-    def spring(joint: int, inertia: float, rests: float, least: float, damping: float = USUAL) -> Callable[[float], Shape]:
+    def spring(joint: int, inertia: float, rests: float, least: float, damping: float = DAMPINGS[0]) -> Callable[[float], Shape]:
         def shape(stiffness: float) -> Shape:
             swings = np.sqrt(stiffness / inertia) < 2.0 * np.pi * hertz
             told = named(stiffness=stiffness) if swings else lambda c: {"stiffness": float(stiffness / c[0])}
@@ -61,7 +62,8 @@ def _elasticity(tracks: Sequence[Track]) -> Iterator[Shape]:
         inertia = float(np.mean([mass(t, j).mean() for t in tracks]))
         grid = [float(inertia * (2.0 * np.pi * f) ** 2) for f in RESONANCES]
         for rests in (0.0, 1.0) if any(launched(t, j) for t in tracks) else (0.0,):
-            yield from family(grid[:-1], spring(j, inertia, rests, 0.3))
+            for damping in DAMPINGS:
+                yield from family(grid[:-1], spring(j, inertia, rests, 0.3, damping))
         yield spring(j, inertia, 0.0, 0.01)(grid[-1])
 
 

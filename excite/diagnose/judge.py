@@ -258,15 +258,17 @@ def _tuned(one: Design, shapes: Sequence[int]) -> tuple[Design, Trial | None]:
 
 
 def _contested(one: Design, chosen: list[int]) -> tuple[Design, list[int]]:
-    """One of the names that were tuned replaced by another that predicts better when it is tuned as well: a grid has it not at its best."""
+    """One of the names that were tuned replaced by another that predicts better when it is tuned as well: a grid has it not at its best.
+    As good is good enough for what only a trusted prior can have wrong: no law need be bent to say that a joint has friction."""
     now = trial(one, chosen).gain
     for i in chosen:
-        others = [k for k in chosen if k != i]
+        others, name = [k for k in chosen if k != i], one.shapes[i].effect
         least = now - (1.0 - CLOSE) * (now - trial(one, others).gain)
-        rivals = (h for h in ranked(one, tuple(others), _name) if h.effect != one.shapes[i].effect)
+        rivals = (h for h in ranked(one, tuple(others), _name) if h.effect != name)
         for h in islice(takewhile(lambda h, least=least: h.trial.gain > least, rivals), CONTENDERS):  # type: ignore[misc]
             finer, found = _tuned(one, [*others, h.shape])
-            if found is not None and found.gain > now + search.NATS:
+            plain = BY_NAME[h.effect].prior_only and not BY_NAME[name].prior_only
+            if found is not None and found.gain > now + (-search.NATS if plain else search.NATS):
                 return finer, list(found.shapes)
     return one, chosen
 

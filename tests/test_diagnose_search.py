@@ -267,13 +267,14 @@ def swung(bodies: pin.Model, stiffness: float, damping: float, t: Array, q: Arra
     return lag[:, 0], felt
 
 
-def test_a_link_on_a_spring_that_is_hardly_damped_is_found(subject):
+@pytest.mark.parametrize("stiffness", [50.0, 60.0, 72.0])
+def test_a_link_on_a_spring_that_is_hardly_damped_is_found_between_any_that_are_tried(subject, stiffness):
     bodies = bodied(subject, perturbed(subject.parameters, np.random.default_rng(4)))
-    result = found(subject, lambda t, q, dq, tau: swung(bodies, 60.0, 0.1, t, q, False)[1])
+    result = found(subject, lambda t, q, dq, tau: swung(bodies, stiffness, 0.05, t, q, False)[1])
     assert [(h.effect, h.joint) for h in result.verdict.chosen] == [("elasticity", 1)]
-    stiffness, _ = interval.finding_parameters(result.design, result.verdict, 0)["stiffness"]
-    assert stiffness == pytest.approx(60.0, rel=0.05)
-    assert result.verdict.findings[0].evidence["left"] < 0.15
+    told, _ = interval.finding_parameters(result.design, result.verdict, 0)["stiffness"]
+    assert told == pytest.approx(stiffness, rel=0.05)
+    assert result.verdict.findings[0].evidence["left"] < 0.25
 
 
 @pytest.mark.parametrize("rests", [False, True])

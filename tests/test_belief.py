@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from excite.diagnose import belief, judge, search
+from excite.diagnose import belief, hypothesis, judge, search
 from excite.diagnose.effect import Shape
 from excite.diagnose.track import Track
 
@@ -22,7 +22,7 @@ def nothing(track: Track, shape: Shape) -> Array:
 
 def only(effect: str) -> judge.Verdict:
     """Nothing but one effect, at the first joint."""
-    return judge.Verdict((judge.Finding((judge.Hypothesis(effect, 0, 0, TRIED, 1.0, True),), 50.0, {}),), TRIED, ())
+    return judge.Verdict((judge.Finding((hypothesis.Hypothesis(effect, 0, 0, TRIED, 1.0, True),), 50.0, {}),), TRIED, ())
 
 
 def shares(
@@ -36,13 +36,13 @@ def shares(
     intervals = [(1.0, 2.0) if happens else None for happens in once or [False] * len(effects)]
     shapes = tuple(Shape(name, 0, nothing, interval=own) for name, own in zip(effects, intervals, strict=True))
     tried = search.Trial(places, np.ones(len(effects)), (np.ones(1), np.ones(1)), 50.0, True)
-    findings = tuple(judge.Finding((judge.Hypothesis(name, 0, i, tried, 1.0, True),), 50.0, {}) for i, name in enumerate(effects))
+    findings = tuple(judge.Finding((hypothesis.Hypothesis(name, 0, i, tried, 1.0, True),), 50.0, {}) for i, name in enumerate(effects))
 
     def level(_: object, chosen: Sequence[int]) -> Array:
         (gone,) = set(places) - set(chosen) or {None}
         return np.array([both if gone is None else without[gone]])
 
-    monkeypatch.setattr(judge, "acting", lambda *_: np.array([True]))
+    monkeypatch.setattr(hypothesis, "acting", lambda *_: np.array([True]))
     monkeypatch.setattr(search, "level", level)
     return belief.shares(types.SimpleNamespace(shapes=shapes), judge.Verdict(findings, tried, ()), np.ones(1))  # type: ignore[arg-type]
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_diagnose_search import halved, nothing, on_one
 
-from excite.diagnose import judge, search
+from excite.diagnose import contest, hypothesis, judge, search
 from excite.diagnose.catalogue import environment, windup
 from excite.diagnose.columns import Columns
 from excite.diagnose.effect import Shape, beside, family
@@ -39,12 +39,12 @@ def designed(columns: list[Array], torque: list[Array], grid: tuple[float, float
 def test_a_name_between_two_of_a_grid_beats_one_that_is_nearly_it():
     near = [wave(5.0, n) + 0.3 * ODD[n] for n in range(2)]
     one = designed(near, [4.0 * wave(5.0, n) for n in range(2)], (4.7, 5.3))
-    alone = list(judge.ranked(one))
-    assert [h.effect for h in alone] == ["spring", "torque_ripple"] and alone[1].trial.gain > judge.CLOSE * alone[0].trial.gain
-    done, (winner,) = judge._contested(one, [alone[0].shape])
+    alone = list(hypothesis.ranked(one))
+    assert [h.effect for h in alone] == ["spring", "torque_ripple"] and alone[1].trial.gain > contest.CLOSE * alone[0].trial.gain
+    done, (winner,) = contest._contested(one, [alone[0].shape])
     assert done.shapes[winner].effect == "torque_ripple"
     assert done.shapes[winner].values["order"] == pytest.approx(5.0, abs=0.02)
-    assert judge._contested(done, [winner]) == (done, [winner])
+    assert contest._contested(done, [winner]) == (done, [winner])
     assert [h.effect for h in judge.judged(one)[1].chosen] == ["torque_ripple"]
 
 
@@ -54,7 +54,7 @@ def test_a_further_name_is_tuned_before_it_is_left_out():
     spring = judge.judged(one, [0])[1]
     now = search.trial(one, [0])
     grid = max((search.trial(one, [0, k]) for k in (1, 2)), key=lambda found: found.gain)
-    assert judge.SMALLEST < grid.gain - now.gain < judge.SHARE * now.gain  # not worth it, as the grid has it
+    assert hypothesis.SMALLEST < grid.gain - now.gain < contest.SHARE * now.gain  # not worth it, as the grid has it
     assert {h.effect for h in spring.chosen} == {"spring", "torque_ripple"}
 
 
@@ -65,7 +65,7 @@ def test_of_names_as_good_as_each_other_the_plain_one_is_told(apart, told):
     halves = [halved(g, (g @ [1.0, -2.0] + 1.5 * x + n)[:, None], KNOWN) for g, x, n in zip(BASE, STRONG, NOISE, strict=True)]
     shapes = [Shape(name, 0, nothing) for name in columns]
     one = search.design((halves[0], halves[1]), shapes, lambda shape: on_one(*(x[:, None] for x in columns[shape.effect])))
-    assert next(judge.ranked(one)).effect == "nonlinear_viscous"
+    assert next(hypothesis.ranked(one)).effect == "nonlinear_viscous"
     assert [h.effect for h in judge.judged(one)[1].chosen] == [told]
 
 

@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 from test_diagnose import PLANTED, found, on, recordings_of
 
 from excite import dynamics
-from excite.diagnose import diagnosis, interval, judge, noise, search, track, whole
+from excite.diagnose import diagnosis, hypothesis, interval, judge, noise, search, track, whole
 from excite.diagnose.catalogue import BY_NAME, environment, windup
 from excite.diagnose.columns import Columns
 from excite.diagnose.effect import Shape, beside, family
@@ -110,7 +110,7 @@ def test_another_residual_is_judged_as_if_it_had_been_measured():
     assert search.trial(told, [0]).gain == pytest.approx(search.trial(direct, [0]).gain)
     np.testing.assert_allclose(search.trial(told, [0]).coefficients, search.trial(direct, [0]).coefficients)
     residual, quiet = (others[0].ravel(), others[1].ravel()), (np.zeros(50), np.zeros(30))
-    best = next(judge.ranked(direct)).trial.gain
+    best = next(hypothesis.ranked(direct)).trial.gain
     assert best > 10.0
     by_steps, by_rare_samples = (judge.warned(designed(torques), *told, 0.0, None) for told in (([residual], quiet), ([], residual)))
     assert by_steps.bar(0) == pytest.approx(search.NATS + judge.FEIGNED * best)
@@ -541,7 +541,7 @@ def test_shapes_that_take_each_other_off_are_no_finding():
     one = search.design((first, second), [Shape("drag", 0, nothing), Shape("stribeck", 0, nothing)], build)
     one = dataclasses.replace(one, prior=np.full(2, 1e-6))
     assert search.trial(one, [0, 1]).gain > 200.0
-    assert not list(judge.ranked(one, (0,))) and not judge.judged(one)[1].findings
+    assert not list(hypothesis.ranked(one, (0,))) and not judge.judged(one)[1].findings
 
 
 def two_joints(blurred: float = 1.0, mend: str = "spring") -> search.Design:
@@ -609,7 +609,7 @@ def test_beside_another_a_strong_effect_may_need_another_of_its_shapes():
     powers = [Shape("drag", 0, nothing, {"exponent": k}, plausible=lambda c: bool(c[0] > 0.0)) for k in (2.0, 2.5, 3.0)]
     shapes = [*powers, Shape("stribeck", 0, nothing, plausible=lambda c: bool(c[0] > 0.0))]
     one = dataclasses.replace(search.design((halves[0], halves[1]), shapes, build), measured=search.Measured(noise=np.ones(1)))
-    alone = next(judge.ranked(one))
+    alone = next(hypothesis.ranked(one))
     assert one.shapes[alone.shape].values != {"exponent": 3.0}
     together, verdict = judge.judged(one, [alone.shape])
     assert {together.shapes[i].effect for i in verdict.named} == {"drag", "stribeck"}
@@ -647,7 +647,7 @@ def test_halves_agree_about_what_both_see():
 
     for other, agree in ((3.0, True), (-40.0, True), (-3e3, False)):
         one = designed(other, 3.0)
-        assert judge.agrees(one, search.trial(one, [0])) is agree
+        assert hypothesis.agrees(one, search.trial(one, [0])) is agree
 
 
 def test_rows_that_do_not_count_change_nothing():

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from . import judge, search
+from . import hypothesis, judge, search
 from .catalogue import BY_NAME
 from .judge import Finding, Verdict
 from .search import Design
@@ -61,18 +61,19 @@ def shares(one: Design, verdict: Verdict, noise: Array) -> list[float]:
     together = verdict.together
     assert together is not None
     left = search.level(one, together.shapes) / noise
-    acts = np.array([judge.acting(one, together, f.main.shape) for f in verdict.findings])
+    acts = np.array([hypothesis.acting(one, together, f.main.shape) for f in verdict.findings])
     without = np.array([search.level(one, judge.without(together.shapes, f.parts)) / noise for f in verdict.findings])
     taken = np.where(acts, np.maximum(without - left, 0.0), 0.0)
     usual = taken * np.exp([[LEAVES + BY_NAME[f.main.effect].loose] for f in verdict.findings])
+    of_all = usual.sum(axis=0)
     out = []
     for k, finding in enumerate(verdict.findings):
         here = acts[k]
         x = share(_left(left[here], 1.0), float(np.sum((without[k] - left)[here])))
-        others = float(np.sum((usual.sum(axis=0) - usual[k])[here]))
+        others = float(np.sum((of_all - usual[k])[here]))
         about = float(np.sum(taken[k] + np.maximum(left - 1.0, 0.0), where=here))
         if one.shapes[finding.main.shape].interval is None and about > MENDED * others:
-            part = usual[k] / np.maximum(usual.sum(axis=0), 1e-300)
+            part = np.where(of_all > 0.0, usual[k] / np.maximum(of_all, 1e-300), 1.0 / acts.sum(axis=0).clip(1))
             x = float(np.sqrt(x * share(_left(left[here], part[here]), float(np.sum((without[k] - left)[here])))))
         out.append(x)
     return out

@@ -18,7 +18,7 @@ from ..identify.signals import Piece
 from ..parameters import Parameters
 from ..recordings import Recording
 from ..robot import Robot
-from . import belief, encoders, equations, foreseen, foretold, judge, looks, noise, search, track, whole
+from . import belief, encoders, equations, foreseen, foretold, hypothesis, judge, looks, noise, search, track, whole
 from .catalogue import EFFECTS
 from .effect import Shape
 from .encoders import Gear
@@ -139,7 +139,7 @@ class Diagnosis:
             if sight.counts:  # what is foreseen is no noise, though it may differ each time: a load that swings on from where it was
                 floor[j] = min(floor[j], np.sqrt(1.0 - sight.share) * named[j])
                 told[j] = max(told[j], np.sqrt(sight.share) * named[j])
-                loud[j] |= np.sqrt(sight.share) * named[j] > judge.SMALLEST * floor[j]
+                loud[j] |= np.sqrt(sight.share) * named[j] > hypothesis.SMALLEST * floor[j]
         if self.method != "periods":  # nothing repeats: the floor is a guess from below, and only much is worth a word
             torque = np.sqrt(np.mean(np.concatenate([one.torque for half in self.tracks for one in half]) ** 2, axis=0))
             loud &= (named > MUCH * torque) | (told > LITTLE * torque)

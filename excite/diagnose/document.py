@@ -14,8 +14,9 @@ from .diagnosis import Diagnosis
 from .effect import Shape
 from .encoders import Gear
 from .foreseen import BASES
+from .hypothesis import Hypothesis
 from .interval import finding_parameters
-from .judge import Finding, Hypothesis
+from .judge import Finding
 
 RIVALS = 5
 """Names that a finding is compared with, at the most."""

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from . import judge, search
+from . import hypothesis, judge, search
 from .judge import Finding, Verdict
 from .search import Design, Trial
 
@@ -15,7 +15,7 @@ WORSE, SHOWN = 1.05, 0.1
 """Held-out mean square with a finding over that without, from which it is refuted; unless the halves, each by itself, show so much of its
 gain: a law whose columns are nearly alike in the first is foretold badly though it is right."""
 CHANCE = 4.0
-"""Variance that it may have, over what it has by what the first half's coefficients are not known to: two standard deviations."""
+"""Times the variance that coefficients bring which the first half does not tell, that is forgiven: two standard deviations."""
 BELIEVED = 0.12
 """Probability of a finding that is refuted."""
 
@@ -48,37 +48,39 @@ def tested(one: Design, verdict: Verdict, moves: Array, noise: Array) -> Verdict
     """
     refuted, considered, doubted = list[Finding](), verdict.considered, verdict.doubted
     while verdict.findings:
-        ratios = [_ratio(one, verdict, finding, moves, noise) for finding in verdict.findings]
-        worst = int(np.argmax(ratios))
-        if ratios[worst] <= WORSE:
+        ratios = [_ratios(one, verdict, finding, moves, noise) for finding in verdict.findings]
+        worst = max(range(len(ratios)), key=lambda number: ratios[number])
+        if ratios[worst][0] <= WORSE:
             break
         finding = verdict.findings[worst]
-        refuted.append(replace(finding, probability=BELIEVED, evidence={"foretold": ratios[worst]}))
+        refuted.append(replace(finding, probability=BELIEVED, evidence={"foretold": ratios[worst][1]}))
         assert verdict.together is not None
         verdict = judge.said(one, judge.without(verdict.together.shapes, finding.parts))
     return replace(verdict, considered=considered, doubted=(*doubted, *refuted))
 
 
-def _ratio(one: Design, verdict: Verdict, finding: Finding, moves: Array, noise: Array) -> float:
+def _ratios(one: Design, verdict: Verdict, finding: Finding, moves: Array, noise: Array) -> tuple[float, float]:
     """Held-out mean square over noise, where a finding acts: with all findings over that without this one, or without any, whichever is
-    more. 0 of what happened once, which is not to be foretold, and of what a half shows by itself."""
+    more; less what may be chance, and as it is. 0 of what happened once, not to be foretold, and of what a half shows by itself."""
     together = verdict.together
     assert together is not None
     rest = search.trial(one, judge.without(together.shapes, finding.parts))
     if together.seen - rest.seen > SHOWN * finding.gain or any(one.shapes[part.shape].interval is not None for part in finding.parts):
-        return 0.0
-    acts, unit = judge.acting(one, together, finding.main.shape), np.ones(len(noise))
+        return 0.0, 0.0
+    acts, unit = hypothesis.acting(one, together, finding.main.shape), np.ones(len(noise))
     bare, with_all = residuals(one, together, unit)
     without = residuals(one, rest, unit)[1] if rest.shapes else bare
     spent = [float(np.sum((search.mean_square(left, moves) / noise)[acts])) for left in (with_all, without, bare)]
-    by_chance = float(np.sum((_unsure(one, together, len(noise)) / noise)[acts]))
-    return (spent[0] - CHANCE * by_chance) / max(min(spent[1:]), 1e-300)
+    unsure, others = _unsure(one, together, moves), _unsure(one, rest, moves)
+    chance = [float(np.sum((x / noise)[acts])) for x in (np.maximum(unsure - others, 0.0), unsure)]
+    beyond = [(spent[0] - CHANCE * by_chance) / max(than, 1e-300) for by_chance, than in zip(chance, spent[1:], strict=True)]
+    return max(beyond), spent[0] / max(min(spent[1:]), 1e-300)
 
 
-def _unsure(one: Design, together: Trial, n: int) -> Array:
-    """Mean square by which the second half's torque is off because the first half does not tell coefficients better, over the scale.
-    Shape (n,)."""
-    which = one.which(together.shapes)
+def _unsure(one: Design, found: Trial, moves: Array) -> Array:
+    """Mean square by which the second half's torque is off because the first half does not tell coefficients better. Shape (n,)."""
+    which = one.which([i for i in found.shapes if one.shapes[i].interval is None])  # what happened once is known from where it did
     precision = one.grams[0].matrix[np.ix_(which, which)] + np.diag(one.prior[which])
     carried = one.carried(which)
-    return np.asarray(np.mean(np.sum((carried @ np.linalg.inv(precision)) * carried, axis=1).reshape(-1, n), axis=0))
+    variance = np.sum((carried @ np.linalg.inv(precision)) * carried, axis=1)
+    return search.mean_square(np.sqrt(np.maximum(variance, 0.0)).reshape(moves.shape), moves)

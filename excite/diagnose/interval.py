@@ -14,7 +14,8 @@ import numpy as np
 from . import search
 from .catalogue import BY_NAME
 from .effect import Shape
-from .judge import Verdict, acting
+from .hypothesis import acting
+from .judge import Verdict
 from .search import Design
 
 Array = np.ndarray

@@ -7,14 +7,15 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from ..effect import Effect, Shape, alone, family, named, within
-from ..track import Track
+from ..track import STILL, Track
 
 Array = np.ndarray
 FINE, FINEST, GRAINY = 0.01, 0.003, 3.0
-"""Noise of measured torque over the torque, up to which its cube is a column, and what of it is beyond a level: that is nearly all of its
-noise. And how many times the usual gain that takes."""
+"""Noise of measured torque over the torque, up to which powers of it are columns, and up to which what levels off is, whose column is
+nearly the torque itself; and how many times the usual gain either takes."""
 POWERS, BENDS, FULL, LITTLE = (2.0, 3.0, 5.0), (1.0, 2.0, 4.0), 1.1, 0.3
-"""Of torque, that are lost; how sharply a drive levels off, what it may lose beyond, at the most, and what of its usual torque."""
+"""Of torque, that are lost; how sharply a drive levels off; its largest coefficient, 1 where nothing more is made beyond the level; and
+what it may lose, at the most, of a usual torque."""
 
 
 def _constant(t: Track, s: Shape) -> Array:
@@ -41,7 +42,7 @@ def _bent(t: Track, s: Shape) -> Array:
 
 
 def _missing(values: Mapping[str, float], x: Array) -> Array:
-    """Torque that is lost of one, per unit of loss: a power of it, or what levels off. Shape (M,)."""
+    """Torque that is lost of one, per unit of the coefficient: a power of it, or what levels off. Shape (M,)."""
     if "level" in values:
         bend = values["bend"]
         return np.asarray(x * (1.0 - (1.0 + np.abs(x / values["level"]) ** bend) ** (-1.0 / bend)))
@@ -62,8 +63,11 @@ def _saturation(tracks: Sequence[Track]) -> Iterator[Shape]:
             fixed = {"power": power, "largest": largest}
             yield Shape("torque_saturation", joint, _bent, fixed, parameters=told, plausible=within(0.0, 2.0))
 
-    def of_measured(joint: int, drawn: Array) -> Iterator[Shape]:
-        usual, largest = max(float(np.median(drawn)), 1e-9), max(float(drawn.max()), 1e-9)
+    def of_measured(joint: int) -> Iterator[Shape]:
+        both = zip(*((t.drawn, t.fine.dq) for t in tracks), strict=True)
+        drawn, speed = (np.abs(np.concatenate([x[:, joint] for x in parts])) for parts in both)
+        largest = max(float(drawn.max()), 1e-9)
+        usual = max(float(np.median(drawn[speed >= STILL * speed.max()])), 1e-9)  # at rest a joint may bear nothing
 
         def law(most: float, grain: float, **values: float) -> Shape:
             """With the loss at the largest torque seen; of a usual one it is little, or it is all of the torque that is taken for lost."""
@@ -80,7 +84,7 @@ def _saturation(tracks: Sequence[Track]) -> Iterator[Shape]:
 
     for j in range(tracks[0].n):
         yield from of_motor(j, max(*(float(np.abs(t.motor[:, j]).max()) for t in tracks), 1e-9))
-        yield from of_measured(j, np.concatenate([np.abs(t.drawn[:, j]) for t in tracks]))
+        yield from of_measured(j)
 
 
 def _overdrawn(t: Track, s: Shape, c: Array, made: Array) -> Array:
@@ -91,7 +95,7 @@ def _overdrawn(t: Track, s: Shape, c: Array, made: Array) -> Array:
 
 
 def overdrawn(loss: float, values: Mapping[str, float], torque: Array) -> Array:
-    """What is recorded where a drive that loses as `_bent` says makes a torque: x of x − c lost(x) = τ. Shape (M,)."""
+    """What is recorded where a drive that loses as `_missing` says makes a torque: x of x − c missing(x) = τ. Shape (M,)."""
     x = np.linspace(0.0, 2.0 * values["largest"], 4001)
     made = x - loss * _missing(values, x)
     rising = slice(0, int(np.argmax(made)) + 1)  # a drive makes no more than that

@@ -44,7 +44,12 @@ def shares(
 
     monkeypatch.setattr(hypothesis, "acting", lambda *_: np.array([True]))
     monkeypatch.setattr(search, "level", level)
-    return belief.shares(types.SimpleNamespace(shapes=shapes), judge.Verdict(findings, tried, ()), np.ones(1))  # type: ignore[arg-type]
+    return told_of(shapes, judge.Verdict(findings, tried, ()))
+
+
+def told_of(shapes: Sequence[Shape], verdict: judge.Verdict, joints: int = 1) -> list[float]:
+    one = types.SimpleNamespace(shapes=shapes)
+    return [x for x, _ in belief.shares(one, verdict, np.ones(joints))]  # type: ignore[arg-type]
 
 
 def test_probabilities_fall_with_what_speaks_against_a_name():
@@ -85,7 +90,7 @@ def test_what_may_mend_another_is_charged_with_all_that_is_left(monkeypatch):
 
 
 def test_what_an_encoder_may_feign_of_a_gain_speaks_for_no_name(monkeypatch):
-    monkeypatch.setattr(belief, "shares", lambda *_: [0.09])
+    monkeypatch.setattr(belief, "shares", lambda *_: [(0.09, np.inf)])
     said = []
     for feigned in (0.0, 20.0, 45.0):
         one = types.SimpleNamespace(measured=search.Measured({"stribeck": feigned}))
@@ -95,7 +100,7 @@ def test_what_an_encoder_may_feign_of_a_gain_speaks_for_no_name(monkeypatch):
 
 
 def test_what_is_likelier_wrong_than_right_is_told_with_its_probability_and_not_asserted(monkeypatch):
-    monkeypatch.setattr(belief, "shares", lambda *_: [0.8])
+    monkeypatch.setattr(belief, "shares", lambda *_: [(0.8, np.inf)])
     one = types.SimpleNamespace(measured=search.Measured())
     weighed = belief.weighed(one, only("drag"), np.ones(1))  # type: ignore[arg-type]
     assert not weighed.findings and weighed.together is None
@@ -108,3 +113,33 @@ def test_equivalents_are_the_names_within_reach_of_a_wrong_form():
     finding = judge.Finding(finding.parts, 100.0, {"drag": 99.0, "spring": 80.0, "stribeck": 20.0})
     assert tuple(belief.alike(finding, 0.1)) == ("drag", "spring")
     assert tuple(belief.alike(finding, 0.002)) == ("drag",)
+
+
+def test_what_another_law_may_leave_is_no_further_effect(monkeypatch):
+    """A ripple beside a spring at the same joint, of less or more than springs usually leave."""
+    said = []
+    for strong in (1e4, 1e3, 50.0):
+        shapes = tuple(Shape(name, 0, nothing) for name in ("spring", "torque_ripple"))
+        tried = search.Trial((0, 1), np.ones(2), (np.ones(1), np.ones(1)), 50.0, True)
+        findings = tuple(judge.Finding((hypothesis.Hypothesis(s.effect, 0, i, tried, 1.0, True),), 50.0, {}) for i, s in enumerate(shapes))
+        squares = {(0, 1): 1.0, (1,): strong, (0,): 10.0}
+        monkeypatch.setattr(hypothesis, "acting", lambda *_: np.array([True]))
+        monkeypatch.setattr(search, "level", lambda _, chosen, squares=squares: np.array([squares[tuple(chosen)]]))
+        one = types.SimpleNamespace(shapes=shapes, measured=search.Measured())
+        weighed = belief.weighed(one, judge.Verdict(findings, tried, ()), np.ones(1))  # type: ignore[arg-type]
+        told = {f.main.effect: f for f in (*weighed.findings, *weighed.doubted)}
+        assert told["spring"].probability > 0.95
+        said.append(told["torque_ripple"].probability)
+    assert said[0] < 0.3 < said[1] < 0.5 and said[2] > 0.95
+
+
+def test_a_joint_where_nothing_is_taken_speaks_against_who_acts_there(monkeypatch):
+    """A rocking base takes much at one joint and nothing at another, which is loud."""
+    tried = search.Trial((0,), np.ones(1), (np.ones(1), np.ones(1)), 50.0, True)
+    verdict = judge.Verdict((judge.Finding((hypothesis.Hypothesis("base_compliance", None, 0, tried, 1.0, True),), 50.0, {}),), tried, ())
+    monkeypatch.setattr(hypothesis, "acting", lambda *_: np.array([True, True]))
+    told = []
+    for second in (29.0, 31.0):
+        monkeypatch.setattr(search, "level", lambda _, chosen, second=second: np.array([1.2, 30.0] if chosen else [50.0, second]))
+        told += told_of((Shape("base_compliance", None, nothing),), verdict, 2)
+    assert told == pytest.approx([0.37, 0.37], abs=0.02)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import types
+
 import numpy as np
 import pytest
 from made import two_links
@@ -10,6 +12,7 @@ from test_diagnose_search import fitted_with, stated
 
 from excite.diagnose import diagnosis, equations, whole
 from excite.diagnose.catalogue import BY_NAME, electrical
+from excite.diagnose.track import Track
 from excite.identify.equations import Model
 
 Array = np.ndarray
@@ -18,6 +21,15 @@ Array = np.ndarray
 @pytest.fixture(scope="module")
 def subject() -> Model:
     return two_links()
+
+
+@pytest.fixture(scope="module")
+def calm(subject: Model) -> Track:
+    """Of a robot with nothing missing."""
+    train, validate = recordings_of(subject, None)
+    return diagnosis.diagnose(
+        subject.robot, subject.parameters, subject.base, [train], [validate], diagnosis.Options(names=("drag",))
+    ).tracks[0][0]
 
 
 LOSS: dict[str, float] = {"power": 3.0, "largest": 40.0}
@@ -92,13 +104,16 @@ def test_a_drive_whose_torque_levels_off_is_told(subject):
     np.testing.assert_allclose(electrical.overdrawn(float(together.coefficients[0]), shape.values, made), x, atol=0.02 * largest)
 
 
-@pytest.mark.parametrize("bend", [1.0, 2.0, 4.0])
-def test_of_its_usual_torque_a_drive_loses_little(subject, bend):
-    """Else all of the torque could be taken for lost, and its noise with it."""
-    halves = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, *([one] for one in recordings_of(subject, None))).tracks
-    (first, *_), (second, *_) = halves
-    usual = float(np.median(np.concatenate([np.abs(first.drawn[:, 0]), np.abs(second.drawn[:, 0])])))
-    shapes = [s for s in BY_NAME["torque_saturation"].shapes([first, second]) if s.joint == 0 and s.values.get("bend") == bend]
+@pytest.mark.parametrize("bend", [1.0, 2.0])
+@pytest.mark.parametrize("rests", [False, True])
+def test_of_its_usual_torque_a_drive_loses_little(calm, bend, rests):
+    """Else all of the torque could be taken for lost, and its noise with it. rests: for most of the time, bearing nothing."""
+    drawn, speed = calm.drawn.copy(), calm.fine.dq.copy()
+    if rests:
+        drawn[: 2 * len(drawn) // 3], speed[: 2 * len(speed) // 3] = 1e-3, 0.0
+    track = types.SimpleNamespace(n=2, drawn=drawn, motor=drawn, fine=types.SimpleNamespace(dq=speed))
+    shapes = [s for s in BY_NAME["torque_saturation"].shapes([track]) if s.joint == 0 and s.values.get("bend") == bend]
+    usual = float(np.median(np.abs(drawn[len(drawn) * 2 // 3 if rests else 0 :, 0])))
     assert len(shapes) == 6
     for shape in shapes:
         most = max(c for c in np.linspace(0.01, 1.2, 120) if shape.plausible(np.array([c])))

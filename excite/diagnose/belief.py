@@ -11,6 +11,7 @@ tuning family: its effects have other forms than those that are scored, which is
 from __future__ import annotations
 
 from dataclasses import replace
+from math import erfc
 
 import numpy as np
 
@@ -34,6 +35,9 @@ LEAST_LEFT = 1e-3
 """Share that any law leaves."""
 MENDED = 5.0
 """Times what others' laws usually leave that a finding must be about, lest it mends them."""
+ANOTHER, MENDING = 0.3, 0.75
+"""Odds that a joint has one more effect, before it is seen; and standard deviation of the logarithm of what the laws of others there leave
+together, over what they usually do: no effect is told that may be that."""
 UNSURE = 0.1
 """Mean square over the noise to which the noise itself is known."""
 LEAST, MOST = 0.02, 0.99
@@ -52,8 +56,9 @@ def odds(effect: str, x: float) -> float:
     return float(RIGHT * np.exp(-0.5 * z * z) / (SPREAD * np.sqrt(2.0 * np.pi)) / x)
 
 
-def shares(one: Design, verdict: Verdict, noise: Array) -> list[float]:
-    """What each finding leaves, where it acts, of what it should explain. noise: mean square over the scale. Shape (n,).
+def shares(one: Design, verdict: Verdict, noise: Array) -> list[tuple[float, float]]:
+    """What each finding leaves, where it acts, of what it should explain; and how many times what the laws of others at its joint usually
+    leave it is about, ∞ where there are none. noise: mean square over the scale. Shape (n,).
 
     Where several act, what all leave is at the most what one leaves, at the least its part by what such laws usually leave: it is taken to
     lie between, unless all that the finding is about may be what the others' laws leave. What happened once bends to whatever that is.
@@ -66,17 +71,25 @@ def shares(one: Design, verdict: Verdict, noise: Array) -> list[float]:
     taken = np.where(acts, np.maximum(without - left, 0.0), 0.0)
     usual = taken * np.exp([[LEAVES + BY_NAME[f.main.effect].loose] for f in verdict.findings])
     of_all = usual.sum(axis=0)
+    joints = [f.main.joint for f in verdict.findings]
     out = []
     for k, finding in enumerate(verdict.findings):
-        here = acts[k]
+        here, beside = acts[k], [i for i, j in enumerate(joints) if i != k and (j == joints[k] or None in (j, joints[k]))]
         x = share(_left(left[here], 1.0), float(np.sum((without[k] - left)[here])))
         others = float(np.sum((of_all - usual[k])[here]))
         about = float(np.sum(taken[k] + np.maximum(left - 1.0, 0.0), where=here))
         if one.shapes[finding.main.shape].interval is None and about > MENDED * others:
             part = np.where(of_all > 0.0, usual[k] / np.maximum(of_all, 1e-300), 1.0 / acts.sum(axis=0).clip(1))
             x = float(np.sqrt(x * share(_left(left[here], part[here]), float(np.sum((without[k] - left)[here])))))
-        out.append(x)
+        there = float(np.sum(usual[beside][:, here]))
+        out.append((x, about / there if there > 0.0 else np.inf))
     return out
+
+
+def exists(times: float) -> float:
+    """Probability that a finding is more than what the laws of others at its joint leave. times: of what they usually do."""
+    mends = 0.5 * erfc(np.log(max(times, 1e-9)) / MENDING / np.sqrt(2.0))
+    return float(ANOTHER / (ANOTHER + mends)) if np.isfinite(times) else 1.0
 
 
 def _left(level: Array, part: Array | float) -> float:
@@ -106,11 +119,12 @@ def weighed(one: Design, verdict: Verdict, noise: Array) -> Verdict:
     if not verdict.findings:
         return verdict
     findings = []
-    for finding, x in zip(verdict.findings, shares(one, verdict, noise), strict=True):
+    for finding, (x, times) in zip(verdict.findings, shares(one, verdict, noise), strict=True):
         others = {name: chance * genuine(one, name, finding.rivals[name]) for name, chance in alike(finding, x).items()}
         chance = odds(finding.main.effect, x) * genuine(one, finding.main.effect, finding.gain) + sum(others.values())
-        evidence = {"left": x, "odds": chance}
-        findings.append(replace(finding, equivalents=tuple(others), probability=probability(chance), evidence=evidence))
+        believed = max(probability(chance) * exists(times), LEAST)
+        evidence = {"left": x, "odds": chance} | ({"beyond_others": times} if np.isfinite(times) else {})
+        findings.append(replace(finding, equivalents=tuple(others), probability=believed, evidence=evidence))
     kept = tuple(f for f in findings if f.probability >= ASSERTED)
     doubted = (*(f for f in findings if f.probability < ASSERTED), *verdict.doubted)
     if not kept:  # nothing that can be said: nothing is added either

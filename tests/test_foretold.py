@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,7 @@ from excite.diagnose.track import Track
 
 Array = np.ndarray
 ROWS = 300
-EVERY = np.ones((ROWS, 2), bool)
+EVERY, NOTHING = np.ones((ROWS, 2), bool), Columns.of(np.zeros((ROWS, 2, 1)))
 
 
 def nothing(track: Track, shape: Shape) -> Array:
@@ -73,6 +75,23 @@ def test_what_the_first_half_does_not_tell_refutes_nothing(monkeypatch):
     assert not left_by(one).doubted
     monkeypatch.setattr(foretold, "CHANCE", 0.0)
     assert [f.main.joint for f in left_by(one).doubted] == [1]
+
+
+def test_a_column_of_nothing_is_no_matter():
+    """Of a force, for one, in a direction that no joint feels."""
+    one = halved(0.0)
+    wider = search.appended(dataclasses.replace(one, build=lambda _: (NOTHING, NOTHING)), [Shape("contact", 1, nothing)])
+    assert not foretold.tested(wider, judge.said(wider, [0, 1, 2]), EVERY, np.ones(2)).doubted
+
+
+def test_a_touch_excuses_nobody():
+    """What happened in the second recording is unknown to the first, and known from where it was."""
+    one, touch = halved(**ODD), np.zeros((ROWS, 2, 1))
+    touch[:20, 1] = 1.0
+    wider = dataclasses.replace(one, build=lambda _: (NOTHING, Columns.of(touch)))
+    wider = search.appended(wider, [Shape("contact", 1, nothing, interval=(1.0, 2.0))])
+    verdict = foretold.tested(wider, judge.said(wider, [0, 1, 2]), EVERY, np.ones(2))
+    assert "drag" in {f.main.effect for f in verdict.doubted if f.main.joint == 1}
 
 
 def test_what_happens_once_is_not_to_be_foretold():

@@ -80,7 +80,8 @@ def _ratios(one: Design, verdict: Verdict, finding: Finding, moves: Array, noise
 def _unsure(one: Design, found: Trial, moves: Array) -> Array:
     """Mean square by which the second half's torque is off because the first half does not tell coefficients better. Shape (n,)."""
     which = one.which([i for i in found.shapes if one.shapes[i].interval is None])  # what happened once is known from where it did
-    precision = one.grams[0].matrix[np.ix_(which, which)] + np.diag(one.prior[which])
-    carried = one.carried(which)
+    root = one.usual[which]  # in units of what is usual, where a column of nothing is no matter
+    precision = one.grams[0].matrix[np.ix_(which, which)] * np.outer(root, root) + np.eye(len(which))
+    carried = one.carried(which) * root
     variance = np.sum((carried @ np.linalg.inv(precision)) * carried, axis=1)
     return search.mean_square(np.sqrt(np.maximum(variance, 0.0)).reshape(moves.shape), moves)

@@ -35,9 +35,9 @@ LEAST_LEFT = 1e-3
 """Share that any law leaves."""
 MENDED = 5.0
 """Times what others' laws usually leave that a finding must be about, lest it mends them."""
-ANOTHER, MENDING = 0.3, 0.75
+ANOTHER, MENDING = 0.02, 0.75
 """Odds that a joint has one more effect, before it is seen; and standard deviation of the logarithm of what the laws of others there leave
-together, over what they usually do: no effect is told that may be that."""
+together, over what they usually do: what is told beside them may mend that."""
 UNSURE = 0.1
 """Mean square over the noise to which the noise itself is known."""
 LEAST, MOST = 0.02, 0.99
@@ -86,10 +86,13 @@ def shares(one: Design, verdict: Verdict, noise: Array) -> list[tuple[float, flo
     return out
 
 
-def exists(times: float) -> float:
-    """Probability that a finding is more than what the laws of others at its joint leave. times: of what they usually do."""
+def another(times: float) -> float:
+    """Odds that a finding is more than what the laws of others at its joint leave, before it is seen how well it takes that, 1 at the most.
+    times: what it is about, over what they usually leave."""
+    if not np.isfinite(times):
+        return 1.0
     mends = 0.5 * erfc(np.log(max(times, 1e-9)) / MENDING / np.sqrt(2.0))
-    return float(ANOTHER / (ANOTHER + mends)) if np.isfinite(times) else 1.0
+    return float(min(ANOTHER / max(mends, 1e-300), 1.0))
 
 
 def _left(level: Array, part: Array | float) -> float:
@@ -122,9 +125,9 @@ def weighed(one: Design, verdict: Verdict, noise: Array) -> Verdict:
     for finding, (x, times) in zip(verdict.findings, shares(one, verdict, noise), strict=True):
         others = {name: chance * genuine(one, name, finding.rivals[name]) for name, chance in alike(finding, x).items()}
         chance = odds(finding.main.effect, x) * genuine(one, finding.main.effect, finding.gain) + sum(others.values())
-        believed = max(probability(chance) * exists(times), LEAST)
+        chance *= another(times)
         evidence = {"left": x, "odds": chance} | ({"beyond_others": times} if np.isfinite(times) else {})
-        findings.append(replace(finding, equivalents=tuple(others), probability=believed, evidence=evidence))
+        findings.append(replace(finding, equivalents=tuple(others), probability=probability(chance), evidence=evidence))
     kept = tuple(f for f in findings if f.probability >= ASSERTED)
     doubted = (*(f for f in findings if f.probability < ASSERTED), *verdict.doubted)
     if not kept:  # nothing that can be said: nothing is added either

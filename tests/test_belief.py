@@ -76,9 +76,9 @@ def test_noise_hides_how_much_a_slight_effect_leaves():
 def test_of_what_two_leave_neither_is_charged_with_all(monkeypatch):
     alone = shares(monkeypatch, ["position_friction"], 5.0, [60.0])[0]
     slight, strong = shares(monkeypatch, ["position_friction", "base_compliance"], 5.0, [60.0, 60.0])
-    assert slight < 0.4 * alone  # a rocking base leaves ten times as much of its own
+    assert slight < 0.8 * alone  # a rocking base leaves ten times as much of its own
     whole = shares(monkeypatch, ["base_compliance"], 5.0, [60.0])[0]
-    assert 0.9 * whole < strong < whole
+    assert 0.95 * whole < strong < whole
 
 
 def test_what_may_mend_another_is_charged_with_all_that_is_left(monkeypatch):

@@ -38,6 +38,8 @@ MENDED = 5.0
 ANOTHER, MENDING = 0.02, 0.75
 """Odds that a joint has one more effect, before it is seen; and standard deviation of the logarithm of what the laws of others there leave
 together, over what they usually do: what is told beside them may mend that."""
+SHARED = 0.2
+"""From all that is left to its part, how far a finding is charged with less, in the logarithm."""
 UNSURE = 0.1
 """Mean square over the noise to which the noise itself is known."""
 LEAST, MOST = 0.02, 0.99
@@ -61,7 +63,8 @@ def shares(one: Design, verdict: Verdict, noise: Array) -> list[tuple[float, flo
     leave it is about, ∞ where there are none. noise: mean square over the scale. Shape (n,).
 
     Where several act, what all leave is at the most what one leaves, at the least its part by what such laws usually leave: it is taken to
-    lie between, unless all that the finding is about may be what the others' laws leave. What happened once bends to whatever that is.
+    lie between, nearer to all; unless all that the finding is about may be what the others' laws leave. What happened once bends to
+    whatever that is.
     """
     together = verdict.together
     assert together is not None
@@ -80,7 +83,8 @@ def shares(one: Design, verdict: Verdict, noise: Array) -> list[tuple[float, flo
         about = float(np.sum(taken[k] + np.maximum(left - 1.0, 0.0), where=here))
         if one.shapes[finding.main.shape].interval is None and about > MENDED * others:
             part = np.where(of_all > 0.0, usual[k] / np.maximum(of_all, 1e-300), 1.0 / acts.sum(axis=0).clip(1))
-            x = float(np.sqrt(x * share(_left(left[here], part[here]), float(np.sum((without[k] - left)[here])))))
+            least = share(_left(left[here], part[here]), float(np.sum((without[k] - left)[here])))
+            x = float(x ** (1.0 - SHARED) * least**SHARED)
         there = float(np.sum(usual[beside][:, here]))
         out.append((x, about / there if there > 0.0 else np.inf))
     return out

@@ -22,7 +22,7 @@ MEMORY, LAGS = 4.0, 250
 """How long a resonance is remembered [s], and by how many values at the most."""
 FORESEEN, SURE = 0.05, 1.5
 """Share of what is left that must be foreseen in other recordings to count, and that share over its standard error: 0.036 is the most
-in 90 simulated robots with nothing missing."""
+in 90 simulated robots with nothing missing, 0.009 of one place in 60."""
 RIDGES = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
 """Over the mean square of the features."""
 BINS = 100

@@ -78,12 +78,13 @@ def shares(one: Design, verdict: Verdict, noise: Array) -> list[tuple[float, flo
     out = []
     for k, finding in enumerate(verdict.findings):
         here, beside = acts[k], [i for i, j in enumerate(joints) if i != k and (j == joints[k] or None in (j, joints[k]))]
-        x = share(_left(left[here], 1.0), float(np.sum((without[k] - left)[here])))
+        takes = float(np.sum((without[k] - left)[here]))
+        x = share(_left(left[here], 1.0), takes)
         others = float(np.sum((of_all - usual[k])[here]))
         about = float(np.sum(taken[k] + np.maximum(left - 1.0, 0.0), where=here))
         if one.shapes[finding.main.shape].interval is None and about > MENDED * others:
             part = np.where(of_all > 0.0, usual[k] / np.maximum(of_all, 1e-300), 1.0 / acts.sum(axis=0).clip(1))
-            least = share(_left(left[here], part[here]), float(np.sum((without[k] - left)[here])))
+            least = share(_left(left[here], part[here]), takes)
             x = float(x ** (1.0 - SHARED) * least**SHARED)
         there = float(np.sum(usual[beside][:, here]))
         out.append((x, about / there if there > 0.0 else np.inf))

@@ -21,6 +21,7 @@ from excite.plant.chain import Chain, coloured
 from excite.plant.drive import Control
 from excite.plant.effects import CATALOGUE, FAMILIES, KINDS
 from excite.plant.laboratory import Setting
+from excite.plant.law import Law, Spring
 from excite.plant.record import ten
 from excite.plant.reference import Reference
 from excite.plant.wrong import deformed
@@ -308,6 +309,19 @@ def test_a_robot_that_is_lost_is_said_to_be(bench):
     plant, motion, *_ = bench
     with pytest.raises(UnusableInput, match="smaller"):
         hidden(plant, "coupling:joint_2:inertia=50").run(motion)
+
+
+class Runaway(Law):
+    """A spring that pushes the further it is wound, until no number holds it."""
+
+    def spring(self) -> Spring:
+        return Spring(1, lambda d, rate: (-1e9 * (d + 1e-3) ** 3, 0.0, 0.0))
+
+
+def test_so_is_one_that_no_number_holds(bench):
+    plant, motion, *_ = bench
+    with pytest.raises(UnusableInput, match="smaller"):
+        replace(plant, laws=(Runaway(),)).run(motion)
 
 
 # -- reference and measurement -------------------------------------------------------------------------------------

@@ -24,6 +24,8 @@ FINE = 1e-4
 PROBE = 1e-4
 """Difference of speed that shows an effect's slope [rad/s]."""
 NEAR = np.array([[0.0], [PROBE]])
+LOST = 1e3
+"""Speed from which nothing comes back: it is not followed further, lest numbers overflow [rad/s or m/s]."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,9 @@ class Loop:
         start = self.q.copy(), self.theta.copy()
         for i in range(rows - 1):
             self._command(asked[0][i], asked[1][i], forward[i])
-            self._advance(t[i])
+            if not self._held(t[i]):
+                v[i + 1 :] = np.inf
+                break
             v[i + 1], omega[i + 1], z[i + 1] = self.v, self.omega, self.z
         return Trace(t, start[0], v, start[1], omega, z)
 
@@ -110,6 +114,14 @@ class Loop:
         bounded = np.minimum(np.maximum(wanted, -self.limit), self.limit)
         self.sum = self.sum + c.integral * self.step * error * (wanted == bounded)  # no wind-up at the limit
         self.u = self.u + self.follow * (bounded - self.u)
+
+    def _held(self, time: float) -> bool:
+        """A step; whether the loop still holds after it."""
+        try:
+            self._advance(time)
+        except OverflowError:  # of a spring whose torque grows with the cube
+            return False
+        return bool(np.abs(self.v).max() < LOST)
 
     def _advance(self, time: float) -> None:
         mass, bias = self.arm.terms(self.q, self.v)

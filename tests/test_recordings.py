@@ -460,8 +460,9 @@ def test_channels_that_look_wrong_are_remarked_and_left(two_link, tmp_path):
     columns["tau.joint_2"][300:340] = columns["tau.joint_2"][300]
     columns["q.joint_2"] = np.round(columns["q.joint_2"] / 2e-3) * 2e-3
     found = recordings.read(write(tmp_path / "r.csv", columns), two_link)
-    assert kinds(found) == [Kind.CLIPPED, Kind.COARSE, Kind.FROZEN] and not any(r.repaired for r in found.remarks)
-    clipped, coarse, frozen = found.remarks
+    assert kinds(found) == [Kind.CLIPPED, Kind.COARSE, Kind.FROZEN, Kind.ROUNDED] and not any(r.repaired for r in found.remarks)
+    clipped, coarse, frozen, rounded = found.remarks
+    assert "'joint_2'" in rounded.text and "'joint_1'" not in rounded.text
     assert "clipped at 2" in clipped.text and clipped.joint == "joint_1"
     assert "multiples of 0.002 rad" in coarse.text and coarse.joint == "joint_2"
     assert (frozen.start, frozen.end) == pytest.approx((3.0, 3.39)) and frozen.document()["time"] == [frozen.start, frozen.end]

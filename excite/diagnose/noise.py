@@ -14,7 +14,7 @@ import numpy as np
 from ..identify.band import WIDER, Grid
 from ..identify.equations import Model, filtered
 from ..identify.identification import Identification
-from ..recordings import Recording
+from ..recordings import Recording, rounding
 from ..recordings.missing import runs
 from .blocks import sandwiched
 from .track import Track
@@ -278,12 +278,15 @@ def _misled(model: Model, one: Track) -> Draw:
     coarse = step > 0.0
     if not coarse.any():
         return lambda rng: np.zeros((len(one), one.n))
-    smooth = one.band.transformed(one.piece.q).low(Grid.RECORDED, 0, WIDER)
+    again = coarse & one.piece.smoothed
+    smooth = np.where(again, one.piece.q, one.band.transformed(one.piece.q).low(Grid.RECORDED, 0, WIDER))
     right = filtered(model, smooth, one.band)[0]
 
     def draw(rng: np.random.Generator) -> Array:
         told, origin = smooth.copy(), rng.uniform(size=one.n) * step
         told[:, coarse] = (np.round((smooth + origin)[:, coarse] / step[coarse]) * step[coarse]) - origin[coarse]
+        if again.any():
+            told[:, again] = rounding.unrounded(told[:, again].T, step[again], 1.0 / one.piece.rate).T
         wrong = filtered(model, told, one.band)[0]
         return np.asarray((right - wrong)[one.kept] @ one.theta)
 

@@ -32,7 +32,8 @@ class Piece:
     """An evenly sampled stretch. q, torque: Shape (N, n) [rad, N m]. start: its time [s]. source: the recording's name.
 
     periods: how many were averaged; 0: not periodic. noise: each period's torque less the mean's. Shape (periods, N, n). encoder: standard
-    deviation of positions by the encoders' steps. Shape (n,).
+    deviation of positions by the encoders' steps, as they were read. smoothed: joints whose positions are the smoothest within these.
+    Shape (n,).
     """
 
     source: str
@@ -43,6 +44,7 @@ class Piece:
     periods: int = 0
     noise: Array | None = None
     encoder: Array = field(default_factory=lambda: np.zeros(1))
+    smoothed: Array = field(default_factory=lambda: np.zeros(1, bool))
 
     def __len__(self) -> int:
         return len(self.q)
@@ -65,7 +67,9 @@ def pieces(recordings: Iterable[Recording], *, average: bool = True) -> Iterator
                 yield mean
                 continue
         for part in recording.segments():
-            yield Piece(recording.source, float(part.t[0]), part.rate, part.q, part.torque, encoder=recording.encoder)
+            smoothed = np.zeros(len(part.joints), bool) if recording.smoothed is None else recording.smoothed
+            whole = (recording.source, float(part.t[0]), part.rate, part.q, part.torque)
+            yield Piece(*whole, encoder=recording.encoder, smoothed=smoothed)
 
 
 def first(parts: Sequence[Piece], samples: int) -> list[Piece]:

@@ -9,21 +9,30 @@ Array = np.ndarray
 
 def noise(positions: Array) -> Array:
     """Standard deviation of positions by the encoder's resolution, step/√12. Shapes (M, n) -> (n,) [rad or m]."""
-    out = np.zeros(positions.shape[1])
-    for joint, q in enumerate(positions.T):
-        steps = np.abs(np.diff(q))
-        steps = steps[steps > 1e-12]
-        if len(steps):
-            out[joint] = _resolution(steps, len(q)) / np.sqrt(12.0)
-    return out
+    return np.array([_resolution(_steps(q), len(q)) for q in positions.T]) / np.sqrt(12.0)
+
+
+def steps(positions: Array) -> Array:
+    """Of what changes of position are multiples, 0 where they are of nothing, or all the same. Shapes (M, n) -> (n,) [rad or m]."""
+    found = np.array([_multiple(_steps(q)) for q in positions.T])
+    changes = np.abs(np.diff(positions, axis=0))
+    return np.where(np.ptp(changes, axis=0) > 0.5 * found, found, 0.0)
+
+
+def _steps(q: Array) -> Array:
+    found = np.abs(np.diff(q))
+    return np.asarray(found[found > 1e-12])
+
+
+def _multiple(steps: Array) -> float:
+    """Of what these are multiples, as most rows are of an encoder; 0 where they are of nothing."""
+    least = float(steps.min(initial=np.inf))
+    few = steps[steps < 50.0 * least]  # more would show the digits that a file leaves out
+    whole = np.round(few / least)
+    return float(np.median(few / whole)) if len(few) > 20 and np.mean(np.abs(few / least - whole) < 0.1) > 0.99 else 0.0
 
 
 def _resolution(steps: Array, samples: int) -> float:
-    """Of what these are multiples, as most rows are of an encoder; 0 where they are of nothing."""
-    least = float(steps.min())
-    few = steps[steps < 50.0 * least]  # more would show the digits that a file leaves out
-    whole = np.round(few / least)
-    if len(few) > 20 and np.mean(np.abs(few / least - whole) < 0.1) > 0.99:
-        return float(np.median(few / whole))
-    repeated = samples - 1 - len(steps) > 0.02 * samples
-    return float(np.percentile(steps, 1.0)) if repeated else 0.0
+    """The same; or what the least are, where positions repeat."""
+    repeated = len(steps) > 0 and samples - 1 - len(steps) > 0.02 * samples
+    return _multiple(steps) or (float(np.percentile(steps, 1.0)) if repeated else 0.0)

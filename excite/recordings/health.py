@@ -1,8 +1,8 @@
 """The health check: from rows as found to a recording that can be trusted, with what was done.
 
 Wrong units, a clock that cannot be repaired and mostly missing numbers are errors (`units`, `clock`, `missing`); order, repeats, jitter,
-stamps that waver (`waver`), gaps and few missing numbers are repaired by the rules stated there, remarked and warned of; `signs` are
-remarked only.
+stamps that waver (`waver`), gaps and few missing numbers are repaired by the rules stated there, remarked and warned of; `signs`, and
+positions that an encoder rounded (`rounding`), are remarked only.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from ..errors import ExciteWarning, UnusableInput
 from ..limits import Limits
 from ..robot import Robot
-from . import encoder, missing, signs, units, waver
+from . import encoder, missing, rounding, signs, units, waver
 from .block import Block
 from .clock import Clock, even
 from .recording import SHORTEST, Recording
@@ -64,10 +64,15 @@ def recording(patient: Patient, window: Window, clock: Clock, *, whole: bool) ->
     unlike = units.check_velocities(source, block, robot)
     gridded, uneven = even(block, clock)
     remarks = [*block.remarks, *window.remarks, *lacks, *uneven]
+    wavered = list[Remark]()
     if whole:
         remarks += [*_unknown(patient.sidecar), *unlike, *signs.look(block, robot, patient.limits)]
         gridded, wavered = _steadied(gridded, clock)
         remarks += wavered
+    smoothed = np.zeros(robot.n, bool)
+    if whole and not wavered:  # positions that were read at other instants are not smooth
+        gridded, smoothed = _unrounded(gridded, encoder.steps(block.values["q"]))
+        remarks += _rounded(robot, smoothed)
     inside = gridded.rows((gridded.t >= window.start) & (gridded.t <= window.end))
     own = window.block.t[(window.block.t >= window.start) & (window.block.t <= window.end)]
     return Recording(
@@ -79,6 +84,7 @@ def recording(patient: Patient, window: Window, clock: Clock, *, whole: bool) ->
         remarks=tuple(remarks),
         own_times=own,
         steps=encoder.noise(block.values["q"]),
+        smoothed=smoothed,
         run_in=int(np.searchsorted(inside.t, window.done, side="right")),
     )
 
@@ -91,6 +97,17 @@ def _steadied(block: Block, clock: Clock) -> tuple[Block, list[Remark]]:
     values = {name: found.taken(value) if name in ENCODERS else value for name, value in block.values.items()}
     text = f"positions of all joints were read {1e3 * found.rms:.2g} ms (rms) off their stamps; where they were at the stamps is estimated"
     return Block(block.t, values, block.remarks), [Remark(Kind.WAVER, text, repaired=True)]
+
+
+def _unrounded(block: Block, steps: Array) -> tuple[Block, Array]:
+    """Rows whose positions are the smoothest within the steps of their encoders, and of which joints they are."""
+    q, smoothed = rounding.smoothest(block.t, block.values["q"], steps)
+    return Block(block.t, {**block.values, "q": q}, block.remarks), smoothed
+
+
+def _rounded(robot: Robot, smoothed: Array) -> list[Remark]:
+    joints = ", ".join(f"'{robot.joints[j]}'" for j in np.flatnonzero(smoothed))
+    return [Remark(Kind.ROUNDED, f"of joints {joints} the smoothest motion is taken that their encoders' steps allow")] if joints else []
 
 
 def warn(source: str, remarks: Iterable[Remark]) -> None:

@@ -47,9 +47,9 @@ def stream(path: Path, robot: Robot, limits: Limits | None = None, *, rows: int 
 
     overlap: rows at the end of the block before that are repeated in front, so that a filter can run in; `run_in` counts them.
     Each block is repaired as `read` repairs the whole, on the grid of the first block's clock; what takes the whole to see (joints that
-    never move, a clock that wavers, coarse, frozen and clipped channels) is not judged, and shares of missing numbers are judged by
-    block. A repair is warned of where it first occurs; what a remark counts may include the up to 32 rows around the block. Bounded are
-    CSV, bags and .npz but for 2-D arrays stored column by column, which are held whole.
+    never move, a clock that wavers, coarse, frozen and clipped channels, what encoders rounded) is not judged, and shares of missing
+    numbers are judged by block. A repair is warned of where it first occurs; what a remark counts may include the up to 32 rows around
+    the block. Bounded are CSV, bags and .npz but for 2-D arrays stored column by column, which are held whole.
     Raises UnusableInput as `read` does, and for rows that come more than some 100 rows late.
     """
     if rows < 2 * HOLD or overlap < 0:

@@ -31,7 +31,8 @@ class Recording:
     qref: commanded position. qlink: position by the encoder behind the gear. temperature: [°C].
     remarks: what the health check found and did. own_times: times of the file's rows, in order, each once: N rows or, where the rows
     were put on an even grid, another number. Shape (M,) [s]. steps: standard deviation of positions by their encoders' steps, as they were
-    read. Shape (n,); None where q is as it was read. run_in: leading rows that repeat the end of the block before (`stream`).
+    read. Shape (n,); None where q is as it was read. smoothed: joints whose q is the smoothest within its encoder's steps. Shape (n,); None
+    where none is. run_in: leading rows that repeat the end of the block before (`stream`).
     """
 
     source: str
@@ -48,6 +49,7 @@ class Recording:
     remarks: tuple[Remark, ...] = ()
     own_times: Array = field(default_factory=lambda: np.empty(0))
     steps: Array | None = None
+    smoothed: Array | None = None
     run_in: int = 0
 
     def __len__(self) -> int:

@@ -21,6 +21,7 @@ class Kind(Enum):
     SKIPPED = "skipped"
     STILL = "still"
     COARSE = "coarse"
+    ROUNDED = "rounded"
     FROZEN = "frozen"
     CLIPPED = "clipped"
     OUTSIDE = "outside"

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import loaded
 from hypothesis import given
 from hypothesis import strategies as st
 
-from excite import recordings
+import excite
+from excite import base, limits, parameters, recordings, robot
+from excite.diagnose import noise, track
 from excite.identify import signals
 from excite.identify.band import Band, Grid
+from excite.identify.equations import Model
 from excite.recordings import encoder, rounding
 
+FOLDER = Path(excite.__file__).parent
 RATE, SECONDS, STEP = 500.0, 12.0, 2.0 * np.pi / 2**16
 
 
@@ -101,3 +108,33 @@ def test_a_recording_has_the_smoothest_and_remembers_how_it_was_read(tmp_path, t
     assert after < 0.8 * before and found.encoder == pytest.approx(STEP / np.sqrt(12.0), rel=1e-3)
     (piece,) = signals.pieces([found])
     assert piece.smoothed.all() and any(r.kind is recordings.Kind.ROUNDED and not r.repaired for r in found.remarks)
+
+
+def test_what_steps_are_said_to_feign_is_of_the_size_of_what_they_do(tmp_path):
+    pytest.importorskip("mujoco")
+    from excite.plant import laboratory
+
+    machine = robot.load("two_link")
+    table = limits.resolve(machine)
+    standard = parameters.standard(machine, table)
+    setting = laboratory.Setting(seed=3)
+    fine = laboratory.simulate(FOLDER / "models/two_link.urdf", FOLDER.parent / "trajectories/two_link.json", setting, periods=1)
+    drive, true = fine.plant.drive, parameters.standard(loaded(fine.plant.tree.text), table).nominal.copy()
+    for kind, name in (("rotor_inertia", "inertia"), ("viscous", "viscous"), ("coulomb", "coulomb"), ("offset", "offset")):
+        true[standard.block(kind)] = getattr(drive, name)
+    model = Model(machine, standard, base.find(machine, standard, table), drive.width)
+    theta, body = model.base.matrix @ true, track.body(machine, standard, true)
+
+    def tracked(resolution: float) -> list[track.Track]:
+        chain = dataclasses.replace(fine.chain, encoder=resolution)
+        told = dataclasses.replace(fine.recording, q=chain.positions(fine.run.told(fine.recording.t)[0]))
+        path = tmp_path / "r.csv"
+        path.write_text(told.csv())
+        return track.tracks(model, body, theta, list(signals.pieces([recordings.read(path, machine)])), 20.0)
+
+    right, coarse = tracked(1e-9), tracked(STEP)
+    assert coarse[0].piece.smoothed.all() and not right[0].piece.smoothed.any()
+    done = np.concatenate([a.left - b.left for a, b in zip(coarse, right, strict=True)])
+    said = np.concatenate([half for draw in noise.stepped(model, (coarse, coarse)) for half in draw])
+    ratio = np.sqrt(np.mean(said**2, axis=0) / np.mean(done**2, axis=0))
+    assert (ratio > 0.45).all() and (ratio < 1.8).all()  # a little less: that a motion is the smoothest is assumed both times

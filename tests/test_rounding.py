@@ -48,12 +48,13 @@ def derivative(q: np.ndarray, order: int, hertz: float, rate: float = RATE) -> n
 
 
 @pytest.mark.parametrize(("order", "hertz", "most"), [(2, 20.0, 0.8), (2, 40.0, 0.6), (1, 60.0, 0.45)])
-@given(seed=st.integers(0, 10**6), joints=st.integers(1, 7), rate=st.sampled_from([250.0, 500.0, 1000.0]))
-def test_what_is_smooth_within_the_steps_is_nearer_to_the_truth_than_a_low_pass(order, hertz, most, seed, joints, rate):
+@given(seed=st.integers(0, 10**6), joints=st.integers(1, 7), rate=st.sampled_from([250.0, 500.0, 1000.0]), bits=st.integers(10, 16))
+def test_what_is_smooth_within_the_steps_is_nearer_to_the_truth_than_a_low_pass(order, hertz, most, seed, joints, rate, bits):
     t, q = motion(seed, joints, rate)
-    told = read(q, seed)
-    smooth, which = rounding.smoothest(t, told, np.full(joints, STEP))
-    assert which.all() and (np.abs(smooth - told) > 0.55 * STEP).mean() < rounding.OUTSIDE
+    step = 2.0 * np.pi / 2**bits
+    told = read(q, seed, step)
+    smooth, which = rounding.smoothest(t, told, np.full(joints, step))
+    assert which.all() and (np.abs(smooth - told) > 0.55 * step).mean() < rounding.OUTSIDE
     right = derivative(q, order, hertz, rate)
     before, after = (np.sqrt(np.mean((derivative(x, order, hertz, rate) - right) ** 2)) for x in (told, smooth))
     assert after < most * before

@@ -15,10 +15,11 @@ import numpy as np
 from .clock import pieces
 
 Array = np.ndarray
-FINE = 5e-6
+FINE = 1e-5
 """Steps below which nobody needs more [rad or m]."""
-HERTZ = 40.0
-"""Corner of the filter: any leads to the same motion, this one soon [Hz]."""
+HERTZ, USUAL = 40.0, 1e-4
+"""Corner of the filter [Hz], and for which steps [rad or m]: any leads to the same motion, but this one soon. It falls with the steps' fourth
+root: the coarser they are, the longer is a motion within one."""
 ROUNDS, FURTHER = 80, 1.6
 """Times that is done, and how much further than it leads each goes."""
 REACH = 1.0
@@ -60,11 +61,12 @@ def unrounded(read: Array, steps: Array, step: float) -> Array:
     slope = lines[:, :1] + (lines[:, -1:] - lines[:, :1]) * np.linspace(0.0, 1.0, lines.shape[1])
     lines = lines - slope  # closed
     half = 0.5 * steps[:, None]
-    pass_by = 1.0 / (1.0 + (fft.rfftfreq(lines.shape[1], step) / HERTZ) ** 4)
+    corner = HERTZ * (USUAL / steps[:, None]) ** 0.25
+    low = 1.0 / (1.0 + (fft.rfftfreq(lines.shape[1], step) / corner) ** 4)
     within, off = lines.copy(), np.zeros_like(lines)
     smooth = lines
     for _ in range(ROUNDS):
-        smooth = fft.irfft(pass_by * fft.rfft(within - off), lines.shape[1])
+        smooth = fft.irfft(low * fft.rfft(within - off), lines.shape[1])
         further = FURTHER * smooth + (1.0 - FURTHER) * within
         within = np.clip(further + off, lines - half, lines + half)
         off += further - within

@@ -18,8 +18,8 @@ Array = np.ndarray
 FINE = 1e-5
 """Steps below which nobody needs more [rad or m]."""
 HERTZ, USUAL = 40.0, 1e-4
-"""Corner of the filter [Hz], and for which steps [rad or m]: any leads to the same motion, but this one soon. It falls with the steps' fourth
-root: the coarser they are, the longer is a motion within one."""
+"""Corner of the filter [Hz], and for which steps [rad or m]: any leads to the same motion, but this one soon. It falls with the fourth root
+of the steps: the coarser they are, the longer a motion stays within one."""
 ROUNDS, FURTHER = 80, 1.6
 """Times that is done, and how much further than it leads each goes."""
 REACH = 1.0

@@ -285,8 +285,8 @@ def _misled(model: Model, one: Track) -> Draw:
     def draw(rng: np.random.Generator) -> Array:
         told, origin = smooth.copy(), rng.uniform(size=one.n) * step
         told[:, coarse] = (np.round((smooth + origin)[:, coarse] / step[coarse]) * step[coarse]) - origin[coarse]
-        if again.any():
-            told[:, again] = rounding.unrounded(told[:, again].T, step[again], 1.0 / one.piece.rate).T
+        for j in np.flatnonzero(again):
+            told[:, j] = rounding.unrounded(told[:, j], float(step[j]), 1.0 / one.piece.rate)
         wrong = filtered(model, told, one.band)[0]
         return np.asarray((right - wrong)[one.kept] @ one.theta)
 

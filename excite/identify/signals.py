@@ -67,9 +67,8 @@ def pieces(recordings: Iterable[Recording], *, average: bool = True) -> Iterator
                 yield mean
                 continue
         for part in recording.segments():
-            smoothed = np.zeros(len(part.joints), bool) if recording.smoothed is None else recording.smoothed
             whole = (recording.source, float(part.t[0]), part.rate, part.q, part.torque)
-            yield Piece(*whole, encoder=recording.encoder, smoothed=smoothed)
+            yield Piece(*whole, encoder=recording.encoder, smoothed=recording.unrounded)
 
 
 def first(parts: Sequence[Piece], samples: int) -> list[Piece]:
@@ -104,7 +103,8 @@ def averaged(recording: Recording, period: float, window: tuple[float, float]) -
         return None
     q, torque = (np.concatenate(values) for values in zip(*found, strict=True))
     mean = torque.mean(axis=0)
-    return Piece(recording.source, first, samples / period, q.mean(axis=0), mean, count, torque - mean, recording.encoder / np.sqrt(count))
+    told = (recording.encoder / np.sqrt(count), recording.unrounded)
+    return Piece(recording.source, first, samples / period, q.mean(axis=0), mean, count, torque - mean, *told)
 
 
 def _folded(part: Recording, wanted: Array) -> tuple[Array, Array]:

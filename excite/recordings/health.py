@@ -1,8 +1,8 @@
 """The health check: from rows as found to a recording that can be trusted, with what was done.
 
 Wrong units, a clock that cannot be repaired and mostly missing numbers are errors (`units`, `clock`, `missing`); order, repeats, jitter,
-stamps that waver (`waver`), gaps and few missing numbers are repaired by the rules stated there, remarked and warned of; `signs`, and
-positions that an encoder rounded (`rounding`), are remarked only.
+stamps that waver (`waver`), gaps and few missing numbers are repaired by the rules stated there, remarked and warned of; what an encoder
+rounded is repaired and remarked (`rounding`); `signs` are remarked only.
 """
 
 from __future__ import annotations
@@ -107,13 +107,14 @@ def _unrounded(block: Block, steps: Array) -> tuple[Block, Array]:
 
 def _rounded(robot: Robot, smoothed: Array) -> list[Remark]:
     joints = ", ".join(f"'{robot.joints[j]}'" for j in np.flatnonzero(smoothed))
-    return [Remark(Kind.ROUNDED, f"of joints {joints} the smoothest motion is taken that their encoders' steps allow")] if joints else []
+    text = f"of joints {joints} the smoothest motion is taken that their encoders' steps allow"
+    return [Remark(Kind.ROUNDED, text, repaired=True)] if joints else []
 
 
 def warn(source: str, remarks: Iterable[Remark]) -> None:
-    """Tell of each repair."""
+    """Tell of each repair of a fault: that an encoder rounds is none."""
     for remark in remarks:
-        if remark.repaired:
+        if remark.repaired and remark.kind is not Kind.ROUNDED:
             warnings.warn(f"{source}: {remark.text}", ExciteWarning, stacklevel=3)
 
 

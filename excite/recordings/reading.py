@@ -30,7 +30,7 @@ def read(path: Path, robot: Robot, limits: Limits | None = None) -> Recording:
     path: a CSV (the contract's columns, or Universal Robots' RTDE), an .npz, a rosbag2 folder, an .mcap, .db3 or .bag; a sidecar
     `<name>.json` beside it is read too. limits: to tell degrees from radians; without, the URDF's.
     Raises UnusableInput, with file, joint and remedy, for what cannot be read, matched or repaired; gives an ExciteWarning for each
-    repair, which `remarks` lists too.
+    repair of a fault; `remarks` lists these too.
     """
     patient = Patient(str(path), robot, sidecar.read(path), limits)
     found = [block for block in _blocks(path, patient) if len(block) or block.remarks]

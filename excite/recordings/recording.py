@@ -66,6 +66,11 @@ class Recording:
         return encoder.noise(self.q) if self.steps is None else self.steps
 
     @property
+    def unrounded(self) -> Array:
+        """Of which joints positions are the smoothest within their encoders' steps. Shape (n,)."""
+        return np.zeros(len(self.joints), bool) if self.smoothed is None else self.smoothed
+
+    @property
     def rate(self) -> float:
         """Rows a second [Hz]."""
         return 1.0 / self.step

@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
+from conftest import loaded
 
 from excite import base, limits, parameters, robot
 from excite.identify import consistent
 from excite.identify.equations import Model
+from excite.limits import Limits
 from excite.parameters import Parameters
 from excite.recordings import Recording, Sidecar
 from excite.trajectory import Fourier
+
+if TYPE_CHECKING:  # of an extra that need not be there
+    from excite.plant.plant import Plant
 
 Array = np.ndarray
 PERIOD, RATE = 5.2, 500.0
@@ -35,6 +41,14 @@ def perturbed(standard: Parameters, rng: np.random.Generator, size: float = 0.1)
     for kind, value in (("rotor_inertia", 0.3), ("viscous", 0.8), ("coulomb", 1.5), ("offset", 0.2)):
         psi[standard.block(kind)] = value * rng.uniform(0.5, 1.5, len(standard.joints))
     assert consistent.is_consistent(standard, psi)
+    return psi
+
+
+def simulated(plant: Plant, standard: Parameters, table: Limits) -> Array:
+    """ψ of a robot that was simulated: its bodies, and what its drives are."""
+    psi = parameters.standard(loaded(plant.tree.text), table).nominal.copy()
+    for kind, name in (("rotor_inertia", "inertia"), ("viscous", "viscous"), ("coulomb", "coulomb"), ("offset", "offset")):
+        psi[standard.block(kind)] = getattr(plant.drive, name)
     return psi
 
 

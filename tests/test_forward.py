@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import loaded, off, random_urdf, slope, states
+from made import simulated
 
 import excite
 from excite import base, dynamics, limits, parameters, robot
@@ -152,9 +153,7 @@ def known() -> Known:
     session = laboratory.simulate(path, FOLDER.parent / "trajectories/two_link.json", laboratory.Setting(seed=5, noise=1e-3), periods=2)
     told, arm = session.recording, robot.load("two_link")
     own = parameters.standard(arm, limits.resolve(arm))
-    truth = parameters.standard(loaded(session.plant.tree.text), limits.resolve(arm)).nominal.copy()
-    for kind, name in (("rotor_inertia", "inertia"), ("viscous", "viscous"), ("coulomb", "coulomb"), ("offset", "offset")):
-        truth[own.block(kind)] = getattr(session.plant.drive, name)
+    truth = simulated(session.plant, own, limits.resolve(arm))
     model = Model(arm, own, base.find(arm, own, limits.resolve(arm)), session.plant.drive.width)
     sidecar = Sidecar(period=told.period, periodic=told.periodic)
     pieces = list(signals.pieces([Recording("bench.csv", told.joints, told.t, told.q, tau=told.tau, sidecar=sidecar)]))

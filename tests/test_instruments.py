@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import loaded
+from made import simulated
 
 import excite
 from excite import base, limits, parameters, robot
@@ -43,9 +43,7 @@ def bench(encoder: float, step: float) -> Bench:
     arm = robot.load("two_link")
     table = limits.resolve(arm)
     own = parameters.standard(arm, table)
-    true = parameters.standard(loaded(session.plant.tree.text), table).nominal.copy()
-    for kind, name in (("rotor_inertia", "inertia"), ("viscous", "viscous"), ("coulomb", "coulomb"), ("offset", "offset")):
-        true[own.block(kind)] = getattr(session.plant.drive, name)
+    true = simulated(session.plant, own, table)
     model = Model(arm, own, base.find(arm, own, table), session.plant.drive.width)
     sidecar = Sidecar(period=told.period, periodic=told.periodic)
     recording = Recording("bench.csv", told.joints, told.t, told.q, tau=told.tau, qref=told.qref, sidecar=sidecar)

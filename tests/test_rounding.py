@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import loaded
 from hypothesis import given
 from hypothesis import strategies as st
+from made import simulated
 
 import excite
 from excite import base, limits, parameters, recordings, robot
@@ -131,10 +131,8 @@ def test_what_steps_are_said_to_feign_is_of_the_size_of_what_they_do(tmp_path):
     standard = parameters.standard(machine, table)
     setting = laboratory.Setting(seed=3)
     fine = laboratory.simulate(FOLDER / "models/two_link.urdf", FOLDER.parent / "trajectories/two_link.json", setting, periods=1)
-    drive, true = fine.plant.drive, parameters.standard(loaded(fine.plant.tree.text), table).nominal.copy()
-    for kind, name in (("rotor_inertia", "inertia"), ("viscous", "viscous"), ("coulomb", "coulomb"), ("offset", "offset")):
-        true[standard.block(kind)] = getattr(drive, name)
-    model = Model(machine, standard, base.find(machine, standard, table), drive.width)
+    true = simulated(fine.plant, standard, table)
+    model = Model(machine, standard, base.find(machine, standard, table), fine.plant.drive.width)
     theta, body = model.base.matrix @ true, track.body(machine, standard, true)
 
     def tracked(resolution: float) -> list[track.Track]:

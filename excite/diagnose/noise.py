@@ -15,6 +15,7 @@ from ..identify.band import WIDER, Grid
 from ..identify.equations import Model, filtered
 from ..identify.identification import Identification
 from ..recordings import Recording, rounding
+from ..recordings.ends import reflected
 from ..recordings.missing import runs
 from .blocks import sandwiched
 from .track import Track
@@ -193,8 +194,7 @@ def _shifted(x: Array, by: float) -> Array:
     if by < 1e-6:
         return x
     reach = min(EDGE, len(x) - 1)
-    before, behind = 2.0 * x[0] - x[reach:0:-1], 2.0 * x[-1] - x[-2 : -reach - 2 : -1]
-    whole = np.concatenate([before, x, behind])
+    whole = reflected(x, reach, reach)
     turned = np.fft.rfft(whole, axis=0) * np.exp(2j * np.pi * np.fft.rfftfreq(len(whole)) * by)[:, None]
     return np.asarray(np.fft.irfft(turned, len(whole), axis=0)[reach : reach + len(x)])
 
@@ -278,14 +278,13 @@ def _misled(model: Model, one: Track) -> Draw:
     coarse = step > 0.0
     if not coarse.any():
         return lambda rng: np.zeros((len(one), one.n))
-    again = coarse & one.piece.smoothed
-    smooth = np.where(again, one.piece.q, one.band.transformed(one.piece.q).low(Grid.RECORDED, 0, WIDER))
+    smooth = np.where(one.piece.smoothed, one.piece.q, one.band.transformed(one.piece.q).low(Grid.RECORDED, 0, WIDER))
     right = filtered(model, smooth, one.band)[0]
 
     def draw(rng: np.random.Generator) -> Array:
         told, origin = smooth.copy(), rng.uniform(size=one.n) * step
         told[:, coarse] = (np.round((smooth + origin)[:, coarse] / step[coarse]) * step[coarse]) - origin[coarse]
-        for j in np.flatnonzero(again):
+        for j in np.flatnonzero(one.piece.smoothed):
             told[:, j] = rounding.unrounded(told[:, j], float(step[j]), 1.0 / one.piece.rate)
         wrong = filtered(model, told, one.band)[0]
         return np.asarray((right - wrong)[one.kept] @ one.theta)

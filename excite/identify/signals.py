@@ -33,7 +33,7 @@ class Piece:
 
     periods: how many were averaged; 0: not periodic. noise: each period's torque less the mean's. Shape (periods, N, n). encoder: standard
     deviation of positions by the encoders' steps, as they were read. smoothed: joints whose positions are the smoothest within these.
-    Shape (n,).
+    Shape (n,) or, where none are, (1,).
     """
 
     source: str
@@ -68,7 +68,7 @@ def pieces(recordings: Iterable[Recording], *, average: bool = True) -> Iterator
                 continue
         for part in recording.segments():
             whole = (recording.source, float(part.t[0]), part.rate, part.q, part.torque)
-            yield Piece(*whole, encoder=recording.encoder, smoothed=recording.unrounded)
+            yield Piece(*whole, encoder=recording.encoder, smoothed=recording.smoothed)
 
 
 def first(parts: Sequence[Piece], samples: int) -> list[Piece]:
@@ -103,7 +103,7 @@ def averaged(recording: Recording, period: float, window: tuple[float, float]) -
         return None
     q, torque = (np.concatenate(values) for values in zip(*found, strict=True))
     mean = torque.mean(axis=0)
-    told = (recording.encoder / np.sqrt(count), recording.unrounded)
+    told = (recording.encoder / np.sqrt(count), recording.smoothed)
     return Piece(recording.source, first, samples / period, q.mean(axis=0), mean, count, torque - mean, *told)
 
 

@@ -13,10 +13,8 @@ def noise(positions: Array) -> Array:
 
 
 def steps(positions: Array) -> Array:
-    """Of what changes of position are multiples, 0 where they are of nothing, or all the same. Shapes (M, n) -> (n,) [rad or m]."""
-    found = np.array([_multiple(_steps(q)) for q in positions.T])
-    changes = np.abs(np.diff(positions, axis=0))
-    return np.where(np.ptp(changes, axis=0) > 0.5 * found, found, 0.0)
+    """Of what changes of position are multiples, 0 where they are of nothing. Shapes (M, n) -> (n,) [rad or m]."""
+    return np.array([_multiple(_steps(q)) for q in positions.T])
 
 
 def _steps(q: Array) -> Array:

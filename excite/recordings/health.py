@@ -64,15 +64,13 @@ def recording(patient: Patient, window: Window, clock: Clock, *, whole: bool) ->
     unlike = units.check_velocities(source, block, robot)
     gridded, uneven = even(block, clock)
     remarks = [*block.remarks, *window.remarks, *lacks, *uneven]
-    wavered = list[Remark]()
+    smoothed = np.zeros(robot.n, bool)
     if whole:
         remarks += [*_unknown(patient.sidecar), *unlike, *signs.look(block, robot, patient.limits)]
         gridded, wavered = _steadied(gridded, clock)
-        remarks += wavered
-    smoothed = np.zeros(robot.n, bool)
-    if whole and not wavered:  # positions that were read at other instants are not smooth
-        gridded, smoothed = _unrounded(gridded, encoder.steps(block.values["q"]))
-        remarks += _rounded(robot, smoothed)
+        if not wavered:  # positions that were read at other instants are not smooth
+            gridded, smoothed = _unrounded(gridded, encoder.steps(block.values["q"]))
+        remarks += [*wavered, *_rounded(robot, smoothed)]
     inside = gridded.rows((gridded.t >= window.start) & (gridded.t <= window.end))
     own = window.block.t[(window.block.t >= window.start) & (window.block.t <= window.end)]
     return Recording(

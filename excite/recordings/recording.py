@@ -31,8 +31,8 @@ class Recording:
     qref: commanded position. qlink: position by the encoder behind the gear. temperature: [°C].
     remarks: what the health check found and did. own_times: times of the file's rows, in order, each once: N rows or, where the rows
     were put on an even grid, another number. Shape (M,) [s]. steps: standard deviation of positions by their encoders' steps, as they were
-    read. Shape (n,); None where q is as it was read. smoothed: joints whose q is the smoothest within its encoder's steps. Shape (n,); None
-    where none is. run_in: leading rows that repeat the end of the block before (`stream`).
+    read. Shape (n,); None where q is as it was read. smoothed: joints whose q is the smoothest within its encoder's steps. Shape (n,) or,
+    where none is, (1,). run_in: leading rows that repeat the end of the block before (`stream`).
     """
 
     source: str
@@ -49,7 +49,7 @@ class Recording:
     remarks: tuple[Remark, ...] = ()
     own_times: Array = field(default_factory=lambda: np.empty(0))
     steps: Array | None = None
-    smoothed: Array | None = None
+    smoothed: Array = field(default_factory=lambda: np.zeros(1, bool))
     run_in: int = 0
 
     def __len__(self) -> int:
@@ -64,11 +64,6 @@ class Recording:
     def encoder(self) -> Array:
         """Standard deviation of positions by the encoders' steps, 0 where none shows. Shape (n,)."""
         return encoder.noise(self.q) if self.steps is None else self.steps
-
-    @property
-    def unrounded(self) -> Array:
-        """Of which joints positions are the smoothest within their encoders' steps. Shape (n,)."""
-        return np.zeros(len(self.joints), bool) if self.smoothed is None else self.smoothed
 
     @property
     def rate(self) -> float:

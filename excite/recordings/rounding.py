@@ -15,6 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .clock import pieces
+from .ends import reflected
 from .recording import SHORTEST
 
 Array = np.ndarray
@@ -71,7 +72,7 @@ def unrounded(read: Array, resolution: float, step: float) -> Array:
     count = len(read)
     head = min(count - 1, int(REACH / step))
     tail = min(fft.next_fast_len(count + 2 * head, real=True) - count - head, count - 1)
-    line = np.concatenate([2.0 * read[0] - read[head:0:-1], read, 2.0 * read[-1] - read[-2 : -tail - 2 : -1]])
+    line = reflected(read, head, tail)
     slope = np.linspace(line[0], line[-1], len(line))
     line = line - slope  # closed
     corner = HERTZ * (USUAL / resolution) ** 0.25

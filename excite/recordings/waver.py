@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from .clock import pieces
+from .ends import reflected
 
 Array = np.ndarray
 SLOW, ABOVE, TOP = 10.0, 30.0, 45.0
@@ -117,7 +118,7 @@ class _Seen:
 
         every = max(1, int(0.4 / (TOP * self.step)))
         head = int(REACH / self.step) // every * every
-        q, speed = (_continued(x, head) for x in (self.q, self.speed))
+        q, speed = (reflected(x, head, head) for x in (self.q, self.speed))
         fade = np.ones(len(q))
         fade[:head] = 0.5 - 0.5 * np.cos(np.pi * np.arange(head) / head)
         fade[-head:] = fade[:head][::-1]
@@ -133,11 +134,6 @@ def _low(x: Array, hertz: float, step: float) -> Array:
     from scipy import signal  # slow to import
 
     return np.asarray(signal.sosfiltfilt(signal.butter(4, 2.0 * hertz * step, output="sos"), x, axis=0))
-
-
-def _continued(x: Array, rows: int) -> Array:
-    """Reflected through both ends."""
-    return np.concatenate([2.0 * x[0] - x[rows:0:-1], x, 2.0 * x[-1] - x[-2 : -rows - 2 : -1]])
 
 
 def _likeliest(x: Array, speed: Array, step: float, variance: float, grain: Array) -> Array:

@@ -30,13 +30,12 @@ LOST = 1e3
 
 @dataclass(frozen=True)
 class Trace:
-    """States at t = k·step. v: links and base, Shape (N, k + n); omega: motors, (N, n); z: memory, (N, m). q, theta: at the start."""
+    """States at t = k·step. q: links and base, Shape (N, k + n); theta: motors, (N, n); z: memory, (N, m). Of a loop that is lost, not
+    finite from there on."""
 
     t: Array
     q: Array
-    v: Array
     theta: Array
-    omega: Array
     z: Array
 
 
@@ -69,17 +68,15 @@ class Loop:
         forward = self._forward(*asked)
         self._begin(asked[0][0])
         rows = len(t)
-        v, omega = np.zeros((rows, self.arm.n)), np.zeros((rows, self.n))
-        z = np.zeros((rows, len(self.z)))
-        z[0] = self.z
-        start = self.q.copy(), self.theta.copy()
+        q, theta, z = np.zeros((rows, self.arm.n)), np.zeros((rows, self.n)), np.zeros((rows, len(self.z)))
+        q[0], theta[0], z[0] = self.q, self.theta, self.z
         for i in range(rows - 1):
             self._command(asked[0][i], asked[1][i], forward[i])
             if not self._held(t[i]):
-                v[i + 1 :] = np.inf
+                q[i + 1 :] = np.inf
                 break
-            v[i + 1], omega[i + 1], z[i + 1] = self.v, self.omega, self.z
-        return Trace(t, start[0], v, start[1], omega, z)
+            q[i + 1], theta[i + 1], z[i + 1] = self.q, self.theta, self.z
+        return Trace(t, q, theta, z)
 
     def _forward(self, q: Array, v: Array, a: Array) -> Array:
         pad = np.zeros((len(q), self.k))
@@ -143,9 +140,9 @@ class Loop:
             matrix[base, base] += 0.5 * self.step * s.damping + 0.25 * self.step**2 * s.stiffness
             force[:k] -= s.stiffness * (self.q[:k] + 0.5 * self.step * self.v[:k]) + s.damping * self.v[:k]
         before, theta, omega = self.v, self.theta, self.omega.copy()
-        self.a = self._wind(matrix, force, resist, omega) if self.springs else solve(matrix, force)
+        self.a, shift = self._wind(matrix, force, resist, omega) if self.springs else (solve(matrix, force), 0.0)
         self.v = before + self.step * self.a
-        self.q = self.q + 0.5 * self.step * (before + self.v)
+        self.q = self.q + 0.5 * self.step * (before + self.v) + shift
         theta, turned = self.q[k:].copy(), self.v[k:].copy()
         for spring in self.springs:
             theta[spring.joint], turned[spring.joint] = self.theta[spring.joint], omega[spring.joint]
@@ -154,21 +151,23 @@ class Loop:
             self.load = (mass @ self.a + bias)[k:]
             self._remember(time + self.step)
 
-    def _wind(self, matrix: Array, force: Array, resist: Array, omega: Array) -> Array:
-        """Fine steps of the springs; returns the arm's mean acceleration over them and sets theta, omega of elastic joints."""
+    def _wind(self, matrix: Array, force: Array, resist: Array, omega: Array) -> tuple[Array, Array]:
+        """Fine steps of the springs, which set theta, omega of elastic joints; returns the arm's mean acceleration over them, and how much
+        further it comes than with that from the first: else links drift off the motors that teeth knock them back and forth on."""
         columns = np.zeros((self.arm.n, len(self.springs)))
         for i, spring in enumerate(self.springs):
             columns[self.k + spring.joint, i] = 1.0
         solved = solve(matrix, np.column_stack([force, columns]))
-        mean = solved[:, 0]
+        mean, shift = solved[:, 0], np.zeros(self.arm.n)
         for i, spring in enumerate(self.springs):
             j, row = spring.joint, self.k + spring.joint
-            pulse = self._wind_one(spring, float(solved[row, 0]), float(solved[row, 1 + i]), float(self.u[j] - resist[j]), omega)
-            mean = mean + solved[:, 1 + i] * pulse
-        return mean
+            pulse, further = self._wind_one(spring, float(solved[row, 0]), float(solved[row, 1 + i]), float(self.u[j] - resist[j]), omega)
+            mean, shift = mean + solved[:, 1 + i] * pulse, shift + solved[:, 1 + i] * further
+        return mean, shift
 
-    def _wind_one(self, spring: Spring, free: float, yields: float, push: float, omega: Array) -> float:
-        """One spring: links accelerate by free + yields·f, the motor by (push − f)/J. Returns the mean of f [N m]."""
+    def _wind_one(self, spring: Spring, free: float, yields: float, push: float, omega: Array) -> tuple[float, float]:
+        """One spring: links accelerate by free + yields·f, the motor by (push − f)/J. Returns the mean of f [N m], and the double integral
+        of f less its mean over the step [N m s²]."""
         j, drive, count = spring.joint, self.drive, round(self.step / FINE)
         dt = self.step / count
         inertia, viscous = float(drive.inertia[j]), float(drive.viscous[j])
@@ -191,7 +190,9 @@ class Loop:
             w, v = w + faster, v + quicker
             total += force
         self.theta[j], omega[j] = theta, w
-        return total / count
+        mean, before = total / count, float(self.v[self.k + j])
+        steady = float(self.q[self.k + j]) + self.step * (before + 0.5 * self.step * (free + yields * mean))
+        return mean, (q - steady) / yields
 
     def _effects(self, time: float) -> tuple[Array, Array]:
         """Torque of the effects at the end of a step without acceleration, and how it grows with speed."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import BSpline, make_interp_spline
 
 from ..errors import UnusableInput
 from . import arm as arms
@@ -18,6 +18,9 @@ from .reference import Reference
 from .tree import Tree
 
 Array = np.ndarray
+SPRUNG = 5e-4
+"""Longest step where a joint winds up or has play [s]: a motor between its teeth carries a fraction of the inertia that its controller is
+tuned for, and rattles in a loop of two milliseconds; a link that teeth catch swings at hundreds of Hz."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +57,9 @@ class Plant:
             drive = law.drives(drive)
         bound = replace(self, drive=drive, laws=tuple(law.bound(arm) for law in self.laws))
         carried = [s for law in bound.laws if (s := law.suspension()) is not None]
-        trace = Loop(arm, drive, self.control, bound.laws, carried[0] if carried else None, self.limit, self.step).run(reference)
-        if not np.isfinite(trace.v).all():
+        step = min(self.step, SPRUNG) if any(law.spring() is not None for law in bound.laws) else self.step
+        trace = Loop(arm, drive, self.control, bound.laws, carried[0] if carried else None, self.limit, step).run(reference)
+        if not np.isfinite(trace.q).all():
             raise UnusableInput(f"{self.tree.source}: the controller loses this robot; make the hidden effects smaller")
         return Run(bound, arm, trace)
 
@@ -72,7 +76,8 @@ class Plant:
 
 
 class Run:
-    """A finished motion, smooth between the steps of the loop: speeds are cubic splines, positions their integrals.
+    """A finished motion, smooth between the steps of the loop: positions are splines of the fifth order, so that accelerations are smooth
+    and a link that is knocked back and forth between two steps stays where it was (integrals of speeds drift).
 
     Torques are recomputed along it, not taken from the controller: what is recorded is consistent to machine precision.
     """
@@ -80,20 +85,17 @@ class Run:
     def __init__(self, plant: Plant, arm: Arm, trace: Trace) -> None:
         self.plant, self.arm, self.trace = plant, arm, trace
         self.end = float(trace.t[-1])
-        self._v = CubicSpline(trace.t, trace.v)
-        self._q, self._a = self._v.antiderivative(), self._v.derivative()
-        self._omega = CubicSpline(trace.t, trace.omega)
-        self._theta, self._alpha = self._omega.antiderivative(), self._omega.derivative()
+        self._links, self._motors = (_differentiated(trace.t, x) for x in (trace.q, trace.theta))
 
     def links(self, t: Array) -> tuple[Array, Array, Array]:
         """Position, velocity, acceleration of base and links. Shapes (N, k + n)."""
-        t = np.clip(t, 0.0, self.end)
-        return self.trace.q + self._q(t), self._v(t), self._a(t)
+        q, v, a = (spline(np.clip(t, 0.0, self.end)) for spline in self._links)
+        return q, v, a
 
     def motors(self, t: Array) -> tuple[Array, Array, Array]:
         """The same of the motors, at the joints' shafts. Shapes (N, n)."""
-        t = np.clip(t, 0.0, self.end)
-        return self.trace.theta + self._theta(t), self._omega(t), self._alpha(t)
+        q, v, a = (spline(np.clip(t, 0.0, self.end)) for spline in self._motors)
+        return q, v, a
 
     def instant(self, t: Array) -> Instant:
         """The joints at times t, with the torque that passes to the links."""
@@ -124,6 +126,12 @@ class Run:
         for law in self.plant.laws:
             q, ask = law.seen(q), _wrapped(law, ask)
         return q, ask(t)
+
+
+def _differentiated(t: Array, x: Array) -> tuple[BSpline, BSpline, BSpline]:
+    """A smooth motion through positions at equal times, its speed and its acceleration."""
+    spline = make_interp_spline(t, x, k=5)
+    return spline, spline.derivative(1), spline.derivative(2)
 
 
 def _wrapped(law: Law, ask: Callable[[Array], Array]) -> Callable[[Array], Array]:

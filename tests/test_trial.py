@@ -104,6 +104,13 @@ def test_the_same_case_is_the_same_to_the_last_byte(place):
     assert all((place.cases / SPECS[1].name / name).read_text(encoding="utf-8") == text for name, text in again.items())
 
 
+def test_what_a_trap_hides_altogether_is_made_without_it():
+    """A robot that crawls has no drag: there is no truth to be found."""
+    case = conceal.bench(spec(3, "0d0d0d", "single", ("drag",), trap="poor_excitation"), run.MODELS)
+    assert case.spec.trap == "none" and case.hidden[0][1] > conceal.SHOWS
+    assert conceal._drawn(spec(3, "0d0d0d", "single", ("drag",), trap="poor_excitation"), run.MODELS, 0.0).hidden[0][1] < conceal.SHOWS
+
+
 def test_the_key_is_sealed_and_a_changed_one_voids_the_trial(place, tmp_path):
     sealed = place.sealed.read_text().strip()
     assert seal.digest(place.key / "key.json") == sealed and len(sealed) == 64

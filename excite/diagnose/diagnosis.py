@@ -18,7 +18,7 @@ from ..identify.signals import Piece
 from ..parameters import Parameters
 from ..recordings import Recording
 from ..robot import Robot
-from . import belief, encoders, equations, foreseen, foretold, hypothesis, judge, looks, noise, search, track, whole
+from . import belief, encoders, equations, foreseen, foretold, hypothesis, judge, looks, noise, once, search, track, whole
 from .catalogue import EFFECTS
 from .effect import Shape
 from .encoders import Gear
@@ -194,6 +194,7 @@ def diagnose(
         left = search.remaining(one, verdict.together.shapes) * scale  # without what touched the robot once, which looked like noise
         noisy = noise.repeated(noisy, every, track.split(left, every))
         one, verdict, scale = _sharper(one, verdict, noisy, scale)
+    verdict = once.kept(one, verdict, every, noisy.periods)
     verdict, refitted = foretold.tested(one, verdict, _moves(halves[1]), (noisy.floor / scale) ** 2), None
     if verdict.findings:
         progress("the base model without what was found")

@@ -115,7 +115,7 @@ def _repeats(track: Track, left: Array, period: float, window: tuple[float, floa
     low, high = window
     rate = 1.0 / (track.time[1] - track.time[0])
     rows = int(np.floor(period * rate))
-    later = _shifted(left, period * rate - rows)[rows:]
+    later = shifted(left, period * rate - rows)[rows:]
     first = left[: len(later)]
     inside = (track.time[: len(later)] >= low) & (track.time[rows : rows + len(later)] + 1.0 / rate <= high)
     if inside.sum() < 0.15 * rows or inside.sum() < 20:
@@ -189,7 +189,7 @@ def _usual(square: Array) -> Array:
     return np.repeat(kept, [len(part) for part in parts])
 
 
-def _shifted(x: Array, by: float) -> Array:
+def shifted(x: Array, by: float) -> Array:
     """x at times a part of a row later, by its Fourier series, the ends continued by reflection. Shape (N, n)."""
     if by < 1e-6:
         return x

@@ -33,7 +33,7 @@ LARGEST = 10.0
 """An effect is at most this many times its usual size, whatever severity was asked for."""
 DRAWS, FURTHER, SHOWS = 3, 12, 0.5
 """Times that a robot, or an effect's place and size, is drawn; how often at the most where none shows this severity: what is not in the
-recording (a limit that the torque never comes to) is no truth to be found."""
+recording (a limit that the torque never comes to, drag of a robot that crawls) is no truth to be found."""
 
 
 @dataclass(frozen=True)
@@ -73,15 +73,20 @@ def setting(spec: Spec) -> Setting:
 def bench(spec: Spec, models: Path) -> Bench:
     """Simulate a case. models: folder of the robots' URDFs. The same spec gives the same numbers.
 
-    A robot that its controller loses whatever is hidden is drawn anew. Raises UnusableInput where all are.
+    A robot that its controller loses whatever is hidden, or that shows nothing of it, is drawn anew; at last without the trap. Raises
+    UnusableInput where all are lost.
     """
     for again in range(DRAWS - 1):
         with suppress(UnusableInput):
-            return _drawn(replace(spec, seed=spec.seed + again), models)
-    return _drawn(replace(spec, seed=spec.seed + DRAWS - 1), models)
+            return _drawn(replace(spec, seed=spec.seed + again), models, SHOWS)
+    last = replace(spec, seed=spec.seed + DRAWS - 1)
+    with suppress(UnusableInput):
+        return _drawn(replace(last, trap="none"), models, SHOWS)
+    return _drawn(last, models, 0.0)
 
 
-def _drawn(spec: Spec, models: Path) -> Bench:
+def _drawn(spec: Spec, models: Path, least: float) -> Bench:
+    """A case, every effect of which shows a severity of `least`."""
     rng, chosen, path = np.random.default_rng([spec.seed, 2]), setting(spec), models / f"{spec.robot}.urdf"
     tree = trees.read(path)
     plant = laboratory.robot(path, _standing(tree.joints), chosen)
@@ -94,7 +99,7 @@ def _drawn(spec: Spec, models: Path) -> Bench:
     for name, level in zip(spec.names, spec.severities, strict=True):
         # of two effects most sit in one joint, where they mask each other
         joint = hidden[0][0].joint if hidden and rng.random() < 0.6 else None
-        hidden.append(_effect(spec, name, level, plant, chosen, (short, train), joint, rng))
+        hidden.append(_effect(spec, name, level, plant, chosen, (short, train), joint, rng, least))
     return _measured(Bench(spec, tree.text, plant, tuple(hidden), (), train), validate, chosen)
 
 
@@ -137,11 +142,12 @@ def _effect(
     motions: tuple[Reference, Reference],
     joint: str | None,
     rng: np.random.Generator,
+    least: float,
 ) -> tuple[Effect, float]:
     """An effect of random size and place (`joint` first, where it may sit there), scaled to its severity; and the severity reached.
 
     Where a joint shows too little of it whatever its size (a wrist that hardly loads its spring), or the controller loses the
-    robot at any, another draw is made; and more where none shows.
+    robot at any, another draw is made; and more where none shows. Raises UnusableInput where none shows a severity of `least`.
     """
     kind, n, (short, whole) = KINDS[name], len(plant.joints), motions
     first = {"payload": n // 2, "contact": n // 2}.get(name, 0)
@@ -169,6 +175,8 @@ def _effect(
     if not found:
         raise lost
     _, best, value = min(found, key=lambda entry: entry[0])
+    if value < least:
+        raise UnusableInput(f"case {spec.name}: no joint shows {name}; plan another seed")
     return best, value
 
 

@@ -228,6 +228,16 @@ def test_teeth_hide_the_same_whatever_the_step(bench):
     assert np.std(left[0] - left[1]) < 0.2 * np.std(left[1])
 
 
+def test_what_swings_fast_does_not_pass_for_slow(bench, monkeypatch):
+    """Looked at 200 times a second, teeth that knock at hundreds of Hz seemed to be eight times as loud below 20 Hz."""
+    plant, motion, _, session = bench
+    run = hidden(plant, "backlash:joint_2:width=0.0002").run(motion)
+    told = severity.of(run, plant, motion, session.chain).joints
+    monkeypatch.setattr(severity, "RATTLING", 8000.0)
+    finer = severity.of(run, plant, motion, session.chain).joints
+    assert np.abs(np.log(told / finer)).max() < np.log(2.0)
+
+
 def test_a_base_moves_as_its_springs_let_it(bench):
     plant, motion, *_ = bench
     run = hidden(plant, "base_compliance::frequency=8").run(motion)

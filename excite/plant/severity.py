@@ -18,8 +18,9 @@ from .regressor import bodies, drives
 
 Array = np.ndarray
 BAND = 20.0
-RATE = 200.0
-"""At which torque is looked at [Hz]."""
+RATE, RATTLING, KEPT = 200.0, 2000.0, 100.0
+"""At which torque is looked at; where teeth or springs may swing at hundreds of Hz, which must not pass for slow; and of what is below
+20 Hz, kept [Hz]."""
 
 
 @dataclass(frozen=True)
@@ -71,14 +72,15 @@ def left(run: Run, plant: Plant, reference: Reference, *, trusted: bool = False)
 
     trusted: the base model stays as it is, nothing is refit.
     """
-    found = hidden(run, plant, np.arange(reference.periodic[0], reference.periodic[1], 1.0 / RATE))
-    rest = _low(found.torque)
+    rate = RATTLING if any(law.spring() is not None for law in run.plant.laws) else RATE
+    found = hidden(run, plant, np.arange(reference.periodic[0], reference.periodic[1], 1.0 / rate))
+    rest = _low(found.torque, rate)
     if trusted:
         return rest
     arm = arms.build(plant.tree, plant.joints, plant.lock, plant.gravity)
     every = [bodies(arm, found.q, found.v, found.a), drives(found.v, found.a, plant.drive.width)]
     weight = 1.0 / plant.limit
-    columns = _low(np.concatenate(every, axis=2)) * weight[:, None]
+    columns = _low(np.concatenate(every, axis=2), rate) * weight[:, None]
     return np.asarray(rest - _fit(columns.reshape(-1, columns.shape[2]), (rest * weight).ravel()).reshape(rest.shape) / weight)
 
 
@@ -92,9 +94,9 @@ def _fit(columns: Array, target: Array) -> Array:
     return np.asarray(basis @ (basis.T @ target))
 
 
-def _low(x: Array) -> Array:
-    """Below 20 Hz, zero phase, every other sample."""
-    return np.asarray(signal.sosfiltfilt(signal.butter(4, BAND, fs=RATE, output="sos"), x, axis=0)[::2])
+def _low(x: Array, rate: float) -> Array:
+    """Below 20 Hz, zero phase, as many samples as that needs."""
+    return np.asarray(signal.sosfiltfilt(signal.butter(4, BAND, fs=rate, output="sos"), x, axis=0)[:: round(rate / KEPT)])
 
 
 def of(run: Run, plant: Plant, reference: Reference, chain: Chain, *, trusted: bool = False) -> Severity:

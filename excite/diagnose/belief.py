@@ -140,6 +140,12 @@ def weighed(one: Design, verdict: Verdict, noise: Array) -> Verdict:
     return replace(verdict, findings=kept, doubted=doubted)
 
 
+def unsure(verdict: Verdict, n: int) -> Array:
+    """Joints where several names are asserted that are likelier not all right. Shape (n,)."""
+    said = [[f.probability for f in verdict.findings if f.main.joint == j] for j in range(n)]
+    return np.array([len(own) > 1 and float(np.prod(own)) < ASSERTED for own in said])
+
+
 def genuine(one: Design, effect: str, gain: float) -> float:
     """Share of a gain that faults of the measurement, such as an encoder's steps, do not feign."""
     return float(np.clip(1.0 - one.measured.feigned.get(effect, 0.0) / max(gain, 1e-9), LEAST, 1.0))

@@ -131,9 +131,11 @@ class Diagnosis:
     @property
     def unknown(self) -> list[int]:
         """Joints where something is left that no name takes: a flexible model foresees it, or a name that is doubted, or it is far louder
-        than noise; much of it, by a fit to all recordings, or of the held-out torque by the others."""
+        than noise, or held-out torque is foretold worse than without names; much of it, by a fit to all recordings, or of the held-out
+        torque by the others. And those where several names are likelier wrong than right together."""
         bare, named = self.fitted
         loud, floor = (named > LOUD * self.quiet) | (self.doubted > self.floor), self.floor.copy()
+        loud |= (self.after > foretold.WORSE * self.before) & (self.after > LOUD * self.expected)
         told = self.doubted.copy()
         for j, sight in self.sights.items():
             if sight.counts:  # what is foreseen is no noise, though it may differ each time: a load that swings on from where it was
@@ -144,7 +146,8 @@ class Diagnosis:
             torque = np.sqrt(np.mean(np.concatenate([one.torque for half in self.tracks for one in half]) ** 2, axis=0))
             loud &= (named > MUCH * torque) | (told > LITTLE * torque)
         untold = (self.after > LOUD * self.expected) & (_left(self.before, self.after, self.expected) > UNTOLD)
-        return [int(j) for j in np.flatnonzero(loud & (untold | (_left(bare, named, floor) > UNSAID)))]
+        much = loud & (untold | (_left(bare, named, floor) > UNSAID))
+        return [int(j) for j in np.flatnonzero(much | belief.unsure(self.verdict, len(floor)))]
 
     @property
     def name(self) -> str:
@@ -277,7 +280,7 @@ def _judged(
     moves = _moves(tracks[1])
     rms = [np.sqrt(search.mean_square(r, moves)) for r in (before, after)]
     told = (identified, options, hertz, tracks, one, verdict, floor, noisy.method)
-    much = (fitted[1] ** 2 > UNSAID * fitted[0] ** 2) | (rms[1] > LOUD * expected)
+    much = (fitted[1] ** 2 > UNSAID * fitted[0] ** 2) | (rms[1] > LOUD * expected) | belief.unsure(verdict, len(floor))
     sights = _sights(search.remaining(one, verdict.named) * scale, tracks, np.flatnonzero(much))
     every = _fitted(one, (*verdict.named, *(part.shape for finding in _real(one, verdict) for part in finding.parts)), scale)
     doubted = np.sqrt(np.maximum(fitted[1] ** 2 - every**2, 0.0))

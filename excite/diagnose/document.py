@@ -9,6 +9,7 @@ import numpy as np
 
 from ..wording import percent
 from .atlas import Atlas
+from .belief import unsure
 from .catalogue import BY_NAME
 from .diagnosis import Diagnosis
 from .effect import Shape
@@ -207,6 +208,8 @@ def _unknown(found: Diagnosis, joint: int) -> dict[str, Any]:
     share, sight = float(found.unexplained[joint]), found.sights[joint]
     where: dict[str, Any] = {"statement": f"joint '{name}': torque that no effect of the catalogue takes", "regime": "all"}
     experiment = "that joint alone, slowly to and fro over its range, then faster"
+    if unsure(found.verdict, len(found.floor))[joint]:
+        where["statement"] = f"joint '{name}': torque that several names take together, likelier not all right"
     doubted = [f for f in found.real if f.main.joint in (joint, None)]
     if doubted and found.doubted[joint] > found.floor[joint]:
         likest = max(doubted, key=lambda f: f.probability).main.effect

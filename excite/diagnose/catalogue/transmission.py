@@ -22,8 +22,8 @@ DAMPINGS = (0.07, 0.25)
 between two of those frequencies; it is turned from there."""
 WIDTHS = np.geomspace(1e-4, 1e-2, 7)
 """Of play, tried [rad]."""
-HOLDS = (0.0, 1.5, 3.0)
-"""Of a link in its play, tried [Hz]."""
+HOLDS, FURTHER = (0.0, 1.5, 3.0, 6.0, 12.0), 1.5
+"""Of a link in its play, tried [Hz]: the softer teeth meet, the more of it they hold; and the factor from one to those beside it."""
 NEARBY = 0.02
 """How near two orders are the same."""
 ORDERS, CELLS = 12, 20_000_000
@@ -76,7 +76,8 @@ def _backlash(tracks: Sequence[Track]) -> Iterator[Shape]:
         def shape(width: float) -> Shape:
             told = lambda c: {"width": float(width * c[0])}  # noqa: E731
             fixed = {"width": width, "hold": hold}
-            return Shape("backlash", joint, _loose, fixed, parameters=told, plausible=within(0.4, 2.5))
+            kin = lambda: beside(width, FURTHER, (play(joint, hold * by) for by in (1.0 / FURTHER, FURTHER) if hold))  # noqa: E731
+            return Shape("backlash", joint, _loose, fixed, parameters=told, plausible=within(0.4, 2.5), kin=kin)
 
         return shape
 

@@ -16,7 +16,7 @@ from test_diagnose import PLANTED, found, on, recordings_of
 
 from excite import dynamics
 from excite.diagnose import diagnosis, hypothesis, interval, judge, noise, search, track, whole
-from excite.diagnose.catalogue import BY_NAME, environment, windup
+from excite.diagnose.catalogue import BY_NAME, windup
 from excite.diagnose.columns import Columns
 from excite.diagnose.effect import Shape, beside, family
 from excite.diagnose.half import Half, whitened
@@ -402,26 +402,6 @@ def test_levers_are_the_jacobians_of_the_links_centres(subject):
     np.testing.assert_allclose(track.levers[::50, 1, 0], force_along_x(track.body.model, track.coarse.q[::50]), atol=1e-9)
 
 
-def test_a_bases_spring_is_the_same_in_every_recording(subject, monkeypatch):
-    """Whatever the poses: told by what swings with all joints at zero."""
-    result = found(subject, None)
-    told = list[float]()
-
-    def seen(force: Array, inertia: Array, stiffness: Array, damping: Array, dt: float) -> tuple[Array, Array]:
-        told.append(float(stiffness.max()))
-        return 0.0 * force, 0.0 * force
-
-    monkeypatch.setattr(environment, "oscillator", seen)
-    monkeypatch.setattr(environment, "_toppling", lambda t, axis: np.zeros(len(t.coarse)))
-    rocks = Shape("base_compliance", None, environment._swung, {"frequency": 5.0, "damping": 0.1, "way": 1.0})
-    every = [one for half in result.tracks for one in half]
-    for one in every:
-        rocks.columns(one)
-    for about, spring in zip((3, 4), np.reshape(told, (len(every), 2)).T, strict=True):
-        np.testing.assert_allclose(spring, (2.0 * np.pi * 5.0) ** 2 * (1.0 + environment.PEDESTAL) * every[0].stood[about])
-    assert np.any([one.borne[:, 3].mean() != every[0].borne[:, 3].mean() for one in every[1:]])
-
-
 def test_play_whose_load_never_turns_is_none(subject):
     every = [one for half in found(subject, None).tracks for one in half]
     assert {shape.joint for shape in BY_NAME["backlash"].shapes(every)} == {0, 1}
@@ -429,26 +409,6 @@ def test_play_whose_load_never_turns_is_none(subject):
     for one in pressed:
         one.__dict__["rigid"] = one.rigid + np.array([1e4, 0.0])
     assert {shape.joint for shape in BY_NAME["backlash"].shapes(pressed)} == {1}
-
-
-def test_gravity_takes_off_a_rocking_bases_spring_what_it_gains_by_leaning(subject):
-    (track, *_), _ = found(subject, None).tracks
-    model, q = track.body.model, track.coarse.q[::200]
-
-    def moment(axis: int, lean: float) -> np.ndarray:
-        leaning = model.copy()
-        leaning.gravity.linear = pin.exp3(-lean * np.eye(3)[axis]) @ model.gravity.linear
-        data, still = leaning.createData(), np.zeros(leaning.nv)
-        out = []
-        for pose in q:
-            pin.rnea(leaning, data, pose, still, still)
-            out.append(-data.liMi[1].act(data.f[1]).angular[axis])
-        return np.array(out)
-
-    for axis in range(3):
-        slope = (moment(axis, 1e-4) - moment(axis, -1e-4)) / 2e-4
-        np.testing.assert_allclose(environment._toppling(track, 3 + axis)[::200], slope, atol=1e-6)
-    assert not environment._toppling(track, 0).any()
 
 
 def test_what_hides_behind_another_effect_is_found_beside_it(subject):

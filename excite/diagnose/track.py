@@ -16,6 +16,7 @@ from ..parameters import Parameters
 from ..recordings.missing import runs
 from ..robot import Robot
 from ..trajectory import Samples
+from .afloat import Afloat, afloat
 
 Array = np.ndarray
 STILL, LOOSE = 0.01, 0.02
@@ -193,57 +194,17 @@ class Track:
         return np.asarray(-self.gravity @ pin.skew(self.body.model.gravity.linear))
 
     @functools.cached_property
-    def reaction(self) -> Array:
-        """Force and moment of the rigid robot on its base, base frame, at the coarse samples. Shape (C, 6)."""
-        robot, model, s = self.body.robot, self.body.model, self.coarse
-        data = model.createData()
-        out = np.empty((len(s), 6))
-        roots = [i for i in range(1, model.njoints) if model.parents[i] == 0]
-        for t, state in enumerate(zip(robot.expand(s.q), s.dq @ robot.spread.T, s.ddq @ robot.spread.T, strict=True)):
-            pin.rnea(model, data, *state)
-            out[t] = sum(data.liMi[i].act(data.f[i]).vector for i in roots)
-        return out
-
-    @property
-    def shaken(self) -> Array:
-        """Torque of a unit acceleration of the base, linear and angular, base frame, at the coarse samples. Shape (C, n, 6)."""
-        return self._composite[0]
-
-    @property
-    def borne(self) -> Array:
-        """Mass and moments of inertia of the whole robot about the base's axes, at the coarse samples. Shape (C, 6)."""
-        return self._composite[1]
-
-    @property
-    def first_moment(self) -> Array:
-        """Of the whole robot's mass about the base's origin, base frame, at the coarse samples. Shape (C, 3) [kg m]."""
-        return self._composite[2]
+    def afloat(self) -> Afloat:
+        """What a base that gives way would do, at the coarse samples."""
+        return afloat(self.body.robot, self.body.model, self.coarse)
 
     @functools.cached_property
     def stood(self) -> Array:
-        """What `borne` is with all joints at zero, and above zero: the same of every recording of a robot. Shape (6,)."""
-        return np.maximum(self._composites(np.zeros((1, self.n)))[1][0], 1e-9)
-
-    @functools.cached_property
-    def _composite(self) -> tuple[Array, Array, Array]:
-        return self._composites(self.coarse.q)
-
-    def _composites(self, positions: Array) -> tuple[Array, Array, Array]:
-        """`shaken`, `borne` and `first_moment` at any positions. Shape (C, n)."""
-        robot, model = self.body.robot, self.body.model
-        data, out = model.createData(), np.zeros((len(positions), robot.n, 6))
-        whole, first = np.zeros((len(positions), 6)), np.zeros((len(positions), 3))
-        for t, q in enumerate(robot.expand(positions)):
-            pin.crba(model, data, q, pin.Convention.WORLD)
-            jacobian = np.reshape(data.J, (6, -1))
-            for j in range(1, model.njoints):
-                v = model.joints[j].idx_v
-                composite = data.oYcrb[j].matrix()
-                out[t] += np.outer(robot.spread[v], jacobian[:, v] @ composite)
-                if model.parents[j] == 0:
-                    whole[t] += np.diag(composite)
-                    first[t] += data.oYcrb[j].mass * data.oYcrb[j].lever
-        return out, whole, first
+        """Mass and moments of inertia of the whole robot about the base's axes with all joints at zero, and above zero: the same of every
+        recording of a robot. Shape (6,)."""
+        still = np.zeros((1, self.n))
+        stretched = afloat(self.body.robot, self.body.model, Samples(still, still, still))
+        return np.maximum(np.diag(stretched.mass[0, :6]), 1e-9)
 
     @functools.cached_property
     def levers(self) -> Array:

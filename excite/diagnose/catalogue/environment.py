@@ -10,7 +10,7 @@ from ...identify.band import Grid
 from ...recordings.missing import runs
 from ..effect import Effect, Knob, Shape, beside, family, named
 from ..track import Track
-from .windup import NEAR, SOFTEST, damped, oscillator
+from .windup import NEAR, SOFTEST, damped, stepped
 
 Array = np.ndarray
 PARTS = 40
@@ -29,48 +29,74 @@ SWINGS = np.geomspace(1.5, 19.0, 11)
 """Frequencies of a base under an arm as it moves, tried [Hz]."""
 DAMPINGS = (0.08, 0.3)
 """Damping ratios tried first: the second says where a resonance is that lies between two of those frequencies; it is turned from there."""
-PEDESTAL = 0.3
-"""Inertia of what the robot stands on, over the robot's with all joints at zero: a guess that the coefficient corrects."""
+PEDESTAL, LIGHTEST, HEAVIEST, HEAVIER = 0.12, 0.02, 2.0, 2.5
+"""Inertia of what the robot stands on, over the largest of the robot's with all joints at zero: tried first, at the least and at the most;
+and the factor from one to those beside it."""
+APART, FARTHEST = 1.15, 2.0
+"""Of a base's frequencies about two axes, the second over the first: the factor from one to those beside it, and at the most."""
+TERMS = 10
+"""Of the exponential of a step: what swings at 50 Hz turns by 2.5 radians in one."""
 
 
 def _swung(t: Track, s: Shape) -> Array:
-    """Torque of a base that swings on springs under the robot's reaction, a column a coordinate; the arm's inertia is its pose's, and the
-    frequency that of all joints at zero: a spring is the same in every recording.
+    """Torque of a base that swings on springs under the robot's reaction, a column for what pushes along each coordinate; its inertia is
+    the arm's pose's, and the frequencies those of all joints at zero: a spring is the same in every recording.
 
-    I φ̈ + (İ + D) φ̇ + (K − T) φ = what the robot pushes beyond its mean. A base that rocks also leans: its joints feel gravity turned, which
-    is most of what a slow motion shows, and its springs bear that much less, T.
+    (M + I₀) ẍ + (∂τ/∂ẋ + D) ẋ + (∂τ/∂x + K) x = what the robot pushes beyond its mean (`Afloat`). A base that rocks also leans: its joints
+    feel gravity turned, which is most of what a slow motion shows.
     """
-    columns, dt = [], 1.0 / t.band.rate_of(Grid.COARSE)
-    for axis in WAYS[int(s.values["way"])]:
-        upright = float(t.stood[axis])
-        inertia = t.borne[:, axis] + PEDESTAL * upright
-        spring = (2.0 * np.pi * s.values["frequency"]) ** 2 * (1.0 + PEDESTAL) * upright
-        stiffness = np.maximum(spring - _toppling(t, axis), SOFTEST * spring)
-        force = t.reaction[:, axis].mean() - t.reaction[:, axis]
-        damping = 2.0 * s.values["damping"] * np.sqrt(spring * (1.0 + PEDESTAL) * upright) + np.gradient(inertia, dt)
-        place, speed = oscillator(force, inertia, stiffness, damping, dt)
-        hastened = ((force - stiffness * place - damping * speed) / inertia)[:, None]
-        columns.append(t.shaken[:, :, axis] * hastened)
-        if axis >= 3:
-            columns[-1] += t.leaning[:, :, axis - 3] * place[:, None]
-    return t.reduce(np.stack(columns, axis=2), Grid.COARSE)
+    axes, dt = list(WAYS[int(s.values["way"])]), 1.0 / t.band.rate_of(Grid.COARSE)
+    own, stood = t.afloat, t.stood[axes]
+    heavy = stood + s.values["stand"] * stood.max()
+    spring = (2.0 * np.pi * s.values["frequency"] * s.values["apart"] ** np.arange(len(axes))) ** 2 * heavy
+    damping = 2.0 * s.values["damping"] * np.sqrt(spring * heavy)
+    inertia, by_speed, by_place = (part[:, axes][:, :, axes] for part in (own.mass, own.by_speed, own.by_place))
+    inertia = inertia + np.diag(heavy - stood)
+    topples = float(np.abs(by_place).sum(axis=2).max() / spring.min())  # a spring bears what gravity takes off it, or there is no base
+    stiffness = np.diag(spring) + by_place * min(1.0, (1.0 - SOFTEST) / max(topples, 1e-9))
+    force = own.reaction[:, axes].mean(axis=0) - own.reaction[:, axes]
+    motion = _carried(inertia, by_speed + np.diag(damping), stiffness, force, dt)
+    felt = [part[:, 6:][:, :, axes] @ moved for part, moved in zip((own.by_place, own.by_speed, own.mass), motion, strict=True)]
+    return t.reduce(np.sum(felt, axis=0), Grid.COARSE)
 
 
-def _toppling(t: Track, axis: int) -> Array:
-    """What gravity takes off the spring of a base that rocks: the moment about an axis of a robot that leans by a radian. Shape (C,)."""
-    if axis < 3:
-        return np.zeros(len(t.coarse))
-    g = t.body.model.gravity.linear
-    return np.asarray(g[axis - 3] * t.first_moment[:, axis - 3] - t.first_moment @ g)
+def _carried(inertia: Array, damping: Array, stiffness: Array, force: Array, dt: float) -> tuple[Array, Array, Array]:
+    """Place, speed and acceleration of coupled masses under the force on each alone. Each step is exact for the means of all at its ends.
+    Shapes (C, k, k), force (C, k) -> three of (C, k, k), a column each force."""
+    count, k = force.shape
+    alone = force[:, :, None] * np.eye(k)
+    means = (0.5 * (x[1:] + x[:-1]) for x in (inertia, damping, stiffness, alone))
+    m, d, s, f = means
+    light = np.linalg.inv(m)
+    rate = np.zeros((count - 1, 2 * k, 2 * k))
+    rate[:, :k, k:], rate[:, k:, :k], rate[:, k:, k:] = np.eye(k), -light @ s, -light @ d
+    push = np.concatenate([np.zeros((count - 1, k, k)), light @ f], axis=1)
+    whole = np.broadcast_to(np.eye(2 * k), rate.shape)
+    term, turn, along = whole, whole, whole
+    for order in range(1, TERMS):  # exp(A dt), and its mean over the step
+        term = term @ rate * (dt / order)
+        turn, along = turn + term, along + term / (order + 1.0)
+    start = np.concatenate([np.linalg.solve(stiffness[0], alone[0]), np.zeros((k, k))])
+    state = stepped(turn, along @ push * dt, start)
+    place, speed = state[:, :k], state[:, k:]
+    return place, speed, np.linalg.solve(inertia, alone - stiffness @ place - damping @ speed)
 
 
 def _compliance(tracks: Sequence[Track]) -> Iterator[Shape]:
-    def swing(way: int, damping: float) -> Callable[[float], Shape]:
+    def swing(way: int, damping: float, stand: float = PEDESTAL, apart: float = 1.0) -> Callable[[float], Shape]:
         def shape(frequency: float) -> Shape:
-            fixed = {"frequency": frequency, "damping": damping, "way": float(way)}
+            fixed = {"frequency": frequency, "damping": damping, "way": float(way), "stand": stand, "apart": apart}
 
             def kin() -> list[Knob]:
-                return beside(frequency, NEAR, (swing(way, z) for z in damped(damping)))
+                near = beside(frequency, NEAR, (swing(way, z, stand, apart) for z in damped(damping)))
+                for p in (stand / HEAVIER, stand * HEAVIER):
+                    if LIGHTEST < p < HEAVIEST:  # as fast under the arm as it moves
+                        f = frequency * _heavier(tracks, WAYS[way], p) / _heavier(tracks, WAYS[way], stand)
+                        near += beside(f, NEAR, [swing(way, damping, p, apart)])
+                for r in (apart / APART, apart * APART) if len(WAYS[way]) > 1 else ():
+                    if 1.0 / FARTHEST < r < FARTHEST:
+                        near += beside(frequency, NEAR, [swing(way, damping, stand, r)])
+                return near
 
             told = named(frequency=frequency)
             return Shape("base_compliance", None, _swung, fixed, parameters=told, plausible=_gives_way, kin=kin, several=True, doubt=SHAKY)
@@ -78,16 +104,18 @@ def _compliance(tracks: Sequence[Track]) -> Iterator[Shape]:
         return shape
 
     for way, axes in enumerate(WAYS):
-        frequencies = (SWINGS * _heavier(tracks, axes)).tolist()
+        frequencies = (SWINGS * _heavier(tracks, axes, PEDESTAL)).tolist()
         for damping in DAMPINGS:
             yield from family(frequencies, swing(way, damping))
 
 
-def _heavier(tracks: Sequence[Track], axes: Sequence[int]) -> float:
-    """A base's frequency with all joints at zero, over that under the arm as it moves: a straight one is light about the vertical."""
-    upright = tracks[0].stood[list(axes)]
-    borne = np.mean([t.borne[:, axes].mean(axis=0) for t in tracks], axis=0)
-    return float(np.exp(0.5 * np.mean(np.log((borne + PEDESTAL * upright) / ((1.0 + PEDESTAL) * upright)))))
+def _heavier(tracks: Sequence[Track], axes: Sequence[int], stand: float) -> float:
+    """The frequency of a base on a stand with all joints at zero, over that under the arm as it moves: a straight one is light about the
+    vertical."""
+    stood, along = tracks[0].stood[list(axes)], list(axes)
+    borne = np.mean([t.afloat.mass[:, along, along].mean(axis=0) for t in tracks], axis=0)
+    below = stand * stood.max()
+    return float(np.exp(0.5 * np.mean(np.log((borne + below) / (stood + below)))))
 
 
 def _gives_way(c: Array) -> bool:

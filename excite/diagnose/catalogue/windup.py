@@ -80,21 +80,22 @@ def oscillator(
     cosine, sine = decay * np.cos(slow * dt), decay * np.sin(slow * dt)
     a, b, c, d = cosine + ratio / root * sine, sine / slow, -sine * omega / root, cosine - ratio / root * sine
     rest = force / stiffness
-    return _stepped(np.array([[a, b], [c, d]]), np.array([rest - a * rest, -c * rest]), np.array([x, v]))
+    turn, push = np.array([[a, b], [c, d]]).transpose(2, 0, 1), np.array([rest - a * rest, -c * rest]).T[:, :, None]
+    out = stepped(turn, push, np.array([[x], [v]]))
+    return out[:, 0, 0], out[:, 1, 0]
 
 
-def _stepped(turn: Array, push: Array, start: Array) -> tuple[Array, Array]:
-    """zₖ₊₁ = A(k) zₖ + b(k), all steps at once: a banded triangular system. Shapes (2, 2, M), (2, M), (2,) -> two of (M + 1,)."""
+def stepped(turn: Array, push: Array, start: Array) -> Array:
+    """zₖ₊₁ = A(k) zₖ + b(k), all steps at once: a banded triangular system. Shapes (M, m, m), (M, m, c), (m, c) -> (M + 1, m, c)."""
     from scipy.linalg.lapack import dtbtrs  # slow to import
 
-    right = np.column_stack([start, push]).T.ravel()
-    bands = np.zeros((4, len(right)))
+    m, right = len(start), np.concatenate([start[None], push]).reshape(-1, start.shape[1])
+    bands = np.zeros((2 * m, len(right)))
     bands[0] = 1.0
-    bands[2, :-2:2], bands[2, 1:-2:2] = -turn[0, 0], -turn[1, 1]
-    bands[1, 1:-2:2] = -turn[0, 1]
-    bands[3, :-2:2] = -turn[1, 0]
-    out = dtbtrs(bands, right[:, None], uplo="L")[0].reshape(-1, 2)
-    return out[:, 0], out[:, 1]
+    for i in range(m):
+        for j in range(m):
+            bands[m + i - j, j:-m:m] = -turn[:, i, j]
+    return np.asarray(dtbtrs(bands, right, uplo="L")[0]).reshape(-1, *start.shape)
 
 
 def played(track: Track, joint: int, width: float, hold: float) -> Array:

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pinocchio as pin
 import pytest
-from scipy import integrate
+from scipy import integrate, linalg
 from test_diagnose import found
 
 from excite import robot
@@ -105,6 +105,19 @@ def test_coupled_masses_swing_as_a_solver_says():
         assert np.abs(told - true).max() < 5e-3 * np.abs(true).max()
     again = np.array([slope(time, z)[2:] for time, z in zip(t, right.T, strict=True)])
     assert np.abs(haste - again).max() < 1e-2 * np.abs(again).max()
+
+
+@pytest.mark.parametrize("size", [0.1, 3.0, 60.0])
+def test_the_exponential_of_a_step_holds_however_long_it_is(size):
+    """A light stand swings several times in a step of a slow recording."""
+    a = size * np.random.default_rng(1).normal(size=(5, 4, 4)) * np.array([[0.0, 0.0, 1.0, 1.0]] * 2 + [[-1.0, -1.0, -0.1, -0.1]] * 2)
+    a[:, 2:, :2] = -np.swapaxes(a[:, :2, 2:], 1, 2)  # so that it swings, and hardly grows
+    both = np.zeros((5, 8, 8))
+    both[:, :4, :4], both[:, :4, 4:] = a, np.eye(4)
+    whole, mean = environment._exponential(a)
+    right = linalg.expm(both)
+    np.testing.assert_allclose(whole, right[:, :4, :4], atol=1e-4 * np.abs(right).max())
+    np.testing.assert_allclose(mean, right[:, :4, 4:], atol=1e-4 * np.abs(right).max())
 
 
 def test_a_bases_spring_is_the_same_in_every_recording(monkeypatch):

@@ -140,10 +140,15 @@ def weighed(one: Design, verdict: Verdict, noise: Array) -> Verdict:
     return replace(verdict, findings=kept, doubted=doubted)
 
 
+def doubt(verdict: Verdict, n: int) -> Array:
+    """Probability that of several names asserted at a joint not all are right; 0 where there are fewer. Shape (n,)."""
+    said = [[f.probability for f in verdict.findings if f.main.joint == j] for j in range(n)]
+    return np.array([1.0 - float(np.prod(own)) if len(own) > 1 else 0.0 for own in said])
+
+
 def unsure(verdict: Verdict, n: int) -> Array:
     """Joints where several names are asserted that are likelier not all right. Shape (n,)."""
-    said = [[f.probability for f in verdict.findings if f.main.joint == j] for j in range(n)]
-    return np.array([len(own) > 1 and float(np.prod(own)) < ASSERTED for own in said])
+    return doubt(verdict, n) > 1.0 - ASSERTED
 
 
 def genuine(one: Design, effect: str, gain: float) -> float:

@@ -135,7 +135,7 @@ class Diagnosis:
         torque by the others. And those where several names are likelier wrong than right together."""
         bare, named = self.fitted
         loud, floor = (named > LOUD * self.quiet) | (self.doubted > self.floor), self.floor.copy()
-        loud |= (self.after > foretold.WORSE * self.before) & (self.after > LOUD * self.expected)
+        loud |= (self.after**2 > foretold.WORSE * self.before**2) & (self.after > LOUD * self.expected)
         told = self.doubted.copy()
         for j, sight in self.sights.items():
             if sight.counts:  # what is foreseen is no noise, though it may differ each time: a load that swings on from where it was

@@ -15,6 +15,8 @@ from .search import Design
 from .track import Track, split
 
 Array = np.ndarray
+LASTS = 0.05
+"""Of its largest torque, what a touch has at the least while it lasts: the rest is the band's."""
 AGAIN = 0.5
 """Share of a touch's torque that comes again when the motion does, from which it was none."""
 SEEN = 0.5
@@ -37,31 +39,37 @@ def kept(one: Design, verdict: Verdict, every: Sequence[Track], periods: Mapping
 
 
 def _again(one: Design, verdict: Verdict, finding: Finding, every: Sequence[Track], periods: Mapping[str, Period]) -> float:
-    """How much of a touch's torque is in what others leave a period before or after it; 0 where that is not known."""
+    """How much of a touch's torque is in what all else leaves a period later or earlier; 0 where that is not known."""
     together = verdict.together
     assert together is not None
-    touches = [part.shape for part in finding.parts if one.shapes[part.shape].interval is not None]
-    if len(touches) < len(finding.parts):
+    touches = [i for i in together.shapes if one.shapes[i].interval is not None]
+    if any(part.shape not in touches for part in finding.parts):
         return 0.0
-    n, which = int(one.both.joint.max()) + 1, one.which(touches)
-    values = dict(zip(together.shapes, one.split(together.shapes, together.coefficients), strict=True))
-    torque = np.concatenate([part.picked(which).full() for part in one.columns]) @ np.concatenate([values[i] for i in touches])
-    left = search.remaining(one, judge.without(together.shapes, finding.parts))
+    n, values = int(one.both.joint.max()) + 1, dict(zip(together.shapes, one.split(together.shapes, together.coefficients), strict=True))
+    left = split(search.remaining(one, [i for i in together.shapes if i not in touches]).reshape(-1, n), every)
     found = np.zeros(3)  # the touch along what is left elsewhere, its square there, and its square in all
-    for track, own, rest in zip(every, split(torque.reshape(-1, n), every), split(left, every), strict=True):
-        found[2] += float(np.sum(own**2))
-        if track.piece.source in periods and own.any():
-            found[:2] += _compared(track, own, rest, *periods[track.piece.source])
+    for part in finding.parts:  # each by itself: the next of them is what comes again
+        torque = np.concatenate([own.picked(one.which([part.shape])).full() for own in one.columns]) @ values[part.shape]
+        for track, own, rest in zip(every, split(torque.reshape(-1, n), every), left, strict=True):
+            found[2] += float(np.sum(own**2))
+            if track.piece.source in periods and own.any():
+                then = _elsewhere(track, own, rest, *periods[track.piece.source])
+                seen = np.isfinite(then).all(axis=1)
+                found[:2] += float(np.sum((own * then)[seen])), float(np.sum(own[seen] ** 2))
     return float(found[0] / found[1]) if found[1] > SEEN * found[2] else 0.0
 
 
-def _compared(track: Track, own: Array, rest: Array, period: float, window: tuple[float, float]) -> Array:
-    """A touch along what is left a period later and a period earlier, and its square where the motion was made again."""
-    rate = 1.0 / (track.time[1] - track.time[0])
+def _elsewhere(track: Track, own: Array, rest: Array, period: float, window: tuple[float, float]) -> Array:
+    """What is left a period later, else a period earlier, at every row; NaN where the motion was not made then, or the same touch lasts
+    until then: it is not what comes again. Shapes (N, n)."""
+    rate, acts = 1.0 / (track.time[1] - track.time[0]), np.abs(own).max(axis=1) > LASTS * np.abs(own).max()
     rows = int(np.floor(period * rate))
-    later = shifted(rest, period * rate - rows)[rows:]  # at the times of the first rows
-    count = len(later)
-    inside = (track.time[:count] >= window[0]) & (track.time[rows : rows + count] + 1.0 / rate <= window[1])
-    before = shifted(own, period * rate - rows)[rows:]
-    pairs = [(own[:count][inside], later[inside]), (before[inside], rest[:count][inside])]
-    return np.array([sum(float(np.sum(a * b)) for a, b in pairs), sum(float(np.sum(a * a)) for a, _ in pairs)])
+    part, count, out = period * rate - rows, len(own), np.full(own.shape, np.nan)
+    for ahead, by in ((-rows - 1, 1.0 - part), (rows, part)):  # at row i: what is at row i + ahead + by
+        here = np.arange(max(0, -ahead), min(count, count - ahead))
+        here = here[(here + ahead >= 0) & (here + ahead + 1 < count)]
+        then = track.time[here] + (ahead + by) / rate
+        made = (np.minimum(then, track.time[here]) >= window[0]) & (np.maximum(then, track.time[here]) + 1.0 / rate <= window[1])
+        good = here[made & ~acts[here + ahead] & ~acts[here + ahead + 1]]
+        out[good] = shifted(rest, by)[good + ahead]
+    return out

@@ -1,6 +1,6 @@
 """The closed loop: what motion a controlled robot with all its physics makes of a reference.
 
-Linearly implicit steps of a millisecond or two: friction and suspension enter with their slopes, so tanh(ω/3 mrad/s) is no
+Linearly implicit steps of half a millisecond to two: friction and suspension enter with their slopes, so tanh(ω/3 mrad/s) is no
 obstacle; springs between motor and link are integrated in steps of a tenth of a millisecond, with the rest of the arm condensed to one
 acceleration and one compliance per elastic joint.
 """
@@ -30,7 +30,7 @@ LOST = 1e3
 
 @dataclass(frozen=True)
 class Trace:
-    """States at t = k·step. q: links and base, Shape (N, k + n); theta: motors, (N, n); z: memory, (N, m). Of a loop that is lost, not
+    """States at t = k·step. q: links and base, Shape (N, k + n); theta: motors, (N, n); z: memory, (N, m). Of a loop that is lost, q is not
     finite from there on."""
 
     t: Array
@@ -168,7 +168,7 @@ class Loop:
     def _wind_one(self, spring: Spring, free: float, yields: float, push: float, omega: Array) -> tuple[float, float]:
         """One spring: links accelerate by free + yields·f, the motor by (push − f)/J. Returns the mean of f [N m], and the double integral
         of f less its mean over the step [N m s²]."""
-        j, drive, count = spring.joint, self.drive, round(self.step / FINE)
+        j, drive, count = spring.joint, self.drive, max(1, round(self.step / FINE))
         dt = self.step / count
         inertia, viscous = float(drive.inertia[j]), float(drive.viscous[j])
         coulomb, width = float(drive.coulomb[j]), float(drive.width[j])

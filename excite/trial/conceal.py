@@ -73,8 +73,8 @@ def setting(spec: Spec) -> Setting:
 def bench(spec: Spec, models: Path) -> Bench:
     """Simulate a case. models: folder of the robots' URDFs. The same spec gives the same numbers.
 
-    A robot that its controller loses whatever is hidden, or that shows nothing of it, is drawn anew; at last without the trap. Raises
-    UnusableInput where all are lost.
+    A robot that its controller loses whatever is hidden, or where an effect does not show by itself, is drawn anew; at last without the
+    trap, or as it is. Raises UnusableInput where all are lost.
     """
     for again in range(DRAWS - 1):
         with suppress(UnusableInput):
@@ -86,7 +86,7 @@ def bench(spec: Spec, models: Path) -> Bench:
 
 
 def _drawn(spec: Spec, models: Path, least: float) -> Bench:
-    """A case, every effect of which shows a severity of `least`."""
+    """A case, every effect of which shows a severity of `least` by itself."""
     rng, chosen, path = np.random.default_rng([spec.seed, 2]), setting(spec), models / f"{spec.robot}.urdf"
     tree = trees.read(path)
     plant = laboratory.robot(path, _standing(tree.joints), chosen)
@@ -156,7 +156,7 @@ def _effect(
     all_late = rng.random() < 0.3
     found: list[tuple[float, Effect, float]] = []
     for draw in range(FURTHER):
-        if draw >= DRAWS and (not found or max(shown for _, _, shown in found) > SHOWS):
+        if draw >= DRAWS and (not found or max(value for _, _, value in found) > SHOWS):
             break
         drawn = plant.joints[int(rng.integers(first, end))]
         where = joint if draw == 0 and joint in plant.joints[first:end] else drawn
@@ -174,9 +174,10 @@ def _effect(
             break
     if not found:
         raise lost
-    _, best, value = min(found, key=lambda entry: entry[0])
-    if value < least:
+    shown = [entry for entry in found if entry[2] >= least]
+    if not shown:
         raise UnusableInput(f"case {spec.name}: no joint shows {name}; plan another seed")
+    _, best, value = min(shown, key=lambda entry: entry[0])
     return best, value
 
 

@@ -35,7 +35,7 @@ and the factor from one to those beside it."""
 APART, FARTHEST = 1.15, 2.0
 """Of a base's frequencies about two axes, the second over the first: the factor from one to those beside it, and at the most."""
 TERMS = 10
-"""Of the exponential of a step: what swings at 50 Hz turns by 2.5 radians in one."""
+"""Of the exponential of a part of a step in which nothing turns by more than a radian."""
 
 
 def _swung(t: Track, s: Shape) -> Array:
@@ -65,21 +65,31 @@ def _carried(inertia: Array, damping: Array, stiffness: Array, force: Array, dt:
     Shapes (C, k, k), force (C, k) -> three of (C, k, k), a column each force."""
     count, k = force.shape
     alone = force[:, :, None] * np.eye(k)
-    means = (0.5 * (x[1:] + x[:-1]) for x in (inertia, damping, stiffness, alone))
-    m, d, s, f = means
+    m, d, s, f = (0.5 * (x[1:] + x[:-1]) for x in (inertia, damping, stiffness, alone))
     light = np.linalg.inv(m)
+    fast = np.sqrt(np.abs(light @ s).sum(axis=2).max())  # speeds are over it, so that all rates are of a size
     rate = np.zeros((count - 1, 2 * k, 2 * k))
-    rate[:, :k, k:], rate[:, k:, :k], rate[:, k:, k:] = np.eye(k), -light @ s, -light @ d
-    push = np.concatenate([np.zeros((count - 1, k, k)), light @ f], axis=1)
-    whole = np.broadcast_to(np.eye(2 * k), rate.shape)
-    term, turn, along = whole, whole, whole
-    for order in range(1, TERMS):  # exp(A dt), and its mean over the step
-        term = term @ rate * (dt / order)
-        turn, along = turn + term, along + term / (order + 1.0)
+    rate[:, :k, k:], rate[:, k:, :k], rate[:, k:, k:] = fast * np.eye(k), -light @ s / fast, -light @ d
+    push = np.concatenate([np.zeros((count - 1, k, k)), light @ f / fast], axis=1)
+    turn, along = _exponential(rate * dt)
     start = np.concatenate([np.linalg.solve(stiffness[0], alone[0]), np.zeros((k, k))])
     state = stepped(turn, along @ push * dt, start)
-    place, speed = state[:, :k], state[:, k:]
+    place, speed = state[:, :k], fast * state[:, k:]
     return place, speed, np.linalg.solve(inertia, alone - stiffness @ place - damping @ speed)
+
+
+def _exponential(a: Array) -> tuple[Array, Array]:
+    """exp(A), and ∫₀¹ exp(A s) ds: of halves of halves by their series, then doubled (Higham, Functions of Matrices, 2008, ch. 10).
+    Shapes (…, k, k)."""
+    halved = max(0, int(np.ceil(np.log2(max(float(np.abs(a).sum(axis=-1).max()), 1e-300)))))
+    unit = np.broadcast_to(np.eye(a.shape[-1]), a.shape)
+    term, whole, mean = unit, unit, unit
+    for order in range(1, TERMS):
+        term = term @ a * (0.5**halved / order)
+        whole, mean = whole + term, mean + term / (order + 1.0)
+    for _ in range(halved):
+        whole, mean = whole @ whole, 0.5 * (unit + whole) @ mean
+    return whole, mean
 
 
 def _compliance(tracks: Sequence[Track]) -> Iterator[Shape]:

@@ -22,8 +22,9 @@ DAMPINGS = (0.07, 0.25)
 between two of those frequencies; it is turned from there."""
 WIDTHS = np.geomspace(1e-4, 1e-2, 7)
 """Of play, tried [rad]."""
-HOLDS, FURTHER = (0.0, 1.5, 3.0, 6.0, 12.0), 1.5
-"""Of a link in its play, tried [Hz]: the softer teeth meet, the more of it they hold; and the factor from one to those beside it."""
+HOLDS, FURTHER, HARDEST = (0.0, 1.5, 3.0, 6.0, 12.0), 1.5, 20.0
+"""Of a link in its play, tried [Hz]: the softer teeth meet, the more of it they hold; the factor from one to those beside it; and the most,
+beyond which it is a spring."""
 NEARBY = 0.02
 """How near two orders are the same."""
 ORDERS, CELLS = 12, 20_000_000
@@ -72,18 +73,21 @@ def _loose(t: Track, s: Shape) -> Array:
 
 
 def _backlash(tracks: Sequence[Track]) -> Iterator[Shape]:
+    hardest = min(HARDEST, *(t.piece.rate / (2.0 * np.pi) for t in tracks))  # that samples can follow
+
     def play(joint: int, hold: float) -> Callable[[float], Shape]:
         def shape(width: float) -> Shape:
             told = lambda c: {"width": float(width * c[0])}  # noqa: E731
             fixed = {"width": width, "hold": hold}
-            kin = lambda: beside(width, FURTHER, (play(joint, hold * by) for by in (1.0 / FURTHER, FURTHER) if hold))  # noqa: E731
+            near = [hold * by for by in (1.0 / FURTHER, FURTHER) if 0.0 < hold * by <= hardest]
+            kin = lambda: beside(width, FURTHER, (play(joint, h) for h in near))  # noqa: E731
             return Shape("backlash", joint, _loose, fixed, parameters=told, plausible=within(0.4, 2.5), kin=kin)
 
         return shape
 
     for j in range(tracks[0].n):
         if any(np.ptp(np.sign(t.rigid[:, j])) > 1.0 for t in tracks):  # else it lies on one flank, like a link that is mounted askew
-            for hold in HOLDS:
+            for hold in (h for h in HOLDS if h <= hardest):
                 yield from family(WIDTHS.tolist(), play(j, hold))
 
 

@@ -52,12 +52,12 @@ def test_a_touch_that_lasts_for_longer_than_a_period_is_not_what_comes_again(sub
     pair = []
     for seed in (2, 5):
         fourier = motion(2, seed)
-        fourier = dataclasses.replace(fourier, period=fourier.period / 2.0)
-        one = recorded(subject, perturbed(subject.parameters, np.random.default_rng(4)), fourier, 16, 0.0)
-        push = 3.0 * ((one.t > 5.0) & (one.t < 5.0 + 2.6 * fourier.period) & (seed == 2))
+        fourier = dataclasses.replace(fourier, period=fourier.period / 2.6)
+        one = recorded(subject, perturbed(subject.parameters, np.random.default_rng(4)), fourier, 20, 0.0)
+        push = 3.0 * ((one.t > 5.0) & (one.t < 5.0 + 3.0 * fourier.period) & (seed == 2))
         noise = 0.1 * np.random.default_rng(seed).normal(size=one.q.shape)
         pair.append(dataclasses.replace(one, tau=one.torque + noise + np.column_stack([push, 0.0 * push]), source=f"{seed}.csv"))
-    options = diagnosis.Options(names=("contact", "load_friction"))
+    options = diagnosis.Options(names=("contact", "hysteresis", "load_friction"))
     result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, pair[:1], pair[1:], options)
     assert {f.main.effect for f in result.verdict.findings} == {"contact"}
 

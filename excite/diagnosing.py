@@ -67,7 +67,8 @@ def _text(stated: dict[str, Any], written: list[str]) -> str:
         place = one["joint"] or "the whole robot"
         values = ", ".join(f"{key} {v['value']:.4g} ± {v['std']:.2g} {v['unit']}" for key, v in one["parameters"].items())
         alike = f" (or {', '.join(one['equivalents'])})" if one["equivalents"] else ""
-        lines.append(f"{one['effect']}{alike} at {place}, probability {one['probability']:.2f}: {values}")
+        lacking = f"; not shown: {', '.join(one['not_shown'])}" if "not_shown" in one else ""
+        lines.append(f"{one['effect']}{alike} at {place}, probability {one['probability']:.2f}: {values}{lacking}")
     lines += [f"unknown at {one['joint']}: {100 * one['share']:.0f} % of what is left repeats" for one in stated["unknown"]]
     lines += [_gear(joint, gear) for joint, gear in stated["encoders"].items()]
     lines.append(f"{'joint':25}{'before':>11}{'after':>11}{'noise':>11}")

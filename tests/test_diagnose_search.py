@@ -18,6 +18,7 @@ from excite import dynamics
 from excite.diagnose import diagnosis, hypothesis, interval, judge, noise, search, track, whole
 from excite.diagnose.catalogue import BY_NAME, windup
 from excite.diagnose.columns import Columns
+from excite.diagnose.document import document
 from excite.diagnose.effect import Shape, beside, family
 from excite.diagnose.half import Half, whitened
 from excite.diagnose.track import Grid, Track
@@ -471,6 +472,8 @@ def test_a_base_that_leans_is_told_with_its_sign(subject, roll, pitch):
     result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [held_out], options)
     values = interval.finding_parameters(result.design, result.verdict, 0)
     # two links in one plane feel the lean within it alone, and how much of gravity is left there
+    assert set(values) == {"pitch"}
+    assert document(result)["findings"][0]["not_shown"] == ["roll"]
     assert values["pitch"][0] == pytest.approx(np.arctan(np.tan(pitch) / np.cos(roll)), rel=0.1 if abs(pitch) < 0.1 else 0.01)
     assert len(result.verdict.named) == 1 and np.all(result.after < 1.3 * result.floor)
 

@@ -148,6 +148,8 @@ def _finding(found: Diagnosis, number: int, looked: Atlas | None) -> dict[str, A
     }
     if shape.other is not None:
         out["from"] = _joint(found, shape.other)
+    if hidden := sorted(set(shape.parameters(hypothesis.trial.coefficients)) & set(effect.units) - set(values)):
+        out["not_shown"] = hidden
     return out
 
 

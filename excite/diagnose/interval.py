@@ -7,13 +7,14 @@ Cauchy and Schwarz a misfit as large as r moves a parameter by no more than ‖r
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from . import search
 from .catalogue import BY_NAME
-from .effect import Shape
+from .effect import Effect, Shape
 from .hypothesis import acting
 from .judge import Verdict
 from .search import Design
@@ -28,8 +29,9 @@ STEP = 0.02
 """Change of a value's logarithm that its column is the secant of."""
 FARTHEST = 1.5
 """Change of a value's logarithm, at the most."""
-UNFELT = 1e-6
-"""Torque of a coefficient over that of another of the same shape, below which it is rounding."""
+UNFELT, NUDGE, MOVED = 1e-6, 1e-3, 1e-4
+"""Torque of a coefficient over that of another of the same shape, below which it is rounding; and what a parameter moves, over its value,
+where such a coefficient moves by so much of the others, from which no recording here shows it."""
 DRAWS = 200
 MIDDLE = 15.87, 84.13
 """Percentiles between which two standard deviations lie."""
@@ -46,7 +48,8 @@ class Spread:
 
 
 def finding_parameters(one: Design, verdict: Verdict, number: int) -> dict[str, tuple[float, float]]:
-    """The contract's parameters of a finding: value and standard deviation."""
+    """The contract's parameters of a finding that the recordings show: value and standard deviation. How far a planar arm's base leans out
+    of its plane, none does."""
     together, finding = verdict.together, verdict.findings[number]
     assert together is not None
     effect = BY_NAME[finding.main.effect]
@@ -66,13 +69,32 @@ def finding_parameters(one: Design, verdict: Verdict, number: int) -> dict[str, 
     draws = wide * np.random.default_rng(0).normal(size=(DRAWS, len(spread.root))) @ spread.root.T
     count = len(together.coefficients)
     cloud = [effect.told(parts(together.coefficients + draw[:count], np.clip(draw, -FARTHEST, FARTHEST))) for draw in draws]
-    out = {}
+    out, hidden = {}, _hidden(effect, fitted, [_felt(one.prior[one.places[together.shapes[k]]]) for k in alike])
     for key, mean in value.items():
+        if key in hidden:
+            continue
         low, high = np.nanpercentile([c[key] for c in cloud], MIDDLE)
         halves = abs(others[0][key] - others[1][key]) / 2.0 if one.shapes[finding.main.shape].interval is None else 0.0
         form = effect.form.get(key, FORM) * abs(mean)
         out[key] = (mean, float(np.sqrt((0.5 * (high - low)) ** 2 + halves**2 + form**2 + unseen.get(key, 0.0) ** 2)))
     return out
+
+
+def _hidden(effect: Effect, fitted: Sequence[tuple[Shape, Array]], which: Sequence[Array]) -> set[str]:
+    """Parameters that hang on coefficients which no joint feels. which: those that one does. Shapes (k,)."""
+    out, value = set[str](), effect.told(fitted)
+    for number, ((shape, c), felt) in enumerate(zip(fitted, which, strict=True)):
+        for k in np.flatnonzero(~felt):
+            nudged = c.copy()
+            nudged[k] += NUDGE * float(np.sqrt(np.mean(c[felt] ** 2)))
+            moved = effect.told([*fitted[:number], (shape, nudged), *fitted[number + 1 :]])
+            out |= {key for key, was in value.items() if abs(moved[key] - was) > MOVED * abs(was)}
+    return out
+
+
+def _felt(prior: Array) -> Array:
+    """Which columns of a shape some joint feels. Shape (k,)."""
+    return np.asarray(prior >= UNFELT**2 * prior.max())
 
 
 def _turned(shape: Shape, by: float) -> Shape:
@@ -107,7 +129,7 @@ def spreads(one: Design, verdict: Verdict) -> Spread:
 
 def _unfelt(G: Array, rows: Array, prior: Array, c: Array) -> None:
     """Columns of a shape that no joint feels, such as a force out of an arm's plane, are taken to be as large as those that one feels."""
-    unfelt = prior < UNFELT**2 * prior.max()
+    unfelt = ~_felt(prior)
     if unfelt.any():
         places = rows[unfelt]
         G[places] = G[:, places] = 0.0

@@ -78,9 +78,9 @@ def left(run: Run, plant: Plant, reference: Reference, *, trusted: bool = False)
     if trusted:
         return rest
     arm = arms.build(plant.tree, plant.joints, plant.lock, plant.gravity)
-    every = [bodies(arm, found.q, found.v, found.a), drives(found.v, found.a, plant.drive.width)]
+    every = [_low(part, rate) for part in (bodies(arm, found.q, found.v, found.a), drives(found.v, found.a, plant.drive.width))]
     weight = 1.0 / plant.limit
-    columns = _low(np.concatenate(every, axis=2), rate) * weight[:, None]
+    columns = np.concatenate(every, axis=2) * weight[:, None]
     return np.asarray(rest - _fit(columns.reshape(-1, columns.shape[2]), (rest * weight).ravel()).reshape(rest.shape) / weight)
 
 

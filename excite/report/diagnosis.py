@@ -177,6 +177,8 @@ def _finding(one: Stated) -> str:
             else "."
         )
     ]
+    if "not_shown" in one:
+        facts.append(f"No joint feels its {listed([name.replace('_', ' ') for name in one['not_shown']])} in these recordings.")
     time = one["where"]["time"]
     if time is not None:
         facts.append(f"Only from {number(time[0])} to {number(time[1])} s of {Path(one['where']['recording']).name}.")

@@ -55,9 +55,14 @@ class Half:
         return self._factors[0]
 
     @cached_property
+    def recorded(self) -> tuple[Array, Array]:
+        """The basis and the residual at the rows that were recorded. Shapes (m, r), (m,)."""
+        return self.basis[self.rows], self.left[self.rows]
+
+    @cached_property
     def shares(self) -> Array:
         """QᵀQ of the basis's rows on each joint. Shape (n, r, r)."""
-        own = self.basis[self.rows].reshape(-1, int(self.joint.max()) + 1, self.basis.shape[1])
+        own = self.recorded[0].reshape(-1, int(self.joint.max()) + 1, self.basis.shape[1])
         return np.stack([own[:, j].T @ own[:, j] for j in range(own.shape[1])])
 
     @cached_property

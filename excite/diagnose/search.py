@@ -53,6 +53,7 @@ class Design:
     residual of each half by its own base fit. across: torque of the second half less what the first half's base fit makes of it.
     grams: of each half, the base fitted to it; whole: of both, the base fitted to both. power: of each shape, the mean products of
     its columns in `whole`, per joint, Shape (n, k, k). measured: how well. listed: all shapes that there were, before the best were picked.
+    turned: a shape where it predicts best, by itself and those that it is beside: it is asked for again and again.
     """
 
     shapes: tuple[Shape, ...]
@@ -69,6 +70,7 @@ class Design:
     build: Build
     measured: Measured = field(default_factory=Measured)
     listed: tuple[Shape, ...] = ()
+    turned: dict[tuple[object, ...], Shape] = field(default_factory=dict, compare=False)
 
     @cached_property
     def loudest(self) -> float:
@@ -91,6 +93,12 @@ class Design:
         """Products of either half and of both, in units of what is usual. Shapes (3, K, K), (3, K)."""
         root, grams = self.usual, (*self.grams, self.whole)
         return np.stack([gram.matrix for gram in grams]) * np.outer(root, root), np.stack([gram.score for gram in grams]) * root
+
+    def some(self, which: Array) -> tuple[Array, Array]:
+        """The same of some columns. Shapes (3, k, k), (3, k)."""
+        root, grams = self.usual[which], (*self.grams, self.whole)
+        products = np.stack([gram.matrix[np.ix_(which, which)] for gram in grams]) * np.outer(root, root)
+        return products, np.stack([gram.score[which] for gram in grams]) * root
 
     def which(self, chosen: Sequence[int]) -> Array:
         """Columns of several shapes."""
@@ -211,11 +219,9 @@ def _widened(one: Design, shapes: Sequence[Shape], places: Sequence[slice], new:
     first, second = (old.beside([own]) for old, own in zip(one.columns, new, strict=True))
     products = first.products(new[0]), second.products(new[1])  # whichever base they are freed of
     start, both = one.columns[0].count, one.both
-    basis, left = (np.split(x[both.rows], [int(one.halves[0].rows.sum())]) for x in (both.basis, both.left))
+    basis, left = (np.split(x, [len(one.halves[0].recorded[1])]) for x in both.recorded)
     every = [Beside(*part) for part in zip(new, products, basis, left, strict=True)]
-    alone = [
-        Beside(own, cross, half.basis[half.rows], half.left[half.rows]) for own, cross, half in zip(new, products, one.halves, strict=True)
-    ]
+    alone = [Beside(own, cross, *half.recorded) for own, cross, half in zip(new, products, one.halves, strict=True)]
     grams = [grown(gram, [part]) for gram, part in zip(one.grams, alone, strict=True)]
     whole = grown(one.whole, every)
     rms = np.sqrt((new[0].squares() + new[1].squares()) / len(both.joint))
@@ -263,8 +269,7 @@ class Trial:
 def trial(one: Design, chosen: Sequence[int]) -> Trial:
     """Fit the shapes on each half, judge on the other, and once more on both together; no shapes: the base model."""
     which = one.which(chosen)
-    products, scores = one.scaled
-    factor, half, evidence = _evidence(products[:, which[:, None], which], scores[:, which])
+    factor, half, evidence = _evidence(*one.some(which))
     first, second, c = one.usual[which] * np.linalg.solve(factor.swapaxes(-1, -2), half[..., None])[..., 0]
     plausible = all(bool(one.shapes[i].plausible(own)) for i, own in zip(chosen, one.split(chosen, c), strict=True))
     return Trial(tuple(chosen), c, (first, second), float(_predictive(evidence)), plausible, float(evidence[0] + evidence[1]))
@@ -325,8 +330,12 @@ def refined(one: Design, chosen: Sequence[int], sweeps: int = 2) -> tuple[Design
             knob = one.shapes[i].knob
             if knob is None:
                 continue
-            small = _only(one, [k for k in chosen if k != i])
-            best = knob.turned(lambda shape, small=small: _beside(small, shape))  # type: ignore[misc]
+            others = [k for k in chosen if k != i]
+            asked = _key(one.shapes[i]), *(_key(one.shapes[k]) for k in others)
+            if asked not in one.turned:
+                small = _only(one, others)
+                one.turned[asked] = knob.turned(lambda shape, small=small: _beside(small, shape))  # type: ignore[misc]
+            best = one.turned[asked]
             if best.values != one.shapes[i].values:
                 one = appended(one, [best])
                 chosen[place] = len(one.shapes) - 1

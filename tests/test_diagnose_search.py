@@ -153,7 +153,7 @@ def test_an_encoders_steps_raise_the_bar_for_what_they_look_like_alone(subject):
     assert bars["spring"] == search.NATS
 
 
-def test_a_grid_is_left_for_the_value_between_its_neighbours():
+def test_a_grid_is_left_for_the_value_between_its_neighbours(monkeypatch):
     rng = np.random.default_rng(1)
     x = np.linspace(0.0, 1.0, 400)
     halves = [halved(np.ones((400, 1)), 5.0 * x[:, None] ** 1.7 + 0.1 * rng.normal(size=(400, 1)), EMPTY, 0.1)] * 2
@@ -168,6 +168,12 @@ def test_a_grid_is_left_for_the_value_between_its_neighbours():
     finer, (best,) = search.refined(one, [coarse])
     assert finer.shapes[best].values["power"] == pytest.approx(1.7, abs=0.05)
     assert search.trial(finer, [best]).gain > search.trial(one, [coarse]).gain
+    settled, (last,) = search.refined(finer, [best], sweeps=20)
+    monkeypatch.setattr(search, "_beside", lambda small, shape: pytest.fail("what was tuned is tuned again"))
+    assert search.refined(settled, [last])[1] == [last]
+    louder = search.rescaled(settled, np.array([2.0]))
+    with pytest.raises(pytest.fail.Exception):  # over another scale it may be another
+        search.refined(louder, [last])
 
 
 def test_a_value_that_no_grid_has_is_found_from_kin_to_kin():

@@ -7,7 +7,7 @@ leans, and what moves on a turning base feels Coriolis forces.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pinocchio as pin
@@ -20,6 +20,18 @@ AXES = (pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ, pin.JointModelRX, 
 
 
 @dataclass(frozen=True)
+class Cut:
+    """Of some coordinates of the base alone. mass, by_speed, by_place: of the base. Shapes (C, k, k). felt: what joints feel by its place,
+    speed and acceleration. Three of (C, n, k). force: what the robot pushes it with beyond its mean. Shape (C, k)."""
+
+    mass: Array
+    by_speed: Array
+    by_place: Array
+    felt: tuple[Array, Array, Array]
+    force: Array
+
+
+@dataclass(frozen=True)
 class Afloat:
     """mass, by_speed, by_place: forces on the base, then torques on the joints, by the base's acceleration, speed and place. Shapes
     (C, 6 + n, 6). reaction: force and moment that hold the base. Shape (C, 6)."""
@@ -28,6 +40,17 @@ class Afloat:
     by_speed: Array
     by_place: Array
     reaction: Array
+    _cuts: dict[tuple[int, ...], Cut] = field(default_factory=dict, init=False, compare=False, repr=False)
+
+    def cut(self, axes: tuple[int, ...]) -> Cut:
+        """Of a base that moves along some axes; made once, for it is asked for with many springs."""
+        if axes not in self._cuts:
+            which = list(axes)
+            mass, by_speed, by_place = (x[:, :, which] for x in (self.mass, self.by_speed, self.by_place))
+            push = self.reaction[:, which].mean(axis=0) - self.reaction[:, which]
+            felt = by_place[:, 6:].copy(), by_speed[:, 6:].copy(), mass[:, 6:].copy()
+            self._cuts[axes] = Cut(mass[:, which], by_speed[:, which], by_place[:, which], felt, push)
+        return self._cuts[axes]
 
 
 def afloat(robot: Robot, model: pin.Model, motion: Samples) -> Afloat:

@@ -203,19 +203,18 @@ def _columns(one: Design, place: slice) -> tuple[Columns, Columns]:
     return one.columns[0].picked(which), one.columns[1].picked(which)
 
 
-def _extended(one: Design, built: Sequence[Built]) -> Design:
-    """The same with columns that are there already."""
+def _extended(one: Design, built: Sequence[Built], sized: bool = True) -> Design:
+    """The same with columns that are there already. sized: see `_widened`."""
     if not built:
         return one
     shapes, columns = zip(*built, strict=True)
     ends = np.cumsum([0, *(first.count for first, _ in columns)]).tolist()
-    bare = (Columns.none(len(part.values[0]), part.joints) for part in one.columns)
-    first, second = (part.beside([own[half] for own in columns]) for half, part in enumerate(bare))
-    return _widened(one, shapes, [slice(a, b) for a, b in itertools.pairwise(ends)], (first, second))
+    first, second = (own[0].beside(own[1:]) if len(own) > 1 else own[0] for own in zip(*columns, strict=True))
+    return _widened(one, shapes, [slice(a, b) for a, b in itertools.pairwise(ends)], (first, second), sized)
 
 
-def _widened(one: Design, shapes: Sequence[Shape], places: Sequence[slice], new: tuple[Columns, Columns]) -> Design:
-    """The same with more shapes, whose columns stand at `places` among the new ones."""
+def _widened(one: Design, shapes: Sequence[Shape], places: Sequence[slice], new: tuple[Columns, Columns], sized: bool = True) -> Design:
+    """The same with more shapes, whose columns stand at `places` among the new ones. sized: whether it will be asked how large they are."""
     first, second = (old.beside([own]) for old, own in zip(one.columns, new, strict=True))
     products = first.products(new[0]), second.products(new[1])  # whichever base they are freed of
     start, both = one.columns[0].count, one.both
@@ -232,7 +231,7 @@ def _widened(one: Design, shapes: Sequence[Shape], places: Sequence[slice], new:
         columns=(first, second),
         grams=(grams[0], grams[1]),
         whole=whole,
-        power=(*one.power, *powers(every, both.shares, whole.shadow[:, start:], places)),
+        power=(*one.power, *powers(every, both.shares, whole.shadow[:, start:], places)) if sized else (),
         prior=np.concatenate([one.prior, (rms / USUAL) ** 2]),
     )
 
@@ -350,8 +349,9 @@ def _only(one: Design, chosen: Sequence[int]) -> Design:
 
 def _beside(small: Design, shape: Shape) -> float:
     """Gain of a shape beside all of a small design's."""
-    wider = appended(small, [shape])
-    if len(wider.shapes) == len(small.shapes):
+    made = small.build(shape)
+    if made is None:
         return -np.inf
+    wider = _extended(small, [(shape, made)], sized=False)
     found = trial(wider, range(len(wider.shapes)))
     return found.gain if found.plausible else -np.inf

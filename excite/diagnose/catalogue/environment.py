@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from math import factorial
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from ...identify.band import Grid
 from ...recordings.missing import runs
 from ..effect import Effect, Knob, Shape, beside, family, named
 from ..track import Track
-from .windup import NEAR, SOFTEST, damped, stepped
+from .windup import NEAR, SOFTEST, damped, oscillator, stepped
 
 Array = np.ndarray
 PARTS = 40
@@ -45,18 +46,15 @@ def _swung(t: Track, s: Shape) -> Array:
     (M + I₀) ẍ + (∂τ/∂ẋ + D) ẋ + (∂τ/∂x + K) x = what the robot pushes beyond its mean (`Afloat`). A base that rocks also leans: its joints
     feel gravity turned, which is most of what a slow motion shows.
     """
-    axes, dt = list(WAYS[int(s.values["way"])]), 1.0 / t.band.rate_of(Grid.COARSE)
-    own, stood = t.afloat, t.stood[axes]
+    axes, dt = WAYS[int(s.values["way"])], 1.0 / t.band.rate_of(Grid.COARSE)
+    own, stood = t.afloat.cut(axes), t.stood[list(axes)]
     heavy = stood + s.values["stand"] * stood.max()
     spring = (2.0 * np.pi * s.values["frequency"] * s.values["apart"] ** np.arange(len(axes))) ** 2 * heavy
     damping = 2.0 * s.values["damping"] * np.sqrt(spring * heavy)
-    inertia, by_speed, by_place = (part[:, axes][:, :, axes] for part in (own.mass, own.by_speed, own.by_place))
-    inertia = inertia + np.diag(heavy - stood)
-    topples = float(np.abs(by_place).sum(axis=2).max() / spring.min())  # a spring bears what gravity takes off it, or there is no base
-    stiffness = np.diag(spring) + by_place * min(1.0, (1.0 - SOFTEST) / max(topples, 1e-9))
-    force = own.reaction[:, axes].mean(axis=0) - own.reaction[:, axes]
-    motion = _carried(inertia, by_speed + np.diag(damping), stiffness, force, dt)
-    felt = [part[:, 6:][:, :, axes] @ moved for part, moved in zip((own.by_place, own.by_speed, own.mass), motion, strict=True)]
+    topples = float(np.abs(own.by_place).sum(axis=2).max() / spring.min())  # a spring bears what gravity takes off it, or there is no base
+    stiffness = np.diag(spring) + own.by_place * min(1.0, (1.0 - SOFTEST) / max(topples, 1e-9))
+    motion = _carried(own.mass + np.diag(heavy - stood), own.by_speed + np.diag(damping), stiffness, own.force, dt)
+    felt = [part @ moved for part, moved in zip(own.felt, motion, strict=True)]
     return t.reduce(np.sum(felt, axis=0), Grid.COARSE)
 
 
@@ -64,6 +62,11 @@ def _carried(inertia: Array, damping: Array, stiffness: Array, force: Array, dt:
     """Place, speed and acceleration of coupled masses under the force on each alone. Each step is exact for the means of all at its ends.
     Shapes (C, k, k), force (C, k) -> three of (C, k, k), a column each force."""
     count, k = force.shape
+    if k == 1:
+        m, d, s = (x[:, 0, 0] for x in (inertia, damping, stiffness))
+        place, speed = oscillator(force[:, 0], m, s, d, dt)
+        haste = (force[:, 0] - s * place - d * speed) / m
+        return place[:, None, None], speed[:, None, None], haste[:, None, None]
     alone = force[:, :, None] * np.eye(k)
     m, d, s, f = (0.5 * (x[1:] + x[:-1]) for x in (inertia, damping, stiffness, alone))
     light = np.linalg.inv(m)
@@ -82,11 +85,17 @@ def _exponential(a: Array) -> tuple[Array, Array]:
     """exp(A), and ∫₀¹ exp(A s) ds: of halves of halves by their series, then doubled (Higham, Functions of Matrices, 2008, ch. 10).
     Shapes (…, k, k)."""
     halved = max(0, int(np.ceil(np.log2(max(float(np.abs(a).sum(axis=-1).max()), 1e-300)))))
-    unit = np.broadcast_to(np.eye(a.shape[-1]), a.shape)
-    term, whole, mean = unit, unit, unit
-    for order in range(1, TERMS):
-        term = term @ a * (0.5**halved / order)
-        whole, mean = whole + term, mean + term / (order + 1.0)
+    unit, a = np.eye(a.shape[-1]), a * 0.5**halved
+    square = a @ a
+    cube = square @ a
+
+    def series(order: int) -> Array:
+        """Σ Aᵏ/(k + order)!, in powers of the cube (Paterson & Stockmeyer 1973)."""
+        c = [1.0 / factorial(k + order) for k in range(TERMS)]
+        parts = [c[k] * unit + c[k + 1] * a + c[k + 2] * square for k in range(0, 9, 3)]
+        return parts[0] + cube @ (parts[1] + cube @ (parts[2] + c[9] * cube))
+
+    whole, mean = series(0), series(1)
     for _ in range(halved):
         whole, mean = whole @ whole, 0.5 * (unit + whole) @ mean
     return whole, mean

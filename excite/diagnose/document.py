@@ -9,7 +9,7 @@ import numpy as np
 
 from ..wording import percent
 from .atlas import Atlas
-from .belief import ASSERTED, doubt
+from .belief import doubt, unsure
 from .catalogue import BY_NAME
 from .diagnosis import Diagnosis
 from .effect import Shape
@@ -210,8 +210,8 @@ def _unknown(found: Diagnosis, joint: int) -> dict[str, Any]:
     share, sight = float(found.unexplained[joint]), found.sights[joint]
     where: dict[str, Any] = {"statement": f"joint '{name}': torque that no effect of the catalogue takes", "regime": "all"}
     experiment = "that joint alone, slowly to and fro over its range, then faster"
-    doubtful = float(doubt(found.verdict, len(found.floor))[joint])
-    if doubtful > 1.0 - ASSERTED and not sight.counts:
+    n = len(found.floor)
+    if unsure(found.verdict, n)[joint] and not sight.counts:
         where["statement"] = f"joint '{name}': torque that several names take together, likelier not all right"
     doubted = [f for f in found.real if f.main.joint in (joint, None)]
     if doubted and found.doubted[joint] > found.floor[joint]:
@@ -230,6 +230,6 @@ def _unknown(found: Diagnosis, joint: int) -> dict[str, Any]:
         "joint": name,
         "where": where,
         "share": share,
-        "probability": float(np.clip(max(0.5 + 0.5 * share, doubtful), 0.5, 0.99)),
+        "probability": float(np.clip(max(0.5 + 0.5 * share, doubt(found.verdict, n)[joint]), 0.5, 0.99)),
         "experiment": experiment,
     }

@@ -46,17 +46,14 @@ def tested(one: Design, verdict: Verdict, moves: Array, noise: Array) -> Verdict
 
     moves: rows of the second half that are judged, Shape (N, n). noise: mean square over the scale, Shape (n,).
     """
-    refuted, considered, doubted = list[Finding](), verdict.considered, verdict.doubted
     while verdict.findings:
         ratios = [_ratios(one, verdict, finding, moves, noise) for finding in verdict.findings]
         worst = max(range(len(ratios)), key=lambda number: ratios[number])
         if ratios[worst][0] <= WORSE:
             break
-        finding = verdict.findings[worst]
-        refuted.append(replace(finding, probability=BELIEVED, evidence={"foretold": ratios[worst][1]}))
-        assert verdict.together is not None
-        verdict = judge.said(one, judge.without(verdict.together.shapes, finding.parts))
-    return replace(verdict, considered=considered, doubted=(*doubted, *refuted))
+        refuted = replace(verdict.findings[worst], probability=BELIEVED, evidence={"foretold": ratios[worst][1]})
+        verdict = judge.refused(one, verdict, [refuted])
+    return verdict
 
 
 def _ratios(one: Design, verdict: Verdict, finding: Finding, moves: Array, noise: Array) -> tuple[float, float]:

@@ -111,6 +111,13 @@ def moved(one: Design, verdict: Verdict, better: Verdict, start: int) -> Verdict
     return replace(verdict, findings=findings, together=trial(one, [place[shape] for shape in better.together.shapes]))
 
 
+def refused(one: Design, verdict: Verdict, refuted: Sequence[Finding]) -> Verdict:
+    """The verdict without some of its findings, which are doubted from now on."""
+    assert verdict.together is not None
+    left = said(one, without(verdict.together.shapes, [part for finding in refuted for part in finding.parts]))
+    return replace(left, considered=verdict.considered, doubted=(*verdict.doubted, *refuted))
+
+
 def without(shapes: Sequence[int], parts: Sequence[Hypothesis]) -> list[int]:
     return [i for i in shapes if all(i != part.shape for part in parts)]
 

@@ -30,12 +30,7 @@ def kept(one: Design, verdict: Verdict, every: Sequence[Track], periods: Mapping
         share = _again(one, verdict, finding, every, periods)
         if share > AGAIN:
             refuted.append(replace(finding, probability=BELIEVED, evidence={"again": share}))
-    if not refuted:
-        return verdict
-    assert verdict.together is not None
-    parts = [part for finding in refuted for part in finding.parts]
-    left = judge.said(one, judge.without(verdict.together.shapes, parts))
-    return replace(left, considered=verdict.considered, doubted=(*verdict.doubted, *refuted))
+    return judge.refused(one, verdict, refuted) if refuted else verdict
 
 
 def _again(one: Design, verdict: Verdict, finding: Finding, every: Sequence[Track], periods: Mapping[str, Period]) -> float:

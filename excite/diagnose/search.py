@@ -91,13 +91,12 @@ class Design:
     @cached_property
     def scaled(self) -> tuple[Array, Array]:
         """Products of either half and of both, in units of what is usual. Shapes (3, K, K), (3, K)."""
-        root, grams = self.usual, (*self.grams, self.whole)
-        return np.stack([gram.matrix for gram in grams]) * np.outer(root, root), np.stack([gram.score for gram in grams]) * root
+        return self.some(slice(None))
 
-    def some(self, which: Array) -> tuple[Array, Array]:
+    def some(self, which: Array | slice) -> tuple[Array, Array]:
         """The same of some columns. Shapes (3, k, k), (3, k)."""
         root, grams = self.usual[which], (*self.grams, self.whole)
-        products = np.stack([gram.matrix[np.ix_(which, which)] for gram in grams]) * np.outer(root, root)
+        products = np.stack([gram.matrix[which][:, which] for gram in grams]) * np.outer(root, root)
         return products, np.stack([gram.score[which] for gram in grams]) * root
 
     def which(self, chosen: Sequence[int]) -> Array:

@@ -12,7 +12,7 @@ from ..errors import UnusableInput
 from . import arm as arms
 from .arm import Arm
 from .drive import Control, Drive
-from .law import Instant, Law
+from .law import Instant, Law, Spring
 from .loop import Loop, Trace
 from .reference import Reference
 from .tree import Tree
@@ -37,6 +37,11 @@ class Plant:
     laws: tuple[Law, ...] = ()
     step: float = 1e-3
 
+    @property
+    def springs(self) -> list[Spring]:
+        """What lies between motors and links."""
+        return [spring for law in self.laws if (spring := law.spring()) is not None]
+
     def without(self) -> Plant:
         """The same robot with nothing hidden."""
         return replace(self, laws=())
@@ -57,7 +62,7 @@ class Plant:
             drive = law.drives(drive)
         bound = replace(self, drive=drive, laws=tuple(law.bound(arm) for law in self.laws))
         carried = [s for law in bound.laws if (s := law.suspension()) is not None]
-        step = min(self.step, SPRUNG) if any(law.spring() is not None for law in bound.laws) else self.step
+        step = min(self.step, SPRUNG) if bound.springs else self.step
         trace = Loop(arm, drive, self.control, bound.laws, carried[0] if carried else None, self.limit, step).run(reference)
         if not np.isfinite(trace.q).all():
             raise UnusableInput(f"{self.tree.source}: the controller loses this robot; make the hidden effects smaller")
@@ -67,7 +72,7 @@ class Plant:
         """A base moves on one set of springs, a joint winds up in one."""
         if sum(type(law).suspension is not Law.suspension for law in self.laws) > 1:
             raise UnusableInput(f"{self.tree.source}: more than one effect moves the base; leave one --effect base_compliance")
-        wound = [spring.joint for law in self.laws if (spring := law.spring()) is not None]
+        wound = [spring.joint for spring in self.springs]
         for j in set(wound):
             if wound.count(j) > 1:
                 raise UnusableInput(
@@ -89,12 +94,15 @@ class Run:
 
     def links(self, t: Array) -> tuple[Array, Array, Array]:
         """Position, velocity, acceleration of base and links. Shapes (N, k + n)."""
-        q, v, a = (spline(np.clip(t, 0.0, self.end)) for spline in self._links)
-        return q, v, a
+        return self._at(self._links, t)
 
     def motors(self, t: Array) -> tuple[Array, Array, Array]:
         """The same of the motors, at the joints' shafts. Shapes (N, n)."""
-        q, v, a = (spline(np.clip(t, 0.0, self.end)) for spline in self._motors)
+        return self._at(self._motors, t)
+
+    def _at(self, motion: tuple[BSpline, BSpline, BSpline], t: Array) -> tuple[Array, Array, Array]:
+        t = np.clip(t, 0.0, self.end)
+        q, v, a = (spline(t) for spline in motion)
         return q, v, a
 
     def instant(self, t: Array) -> Instant:

@@ -72,7 +72,7 @@ def left(run: Run, plant: Plant, reference: Reference, *, trusted: bool = False)
 
     trusted: the base model stays as it is, nothing is refit.
     """
-    rate = RATTLING if any(law.spring() is not None for law in run.plant.laws) else RATE
+    rate = RATTLING if run.plant.springs else RATE
     found = hidden(run, plant, np.arange(reference.periodic[0], reference.periodic[1], 1.0 / rate))
     rest = _low(found.torque, rate)
     if trusted:

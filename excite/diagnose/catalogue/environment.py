@@ -35,8 +35,6 @@ PEDESTAL, LIGHTEST, HEAVIEST, HEAVIER = 0.12, 0.02, 2.0, 2.5
 and the factor from one to those beside it."""
 APART, FARTHEST = 1.15, 2.0
 """Of a base's frequencies about two axes, the second over the first: the factor from one to those beside it, and at the most."""
-TERMS = 10
-"""Of the exponential of a part of a step in which nothing turns by more than a radian."""
 
 
 def _swung(t: Track, s: Shape) -> Array:
@@ -62,7 +60,7 @@ def _carried(inertia: Array, damping: Array, stiffness: Array, force: Array, dt:
     """Place, speed and acceleration of coupled masses under the force on each alone. Each step is exact for the means of all at its ends.
     Shapes (C, k, k), force (C, k) -> three of (C, k, k), a column each force."""
     count, k = force.shape
-    if k == 1:
+    if k == 1:  # in closed form
         m, d, s = (x[:, 0, 0] for x in (inertia, damping, stiffness))
         place, speed = oscillator(force[:, 0], m, s, d, dt)
         haste = (force[:, 0] - s * place - d * speed) / m
@@ -82,8 +80,8 @@ def _carried(inertia: Array, damping: Array, stiffness: Array, force: Array, dt:
 
 
 def _exponential(a: Array) -> tuple[Array, Array]:
-    """exp(A), and ∫₀¹ exp(A s) ds: of halves of halves by their series, then doubled (Higham, Functions of Matrices, 2008, ch. 10).
-    Shapes (…, k, k)."""
+    """exp(A), and ∫₀¹ exp(A s) ds: of halves of halves, in which nothing turns by more than a radian, by their series to the ninth power,
+    then doubled (Higham, Functions of Matrices, 2008, ch. 10). Shapes (…, k, k)."""
     halved = max(0, int(np.ceil(np.log2(max(float(np.abs(a).sum(axis=-1).max()), 1e-300)))))
     unit, a = np.eye(a.shape[-1]), a * 0.5**halved
     square = a @ a
@@ -91,8 +89,8 @@ def _exponential(a: Array) -> tuple[Array, Array]:
 
     def series(order: int) -> Array:
         """Σ Aᵏ/(k + order)!, in powers of the cube (Paterson & Stockmeyer 1973)."""
-        c = [1.0 / factorial(k + order) for k in range(TERMS)]
-        parts = [c[k] * unit + c[k + 1] * a + c[k + 2] * square for k in range(0, 9, 3)]
+        c = [1.0 / factorial(k + order) for k in range(10)]
+        parts = [c[k] * unit + c[k + 1] * a + c[k + 2] * square for k in (0, 3, 6)]
         return parts[0] + cube @ (parts[1] + cube @ (parts[2] + c[9] * cube))
 
     whole, mean = series(0), series(1)

@@ -16,6 +16,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
+from written import Damage, motion
 
 from excite import workflow
 from excite.limits import Limits, resolve
@@ -233,6 +234,11 @@ def off(actual: np.ndarray, expected: np.ndarray) -> float:
 @pytest.fixture(scope="session")
 def two_link() -> Robot:
     return load("two_link")
+
+
+@pytest.fixture
+def damage() -> Damage:
+    return Damage(motion())
 
 
 @pytest.fixture(scope="session")

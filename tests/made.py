@@ -11,6 +11,10 @@ import pinocchio as pin
 from conftest import loaded
 
 from excite import base, limits, parameters, robot
+from excite.diagnose.columns import Columns
+from excite.diagnose.effect import Shape
+from excite.diagnose.half import Half, whitened
+from excite.diagnose.track import Track
 from excite.identify import consistent
 from excite.identify.equations import Model
 from excite.limits import Limits
@@ -93,3 +97,20 @@ def written(recording: Recording, path: Path, decimals: int = 9) -> Path:
         stated = {"schema": "excite.recording/1", "period": side.period, "periodic": list(side.periodic)}
         path.with_suffix(".json").write_text(json.dumps(stated), encoding="utf-8")
     return path
+
+
+EMPTY = (np.zeros((0, 1)), np.zeros(0))
+
+
+def nothing(track: Track, shape: Shape) -> Array:
+    raise AssertionError("not asked for")
+
+
+def halved(gamma: Array, torque: Array, known: tuple[Array, Array], scale: float = 1.0) -> Half:
+    """Of a robot with one joint, which never rests."""
+    return whitened([gamma[:, None, :]], [torque], [np.ones(torque.shape, bool)], np.full(1, scale), known)
+
+
+def on_one(first: Array, second: Array) -> tuple[Columns, Columns]:
+    """Columns of both halves, of a robot with one joint."""
+    return Columns.of(first[:, None]), Columns.of(second[:, None])

@@ -6,12 +6,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-from test_diagnose_search import halved, nothing, on_one
+from made import EMPTY, halved, nothing, on_one
 
 from excite.diagnose import contest, hypothesis, judge, search
 from excite.diagnose.catalogue import environment, windup
 from excite.diagnose.columns import Columns
 from excite.diagnose.effect import Shape, beside, family
+from excite.diagnose.half import Half, whitened
 
 Array = np.ndarray
 RNG = np.random.default_rng(5)
@@ -109,3 +110,128 @@ def test_a_resonance_between_two_tried_frequencies_is_found(frequency):
     (finding,) = verdict.findings
     told = done.shapes[finding.main.shape].values
     assert told["frequency"] == pytest.approx(frequency, rel=0.02) and told["damping"] < 0.06
+
+
+def test_shapes_that_take_each_other_off_are_no_finding():
+    """A small residual, told as the difference of two large torques that are nearly the same."""
+    rng = np.random.default_rng(0)
+    gammas, same = [rng.normal(size=(400, 2)) for _ in range(2)], [rng.normal(size=400) for _ in range(2)]
+    slight = [rng.normal(size=400) for _ in range(2)]
+    columns = [{"drag": s, "stribeck": s + 0.01 * d} for s, d in zip(same, slight, strict=True)]
+    torques = [g @ [1.0, -2.0] + 2.0 * d + rng.normal(size=400) for g, d in zip(gammas, slight, strict=True)]
+    known = (1e-2 * np.eye(2), np.zeros(2))
+    first, second = (halved(g, t[:, None], known) for g, t in zip(gammas, torques, strict=True))
+
+    def build(shape: Shape) -> tuple[Columns, Columns]:
+        return on_one(*(own[shape.effect][:, None] for own in columns))
+
+    one = search.design((first, second), [Shape("drag", 0, nothing), Shape("stribeck", 0, nothing)], build)
+    one = dataclasses.replace(one, prior=np.full(2, 1e-6))
+    assert search.trial(one, [0, 1]).gain > 200.0
+    assert not list(hypothesis.ranked(one, (0,))) and not judge.judged(one)[1].findings
+
+
+def two_joints(blurred: float = 1.0, mend: str = "spring") -> search.Design:
+    """A strong drag at one of two joints, of a form that a blurred spring mends, or another effect; and a slight one at the other."""
+    rng = np.random.default_rng(0)
+    strong, rest, other = ([rng.normal(size=300) for _ in range(2)] for _ in range(3))
+    blur = [blurred * rng.normal(size=300) for _ in range(2)]
+    halves, columns = list[Half](), list[dict[tuple[str, int | None], Array]]()
+    for s, r, o, b in zip(strong, rest, other, blur, strict=True):
+        both = np.column_stack([30.0 * s + 0.8 * r, 0.8 * o])
+        left = both + rng.normal(size=(300, 2))
+        halves.append(whitened([np.ones((300, 2, 1))], [left], [np.ones(left.shape, bool)], np.ones(2), EMPTY))
+        joints = {("drag", 0): np.column_stack([s, 0.0 * s]), (mend, 0): np.column_stack([r + b, 0.0 * r])}
+        columns.append({**joints, ("stribeck", 1): np.column_stack([0.0 * o, o])})
+
+    def build(shape: Shape) -> tuple[Columns, Columns]:
+        first, second = (Columns.of(own[shape.effect, shape.joint][:, :, None]) for own in columns)
+        return first, second
+
+    shapes = [Shape(effect, joint, nothing) for effect, joint in columns[0]]
+    one = search.design((halves[0], halves[1]), shapes, build)
+    return dataclasses.replace(one, measured=search.Measured(noise=np.ones(2)))
+
+
+def test_what_is_left_alone_must_be_believed_by_itself():
+    one = two_joints()
+    _, verdict = judge.judged(one, [0])
+    assert ("drag", 0) in {(h.effect, h.joint) for h in verdict.chosen}
+    doubtful = dataclasses.replace(one, shapes=tuple(dataclasses.replace(shape, doubt=1e6) for shape in one.shapes))
+    assert not judge.judged(doubtful, [0])[1].chosen
+
+
+def test_where_a_strong_effect_does_not_act_a_slight_one_needs_no_share_of_it():
+    one = two_joints()
+    _, verdict = judge.judged(one)
+    assert {(h.effect, h.joint) for h in verdict.chosen} == {("drag", 0), ("stribeck", 1)}  # what mends the drag is no finding
+    guessed = dataclasses.replace(one, measured=search.Measured())
+    assert {(h.effect, h.joint) for h in judge.judged(guessed)[1].chosen} == {("drag", 0)}
+
+
+def test_what_explains_all_that_another_leaves_beyond_noise_needs_no_share_of_it():
+    one = two_joints(blurred=0.0)
+    _, verdict = judge.judged(one)
+    assert {(h.effect, h.joint) for h in verdict.chosen} == {("drag", 0), ("spring", 0), ("stribeck", 1)}
+    louder = dataclasses.replace(one, measured=search.Measured(noise=np.full(2, 1.5)))  # then there is nothing beyond it
+    assert {(h.effect, h.joint) for h in judge.judged(louder)[1].chosen} == {("drag", 0), ("stribeck", 1)}
+    alike = two_joints(blurred=0.0, mend="nonlinear_viscous")  # what is taken for a drag mends one, and all of it
+    assert {(h.effect, h.joint) for h in judge.judged(alike)[1].chosen} == {("drag", 0), ("stribeck", 1)}
+
+
+def test_beside_another_a_strong_effect_may_need_another_of_its_shapes():
+    """x³ and x/(1 + |x|) look like x^1.5 or so: alone, the power is told between them, beside which the other is told of the wrong sign."""
+    rng = np.random.default_rng(1)
+    x = [rng.normal(size=400) for _ in range(2)]
+    torques = [3.0 * own**3 + 20.0 * own / (1.0 + np.abs(own)) for own in x]
+    halves = [halved(np.ones((400, 1)), t[:, None] + rng.normal(size=(400, 1)), EMPTY) for t in torques]
+
+    def build(shape: Shape) -> tuple[Columns, Columns]:
+        if shape.effect == "stribeck":
+            first, second = (own / (1.0 + np.abs(own)) for own in x)
+        else:
+            first, second = (np.sign(own) * np.abs(own) ** shape.values["exponent"] for own in x)
+        return on_one(first[:, None], second[:, None])
+
+    powers = [Shape("drag", 0, nothing, {"exponent": k}, plausible=lambda c: bool(c[0] > 0.0)) for k in (2.0, 2.5, 3.0)]
+    shapes = [*powers, Shape("stribeck", 0, nothing, plausible=lambda c: bool(c[0] > 0.0))]
+    one = dataclasses.replace(search.design((halves[0], halves[1]), shapes, build), measured=search.Measured(noise=np.ones(1)))
+    alone = next(hypothesis.ranked(one))
+    assert one.shapes[alone.shape].values != {"exponent": 3.0}
+    together, verdict = judge.judged(one, [alone.shape])
+    assert {together.shapes[i].effect for i in verdict.named} == {"drag", "stribeck"}
+    assert {together.shapes[i].values["exponent"] for i in verdict.named if together.shapes[i].effect == "drag"} == {3.0}
+
+
+def test_the_best_of_each_law_is_looked_at():
+    """Alone, four other shapes predict better than a light coupling; a law with a value turned better than its grid may win yet."""
+    rng = np.random.default_rng(4)
+    truth = [rng.normal(size=200) for _ in range(2)]
+    halves = [halved(np.ones((200, 1)), 5.0 * t[:, None] + rng.normal(size=(200, 1)), EMPTY) for t in truth]
+    blurred = {ratio: [t + 0.1 * ratio * rng.normal(size=200) for t in truth] for ratio in range(1, 8)}
+
+    def build(shape: Shape) -> tuple[Columns, Columns]:
+        first, second = (x[:, None] for x in blurred[int(shape.values["ratio"])])
+        return on_one(first, second)
+
+    heavy = [Shape("coupling", 0, nothing, {"ratio": float(ratio)}, 1) for ratio in range(1, 7)]
+    one = search.design((halves[0], halves[1]), [*heavy, Shape("coupling", 0, nothing, {"ratio": 7.0, "light": 1.0}, 1)], build)
+    assert [shape.values["ratio"] for shape in one.shapes] == [1.0, 2.0, 3.0, 4.0, 7.0]
+
+
+def test_halves_agree_about_what_both_see():
+    rng = np.random.default_rng(2)
+    a, b, noise_ = ([rng.normal(size=200) for _ in range(2)] for _ in range(3))
+    slight = 0.01  # of the second column, the first half sees next to nothing
+
+    def designed(first: float, second: float) -> search.Design:
+        """b's coefficient in either half, of columns a and b."""
+        seen = (slight, 1.0)
+        columns = [np.column_stack([x, by * y]) for x, y, by in zip(a, b, seen, strict=True)]
+        own = [c @ [2.0, k] + 0.1 * n for c, k, n in zip(columns, (first, second), noise_, strict=True)]
+        halves = [halved(np.ones((200, 1)), t[:, None], EMPTY, 0.1) for t in own]
+        return search.design((halves[0], halves[1]), [Shape("drag", 0, nothing)], lambda _: on_one(columns[0] / 0.1, columns[1] / 0.1))
+
+    for other, agree in ((3.0, True), (-40.0, True), (-3e3, False)):
+        one = designed(other, 3.0)
+        assert hypothesis.agrees(one, search.trial(one, [0])) is agree

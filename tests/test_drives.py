@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from made import two_links
 from test_diagnose import on, recordings_of
-from test_diagnose_search import fitted_with, stated
+from test_predicted import fitted_with, stated
 
 from excite.diagnose import diagnosis, equations, whole
 from excite.diagnose.catalogue import BY_NAME, electrical

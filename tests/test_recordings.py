@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-import warnings
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,64 +12,15 @@ import pytest
 from conftest import document, joint, link, loaded, pendulum
 from hypothesis import given
 from hypothesis import strategies as st
+from written import JOINTS, Array, kinds, motion, refused, repaired, write
 
 from excite import recordings
-from excite.errors import ExciteWarning, UnusableInput
-from excite.identify import signals
+from excite.errors import UnusableInput
 from excite.limits import resolve
 from excite.recordings import Kind, parse
 from excite.robot import load
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "recordings"
-JOINTS = ("joint_1", "joint_2")
-Array = np.ndarray
-
-
-def motion(rows: int = 400, rate: float = 100.0) -> dict[str, Array]:
-    """Columns of two joints that move, with torques. Keys as in the contract."""
-    t = np.arange(rows) / rate
-    phase = np.outer(t, [2.0, 3.0])
-    q, dq = 0.5 * np.sin(phase), 0.5 * np.array([2.0, 3.0]) * np.cos(phase)
-    tau = 3.0 * np.cos(1.7 * phase) + 1e-3 * np.sin(1e5 * phase)
-    columns = {"t": t}
-    for prefix, values in (("q", q), ("dq", dq), ("tau", tau)):
-        columns |= {f"{prefix}.{name}": values[:, i] for i, name in enumerate(JOINTS)}
-    return columns
-
-
-def write(path: Path, columns: dict[str, Array], separator: str = ",", order: list[str] | None = None) -> Path:
-    names = order or list(columns)
-    lines = [separator.join(names)]
-    lines += [separator.join(repr(float(columns[name][k])) for name in names) for k in range(len(columns[names[0]]))]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return path
-
-
-def kinds(recording: recordings.Recording) -> list[Kind]:
-    return [remark.kind for remark in recording.remarks]
-
-
-def repaired(path: Path, robot, **options) -> tuple[recordings.Recording, list[str]]:
-    """The recording and what it warned of; every warning is also a remark, and every repair is warned of but that an encoder rounds."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        found = recordings.read(path, robot, **options)
-    texts = [str(w.message) for w in caught]
-    assert texts == [f"{path}: {r.text}" for r in found.remarks if r.repaired and r.kind is not Kind.ROUNDED]
-    assert all(issubclass(w.category, ExciteWarning) for w in caught)
-    return found, texts
-
-
-def refused(path: Path, robot, *words: str, **options) -> str:
-    with pytest.raises(UnusableInput) as caught:
-        recordings.read(path, robot, **options)
-    text = str(caught.value)
-    assert "\n" not in text and text.startswith(str(path)), text
-    for word in words:
-        assert word in text, (word, text)
-    return text
-
-
 # -- formats -------------------------------------------------------------------------------------------------------
 
 
@@ -273,144 +222,6 @@ def test_a_trajectory_beside_its_csv_is_no_sidecar_and_unknown_keys_are_told(two
     assert kinds(found) == [Kind.SKIPPED] and "'gains'" in found.remarks[0].text and not found.remarks[0].repaired
 
 
-# -- time ----------------------------------------------------------------------------------------------------------
-
-
-@dataclass
-class Damage:
-    """A motion with something wrong, in a file."""
-
-    columns: dict[str, Array]
-
-    def rows(self, which: Array) -> Damage:
-        return Damage({name: values[which] for name, values in self.columns.items()})
-
-    def read(self, folder: Path, robot):
-        return repaired(write(folder / "r.csv", self.columns), robot)
-
-
-@pytest.fixture
-def damage() -> Damage:
-    return Damage(motion())
-
-
-@given(seed=st.integers(0, 10**6))
-def test_rows_in_any_order_and_repeated_come_back_in_order(two_link, tmp_path_factory, seed):
-    rng = np.random.default_rng(seed)
-    which = rng.permutation(np.concatenate([np.arange(400), rng.integers(0, 400, 30)]))
-    found, _ = Damage(motion()).rows(which).read(tmp_path_factory.mktemp("r"), two_link)
-    assert (found.t == motion()["t"]).all() and (found.q[:, 1] == motion()["q.joint_2"]).all()
-    assert kinds(found) == [Kind.ORDER, Kind.REPEATED]
-
-
-def test_jitter_is_resampled(two_link, tmp_path, damage):
-    t = damage.columns["t"] + np.random.default_rng(1).uniform(-3e-3, 3e-3, 400)
-    for name, amplitude, rate in (("joint_1", 0.5, 2.0), ("joint_2", 0.5, 3.0)):
-        damage.columns[f"q.{name}"] = amplitude * np.sin(rate * t)
-    del damage.columns["dq.joint_1"], damage.columns["dq.joint_2"]
-    damage.columns["t"] = t
-    found, texts = damage.read(tmp_path, two_link)
-    assert kinds(found) == [Kind.JITTER] and "even grid" in texts[0]
-    assert np.ptp(np.diff(found.t)) < 1e-9 and (found.own_times == t).all()
-    assert np.abs(found.q[:, 1] - 0.5 * np.sin(3.0 * found.t)).max() < 1e-6
-
-
-def test_how_coarse_an_encoder_is_outlives_another_grid(two_link, tmp_path, damage):
-    t, step = damage.columns["t"] + np.random.default_rng(1).uniform(-3e-3, 3e-3, 400), 2e-3
-    for name, rate in (("joint_1", 2.0), ("joint_2", 3.0)):
-        damage.columns[f"q.{name}"] = 0.5 * np.sin(rate * t)
-    damage.columns["q.joint_2"] = np.round(damage.columns["q.joint_2"] / step) * step
-    del damage.columns["dq.joint_1"], damage.columns["dq.joint_2"]
-    damage.columns["t"] = t
-    found, _ = damage.read(tmp_path, two_link)
-    assert np.abs(found.q[:, 1] / step - np.round(found.q[:, 1] / step)).max() > 0.2  # interpolated: no steps to be seen
-    assert found.encoder == pytest.approx([0.0, step / np.sqrt(12.0)])
-    assert next(signals.pieces([found])).band(5.0).encoder == pytest.approx(step / np.sqrt(12.0))
-
-
-def test_few_missing_rows_are_filled_and_more_split(two_link, tmp_path, damage):
-    lost = np.r_[50:54, 200:230]
-    found, texts = damage.rows(np.setdiff1d(np.arange(400), lost)).read(tmp_path, two_link)
-    assert kinds(found) == [Kind.GAP, Kind.JITTER] and "4 missing rows are filled" in texts[1]
-    assert "longest 0.31 s" in texts[0] and found.remarks[0].start == pytest.approx(1.99)
-    parts = list(found.segments())
-    assert [len(part) for part in parts] == [200, 170] and parts[1].t[0] == pytest.approx(2.3)
-    assert np.abs(found.q[50:54, 0] - damage.columns["q.joint_1"][50:54]).max() < 1e-6
-    assert len(found.samples()) == 370 and [len(part) for part in found.segments(shortest=180)] == [200]
-
-
-def test_rows_without_a_time_are_dropped(two_link, tmp_path, damage):
-    damage.columns["t"][[100, 101]] = np.nan
-    found, texts = damage.read(tmp_path, two_link)
-    assert "2 rows without a time" in texts[0] and Kind.CLOCK in kinds(found) and len(found) == 400
-    damage.columns["t"][:100] = np.nan
-    refused(write(tmp_path / "r.csv", damage.columns), two_link, "102 of 400 rows have no time")
-
-
-def test_a_clock_that_starts_again(two_link, tmp_path, damage):
-    refused(
-        write(tmp_path / "r.csv", damage.rows(np.r_[0:400, 0:400]).columns), two_link, "time goes back from 3.99 to 0 s", "its own file"
-    )
-
-
-def test_a_clock_too_coarse(two_link, tmp_path, damage):
-    damage.columns["t"] = np.floor(damage.columns["t"] * 20.0) / 20.0
-    refused(write(tmp_path / "r.csv", damage.columns), two_link, "320 of 400 rows repeat the time", "more digits")
-
-
-def test_stamps_in_bunches(two_link, tmp_path, damage):
-    damage.columns["t"] = np.floor(np.arange(400) / 10) * 0.1 + (np.arange(400) % 10) * 1e-4
-    refused(write(tmp_path / "r.csv", damage.columns), two_link, "39 of 399 time steps", "time of measurement")
-
-
-@pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms"), (1e6, "µs"), (1e9, "ns")])
-def test_time_in_other_units(two_link, tmp_path, damage, factor, unit):
-    damage.columns["t"] = damage.columns["t"] * factor
-    refused(write(tmp_path / "r.csv", damage.columns), two_link, f"is time in {unit}", f"{factor:g}")
-
-
-def test_fast_milliseconds_are_betrayed_by_the_velocities(two_link, tmp_path):
-    columns = motion(4000, 4000.0)
-    columns["t"] = columns["t"] * 1e3
-    refused(write(tmp_path / "r.csv", columns), two_link, "joint 'joint_1'", "time is in ms")
-
-
-# -- numbers -------------------------------------------------------------------------------------------------------
-
-
-def test_few_missing_numbers_are_interpolated_and_more_dropped(two_link, tmp_path, damage):
-    damage.columns["q.joint_1"][100:105] = np.nan
-    damage.columns["tau.joint_2"][200:220] = np.inf
-    damage.columns["dq.joint_1"][300:320] = np.nan
-    found, texts = damage.read(tmp_path, two_link)
-    assert kinds(found) == [Kind.MISSING] * 3 + [Kind.GAP]
-    assert "5 missing values of q, 5 interpolated" in texts[0] and "20 in longer runs left out" in texts[1] and "dropped" in texts[2]
-    assert len(found) == 380 and np.isfinite(found.q).all() and np.isfinite(found.torque).all()
-    assert found.dq is not None and np.isnan(found.dq[:, 0]).sum() == 20 and np.isfinite(found.dq[:, 1]).all()
-    assert np.abs(found.q[100:105, 0] - motion()["q.joint_1"][100:105]).max() < 2e-3
-
-
-def test_empty_cells_are_missing_numbers(two_link, tmp_path):
-    path = write(tmp_path / "r.csv", motion())
-    lines = path.read_text().splitlines()
-    for k in (50, 51):
-        cells = lines[k].split(",")
-        lines[k] = ",".join([*cells[:2], "", "", "", "", ""])
-    path.write_text("\n".join(lines))
-    found, _ = repaired(path, two_link)
-    assert set(kinds(found)) == {Kind.MISSING} and len(found) == 400
-
-
-def test_mostly_missing_numbers(two_link, tmp_path, damage):
-    damage.columns["tau.joint_1"][:] = np.nan
-    found, _ = damage.read(tmp_path, two_link)
-    assert not found.has("tau", "joint_1") and found.has("tau", "joint_2") and len(found) == 400
-    damage.columns["tau.joint_1"][:100] = 1.0
-    refused(write(tmp_path / "r.csv", damage.columns), two_link, "joint 'joint_1': 75 % of tau")
-    damage.columns["q.joint_2"][:] = np.nan
-    refused(write(tmp_path / "r.csv", damage.columns), two_link, "joint 'joint_2': 100 % of q", "--joints")
-
-
 # -- units ---------------------------------------------------------------------------------------------------------
 
 
@@ -477,79 +288,6 @@ def test_joints_that_stand_still_freeze_or_leave_their_limits(two_link, tmp_path
     columns["q.joint_2"] += 3.0
     found = recordings.read(write(tmp_path / "r.csv", columns), two_link)
     assert {(r.kind, r.joint) for r in found.remarks} >= {(Kind.STILL, "joint_1"), (Kind.FROZEN, "joint_2"), (Kind.OUTSIDE, "joint_2")}
-
-
-# -- parts ---------------------------------------------------------------------------------------------------------
-
-
-def test_between(two_link, tmp_path, damage):
-    found, _ = damage.rows(np.setdiff1d(np.arange(400), np.arange(200, 230))).read(tmp_path, two_link)
-    part = found.between(0.5, 1.0)
-    assert len(part) == 51 and (part.t[0], part.t[-1]) == (0.5, 1.0) and not part.remarks and (part.own_times == part.t).all()
-    assert part.tau is not None and part.tau.shape == (51, 2) and kinds(found.between(1.0, 3.0)) == [Kind.GAP]
-    with pytest.raises(UnusableInput, match="no rows from 9 to 10 s"):
-        found.between(9.0, 10.0)
-    with pytest.raises(UnusableInput, match="16 rows without a gap"):
-        found.between(0.0, 0.1).samples()
-
-
-@given(seed=st.integers(0, 10**6), rows=st.integers(256, 700), overlap=st.sampled_from([0, 1, 50, 300]))
-def test_a_stream_is_the_whole_in_blocks(two_link, tmp_path_factory, seed, rows, overlap):
-    """Late rows, repeats, short and long lacks, gaps: repaired across the blocks' borders as in the whole."""
-    rng = np.random.default_rng(seed)
-    columns = motion(2000)
-    columns["q.joint_1"][rng.integers(20, 1980, 40)] = np.nan
-    start = rng.integers(100, 1800)
-    columns["tau.joint_2"][start : start + 30] = np.nan
-    which = np.argsort(np.arange(2000) + rng.uniform(0.0, 20.0, 2000))
-    which = np.insert(which, rng.integers(0, 2000, 5), which[rng.integers(0, 2000)])
-    path = write(tmp_path_factory.mktemp("r") / "r.csv", Damage(columns).rows(np.unique(which, return_index=False)).columns)
-    late = write(path.with_name("late.csv"), Damage(columns).rows(np.argsort(np.arange(2000) + rng.uniform(0.0, 20.0, 2000))).columns)
-    for file in (path, late):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ExciteWarning)
-            whole = recordings.read(file, two_link)
-            blocks = list(recordings.stream(file, two_link, rows=rows, overlap=overlap))
-        assert blocks[0].run_in == 0
-        assert np.array_equal(np.concatenate([b.t[b.run_in :] for b in blocks]), whole.t)
-        for name in ("q", "dq", "tau"):
-            assert np.array_equal(np.concatenate([getattr(b, name)[b.run_in :] for b in blocks]), getattr(whole, name), equal_nan=True)
-        for before, after in pairwise(blocks):
-            assert after.run_in <= overlap and (overlap == 0 or after.run_in >= min(overlap, len(before)) - 31)
-            assert np.array_equal(after.q[: after.run_in], np.concatenate([b.q[b.run_in :] for b in blocks])[_before(blocks, after)])
-
-
-def _before(blocks: list[recordings.Recording], block: recordings.Recording) -> slice:
-    at = 0
-    for one in blocks:
-        if one is block:
-            return slice(at - block.run_in, at)
-        at += len(one) - one.run_in
-    raise AssertionError
-
-
-def test_a_stream_resamples_on_one_grid_and_warns_once(two_link, tmp_path):
-    columns = motion(3000)
-    t = columns["t"] = columns["t"] + np.random.default_rng(2).uniform(-1e-3, 1e-3, 3000)
-    columns["q.joint_1"] = np.sin(2.0 * t)
-    columns["dq.joint_1"] = 2.0 * np.cos(2.0 * t)
-    path = write(tmp_path / "r.csv", columns)
-    with pytest.warns(ExciteWarning) as caught:
-        blocks = list(recordings.stream(path, two_link, rows=500, overlap=20))
-    assert len(caught) == 1 and len(blocks) == 6
-    t = np.concatenate([b.t[b.run_in :] for b in blocks])
-    assert np.ptp(np.diff(t)) < 1e-9 and len(t) >= 2998
-    assert np.abs(np.concatenate([b.q[b.run_in :, 0] for b in blocks]) - np.sin(2.0 * t))[5:-5].max() < 1e-8
-    assert np.allclose(blocks[2].t[: blocks[2].run_in], blocks[1].t[-blocks[2].run_in :])
-
-
-def test_streams_refuse(two_link, tmp_path):
-    path = write(tmp_path / "r.csv", motion(1000))
-    with pytest.raises(UnusableInput, match="at least 256 rows"):
-        list(recordings.stream(path, two_link, rows=10))
-    again = write(path, Damage(motion(1000)).rows(np.r_[0:1000, 0:1000]).columns)
-    with pytest.raises(UnusableInput, match="time goes back"):
-        list(recordings.stream(again, two_link, rows=300))
 
 
 # -- real ones -----------------------------------------------------------------------------------------------------

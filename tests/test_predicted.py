@@ -1,0 +1,77 @@
+"""What was found, as a part of the model: predicted, written, read again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from made import WIDTH, perturbed, two_links
+from test_diagnose import PLANTED, found, recordings_of
+
+from excite.diagnose import track, whole
+from excite.errors import UnusableInput
+from excite.identify.equations import Model
+from excite.identify.model import FittedModel
+
+Array = np.ndarray
+
+
+@pytest.fixture(scope="module")
+def subject() -> Model:
+    return two_links()
+
+
+def test_what_was_found_is_predicted_and_gone_from_the_recording(subject):
+    result = found(subject, PLANTED["stribeck"][0])
+    assert result.parts and result.refitted is not None
+    _, validate = recordings_of(subject, PLANTED["stribeck"][0])
+    bare = whole.removed(result.parts, validate, result.tracks[1])
+    _, clean = recordings_of(subject, None)
+    one = result.tracks[1][0]
+    apart = one.band.low(bare.torque - clean.torque, track.Grid.KEPT)[one.kept]
+    hidden = one.band.low(validate.torque - clean.torque, track.Grid.KEPT)[one.kept]
+    assert np.sqrt(np.mean(apart**2)) < 0.25 * np.sqrt(np.mean(hidden**2))
+    again = [whole.restored(whole.entry(part, subject.robot), subject.robot, "model.json") for part in result.parts]
+    np.testing.assert_allclose(whole.torque(again, one), whole.torque(result.parts, one))
+    before, after = result.ahead
+    assert before is not None and after is not None and after.fitted[-1].sum() < before.fitted[-1].sum()
+
+
+def fitted_with(subject: Model, effects: tuple[dict[str, object], ...]) -> FittedModel:
+    psi = perturbed(subject.parameters, np.random.default_rng(4))
+    return FittedModel("model.json", subject.robot, subject.parameters.drive, psi, np.full(2, WIDTH), 20.0, effects)
+
+
+def stated(effect: str, joint: str | None, values: dict[str, float], *coefficients: float) -> dict[str, object]:
+    return {
+        "effect": effect,
+        "joint": joint,
+        "from": None,
+        "values": values,
+        "coefficients": coefficients,
+        "time": None,
+        "recording": None,
+    }
+
+
+@pytest.mark.parametrize("seconds", [0.004, 0.012])
+def test_a_measured_delay_is_predicted_from_what_is_predicted(subject, seconds):
+    _, along = recordings_of(subject, None)
+    spring = stated("spring", "joint_2", {"form": 0.0}, 5.0)
+    late_model = fitted_with(subject, (spring, stated("delay", None, {"measured": 1.0}, seconds)))
+    t, early = whole.predict(fitted_with(subject, (spring,)), along)
+    _, late = whole.predict(late_model, along)
+    expected = np.column_stack([np.interp(t - seconds, t, column) for column in early.T])
+    inside = slice(200, -200)
+    left = np.sqrt(np.mean((late - expected)[inside] ** 2, axis=0))
+    assert np.all(left < 0.1 * np.sqrt(np.mean((early - expected)[inside] ** 2, axis=0)))
+
+
+def test_a_model_of_an_earlier_version_is_refused_in_one_line(subject):
+    _, along = recordings_of(subject, None)
+    with pytest.raises(UnusableInput, match=r"model\.json.*'hold'.*diagnose again"):
+        whole.predict(fitted_with(subject, (stated("backlash", "joint_1", {"width": 1e-3}, 1.0),)), along)
+    untimed = {key: value for key, value in stated("drag", "joint_1", {}, 1.0).items() if key != "time"}
+    with pytest.raises(UnusableInput, match=r"model\.json: effect 'drag' has no 'time'.*diagnose again"):
+        whole.predict(fitted_with(subject, (untimed,)), along)
+    with pytest.raises(UnusableInput, match=r"model\.json.*diagnose again"):
+        whole.predict(fitted_with(subject, (stated("drag", "joint_1", {}, 1.0, 2.0),)), along)

@@ -1,0 +1,97 @@
+"""What winds up behind a motor: springs and play, against the differential equation."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from made import bodied, perturbed, two_links
+from scipy import integrate
+from scipy.interpolate import CubicSpline
+from test_diagnose import found
+
+from excite.diagnose import interval
+from excite.diagnose.catalogue import BY_NAME, windup
+from excite.diagnose.track import Grid
+from excite.identify.equations import Model
+
+Array = np.ndarray
+
+
+@pytest.fixture(scope="module")
+def subject() -> Model:
+    return two_links()
+
+
+def test_wind_up_is_that_of_the_differential_equation():
+    """At the rate at which dynamics are evaluated, with a link that hung still while its motor turned."""
+    dt, start = 8e-3, (0.01, -0.3)
+    t = np.arange(500) * dt
+    force, inertia = np.sin(9.0 * t) + 0.4 * np.sin(31.0 * t), 0.5 + 0.1 * np.sin(2.0 * t)
+    stiffness, damping = 400.0 + 30.0 * np.cos(3.0 * t), 1.5 + np.sin(5.0 * t)
+    place, speed = windup.oscillator(force, inertia, stiffness, damping, dt, start)
+
+    def slope(at: float, state: Array) -> Array:
+        f, m, k, d = (np.interp(at, t, x) for x in (force, inertia, stiffness, damping))
+        return np.array([state[1], (f - k * state[0] - d * state[1]) / m])
+
+    exact = integrate.solve_ivp(slope, (0.0, t[-1]), start, t_eval=t, rtol=1e-8, atol=1e-12).y
+    assert np.abs(place - exact[0]).max() < 0.008 * np.abs(exact[0]).max()
+    assert np.abs(speed - exact[1]).max() < 0.008 * np.abs(exact[1]).max()
+
+
+def swung(bodies: pin.Model, stiffness: float, damping: float, t: Array, q: Array, still: bool) -> tuple[Array, Array]:
+    """Wind-up of the second of two links on a spring behind its motor, by rnea where the link is, and what both joints feel of it.
+
+    still: whether it hung still when its motor began; else it came along.
+    """
+    data, zero, e = bodies.createData(), np.zeros(2), np.array([0.0, 1.0])
+    place = CubicSpline(t, q)
+    speed, haste = place.derivative(), place.derivative(2)
+    mass = float(pin.crba(bodies, data, zero)[1, 1])  # the last link's own, in any pose
+
+    def slope(at: float, state: Array) -> Array:
+        load = pin.rnea(bodies, data, place(at) - e * state[0], speed(at) - e * state[1], haste(at))[1]
+        return np.array([state[1], (load - stiffness * state[0] - damping * state[1]) / mass])
+
+    began = (zero, zero) if still else (speed(t[0]), haste(t[0]))
+    start = [pin.rnea(bodies, data, q[0], *began)[1] / stiffness, float(speed(t[0])[1]) if still else 0.0]
+    lag = integrate.solve_ivp(slope, (t[0], t[-1]), start, t_eval=t, rtol=1e-7, atol=1e-10).y.T
+    felt = np.empty_like(q)
+    for k, state in enumerate(lag):
+        link = pin.rnea(bodies, data, q[k] - e * state[0], speed(t[k]) - e * state[1], haste(t[k]) - e * slope(t[k], state)[1])
+        felt[k] = link - pin.rnea(bodies, data, q[k], speed(t[k]), haste(t[k]))
+    return lag[:, 0], felt
+
+
+@pytest.mark.parametrize("stiffness", [50.0, 60.0, 72.0])
+def test_a_link_on_a_spring_that_is_hardly_damped_is_found_between_any_that_are_tried(subject, stiffness):
+    bodies = bodied(subject, perturbed(subject.parameters, np.random.default_rng(4)))
+    result = found(subject, lambda t, q, dq, tau: swung(bodies, stiffness, 0.05, t, q, False)[1])
+    assert [(h.effect, h.joint) for h in result.verdict.chosen] == [("elasticity", 1)]
+    told, _ = interval.finding_parameters(result.design, result.verdict, 0)["stiffness"]
+    assert told == pytest.approx(stiffness, rel=0.05)
+    assert result.verdict.findings[0].evidence["left"] < 0.25
+
+
+@pytest.mark.parametrize("rests", [False, True])
+def test_a_link_winds_up_from_where_it_was_when_its_motor_began(subject, rests):
+    track = found(subject, None).tracks[1][0]
+    assert windup.launched(track, 1)  # slowly: its link may hang still or come along
+    t, K, ratio = np.arange(len(track.coarse)) / track.band.rate_of(Grid.COARSE), 60.0, 0.02
+    damping = 2.0 * ratio * float(np.sqrt(K * windup.mass(track, 1).mean()))
+    exact = swung(track.body.model, K, damping, t, track.coarse.q, rests)[0]
+    told, other = (windup.wound(track, 1, K, ratio, which) for which in (rests, not rests))
+    second = slice(0, 120)
+    assert np.abs(told - exact)[second].max() < 0.03 * np.abs(exact).max() < np.abs(other - exact)[second].max()
+
+
+def test_play_whose_load_never_turns_is_none(subject):
+    every = [one for half in found(subject, None).tracks for one in half]
+    assert {shape.joint for shape in BY_NAME["backlash"].shapes(every)} == {0, 1}
+    pressed = [dataclasses.replace(one) for one in every]
+    for one in pressed:
+        one.__dict__["rigid"] = one.rigid + np.array([1e4, 0.0])
+    assert {shape.joint for shape in BY_NAME["backlash"].shapes(pressed)} == {1}

@@ -1,0 +1,75 @@
+"""Recordings as files, and what reading them says."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from excite import recordings
+from excite.errors import ExciteWarning, UnusableInput
+from excite.recordings import Kind
+
+JOINTS = ("joint_1", "joint_2")
+Array = np.ndarray
+
+
+def motion(rows: int = 400, rate: float = 100.0) -> dict[str, Array]:
+    """Columns of two joints that move, with torques. Keys as in the contract."""
+    t = np.arange(rows) / rate
+    phase = np.outer(t, [2.0, 3.0])
+    q, dq = 0.5 * np.sin(phase), 0.5 * np.array([2.0, 3.0]) * np.cos(phase)
+    tau = 3.0 * np.cos(1.7 * phase) + 1e-3 * np.sin(1e5 * phase)
+    columns = {"t": t}
+    for prefix, values in (("q", q), ("dq", dq), ("tau", tau)):
+        columns |= {f"{prefix}.{name}": values[:, i] for i, name in enumerate(JOINTS)}
+    return columns
+
+
+def write(path: Path, columns: dict[str, Array], separator: str = ",", order: list[str] | None = None) -> Path:
+    names = order or list(columns)
+    lines = [separator.join(names)]
+    lines += [separator.join(repr(float(columns[name][k])) for name in names) for k in range(len(columns[names[0]]))]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def kinds(recording: recordings.Recording) -> list[Kind]:
+    return [remark.kind for remark in recording.remarks]
+
+
+def repaired(path: Path, robot, **options) -> tuple[recordings.Recording, list[str]]:
+    """The recording and what it warned of; every warning is also a remark, and every repair is warned of but that an encoder rounds."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = recordings.read(path, robot, **options)
+    texts = [str(w.message) for w in caught]
+    assert texts == [f"{path}: {r.text}" for r in found.remarks if r.repaired and r.kind is not Kind.ROUNDED]
+    assert all(issubclass(w.category, ExciteWarning) for w in caught)
+    return found, texts
+
+
+def refused(path: Path, robot, *words: str, **options) -> str:
+    with pytest.raises(UnusableInput) as caught:
+        recordings.read(path, robot, **options)
+    text = str(caught.value)
+    assert "\n" not in text and text.startswith(str(path)), text
+    for word in words:
+        assert word in text, (word, text)
+    return text
+
+
+@dataclass
+class Damage:
+    """A motion with something wrong, in a file."""
+
+    columns: dict[str, Array]
+
+    def rows(self, which: Array) -> Damage:
+        return Damage({name: values[which] for name, values in self.columns.items()})
+
+    def read(self, folder: Path, robot):
+        return repaired(write(folder / "r.csv", self.columns), robot)

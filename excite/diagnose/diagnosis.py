@@ -18,7 +18,7 @@ from ..identify.signals import Piece
 from ..parameters import Parameters
 from ..recordings import Recording
 from ..robot import Robot
-from . import belief, encoders, equations, foreseen, foretold, hypothesis, judge, looks, noise, once, search, track, whole
+from . import belief, encoders, equations, foreseen, foretold, hypothesis, judge, late, looks, noise, once, search, track, whole
 from .catalogue import EFFECTS
 from .effect import Shape
 from .encoders import Gear
@@ -190,6 +190,7 @@ def diagnose(
     progress(f"{len(one.shapes)} shapes of {len(EFFECTS)} effects, alone and together")
     one, verdict = judge.judged(_warned(one, noisy, scale))
     one, verdict, scale = _sharper(one, verdict, noisy, scale)
+    one, verdict, scale = _sharper(*late.followed(one, verdict), noisy, scale)
     every = [*halves[0], *halves[1]]
     for _ in range(AGAIN):
         if verdict.together is None or all(one.shapes[i].interval is None for i in verdict.together.shapes):
@@ -255,7 +256,8 @@ def _refitted(
     body = track.body(model.robot, model.parameters, equations.kept(refitted.psi, options.trusted))
     again = [[dataclasses.replace(t, body=body) for t in own] for own in halves]
     named = {f.main.effect for f in verdict.findings}
-    one, verdict = _again(one, verdict, equations.shapes(again, bool(options.trusted), floor, named), equations.builder(again, scale))
+    shapes = late.renewed(one, verdict, equations.shapes(again, bool(options.trusted), floor, named))
+    one, verdict = _again(one, verdict, shapes, equations.builder(again, scale))
     return one, verdict, refitted
 
 
@@ -335,17 +337,24 @@ def _band(pieces: Sequence[Piece]) -> float:
 
 
 def _again(one: Design, verdict: Verdict, shapes: Sequence[Shape], build: search.Build) -> tuple[Design, Verdict]:
-    """The same findings with columns of a base model that they no longer distort; as they were, where that changes the names."""
+    """The same findings with columns of a base model that they no longer distort, or those of them that predict better then; as they were,
+    where that finds others."""
+    assert verdict.together is not None
     named = {(f.main.effect, f.main.joint) for f in verdict.findings}
     small = search.design(one.halves, [s for s in shapes if (s.effect, s.joint) in named], build)
     small, better = judge.judged(dataclasses.replace(small, measured=one.measured))
-    if {(f.main.effect, f.main.joint) for f in better.findings} != named or better.together is None:
+    found = {(f.main.effect, f.main.joint) for f in better.findings}
+    if better.together is None or (found != named and better.together.gain < verdict.together.gain):
         return one, verdict
     start = len(one.shapes)
     wider = search.appended(dataclasses.replace(one, build=build), [small.shapes[i] for i in better.together.shapes])
     if len(wider.shapes) != start + len(better.together.shapes):
         return one, verdict
-    return wider, judge.moved(wider, verdict, better, start)
+    if found == named:
+        return wider, judge.moved(wider, verdict, better, start)
+    return wider, dataclasses.replace(
+        judge.said(wider, range(start, len(wider.shapes))), considered=verdict.considered, doubted=verdict.doubted
+    )
 
 
 def _moves(half: Sequence[Track]) -> Array:

@@ -45,7 +45,23 @@ class Shape:
 
     def columns(self, track: Track) -> Array:
         """Torque that it adds, where the track's rows are, per unit of each coefficient. Shape (N, n, k)."""
-        return self.add(track, self)
+        if "late" not in self.values:
+            return self.add(track, self)
+        late = self.add(track.late(self.values["late"]), self)
+        if "late joint" not in self.values:
+            return late
+        joint = int(self.values["late joint"])
+        if not np.delete(late, joint, axis=1).any():
+            return late
+        out = self.add(track, self)
+        out[:, joint] = late[:, joint]
+        return out
+
+    def late(self, seconds: float, joint: int | None) -> Shape:
+        """The same where a joint's torque, or all, is recorded later; turned, too."""
+        values = {**self.values, "late": seconds} | ({} if joint is None else {"late joint": float(joint)})
+        knob = None if self.knob is None else self.knob.late(seconds, joint)
+        return replace(self, values=values, knob=knob, kin=lambda: [other.late(seconds, joint) for other in self.kin()])
 
     @property
     def place(self) -> int:
@@ -94,6 +110,10 @@ class Knob:
         )
         best, most = self.at(float(np.exp(found.x))), -float(found.fun)
         return (best, most) if most > max(now + 1e-6, -1e12) else (self.at(self.value), now)
+
+    def late(self, seconds: float, joint: int | None) -> Knob:
+        """See `Shape.late`."""
+        return replace(self, shape=lambda value: self.shape(value).late(seconds, joint))
 
     def at(self, value: float) -> Shape:
         """The shape at a value, which can be turned further within the same range."""

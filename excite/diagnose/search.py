@@ -141,6 +141,14 @@ def relisted(one: Design, chosen: Sequence[int], joints: Collection[int | None])
     return _extended(one, kept)
 
 
+def relaid(one: Design, kept: Sequence[int], shapes: Sequence[Shape], further: Sequence[Shape], listed: Sequence[Shape]) -> Design:
+    """A design of some of the shapes that there are, then the best of other shapes, and what else is wanted, at its end. listed: all."""
+    bare, made = _only(one, ()), list[Built]()
+    for effect in dict.fromkeys(shape.effect for shape in shapes):
+        made += _shortlist(appended(bare, [shape for shape in shapes if shape.effect == effect]))
+    return dataclasses.replace(appended(_extended(_only(one, kept), made), further), listed=tuple(listed))
+
+
 def rescaled(one: Design, factor: Array) -> Design:
     """The same with torque over another scale: what it was, over a factor of each joint. Shape (n,)."""
     weights = [np.where(h.rows, factor[h.joint], 1.0) for h in one.halves]  # what was known before has no scale

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -57,7 +58,7 @@ def body(robot: Robot, parameters: Parameters, psi: Array) -> Body:
 class Track:
     """One stretch of a recording. torque: measured, below the band, at the kept rows. Shape (N, n). gamma: Γ there. Shape (N, n, p).
 
-    theta: θ̂ of the base fit. to: where its rows lie. slopes: of torque by the log of
+    theta: θ̂ of the base fit. to: where its rows lie. lag: by which what acts on it is recorded later [s]. slopes: of torque by the log of
     friction's width. Shape (N, n). time: of the kept rows [s]. piece: as recorded. body: the base fit.
     """
 
@@ -72,6 +73,7 @@ class Track:
     kept: slice
     time: Array
     to: Grid = Grid.KEPT
+    lag: float = 0.0
 
     def __len__(self) -> int:
         return len(self.time)
@@ -79,6 +81,12 @@ class Track:
     @property
     def n(self) -> int:
         return int(self.torque.shape[1])
+
+    def late(self, seconds: float) -> Track:
+        """The same with what is computed already, as seen by what is recorded later."""
+        out = copy.copy(self)
+        object.__setattr__(out, "lag", seconds)
+        return out
 
     @functools.cached_property
     def left(self) -> Array:
@@ -116,10 +124,10 @@ class Track:
         return self.piece.start + np.arange(len(self.piece)) / self.piece.rate
 
     def reduce(self, x: Array, of: Grid = Grid.RECORDED) -> Array:
-        """Below the band, at the kept rows. Shapes (M or C, …) -> (N, …)."""
+        """Below the band, at the kept rows, as late as it comes. Shapes (M or C, …) -> (N, …)."""
         if self.to is Grid.RECORDED and of is Grid.COARSE:
             x = self.upsampled(x.reshape(len(x), -1)).reshape(-1, *x.shape[1:])
-        return self.band.low(x, self.to, of=Grid.RECORDED if self.to is Grid.RECORDED else of)[self.kept]
+        return self.band.low(x, self.to, of=Grid.RECORDED if self.to is Grid.RECORDED else of, late=self.lag)[self.kept]
 
     def upsampled(self, x: Array) -> Array:
         """From the coarse grid to every sample. Shapes (C, k) -> (M, k)."""

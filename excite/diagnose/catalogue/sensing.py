@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 
 from ...identify.band import Grid
-from ..effect import MULTIPLES, Effect, Shape, amplitude, family, multiples, named, within
+from ..effect import MULTIPLES, Effect, Shape, amplitude, beside, family, multiples, named, within
 from ..track import Track
 
 Array = np.ndarray
@@ -15,6 +15,9 @@ LATE = (0.003, 0.008, 0.02)
 """Delays that are tried [s]."""
 MISREAD = 0.1
 """What no encoder is off by [rad]."""
+MISTAKEN, NEAR = 1.5, 1.25
+"""The order of a wave with its multiples over that for which it may be mistaken, two of whose three waves are near two of its own; and how
+far it may be from there."""
 BLURRED = 6.0
 """Whatever blurs positions puts the steps of friction at another time."""
 
@@ -87,7 +90,8 @@ def _encoder(tracks: Sequence[Track]) -> Iterator[Shape]:
     def wrong(j: int, more: Mapping[str, float]) -> Callable[[float], Shape]:
         def shape(order: float) -> Shape:
             fixed, told = {"order": order, **more}, amplitude(order=order)
-            return Shape("encoder_error", j, _misread, fixed, parameters=told, plausible=small, several=True)
+            kin = lambda: beside(MISTAKEN * order, NEAR, [wrong(j, more)] if more else [])  # noqa: E731
+            return Shape("encoder_error", j, _misread, fixed, parameters=told, plausible=small, several=True, kin=kin)
 
         return shape
 

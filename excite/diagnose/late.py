@@ -1,0 +1,117 @@
+"""What is recorded late is late as a whole: beside a delay, what else is found at its joint comes as late as the base model does.
+
+τ(t) = [Y ψ + Σ effects](t − d). Where only the base model is taken to be late, whatever bends to them says how late the effects are; so,
+once a delay is among what was found, everything at its joint is looked for anew, delayed by what predicts best.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable, Iterator
+
+import numpy as np
+
+from . import judge, search
+from .effect import Shape
+from .judge import Verdict
+from .search import Design
+
+LEAST, SETTLED, PASSES = 5e-4, 0.05, 2
+"""Of a delay, from which it is one [s]; how far off it was, over itself, to be looked at again; and how often that is."""
+FURTHEST, TRIED = 3.0, 7
+"""How many times as long, or as short, a delay may be as it was told at first; and how many between are tried."""
+Delays = dict[int | None, float]
+
+
+def followed(one: Design, verdict: Verdict) -> tuple[Design, Verdict]:
+    """The design and the verdict with all late that a delay delays, where that predicts better."""
+    told = _timed(one, verdict, _delays(one, verdict))
+    for _ in range(PASSES):
+        if not told or verdict.together is None:
+            break
+        later, found = judge.judged(*_later(one, verdict, told))
+        again = _delays(later, found)
+        if found.together is None or found.together.gain <= verdict.together.gain or set(again) != set(told):
+            break
+        one, verdict = later, found
+        if all(abs(again[joint] - d) <= SETTLED * d for joint, d in told.items()):
+            break
+        told = again
+    return one, verdict
+
+
+def renewed(one: Design, verdict: Verdict, shapes: Iterable[Shape]) -> list[Shape]:
+    """Shapes made anew, as late as those of a verdict."""
+    chosen = () if verdict.together is None else verdict.together.shapes
+    late = [one.shapes[i].values for i in chosen if "late" in one.shapes[i].values]
+    return list(_like(shapes, {int(v["late joint"]) if "late joint" in v else None: v["late"] for v in late}))
+
+
+def _delays(one: Design, verdict: Verdict) -> Delays:
+    """Delays that were found beside something that they delay [s]."""
+    if verdict.together is None:
+        return {}
+    chosen = [one.shapes[i] for i in verdict.together.shapes]
+    fitted = zip(chosen, one.split(verdict.together.shapes, verdict.together.coefficients), strict=True)
+    found = {shape.joint: shape.values.get("seconds", float(c[0])) for shape, c in fitted if shape.effect == "delay"}
+    return {joint: d for joint, d in found.items() if d > LEAST and any(_follows(shape, joint) for shape in chosen)}
+
+
+def _follows(shape: Shape, joint: int | None) -> bool:
+    """Whether what a shape adds comes as late as a joint's torque, or all: not a delay, nor what is made of torque that is late already."""
+    return shape.effect != "delay" and not shape.values.get("measured") and (joint is None or shape.joint == joint)
+
+
+def _like(shapes: Iterable[Shape], told: Delays) -> Iterator[Shape]:
+    """Shapes as late as they come, without delays told by the slope of all that was measured, or of what is no longer in time."""
+    for shape in shapes:
+        if shape.effect == "delay" and shape.joint in told and "seconds" not in shape.values:
+            continue
+        joint = next((joint for joint in told if _follows(shape, joint)), -1)
+        yield shape if joint == -1 else shape.late(told[joint], joint)
+
+
+def _timed(one: Design, verdict: Verdict, told: Delays) -> Delays:
+    """Each delay where what was found predicts best, all of it as late."""
+    if not told or verdict.together is None:
+        return told
+    chosen, bare = [one.shapes[i] for i in verdict.together.shapes], search.relaid(one, [], [], [], ())
+
+    def gain(delays: Delays) -> float:
+        late = [shape for shape in _like(chosen, delays) if shape.effect != "delay" or shape.joint not in delays]
+        design = search.appended(bare, [*late, *(_by(one.listed, joint, d) for joint, d in delays.items())])
+        return search.trial(*search.refined(design, range(len(design.shapes)), sweeps=1)).gain
+
+    out = dict(told)
+    for joint, d in told.items():
+        out[joint] = _best(lambda seconds, joint=joint: gain({**out, joint: seconds}), d)  # type: ignore[misc]
+    return out
+
+
+def _best(gain: Callable[[float], float], about: float) -> float:
+    """Where a function of a delay is largest: near the best of a few."""
+    from scipy.optimize import minimize_scalar  # slow to import
+
+    grid = np.log(about) + np.linspace(-1.0, 1.0, TRIED) * np.log(FURTHEST)
+    best = max(grid.tolist(), key=lambda x: gain(float(np.exp(x))))
+    near = best - (grid[1] - grid[0]), best + (grid[1] - grid[0])
+    found = minimize_scalar(lambda x: -gain(float(np.exp(x))), bounds=near, method="bounded", options={"xatol": SETTLED / 4.0})
+    return float(np.exp(found.x))
+
+
+def _later(one: Design, verdict: Verdict, told: Delays) -> tuple[Design, list[int]]:
+    """The design with what comes late, and what to begin with: the delays, and what was found elsewhere."""
+    assert verdict.together is not None
+    listed = list(_like(one.listed, told))
+    same = {id(shape) for shape in one.shapes} & {id(shape) for shape in _like(one.shapes, told)}
+    kept = [k for k, shape in enumerate(one.shapes) if id(shape) in same]
+    delays = [_by(listed, joint, seconds) for joint, seconds in told.items()]
+    wider = search.relaid(one, kept, [shape for shape in listed if "late" in shape.values], delays, listed)
+    there = [kept.index(i) for i in verdict.together.shapes if i in kept and one.shapes[i].effect != "delay"]
+    return wider, [*range(len(wider.shapes) - len(delays), len(wider.shapes)), *there]
+
+
+def _by(listed: Iterable[Shape], joint: int | None, seconds: float) -> Shape:
+    """The delay of a joint, or of all, by so much."""
+    knob = next(shape.knob for shape in listed if shape.effect == "delay" and shape.joint == joint and shape.knob is not None)
+    return dataclasses.replace(knob, low=0.5 * seconds, high=2.0 * seconds).at(seconds)

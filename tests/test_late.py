@@ -1,0 +1,96 @@
+"""What is recorded late, as a whole."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from made import two_links
+from test_diagnose import PLANTED, found, on, recordings_of, slips
+
+from excite.diagnose import diagnosis, interval, late
+from excite.diagnose.catalogue import BY_NAME
+from excite.diagnose.diagnosis import Diagnosis
+from excite.identify.band import Band, Grid
+from excite.identify.equations import Model
+from excite.recordings import Recording
+
+Array = np.ndarray
+
+
+@pytest.fixture(scope="module")
+def subject() -> Model:
+    return two_links()
+
+
+@pytest.fixture(scope="module")
+def nothing(subject: Model) -> Diagnosis:
+    return found(subject, None)
+
+
+@pytest.mark.parametrize("periodic", [True, False])
+def test_a_signal_below_the_band_comes_later_by_what_is_asked(periodic):
+    t, seconds = np.arange(4000) / 500.0, 0.0137
+    band = Band(20.0, 500.0, len(t), periodic)
+    wave = lambda t: np.sin(2.0 * np.pi * 3.0 * t) + 0.3 * np.cos(2.0 * np.pi * 11.25 * t + 1.0)  # noqa: E731
+    moved = band.low(wave(t), Grid.RECORDED, late=seconds)
+    kept = slice(band.margin, len(t) - band.margin)
+    np.testing.assert_allclose(moved[kept], wave(t - seconds)[kept], atol=1e-9 if periodic else 2e-3)
+
+
+def test_what_is_late_at_one_joint_is_in_time_at_others(nothing):
+    one, seconds = nothing.tracks[0][0], 0.011
+    every = dataclasses.replace(one, to=Grid.RECORDED, kept=slice(0, len(one.piece)), time=one.clock)
+    shapes = list(BY_NAME["elasticity"].shapes([one]))
+    shape = next(s for s in shapes if s.joint == 0)
+    now, then = shape.columns(every), shape.late(seconds, 0).columns(every)
+    moved = np.column_stack([np.interp(one.clock - seconds, one.clock, column) for column in now[:, 0].T])
+    inner = slice(500, -500)
+    np.testing.assert_allclose(then[inner, 0], moved[inner], atol=2e-3 * np.abs(now[:, 0]).max())
+    np.testing.assert_array_equal(then[:, 1], now[:, 1])
+    assert np.abs(now[:, 1]).max() > 0.0
+
+
+def test_what_is_turned_stays_as_late(nothing):
+    shape = next(s for s in BY_NAME["hysteresis"].shapes(nothing.tracks[0]) if s.joint == 1)
+    then = shape.late(0.004, 1)
+    assert then.knob is not None
+    kin = [knob.at(knob.value) for knob in then.kin()]
+    for other in (then.knob.at(1.3 * then.knob.value), *kin, *(own.late(0.004, None) for own in kin)):
+        assert other.values["late"] == 0.004
+    assert kin and all(other.values["slips"] == 1.0 for other in kin)
+
+
+def delayed(one: Recording, seconds: float, joint: int) -> Recording:
+    """A recording whose torque of a joint comes late, with the noise of a sensor that does not."""
+    tau = one.torque.copy()
+    tau[:, joint] = np.interp(one.t - seconds, one.t, tau[:, joint])
+    return dataclasses.replace(one, tau=tau)
+
+
+@pytest.mark.parametrize(
+    ("effect", "seconds", "plant"),
+    [
+        ("torque_ripple", 0.02, lambda t, q, dq, tau: on(1, 2.5 * np.cos(17.0 * q[:, 1] + 0.4))),
+        ("hysteresis", 0.012, lambda t, q, dq, tau: on(1, 4.0 * slips(q[:, 1], np.array([0.02])))),
+    ],
+)
+def test_an_effect_that_comes_late_with_all_the_rest_is_named_beside_the_delay(subject, effect, seconds, plant):
+    train, held_out = (delayed(one, seconds, 1) for one in recordings_of(subject, plant))
+    result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [held_out])
+    named = [(f.main.effect, f.main.joint) for f in result.verdict.findings[:2]]
+    assert set(named) == {(effect, 1), ("delay", 1)} and not result.unknown
+    value, std = interval.finding_parameters(result.design, result.verdict, named.index(("delay", 1)))["seconds"]
+    assert abs(value - seconds) < 2.0 * std < 0.3 * seconds
+    assert (result.after < 1.6 * result.expected).all()
+    together = result.verdict.together
+    assert together is not None
+    ways = [s.values["late"] for s in (result.design.shapes[i] for i in together.shapes) if s.effect != "delay"]
+    assert ways and ways == pytest.approx([value] * len(ways), rel=0.15)
+
+
+def test_what_is_in_time_stays_so(subject):
+    result = found(subject, PLANTED["delay"][0])
+    assert [h.effect for h in result.verdict.chosen] == ["delay"]
+    assert late.followed(result.design, result.verdict) == (result.design, result.verdict)

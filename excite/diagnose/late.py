@@ -7,14 +7,15 @@ once a delay is among what was found, everything at its joint is looked for anew
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from . import judge, search
+from .contest import CLEARLY
 from .effect import Shape
 from .judge import Verdict
-from .search import Design
+from .search import Design, Trial
 
 LEAST, SETTLED, PASSES = 5e-4, 0.05, 2
 """Of a delay, from which it is one [s]; how far off it was, over itself, to be looked at again; and how often that is."""
@@ -25,18 +26,16 @@ Delays = dict[int | None, float]
 
 def followed(one: Design, verdict: Verdict) -> tuple[Design, Verdict]:
     """The design and the verdict with all late that a delay delays, where that predicts better."""
-    told = _timed(one, verdict, _delays(one, verdict))
+    told = _timed(one, verdict, _loud(one, verdict, _delays(one, verdict)))
     for _ in range(PASSES):
         if not told or verdict.together is None:
             break
         later, found = judge.judged(*_later(one, verdict, told))
         again = _delays(later, found)
-        if found.together is None or found.together.gain <= verdict.together.gain or set(again) != set(told):
+        if found.together is None or found.together.gain <= verdict.together.gain or not set(told) <= set(again):
             break
         one, verdict = later, found
-        if all(abs(again[joint] - d) <= SETTLED * d for joint, d in told.items()):
-            break
-        told = again
+        told = _loud(one, verdict, {joint: again[joint] for joint, d in told.items() if abs(again[joint] - d) > SETTLED * d})
     return one, verdict
 
 
@@ -57,6 +56,14 @@ def _delays(one: Design, verdict: Verdict) -> Delays:
     return {joint: d for joint, d in found.items() if d > LEAST and any(_follows(shape, joint) for shape in chosen)}
 
 
+def _loud(one: Design, verdict: Verdict, told: Delays) -> Delays:
+    """Those of joints where more is left than noise, or may be."""
+    if verdict.together is None or one.measured.noise is None:
+        return told
+    loud = search.level(one, verdict.together.shapes) > (1.0 + CLEARLY) * one.measured.noise
+    return {joint: d for joint, d in told.items() if (loud.any() if joint is None else loud[joint])}
+
+
 def _follows(shape: Shape, joint: int | None) -> bool:
     """Whether what a shape adds comes as late as a joint's torque, or all: not a delay, nor what is made of torque that is late already."""
     return shape.effect != "delay" and not shape.values.get("measured") and (joint is None or shape.joint == joint)
@@ -72,31 +79,31 @@ def _like(shapes: Iterable[Shape], told: Delays) -> Iterator[Shape]:
 
 
 def _timed(one: Design, verdict: Verdict, told: Delays) -> Delays:
-    """Each delay where what was found predicts best, all of it as late."""
-    if not told or verdict.together is None:
-        return told
-    chosen, bare = [one.shapes[i] for i in verdict.together.shapes], search.relaid(one, [], [], [], ())
-
-    def gain(delays: Delays) -> float:
-        late = [shape for shape in _like(chosen, delays) if shape.effect != "delay" or shape.joint not in delays]
-        design = search.appended(bare, [*late, *(_by(one.listed, joint, d) for joint, d in delays.items())])
-        return search.trial(*search.refined(design, range(len(design.shapes)), sweeps=1)).gain
-
-    out = dict(told)
-    for joint, d in told.items():
-        out[joint] = _best(lambda seconds, joint=joint: gain({**out, joint: seconds}), d)  # type: ignore[misc]
-    return out
-
-
-def _best(gain: Callable[[float], float], about: float) -> float:
-    """Where a function of a delay is largest: near the best of a few."""
+    """Each delay where what was found predicts best, all of it as late: turned as well for the best of a few, then as it is."""
     from scipy.optimize import minimize_scalar  # slow to import
 
-    grid = np.log(about) + np.linspace(-1.0, 1.0, TRIED) * np.log(FURTHEST)
-    best = max(grid.tolist(), key=lambda x: gain(float(np.exp(x))))
-    near = best - (grid[1] - grid[0]), best + (grid[1] - grid[0])
-    found = minimize_scalar(lambda x: -gain(float(np.exp(x))), bounds=near, method="bounded", options={"xatol": SETTLED / 4.0})
-    return float(np.exp(found.x))
+    if not told or verdict.together is None:
+        return told
+    bare, out, chosen = search.relaid(one, [], [], [], ()), dict(told), [one.shapes[i] for i in verdict.together.shapes]
+
+    def designed(delays: Delays) -> Design:
+        late = [shape for shape in _like(chosen, delays) if shape.effect != "delay" or shape.joint not in delays]
+        return search.appended(bare, [*late, *(_by(one.listed, joint, d) for joint, d in delays.items())])
+
+    def fitted(delays: Delays, sweeps: int) -> tuple[Design, Trial]:
+        finer, turned = search.refined(design := designed(delays), range(len(design.shapes)), sweeps)
+        return finer, search.trial(finer, turned)
+
+    for joint, d in told.items():
+        ways = [{**out, joint: float(d * FURTHEST**x)} for x in np.linspace(-1.0, 1.0, TRIED)]
+        tried = [(*fitted(way, 1), way[joint]) for way in ways]
+        finer, best, about = max(tried, key=lambda own: own[1].gain)
+        chosen = [finer.shapes[i] for i in best.shapes]
+        step = 2.0 / (TRIED - 1) * np.log(FURTHEST)
+        near = np.log(about) - step, np.log(about) + step
+        gain = lambda x, joint=joint: fitted({**out, joint: float(np.exp(x))}, 0)[1].gain  # noqa: E731
+        out[joint] = float(np.exp(minimize_scalar(lambda x, gain=gain: -gain(x), bounds=near, method="bounded").x))
+    return out
 
 
 def _later(one: Design, verdict: Verdict, told: Delays) -> tuple[Design, list[int]]:

@@ -9,7 +9,7 @@ import pytest
 from made import two_links
 from test_diagnose import PLANTED, found, on, recordings_of, slips
 
-from excite.diagnose import diagnosis, interval, late
+from excite.diagnose import diagnosis, interval, late, whole
 from excite.diagnose.catalogue import BY_NAME
 from excite.diagnose.diagnosis import Diagnosis
 from excite.identify.band import Band, Grid
@@ -87,6 +87,9 @@ def test_an_effect_that_comes_late_with_all_the_rest_is_named_beside_the_delay(s
     together = result.verdict.together
     assert together is not None
     ways = [s.values["late"] for s in (result.design.shapes[i] for i in together.shapes) if s.effect != "delay"]
+    again = [whole.restored(whole.entry(part, subject.robot), subject.robot, "model.json") for part in result.parts]
+    along = result.tracks[1][0]
+    np.testing.assert_allclose(whole.torque(again, along), whole.torque(result.parts, along))
     assert ways and ways == pytest.approx([value] * len(ways), rel=0.15)
 
 

@@ -16,6 +16,8 @@ STICKIEST, LEAST_STUCK = 5.0, 0.05
 effects perhaps all: Coulomb friction is taken to be this share of the joint's largest torque, at the least."""
 COLDEST = 3.0
 """Times its mean, what friction at the start may have more: a joint that is cold, not one that has yet to slide."""
+POWERS, NEARBY = (0.5, 1.0, 2.0), 1.2
+"""Of a speed, by which friction fades, tried; and the factor from one to those beside it, between them."""
 POINTS = 200
 """A wave, that its largest and least are told from."""
 SLIPS = np.array([1.0 / 3.0, 1.0, 3.0])
@@ -65,19 +67,20 @@ def _stuck(t: Track, s: Shape) -> Array:
 
 
 def _stribeck(tracks: Sequence[Track]) -> Iterator[Shape]:
-    def shaped(j: int, power: float) -> Callable[[float], Shape]:
-        most = _stickiest(tracks, j)
-
+    def shaped(j: int, power: float, most: float) -> Callable[[float], Shape]:
         def shape(velocity: float) -> Shape:
             fixed = {"velocity": velocity, "exponent": power}
             told = named("amplitude", velocity=velocity)
-            return Shape("stribeck", j, _stuck, fixed, parameters=told, plausible=within(0.0, most))
+            near = [p for p in (power / NEARBY, power * NEARBY) if POWERS[0] <= p <= POWERS[-1]]
+            kin = lambda: beside(velocity, 2.0, (shaped(j, p, most) for p in near))  # noqa: E731
+            return Shape("stribeck", j, _stuck, fixed, parameters=told, plausible=within(0.0, most), kin=kin)
 
         return shape
 
     for j in range(tracks[0].n):
-        for power in (0.5, 1.0, 2.0):
-            yield from family((np.geomspace(0.01, 0.4, 7) * min(1.0, _fastest(tracks, j))).tolist(), shaped(j, power))
+        for power in POWERS:
+            velocities = np.geomspace(0.01, 0.4, 7) * min(1.0, _fastest(tracks, j))
+            yield from family(velocities.tolist(), shaped(j, power, _stickiest(tracks, j)))
 
 
 def _powered(t: Track, s: Shape) -> Array:

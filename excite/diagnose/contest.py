@@ -13,10 +13,10 @@ from .hypothesis import CANCELS, SMALLEST, Hypothesis, agrees, each_size, meanwh
 from .search import Design, Trial, trial
 
 Array = np.ndarray
-SHARE, SAME, LIKE, MOSTLY = 0.04, 0.02, 0.005, 0.5
+SHARE, SAME, LIKE, MOSTLY, ELSEWHERE = 0.04, 0.02, 0.005, 0.5, 0.5
 """Of the gain so far, what a further effect must add, a further shape of one that is there, and one of a kind that a joint may have several
 of, such as a gear's orders: forms are never quite the catalogue's. Of the mean square that others leave, what a further effect may explain
-instead."""
+instead. And of what others explain, what may be where it acts, lest all of it has a form there to mend."""
 BEYOND, CLEARLY = 0.8, 0.2
 """Of what others leave beyond noise, what a further effect may explain instead too: all but a little, which no law does that only mends
 another's form; and over the noise, how much that must be."""
@@ -141,8 +141,8 @@ def _earns(one: Design, others: Sequence[int], wider: Trial, rest: float) -> boo
     """Whether the last of some shapes adds enough to the gain of others, `rest`: a share of it, lest it mend their form, or most of what
     they leave.
 
-    A share of what they gain where it acts is enough, if the noise is known: else what is left there may be anything. What explains nearly
-    all that is left beyond known noise needs no share. A name that is there earns one more shape sooner, and by its share.
+    Where they explain the lesser part, a share of that is enough, if the noise is known: else what is left there may be anything. What
+    explains nearly all that is left beyond known noise needs no share. A name that is there earns one more shape sooner, and by its share.
     """
     shape, adds = wider.shapes[-1], wider.gain - rest
     there = any(who(one.shapes[i]) == who(one.shapes[shape]) for i in others)
@@ -158,7 +158,7 @@ def _earns(one: Design, others: Sequence[int], wider: Trial, rest: float) -> boo
     # what others explain elsewhere has no form here to mend
     here = float(taken @ acts / max(taken.sum(), 1e-300))
     noise, joint = one.measured.noise, int(np.argmax(acts))
-    if noise is not None and adds > here * share:
+    if noise is not None and here < ELSEWHERE and adds > here * share:
         return True
     if there:
         return False

@@ -7,7 +7,7 @@ once a delay is among what was found, everything at its joint is looked for anew
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 
 import numpy as np
 
@@ -19,14 +19,14 @@ from .search import Design, Trial
 
 LEAST, SETTLED, PASSES = 5e-4, 0.05, 2
 """Of a delay, from which it is one [s]; how far off it was, over itself, to be looked at again; and how often that is."""
-FURTHEST, TRIED = 3.0, 7
+FURTHEST, TRIED = 3.0, 5
 """How many times as long, or as short, a delay may be as it was told at first; and how many between are tried."""
 Delays = dict[int | None, float]
 
 
 def followed(one: Design, verdict: Verdict) -> tuple[Design, Verdict]:
     """The design and the verdict with all late that a delay delays, where that predicts better."""
-    told = _timed(one, verdict, _loud(one, verdict, _delays(one, verdict)))
+    told = _timed(one, verdict, _worth(_delays(one, verdict), _loud(one, verdict)))
     for _ in range(PASSES):
         if not told or verdict.together is None:
             break
@@ -35,7 +35,7 @@ def followed(one: Design, verdict: Verdict) -> tuple[Design, Verdict]:
         if found.together is None or found.together.gain <= verdict.together.gain or not set(told) <= set(again):
             break
         one, verdict = later, found
-        told = _loud(one, verdict, {joint: again[joint] for joint, d in told.items() if abs(again[joint] - d) > SETTLED * d})
+        told = _worth({joint: again[joint] for joint, d in told.items() if abs(again[joint] - d) > SETTLED * d}, _loud(one, verdict))
     return one, verdict
 
 
@@ -56,12 +56,15 @@ def _delays(one: Design, verdict: Verdict) -> Delays:
     return {joint: d for joint, d in found.items() if d > LEAST and any(_follows(shape, joint) for shape in chosen)}
 
 
-def _loud(one: Design, verdict: Verdict, told: Delays) -> Delays:
-    """Those of joints where more is left than noise, or may be."""
-    if verdict.together is None or one.measured.noise is None:
-        return told
-    loud = search.level(one, verdict.together.shapes) > (1.0 + CLEARLY) * one.measured.noise
-    return {joint: d for joint, d in told.items() if (loud.any() if joint is None else loud[joint])}
+def _loud(one: Design, verdict: Verdict) -> set[int]:
+    """Joints where more is left than noise, or may be."""
+    left, noise = search.level(one, () if verdict.together is None else verdict.together.shapes), one.measured.noise
+    return {int(j) for j in np.flatnonzero(left > 0.0 if noise is None else left > (1.0 + CLEARLY) * noise)}
+
+
+def _worth(told: Delays, loud: set[int]) -> Delays:
+    """Delays of what is loud."""
+    return {joint: d for joint, d in told.items() if joint in loud or (joint is None and loud)}
 
 
 def _follows(shape: Shape, joint: int | None) -> bool:
@@ -69,12 +72,13 @@ def _follows(shape: Shape, joint: int | None) -> bool:
     return shape.effect != "delay" and not shape.values.get("measured") and (joint is None or shape.joint == joint)
 
 
-def _like(shapes: Iterable[Shape], told: Delays) -> Iterator[Shape]:
-    """Shapes as late as they come, without delays told by the slope of all that was measured, or of what is no longer in time."""
+def _like(shapes: Iterable[Shape], told: Delays, where: Collection[int | None] | None = None) -> Iterator[Shape]:
+    """Shapes as late as they come, without delays told by the slope of all that was measured, or of what is no longer in time. where: of
+    which joints, if not of all."""
     for shape in shapes:
         if shape.effect == "delay" and shape.joint in told and "seconds" not in shape.values:
             continue
-        joint = next((joint for joint in told if _follows(shape, joint)), -1)
+        joint = next((joint for joint in told if _follows(shape, joint) and (where is None or shape.joint in where)), -1)
         yield shape if joint == -1 else shape.late(told[joint], joint)
 
 
@@ -88,7 +92,8 @@ def _timed(one: Design, verdict: Verdict, told: Delays) -> Delays:
 
     def designed(delays: Delays) -> Design:
         late = [shape for shape in _like(chosen, delays) if shape.effect != "delay" or shape.joint not in delays]
-        return search.appended(bare, [*late, *(_by(one.listed, joint, d) for joint, d in delays.items())])
+        fixed = [dataclasses.replace(_by(one.listed, joint, d), knob=None) for joint, d in delays.items()]
+        return search.appended(bare, [*late, *fixed])
 
     def fitted(delays: Delays, sweeps: int) -> tuple[Design, Trial]:
         finer, turned = search.refined(design := designed(delays), range(len(design.shapes)), sweeps)
@@ -109,8 +114,10 @@ def _timed(one: Design, verdict: Verdict, told: Delays) -> Delays:
 def _later(one: Design, verdict: Verdict, told: Delays) -> tuple[Design, list[int]]:
     """The design with what comes late, and what to begin with: the delays, and what was found elsewhere."""
     assert verdict.together is not None
-    listed = list(_like(one.listed, told))
-    same = {id(shape) for shape in one.shapes} & {id(shape) for shape in _like(one.shapes, told)}
+    chosen = [one.shapes[i] for i in verdict.together.shapes]
+    where = {*_loud(one, verdict), *(shape.joint for shape in chosen if shape.effect != "delay")}  # others have nothing that comes late
+    listed = list(_like(one.listed, told, where))
+    same = {id(shape) for shape in one.shapes} & {id(shape) for shape in _like(one.shapes, told, where)}
     kept = [k for k, shape in enumerate(one.shapes) if id(shape) in same]
     delays = [_by(listed, joint, seconds) for joint, seconds in told.items()]
     wider = search.relaid(one, kept, [shape for shape in listed if "late" in shape.values], delays, listed)

@@ -73,7 +73,7 @@ def delayed(one: Recording, seconds: float, joint: int) -> Recording:
     ("effect", "seconds", "plant"),
     [
         ("torque_ripple", 0.02, lambda t, q, dq, tau: on(1, 2.5 * np.cos(17.0 * q[:, 1] + 0.4))),
-        ("hysteresis", 0.012, lambda t, q, dq, tau: on(1, 4.0 * slips(q[:, 1], np.array([0.02])))),
+        ("hysteresis", 0.015, lambda t, q, dq, tau: on(1, 4.0 * slips(q[:, 1], np.array([0.02])))),
     ],
 )
 def test_an_effect_that_comes_late_with_all_the_rest_is_named_beside_the_delay(subject, effect, seconds, plant):

@@ -342,7 +342,7 @@ def _again(one: Design, verdict: Verdict, shapes: Sequence[Shape], build: search
     assert verdict.together is not None
     named = {(f.main.effect, f.main.joint) for f in verdict.findings}
     small = search.design(one.halves, [s for s in shapes if (s.effect, s.joint) in named], build)
-    small, better = judge.judged(dataclasses.replace(small, measured=one.measured))
+    small, better = late.followed(*judge.judged(dataclasses.replace(small, measured=one.measured)))
     found = {(f.main.effect, f.main.joint) for f in better.findings}
     if better.together is None or (found != named and better.together.gain < verdict.together.gain):
         return one, verdict

@@ -48,9 +48,9 @@ class Shape:
         if "late" not in self.values:
             return self.add(track, self)
         late = self.add(track.late(self.values["late"]), self)
-        if "late joint" not in self.values:
+        if "late_joint" not in self.values:
             return late
-        joint = int(self.values["late joint"])
+        joint = int(self.values["late_joint"])
         if not np.delete(late, joint, axis=1).any():
             return late
         out = self.add(track, self)
@@ -59,7 +59,7 @@ class Shape:
 
     def late(self, seconds: float, joint: int | None) -> Shape:
         """The same where a joint's torque, or all, is recorded later; turned, too."""
-        values = {**self.values, "late": seconds} | ({} if joint is None else {"late joint": float(joint)})
+        values = {**self.values, "late": seconds} | ({} if joint is None else {"late_joint": float(joint)})
         knob = None if self.knob is None else self.knob.late(seconds, joint)
         return replace(self, values=values, knob=knob, kin=lambda: [other.late(seconds, joint) for other in self.kin()])
 

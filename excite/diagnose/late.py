@@ -43,7 +43,7 @@ def renewed(one: Design, verdict: Verdict, shapes: Iterable[Shape]) -> list[Shap
     """Shapes made anew, as late as those of a verdict."""
     chosen = () if verdict.together is None else verdict.together.shapes
     late = [one.shapes[i].values for i in chosen if "late" in one.shapes[i].values]
-    return list(_like(shapes, {int(v["late joint"]) if "late joint" in v else None: v["late"] for v in late}))
+    return list(_like(shapes, {int(v["late_joint"]) if "late_joint" in v else None: v["late"] for v in late}))
 
 
 def _delays(one: Design, verdict: Verdict) -> Delays:

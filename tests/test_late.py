@@ -9,7 +9,7 @@ import pytest
 from made import two_links
 from test_diagnose import PLANTED, found, on, recordings_of, slips
 
-from excite.diagnose import diagnosis, interval, late, whole
+from excite.diagnose import diagnosis, interval, judge, late, whole
 from excite.diagnose.catalogue import BY_NAME
 from excite.diagnose.diagnosis import Diagnosis
 from excite.identify.band import Band, Grid
@@ -97,3 +97,12 @@ def test_what_is_in_time_stays_so(subject):
     result = found(subject, PLANTED["delay"][0])
     assert [h.effect for h in result.verdict.chosen] == ["delay"]
     assert late.followed(result.design, result.verdict) == (result.design, result.verdict)
+
+
+def test_a_delay_that_friction_s_memory_bends_to_is_tried(nothing):
+    """Only where that leaves something, and no delay was found."""
+    one = nothing.design
+    hysteresis = next(i for i, shape in enumerate(one.shapes) if shape.effect == "hysteresis" and shape.joint == 1)
+    verdict = judge.said(one, [hysteresis])
+    assert late._hidden(one, verdict, {0, 1}) == {1: late.USUAL}
+    assert late._hidden(one, verdict, {0}) == {} == late._hidden(one, judge.said(one, []), {0, 1})

@@ -21,12 +21,15 @@ LEAST, SETTLED, PASSES = 5e-4, 0.05, 2
 """Of a delay, from which it is one [s]; how far off it was, over itself, to be looked at again; and how often that is."""
 FURTHEST, TRIED = 3.0, 5
 """How many times as long, or as short, a delay may be as it was told at first; and how many between are tried."""
+USUAL = 0.01
+"""Of a delay that is not known at all [s]."""
 Delays = dict[int | None, float]
 
 
 def followed(one: Design, verdict: Verdict) -> tuple[Design, Verdict]:
     """The design and the verdict with all late that a delay delays, where that predicts better."""
-    told = _timed(one, verdict, _worth(_delays(one, verdict), _loud(one, verdict)))
+    loud = _loud(one, verdict)
+    told = _timed(one, verdict, _worth(_delays(one, verdict), loud) or _hidden(one, verdict, loud))
     for _ in range(PASSES):
         if not told or verdict.together is None:
             break
@@ -54,6 +57,15 @@ def _delays(one: Design, verdict: Verdict) -> Delays:
     fitted = zip(chosen, one.split(verdict.together.shapes, verdict.together.coefficients), strict=True)
     found = {shape.joint: shape.values.get("seconds", float(c[0])) for shape, c in fitted if shape.effect == "delay"}
     return {joint: d for joint, d in found.items() if d > LEAST and any(_follows(shape, joint) for shape in chosen)}
+
+
+def _hidden(one: Design, verdict: Verdict, loud: set[int]) -> Delays:
+    """Delays behind friction's memory that leaves something: its springs bend to the most of one [s]."""
+    if verdict.together is None or _delays(one, verdict):
+        return {}
+    bent = {one.shapes[i].joint for i in verdict.together.shapes if one.shapes[i].effect == "hysteresis"}
+    told = {shape.joint for shape in one.listed if shape.effect == "delay"}
+    return dict.fromkeys(bent & told & loud, USUAL)
 
 
 def _loud(one: Design, verdict: Verdict) -> set[int]:

@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from written import Damage, motion
 
 from excite import workflow
+from excite.identify.equations import Model
 from excite.limits import Limits, resolve
 from excite.problem import Options
 from excite.robot import Robot, load
@@ -234,6 +235,14 @@ def off(actual: np.ndarray, expected: np.ndarray) -> float:
 @pytest.fixture(scope="session")
 def two_link() -> Robot:
     return load("two_link")
+
+
+@pytest.fixture(scope="session")
+def subject() -> Model:
+    """The two-link robot that diagnoses are tried on."""
+    from made import two_links  # which takes from here
+
+    return two_links()
 
 
 @pytest.fixture

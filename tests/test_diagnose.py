@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from contract import EFFECT_NAMES
-from made import WIDTH, motion, perturbed, recorded, two_links, written
+from made import WIDTH, motion, perturbed, recorded, written
 from scipy import signal
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
@@ -26,11 +26,6 @@ from excite.trajectory import Fourier, Samples
 
 Array = np.ndarray
 Plant = Callable[[Array, Array, Array, Array], Array]  # t, q, dq, tau -> torque added to the recording
-
-
-@pytest.fixture(scope="module")
-def subject() -> Model:
-    return two_links()
 
 
 def recordings_of(subject: Model, plant: Plant | None) -> tuple[Recording, Recording]:

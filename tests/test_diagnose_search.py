@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import pinocchio as pin
 import pytest
-from made import EMPTY, WIDTH, halved, motion, nothing, on_one, perturbed, recorded, two_links
+from made import EMPTY, WIDTH, halved, motion, nothing, on_one, perturbed, recorded
 from scipy import stats
 from scipy.interpolate import CubicSpline
 from test_diagnose import PLANTED, found, on, recordings_of
@@ -27,11 +27,6 @@ from excite.recordings import Recording
 from excite.trajectory import Samples
 
 Array = np.ndarray
-
-
-@pytest.fixture(scope="module")
-def subject() -> Model:
-    return two_links()
 
 
 class Upright(types.SimpleNamespace):

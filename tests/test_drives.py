@@ -6,7 +6,6 @@ import types
 
 import numpy as np
 import pytest
-from made import two_links
 from test_diagnose import on, recordings_of
 from test_predicted import fitted_with, stated
 
@@ -16,11 +15,6 @@ from excite.diagnose.track import Track
 from excite.identify.equations import Model
 
 Array = np.ndarray
-
-
-@pytest.fixture(scope="module")
-def subject() -> Model:
-    return two_links()
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from made import motion, perturbed, recorded, two_links
+from made import motion, perturbed, recorded
 
 from excite.diagnose import atlas, diagnosis, encoders
 from excite.diagnose.diagnosis import Options
@@ -18,11 +18,6 @@ from excite.report import diagnosis_page
 
 Array = np.ndarray
 STIFFNESS, PLAY, APART, OFF = (4e3, 9e3), 4e-4, 2.5e-3, 3e-4
-
-
-@pytest.fixture(scope="module")
-def subject() -> Model:
-    return two_links()
 
 
 def lag(subject: Model, psi: Array, recording: Recording, dq: Array, ddq: Array) -> Array:

@@ -6,10 +6,9 @@ import dataclasses
 
 import numpy as np
 import pytest
-from made import two_links
 from test_diagnose import PLANTED, found, on, recordings_of, slips
 
-from excite.diagnose import diagnosis, interval, judge, late, whole
+from excite.diagnose import diagnosis, interval, late, search, whole
 from excite.diagnose.catalogue import BY_NAME
 from excite.diagnose.diagnosis import Diagnosis
 from excite.identify.band import Band, Grid
@@ -17,11 +16,6 @@ from excite.identify.equations import Model
 from excite.recordings import Recording
 
 Array = np.ndarray
-
-
-@pytest.fixture(scope="module")
-def subject() -> Model:
-    return two_links()
 
 
 @pytest.fixture(scope="module")
@@ -103,6 +97,6 @@ def test_a_delay_that_friction_s_memory_bends_to_is_tried(nothing):
     """Only where that leaves something, and no delay was found."""
     one = nothing.design
     hysteresis = next(i for i, shape in enumerate(one.shapes) if shape.effect == "hysteresis" and shape.joint == 1)
-    verdict = judge.said(one, [hysteresis])
-    assert late._hidden(one, verdict, {0, 1}) == {1: late.USUAL}
-    assert late._hidden(one, verdict, {0}) == {} == late._hidden(one, judge.said(one, []), {0, 1})
+    told = late._hidden(one, search.trial(one, [hysteresis]))
+    assert late._worth(told, {0, 1}) == {1: late.USUAL}
+    assert late._worth(told, {0}) == {} == late._hidden(one, search.trial(one, []))

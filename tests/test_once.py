@@ -5,8 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import pytest
-from made import motion, perturbed, recorded, two_links
+from made import motion, perturbed, recorded
 
 from excite.diagnose import belief, diagnosis, once
 from excite.diagnose.diagnosis import Diagnosis
@@ -15,11 +14,6 @@ from excite.diagnose.judge import Verdict
 from excite.identify.equations import Model
 
 Array = np.ndarray
-
-
-@pytest.fixture(scope="module")
-def subject() -> Model:
-    return two_links()
 
 
 def struck(subject: Model, again: float) -> Diagnosis:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from made import WIDTH, perturbed, two_links
+from made import WIDTH, perturbed
 from test_diagnose import PLANTED, found, recordings_of
 
 from excite.diagnose import track, whole
@@ -13,11 +13,6 @@ from excite.identify.equations import Model
 from excite.identify.model import FittedModel
 
 Array = np.ndarray
-
-
-@pytest.fixture(scope="module")
-def subject() -> Model:
-    return two_links()
 
 
 def test_what_was_found_is_predicted_and_gone_from_the_recording(subject):

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pinocchio as pin
 import pytest
-from made import bodied, perturbed, two_links
+from made import bodied, perturbed
 from scipy import integrate
 from scipy.interpolate import CubicSpline
 from test_diagnose import found
@@ -15,14 +15,8 @@ from test_diagnose import found
 from excite.diagnose import interval
 from excite.diagnose.catalogue import BY_NAME, windup
 from excite.diagnose.track import Grid
-from excite.identify.equations import Model
 
 Array = np.ndarray
-
-
-@pytest.fixture(scope="module")
-def subject() -> Model:
-    return two_links()
 
 
 def test_wind_up_is_that_of_the_differential_equation():

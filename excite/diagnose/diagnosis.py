@@ -256,8 +256,7 @@ def _refitted(
     body = track.body(model.robot, model.parameters, equations.kept(refitted.psi, options.trusted))
     again = [[dataclasses.replace(t, body=body) for t in own] for own in halves]
     named = {f.main.effect for f in verdict.findings}
-    shapes = late.renewed(one, verdict, equations.shapes(again, bool(options.trusted), floor, named))
-    one, verdict = _again(one, verdict, shapes, equations.builder(again, scale))
+    one, verdict = _again(one, verdict, equations.shapes(again, bool(options.trusted), floor, named), equations.builder(again, scale))
     return one, verdict, refitted
 
 
@@ -341,7 +340,8 @@ def _again(one: Design, verdict: Verdict, shapes: Sequence[Shape], build: search
     where that finds others."""
     assert verdict.together is not None
     named = {(f.main.effect, f.main.joint) for f in verdict.findings}
-    small = search.design(one.halves, [s for s in shapes if (s.effect, s.joint) in named], build)
+    made = late.renewed(one, verdict.together, [s for s in shapes if (s.effect, s.joint) in named])
+    small = search.design(one.halves, made, build)
     small, better = late.followed(*judge.judged(dataclasses.replace(small, measured=one.measured)))
     found = {(f.main.effect, f.main.joint) for f in better.findings}
     if better.together is None or (found != named and better.together.gain < verdict.together.gain):
@@ -352,9 +352,7 @@ def _again(one: Design, verdict: Verdict, shapes: Sequence[Shape], build: search
         return one, verdict
     if found == named:
         return wider, judge.moved(wider, verdict, better, start)
-    return wider, dataclasses.replace(
-        judge.said(wider, range(start, len(wider.shapes))), considered=verdict.considered, doubted=verdict.doubted
-    )
+    return wider, judge.instead(wider, verdict, range(start, len(wider.shapes)))
 
 
 def _moves(half: Sequence[Track]) -> Array:

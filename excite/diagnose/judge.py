@@ -114,8 +114,13 @@ def moved(one: Design, verdict: Verdict, better: Verdict, start: int) -> Verdict
 def refused(one: Design, verdict: Verdict, refuted: Sequence[Finding]) -> Verdict:
     """The verdict without some of its findings, which are doubted from now on."""
     assert verdict.together is not None
-    left = said(one, without(verdict.together.shapes, [part for finding in refuted for part in finding.parts]))
-    return replace(left, considered=verdict.considered, doubted=(*verdict.doubted, *refuted))
+    left = instead(one, verdict, without(verdict.together.shapes, [part for finding in refuted for part in finding.parts]))
+    return replace(left, doubted=(*verdict.doubted, *refuted))
+
+
+def instead(one: Design, verdict: Verdict, chosen: Sequence[int]) -> Verdict:
+    """What other shapes say together, after all that was considered and doubted for a verdict."""
+    return replace(said(one, chosen), considered=verdict.considered, doubted=verdict.doubted)
 
 
 def without(shapes: Sequence[int], parts: Sequence[Hypothesis]) -> list[int]:

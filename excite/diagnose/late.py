@@ -7,7 +7,7 @@ once a delay is among what was found, everything at its joint is looked for anew
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -28,49 +28,50 @@ Delays = dict[int | None, float]
 
 def followed(one: Design, verdict: Verdict) -> tuple[Design, Verdict]:
     """The design and the verdict with all late that a delay delays, where that predicts better."""
-    loud = _loud(one, verdict)
-    told = _timed(one, verdict, _worth(_delays(one, verdict), loud) or _hidden(one, verdict, loud))
+    if verdict.together is None:
+        return one, verdict
+    together, loud = verdict.together, _loud(one, verdict.together)
+    told = _worth(_delays(one, together) or _hidden(one, together), loud)
+    if told:
+        told = _timed(one, together, told)
     for _ in range(PASSES):
-        if not told or verdict.together is None:
+        if not told:
             break
-        later, found = judge.judged(*_later(one, verdict, told))
-        again = _delays(later, found)
-        if found.together is None or found.together.gain <= verdict.together.gain or not set(told) <= set(again):
+        later, found = judge.judged(*_later(one, together, told, loud))
+        if found.together is None or found.together.gain <= together.gain:
             break
-        one, verdict = later, found
-        told = _worth({joint: again[joint] for joint, d in told.items() if abs(again[joint] - d) > SETTLED * d}, _loud(one, verdict))
+        again = _delays(later, found.together)
+        if not set(told) <= set(again):
+            break
+        one, verdict, together, loud = later, found, found.together, _loud(later, found.together)
+        told = _worth({joint: again[joint] for joint, d in told.items() if abs(again[joint] - d) > SETTLED * d}, loud)
     return one, verdict
 
 
-def renewed(one: Design, verdict: Verdict, shapes: Iterable[Shape]) -> list[Shape]:
-    """Shapes made anew, as late as those of a verdict."""
-    chosen = () if verdict.together is None else verdict.together.shapes
-    late = [one.shapes[i].values for i in chosen if "late" in one.shapes[i].values]
-    return list(_like(shapes, {int(v["late_joint"]) if "late_joint" in v else None: v["late"] for v in late}))
+def renewed(one: Design, together: Trial, shapes: Iterable[Shape]) -> list[Shape]:
+    """Shapes made anew, as late as those that were fitted."""
+    late = [values for i in together.shapes if "late" in (values := one.shapes[i].values)]
+    told = {int(v["late_joint"]) if "late_joint" in v else None: v["late"] for v in late}
+    return _like(shapes, told)
 
 
-def _delays(one: Design, verdict: Verdict) -> Delays:
+def _delays(one: Design, together: Trial) -> Delays:
     """Delays that were found beside something that they delay [s]."""
-    if verdict.together is None:
-        return {}
-    chosen = [one.shapes[i] for i in verdict.together.shapes]
-    fitted = zip(chosen, one.split(verdict.together.shapes, verdict.together.coefficients), strict=True)
+    chosen = [one.shapes[i] for i in together.shapes]
+    fitted = zip(chosen, one.split(together.shapes, together.coefficients), strict=True)
     found = {shape.joint: shape.values.get("seconds", float(c[0])) for shape, c in fitted if shape.effect == "delay"}
     return {joint: d for joint, d in found.items() if d > LEAST and any(_follows(shape, joint) for shape in chosen)}
 
 
-def _hidden(one: Design, verdict: Verdict, loud: set[int]) -> Delays:
-    """Delays behind friction's memory that leaves something: its springs bend to the most of one [s]."""
-    if verdict.together is None or _delays(one, verdict):
-        return {}
-    bent = {one.shapes[i].joint for i in verdict.together.shapes if one.shapes[i].effect == "hysteresis"}
-    told = {shape.joint for shape in one.listed if shape.effect == "delay"}
-    return dict.fromkeys(bent & told & loud, USUAL)
+def _hidden(one: Design, together: Trial) -> Delays:
+    """Delays that may be behind friction's memory: its springs bend to the most of one [s]."""
+    bent = {one.shapes[i].joint for i in together.shapes if one.shapes[i].effect == "hysteresis"}
+    return dict.fromkeys(bent & {shape.joint for shape in one.listed if shape.effect == "delay"}, USUAL)
 
 
-def _loud(one: Design, verdict: Verdict) -> set[int]:
+def _loud(one: Design, together: Trial) -> set[int]:
     """Joints where more is left than noise, or may be."""
-    left, noise = search.level(one, () if verdict.together is None else verdict.together.shapes), one.measured.noise
+    left, noise = search.level(one, together.shapes), one.measured.noise
     return {int(j) for j in np.flatnonzero(left > 0.0 if noise is None else left > (1.0 + CLEARLY) * noise)}
 
 
@@ -84,31 +85,33 @@ def _follows(shape: Shape, joint: int | None) -> bool:
     return shape.effect != "delay" and not shape.values.get("measured") and (joint is None or shape.joint == joint)
 
 
-def _like(shapes: Iterable[Shape], told: Delays, where: Collection[int | None] | None = None) -> Iterator[Shape]:
-    """Shapes as late as they come, without delays told by the slope of all that was measured, or of what is no longer in time. where: of
-    which joints, if not of all."""
-    for shape in shapes:
-        if shape.effect == "delay" and shape.joint in told and "seconds" not in shape.values:
-            continue
-        joint = next((joint for joint in told if _follows(shape, joint) and (where is None or shape.joint in where)), -1)
-        yield shape if joint == -1 else shape.late(told[joint], joint)
+def _moved(shape: Shape, told: Delays) -> Shape | None:
+    """A shape as late as it comes; itself, where that is in time. None of a delay told by the slope of all that was measured, or of what is
+    no longer in time."""
+    if shape.effect == "delay" and shape.joint in told and "seconds" not in shape.values:
+        return None
+    for joint, seconds in told.items():
+        if _follows(shape, joint):
+            return shape.late(seconds, joint)
+    return shape
 
 
-def _timed(one: Design, verdict: Verdict, told: Delays) -> Delays:
+def _like(shapes: Iterable[Shape], told: Delays) -> list[Shape]:
+    """All shapes as late as they come."""
+    return [moved for shape in shapes if (moved := _moved(shape, told)) is not None]
+
+
+def _timed(one: Design, together: Trial, told: Delays) -> Delays:
     """Each delay where what was found predicts best, all of it as late: turned as well for the best of a few, then as it is."""
     from scipy.optimize import minimize_scalar  # slow to import
 
-    if not told or verdict.together is None:
-        return told
-    bare, out, chosen = search.relaid(one, [], [], [], ()), dict(told), [one.shapes[i] for i in verdict.together.shapes]
-
-    def designed(delays: Delays) -> Design:
-        late = [shape for shape in _like(chosen, delays) if shape.effect != "delay" or shape.joint not in delays]
-        fixed = [dataclasses.replace(_by(one.listed, joint, d), knob=None) for joint, d in delays.items()]
-        return search.appended(bare, [*late, *fixed])
+    bare, out, chosen = search.only(one, ()), dict(told), [one.shapes[i] for i in together.shapes]
 
     def fitted(delays: Delays, sweeps: int) -> tuple[Design, Trial]:
-        finer, turned = search.refined(design := designed(delays), range(len(design.shapes)), sweeps)
+        others = [shape for shape in chosen if shape.effect != "delay" or shape.joint not in delays]
+        fixed = [dataclasses.replace(_by(one.listed, joint, d), knob=None) for joint, d in delays.items()]
+        design = search.appended(bare, [*_like(others, delays), *fixed])
+        finer, turned = search.refined(design, range(len(design.shapes)), sweeps)
         return finer, search.trial(finer, turned)
 
     for joint, d in told.items():
@@ -123,17 +126,19 @@ def _timed(one: Design, verdict: Verdict, told: Delays) -> Delays:
     return out
 
 
-def _later(one: Design, verdict: Verdict, told: Delays) -> tuple[Design, list[int]]:
-    """The design with what comes late, and what to begin with: the delays, and what was found elsewhere."""
-    assert verdict.together is not None
-    chosen = [one.shapes[i] for i in verdict.together.shapes]
-    where = {*_loud(one, verdict), *(shape.joint for shape in chosen if shape.effect != "delay")}  # others have nothing that comes late
-    listed = list(_like(one.listed, told, where))
-    same = {id(shape) for shape in one.shapes} & {id(shape) for shape in _like(one.shapes, told, where)}
-    kept = [k for k, shape in enumerate(one.shapes) if id(shape) in same]
+def _later(one: Design, together: Trial, told: Delays, loud: set[int]) -> tuple[Design, list[int]]:
+    """The design with what comes late, where something is left or was found; and what to begin with: the delays, and what was found
+    elsewhere."""
+    where = {*loud, *(one.shapes[i].joint for i in together.shapes if one.shapes[i].effect != "delay")}
+
+    def moved(shape: Shape) -> Shape | None:
+        return _moved(shape, told) if shape.effect == "delay" or shape.joint in where else shape
+
+    listed = [late for shape in one.listed if (late := moved(shape)) is not None]
+    kept = [k for k, shape in enumerate(one.shapes) if moved(shape) is shape]
     delays = [_by(listed, joint, seconds) for joint, seconds in told.items()]
     wider = search.relaid(one, kept, [shape for shape in listed if "late" in shape.values], delays, listed)
-    there = [kept.index(i) for i in verdict.together.shapes if i in kept and one.shapes[i].effect != "delay"]
+    there = [kept.index(i) for i in together.shapes if i in kept and one.shapes[i].effect != "delay"]
     return wider, [*range(len(wider.shapes) - len(delays), len(wider.shapes)), *there]
 
 

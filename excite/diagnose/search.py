@@ -123,30 +123,22 @@ best of each law, if it is not among them."""
 def design(halves: tuple[Half, Half], shapes: Sequence[Shape], build: Build) -> Design:
     """All products that the search needs, of the shapes that say something, the best of each effect at each joint."""
     out = _bare(halves, stacked(halves), build)
-    kept = list[Built]()
-    for effect in dict.fromkeys(shape.effect for shape in shapes):
-        kept += _shortlist(appended(out, [shape for shape in shapes if shape.effect == effect]))
-    return dataclasses.replace(_extended(out, kept), listed=tuple(shapes))
+    return dataclasses.replace(_extended(out, _picked(out, shapes)), listed=tuple(shapes))
 
 
 def relisted(one: Design, chosen: Sequence[int], joints: Collection[int | None]) -> Design:
     """The design with the shapes at some joints that predict best beside those chosen: behind others a shape alone was not the best."""
     if not joints:
         return one
-    there, small = {_key(shape) for shape in one.shapes}, _only(one, chosen)
+    there = {_key(shape) for shape in one.shapes}
     spare = [shape for shape in one.listed if shape.joint in joints and _key(shape) not in there]
-    kept = list[Built]()
-    for effect in dict.fromkeys(shape.effect for shape in spare):
-        kept += _shortlist(appended(small, [shape for shape in spare if shape.effect == effect]), len(chosen), BESIDE)
-    return _extended(one, kept)
+    return _extended(one, _picked(only(one, chosen), spare, BESIDE))
 
 
 def relaid(one: Design, kept: Sequence[int], shapes: Sequence[Shape], further: Sequence[Shape], listed: Sequence[Shape]) -> Design:
     """A design of some of the shapes that there are, then the best of other shapes, and what else is wanted, at its end. listed: all."""
-    bare, made = _only(one, ()), list[Built]()
-    for effect in dict.fromkeys(shape.effect for shape in shapes):
-        made += _shortlist(appended(bare, [shape for shape in shapes if shape.effect == effect]))
-    return dataclasses.replace(appended(_extended(_only(one, kept), made), further), listed=tuple(listed))
+    made = _picked(only(one, ()), shapes)
+    return dataclasses.replace(appended(_extended(only(one, kept), made), further), listed=tuple(listed))
 
 
 def rescaled(one: Design, factor: Array) -> Design:
@@ -180,7 +172,15 @@ def _bare(halves: tuple[Half, Half], both: Half, build: Build) -> Design:
     return Design((), (), halves, both, columns, (first.left, second.left), across, (grams[0], grams[1]), grams[2], (), np.zeros(0), build)
 
 
-def _shortlist(one: Design, first: int = 0, most: int | None = None) -> list[Built]:
+def _picked(one: Design, shapes: Sequence[Shape], most: int | None = None) -> list[Built]:
+    """Of every effect the shapes that predict best beside those that there are, with their columns. most: see `_shortlist`."""
+    made, first = list[Built](), len(one.shapes)
+    for effect in dict.fromkeys(shape.effect for shape in shapes):
+        made += _shortlist(appended(one, [shape for shape in shapes if shape.effect == effect]), first, most)
+    return made
+
+
+def _shortlist(one: Design, first: int, most: int | None) -> list[Built]:
     """The shapes of one effect that predict best at each joint, with their columns: their neighbours on the grid say the same.
 
     They are those from the `first` on, each beside all before it; `most` of a joint.
@@ -339,7 +339,7 @@ def refined(one: Design, chosen: Sequence[int], sweeps: int = 2) -> tuple[Design
             others = [k for k in chosen if k != i]
             asked = _key(one.shapes[i]), *(_key(one.shapes[k]) for k in others)
             if asked not in one.turned:
-                small = _only(one, others)
+                small = only(one, others)
                 one.turned[asked] = knob.turned(lambda shape, small=small: _beside(small, shape))  # type: ignore[misc]
             best = one.turned[asked]
             if best.values != one.shapes[i].values:
@@ -348,7 +348,7 @@ def refined(one: Design, chosen: Sequence[int], sweeps: int = 2) -> tuple[Design
     return one, chosen
 
 
-def _only(one: Design, chosen: Sequence[int]) -> Design:
+def only(one: Design, chosen: Sequence[int]) -> Design:
     """The design with some of its shapes; its halves are not inverted again."""
     bare = dataclasses.replace(_bare(one.halves, one.both, one.build), measured=one.measured)
     return _extended(bare, [(one.shapes[i], _columns(one, one.places[i])) for i in chosen])

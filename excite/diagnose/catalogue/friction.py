@@ -78,9 +78,9 @@ def _stribeck(tracks: Sequence[Track]) -> Iterator[Shape]:
         return shape
 
     for j in range(tracks[0].n):
+        velocities, most = (np.geomspace(0.01, 0.4, 7) * min(1.0, _fastest(tracks, j))).tolist(), _stickiest(tracks, j)
         for power in POWERS:
-            velocities = np.geomspace(0.01, 0.4, 7) * min(1.0, _fastest(tracks, j))
-            yield from family(velocities.tolist(), shaped(j, power, _stickiest(tracks, j)))
+            yield from family(velocities, shaped(j, power, most))
 
 
 def _powered(t: Track, s: Shape) -> Array:

@@ -13,6 +13,8 @@ from excite.diagnose.effect import Shape
 from excite.diagnose.track import Track
 
 Array = np.ndarray
+SURE = (np.ones(1), np.ones(1))
+"""Bounds of noise that is known."""
 TRIED = search.Trial((0,), np.ones(1), (np.ones(1), np.ones(1)), 50.0, True)
 
 
@@ -26,11 +28,16 @@ def only(effect: str) -> judge.Verdict:
 
 
 def shares(
-    monkeypatch: pytest.MonkeyPatch, effects: Sequence[str], both: float, without: Sequence[float], once: Sequence[bool] | None = None
+    monkeypatch: pytest.MonkeyPatch,
+    effects: Sequence[str],
+    both: float,
+    without: Sequence[float],
+    once: Sequence[bool] | None = None,
+    bounds: tuple[float, float] = (1.0, 1.0),
 ) -> list[float]:
     """What each of some effects leaves on a joint where mean squares over the noise are as stated, with all and without each.
 
-    once: which of them happen for some of the time.
+    once: which of them happen for some of the time. bounds: of the noise, over what it is told to be.
     """
     places = tuple(range(len(effects)))
     intervals = [(1.0, 2.0) if happens else None for happens in once or [False] * len(effects)]
@@ -44,12 +51,13 @@ def shares(
 
     monkeypatch.setattr(hypothesis, "acting", lambda *_: np.array([True]))
     monkeypatch.setattr(search, "level", level)
-    return told_of(shapes, judge.Verdict(findings, tried, ()))
+    return told_of(shapes, judge.Verdict(findings, tried, ()), bounds=bounds)
 
 
-def told_of(shapes: Sequence[Shape], verdict: judge.Verdict, joints: int = 1) -> list[float]:
+def told_of(shapes: Sequence[Shape], verdict: judge.Verdict, joints: int = 1, bounds: tuple[float, float] = (1.0, 1.0)) -> list[float]:
     one = types.SimpleNamespace(shapes=shapes)
-    return [x for x, _ in belief.shares(one, verdict, np.ones(joints))]  # type: ignore[arg-type]
+    within = np.full(joints, bounds[0]), np.full(joints, bounds[1])
+    return [x for x, _ in belief.shares(one, verdict, np.ones(joints), within)]  # type: ignore[arg-type]
 
 
 def test_probabilities_fall_with_what_speaks_against_a_name():
@@ -73,6 +81,18 @@ def test_noise_hides_how_much_a_slight_effect_leaves():
     assert belief.share(0.1, 0.2) < belief.share(0.25, 0.05)
 
 
+def test_what_may_be_noise_speaks_less_against_a_name(monkeypatch):
+    def left(level: float, bounds: tuple[float, float]) -> float:
+        return shares(monkeypatch, ["drag"], level, [level + 1.0], bounds=bounds)[0]
+
+    for level in (1.5, 0.7):
+        sure, unsure = left(level, (1.0, 1.0)), left(level, (0.6, 1.6))
+        assert unsure < 0.6 * sure  # halfway to nothing, not there
+        assert unsure > 1.5 * left(1.0, (1.0, 1.0))
+        assert sure < left(level, (1.0, 1.0)) * 1.001 <= left(level, (0.99, 1.01)) * 1.05
+    assert left(3.0, (0.6, 1.6)) > 0.3  # more than noise can be
+
+
 def test_of_what_two_leave_neither_is_charged_with_all(monkeypatch):
     alone = shares(monkeypatch, ["position_friction"], 5.0, [60.0])[0]
     slight, strong = shares(monkeypatch, ["position_friction", "base_compliance"], 5.0, [60.0, 60.0])
@@ -94,7 +114,7 @@ def test_what_an_encoder_may_feign_of_a_gain_speaks_for_no_name(monkeypatch):
     said = []
     for feigned in (0.0, 20.0, 45.0):
         one = types.SimpleNamespace(measured=search.Measured({"stribeck": feigned}))
-        weighed = belief.weighed(one, only("stribeck"), np.ones(1))  # type: ignore[arg-type]
+        weighed = belief.weighed(one, only("stribeck"), np.ones(1), SURE)  # type: ignore[arg-type]
         said.append((*weighed.findings, *weighed.doubted)[0].probability)
     assert said[0] > said[1] > 0.5 > said[2]
 
@@ -102,7 +122,7 @@ def test_what_an_encoder_may_feign_of_a_gain_speaks_for_no_name(monkeypatch):
 def test_what_is_likelier_wrong_than_right_is_told_with_its_probability_and_not_asserted(monkeypatch):
     monkeypatch.setattr(belief, "shares", lambda *_: [(0.8, np.inf)])
     one = types.SimpleNamespace(measured=search.Measured())
-    weighed = belief.weighed(one, only("drag"), np.ones(1))  # type: ignore[arg-type]
+    weighed = belief.weighed(one, only("drag"), np.ones(1), SURE)  # type: ignore[arg-type]
     assert not weighed.findings and weighed.together is None
     (doubted,) = weighed.doubted
     assert doubted.main.effect == "drag" and 0.0 < doubted.probability < 0.5
@@ -125,7 +145,7 @@ def test_what_another_law_may_leave_is_a_further_effect_only_if_it_is_taken_whol
     monkeypatch.setattr(hypothesis, "acting", lambda *_: np.array([True]))
     monkeypatch.setattr(search, "level", lambda _, chosen: np.array([squares[tuple(chosen)]]))
     one = types.SimpleNamespace(shapes=shapes, measured=search.Measured())
-    weighed = belief.weighed(one, judge.Verdict(findings, tried, ()), np.ones(1))  # type: ignore[arg-type]
+    weighed = belief.weighed(one, judge.Verdict(findings, tried, ()), np.ones(1), SURE)  # type: ignore[arg-type]
     assert [f.main.effect for f in weighed.findings] == ["spring", "torque_ripple"][: 1 + told]
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import pinocchio as pin
 import pytest
-from made import EMPTY, WIDTH, halved, motion, nothing, on_one, perturbed, recorded
+from made import EMPTY, WIDTH, halved, nothing, on_one, perturbed
 from scipy import stats
 from scipy.interpolate import CubicSpline
 from test_diagnose import PLANTED, found, on, recordings_of
@@ -21,8 +21,6 @@ from excite.diagnose.columns import Columns
 from excite.diagnose.document import document
 from excite.diagnose.effect import Shape, beside, family
 from excite.diagnose.half import whitened
-from excite.identify import identification, signals
-from excite.identify.equations import Model
 from excite.recordings import Recording
 from excite.trajectory import Samples
 
@@ -173,39 +171,6 @@ def test_a_value_that_no_grid_has_is_found_from_kin_to_kin():
     one = search.design((halves[0], halves[1]), list(family((4.0, 6.0, 10.0, 16.0), rung(1.0))), build)
     finer, (best,) = search.refined(one, [max(range(len(one.shapes)), key=lambda i: search.trial(one, [i]).gain)])
     assert finer.shapes[best].values == pytest.approx({"speed": 9.0, "damping": 4.0}, rel=0.05)
-
-
-def measured(subject: Model, change: float = 0.0, step: float = 0.0) -> tuple[Array, Array]:
-    """Noise found and the RMS that the base model leaves, of a periodic recording whose torque noise is known to be 0.1 N m."""
-    psi = perturbed(subject.parameters, np.random.default_rng(4))
-    recording = recorded(subject, psi, motion(2, 1), 3.0, 0.1)
-    q = recording.q + change * np.random.default_rng(7).normal(size=recording.q.shape)
-    recording = dataclasses.replace(recording, q=np.round(q / step) * step if step else q)
-    done = identification.identify(
-        subject.robot, subject.parameters, subject.base, [recording], [recording], identification.Options(band=20.0), lambda _: None
-    )
-    theta = subject.base.matrix @ done.psi
-    body = track.body(subject.robot, subject.parameters, done.psi)
-    tracks = track.tracks(done.model, body, theta, list(signals.pieces([recording], average=False)), 20.0)
-    left = np.concatenate([t.torque - t.gamma @ theta for t in tracks])
-    return noise.measured(done, (tracks, tracks), [recording]).floor, np.sqrt(np.mean(left**2, axis=0))
-
-
-@pytest.mark.parametrize(("change", "step", "low", "high"), [(0.0, 0.0, 0.85, 1.15), (2e-5, 0.0, 0.85, 1.15), (0.0, 1e-4, 0.6, 1.7)])
-def test_the_floor_is_what_a_right_model_leaves_whatever_is_noisy(subject, change, step, low, high):
-    floor, left = measured(subject, change, step)
-    assert (low < left / floor).all() and (left / floor < high).all(), left / floor
-
-
-def test_a_period_is_found_where_nobody_states_it(subject):
-    psi = perturbed(subject.parameters, np.random.default_rng(4))
-    stated = recorded(subject, psi, motion(2, 1), 3.0, 0.1)
-    assert stated.sidecar.period is not None
-    silent = dataclasses.replace(stated, sidecar=dataclasses.replace(stated.sidecar, period=None, periodic=None))
-    found_period = noise._period(silent)
-    assert found_period is not None and found_period[0] == pytest.approx(stated.sidecar.period, abs=2e-3)
-    once = recorded(subject, psi, motion(2, 1, 9.0), 1.0, 0.1, period=None, periodic=None)
-    assert noise._period(once) is None
 
 
 def test_options_name_what_is_looked_for(subject):

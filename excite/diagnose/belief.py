@@ -58,13 +58,13 @@ def odds(effect: str, x: float) -> float:
     return float(RIGHT * np.exp(-0.5 * z * z) / (SPREAD * np.sqrt(2.0 * np.pi)) / x)
 
 
-def shares(one: Design, verdict: Verdict, noise: Array) -> list[tuple[float, float]]:
+def shares(one: Design, verdict: Verdict, noise: Array, bounds: tuple[Array, Array]) -> list[tuple[float, float]]:
     """What each finding leaves, where it acts, of what it should explain; and how many times what the laws of others at its joint usually
-    leave it is about, ∞ where there are none. noise: mean square over the scale. Shape (n,).
+    leave it is about, ∞ where there are none. noise: mean square over the scale. bounds: between which it may lie, over that. Shapes (n,).
 
-    Where several act, what all leave is at the most what one leaves, at the least its part by what such laws usually leave: it is taken to
-    lie between, nearer to all; unless all that the finding is about may be what the others' laws leave. What happened once bends to
-    whatever that is.
+    What lies between the bounds may be noise or not: the share is halfway, by its logarithm. Where several act, what all leave is at the
+    most what one leaves, at the least its part by what such laws usually leave: it is taken to lie between, nearer to all; unless all that
+    the finding is about may be what the others' laws leave. What happened once bends to whatever that is.
     """
     together = verdict.together
     assert together is not None
@@ -79,12 +79,12 @@ def shares(one: Design, verdict: Verdict, noise: Array) -> list[tuple[float, flo
     for k, finding in enumerate(verdict.findings):
         here, beside = acts[k], [i for i, j in enumerate(joints) if i != k and (j == joints[k] or None in (j, joints[k]))]
         takes = float(np.sum((without[k] - left)[here]))
-        x = share(_left(left[here], 1.0), takes)
+        x = _halfway(left, bounds, here, 1.0, takes)
         others = float(np.sum((of_all - usual[k])[here]))
         about = float(np.sum(taken[k] + np.maximum(left - 1.0, 0.0), where=here))
         if one.shapes[finding.main.shape].interval is None and about > MENDED * others:
             part = np.where(of_all > 0.0, usual[k] / np.maximum(of_all, 1e-300), 1.0 / acts.sum(axis=0).clip(1))
-            least = share(_left(left[here], part[here]), takes)
+            least = _halfway(left, bounds, here, part, takes)
             x = float(x ** (1.0 - SHARED) * least**SHARED)
         there = float(np.sum(usual[beside][:, here]))
         out.append((x, about / there if there > 0.0 else np.inf))
@@ -100,10 +100,18 @@ def another(times: float) -> float:
     return float(min(ANOTHER / max(mends, 1e-300), 1.0))
 
 
-def _left(level: Array, part: Array | float) -> float:
+def _halfway(level: Array, bounds: tuple[Array, Array], here: Array, part: Array | float, takes: float) -> float:
+    """The share left, halfway between what it is if the noise is as told, and if it is what fits best of what it may be."""
+    weight = np.broadcast_to(part, level.shape)[here]
+    told, best = (_left(level[here], low[here], high[here], weight) for low, high in ((np.ones_like(level),) * 2, bounds))
+    return float(np.sqrt(share(told, takes) * share(best, takes)))
+
+
+def _left(level: Array, low: Array, high: Array, part: Array) -> float:
     """Of mean squares over the noise, a part of what is beyond it. Where less is left than noise, the noise is off by as much; at the worst
     all that is left is no noise."""
-    return float(min(max(abs(float(np.sum((level - 1.0) * part))), UNSURE), float(np.sum(level))))
+    beyond = np.maximum(level - high, 0.0) - np.maximum(low - level, 0.0)
+    return float(min(max(abs(float(np.sum(beyond * part))), UNSURE), float(np.sum(level))))
 
 
 def alike(finding: Finding, x: float) -> dict[str, float]:
@@ -121,13 +129,13 @@ def probability(chance: float) -> float:
     return float(np.clip(1.0 / (1.0 + np.exp(-BIAS - SLOPE * np.log(chance))), LEAST, MOST))
 
 
-def weighed(one: Design, verdict: Verdict, noise: Array) -> Verdict:
+def weighed(one: Design, verdict: Verdict, noise: Array, bounds: tuple[Array, Array]) -> Verdict:
     """The verdict with probabilities. What is less likely right than wrong by name still predicts, and stays in the model beside what is
-    asserted. noise: see `shares`."""
+    asserted. noise, bounds: see `shares`."""
     if not verdict.findings:
         return verdict
     findings = []
-    for finding, (x, times) in zip(verdict.findings, shares(one, verdict, noise), strict=True):
+    for finding, (x, times) in zip(verdict.findings, shares(one, verdict, noise, bounds), strict=True):
         others = {name: chance * genuine(one, name, finding.rivals[name]) for name, chance in alike(finding, x).items()}
         chance = odds(finding.main.effect, x) * genuine(one, finding.main.effect, finding.gain) + sum(others.values())
         chance *= another(times)

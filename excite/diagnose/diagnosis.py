@@ -273,7 +273,7 @@ def _judged(
 ) -> Diagnosis:
     """Probabilities, and what the held-out recordings say of what is asserted."""
     floor = noisy.floor
-    verdict = belief.weighed(one, verdict, (floor / scale) ** 2)
+    verdict = belief.weighed(one, verdict, (floor / scale) ** 2, noisy.bounds)
     before, after = foretold.residuals(one, verdict.together, scale)
     fitted = _fitted(one, (), scale), _fitted(one, verdict.named, scale)
     quiet = np.sqrt(floor**2 + 2.0 * noisy.steps**2 + noisy.clock)

@@ -46,7 +46,7 @@ EDGE = 32
 class Noise:
     """What a perfect model would leave below the band, per joint [N m], and how it was found: "periods" or "differences".
 
-    clock: mean square beyond the floor's that a wavering clock makes where torque is steeper than where the floor was seen. steps: the
+    clock: mean square beyond the floor's that a wavering clock makes where momentum is more than where the floor was seen. steps: the
     part that a coarse encoder's steps make of the model's torque: it repeats with the motion. Shapes (n,). feigned: residuals
     that the steps alone might leave, of either half in each of some draws; none where encoders are fine. sharpened: the same, of samples
     that are too rare to tell a reversal. Shapes (N, n). periods: of recordings that repeat, by source: after how long [s], and from when to
@@ -60,6 +60,13 @@ class Noise:
     feigned: tuple[tuple[Array, Array], ...]
     sharpened: tuple[Array, Array]
     periods: Mapping[str, Period] = field(default_factory=dict)
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Mean squares over the floor's between which the noise may lie: without an encoder's steps, and with twice of them and what a
+        clock that wavers makes besides. Shapes (n,)."""
+        steps, clock = np.square(self.steps / self.floor), self.clock / np.square(self.floor)
+        return 1.0 - steps, 1.0 + steps + clock
 
 
 def measured(identified: Identification, halves: Sequence[Sequence[Track]], recordings: Sequence[Recording]) -> Noise:
@@ -99,13 +106,13 @@ def _above(identified: Identification, hertz: float) -> Array:
 
 @dataclass(frozen=True)
 class _Again:
-    """What differs when a motion is made again. change: of the residual, over √2. steep: squared slope of torque. Shapes (N, n).
+    """What differs when a motion is made again. change: of the residual, over √2. momentum: squared. Shapes (N, n).
 
     usual: rows that noise is told by. Shape (N,). square: mean square there, without friction that warms up. Shape (n,).
     """
 
     change: Array
-    steep: Array
+    momentum: Array
     usual: Array
     square: Array
 
@@ -124,9 +131,14 @@ def _repeats(track: Track, left: Array, period: float, window: tuple[float, floa
     return [_steady(change, track, inside)]
 
 
-def _steep(track: Track) -> Array:
-    """Squared slope of torque. Shape (N, n) [(N m/s)²]."""
-    return np.asarray(np.gradient(track.torque, track.time, axis=0) ** 2)
+def _momentum(track: Track) -> Array:
+    """Squared momentum of what a joint moves, rotor included. Shape (N, n) [(kg m²/s)²].
+
+    Read δ late, positions are off by q̇ δ, and torque by (M q̇ δ)¨ to first order: in the band, as if white, by momentum.
+    """
+    mass, speed = track.derivatives[2], track.coarse.dq
+    carried = np.einsum("tij,tj->ti", mass, speed) + track.body.drive("rotor_inertia") * speed
+    return np.square(track.reduce(carried, Grid.COARSE))
 
 
 def _steady(change: Array, track: Track, inside: Array) -> _Again:
@@ -145,27 +157,27 @@ def _steady(change: Array, track: Track, inside: Array) -> _Again:
         usual = _usual(np.square(rest))
     count = int(usual.sum())
     square = np.mean(np.square(rest[usual]), axis=0) * count / max(count - groups[0].shape[1], 1)
-    return _Again(rest, _steep(track)[: len(inside)][inside], usual, square)
+    return _Again(rest, _momentum(track)[: len(inside)][inside], usual, square)
 
 
 def _clock(again: Sequence[_Again], tracks: Sequence[Track]) -> Array:
     """What a clock that wavers may make of all recordings beyond what it makes of the floor. Shape (n,).
 
-    Its noise grows with the square of torque's slope, and does not repeat.
+    Its noise grows with the square of momentum, and does not repeat.
     """
-    change, steep = (np.concatenate([getattr(one, name) for one in again]) for name in ("change", "steep"))
-    every, seen = np.concatenate([_steep(one) for one in tracks]), np.concatenate([one.steep[one.usual] for one in again])
+    change, momentum = (np.concatenate([getattr(one, name) for one in again]) for name in ("change", "momentum"))
+    every, seen = np.concatenate([_momentum(one) for one in tracks]), np.concatenate([one.momentum[one.usual] for one in again])
     out = np.zeros(change.shape[1])
     for j in range(len(out)):
         mean = max(float(every[:, j].mean()), 1e-300)
-        out[j] = _growth(steep[:, j] / mean, change[:, j] ** 2) * max(1.0 - float(seen[:, j].mean()) / mean, 0.0)
+        out[j] = _growth(momentum[:, j] / mean, change[:, j] ** 2) * max(1.0 - float(seen[:, j].mean()) / mean, 0.0)
     return out
 
 
 def _growth(x: Array, y: Array) -> float:
     """At the most, by how much noise y grows with x: SURE standard deviations above what is seen of it, but no more than all of it.
 
-    Each row weighs less the steeper it is, so that a few do not say all. Errors are told between stretches, as noise is coloured.
+    Each row weighs less the larger its x, so that a few do not say all. Errors are told between stretches, as noise is coloured.
     """
     columns, right = np.column_stack([np.ones(len(x)), x]) / (1.0 + x)[:, None], y / (1.0 + x)
     count = max(2, min(PARTS, len(x) // 8))

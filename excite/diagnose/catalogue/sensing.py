@@ -13,6 +13,9 @@ from ..track import Track
 Array = np.ndarray
 LATE = (0.003, 0.008, 0.02)
 """Delays that are tried [s]."""
+STAYS = 0.1
+"""Of the time that a joint stays within one step of its encoder where it turns back: no clock is told to less. When its friction turns is
+then not known, and that of any arm seemed 0.05 of it early."""
 MISREAD = 0.1
 """What no encoder is off by [rad]."""
 MISTAKEN, NEAR = 1.5, 1.25
@@ -63,9 +66,25 @@ def _delay(tracks: Sequence[Track]) -> Iterator[Shape]:
     alone = tracks[0].n == 1  # the joint is the whole robot
     for joint in (*(() if alone else (None,)), *range(tracks[0].n)):
         for measured in (0.0, 1.0):
-            fixed, gate = {"measured": measured}, within(-0.05, 0.05)
+            fixed, gate = {"measured": measured}, _told(_blind(tracks, joint), 0.05)
             yield Shape("delay", joint, _late, fixed, parameters=named("seconds"), plausible=gate, doubt=BLURRED)
         yield from family(LATE, behind(joint))
+
+
+def _told(least: float, most: float) -> Callable[[Array], bool]:
+    """The first coefficient lies between two bounds, whatever its sign."""
+    return lambda c: bool(least <= abs(c[0]) < most)
+
+
+def _blind(tracks: Sequence[Track], joint: int | None) -> float:
+    """What an encoder hides of when its joint, or any, turns back, where it is known best [s]: √(2 Δ/|q̈|) within one step Δ."""
+    found = list[float]()
+    for t in tracks:
+        steps = np.sqrt(12.0) * t.piece.encoder
+        for j in range(t.n) if joint is None else (joint,):
+            turns = np.flatnonzero(np.diff(np.sign(t.fine.dq[:, j])))
+            found += [float(np.sqrt(2.0 * steps[j] / max(np.median(np.abs(t.fine.ddq[turns, j])), 1e-9)))] if len(turns) else []
+    return STAYS * min(found, default=0.0)
 
 
 def _misread(t: Track, s: Shape) -> Array:

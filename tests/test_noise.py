@@ -61,7 +61,7 @@ def wavering(subject: Model, psi: Array, fourier: Fourier, periods: float, by: f
 
 @pytest.mark.parametrize(("by", "most"), [(1e-4, 5.0), (0.0, 1.8)])
 def test_a_clock_that_wavers_is_louder_where_momentum_is_more(subject, by, most):
-    """A recording that repeats, and a faster one that does not: what a right model leaves of both is within the bounds of their noise."""
+    """A recording that repeats, and a faster one that does not: what a right model leaves of both is foretold."""
     psi, other = perturbed(subject.parameters, np.random.default_rng(4)), motion(2, 2)
     slow = wavering(subject, psi, motion(2, 1), 4.0, by)
     fast = wavering(subject, psi, dataclasses.replace(other, sine=2.0 * other.sine, cosine=2.0 * other.cosine), 3.0, by)
@@ -73,8 +73,9 @@ def test_a_clock_that_wavers_is_louder_where_momentum_is_more(subject, by, most)
     found = noise.measured(done, halves, [slow, fast])
     level = np.mean(np.concatenate([t.left for half in halves for t in half]) ** 2, axis=0) / found.floor**2
     assert (level > 2.0).all() == (by > 0.0)  # the floor is the slow one's
-    low, high = found.bounds
-    assert (0.85 * low < level).all() and (level < 1.2 * high).all() and (high < most).all(), (level, high)
+    loud, (low, high) = 1.0 + found.clock / found.floor**2, found.bounds
+    assert (0.85 * low < level).all() and (level < 1.2 * loud).all() and (loud < most).all(), (level, loud)
+    assert high == pytest.approx(np.minimum(loud, 1.0 + noise.DOUBTFUL), rel=1e-3)
 
 
 def test_noise_lies_between_none_and_twice_of_what_encoders_make():

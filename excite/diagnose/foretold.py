@@ -14,8 +14,9 @@ Array = np.ndarray
 WORSE, SHOWN = 1.05, 0.1
 """Held-out mean square with a finding over that without, from which it is refuted; unless the halves, each by itself, show so much of its
 gain: a law whose columns are nearly alike in the first is foretold badly though it is right."""
-CHANCE = 4.0
-"""Times the variance that coefficients bring which the first half does not tell, that is forgiven: two standard deviations."""
+CHANCE = 9.0
+"""Times the variance that coefficients bring which the first half does not tell, that is forgiven: three standard deviations, as noise has
+colour, and a law that is not quite right is told worse than noise lets it."""
 BELIEVED = 0.12
 """Probability of a finding that is refuted."""
 

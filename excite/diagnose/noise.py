@@ -38,6 +38,8 @@ SURE = 2.0
 """Standard deviations."""
 BENT = 1.0
 """Of a speed's second difference, by how much it may turn more sharply: 0.6 was seen where friction is 55 rad/s², a sample every 2 ms."""
+DOUBTFUL = 1.0
+"""Mean square over the floor's, beyond it, that may be noise at the most: what moves much more than where the floor was seen tells little."""
 EDGE = 32
 """Rows by which a signal is continued before it is shifted."""
 
@@ -66,7 +68,7 @@ class Noise:
         """Mean squares over the floor's between which the noise may lie: without an encoder's steps, and with twice of them and what a
         clock that wavers makes besides. Shapes (n,)."""
         steps, clock = np.square(self.steps / self.floor), self.clock / np.square(self.floor)
-        return 1.0 - steps, 1.0 + steps + clock
+        return 1.0 - steps, 1.0 + np.minimum(steps + clock, DOUBTFUL)
 
 
 def measured(identified: Identification, halves: Sequence[Sequence[Track]], recordings: Sequence[Recording]) -> Noise:

@@ -39,7 +39,7 @@ SURE = 2.0
 BENT = 1.0
 """Of a speed's second difference, by how much it may turn more sharply: 0.6 was seen where friction is 55 rad/s², a sample every 2 ms."""
 DOUBTFUL = 1.0
-"""Mean square over the floor's, beyond it, that may be noise at the most: what moves much more than where the floor was seen tells little."""
+"""Mean square beyond the floor, over it, that may be noise at the most: what moves more than where that was seen may tell little."""
 EDGE = 32
 """Rows by which a signal is continued before it is shifted."""
 

@@ -283,9 +283,7 @@ def _simulate(commands: Commands) -> None:
     sub.add_argument("robot", metavar="ROBOT", help="path of a URDF, or a name that 'excite robots' lists")
     sub.add_argument("trajectory", metavar="TRAJECTORY", help="the trajectory.json of 'excite design'")
     sub.add_argument("-o", dest="out", metavar="FILE", required=True, help="the recording; beside it .json, .truth.json and .svg")
-    sub.add_argument(
-        "--effect", metavar="NAME:JOINT[:k=v,…]", action="append", default=[], help="hide this; a misspelt one lists what there is"
-    )
+    sub.add_argument("--effect", metavar="NAME:JOINT[:k=v,…]", action="append", default=[], help="hide this; 'list' tells what there is")
     sub.add_argument(
         "--severity", type=float, metavar="S", help="scale each effect until a refit of the base model leaves S times the noise of it"
     )

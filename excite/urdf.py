@@ -56,6 +56,8 @@ def read(path: Path) -> Urdf:
     if not path.is_file():
         raise UnusableInput(f"{path}: no such file; give a URDF's path or a name that 'excite robots' lists")
     raw = path.read_text(encoding="utf-8", errors="replace")
+    if raw.strip() and not raw.lstrip("\ufeff \t\r\n").startswith("<"):
+        raise UnusableInput(f"{path}: is not a URDF; first comes the robot's URDF or a name that 'excite robots' lists")
     # ROS macros are marked by the suffix, the root's namespace or the substitutions that only xacro understands.
     bare = re.sub(r"<!--.*?-->", "", raw, flags=re.DOTALL)
     if path.suffix == ".xacro" or re.search(r"<xacro:|\$\{[^}]*\}|\$\((arg|find)\b", bare):

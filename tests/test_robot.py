@@ -207,6 +207,7 @@ ARM = link("arm", 2.0)
 BROKEN = {
     "broken XML": (pendulum()[:-12], "valid XML", "repair"),
     "empty": ("", "valid XML", "repair"),
+    "a model": ('{"format": "excite.model/1"}', "not a URDF", "first comes"),
     "other root": ("<model/>", "<model>", "give a URDF"),
     "xacro inside": (pendulum().replace("0.3", "${length}"), "xacro", "expand it"),
     "floating": (pendulum(kind="floating"), "'swing'", "'floating'"),

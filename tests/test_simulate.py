@@ -105,10 +105,17 @@ def test_what_help_says_is_the_default_is(capsys):
         assert f"(default {value:g})" in said.replace("2e-6", "2e-06")
 
 
-def test_a_misspelt_effect_lists_all_and_their_parameters(tmp_path, capsys):
+def test_a_misspelt_effect_is_told_what_it_resembles_and_its_parameters(tmp_path, capsys):
     assert main(simulate("--effect", "stribek:joint_1", "-o", str(tmp_path / "rec.csv"))) == 2
     said = capsys.readouterr().err
-    assert len(said.strip().splitlines()) == 1 and "did you mean stribeck" in said
+    assert len(said.strip().splitlines()) == 1 and "did you mean stribeck(amplitude [N m], velocity [rad/s]" in said
+    assert "backlash" not in said and not list(tmp_path.iterdir())
+
+
+def test_what_resembles_no_effect_lists_all_and_their_parameters(tmp_path, capsys):
+    assert main(simulate("--effect", "list", "-o", str(tmp_path / "rec.csv"))) == 2
+    said = capsys.readouterr().err
+    assert len(said.strip().splitlines()) == 1
     for name, kind in KINDS.items():
         assert f"{name}({', '.join(f'{q.name} [{q.unit}]' for q in kind.quantities)})" in said
     assert not list(tmp_path.iterdir())

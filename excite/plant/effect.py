@@ -94,8 +94,8 @@ def parse(text: str, plant: Plant) -> Effect:
     joint, _, pairs = rest.partition(":")
     if name not in KINDS:
         near = get_close_matches(name, KINDS, 1)
-        hint = f", did you mean {near[0]}" if near else ""
-        raise UnusableInput(f"--effect {text}: no effect '{name}'{hint}? There are: {listing()}")
+        remedy = f"did you mean {_signature(near[0])}?" if near else f"there are: {listing()}"
+        raise UnusableInput(f"--effect {text}: no effect '{name}'; {remedy}")
     kind = KINDS[name]
     place = _place(text, kind, joint, plant)
     stated = dict(_pair(text, pair) for pair in pairs.split(",") if pair)
@@ -165,4 +165,8 @@ def _words(quantities: tuple[Quantity, ...]) -> str:
 def listing() -> str:
     """Every effect with its parameters and units, outsiders last."""
     names = [*CATALOGUE, *(name for name in KINDS if name not in CATALOGUE)]
-    return "; ".join(f"{name}({_words(KINDS[name].quantities)})" for name in names)
+    return "; ".join(_signature(name) for name in names)
+
+
+def _signature(name: str) -> str:
+    return f"{name}({_words(KINDS[name].quantities)})"

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import types
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from test_diagnose import PLANTED, found, on, recordings_of, slips
 
 from excite.diagnose import diagnosis, interval, late, search, whole
@@ -94,24 +91,6 @@ def test_what_is_in_time_stays_so(subject):
     result = found(subject, PLANTED["delay"][0])
     assert [h.effect for h in result.verdict.chosen] == ["delay"]
     assert late.followed(result.design, result.verdict) == (result.design, result.verdict)
-
-
-@given(bits=st.integers(12, 20), turns=st.floats(0.5, 20.0))
-def test_no_clock_is_told_to_less_than_an_encoder_hides(bits, turns):
-    """A joint that turns back at so many rad/s², beside one that turns gently and one that does not turn."""
-    t, step = np.arange(0.0, 20.0, 0.004), 2.0 * np.pi / 2**bits
-    gentle, along = 0.1 * turns, np.ones_like(t)
-    dq = np.column_stack([turns * np.sin(t), gentle * np.sin(t), along])
-    ddq = np.column_stack([turns * np.cos(t), gentle * np.cos(t), 0.0 * along])
-    piece = types.SimpleNamespace(encoder=np.full(3, step / np.sqrt(12.0)))
-    tracks = [types.SimpleNamespace(n=3, piece=piece, fine=types.SimpleNamespace(dq=dq, ddq=ddq))]
-    within = np.sqrt(2.0 * step / turns)  # q = q̈ t²/2
-    for joint, told in ((None, within), (0, within), (1, np.sqrt(10.0) * within), (2, 0.0)):
-        delays = [s for s in BY_NAME["delay"].shapes(tracks) if s.joint == joint and "measured" in s.values]  # type: ignore[arg-type]
-        assert len(delays) == 2
-        for sign in (-1.0, 1.0):
-            assert not any(s.plausible(np.array([sign * 0.09 * told])) for s in delays if told)
-            assert all(s.plausible(np.array([sign * max(0.11 * told, 1e-5)])) for s in delays)
 
 
 def test_a_delay_that_friction_s_memory_bends_to_is_tried(nothing):

@@ -106,11 +106,26 @@ class Track:
         rows = np.rint((self.time - self.piece.start) * self.piece.rate).astype(int)
         out = np.empty((len(self), self.n), bool)
         for j in range(self.n):
-            speed, steps = self.fine.dq[:, j], COUNTS * np.sqrt(12.0) * float(self.piece.encoder.max())
+            speed, steps = self.fine.dq[:, j], COUNTS * float(self.steps.max())
             rest = REST if STILL * float(np.abs(speed).max()) * REST > steps else BLURRED
             moving = _moving(self.fine.q[:, j], speed, self.piece.rate, rest)[rows]
             out[:, j] = moving if moving.mean() > MOVING else True
         return out
+
+    @functools.cached_property
+    def stays(self) -> Array:
+        """How long each joint stays within a step Δ of its encoder where it turns back, √(2 Δ/|q̈|); ∞ where it does not. Shape (n,) [s]."""
+        out = np.full(self.n, np.inf)
+        for j, step in enumerate(self.steps):
+            turns = np.flatnonzero(np.diff(np.sign(self.fine.dq[:, j])))
+            if len(turns):
+                out[j] = np.sqrt(2.0 * step / max(float(np.median(np.abs(self.fine.ddq[turns, j]))), 1e-9))
+        return out
+
+    @property
+    def steps(self) -> Array:
+        """Δ of each encoder. Shape (n,) [rad or m]."""
+        return np.asarray(np.sqrt(12.0) * self.piece.encoder)
 
     @functools.cached_property
     def coarse(self) -> Samples:

@@ -101,6 +101,16 @@ def test_of_what_two_leave_neither_is_charged_with_all(monkeypatch):
     assert 0.95 * whole < strong < whole
 
 
+def test_the_more_are_at_work_the_less_each_is_charged_with_what_all_leave(monkeypatch):
+    def first(count: int) -> float:
+        return shares(monkeypatch, ["drag"] * count, 5.0, [60.0] * count)[0]
+
+    charged = [first(count) for count in (1, 2, 3, 5)]
+    assert sorted(charged, reverse=True) == charged
+    part = charged[0] / 5.0  # what such a law leaves of all that five do
+    assert 0.3 * charged[0] < charged[3] < 0.6 * charged[0] and charged[3] > part
+
+
 def test_what_may_mend_another_is_charged_with_all_that_is_left(monkeypatch):
     assert shares(monkeypatch, ["position_friction", "base_compliance"], 5.0, [15.0, 600.0])[0] == pytest.approx(
         shares(monkeypatch, ["position_friction"], 5.0, [15.0])[0]

@@ -39,7 +39,8 @@ ANOTHER, MENDING = 0.02, 0.75
 """Odds that a joint has one more effect, before it is seen; and standard deviation of the logarithm of what the laws of others there leave
 together, over what they usually do: what is told beside them may mend that."""
 SHARED = 0.2
-"""From all that is left to its part, how far a finding is charged with less, in the logarithm."""
+"""From all that is left to its part, how far a finding is charged with less for each other that acts there, of what is left to go, in the
+logarithm: where five laws are at work, what they leave speaks against any of them less."""
 UNSURE = 0.1
 """Mean square over the noise to which the noise itself is known."""
 LEAST, MOST = 0.02, 0.99
@@ -63,8 +64,8 @@ def shares(one: Design, verdict: Verdict, noise: Array, bounds: tuple[Array, Arr
     leave it is about, ∞ where there are none. noise: mean square over the scale. bounds: between which it may lie, over that. Shapes (n,).
 
     What lies between the bounds may be noise or not: the share is halfway, by its logarithm. Where several act, what all leave is at the
-    most what one leaves, at the least its part by what such laws usually leave: it is taken to lie between, nearer to all; unless all that
-    the finding is about may be what the others' laws leave. What happened once bends to whatever that is.
+    most what one leaves, at the least its part by what such laws usually leave: it is taken to lie between, nearer to all where they are few;
+    unless all that the finding is about may be what the others' laws leave. What happened once bends to whatever that is.
     """
     together = verdict.together
     assert together is not None
@@ -85,7 +86,8 @@ def shares(one: Design, verdict: Verdict, noise: Array, bounds: tuple[Array, Arr
         if one.shapes[finding.main.shape].interval is None and about > MENDED * others:
             part = np.where(of_all > 0.0, usual[k] / np.maximum(of_all, 1e-300), 1.0 / acts.sum(axis=0).clip(1))
             least = _halfway(left, bounds, here, part, takes)
-            x = float(x ** (1.0 - SHARED) * least**SHARED)
+            charged = (1.0 - SHARED) ** (int(acts[:, here].sum(axis=0).max()) - 1)
+            x = float(x**charged * least ** (1.0 - charged))
         there = float(np.sum(usual[beside][:, here]))
         out.append((x, about / there if there > 0.0 else np.inf))
     return out

@@ -1,21 +1,49 @@
-"""Draw the README's picture from a designed trajectory: the motion within its limits, and what it will show."""
+"""Draw the README's pictures: a designed motion within its limits and what it will show; a real joint's residual atlas."""
 
 from __future__ import annotations
 
+import os
+import re
+import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from excite import artefact, base, identifiability, verify
+from excite import artefact, base, cli, identifiability, verify
 from excite.dynamics import band, regressor
 
 FOLDER = Path(__file__).resolve().parent.parent
+REAL = Path(os.environ.get("EXCITE_RECORDINGS", FOLDER.parent / "shared" / "recordings"))
 JOINTS = 3
 
 
 def main() -> None:
+    design()
+    if REAL.is_dir():
+        atlas(REAL / "tx40", "joint_5")
+    else:
+        sys.exit(f"{REAL}: no recordings, so the atlas was not drawn again; name their folder by EXCITE_RECORDINGS")
+
+
+def atlas(folder: Path, joint: str) -> None:
+    """The picture of a joint that the report of `excite diagnose` holds, as a file of its own."""
+    with tempfile.TemporaryDirectory() as out:
+        robot, train, held_out = (str(folder / name) for name in (f"{folder.name}.urdf", "train.csv", "validate.csv"))
+        if cli.main(["diagnose", robot, train, "--validate", held_out, "-o", out]):
+            sys.exit(1)
+        page = (Path(out) / "report.html").read_text()
+    found = re.search(rf'<svg viewBox="0 0 (\S+) (\S+)" role="img" aria-label="Held-out residual of {joint} .*?</svg>', page, re.DOTALL)
+    if found is None:
+        sys.exit(f"{folder}: the report has no picture of {joint}")
+    white = f'<rect width="{found[1]}" height="{found[2]}" fill="#fff"/>'
+    head, rest = found[0].split(">", 1)
+    (FOLDER / "notebooks" / f"{folder.name}_{joint}.svg").write_text(f'{head} xmlns="http://www.w3.org/2000/svg">{white}{rest}\n')
+
+
+def design() -> None:
     trajectory = artefact.read(FOLDER / "trajectories" / "ur10e.json")
     robot = trajectory.load_robot()
     subject = verify.subject_of(trajectory, robot)

@@ -64,8 +64,8 @@ def shares(one: Design, verdict: Verdict, noise: Array, bounds: tuple[Array, Arr
     leave it is about, ∞ where there are none. noise: mean square over the scale. bounds: between which it may lie, over that. Shapes (n,).
 
     What lies between the bounds may be noise or not: the share is halfway, by its logarithm. Where several act, what all leave is at the
-    most what one leaves, at the least its part by what such laws usually leave: it is taken to lie between, nearer to all where they are few;
-    unless all that the finding is about may be what the others' laws leave. What happened once bends to whatever that is.
+    most what one leaves, at the least its part by what such laws usually leave: it is taken to lie between, nearer to all where they are
+    few; unless all that the finding is about may be what the others' laws leave. What happened once bends to whatever that is.
     """
     together = verdict.together
     assert together is not None

@@ -74,7 +74,7 @@ def shares(one: Design, verdict: Verdict, noise: Array, bounds: tuple[Array, Arr
     without = np.array([search.level(one, judge.without(together.shapes, f.parts)) / noise for f in verdict.findings])
     taken = np.where(acts, np.maximum(without - left, 0.0), 0.0)
     usual = taken * np.exp([[LEAVES + BY_NAME[f.main.effect].loose] for f in verdict.findings])
-    of_all = usual.sum(axis=0)
+    of_all, crowd = usual.sum(axis=0), acts.sum(axis=0)
     joints = [f.main.joint for f in verdict.findings]
     out = []
     for k, finding in enumerate(verdict.findings):
@@ -84,9 +84,9 @@ def shares(one: Design, verdict: Verdict, noise: Array, bounds: tuple[Array, Arr
         others = float(np.sum((of_all - usual[k])[here]))
         about = float(np.sum(taken[k] + np.maximum(left - 1.0, 0.0), where=here))
         if one.shapes[finding.main.shape].interval is None and about > MENDED * others:
-            part = np.where(of_all > 0.0, usual[k] / np.maximum(of_all, 1e-300), 1.0 / acts.sum(axis=0).clip(1))
+            part = np.where(of_all > 0.0, usual[k] / np.maximum(of_all, 1e-300), 1.0 / crowd.clip(1))
             least = _halfway(left, bounds, here, part, takes)
-            charged = (1.0 - SHARED) ** (int(acts[:, here].sum(axis=0).max()) - 1)
+            charged = (1.0 - SHARED) ** (int(crowd[here].max()) - 1)
             x = float(x**charged * least ** (1.0 - charged))
         there = float(np.sum(usual[beside][:, here]))
         out.append((x, about / there if there > 0.0 else np.inf))

@@ -288,7 +288,7 @@ def _rounded(half: Sequence[Draw], rng: np.random.Generator) -> Array:
 
 def _misled(model: Model, one: Track) -> Draw:
     """What draws such residuals of a stretch: only what is rounded has to be filtered anew."""
-    step = one.piece.encoder * np.sqrt(12.0)
+    step = one.steps
     coarse = step > 0.0
     if not coarse.any():
         return lambda rng: np.zeros((len(one), one.n))

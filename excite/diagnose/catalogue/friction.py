@@ -49,6 +49,11 @@ def _slowest(tracks: Sequence[Track], joint: int) -> float:
     return TOLD * min((float(t.steps[joint] / t.stays[joint]) for t in tracks if 0.0 < t.stays[joint] < np.inf), default=0.0)
 
 
+def _seen(speed: float, least: float, gate: Callable[[Array], bool]) -> Callable[[Array], bool]:
+    """The gate of a law that changes at a speed: nothing passes where an encoder does not tell that."""
+    return gate if speed > least else lambda c: False
+
+
 def _stickiest(tracks: Sequence[Track], joint: int) -> float:
     """What friction before it slides can be, at the most [N m]."""
     largest = max(float(np.abs(track.torque[:, joint]).max()) for track in tracks)
@@ -75,23 +80,22 @@ def _stuck(t: Track, s: Shape) -> Array:
 
 
 def _stribeck(tracks: Sequence[Track]) -> Iterator[Shape]:
-    def shaped(j: int, power: float, most: float) -> Callable[[float], Shape]:
-        least = _slowest(tracks, j)
-
+    def shaped(j: int, power: float, least: float, most: float) -> Callable[[float], Shape]:
         def shape(velocity: float) -> Shape:
             fixed = {"velocity": velocity, "exponent": power}
             told = named("amplitude", velocity=velocity)
             near = [p for p in (power / NEARBY, power * NEARBY) if POWERS[0] <= p <= POWERS[-1]]
-            kin = lambda: beside(velocity, 2.0, (shaped(j, p, most) for p in near))  # noqa: E731
-            gate = within(0.0, most if velocity > least else 0.0)
+            kin = lambda: beside(velocity, 2.0, (shaped(j, p, least, most) for p in near))  # noqa: E731
+            gate = _seen(velocity, least, within(0.0, most))
             return Shape("stribeck", j, _stuck, fixed, parameters=told, plausible=gate, kin=kin)
 
         return shape
 
     for j in range(tracks[0].n):
-        velocities, most = (np.geomspace(0.01, 0.4, 7) * min(1.0, _fastest(tracks, j))).tolist(), _stickiest(tracks, j)
+        velocities = (np.geomspace(0.01, 0.4, 7) * min(1.0, _fastest(tracks, j))).tolist()
+        least, most = _slowest(tracks, j), _stickiest(tracks, j)
         for power in POWERS:
-            yield from family(velocities, shaped(j, power, most))
+            yield from family(velocities, shaped(j, power, least, most))
 
 
 def _powered(t: Track, s: Shape) -> Array:
@@ -104,14 +108,14 @@ def _nonlinear(tracks: Sequence[Track]) -> Iterator[Shape]:
 
         def shape(power: float) -> Shape:
             told, rises = named("coefficient", exponent=power), 0.5 ** (1.0 / power)  # to half, at this part of the fastest
-            gate = positive if rises > least else within(0.0, 0.0)
-            return Shape("nonlinear_viscous", j, _powered, {"exponent": power}, parameters=told, plausible=gate)
+            return Shape("nonlinear_viscous", j, _powered, {"exponent": power}, parameters=told, plausible=_seen(rises, least, positive))
 
         return shape
 
     for j in range(tracks[0].n):
-        yield from family((0.2, 0.35, 0.5, 0.7), bent(j))
-        yield from family((1.4, 1.7, 2.0, 2.5, 3.2), bent(j))
+        shape = bent(j)
+        yield from family((0.2, 0.35, 0.5, 0.7), shape)
+        yield from family((1.4, 1.7, 2.0, 2.5, 3.2), shape)
 
 
 def _windy(t: Track, s: Shape) -> Array:

@@ -13,6 +13,8 @@ from ..track import Track
 Array = np.ndarray
 LATE = (0.003, 0.008, 0.02)
 """Delays that are tried [s]."""
+SLOPED = 0.05
+"""Up to which a slope tells them [s]."""
 BEHIND, AHEAD = 0.1, 0.3
 """Of the time that a joint stays within one step of its encoder where it turns back: no torque is told to come later, or earlier, by less.
 The smoothest motion within the steps turns back late where friction is much, and torque seems early: of 91 simulated robots with nothing
@@ -66,16 +68,16 @@ def _delay(tracks: Sequence[Track]) -> Iterator[Shape]:
 
     alone = tracks[0].n == 1  # the joint is the whole robot
     hides = min((float(t.stays.min()) for t in tracks if np.isfinite(t.stays).any()), default=0.0)
-    gate = _told((BEHIND * hides, 0.05), (AHEAD * hides, 0.05))
+    gate = _told(BEHIND * hides, AHEAD * hides)
     for joint in (*(() if alone else (None,)), *range(tracks[0].n)):
         for measured in (0.0, 1.0):
             yield Shape("delay", joint, _late, {"measured": measured}, parameters=named("seconds"), plausible=gate, doubt=BLURRED)
         yield from family(LATE, behind(joint))
 
 
-def _told(later: tuple[float, float], earlier: tuple[float, float]) -> Callable[[Array], bool]:
-    """The first coefficient lies between two bounds, if it is positive, or less nothing between two others."""
-    return lambda c: bool(later[0] <= c[0] < later[1] or earlier[0] <= -c[0] < earlier[1])
+def _told(later: float, earlier: float) -> Callable[[Array], bool]:
+    """Torque comes later, or earlier, by so much at the least, and by less than a slope tells."""
+    return lambda c: bool(later <= c[0] < SLOPED or earlier <= -c[0] < SLOPED)
 
 
 def _misread(t: Track, s: Shape) -> Array:

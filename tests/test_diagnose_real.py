@@ -17,7 +17,7 @@ REAL = Path(__file__).resolve().parent.parent.parent / "shared" / "recordings"
 pytestmark = pytest.mark.skipif(not REAL.is_dir(), reason=f"no real recordings at {REAL}")
 
 
-def diagnosed(folder: str, train: tuple[str, ...], held_out: str, prior: str | None = None, band: float = 20.0) -> Diagnosis:
+def diagnosed(folder: str, train: tuple[str, ...], held_out: str, prior: str | None = None, band: float | None = None) -> Diagnosis:
     place = REAL / folder
     machine = robot.load(str(place / f"{folder}.urdf"))
     table = limits.resolve(machine)
@@ -37,7 +37,8 @@ def values(found: Diagnosis, effect: str, joint: int | None) -> dict[str, float]
 
 
 def test_emps_rubs_more_one_way_than_the_other():
-    found = diagnosed("emps", ("train",), "validate_pulses", band=25.0)
+    found = diagnosed("emps", ("train",), "validate_pulses")
+    assert 22.0 < found.hertz < 30.0  # it moves fast: what tells its friction apart reaches further than an arm's
     viscous = values(found, "asymmetric_viscous", 0)
     assert viscous["positive"] == pytest.approx(167.0, rel=0.05) and viscous["negative"] == pytest.approx(240.0, rel=0.05)
     assert relative(found)[0] <= 0.030

@@ -145,7 +145,7 @@ def floor(parts: Sequence[Piece], hertz: float, *, tapered: bool = False) -> Arr
 class Spectra:
     """Power densities, joint by joint, that a band is chosen by. frequency: Shape (F,) [Hz]. torque, noise: (F, n) [(N m)²/Hz].
 
-    motion: the frequency below which 99 % of the joint velocities' power lies [Hz]. hertz: the band chosen.
+    motion: see `motion` [Hz]. hertz: the band chosen.
     """
 
     frequency: Array
@@ -163,18 +163,31 @@ def spectra(parts: Sequence[Piece], hertz: float | None = None) -> Spectra:
     from scipy import signal  # slow to import
 
     longest = first([max(parts, key=len)], CHUNK)[0]
-    rate, size = longest.rate, min(len(longest), max(256, int(4.0 * longest.rate)))
+    rate, size = longest.rate, _window(longest)
     frequency, torque = signal.welch(longest.torque, rate, nperseg=size, axis=0, detrend="linear")
-    speed = signal.welch(np.gradient(longest.q, 1.0 / rate, axis=0), rate, nperseg=size, axis=0)[1]
-    share = np.cumsum((speed / np.maximum(speed.sum(axis=0), 1e-300)).sum(axis=1)) / speed.shape[1]
-    motion = float(frequency[np.searchsorted(share, 0.99 * share[-1])])
     if longest.noise is not None:
         noise = np.mean([signal.welch(one, rate, nperseg=size, axis=0)[1] for one in longest.noise], axis=0)
         noise *= longest.periods / (longest.periods - 1)
     else:
         noise = np.tile(np.median(torque[frequency >= 0.25 * rate], axis=0), (len(frequency), 1))
-    chosen = _chosen(frequency, torque, noise, motion, rate) if hertz is None else hertz
-    return Spectra(frequency, torque, noise, motion, chosen)
+    moved = motion(longest)
+    chosen = _chosen(frequency, torque, noise, moved, rate) if hertz is None else hertz
+    return Spectra(frequency, torque, noise, moved, chosen)
+
+
+def motion(piece: Piece) -> float:
+    """The frequency below which 99 % of the joint velocities' power lies [Hz]."""
+    from scipy import signal  # slow to import
+
+    size = _window(piece)
+    frequency, speed = signal.welch(np.gradient(piece.q, 1.0 / piece.rate, axis=0), piece.rate, nperseg=size, axis=0)
+    share = np.cumsum((speed / np.maximum(speed.sum(axis=0), 1e-300)).sum(axis=1)) / speed.shape[1]
+    return float(frequency[np.searchsorted(share, 0.99 * share[-1])])
+
+
+def _window(piece: Piece) -> int:
+    """Samples of which a spectrum is made, one after the other."""
+    return min(len(piece), max(256, int(4.0 * piece.rate)))
 
 
 def _chosen(frequency: Array, torque: Array, noise: Array, motion: float, rate: float) -> float:

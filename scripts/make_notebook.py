@@ -346,7 +346,7 @@ no sidecar says so.""",
     ),
     (
         "code",
-        """emps = diagnosed("emps", "emps.urdf", ["train"], ["validate_pulses"], band=25.0)
+        """emps = diagnosed("emps", "emps.urdf", ["train"], ["validate_pulses"])
 told(emps)
 drawn(emps, 0)""",
     ),

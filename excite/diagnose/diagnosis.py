@@ -52,9 +52,9 @@ LITTLE = 0.03
 """The same, of what a doubted name or a flexible model foresees in recordings that it was not fitted to: something is there."""
 GENUINE = 0.75
 """Share of a doubted name's gain that an encoder's steps must not feign, if what it foresees is to be called something."""
-UNSAID, UNTOLD = 0.1, 0.2
-"""Share of the excess over the noise that may stay unexplained beside a finding before it is called unknown; and over what a right model
-would leave, of held-out torque."""
+UNSAID, UNTOLD = 0.0625, 0.2
+"""Share of the excess over the noise that may stay unexplained beside a finding before it is called unknown, a quarter of its RMS; and over
+what a right model would leave, of held-out torque."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +117,13 @@ class Diagnosis:
         return _moves(self.tracks[1])
 
     @property
+    def acts(self) -> Array:
+        """Joints where something acts that is asserted. Shape (n,)."""
+        one, together = self.design, self.verdict.together
+        acting = [hypothesis.acting(one, together, f.main.shape) for f in self.verdict.findings if together is not None]
+        return np.any([np.zeros(len(self.floor), bool), *acting], axis=0)
+
+    @property
     def torque(self) -> Array:
         """RMS of the held-out torque there. Shape (n,) [N m]."""
         return np.sqrt(search.mean_square(np.concatenate([one.torque for one in self.tracks[1]]), self.moves))
@@ -139,6 +146,7 @@ class Diagnosis:
         bare, named = self.fitted
         loud, floor = (named > LOUD * self.quiet) | (self.doubted > self.floor), self.floor.copy()
         loud |= (self.after**2 > foretold.WORSE * self.before**2) & (self.after > LOUD * self.expected)
+        loud |= self.acts & (named > QUIET * self.quiet)  # a name that leaves that is not, or not all, of what is there
         told = self.doubted.copy()
         for j, sight in self.sights.items():
             if sight.counts:  # what is foreseen is no noise, though it may differ each time: a load that swings on from where it was

@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from ...identify.band import Grid
-from ..effect import MULTIPLES, Effect, Knob, Shape, alone, amplitude, beside, family, multiples, named, within
+from ..effect import MULTIPLES, Effect, Knob, Shape, alone, beside, family, multiples, named, within
 from ..track import Track, stroke
 from .windup import NEAR, damped, felt, launched, mass, played, wound
 
@@ -25,8 +25,8 @@ WIDTHS = np.geomspace(1e-4, 1e-2, 7)
 HOLDS, FURTHER, HARDEST = (0.0, 1.5, 3.0, 6.0, 12.0), 1.5, 20.0
 """Of a link in its play, tried [Hz]: the softer teeth meet, the more of it they hold; the factor from one to those beside it; and the most,
 beyond which it is a spring."""
-NEARBY = 0.02
-"""How near two orders are the same."""
+NEARBY, FAINT = 0.02, 0.3
+"""How near two orders are the same; and over its strongest multiple, below which a wave is hardly there."""
 ORDERS, CELLS = 12, 20_000_000
 """Orders of a ripple that are tried, at the most; and orders times rows that are looked at at once."""
 LEAST_STROKE, LEAST_TURN, ROUND = 1e-6, 0.05, 1.5
@@ -100,7 +100,8 @@ def _waved(t: Track, s: Shape) -> Array:
 def _ripple(tracks: Sequence[Track]) -> Iterator[Shape]:
     def rippled(j: int, more: Mapping[str, float]) -> Callable[[float], Shape]:
         def shape(order: float) -> Shape:
-            return Shape("torque_ripple", j, _waved, {"order": order, **more}, parameters=amplitude(order=order), several=True)
+            fixed = {"order": order, **more}
+            return Shape("torque_ripple", j, _waved, fixed, parameters=lambda c: _strongest(fixed, c), several=True)
 
         return shape
 
@@ -113,6 +114,13 @@ def _ripple(tracks: Sequence[Track]) -> Iterator[Shape]:
             if free and all(abs(order - other) > NEARBY * other for other in taken):
                 yield Knob(order, order / near, order * near, rippled(j, {MULTIPLES[k]: 1.0 for k in free})).at(order)
                 taken += [order, *(k * order for k in free)]
+
+
+def _strongest(values: Mapping[str, float], c: Array) -> dict[str, float]:
+    """The order's wave; or its strongest multiple, of an order that is hardly there: nobody would tell that by a half or a third of it."""
+    sizes = np.hypot(c[::2], c[1::2])
+    told = int(np.argmax(sizes)) if sizes[0] < FAINT * sizes.max() else 0
+    return {"amplitude": float(sizes[told]), "order": values["order"] * multiples(values)[told]}
 
 
 def _orders(tracks: Sequence[Track], joint: int) -> list[float]:

@@ -27,7 +27,7 @@ def diagnose(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outco
     recordings.refuse_same(train, held_out)
     known = priors.trusted(Path(arguments.prior), robot, standard) if arguments.prior else {}
     result = diagnosis.diagnose(robot, standard, found, train, held_out, diagnosis.Options(arguments.band, known), say)
-    looked = None if arguments.no_report else atlas.look(result, held_out)
+    looked = None if arguments.no_report else atlas.look(result)
     told_all = document(result, looked)
     contents = {
         "diagnosis.json": artefact.dumps(told_all),

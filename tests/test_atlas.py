@@ -120,10 +120,11 @@ def test_the_same_seed_gives_the_same_atlas() -> None:
 
 def test_temperature_is_looked_at_where_it_was_recorded() -> None:
     one = found("stribeck")
-    track = one.tracks[1][0]
-    t = np.linspace(track.time[0], track.time[-1], 200)
-    warm = Recording(track.piece.source, ("a", "b"), t, np.zeros((200, 2)), temperature=np.column_stack([30.0 + t, np.full(200, np.nan)]))
-    seen = {(p.joint, p.against) for p in atlas.look(one, [warm]).panels}
+    first, *rest = one.tracks[1]
+    warm = np.column_stack([30.0 + 0.1 * first.clock, np.full(len(first.piece), np.nan)])
+    measured = dataclasses.replace(first, piece=dataclasses.replace(first.piece, temperature=warm))
+    warmed = dataclasses.replace(one, tracks=(one.tracks[0], [measured, *rest]))
+    seen = {(p.joint, p.against) for p in atlas.look(warmed).panels}
     assert (0, "temperature, along the motion") in seen
     assert not any("temperature" in against for joint, against in seen if joint == 1)
 

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..recordings import Recording
 from . import looks
 from .diagnosis import Diagnosis
 from .half import inverse
@@ -96,9 +95,9 @@ class _Curve:
     nulls: Array
 
 
-def look(found: Diagnosis, recordings: Sequence[Recording] = (), *, draws: int = DRAWS, seed: int = 0) -> Atlas:
-    """The atlas of a diagnosis. recordings: those held out, for the temperatures recorded with them."""
-    rows = looks.rows(found.tracks[1], recordings)
+def look(found: Diagnosis, *, draws: int = DRAWS, seed: int = 0) -> Atlas:
+    """The atlas of a diagnosis."""
+    rows = looks.rows(found.tracks[1])
     rng = np.random.default_rng(seed)
     scale = found.before / np.maximum(np.sqrt(mean_square(found.design.across.reshape(len(rows), -1), rows.moves)), 1e-300)
     nulls = _nulls(found, scale, rows)

@@ -123,7 +123,7 @@ def _where(found: Diagnosis, shape: Shape) -> dict[str, Any]:
     place = "all joints" if shape.joint is None else f"joint '{_joint(found, shape.joint)}'"
     where: dict[str, Any] = {
         "statement": f"{place}: {BY_NAME[shape.effect].signature}",
-        "regime": REGIMES.get(shape.effect, "all"),
+        "regime": "temperature" if "reference" in shape.values else REGIMES.get(shape.effect, "all"),
         "time": None if shape.interval is None else list(shape.interval),
     }
     if shape.interval is not None:

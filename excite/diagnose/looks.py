@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..identify.band import Grid
-from ..recordings import Recording
 from .track import Track
 
 Array = np.ndarray
@@ -105,12 +104,12 @@ class Rows:
         return np.repeat(np.arange(len(self.starts)), np.diff([*self.starts, len(self)]))
 
 
-def rows(tracks: Sequence[Track], recordings: Sequence[Recording] = ()) -> Rows:
-    """Everything that looks need of some stretches. recordings: where temperatures are, by source."""
+def rows(tracks: Sequence[Track]) -> Rows:
+    """Everything that looks need of some stretches."""
     parts: dict[str, list[Array]] = {}
     starts, begins, at, elapsed, length = list[Array](), list[int](), 0, 0.0, block_length(tracks)
     for track in tracks:
-        for name, value in _motion(track, recordings).items():
+        for name, value in _motion(track).items():
             parts.setdefault(name, []).append(value)
         clock = track.time - track.time[0]
         parts.setdefault("time", []).append(clock + elapsed)
@@ -136,7 +135,7 @@ def block_starts(clock: Array, length: float) -> Array:
     return np.unique(np.searchsorted(clock, np.arange(count) * length))
 
 
-def _motion(track: Track, recordings: Sequence[Recording]) -> dict[str, Array]:
+def _motion(track: Track) -> dict[str, Array]:
     s = track.coarse
     t = track.piece.start + np.arange(len(s)) / track.band.rate_of(Grid.COARSE)
 
@@ -152,7 +151,7 @@ def _motion(track: Track, recordings: Sequence[Recording]) -> dict[str, Array]:
         "load": at(track.rigid),
         "motor": track.reduce(track.motor),
         "distance": at(distance),
-        "temperature": _temperature(track, recordings),
+        "temperature": np.column_stack([np.interp(track.time, track.clock, column) for column in track.temperature.T]),
         "moves": track.moves,
     }
 
@@ -166,18 +165,6 @@ def _since_reversal(q: Array, dq: Array) -> Array:
     origin = np.zeros(len(q), int)
     origin[turns] = turns
     return np.abs(q - q[np.maximum.accumulate(origin)])
-
-
-def _temperature(track: Track, recordings: Sequence[Recording]) -> Array:
-    out = np.full((len(track), track.n), np.nan)
-    for one in recordings:
-        if one.source != track.piece.source or one.temperature is None:
-            continue
-        for j, column in enumerate(one.temperature.T):
-            known = np.isfinite(column)
-            if known.any():
-                out[:, j] = np.interp(track.time, one.t[known], column[known])
-    return out
 
 
 # -- the looks -------------------------------------------------------------------------------------------------------

@@ -100,6 +100,21 @@ class Track:
         speed = friction_speed(self.piece.q, self.band, position)
         return Samples(position.low(Grid.RECORDED, 0, WIDER), speed, position.low(Grid.RECORDED, 2, WIDER))
 
+    def sign(self, joint: int) -> Array:
+        """The smooth sign of a joint's speed that the base model's Coulomb friction has, at every sample. Shape (M,)."""
+        return np.asarray(np.tanh(self.fine.dq[:, joint] / self.widths[joint]))
+
+    @functools.cached_property
+    def temperature(self) -> Array:
+        """Of every joint, at every sample; NaN where a joint's was not recorded. Shape (M, n) [°C]."""
+        out = np.full((len(self.piece), self.n), np.nan)
+        if self.piece.temperature is not None:
+            for j, column in enumerate(self.piece.temperature.T):
+                known = np.flatnonzero(np.isfinite(column))
+                if len(known):
+                    out[:, j] = np.interp(np.arange(len(column)), known, column[known])
+        return out
+
     @functools.cached_property
     def moves(self) -> Array:
         """Kept rows at which a joint moves, friction known but for its law: at rest it can be anything that sticks. Shape (N, n)."""

@@ -103,7 +103,8 @@ def predict(fitted: FittedModel, recording: Recording) -> tuple[Array, Array]:
     nothing = np.zeros((0, fitted.robot.n))
 
     def beyond(stretch: Recording) -> Array:
-        piece = Piece(recording.source, float(stretch.t[0]), stretch.rate, stretch.q, np.zeros(stretch.q.shape), encoder=recording.encoder)
+        still, warmth = np.zeros(stretch.q.shape), stretch.temperature
+        piece = Piece(recording.source, float(stretch.t[0]), stretch.rate, stretch.q, still, encoder=recording.encoder, temperature=warmth)
         band = piece.band(min(fitted.hertz, 0.45 * piece.rate))
         empty = nothing[:, :, None]
         along = Track(piece, band, body, fitted.widths, np.zeros(0), nothing, empty, nothing, slice(0), np.zeros(0))

@@ -33,7 +33,7 @@ class Piece:
 
     periods: how many were averaged; 0: not periodic. noise: each period's torque less the mean's. Shape (periods, N, n). encoder: standard
     deviation of positions by the encoders' steps, as they were read. smoothed: joints whose positions are the smoothest within these.
-    Shape (n,) or, where none are, (1,).
+    Shape (n,) or, where none are, (1,). temperature: Shape (N, n), NaN where a joint's was not recorded; None where no joint's was [°C].
     """
 
     source: str
@@ -45,9 +45,15 @@ class Piece:
     noise: Array | None = None
     encoder: Array = field(default_factory=lambda: np.zeros(1))
     smoothed: Array = field(default_factory=lambda: np.zeros(1, bool))
+    temperature: Array | None = None
 
     def __len__(self) -> int:
         return len(self.q)
+
+    def head(self, count: int) -> Piece:
+        """The first rows, of a stretch that is not periodic."""
+        temperature = None if self.temperature is None else self.temperature[:count]
+        return dataclasses.replace(self, q=self.q[:count], torque=self.torque[:count], temperature=temperature)
 
     @property
     def periodic(self) -> bool:
@@ -68,7 +74,7 @@ def pieces(recordings: Iterable[Recording], *, average: bool = True) -> Iterator
                 continue
         for part in recording.segments():
             whole = (recording.source, float(part.t[0]), part.rate, part.q, part.torque)
-            yield Piece(*whole, encoder=recording.encoder, smoothed=recording.smoothed)
+            yield Piece(*whole, encoder=recording.encoder, smoothed=recording.smoothed, temperature=part.temperature)
 
 
 def first(parts: Sequence[Piece], samples: int) -> list[Piece]:
@@ -79,7 +85,7 @@ def first(parts: Sequence[Piece], samples: int) -> list[Piece]:
         if left <= 0:
             break
         whole = piece.periodic or len(piece) <= 2 * left
-        out.append(piece if whole else dataclasses.replace(piece, q=piece.q[:left], torque=piece.torque[:left]))
+        out.append(piece if whole else piece.head(left))
     return out
 
 

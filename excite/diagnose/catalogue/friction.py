@@ -14,8 +14,6 @@ Array = np.ndarray
 STICKIEST, LEAST_STUCK = 5.0, 0.05
 """Times Coulomb friction that friction at rest or before it slides can be. The base fit takes some of it for its own, and beside other
 effects perhaps all: Coulomb friction is taken to be this share of the joint's largest torque, at the least."""
-COLDEST = 3.0
-"""Times its mean, what friction at the start may have more: a joint that is cold, not one that has yet to slide."""
 POWERS, NEARBY = (0.5, 1.0, 2.0), 1.2
 """Of a speed, by which friction fades, tried; and the factor from one to those beside it, between them."""
 TOLD = 3.0
@@ -30,10 +28,6 @@ BACKWARD = 0.05
 FADING = 6.0
 """Times the usual gain that it takes to believe friction under load that fades with speed: what a coarse encoder makes of a reversal does
 so too, wherever some load is."""
-
-
-def _sign(track: Track, joint: int) -> Array:
-    return np.tanh(track.fine.dq[:, joint] / track.widths[joint])
 
 
 def _speed(track: Track, joint: int) -> Array:
@@ -76,7 +70,7 @@ def _asymmetric(tracks: Sequence[Track]) -> Iterator[Shape]:
 
 def _stuck(t: Track, s: Shape) -> Array:
     slow = np.exp(-((np.abs(_speed(t, s.place)) / s.values["velocity"]) ** s.values["exponent"]))
-    return alone(t, s.place, _sign(t, s.place) * slow)
+    return alone(t, s.place, t.sign(s.place) * slow)
 
 
 def _stribeck(tracks: Sequence[Track]) -> Iterator[Shape]:
@@ -99,7 +93,7 @@ def _stribeck(tracks: Sequence[Track]) -> Iterator[Shape]:
 
 
 def _powered(t: Track, s: Shape) -> Array:
-    return alone(t, s.place, _sign(t, s.place) * np.abs(_speed(t, s.place)) ** s.values["exponent"])
+    return alone(t, s.place, t.sign(s.place) * np.abs(_speed(t, s.place)) ** s.values["exponent"])
 
 
 def _nonlinear(tracks: Sequence[Track]) -> Iterator[Shape]:
@@ -132,7 +126,7 @@ def _rubbed(t: Track, s: Shape) -> Array:
     the same once more as far as it fades with speed."""
     scale, place = s.values["scale"], s.place
     load = (t.motor if "driven" in s.values else t.transmitted)[:, place]
-    rubs = _sign(t, place) * scale * (np.abs(load) / scale) ** s.values["power"]
+    rubs = t.sign(place) * scale * (np.abs(load) / scale) ** s.values["power"]
     return alone(t, place, np.column_stack([rubs, rubs * _faded(t, s)]) if "velocity" in s.values else rubs)
 
 
@@ -167,7 +161,7 @@ def _rubs(c: Array) -> bool:
 
 def _placed(t: Track, s: Shape) -> Array:
     """sgn q̇ times the first waves of a periodic function of position: as many as `waves` says, of `order`, 2 `order`, …"""
-    angle, sign = s.values["order"] * t.fine.q[:, s.place], _sign(t, s.place)
+    angle, sign = s.values["order"] * t.fine.q[:, s.place], t.sign(s.place)
     return alone(t, s.place, np.column_stack([sign * f(k * angle) for k in range(1, int(s.values["waves"]) + 1) for f in (np.cos, np.sin)]))
 
 
@@ -222,7 +216,7 @@ def slipping(q: Array, reach: float) -> Array:
 def _softened(t: Track, s: Shape) -> Array:
     q, reach = t.fine.q[:, s.place], s.values["reach"]
     curves = [slipping(q, by * reach) for by in SLIPS] if "slips" in s.values else [dahl(q, 1.0 / reach)]
-    return alone(t, s.place, np.column_stack(curves) - _sign(t, s.place)[:, None])
+    return alone(t, s.place, np.column_stack(curves) - t.sign(s.place)[:, None])
 
 
 def _hysteresis(tracks: Sequence[Track]) -> Iterator[Shape]:
@@ -256,38 +250,13 @@ def _steepest(parts: Sequence[tuple[Shape, Array]]) -> dict[str, float]:
 
 
 def _resisted(t: Track, s: Shape) -> Array:
-    return alone(t, s.place, np.column_stack([_sign(t, s.place), _speed(t, s.place)]))
+    return alone(t, s.place, np.column_stack([t.sign(s.place), _speed(t, s.place)]))
 
 
 def _friction(tracks: Sequence[Track]) -> Iterator[Shape]:
     for j in range(tracks[0].n):
         told = named("coulomb", "viscous")
         yield Shape("friction", j, _resisted, parameters=told, plausible=lambda c: bool(c[0] > 0.0 and c[1] > -0.2 * c[0]))
-
-
-def _warmed(t: Track, s: Shape) -> Array:
-    warm = 1.0 - np.exp(-(t.clock - t.clock[0]) / s.values["time_constant"])
-    return alone(t, s.place, warm * (s.values["coulomb"] * _sign(t, s.place) + s.values["viscous"] * _speed(t, s.place)))
-
-
-def _thermal(tracks: Sequence[Track]) -> Iterator[Shape]:
-    length = max(float(np.ptp(t.clock)) for t in tracks)
-
-    def slow(j: int, coulomb: float, viscous: float) -> Callable[[float], Shape]:
-        def shape(constant: float) -> Shape:
-            fixed = {"time_constant": constant, "coulomb": coulomb, "viscous": viscous}
-            reached = 1.0 - np.exp(-length / constant)
-            mean = 1.0 - reached * constant / length
-            told = named("change", time_constant=constant)
-            # what the base fit has of friction is the mean: it never falls below nothing, nor does it begin many times as high
-            gate = within(max(-1.0 / (reached - mean), -COLDEST / mean), 5.0 / reached)
-            return Shape("thermal_drift", j, _warmed, fixed, parameters=told, plausible=gate)
-
-        return shape
-
-    for j in range(tracks[0].n):
-        coulomb, viscous = (float(tracks[0].body.drive(kind)[j]) for kind in ("coulomb", "viscous"))
-        yield from family((np.array([0.1, 0.3, 1.0, 3.0]) * length).tolist(), slow(j, max(coulomb, 1e-9), viscous))
 
 
 EFFECTS = (
@@ -384,17 +353,5 @@ EFFECTS = (
         "any motion in both directions",
         prior_only=True,
         form={"coulomb": 0.04, "viscous": 0.04},
-    ),
-    Effect(
-        "thermal_drift",
-        "friction × (1 + c (1 − e^(−t/T)))",
-        _warmed,
-        _thermal,
-        {"change": "1", "time_constant": "s"},
-        "friction changes over the run",
-        ("asymmetric_viscous",),
-        "a long run that ends with its first motion",
-        form={"change": 0.25, "time_constant": 0.25},
-        loose=-0.4,
     ),
 )

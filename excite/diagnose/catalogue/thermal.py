@@ -1,0 +1,92 @@
+"""Friction that changes as a drive warms up: with run time, or with the temperature that was recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from ...errors import UnusableInput
+from ..effect import Effect, Shape, alone, family, named, within
+from ..track import Track
+
+Array = np.ndarray
+COLDEST = 3.0
+"""Times its mean, what friction at the start may have more: a joint that is cold, not one that has yet to slide."""
+DEGREES = 1.0
+"""Range of temperatures from which friction may be told to depend on them [°C]: sensors have steps."""
+
+
+def _changed(t: Track, s: Shape) -> Array:
+    """A joint's friction by the base fit, as it changes with run time or, where a `reference` is stated, with temperature."""
+    if "reference" in s.values:
+        warm = t.temperature[:, s.place] - s.values["reference"]
+        if not np.isfinite(warm).all():
+            joint = t.body.robot.joints[s.place]
+            raise UnusableInput(f"{t.piece.source}: has no temp.{joint}, on which the friction of joint '{joint}' depends; record it")
+    else:
+        warm = 1.0 - np.exp(-(t.clock - t.clock[0]) / s.values["time_constant"])
+    return alone(t, s.place, warm * (s.values["coulomb"] * t.sign(s.place) + s.values["viscous"] * t.fine.dq[:, s.place]))
+
+
+def _thermal(tracks: Sequence[Track]) -> Iterator[Shape]:
+    for j in range(tracks[0].n):
+        yield from _by_time(tracks, j)
+        yield from _by_temperature(tracks, j)
+
+
+def _friction(track: Track, joint: int) -> tuple[float, float]:
+    """Coulomb and viscous friction of the base fit, of which something can change."""
+    coulomb, viscous = (float(track.body.drive(kind)[joint]) for kind in ("coulomb", "viscous"))
+    return max(coulomb, 1e-9), viscous
+
+
+def _by_time(tracks: Sequence[Track], j: int) -> Iterator[Shape]:
+    length = max(float(np.ptp(t.clock)) for t in tracks)
+    coulomb, viscous = _friction(tracks[0], j)
+
+    def shape(constant: float) -> Shape:
+        fixed = {"time_constant": constant, "coulomb": coulomb, "viscous": viscous}
+        reached = 1.0 - np.exp(-length / constant)
+        mean = 1.0 - reached * constant / length
+        told = named("change", time_constant=constant)
+        # what the base fit has of friction is the mean: it never falls below nothing, nor does it begin many times as high
+        gate = within(max(-1.0 / (reached - mean), -COLDEST / mean), 5.0 / reached)
+        return Shape("thermal_drift", j, _changed, fixed, parameters=told, plausible=gate)
+
+    yield from family((np.array([0.1, 0.3, 1.0, 3.0]) * length).tolist(), shape)
+
+
+def _by_temperature(tracks: Sequence[Track], j: int) -> Iterator[Shape]:
+    """Where every stretch has a joint's temperature and that varies. The change is from the coldest to the warmest seen."""
+    seen = np.concatenate([t.temperature[:, j] for t in tracks])
+    span = float(np.ptp(seen))
+    if not span > DEGREES:  # nor where it is not a number
+        return
+    coulomb, viscous = _friction(tracks[0], j)
+    mean = float(seen.mean())
+    below, above = mean - float(seen.min()), float(seen.max()) - mean
+    least, most = -min(1.0 / above, COLDEST / below), min(1.0 / below, COLDEST / above)  # never below nothing, nor many times the mean
+    size = float(np.mean(np.abs(np.concatenate([t.fine.dq[:, j] for t in tracks])))) * viscous
+
+    for dry in (coulomb, 0.0):  # grease thins, and dry friction may go with it or not
+        share = (dry + size) / (coulomb + size)
+        told = lambda c, share=share: {"change": float(c[0] * share * span / (1.0 - c[0] * share * below))}  # noqa: E731
+        fixed = {"reference": mean, "coulomb": dry, "viscous": viscous}
+        yield Shape("thermal_drift", j, _changed, fixed, parameters=told, plausible=within(least, most))
+
+
+EFFECTS = (
+    Effect(
+        "thermal_drift",
+        "friction × (1 + c (1 − e^(−t/T))), or × (1 + c (ϑ − ϑ₀)) where temperatures were recorded (Bittencourt & Gunnarsson 2012)",
+        _changed,
+        _thermal,
+        {"change": "1", "time_constant": "s"},
+        "friction changes with run time or temperature",
+        ("asymmetric_viscous",),
+        "a long run that ends with its first motion, temperatures recorded",
+        form={"change": 0.25, "time_constant": 0.25},
+        loose=-0.4,
+    ),
+)

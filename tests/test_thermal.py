@@ -1,0 +1,68 @@
+"""Friction that depends on temperature, where that was recorded: another day's recording, warmer, is foretold."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from made import WIDTH, perturbed
+from test_diagnose import on, recordings_of
+from test_predicted import fitted_with, stated
+
+from excite.diagnose import diagnosis, interval, whole
+from excite.diagnose.document import document
+from excite.errors import UnusableInput
+from excite.identify.equations import Model
+from excite.recordings import Recording
+
+Array = np.ndarray
+PER_DEGREE = -0.02
+"""Of friction at the first recording's coldest."""
+DAYS = (24.0, 30.0), (38.0, 33.0)
+"""Temperature of the first joint at the beginning and the end of either recording."""
+
+
+def days(subject: Model, dry: bool) -> list[Recording]:
+    """Two recordings, the second warmer; only the first joint has a sensor. dry: Coulomb friction changes as viscous friction does."""
+    psi = perturbed(subject.parameters, np.random.default_rng(4))
+    coulomb, viscous = (float(psi[subject.parameters.block(kind)][0]) for kind in ("coulomb", "viscous"))
+    out = []
+    for one, (start, end) in zip(recordings_of(subject, None), DAYS, strict=True):
+        degrees = start + (end - start) * (one.t - one.t[0]) / (one.t[-1] - one.t[0])
+        speed = np.gradient(one.q[:, 0], one.t)
+        changed = PER_DEGREE * (degrees - DAYS[0][0]) * (viscous * speed + dry * coulomb * np.tanh(speed / WIDTH))
+        warm = np.column_stack([degrees, np.full(len(degrees), np.nan)])
+        out.append(dataclasses.replace(one, tau=one.torque + on(0, changed), temperature=warm))
+    return out
+
+
+@pytest.mark.parametrize("dry", [True, False])
+def test_friction_by_temperature_is_named_and_foretells_another_day(subject, dry):
+    train, held_out = days(subject, dry)
+    result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [held_out])
+    assert [(h.effect, h.joint) for h in result.verdict.chosen] == [("thermal_drift", 0)] and not result.unknown
+    assert result.after[0] < 1.3 * result.floor[0] and result.before[0] > 1.5 * result.floor[0]
+    told = document(result)["findings"][0]
+    assert told["where"]["regime"] == "temperature" and "time_constant" not in told["parameters"]
+    change, std = interval.finding_parameters(result.design, result.verdict, 0)["change"]
+    span = DAYS[1][0] - DAYS[0][0]
+    if dry:
+        assert change == pytest.approx(PER_DEGREE * span, rel=0.1)
+    assert PER_DEGREE * span - 2.0 * std < change < 0.0
+
+
+def test_without_temperatures_the_other_day_has_no_such_name(subject):
+    train, held_out = (dataclasses.replace(one, temperature=None) for one in days(subject, True))
+    result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [held_out])
+    assert all("reference" not in shape.values for shape in result.design.shapes)
+    assert result.after[0] > 1.3 * result.floor[0]
+
+
+def test_a_prediction_needs_the_temperature_that_friction_depends_on(subject):
+    values = {"reference": 30.0, "coulomb": 1.5, "viscous": 0.8}
+    model, warm = fitted_with(subject, (stated("thermal_drift", "joint_1", values, PER_DEGREE),)), days(subject, True)[1]
+    bare = whole.predict(fitted_with(subject, ()), warm)[1]
+    assert np.abs(whole.predict(model, warm)[1] - bare).max() > 0.05
+    with pytest.raises(UnusableInput, match=r"5\.csv: has no temp\.joint_1"):
+        whole.predict(model, dataclasses.replace(warm, temperature=None))

@@ -10,6 +10,7 @@ from typing import Any
 from . import arguments as told
 from . import artefact, base, files, parameters, recordings
 from .diagnose import atlas, diagnosis, whole
+from .diagnose.between import KINDS
 from .diagnose.document import document
 from .identify import model, priors
 
@@ -70,6 +71,9 @@ def _text(stated: dict[str, Any], written: list[str]) -> str:
         lacking = f"; not shown: {', '.join(one['not_shown'])}" if "not_shown" in one else ""
         lines.append(f"{one['effect']}{alike} at {place}, probability {one['probability']:.2f}: {values}{lacking}")
     lines += [f"unknown at {one['joint']}: {100 * one['share']:.0f} % of what is left repeats" for one in stated["unknown"]]
+    for one in stated["between_recordings"]:
+        values = ", ".join(f"{kind} {one[kind]['value']:+.3g} ± {one[kind]['std']:.2g} {one[kind]['unit']}" for kind in KINDS)
+        lines.append(f"another friction or offset at {one['joint']} in {Path(one['recording']).name}: {values}")
     lines += [_gear(joint, gear) for joint, gear in stated["encoders"].items()]
     lines.append(f"{'joint':25}{'before':>11}{'after':>11}{'noise':>11}")
     lines += [f"{j:25}{v['rmse_before']:11.4g}{v['rmse_after']:11.4g}{v['noise_floor']:11.4g}" for j, v in stated["joints"].items()]

@@ -11,38 +11,43 @@ import numpy as np
 from ..base import Base
 from ..errors import UnusableInput
 from ..identify import forward, identification, signals
-from ..identify.band import WIDER
 from ..identify.forward import SimulationError
 from ..identify.identification import Identification
-from ..identify.signals import Piece
 from ..parameters import Parameters
 from ..recordings import Recording
 from ..robot import Robot
-from . import belief, encoders, equations, foreseen, foretold, hypothesis, judge, late, looks, noise, once, search, track, whole
-from .catalogue import EFFECTS
+from . import (
+    bandwidth,
+    belief,
+    between,
+    course,
+    encoders,
+    equations,
+    foreseen,
+    foretold,
+    hypothesis,
+    judge,
+    late,
+    looks,
+    noise,
+    search,
+    track,
+    whole,
+)
+from .between import Change
+from .course import Course
 from .effect import Shape
 from .encoders import Gear
 from .foreseen import Sight
 from .judge import Finding, Verdict
-from .noise import Noise
 from .search import Design
 from .track import Track
 from .whole import Part
 
 Array = np.ndarray
 Progress = Callable[[str], None]
-BAND_HZ, REACH, HIGHEST = 20.0, 6.0, 50.0
-"""The band, at the least; or so many times the highest frequency of the motion: what joints' products and reversals make there tells laws
-apart. A fast servo's friction is told apart from 22 Hz on, at 5 times its motion; at 10 times, other things weigh more. What would need
-more than the last [Hz] is no motion but an encoder's noise."""
-FASTEST, LINE = 250.0, 30.0
-"""Highest band chosen by the data [Hz]; a spectral line is so many times as high as what is between them."""
 QUIET = 1.2
 """RMSE over the expected one at which a joint counts as explained."""
-MISFIT = {"periods": 0.1, "differences": 0.3}
-"""Share of the residual taken for a form that is not quite the catalogue's, by how the noise is known."""
-AGAIN, COARSE = 2, 0.7
-"""Times that all is looked at again over what is left, and from which share of its scale on that is not worth it."""
 MUCH = 0.15
 """RMSE over the torque itself from which what is left is something, where no period repeats to show the noise."""
 LOUD = 1.6
@@ -78,7 +83,7 @@ class Diagnosis:
     the base parameters are not known to. fitted: RMSE of the base model fitted to all recordings, alone and with what is asserted: no
     base parameters take what that leaves. quiet: what it is of a right model. Shape (n,) each. sights: what a flexible model foresees of
     what is left at a joint. doubted: RMS of what names take of it that are likelier wrong than right. Shape (n,). gears: what two encoders
-    say of joints that have them.
+    say of joints that have them. changes: by how much drives differ between recordings, where they do.
     """
 
     identified: Identification
@@ -100,6 +105,7 @@ class Diagnosis:
     sights: Mapping[int, Sight] = field(default_factory=dict)
     doubted: Array = field(default_factory=lambda: np.zeros(0))
     gears: tuple[Gear, ...] = ()
+    changes: tuple[Change, ...] = ()
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -158,7 +164,16 @@ class Diagnosis:
             loud &= (named > MUCH * torque) | (told > LITTLE * torque)
         untold = (self.after > LOUD * self.expected) & (_left(self.before, self.after, self.expected) > UNTOLD)
         much = loud & (untold | (_left(bare, named, floor) > UNSAID))
-        return [int(j) for j in np.flatnonzero(much | belief.unsure(self.verdict, len(floor)))]
+        return [int(j) for j in np.flatnonzero(much | belief.unsure(self.verdict, len(floor)) | self.changed)]
+
+    @property
+    def changed(self) -> Array:
+        """Joints whose held-out torque is another because their drive is, by then. Shape (n,)."""
+        out = np.zeros(len(self.floor), bool)
+        held_out = {t.piece.source for t in self.tracks[1]}
+        for change in self.changes:
+            out[change.joint] |= change.source in held_out and change.sure
+        return out & (self.after > QUIET * self.quiet)
 
     @property
     def name(self) -> str:
@@ -182,7 +197,7 @@ def diagnose(
     if not validate:
         raise UnusableInput("--validate: a diagnosis needs a recording to judge by; give one that is not among those it is fitted to")
     pieces = [list(signals.pieces(group, average=False)) for group in (train, validate)]
-    hertz = options.band or _band([*pieces[0], *pieces[1]])
+    hertz = options.band or bandwidth.needed_hertz([*pieces[0], *pieces[1]])
     settings = identification.Options(band=hertz, trusted=options.trusted)
     identified = identification.identify(robot, parameters, base, train, validate, settings, progress)
     psi = equations.kept(identified.psi, options.trusted)
@@ -193,60 +208,19 @@ def diagnose(
             raise UnusableInput(f"{group[0].source}: is too short for a band of {hertz:g} Hz; record at least two seconds")
     noisy = noise.measured(identified, halves, [*train, *validate])
     progress("columns of the catalogue")
-    scale = _scale(noisy, np.sqrt(np.mean(identified.data.residual**2, axis=0)))
-    first, second = (equations.half(own, identified, options.trusted, scale) for own in halves)
-    one = search.design(
-        (first, second), equations.shapes(halves, bool(options.trusted), noisy.floor, options.names), equations.builder(halves, scale)
-    )
-    progress(f"{len(one.shapes)} shapes of {len(EFFECTS)} effects, alone and together")
-    one, verdict = judge.judged(_warned(one, noisy, scale))
-    one, verdict, scale = _sharper(one, verdict, noisy, scale)
-    one, verdict, scale = _sharper(*late.followed(one, verdict), noisy, scale)
-    every = [*halves[0], *halves[1]]
-    for _ in range(AGAIN):
-        if verdict.together is None or all(one.shapes[i].interval is None for i in verdict.together.shapes):
-            break
-        left = search.remaining(one, verdict.together.shapes) * scale  # without what touched the robot once, which looked like noise
-        noisy = noise.repeated(noisy, every, track.split(left, every))
-        one, verdict, scale = _sharper(one, verdict, noisy, scale)
-    verdict = once.kept(one, verdict, every, noisy.periods)
-    verdict, refitted = foretold.tested(one, verdict, _moves(halves[1]), (noisy.floor / scale) ** 2), None
+    found = course.run(identified, (halves[0], halves[1]), noisy, options.trusted, options.names, progress)
+    one, noisy, scale = found.one, found.noisy, found.scale
+    verdict, refitted = foretold.tested(one, found.verdict, _moves(halves[1]), (noisy.floor / scale) ** 2), None
     if verdict.findings:
         progress("the base model without what was found")
         one, verdict, refitted = _refitted(one, verdict, identified, halves, (train, validate), settings, options, noisy.floor, scale)
-    out = _judged(one, verdict, identified, refitted, (halves[0], halves[1]), noisy, options, hertz, scale)
+    out = _judged(dataclasses.replace(found, one=one, verdict=verdict), identified, refitted, (halves[0], halves[1]), options, hertz)
     out = dataclasses.replace(out, gears=encoders.gears(halves, (train, validate)))
     if out.refitted is None:
         return out
     progress("simulating ahead")
     bare = [whole.removed(out.parts, r, halves[1]) for r in validate]
     return dataclasses.replace(out, ahead=(_ahead(identified, validate, hertz), _ahead(out.refitted, bare, hertz)))
-
-
-def _scale(noisy: Noise, left: Array) -> Array:
-    """Noise, and a share of an RMS residual for a form that is not quite the catalogue's. Shape (n,) [N m]."""
-    return np.asarray(np.sqrt(noisy.floor**2 + (MISFIT[noisy.method] * left) ** 2))
-
-
-def _warned(one: Design, noisy: Noise, scale: Array) -> Design:
-    """The design that knows what the encoders' steps feign, and samples that are too rare."""
-    steps, sharpened = ([((a / scale).ravel(), (b / scale).ravel()) for a, b in own] for own in (noisy.feigned, [noisy.sharpened]))
-    stepped = float(np.mean((noisy.steps / noisy.floor) ** 2))
-    return judge.warned(one, steps, sharpened[0], stepped, (noisy.floor / scale) ** 2 if noisy.method == "periods" else None)
-
-
-def _sharper(one: Design, verdict: Verdict, noisy: Noise, scale: Array) -> tuple[Design, Verdict, Array]:
-    """Looked at again over the scale that is left with what was found: a slight effect beside a strong one drowns in the first."""
-    for _ in range(AGAIN):
-        if verdict.together is None:
-            break
-        finer = np.minimum(_scale(noisy, _fitted(one, verdict.together.shapes, scale)), scale)
-        if (finer > COARSE * scale).all():
-            break
-        one = _warned(search.rescaled(one, scale / finer), noisy, finer)
-        one, verdict = judge.judged(one, verdict.together.shapes)
-        scale = finer
-    return one, verdict, scale
 
 
 def _refitted(
@@ -272,32 +246,31 @@ def _refitted(
 
 
 def _judged(
-    one: Design,
-    verdict: Verdict,
+    found: Course,
     identified: Identification,
     refitted: Identification | None,
     tracks: tuple[list[Track], list[Track]],
-    noisy: Noise,
     options: Options,
     hertz: float,
-    scale: Array,
 ) -> Diagnosis:
     """Probabilities, and what the held-out recordings say of what is asserted."""
+    one, noisy, scale = found.one, found.noisy, found.scale
     floor = noisy.floor
-    verdict = belief.weighed(one, verdict, (floor / scale) ** 2, noisy.bounds)
+    verdict = belief.weighed(one, found.verdict, (floor / scale) ** 2, noisy.bounds)
     before, after = foretold.residuals(one, verdict.together, scale)
-    fitted = _fitted(one, (), scale), _fitted(one, verdict.named, scale)
-    quiet = np.sqrt(floor**2 + 2.0 * noisy.steps**2 + noisy.clock)
-    expected = np.sqrt(quiet**2 + foretold.reach(one, scale) ** 2)
+    fitted = course.rms(one, (), scale), course.rms(one, verdict.named, scale)
+    quiet, expected = noisy.quiet, np.sqrt(noisy.quiet**2 + foretold.reach(one, scale) ** 2)
     moves = _moves(tracks[1])
     rms = [np.sqrt(search.mean_square(r, moves)) for r in (before, after)]
     told = (identified, options, hertz, tracks, one, verdict, floor, noisy.method)
-    much = (fitted[1] ** 2 > UNSAID * fitted[0] ** 2) | (rms[1] > LOUD * expected) | belief.unsure(verdict, len(floor))
+    much = (fitted[1] ** 2 > UNSAID * fitted[0] ** 2) | (rms[1] > LOUD * expected) | belief.unsure(verdict, len(floor)) | found.differing
     sights = _sights(search.remaining(one, verdict.named) * scale, tracks, np.flatnonzero(much))
-    every = _fitted(one, (*verdict.named, *(part.shape for finding in _real(one, verdict) for part in finding.parts)), scale)
+    every = course.rms(one, (*verdict.named, *(part.shape for finding in _real(one, verdict) for part in finding.parts)), scale)
     doubted = np.sqrt(np.maximum(fitted[1] ** 2 - every**2, 0.0))
     judged = (rms[0], rms[1], (before, after), refitted if verdict.findings else None)
-    return Diagnosis(*told, *judged, expected=expected, fitted=fitted, quiet=quiet, sights=sights, doubted=doubted)
+    differs = between.changes(one, () if verdict.together is None else verdict.together.shapes, [*tracks[0], *tracks[1]])
+    known = {"expected": expected, "fitted": fitted, "quiet": quiet, "sights": sights, "doubted": doubted}
+    return Diagnosis(*told, *judged, **known, changes=differs if found.differing else ())
 
 
 def _real(one: Design, verdict: Verdict) -> tuple[Finding, ...]:
@@ -316,36 +289,10 @@ def _sights(left: Array, tracks: tuple[list[Track], list[Track]], joints: Iterab
     return out
 
 
-def _fitted(one: Design, shapes: Sequence[int], scale: Array) -> Array:
-    """RMS of what is left of all recordings when base and shapes are fitted to them. Shape (n,) [N m]."""
-    return np.asarray(np.sqrt(search.level(one, shapes)) * scale)
-
-
 def _ahead(fitted: Identification, recordings: Sequence[Recording], hertz: float) -> SimulationError | None:
     """Positions that a model predicts from recorded torque. Effects act as along the recorded motion: their torque is taken off it."""
     groups, share = forward.cut(list(signals.pieces(recordings, average=False)), hertz)
     return forward.error(fitted.model, fitted.psi, fitted.psi, groups, share) if groups else None
-
-
-def _band(pieces: Sequence[Piece]) -> float:
-    """What the motion needs, or the lines that make much of the torque above it: a gear or a motor that turns steadily, at its order."""
-    from scipy import signal  # slow to import
-
-    longest = max(pieces, key=len)
-    if longest.rate <= 2.5 * BAND_HZ:
-        return BAND_HZ
-    needed = REACH * signals.motion(longest)
-    least = max(BAND_HZ, min(needed, 0.4 * longest.rate / WIDER)) if needed < HIGHEST else BAND_HZ
-    frequency, power = signal.welch(longest.torque, longest.rate, nperseg=min(len(longest), int(2.0 * longest.rate)), axis=0)
-    above = (frequency > least) & (frequency < min(FASTEST, 0.4 * longest.rate / WIDER))
-    if not above.any():
-        return least
-    line = above[:, None] & (power > LINE * np.median(power[above], axis=0))
-    share = np.where(line, power, 0.0) / np.maximum(power.sum(axis=0), 1e-300)
-    if share.sum(axis=0).max() < MUCH:
-        return least
-    further = np.cumsum(share[::-1], axis=0)[::-1].max(axis=1)  # in all lines from there on: a speed that varies spreads each over many
-    return float(1.2 * frequency[np.flatnonzero(further > 0.02)[-1]])
 
 
 def _again(one: Design, verdict: Verdict, shapes: Sequence[Shape], build: search.Build) -> tuple[Design, Verdict]:

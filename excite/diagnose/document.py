@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 
 from ..wording import percent
+from . import between
 from .atlas import Atlas
 from .belief import doubt, unsure
+from .between import Change
 from .catalogue import BY_NAME
 from .diagnosis import Diagnosis
 from .effect import Shape
@@ -68,6 +70,7 @@ def document(found: Diagnosis, looked: Atlas | None = None) -> dict[str, Any]:
         "considered": [*(_doubted(found, f) for f in found.verdict.doubted), *(_considered(found, h) for h in found.verdict.considered)],
         "band_hz": found.hertz,
         "simulation": _simulation(found),
+        "between_recordings": [_change(found, change) for change in found.changes if change.sure],
         "encoders": {joints[gear.joint]: _gear(found, gear) for gear in found.gears},
         "parameters": _parameters(found),
     }
@@ -81,6 +84,15 @@ def _simulation(found: Diagnosis) -> dict[str, Any] | None:
     joints = found.identified.model.robot.joints
     rows = zip(joints, before.fitted[-1].tolist(), after.fitted[-1].tolist(), strict=True)
     return {"seconds": float(before.lag[-1]), "joints": {j: {"before": a, "after": b} for j, a, b in rows}}
+
+
+def _change(found: Diagnosis, change: Change) -> dict[str, Any]:
+    """By how much a drive differs in a recording from what it was in the first."""
+    entry = found.identified.model.robot.entries[change.joint]
+    units = (entry.unit("N m"), entry.unit("N m s/rad"), entry.unit("N m"))
+    told = zip(between.KINDS, change.change.tolist(), change.std.tolist(), units, strict=True)
+    of_each = {kind: {"value": value, "std": std, "unit": unit} for kind, value, std, unit in told}
+    return {"recording": change.source, "joint": _joint(found, change.joint), **of_each}
 
 
 def _gear(found: Diagnosis, gear: Gear) -> dict[str, Any]:
@@ -218,7 +230,10 @@ def _unknown(found: Diagnosis, joint: int) -> dict[str, Any]:
         likest = max(doubted, key=lambda f: f.probability).main.effect
         where["statement"] += f"; likest to {likest}, and not enough so"
         experiment = BY_NAME[likest].experiment
-    if sight.counts:
+    if found.changed[joint]:
+        where |= {"statement": f"joint '{name}': friction or offset is another in the recordings held out", "regime": "recording"}
+        experiment = between.EXPERIMENT
+    elif sight.counts:
         where["statement"] += f"; {sight.regime} foresees {percent(sight.share)} of it, held out"
         where |= {"regime": sight.regime, "foreseen": sight.share}
         share = max(share, sight.share)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..identify import consistent
 from ..identify.identification import Identification
-from . import search
+from . import between, search
 from .catalogue import BY_NAME, EFFECTS
 from .columns import Columns
 from .effect import Shape
@@ -26,8 +26,13 @@ def kept(psi: Array, trusted: Mapping[int, float]) -> Array:
     return out
 
 
-def half(tracks: list[Track], identified: Identification, trusted: Mapping[int, float], scale: Array) -> Half:
-    """Base columns and what they explain: all parameters, or beside a trusted prior those that it leaves free."""
+def half(
+    tracks: list[Track], identified: Identification, trusted: Mapping[int, float], scale: Array, differing: Sequence[Track] = ()
+) -> Half:
+    """Base columns and what they explain: all parameters, or beside a trusted prior those that it leaves free.
+
+    differing: all stretches of both halves, where drives differ between their recordings (`between`).
+    """
     base, parameters = identified.model.base, identified.model.parameters
     places = np.arange(base.count)
     if trusted:
@@ -37,9 +42,16 @@ def half(tracks: list[Track], identified: Identification, trusted: Mapping[int, 
     for one in tracks:
         slopes = np.zeros((len(one), one.n, one.n))
         slopes[:, range(one.n), range(one.n)] = one.slopes
-        columns.append(np.concatenate([one.gamma[:, :, places], slopes], axis=2))
+        own = [between.columns(one, differing)] if differing else []
+        columns.append(np.concatenate([one.gamma[:, :, places], *own, slopes], axis=2))
         torque.append(one.left if trusted else one.torque)
-    return whitened(columns, torque, [one.moves for one in tracks], scale, _known(identified, trusted, columns[0].shape[2]))
+    rows, right = _known(identified, trusted, columns[0].shape[2])
+    if differing:
+        std = between.known(differing)
+        changes = np.zeros((len(std), rows.shape[1]))
+        changes[:, len(places) : len(places) + len(std)] = np.diag(1.0 / std)
+        rows, right = np.vstack([rows, changes]), np.concatenate([right, np.zeros(len(std))])
+    return whitened(columns, torque, [one.moves for one in tracks], scale, (rows, right))
 
 
 def _known(identified: Identification, trusted: Mapping[int, float], width: int) -> tuple[Array, Array]:

@@ -66,13 +66,25 @@ def _ratios(one: Design, verdict: Verdict, finding: Finding, moves: Array, noise
     if together.seen - rest.seen > SHOWN * finding.gain or any(one.shapes[part.shape].interval is not None for part in finding.parts):
         return 0.0, 0.0
     acts, unit = hypothesis.acting(one, together, finding.main.shape), np.ones(len(noise))
-    bare, with_all = residuals(one, together, unit)
-    without = residuals(one, rest, unit)[1] if rest.shapes else bare
+    bare, with_all = (_levelled(one, left) for left in residuals(one, together, unit))
+    without = _levelled(one, residuals(one, rest, unit)[1]) if rest.shapes else bare
     spent = [float(np.sum((search.mean_square(left, moves) / noise)[acts])) for left in (with_all, without, bare)]
     unsure, others = _unsure(one, together, moves), _unsure(one, rest, moves)
     chance = [float(np.sum((x / noise)[acts])) for x in (np.maximum(unsure - others, 0.0), unsure)]
     beyond = [(spent[0] - CHANCE * by_chance) / max(than, 1e-300) for by_chance, than in zip(chance, spent[1:], strict=True)]
     return max(beyond), spent[0] / max(min(spent[1:]), 1e-300)
+
+
+def _levelled(one: Design, left: Array) -> Array:
+    """What is left of the second half's torque without what drives of its own may take (`between`): no finding makes that better or worse.
+    Shape (N, n)."""
+    first, second = one.halves
+    own = ~first.gamma[first.rows].any(axis=0) & second.gamma[second.rows].any(axis=0)
+    if not own.any():
+        return left
+    columns, known = second.gamma[second.rows][:, own], second.gamma[~second.rows][:, own]
+    taken = columns @ np.linalg.solve(columns.T @ columns + known.T @ known, columns.T @ left.ravel())
+    return np.asarray(left - taken.reshape(left.shape))
 
 
 def _unsure(one: Design, found: Trial, moves: Array) -> Array:

@@ -64,6 +64,11 @@ class Noise:
     periods: Mapping[str, Period] = field(default_factory=dict)
 
     @property
+    def quiet(self) -> Array:
+        """RMS that a right model may leave, steps and a wavering clock included. Shape (n,) [N m]."""
+        return np.asarray(np.sqrt(self.floor**2 + 2.0 * self.steps**2 + self.clock))
+
+    @property
     def bounds(self) -> tuple[Array, Array]:
         """Mean squares over the floor's between which the noise may lie: without an encoder's steps, and with twice of them and what a
         clock that wavers makes besides. Shapes (n,)."""

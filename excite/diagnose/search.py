@@ -122,8 +122,17 @@ best of each law, if it is not among them."""
 
 def design(halves: tuple[Half, Half], shapes: Sequence[Shape], build: Build) -> Design:
     """All products that the search needs, of the shapes that say something, the best of each effect at each joint."""
-    out = _bare(halves, stacked(halves), build)
-    return dataclasses.replace(_extended(out, _picked(out, shapes)), listed=tuple(shapes))
+    return filled(bare(halves, build), shapes)
+
+
+def bare(halves: tuple[Half, Half], build: Build) -> Design:
+    """A design without shapes."""
+    return _bare(halves, stacked(halves), build)
+
+
+def filled(one: Design, shapes: Sequence[Shape]) -> Design:
+    """A bare design with shapes."""
+    return dataclasses.replace(_extended(one, _picked(one, shapes)), listed=tuple(shapes))
 
 
 def relisted(one: Design, chosen: Sequence[int], joints: Collection[int | None]) -> Design:
@@ -153,8 +162,7 @@ def rescaled(one: Design, factor: Array) -> Design:
         return None if made is None else (made[0].scaled(factor), made[1].scaled(factor))
 
     columns = one.columns[0].scaled(factor), one.columns[1].scaled(factor)
-    bare = _bare((first, second), stacked((first, second)), build)
-    return dataclasses.replace(_widened(bare, one.shapes, one.places, columns), listed=one.listed)
+    return dataclasses.replace(_widened(bare((first, second), build), one.shapes, one.places, columns), listed=one.listed)
 
 
 def _key(shape: Shape) -> tuple[object, ...]:
@@ -162,7 +170,7 @@ def _key(shape: Shape) -> tuple[object, ...]:
 
 
 def _bare(halves: tuple[Half, Half], both: Half, build: Build) -> Design:
-    """A design without shapes."""
+    """The same, of halves that are stacked already."""
     first, second = halves
     carried = second.gamma @ (first.inverse @ first.torque)
     n = int(both.joint.max()) + 1
@@ -350,8 +358,8 @@ def refined(one: Design, chosen: Sequence[int], sweeps: int = 2) -> tuple[Design
 
 def only(one: Design, chosen: Sequence[int]) -> Design:
     """The design with some of its shapes; its halves are not inverted again."""
-    bare = dataclasses.replace(_bare(one.halves, one.both, one.build), measured=one.measured)
-    return _extended(bare, [(one.shapes[i], _columns(one, one.places[i])) for i in chosen])
+    nothing = dataclasses.replace(_bare(one.halves, one.both, one.build), measured=one.measured)
+    return _extended(nothing, [(one.shapes[i], _columns(one, one.places[i])) for i in chosen])
 
 
 def _beside(small: Design, shape: Shape) -> float:

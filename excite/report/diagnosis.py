@@ -16,7 +16,7 @@ from ..diagnose.diagnosis import QUIET, Diagnosis
 from ..diagnose.isolability import ALIKE, Candidate, isolability
 from ..recordings import Remark
 from ..wording import listed, percent, some
-from . import atlas_figures, diagnosis_figures, diagnosis_tables, gears, unnamed
+from . import atlas_figures, changes, diagnosis_figures, diagnosis_tables, gears, unnamed
 from . import remarks as remarked
 from .diagnosis_figures import told
 from .fit_figures import EXCERPT, drawn_points
@@ -53,6 +53,7 @@ def diagnosis_page(found: Diagnosis, stated: Stated, looked: Atlas, remarks: Seq
     """
     sections = [
         _missing(found, stated),
+        *changes.section(found, stated),
         _what(found, stated),
         _where(found, looked),
         _better(found, stated),
@@ -68,6 +69,8 @@ def diagnosis_page(found: Diagnosis, stated: Stated, looked: Atlas, remarks: Seq
 
 def _head(found: Diagnosis, stated: Stated) -> str:
     text, tone = _VERDICTS[stated["verdict"]]
+    if changes.all_that_is(stated):
+        text, tone = "Nothing is missing from the model, but the robot's drives differ between the recordings.", "warn"
     ratio = found.after / found.floor
     relative = [float(np.max(x / np.maximum(found.torque, 1e-300))) for x in (found.before, found.after)]
     change = f"{percent(relative[0])} → {percent(relative[1])}" if stated["findings"] else percent(relative[0])
@@ -131,6 +134,9 @@ def _what(found: Diagnosis, stated: Stated) -> Section:
         named = [f"{_named(f['effect'], f['joint'])} (probability {number(f['probability'], 2)})" for f in findings]
         answer = listed(named)
         answer = answer[0].upper() + answer[1:] + "."
+    elif changes.all_that_is(stated):
+        joints = some([u["joint"] for u in stated["unknown"]])
+        answer = f"No law is missing: friction or offset of {joints} is another in the recordings held out."
     elif stated["unknown"]:
         verb = "shows" if len(stated["unknown"]) == 1 else "show"
         answer = f"Not known: {some([u['joint'] for u in stated['unknown']])} {verb} torque that no name predicts."
@@ -259,7 +265,7 @@ def _where(found: Diagnosis, looked: Atlas) -> Section:
     body += "".join(pictures[j] for j in first_joints)
     others = [j for j in pictures if j not in first_joints]
     if others:
-        body += folded(f"The other {plural(len(others), 'joint')}", "".join(pictures[j] for j in others))
+        body += folded("The other joint" if len(others) == 1 else f"The other {len(others)} joints", "".join(pictures[j] for j in others))
     return Section("where", "Where does it show?", answer, body)
 
 

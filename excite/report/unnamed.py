@@ -19,6 +19,8 @@ def told(found: Diagnosis, stated: Mapping[str, Any]) -> str:
     lines = []
     for one in stated["unknown"]:
         line = f"{one['joint']}: {percent(one['share'])} of what is left is more than noise"
+        if one["where"]["regime"] == "recording":
+            line += f"; {one['where']['statement'].partition(': ')[2]}"
         if "foreseen" in one["where"]:
             line += f"; {one['where']['regime']} foresees {percent(one['where']['foreseen'])} of it in recordings that it was not fitted to"
         lines.append(line)

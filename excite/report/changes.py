@@ -1,0 +1,65 @@
+"""What of the drives differs between recordings: the part of a diagnosis's report that only some have."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..diagnose.diagnosis import Diagnosis
+from ..wording import some
+from .figures import BLUE, GREY, few_ticks, panels
+from .motion_figures import short
+from .page import Section, escape, figure, number, paragraph, table
+
+_WORDS = {"coulomb": "Coulomb friction", "viscous": "viscous friction", "offset": "torque offset"}
+_HEIGHT = 2.0
+
+
+def section(found: Diagnosis, stated: Mapping[str, Any]) -> Iterator[Section]:
+    """One section, or none where all recordings are of the same drives."""
+    told = stated["between_recordings"]
+    if not told:
+        return
+    joints = list(dict.fromkeys(one["joint"] for one in told))
+    answer = f"No: friction or torque offset of {some(joints)} is another in {some(_names(told))}."
+    rows = [(escape(one["joint"]), escape(Path(one["recording"]).name), *(_with(one[kind]) for kind in _WORDS)) for one in told]
+    note = "Against the first recording, ± one standard error between stretches of time. A colder robot rubs more, a sensor drifts. The "
+    note += (
+        "search let each recording have its own, lest that look like another effect; the held-out errors do not: no model knows the day. "
+    )
+    note += "Warm up alike, or record temp.<joint>: then friction by temperature is a law that can be found. Dots: ± two standard errors."
+    body = table(("joint", "recording", *_WORDS.values()), rows) + figure(_drawn(told)) + paragraph(note, "note")
+    yield Section("changes", "Is the robot the same in all recordings?", answer, body, "warn")
+
+
+def all_that_is(stated: Mapping[str, Any]) -> bool:
+    """Whether such changes are all that a diagnosis has to say."""
+    unknown = stated["unknown"]
+    return bool(unknown) and not stated["findings"] and all(one["where"]["regime"] == "recording" for one in unknown)
+
+
+def _names(told: Sequence[Mapping[str, Any]]) -> list[str]:
+    return list(dict.fromkeys(Path(one["recording"]).name for one in told))
+
+
+def _with(value: Mapping[str, Any]) -> str:
+    return escape(f"{number(value['value'], 3)} ± {number(value['std'], 2)} {value['unit']}")
+
+
+def _drawn(told: Sequence[Mapping[str, Any]]) -> str:
+    """A panel of each kind, a dot of each joint and recording."""
+
+    def draw(axes: Any, kind: str) -> None:
+        x = np.arange(len(told))
+        values, std = (np.array([one[kind][key] for one in told], float) for key in ("value", "std"))
+        axes.axhline(0.0, color=GREY, linewidth=0.5)
+        axes.errorbar(x, values, 2.0 * std, fmt="o", color=BLUE, markersize=3.5, elinewidth=1.0, capsize=2.0)
+        few_ticks(axes, 5, 4)
+        axes.set_xlim(-0.5, len(told) - 0.5)
+        axes.set_xticks(x, [short(one["joint"], 14) for one in told], rotation=30.0, ha="right")
+        axes.set_title(f"change of {_WORDS[kind]} [{told[0][kind]['unit']}]", loc="left", fontweight="bold", pad=3)
+
+    return panels("What of the drives differs between recordings", list(_WORDS), draw, _HEIGHT)

@@ -111,6 +111,25 @@ def test_what_a_trap_hides_altogether_is_made_without_it():
     assert conceal._drawn(spec(3, "0d0d0d", "single", ("drag",), trap="poor_excitation"), run.MODELS, 0.0).hidden[0][1] < conceal.SHOWS
 
 
+def test_on_another_day_friction_is_another_and_nothing_else():
+    plain, later = (conceal.bench(spec(4, "0e0e0e", "null", trap=trap), run.MODELS) for trap in ("none", "another_day"))
+    assert plain.sessions[0].recording.csv() == later.sessions[0].recording.csv()
+    one, other = (case.sessions[1].plant.drive for case in (plain, later))
+    for kind in ("coulomb", "viscous"):
+        factor = getattr(other, kind) / getattr(one, kind)
+        assert np.all((np.abs(factor - 1.0) > 0.05) & (np.abs(factor - 1.0) < 0.4)) and len(set(np.sign(factor - 1.0))) == 1
+    assert np.array_equal(one.inertia, other.inertia) and np.array_equal(one.offset, other.offset)
+
+
+def test_friction_of_another_day_is_no_unknown_physics():
+    def told(regime: str) -> Mark:
+        answer = {"findings": [], "unknown": [{"joint": "joint_1", "where": {"regime": regime}}], "joints": {}}
+        case = {"spec": {"sort": "null", "trap": "another_day", "trusted": False}, "effects": [], "joints": []}
+        return mark(case, {"answer": answer, "seconds": 1.0})
+
+    assert told("recording").silent and not told("power").silent
+
+
 def test_the_key_is_sealed_and_a_changed_one_voids_the_trial(place, tmp_path):
     sealed = place.sealed.read_text().strip()
     assert seal.digest(place.key / "key.json") == sealed and len(sealed) == 64

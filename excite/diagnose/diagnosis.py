@@ -55,6 +55,9 @@ LOUD = 1.6
 nothing missing is 1.44, where a clock wavers."""
 LITTLE = 0.03
 """The same, of what a doubted name or a flexible model foresees in recordings that it was not fitted to: something is there."""
+DOUBTED = 0.5
+"""RMS over the noise of what names take that are likelier wrong than right, from which something is there, whatever its name: in 65
+simulated robots with nothing missing no name was as much as doubted."""
 GENUINE = 0.75
 """Share of a doubted name's gain that an encoder's steps must not feign, if what it foresees is to be called something."""
 UNSAID, UNTOLD = 0.0625, 0.2
@@ -150,7 +153,7 @@ class Diagnosis:
         than noise, or held-out torque is foretold worse than without names; much of it, by a fit to all recordings, or of the held-out
         torque by the others. And those where several names are likelier wrong than right together."""
         bare, named = self.fitted
-        loud, floor = (named > LOUD * self.quiet) | (self.doubted > self.floor), self.floor.copy()
+        loud, floor = (named > LOUD * self.quiet) | (self.doubted > DOUBTED * self.floor), self.floor.copy()
         loud |= (self.after**2 > foretold.WORSE * self.before**2) & (self.after > LOUD * self.expected)
         loud |= self.acts & (named > QUIET * self.quiet)  # a name that leaves that is not, or not all, of what is there
         told = self.doubted.copy()

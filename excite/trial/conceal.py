@@ -17,7 +17,7 @@ from ..errors import UnusableInput
 from ..plant import effect as effects
 from ..plant import laboratory, record, severity
 from ..plant import tree as trees
-from ..plant.drive import Control
+from ..plant.drive import Control, Drive
 from ..plant.effect import Effect
 from ..plant.effects import KINDS
 from ..plant.laboratory import Session, Setting
@@ -29,6 +29,8 @@ from .plan import Spec
 
 Array = np.ndarray
 NOISE, COARSE, JITTER, STEP = 0.002, 2.0 * np.pi / 2**16, 5e-5, 2e-3
+CHANGES = 0.1, 0.3
+"""Of friction, by how much it is another on another day."""
 LARGEST = 10.0
 """An effect is at most this many times its usual size, whatever severity was asked for."""
 DRAWS, FURTHER, SHOWS = 3, 12, 0.5
@@ -109,12 +111,22 @@ def _measured(case: Bench, validate: Reference, chosen: Setting) -> Bench:
         robot = effects.hide(case.plant, tuple(effect for effect, _ in case.hidden))
         try:
             first = laboratory.session(robot, case.motion, chosen)
-            second = laboratory.session(robot, validate, replace(chosen, seed=chosen.seed + 1))
+            second = laboratory.session(replace(robot, drive=_later(case)), validate, replace(chosen, seed=chosen.seed + 1))
         except UnusableInput:
             case = replace(case, hidden=tuple((effect.sized(0.3), 0.3 * alone) for effect, alone in case.hidden))
             continue
         return replace(case, sessions=(first, second))
     raise UnusableInput(f"case {case.spec.name}: the controller loses this robot whatever is hidden; plan another seed")
+
+
+def _later(case: Bench) -> Drive:
+    """The drives as they are when the second recording is made: on another day colder or warmer, all of them, each about as much."""
+    drive = case.plant.drive
+    if case.spec.trap != "another_day":
+        return drive
+    rng = np.random.default_rng([case.spec.seed, 5])
+    factor = 1.0 + rng.choice((-1.0, 1.0)) * rng.uniform(*CHANGES) * rng.uniform(0.8, 1.2, len(case.plant.joints))
+    return replace(drive, viscous=factor * drive.viscous, coulomb=factor * drive.coulomb)
 
 
 def _standing(joints: tuple[str, ...]) -> Reference:

@@ -14,7 +14,8 @@ from ..plant.effects import CATALOGUE, OUTSIDERS
 T = TypeVar("T")
 ROBOTS = ("two_link", "tx40", "ur10e", "panda")
 SEVERITIES = (1.0, 3.0, 10.0, 30.0)
-TRAPS = ("none", "coarse_encoder", "heavy_noise", "coloured_noise", "jitter", "poor_excitation", "changed_gains")
+TRAPS = ("none", "coarse_encoder", "heavy_noise", "coloured_noise", "jitter", "poor_excitation", "changed_gains", "another_day")
+"""What makes recordings harder than a laboratory's best; on another day friction is another by the second recording."""
 PRIOR_ONLY = ("payload", "gravity_tilt", "rotor_inertia", "torque_offset", "friction", "torque_gain", "kinematic_error")
 """What a refit of the base model absorbs (the contract): hidden where the prior is trusted."""
 REFIT = tuple(name for name in CATALOGUE if name not in PRIOR_ONLY)

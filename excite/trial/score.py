@@ -81,13 +81,18 @@ def mark(case: Mapping[str, Any], entry: Mapping[str, Any]) -> Mark:
         severity=max((float(e["severity"]) for e in case["effects"]), default=0.0),
         answered=answered,
         named=named,
-        unknown=bool(answered and answer["unknown"]),
+        unknown=bool(answered and any(map(_physics, answer["unknown"]))),
         joint=joint,
         overlap=_overlap(right),
         errors=tuple(error for f, e in right if f.get("joint") == e["joint"] for error in _errors(f, whole(e, case))),
         gain=_gain(case, answer) if answered and known else None,
         seconds=float(entry["seconds"]),
     )
+
+
+def _physics(unknown: Any) -> bool:
+    """Whether an unknown is one: that friction is another on another day is no physics that a model lacks."""
+    return not isinstance(unknown, dict) or (unknown.get("where") or {}).get("regime") != "recording"
 
 
 def _readable(answer: Any) -> bool:

@@ -6,11 +6,13 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy import signal
 from test_diagnose import PLANTED, found, on, recordings_of, slips
 
 from excite.diagnose import diagnosis, interval, late, search, whole
 from excite.diagnose.catalogue import BY_NAME
 from excite.diagnose.diagnosis import Diagnosis
+from excite.diagnose.effect import Delay
 from excite.identify.band import Band, Grid
 from excite.identify.equations import Model
 from excite.recordings import Recording
@@ -33,12 +35,24 @@ def test_a_signal_below_the_band_comes_later_by_what_is_asked(periodic):
     np.testing.assert_allclose(moved[kept], wave(t - seconds)[kept], atol=1e-9 if periodic else 2e-3)
 
 
+@pytest.mark.parametrize("periodic", [True, False])
+def test_a_signal_below_the_band_passes_a_filter_of_first_order(periodic):
+    t, lag = np.arange(4000) / 500.0, 0.0137
+    band = Band(20.0, 500.0, len(t), periodic)
+    wave = lambda f, late: np.sin(2.0 * np.pi * f * t - late)  # noqa: E731
+    passed = band.low(wave(3.0, 0.0) + 0.3 * wave(11.25, 0.0), Grid.RECORDED, lag=lag)
+    angles = [2.0 * np.pi * f * lag for f in (3.0, 11.25)]
+    expected = sum(size * wave(f, np.arctan(a)) / np.hypot(1.0, a) for size, f, a in zip((1.0, 0.3), (3.0, 11.25), angles, strict=True))
+    kept = slice(band.margin, len(t) - band.margin)
+    np.testing.assert_allclose(passed[kept], expected[kept], atol=1e-9 if periodic else 3e-3)
+
+
 def test_what_is_late_at_one_joint_is_in_time_at_others(nothing):
     one, seconds = nothing.tracks[0][0], 0.011
     every = dataclasses.replace(one, to=Grid.RECORDED, kept=slice(0, len(one.piece)), time=one.clock)
     shapes = list(BY_NAME["elasticity"].shapes([one]))
     shape = next(s for s in shapes if s.joint == 0)
-    now, then = shape.columns(every), shape.late(seconds, 0).columns(every)
+    now, then = shape.columns(every), shape.late(Delay(seconds), 0).columns(every)
     moved = np.column_stack([np.interp(one.clock - seconds, one.clock, column) for column in now[:, 0].T])
     inner = slice(500, -500)
     np.testing.assert_allclose(then[inner, 0], moved[inner], atol=2e-3 * np.abs(now[:, 0]).max())
@@ -48,10 +62,10 @@ def test_what_is_late_at_one_joint_is_in_time_at_others(nothing):
 
 def test_what_is_turned_stays_as_late(nothing):
     shape = next(s for s in BY_NAME["hysteresis"].shapes(nothing.tracks[0]) if s.joint == 1)
-    then = shape.late(0.004, 1)
+    then = shape.late(Delay(0.004), 1)
     assert then.knob is not None
     kin = [knob.at(knob.value) for knob in then.kin()]
-    for other in (then.knob.at(1.3 * then.knob.value), *kin, *(own.late(0.004, None) for own in kin)):
+    for other in (then.knob.at(1.3 * then.knob.value), *kin, *(own.late(Delay(0.004), None) for own in kin)):
         assert other.values["late"] == 0.004
     assert kin and all(other.values["slips"] == 1.0 for other in kin)
 
@@ -61,6 +75,28 @@ def delayed(one: Recording, seconds: float, joint: int) -> Recording:
     tau = one.torque.copy()
     tau[:, joint] = np.interp(one.t - seconds, one.t, tau[:, joint])
     return dataclasses.replace(one, tau=tau)
+
+
+def filtered(one: Recording, lag: float) -> Recording:
+    """A recording whose torque has passed a filter of first order, as controllers log it, with the noise of a sensor that does not."""
+    keep = np.exp(-1.0 / (one.rate * lag))
+    tau, start = one.torque, keep * one.torque[:1]
+    return dataclasses.replace(one, tau=np.asarray(signal.lfilter([1.0 - keep], [1.0, -keep], tau, axis=0, zi=start)[0]))
+
+
+@pytest.mark.parametrize("effect", [None, "stribeck"])
+def test_torque_that_was_filtered_is_told_as_that_and_hides_nothing(subject, effect):
+    train, held_out = (filtered(one, 0.015) for one in recordings_of(subject, None if effect is None else PLANTED[effect][0]))
+    result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [held_out])
+    named = [(f.main.effect, f.main.joint) for f in result.verdict.findings]
+    assert named == [("delay", None), *([(effect, PLANTED[effect][1])] if effect else [])] and not result.unknown
+    value, std = interval.finding_parameters(result.design, result.verdict, 0)["seconds"]
+    keep = np.exp(-1.0 / (500.0 * 0.015))
+    assert abs(value - keep / (1.0 - keep) / 500.0) < 2.0 * std and std < 0.003  # of steps, not of the continuous filter
+    assert (result.after < 1.6 * result.expected).all()
+    again = [whole.restored(whole.entry(part, subject.robot), subject.robot, "model.json") for part in result.parts]
+    along = result.tracks[1][0]
+    np.testing.assert_allclose(whole.torque(again, along), whole.torque(result.parts, along))
 
 
 @pytest.mark.parametrize(
@@ -98,5 +134,5 @@ def test_a_delay_that_friction_s_memory_bends_to_is_tried(nothing):
     one = nothing.design
     hysteresis = next(i for i, shape in enumerate(one.shapes) if shape.effect == "hysteresis" and shape.joint == 1)
     told = late._hidden(one, search.trial(one, [hysteresis]))
-    assert late._worth(told, {0, 1}) == {1: late.USUAL}
+    assert late._worth(told, {0, 1}) == {1: Delay(late.USUAL)}
     assert late._worth(told, {0}) == {} == late._hidden(one, search.trial(one, []))

@@ -271,9 +271,13 @@ def _judged(
     every = course.rms(one, (*verdict.named, *(part.shape for finding in _real(one, verdict) for part in finding.parts)), scale)
     doubted = np.sqrt(np.maximum(fitted[1] ** 2 - every**2, 0.0))
     judged = (rms[0], rms[1], (before, after), refitted if verdict.findings else None)
-    differs = between.changes(one, () if verdict.together is None else verdict.together.shapes, [*tracks[0], *tracks[1]])
+    differs = (
+        between.changes(one, () if verdict.together is None else verdict.together.shapes, [*tracks[0], *tracks[1]])
+        if found.differing
+        else ()
+    )
     known = {"expected": expected, "fitted": fitted, "quiet": quiet, "sights": sights, "doubted": doubted}
-    return Diagnosis(*told, *judged, **known, changes=differs if found.differing else ())
+    return Diagnosis(*told, *judged, **known, changes=differs)
 
 
 def _real(one: Design, verdict: Verdict) -> tuple[Finding, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,6 +15,13 @@ MULTIPLES = {2: "twice", 3: "thrice"}
 """Of an order, that are told with it where a shape states them."""
 KIN = 4
 """Steps from kin to kin, at the most."""
+
+
+class Delay(NamedTuple):
+    """By how much torque is recorded later than position [s]: as it was, or lagging, through a filter of first order."""
+
+    seconds: float
+    lagging: bool = False
 
 
 @dataclass(frozen=True)
@@ -47,7 +55,7 @@ class Shape:
         """Torque that it adds, where the track's rows are, per unit of each coefficient. Shape (N, n, k)."""
         if "late" not in self.values:
             return self.add(track, self)
-        late = self.add(track.late(self.values["late"]), self)
+        late = self.add(track.late(self.values["late"], "lagging" in self.values), self)
         if "late_joint" not in self.values:
             return late
         joint = int(self.values["late_joint"])
@@ -57,11 +65,12 @@ class Shape:
         out[:, joint] = late[:, joint]
         return out
 
-    def late(self, seconds: float, joint: int | None) -> Shape:
+    def late(self, delay: Delay, joint: int | None) -> Shape:
         """The same where a joint's torque, or all, is recorded later; turned, too."""
-        values = {**self.values, "late": seconds} | ({} if joint is None else {"late_joint": float(joint)})
-        knob = None if self.knob is None else self.knob.late(seconds, joint)
-        return replace(self, values=values, knob=knob, kin=lambda: [other.late(seconds, joint) for other in self.kin()])
+        values = {**self.values, "late": delay.seconds} | ({} if joint is None else {"late_joint": float(joint)})
+        values |= {"lagging": 1.0} if delay.lagging else {}
+        knob = None if self.knob is None else self.knob.late(delay, joint)
+        return replace(self, values=values, knob=knob, kin=lambda: [other.late(delay, joint) for other in self.kin()])
 
     @property
     def place(self) -> int:
@@ -111,9 +120,9 @@ class Knob:
         best, most = self.at(float(np.exp(found.x))), -float(found.fun)
         return (best, most) if most > max(now + 1e-6, -1e12) else (self.at(self.value), now)
 
-    def late(self, seconds: float, joint: int | None) -> Knob:
+    def late(self, delay: Delay, joint: int | None) -> Knob:
         """See `Shape.late`."""
-        return replace(self, shape=lambda value: self.shape(value).late(seconds, joint))
+        return replace(self, shape=lambda value: self.shape(value).late(delay, joint))
 
     def at(self, value: float) -> Shape:
         """The shape at a value, which can be turned further within the same range."""

@@ -1,7 +1,8 @@
 """What is recorded late is late as a whole: beside a delay, what else is found at its joint comes as late as the base model does.
 
-τ(t) = [Y ψ + Σ effects](t − d). Where only the base model is taken to be late, whatever bends to them says how late the effects are; so,
-once a delay is among what was found, everything at its joint is looked for anew, delayed by what predicts best.
+τ(t) = [Y ψ + Σ effects](t − d), or all of it through a filter of first order. Where only the base model is taken to be late, whatever bends
+to them says how late the effects are; so, once a delay is among what was found, everything at its joint is looked for anew, delayed by what
+predicts best.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import numpy as np
 
 from . import judge, search
 from .contest import CLEARLY
-from .effect import Shape
+from .effect import Delay, Shape
 from .judge import Verdict
 from .search import Design, Trial
 
@@ -23,7 +24,7 @@ FURTHEST, TRIED = 3.0, 5
 """How many times as long, or as short, a delay may be as it was told at first; and how many between are tried."""
 USUAL = 0.01
 """Of a delay that is not known at all [s]."""
-Delays = dict[int | None, float]
+Delays = dict[int | None, Delay]
 
 
 def followed(one: Design, verdict: Verdict) -> tuple[Design, Verdict]:
@@ -44,14 +45,15 @@ def followed(one: Design, verdict: Verdict) -> tuple[Design, Verdict]:
         if not set(told) <= set(again):
             break
         one, verdict, together, loud = later, found, found.together, _loud(later, found.together)
-        told = _worth({joint: again[joint] for joint, d in told.items() if abs(again[joint] - d) > SETTLED * d}, loud)
+        off = {joint: abs(again[joint].seconds - d.seconds) / d.seconds for joint, d in told.items()}
+        told = _worth({joint: again[joint] for joint, share in off.items() if share > SETTLED}, loud)
     return one, verdict
 
 
 def renewed(one: Design, together: Trial, shapes: Iterable[Shape]) -> list[Shape]:
     """Shapes made anew, as late as those that were fitted."""
     late = [values for i in together.shapes if "late" in (values := one.shapes[i].values)]
-    told = {int(v["late_joint"]) if "late_joint" in v else None: v["late"] for v in late}
+    told = {int(v["late_joint"]) if "late_joint" in v else None: Delay(v["late"], "lagging" in v) for v in late}
     return _like(shapes, told)
 
 
@@ -59,14 +61,14 @@ def _delays(one: Design, together: Trial) -> Delays:
     """Delays that were found beside something that they delay [s]."""
     chosen = [one.shapes[i] for i in together.shapes]
     fitted = zip(chosen, one.split(together.shapes, together.coefficients), strict=True)
-    found = {shape.joint: shape.values.get("seconds", float(c[0])) for shape, c in fitted if shape.effect == "delay"}
-    return {joint: d for joint, d in found.items() if d > LEAST and any(_follows(shape, joint) for shape in chosen)}
+    found = {s.joint: Delay(s.values.get("seconds", float(c[0])), "lagging" in s.values) for s, c in fitted if s.effect == "delay"}
+    return {joint: d for joint, d in found.items() if d.seconds > LEAST and any(_follows(shape, joint) for shape in chosen)}
 
 
 def _hidden(one: Design, together: Trial) -> Delays:
     """Delays that may be behind friction's memory: its springs bend to the most of one [s]."""
     bent = {one.shapes[i].joint for i in together.shapes if one.shapes[i].effect == "hysteresis"}
-    return dict.fromkeys(bent & {shape.joint for shape in one.listed if shape.effect == "delay"}, USUAL)
+    return dict.fromkeys(bent & {shape.joint for shape in one.listed if shape.effect == "delay"}, Delay(USUAL))
 
 
 def _loud(one: Design, together: Trial) -> set[int]:
@@ -90,9 +92,9 @@ def _moved(shape: Shape, told: Delays) -> Shape | None:
     no longer in time."""
     if shape.effect == "delay" and shape.joint in told and "seconds" not in shape.values:
         return None
-    for joint, seconds in told.items():
+    for joint, delay in told.items():
         if _follows(shape, joint):
-            return shape.late(seconds, joint)
+            return shape.late(delay, joint)
     return shape
 
 
@@ -102,7 +104,8 @@ def _like(shapes: Iterable[Shape], told: Delays) -> list[Shape]:
 
 
 def _timed(one: Design, together: Trial, told: Delays) -> Delays:
-    """Each delay where what was found predicts best, all of it as late: turned as well for the best of a few, then as it is."""
+    """Each delay where what was found predicts best, all of it as late, by a clock or a filter: turned as well for the best of a few, then
+    as it is."""
     from scipy.optimize import minimize_scalar  # slow to import
 
     bare, out, chosen = search.only(one, ()), dict(told), [one.shapes[i] for i in together.shapes]
@@ -115,14 +118,17 @@ def _timed(one: Design, together: Trial, told: Delays) -> Delays:
         return finer, search.trial(finer, turned)
 
     for joint, d in told.items():
-        ways = [{**out, joint: float(d * FURTHEST**x)} for x in np.linspace(-1.0, 1.0, TRIED)]
-        tried = [(*fitted(way, 1), way[joint]) for way in ways]
+        ways = [Delay(float(d.seconds * FURTHEST**x), lagging) for x in np.linspace(-1.0, 1.0, TRIED) for lagging in (False, True)]
+        tried = [(*fitted({**out, joint: way}, 1), way) for way in ways]
         finer, best, about = max(tried, key=lambda own: own[1].gain)
         chosen = [finer.shapes[i] for i in best.shapes]
-        step = 2.0 / (TRIED - 1) * np.log(FURTHEST)
-        near = np.log(about) - step, np.log(about) + step
-        gain = lambda x, joint=joint: fitted({**out, joint: float(np.exp(x))}, 0)[1].gain  # noqa: E731
-        out[joint] = float(np.exp(minimize_scalar(lambda x, gain=gain: -gain(x), bounds=near, method="bounded").x))
+        step, middle = 2.0 / (TRIED - 1) * np.log(FURTHEST), np.log(about.seconds)
+
+        def cost(x: float, joint: int | None = joint, about: Delay = about) -> float:
+            return -fitted({**out, joint: about._replace(seconds=float(np.exp(x)))}, 0)[1].gain
+
+        best_x = minimize_scalar(cost, bounds=(middle - step, middle + step), method="bounded").x
+        out[joint] = about._replace(seconds=float(np.exp(best_x)))
     return out
 
 
@@ -136,13 +142,15 @@ def _later(one: Design, together: Trial, told: Delays, loud: set[int]) -> tuple[
 
     listed = [late for shape in one.listed if (late := moved(shape)) is not None]
     kept = [k for k, shape in enumerate(one.shapes) if moved(shape) is shape]
-    delays = [_by(listed, joint, seconds) for joint, seconds in told.items()]
+    delays = [_by(listed, joint, delay) for joint, delay in told.items()]
     wider = search.relaid(one, kept, [shape for shape in listed if "late" in shape.values], delays, listed)
     there = [kept.index(i) for i in together.shapes if i in kept and one.shapes[i].effect != "delay"]
     return wider, [*range(len(wider.shapes) - len(delays), len(wider.shapes)), *there]
 
 
-def _by(listed: Iterable[Shape], joint: int | None, seconds: float) -> Shape:
+def _by(listed: Iterable[Shape], joint: int | None, delay: Delay) -> Shape:
     """The delay of a joint, or of all, by so much."""
-    knob = next(shape.knob for shape in listed if shape.effect == "delay" and shape.joint == joint and shape.knob is not None)
-    return dataclasses.replace(knob, low=0.5 * seconds, high=2.0 * seconds).at(seconds)
+    turned = [shape for shape in listed if shape.effect == "delay" and shape.joint == joint and shape.knob is not None]
+    knob = next(shape.knob for shape in turned if ("lagging" in shape.values) == delay.lagging)
+    assert knob is not None
+    return dataclasses.replace(knob, low=0.5 * delay.seconds, high=2.0 * delay.seconds).at(delay.seconds)

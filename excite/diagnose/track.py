@@ -58,7 +58,8 @@ def body(robot: Robot, parameters: Parameters, psi: Array) -> Body:
 class Track:
     """One stretch of a recording. torque: measured, below the band, at the kept rows. Shape (N, n). gamma: Γ there. Shape (N, n, p).
 
-    theta: θ̂ of the base fit. to: where its rows lie. lag: by which what acts on it is recorded later [s]. slopes: of torque by the log of
+    theta: θ̂ of the base fit. to: where its rows lie. behind: by which what acts on it is recorded later, and the lag of the filter that it
+    has passed [s]. slopes: of torque by the log of
     friction's width. Shape (N, n). time: of the kept rows [s]. piece: as recorded. body: the base fit.
     """
 
@@ -73,7 +74,7 @@ class Track:
     kept: slice
     time: Array
     to: Grid = Grid.KEPT
-    lag: float = 0.0
+    behind: tuple[float, float] = (0.0, 0.0)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -82,10 +83,10 @@ class Track:
     def n(self) -> int:
         return int(self.torque.shape[1])
 
-    def late(self, seconds: float) -> Track:
-        """The same with what is computed already, as seen by what is recorded later."""
+    def late(self, seconds: float, lagging: bool = False) -> Track:
+        """The same with what is computed already, as seen by what is recorded later; or, lagging, through a filter of first order."""
         out = copy.copy(self)
-        object.__setattr__(out, "lag", seconds)
+        object.__setattr__(out, "behind", (0.0, seconds) if lagging else (seconds, 0.0))
         return out
 
     @functools.cached_property
@@ -157,7 +158,8 @@ class Track:
         """Below the band, at the kept rows, as late as it comes. Shapes (M or C, …) -> (N, …)."""
         if self.to is Grid.RECORDED and of is Grid.COARSE:
             x = self.upsampled(x.reshape(len(x), -1)).reshape(-1, *x.shape[1:])
-        return self.band.low(x, self.to, of=Grid.RECORDED if self.to is Grid.RECORDED else of, late=self.lag)[self.kept]
+        late, lag = self.behind
+        return self.band.low(x, self.to, of=Grid.RECORDED if self.to is Grid.RECORDED else of, late=late, lag=lag)[self.kept]
 
     def upsampled(self, x: Array) -> Array:
         """From the coarse grid to every sample. Shapes (C, k) -> (M, k)."""

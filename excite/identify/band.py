@@ -89,12 +89,15 @@ class Band:
         edge = (1.0 - TAPER) * hertz
         return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip((f - edge) / (hertz - edge), 0.0, 1.0)))
 
-    def low(self, x: Array, to: Grid, order: int = 0, *, of: Grid = Grid.RECORDED, reach: float = 1.0, late: float = 0.0) -> Array:
+    def low(
+        self, x: Array, to: Grid, order: int = 0, *, of: Grid = Grid.RECORDED, reach: float = 1.0, late: float = 0.0, lag: float = 0.0
+    ) -> Array:
         """The order-th derivative below the band, from one grid to a coarser one. Shapes (samples(of), …) -> (samples(to), …).
 
-        reach: how many bands are kept, at the most what the grid can show. late: by which it comes later [s].
+        reach: how many bands are kept, at the most what the grid can show. late: by which it comes later; lag: of a filter of first order
+        that it has passed [s].
         """
-        return self.transformed(x, of).low(to, order, reach, late)
+        return self.transformed(x, of).low(to, order, reach, late, lag)
 
     def transformed(self, x: Array, of: Grid = Grid.RECORDED) -> Transformed:
         """Fourier coefficients of signals, for several filters and derivatives of the same. Shape (samples(of), …)."""
@@ -122,7 +125,7 @@ class Transformed:
     seen: Array
     shape: tuple[int, ...]
 
-    def low(self, to: Grid, order: int = 0, reach: float = 1.0, late: float = 0.0) -> Array:
+    def low(self, to: Grid, order: int = 0, reach: float = 1.0, late: float = 0.0, lag: float = 0.0) -> Array:
         """See Band.low."""
         rate = self.band.rate_of(self.of)
         if self.band.periodic:
@@ -133,8 +136,8 @@ class Transformed:
         bins = target // 2 + 1
         frequencies = np.arange(bins) * (rate / self.length)
         factor = self.band.gain(frequencies, min(reach * self.band.hertz, 0.5 * rate)) * (2j * np.pi * frequencies) ** order
-        if late:
-            factor = factor * np.exp(-2j * np.pi * late * frequencies)
+        if late or lag:
+            factor = factor * np.exp(-2j * np.pi * late * frequencies) / (1.0 + 2j * np.pi * lag * frequencies)
         filtered = np.fft.irfft(self.coefficients[:, :bins] * factor, target) * (target / self.length)
         out = np.zeros((kept, len(self.seen)))
         out[:, self.seen] = filtered[:, self.head // step : self.head // step + kept].T

@@ -160,9 +160,12 @@ def _rubs(c: Array) -> bool:
 
 
 def _placed(t: Track, s: Shape) -> Array:
-    """sgn q̇ times the first waves of a periodic function of position: as many as `waves` says, of `order`, 2 `order`, …"""
-    angle, sign = s.values["order"] * t.fine.q[:, s.place], t.sign(s.place)
-    return alone(t, s.place, np.column_stack([sign * f(k * angle) for k in range(1, int(s.values["waves"]) + 1) for f in (np.cos, np.sin)]))
+    """sgn q̇ times the first waves of a periodic function of position, as many as `waves` says, of `order`, 2 `order`, …; each less its mean
+    over where the joint was: what does not vary there is Coulomb friction."""
+    place, sign = t.fine.q[:, s.place], t.sign(s.place)
+    everywhere = np.linspace(s.values["low"], s.values["high"], POINTS)
+    waves = [(f, k * s.values["order"]) for k in range(1, int(s.values["waves"]) + 1) for f in (np.cos, np.sin)]
+    return alone(t, s.place, np.column_stack([sign * (f(order * place) - f(order * everywhere).mean()) for f, order in waves]))
 
 
 def _position(tracks: Sequence[Track]) -> Iterator[Shape]:

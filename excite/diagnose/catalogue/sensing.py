@@ -29,7 +29,7 @@ BLURRED = 6.0
 
 
 def _late(t: Track, s: Shape) -> Array:
-    """−τ̇ of one joint or of all; or what it was some time ago less what it is, over the time.
+    """−τ̇ of one joint or of all; or what it was some time ago, or what passes a filter of first order, less what it is, over the time.
 
     Of the base model's torque, or of what was measured: whatever else is hidden comes late too, but there is noise in it. A signal's
     slope says nothing of the signal itself; what it was some time ago does, which is why that is the base model's alone.
@@ -37,6 +37,9 @@ def _late(t: Track, s: Shape) -> Array:
     seconds = s.values.get("seconds", 0.0)
     if not seconds:
         return _of(s, -t.band.transformed(t.drawn if s.values["measured"] else t.motor).low(t.to, 1)[t.kept])
+    if "lagging" in s.values:
+        of_all = t.band.transformed(t.motor)
+        return _of(s, (of_all.low(t.to, lag=seconds) - of_all.low(t.to))[t.kept] / seconds)
     then = np.column_stack([np.interp(t.clock - seconds, t.clock, x) for x in t.motor.T])
     return _of(s, t.reduce((then - t.motor) / seconds))
 
@@ -57,12 +60,12 @@ def _of(s: Shape, torque: Array) -> Array:
 
 
 def _delay(tracks: Sequence[Track]) -> Iterator[Shape]:
-    """To first order, ahead or behind; and behind by so much that a slope does not tell it."""
+    """To first order, ahead or behind; and behind by so much that a slope does not tell it, by a clock or by a filter."""
 
-    def behind(joint: int | None) -> Callable[[float], Shape]:
+    def behind(joint: int | None, how: Mapping[str, float]) -> Callable[[float], Shape]:
         def shape(seconds: float) -> Shape:
-            gate = within(0.5 * seconds, 2.0 * seconds)
-            return Shape("delay", joint, _late, {"seconds": seconds}, parameters=named("seconds"), plausible=gate, doubt=BLURRED)
+            gate, fixed = within(0.5 * seconds, 2.0 * seconds), {"seconds": seconds, **how}
+            return Shape("delay", joint, _late, fixed, parameters=named("seconds"), plausible=gate, doubt=BLURRED)
 
         return shape
 
@@ -72,7 +75,8 @@ def _delay(tracks: Sequence[Track]) -> Iterator[Shape]:
     for joint in (*(() if alone else (None,)), *range(tracks[0].n)):
         for measured in (0.0, 1.0):
             yield Shape("delay", joint, _late, {"measured": measured}, parameters=named("seconds"), plausible=gate, doubt=BLURRED)
-        yield from family(LATE, behind(joint))
+        for how in ({}, {"lagging": 1.0}):
+            yield from family(LATE, behind(joint, how))
 
 
 def _told(later: float, earlier: float) -> Callable[[Array], bool]:
@@ -115,7 +119,7 @@ def _encoder(tracks: Sequence[Track]) -> Iterator[Shape]:
 EFFECTS = (
     Effect(
         "delay",
-        "τ(t − d) ≈ τ − d τ̇",
+        "τ(t − d) ≈ τ − d τ̇, or behind a filter, d τ̇_told = τ − τ_told",
         _late,
         _delay,
         {"seconds": "s"},

@@ -42,6 +42,8 @@ def test_emps_rubs_more_one_way_than_the_other():
     viscous = values(found, "asymmetric_viscous", 0)
     assert viscous["positive"] == pytest.approx(167.0, rel=0.05) and viscous["negative"] == pytest.approx(240.0, rel=0.05)
     assert relative(found)[0] <= 0.030
+    (change,) = found.changes  # what is left of the pulses is friction that is a little more by then
+    assert change.sure and 4.0 < change.change[1] < 14.0 and found.fitted[1][0] < 1.2 * found.quiet[0]
 
 
 @pytest.mark.filterwarnings(f"ignore::{ExciteWarning.__module__}.{ExciteWarning.__name__}")

@@ -80,6 +80,22 @@ def known(every: Sequence[Track]) -> Array:
     return CHANGES * np.tile(np.maximum(one, 1e-12), len(sources(every)))
 
 
+def foretold_otherwise(left: Array, held_out: Sequence[Track], every: Sequence[Track], noise: Array) -> bool:
+    """The same of what is left of the held-out torque: both fits together may lie between two days, and leave little of either.
+
+    left: over some scale, Shape (N, n). noise: mean square over that which a right model would leave. Shape (n,).
+    """
+    every_column, moves = (np.concatenate(x) for x in ([columns(t, every) for t in held_out], [t.moves for t in held_out]))
+    for j in range(left.shape[1]):
+        rows, felt = moves[:, j], every_column[:, j].any(axis=0)
+        own, x = left[rows, j], every_column[rows, j][:, felt]
+        taken = x @ np.linalg.lstsq(x, own, rcond=None)[0]
+        beyond = float(np.mean(own**2)) - noise[j]
+        if beyond > EXCESS * noise[j] and float(np.mean(own**2) - np.mean((own - taken) ** 2)) > TAKES * beyond:
+            return True
+    return False
+
+
 def differs(one: Design, shapes: Sequence[int], every: Sequence[Track], noise: Array) -> bool:
     """Whether some joint's drive does: whether changes of drives take most of what the base model and some shapes leave there beyond noise.
 

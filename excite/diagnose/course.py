@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..identify.identification import Identification
-from . import between, equations, judge, late, noise, once, search, track
+from . import between, equations, foretold, judge, late, noise, once, search, track
 from .catalogue import EFFECTS
 from .judge import Verdict
 from .noise import Noise
@@ -60,10 +60,20 @@ def run(
     if heated or not between.differs(one, (), every, (noisy.quiet / scale) ** 2):
         progress(f"{len(listed)} shapes of {len(EFFECTS)} effects, alone and together")
         found = _searched(search.filled(one, listed), noisy, scale, every)
-        if not between.differs(found.one, found.shapes, every, (found.noisy.quiet / found.scale) ** 2):
+        if not _otherwise(found, halves):
             return found
     progress(f"drives differ between the recordings, so that each has its own; {len(listed)} shapes beside that")
     return replace(_searched(search.filled(bare(every), listed), noisy, scale, every), differing=True)
+
+
+def _otherwise(found: Course, halves: Halves) -> bool:
+    """Whether what a search leaves, of all recordings or of those held out, says that drives differ between them."""
+    every, quiet = [*halves[0], *halves[1]], (found.noisy.quiet / found.scale) ** 2
+    if between.differs(found.one, found.shapes, every, quiet):
+        return True
+    unit = np.ones(len(found.scale))
+    left = foretold.residuals(found.one, found.verdict.together, unit)[1]
+    return between.foretold_otherwise(left, halves[1], every, quiet + foretold.reach(found.one, unit) ** 2)
 
 
 def _searched(one: Design, noisy: Noise, scale: Array, every: Sequence[Track]) -> Course:

@@ -25,13 +25,21 @@ def section(found: Diagnosis, stated: Mapping[str, Any]) -> Iterator[Section]:
         return
     joints = list(dict.fromkeys(one["joint"] for one in told))
     answer = f"No: friction or torque offset of {some(joints)} is another in {some(_names(told))}."
-    rows = [(escape(one["joint"]), escape(Path(one["recording"]).name), *(_with(one[kind]) for kind in _WORDS)) for one in told]
+    left = dict(zip(found.identified.model.robot.joints, (found.fitted[1] / found.floor).tolist(), strict=True))
+    rows = [
+        (escape(one["joint"]), escape(Path(one["recording"]).name), *(_with(one[kind]) for kind in _WORDS), number(left[one["joint"]], 3))
+        for one in told
+    ]
     note = "Against the first recording, ± one standard error between stretches of time. A colder robot rubs more, a sensor drifts. The "
     note += (
         "search let each recording have its own, lest that look like another effect; the held-out errors do not: no model knows the day. "
     )
     note += "Warm up alike, or record temp.<joint>: then friction by temperature is a law that can be found. Dots: ± two standard errors."
-    body = table(("joint", "recording", *_WORDS.values()), rows) + figure(_drawn(told)) + paragraph(note, "note")
+    body = (
+        table(("joint", "recording", *_WORDS.values(), "noise floors left with that"), rows, (5,))
+        + figure(_drawn(told))
+        + paragraph(note, "note")
+    )
     yield Section("changes", "Is the robot the same in all recordings?", answer, body, "warn")
 
 

@@ -7,11 +7,11 @@ from functools import cache
 
 import numpy as np
 import pytest
-from made import WIDTH, perturbed, two_links
+from made import WIDTH, motion, perturbed, recorded, two_links
 from test_diagnose import PLANTED, recordings_of
 
-from excite.diagnose import atlas, diagnosis
-from excite.diagnose.diagnosis import Diagnosis
+from excite.diagnose import atlas, between, diagnosis, equations, search
+from excite.diagnose.diagnosis import Diagnosis, Options
 from excite.diagnose.document import document
 from excite.report import diagnosis_page
 
@@ -27,15 +27,15 @@ def friction() -> tuple[Array, Array]:
 
 
 @cache
-def found(name: str | None, more: float = 1.0) -> Diagnosis:
-    """Of two recordings with something planted, in the second of which friction is another."""
+def found(name: str | None, more: float = 1.0, names: tuple[str, ...] = ()) -> Diagnosis:
+    """Of two recordings with something planted, in the second of which friction is another. names: that are looked for."""
     subject, plant = two_links(), None if name is None else PLANTED[name][0]
     train, held_out = recordings_of(subject, plant)
     coulomb, viscous = friction()
     speed = np.gradient(held_out.q, held_out.t, axis=0)
     rubs = more * MORE * (coulomb * np.tanh(speed / WIDTH) + viscous * speed)
     other = dataclasses.replace(held_out, tau=held_out.torque + rubs)
-    return diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [other])
+    return diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [other], Options(names=names))
 
 
 def test_another_days_friction_is_told_as_that() -> None:
@@ -73,3 +73,47 @@ def test_the_report_says_that_the_robot_is_another() -> None:
     assert "Is the robot the same in all recordings?" in text and "No law is missing" in text
     same = found(None, 0.0)
     assert "Is the robot the same" not in diagnosis_page(same, document(same), atlas.look(same))
+
+
+def test_another_day_does_not_excuse_what_has_no_name() -> None:
+    one = found("torque_ripple", names=("drag",))
+    assert one.lacking[1] and len(one.changes) == 2
+    regimes = {u["joint"]: u["where"] for u in document(one)["unknown"]}
+    assert regimes["joint_2"]["regime"] != "recording" and "besides" in regimes["joint_2"]["statement"]
+    assert "No law is missing" not in diagnosis_page(one, document(one), atlas.look(one))
+
+
+@pytest.mark.parametrize("planted", [True, False])
+def test_a_recording_of_each_speed_shows_a_law_and_not_other_drives(planted: bool) -> None:
+    """A ladder of speeds: Coulomb and viscous friction of each file by itself would take most of a law over speed."""
+    subject, runs = two_links(), []
+    psi = perturbed(subject.parameters, np.random.default_rng(4))
+    for number, slower in enumerate((8.0, 4.0, 1.0, 2.0)):
+        fast = motion(2, 2)
+        fourier = dataclasses.replace(fast, sine=fast.sine / slower, cosine=fast.cosine / slower, period=slower * fast.period)
+        one = recorded(subject, psi, fourier, 2, 0.0)
+        speed = fourier.samples(one.t).dq[:, 0]
+        bent = planted * 2.0 * np.tanh(speed / WIDTH) * np.sqrt(np.abs(speed))
+        noise = 0.1 * np.random.default_rng(number).normal(size=one.q.shape)
+        runs.append(dataclasses.replace(one, tau=one.torque + np.column_stack([bent, 0.0 * bent]) + noise, source=f"{number}.csv"))
+    result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, runs[:3], runs[3:])
+    assert [(h.effect, h.joint) for h in result.verdict.chosen] == ([("nonlinear_viscous", 0)] if planted else [])
+    assert not result.changes and not result.unknown
+    assert (result.after < 1.3 * result.expected).all()
+
+
+def test_a_change_is_as_sure_as_its_recording_is_long() -> None:
+    """Of a short recording beside a long one: errors are told between its own stretches of time."""
+    subject, ratios = two_links(), list[float]()
+    psi = perturbed(subject.parameters, np.random.default_rng(4))
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        runs = [recorded(subject, psi, motion(2, 2), periods, 0.0) for periods in (6.0, 0.8)]
+        noisy = [dataclasses.replace(r, tau=r.torque + 0.1 * rng.normal(size=r.q.shape), source=f"{len(r)}.csv") for r in runs]
+        one = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, noisy[:1], noisy[1:], Options(names=("drag",)))
+        every = [*one.tracks[0], *one.tracks[1]]
+        halves = [equations.half(half, one.identified, {}, one.floor, every) for half in one.tracks]
+        design = search.bare((halves[0], halves[1]), equations.builder(one.tracks, one.floor))
+        ratios += [float(x) for change in between.changes(design, (), every) for x in change.change / change.std]
+        assert not one.changes
+    assert np.sqrt(np.mean(np.square(ratios))) < 1.5 and np.max(np.abs(ratios)) < between.SURE

@@ -7,6 +7,7 @@ friction on any day. Predictions do not know them: held-out torque is foretold a
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,6 +16,7 @@ import numpy as np
 from . import search
 from .blocks import sandwiched
 from .effect import Shape, alone
+from .hypothesis import ranked
 from .search import Design
 from .track import Track
 
@@ -22,11 +24,13 @@ Array = np.ndarray
 KINDS = ("coulomb", "viscous", "offset")
 CHANGES, LEAST = 0.5, 0.01
 """Standard deviation of a change over friction itself; and of friction, over the joint's largest torque, at the least."""
-TAKES, EXCESS = 0.7, 0.44
-"""Of what is left beyond noise at a joint, what such changes must take to be there; and how much that must be, over the noise."""
-BLOCKS, SURE = 40, 4.0
-"""Parts of the recordings that errors are told between; and standard deviations from which a change is one."""
-
+TAKES, EXCESS, LATER = 0.7, 0.44, 1.0
+"""Of what is left beyond noise at a joint, what such changes must take to be there; and how much that must be, over the noise, of all
+recordings and of those held out, where a law that is foretold a little beyond what it was fitted to is off too."""
+LAWS = 8
+"""The best of them that are compared with other drives."""
+BLOCKS, FEW, SURE = 20, 1.2, 4.0
+"""Parts of a stretch that errors are told between, a factor on these as they are few, and how many of them make a change sure."""
 
 EXPERIMENT = "the same warm-up before every recording, or temp.<joint> recorded; then the first motion once more at the end"
 
@@ -51,20 +55,26 @@ def sources(tracks: Sequence[Track]) -> list[str]:
     return list(dict.fromkeys(t.piece.source for t in tracks))[1:]
 
 
-def _own(t: Track, s: Shape) -> Array:
-    """sgn q̇, q̇ and 1 at a joint, in one recording only."""
+def _drive(t: Track, s: Shape) -> Array:
+    """sgn q̇, q̇ and 1 at a joint; of a shape with a source, in that recording only."""
     columns = np.column_stack([t.sign(s.place), t.fine.dq[:, s.place], np.ones(len(t.piece))])
-    return alone(t, s.place, columns if t.piece.source == s.source else np.zeros_like(columns))
+    return alone(t, s.place, columns if s.source in ("", t.piece.source) else np.zeros_like(columns))
 
 
-def _shapes(tracks: Sequence[Track]) -> list[Shape]:
-    """One of each recording after the first and joint, in this order. They have no name: they are never told apart from the base model."""
-    return [Shape("", j, _own, source=source) for source in sources(tracks) for j in range(tracks[0].n)]
+def _shapes(tracks: Sequence[Track], of: Sequence[str]) -> list[Shape]:
+    """Drives of each joint in each of some recordings. They have no name: they are never told apart from the base model."""
+    return [Shape("", j, _drive, source=source) for source in of for j in range(tracks[0].n)]
 
 
 def columns(track: Track, every: Sequence[Track]) -> Array:
     """Of drives that every recording after the first has its own of, on one stretch. Shape (N, n, 3n × recordings)."""
-    return np.concatenate([shape.columns(track) for shape in _shapes(every)], axis=2)
+    of, n = sources(every), track.n
+    out = np.zeros((len(track), n, len(KINDS) * n * len(of)))
+    if track.piece.source in of:
+        first = len(KINDS) * n * of.index(track.piece.source)
+        own = [shape.columns(track) for shape in _shapes(every, [track.piece.source])]
+        out[:, :, first : first + len(KINDS) * n] = np.concatenate(own, axis=2)
+    return out
 
 
 def known(every: Sequence[Track]) -> Array:
@@ -80,48 +90,62 @@ def known(every: Sequence[Track]) -> Array:
     return CHANGES * np.tile(np.maximum(one, 1e-12), len(sources(every)))
 
 
-def foretold_otherwise(left: Array, held_out: Sequence[Track], every: Sequence[Track], noise: Array) -> bool:
-    """The same of what is left of the held-out torque: both fits together may lie between two days, and leave little of either.
-
-    left: over some scale, Shape (N, n). noise: mean square over that which a right model would leave. Shape (n,).
-    """
-    every_column, moves = (np.concatenate(x) for x in ([columns(t, every) for t in held_out], [t.moves for t in held_out]))
-    for j in range(left.shape[1]):
-        rows, felt = moves[:, j], every_column[:, j].any(axis=0)
-        own, x = left[rows, j], every_column[rows, j][:, felt]
-        taken = x @ np.linalg.lstsq(x, own, rcond=None)[0]
-        beyond = float(np.mean(own**2)) - noise[j]
-        if beyond > EXCESS * noise[j] and float(np.mean(own**2) - np.mean((own - taken) ** 2)) > TAKES * beyond:
-            return True
-    return False
-
-
 def differs(one: Design, shapes: Sequence[int], every: Sequence[Track], noise: Array) -> bool:
-    """Whether some joint's drive does: whether changes of drives take most of what the base model and some shapes leave there beyond noise.
+    """Whether some joint's drive does: whether changes of drives take most of what is left there beyond noise by the base model, some
+    shapes, and a drive that is the same in all recordings, which a prior may have wrong.
 
     noise: mean square over the scale. Shape (n,).
     """
-    made = _shapes(every)
-    if not made:
+    if not sources(every):
         return False
-    left = search.level(one, shapes)
-    bare = search.only(one, shapes)
-    changed = search.appended(bare, made)
-    beyond = left - noise
-    takes = left - search.level(changed, range(len(changed.shapes)))
-    return bool(np.any((beyond > EXCESS * noise) & (takes > TAKES * beyond)))
+    left, other = _levels(one, shapes, every)
+    return bool(np.any((left - noise > EXCESS * noise) & (left - other > TAKES * (left - noise))))
+
+
+def _levels(one: Design, shapes: Sequence[int], every: Sequence[Track]) -> tuple[Array, Array]:
+    """What is left of all recordings with drives that are the same, and with drives that differ. Shapes (n,)."""
+    same = search.appended(search.only(one, shapes), _shapes(every, [""]))
+    left, other = (search.level(d, range(len(d.shapes))) for d in (same, search.appended(same, _shapes(every, sources(every)))))
+    return left, other
+
+
+def looks_like_a_law(one: Design, every: Sequence[Track], noise: Array) -> bool:
+    """Whether a shape by itself, which needs nothing to differ, leaves about as little as drives that do: it is to be believed first.
+
+    noise: mean square over the scale. Shape (n,).
+    """
+    alone = itertools.islice(ranked(one), LAWS)
+    other = float(np.sum(np.maximum(_levels(one, (), every)[1] / noise - 1.0, EXCESS)))
+    return any(float(np.sum(np.maximum(search.level(one, [h.shape]) / noise - 1.0, 0.0))) < other for h in alone)
+
+
+def differs_later(left: Array, taken: Array, moves: Array, noise: Array) -> bool:
+    """The same of what is left of the held-out torque: both fits together may lie between two days, and leave little of either.
+
+    left: over some scale; taken: without what drives of its own take of it; moves: rows that count. Shapes (N, n). noise: mean square over
+    that scale which a right model would leave. Shape (n,).
+    """
+    before, after = (search.mean_square(x, moves) for x in (left, taken))
+    return bool(np.any((before - noise > LATER * noise) & (before - after > TAKES * (before - noise))))
 
 
 def changes(one: Design, shapes: Sequence[int], every: Sequence[Track]) -> tuple[Change, ...]:
     """By how much, of a design whose recordings have drives of their own, beside some shapes; errors between stretches of time."""
-    both, which = one.both, one.which(shapes)
+    both, which, n = one.both, one.which(shapes), every[0].n
     added = np.concatenate([part.picked(which).full() for part in one.columns])
-    start = both.gamma.shape[1] - every[0].n  # friction's widths are last
-    place = start - len(KINDS) * every[0].n * len(sources(every))
+    start = both.gamma.shape[1] - n  # friction's widths are last
+    place = start - len(KINDS) * n * len(sources(every))
     A = np.hstack([both.gamma[:, place:start], both.gamma[:, :place], both.gamma[:, start:], both.full(added)])
-    rows = [*np.array_split(np.flatnonzero(both.rows), BLOCKS), np.flatnonzero(~both.rows)]
-    found, covariance = sandwiched([(A[part], both.torque[part]) for part in rows])
+    found, covariance = sandwiched(
+        [(A[part], both.torque[part]) for part in _blocks(np.flatnonzero(both.rows), np.flatnonzero(~both.rows), every)]
+    )
     count = start - place
     values, std = found[:count].reshape(-1, len(KINDS)), np.sqrt(np.diag(covariance)[:count]).reshape(-1, len(KINDS))
-    told = zip(_shapes(every), values, std, strict=True)
+    told = zip(_shapes(every, sources(every)), values, FEW * std, strict=True)
     return tuple(Change(shape.source, shape.place, value, error) for shape, value, error in told)
+
+
+def _blocks(recorded: Array, known: Array, every: Sequence[Track]) -> list[Array]:
+    """Rows of blocks of time, as many of each stretch, be it short; and those that no recording made. Shapes (m,), (k,)."""
+    stretches = np.split(recorded, np.cumsum([len(t) * t.n for t in every])[:-1])
+    return [*(part for rows in stretches for part in np.array_split(rows, BLOCKS)), known]

@@ -40,11 +40,42 @@ class Course:
         """Of what was found."""
         return () if self.verdict.together is None else self.verdict.together.shapes
 
+    @property
+    def left(self) -> Array:
+        """Mean square over what a right model would leave, of all recordings. Shape (n,)."""
+        return search.level(self.one, self.shapes) * (self.scale / self.noisy.quiet) ** 2
+
+    @property
+    def later(self) -> Array:
+        """What is left of the held-out torque, over the scale. Shape (N, n)."""
+        return foretold.residuals(self.one, self.verdict.together, np.ones(len(self.scale)))[1]
+
+    def explained(self, moves: Array) -> bool:
+        """Whether no joint's torque is left louder than noise, of all recordings or of those held out. moves: rows of these that count."""
+        most = 1.0 + between.EXCESS
+        return bool((self.left < most).all() and (search.mean_square(self.later, moves) < most * self._expected).all())
+
+    def otherwise(self, other: Callable[[], Design], scale: Array, every: Sequence[Track], moves: Array) -> bool:
+        """Whether what is left of all recordings, or of those held out, says that drives differ. other: makes the design where they do,
+        over a scale."""
+        if not between.sources(every):
+            return False
+        if between.differs(self.one, self.shapes, every, (self.noisy.quiet / self.scale) ** 2):
+            return True
+        left, by = self.later, self.scale / scale
+        return between.differs_later(left, foretold.levelled(other(), left * by) / by, moves, self._expected)
+
+    @property
+    def _expected(self) -> Array:
+        """Mean square over the scale that a right model would leave of the held-out torque. Shape (n,)."""
+        return np.asarray((self.noisy.quiet / self.scale) ** 2 + foretold.reach(self.one, np.ones(len(self.scale))) ** 2)
+
 
 def run(
     identified: Identification, halves: Halves, noisy: Noise, trusted: Mapping[int, float], names: Collection[str], progress: Progress
 ) -> Course:
-    """Search with drives that are the same in all recordings, unless what is left, before or after, says otherwise.
+    """Search with drives that are the same in all recordings, or where that leaves what others would take, with drives of their own, if
+    these are sure then. Laws come first: over speed they may look like other drives where each recording has a speed of its own.
 
     trusted, names: see `diagnosis.Options`.
     """
@@ -55,25 +86,21 @@ def run(
         first, second = (equations.half(half, identified, trusted, scale, differing) for half in halves)
         return search.bare((first, second), build)
 
-    one = bare(())
-    heated = any(np.isfinite(t.temperature).any() for t in every)  # which tells what friction does, and foretells it
-    if heated or not between.differs(one, (), every, (noisy.quiet / scale) ** 2):
-        progress(f"{len(listed)} shapes of {len(EFFECTS)} effects, alone and together")
-        found = _searched(search.filled(one, listed), noisy, scale, every)
-        if not _otherwise(found, halves):
-            return found
-    progress(f"drives differ between the recordings, so that each has its own; {len(listed)} shapes beside that")
-    return replace(_searched(search.filled(bare(every), listed), noisy, scale, every), differing=True)
+    def with_own_drives() -> Course | None:
+        progress("drives may differ between the recordings: beside drives of their own")
+        found = replace(_searched(search.filled(bare(every), listed), noisy, scale, every), differing=True)
+        return found if any(change.sure for change in between.changes(found.one, found.shapes, every)) else None
 
-
-def _otherwise(found: Course, halves: Halves) -> bool:
-    """Whether what a search leaves, of all recordings or of those held out, says that drives differ between them."""
-    every, quiet = [*halves[0], *halves[1]], (found.noisy.quiet / found.scale) ** 2
-    if between.differs(found.one, found.shapes, every, quiet):
-        return True
-    unit = np.ones(len(found.scale))
-    left = foretold.residuals(found.one, found.verdict.together, unit)[1]
-    return between.foretold_otherwise(left, halves[1], every, quiet + foretold.reach(found.one, unit) ** 2)
+    quiet, one = (noisy.quiet / scale) ** 2, search.filled(bare(()), listed)
+    differs = between.differs(one, (), every, quiet) and not between.looks_like_a_law(one, every, quiet)
+    if differs and (other := with_own_drives()) is not None:
+        return other
+    progress(f"{len(listed)} shapes of {len(EFFECTS)} effects, alone and together")
+    found, moves = _searched(one, noisy, scale, every), np.concatenate([t.moves for t in halves[1]])
+    if differs or found.explained(moves) or not found.otherwise(lambda: bare(every), scale, every, moves):
+        return found
+    other = with_own_drives()
+    return found if other is None or float(other.left.sum()) > float(found.left.sum()) else other
 
 
 def _searched(one: Design, noisy: Noise, scale: Array, every: Sequence[Track]) -> Course:

@@ -86,7 +86,8 @@ class Diagnosis:
     the base parameters are not known to. fitted: RMSE of the base model fitted to all recordings, alone and with what is asserted: no
     base parameters take what that leaves. quiet: what it is of a right model. Shape (n,) each. sights: what a flexible model foresees of
     what is left at a joint. doubted: RMS of what names take of it that are likelier wrong than right. Shape (n,). gears: what two encoders
-    say of joints that have them. changes: by how much drives differ between recordings, where they do.
+    say of joints that have them. changes: by how much drives differ between recordings, where they do. same: RMSE held out if they did not.
+    Shape (n,).
     """
 
     identified: Identification
@@ -109,6 +110,7 @@ class Diagnosis:
     doubted: Array = field(default_factory=lambda: np.zeros(0))
     gears: tuple[Gear, ...] = ()
     changes: tuple[Change, ...] = ()
+    same: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -149,12 +151,18 @@ class Diagnosis:
 
     @property
     def unknown(self) -> list[int]:
+        """Joints where something is left that no name takes, and those whose drive is another in the recordings held out."""
+        return [int(j) for j in np.flatnonzero(self.lacking | self.changed)]
+
+    @property
+    def lacking(self) -> Array:
         """Joints where something is left that no name takes: a flexible model foresees it, or a name that is doubted, or it is far louder
-        than noise, or held-out torque is foretold worse than without names; much of it, by a fit to all recordings, or of the held-out
-        torque by the others. And those where several names are likelier wrong than right together."""
+        than noise, or a fifth louder where a name acts, or held-out torque is foretold worse than without names; much of it, by a fit to
+        all recordings, or of the held-out torque by the others. And those where several names are likelier wrong than right together.
+        What drives that differ between recordings take is not among it. Shape (n,)."""
         bare, named = self.fitted
         loud, floor = (named > LOUD * self.quiet) | (self.doubted > DOUBTED * self.floor), self.floor.copy()
-        loud |= (self.after**2 > foretold.WORSE * self.before**2) & (self.after > LOUD * self.expected)
+        loud |= (self.after**2 > foretold.WORSE * self.before**2) & (self.same > LOUD * self.expected)
         loud |= self.acts & (named > QUIET * self.quiet)  # a name that leaves that is not, or not all, of what is there
         told = self.doubted.copy()
         for j, sight in self.sights.items():
@@ -165,9 +173,8 @@ class Diagnosis:
         if self.method != "periods":  # nothing repeats: the floor is a guess from below, and only much is worth a word
             torque = np.sqrt(np.mean(np.concatenate([one.torque for half in self.tracks for one in half]) ** 2, axis=0))
             loud &= (named > MUCH * torque) | (told > LITTLE * torque)
-        untold = (self.after > LOUD * self.expected) & (_left(self.before, self.after, self.expected) > UNTOLD)
-        much = loud & (untold | (_left(bare, named, floor) > UNSAID))
-        return [int(j) for j in np.flatnonzero(much | belief.unsure(self.verdict, len(floor)) | self.changed)]
+        untold = (self.same > LOUD * self.expected) & (_left(self.before, self.same, self.expected) > UNTOLD)
+        return np.asarray((loud & (untold | (_left(bare, named, floor) > UNSAID))) | belief.unsure(self.verdict, len(floor)))
 
     @property
     def changed(self) -> Array:
@@ -276,7 +283,8 @@ def _judged(
         if found.differing
         else ()
     )
-    known = {"expected": expected, "fitted": fitted, "quiet": quiet, "sights": sights, "doubted": doubted}
+    same = np.sqrt(search.mean_square(foretold.levelled(one, after / scale) * scale, moves))
+    known = {"expected": expected, "fitted": fitted, "quiet": quiet, "sights": sights, "doubted": doubted, "same": same}
     return Diagnosis(*told, *judged, **known, changes=differs)
 
 

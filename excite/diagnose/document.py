@@ -13,7 +13,7 @@ from .atlas import Atlas
 from .belief import doubt, unsure
 from .between import Change
 from .catalogue import BY_NAME
-from .diagnosis import Diagnosis
+from .diagnosis import DOUBTED, Diagnosis
 from .effect import Shape
 from .encoders import Gear
 from .foreseen import BASES
@@ -226,14 +226,11 @@ def _unknown(found: Diagnosis, joint: int) -> dict[str, Any]:
     if unsure(found.verdict, n)[joint] and not sight.counts:
         where["statement"] = f"joint '{name}': torque that several names take together, likelier not all right"
     doubted = [f for f in found.real if f.main.joint in (joint, None)]
-    if doubted and found.doubted[joint] > found.floor[joint]:
+    if doubted and found.doubted[joint] > DOUBTED * found.floor[joint]:
         likest = max(doubted, key=lambda f: f.probability).main.effect
         where["statement"] += f"; likest to {likest}, and not enough so"
         experiment = BY_NAME[likest].experiment
-    if found.changed[joint]:
-        where |= {"statement": f"joint '{name}': friction or offset is another in the recordings held out", "regime": "recording"}
-        experiment = between.EXPERIMENT
-    elif sight.counts:
+    if sight.counts:
         where["statement"] += f"; {sight.regime} foresees {percent(sight.share)} of it, held out"
         where |= {"regime": sight.regime, "foreseen": sight.share}
         share = max(share, sight.share)
@@ -241,6 +238,13 @@ def _unknown(found: Diagnosis, joint: int) -> dict[str, Any]:
         over = response.over if response.other is None else f"{found.identified.model.robot.joints[response.other]}: {response.over}"
         where["response"] = {"over": over, "relative": response.relative, "x": response.x.tolist(), "y": response.y.tolist()}
         experiment = BASES[sight.regime].experiment
+    if found.changed[joint]:
+        other = "friction or offset is another in the recordings held out"
+        if found.lacking[joint]:
+            where["statement"] += f"; besides, {other}"
+        else:
+            where = {"statement": f"joint '{name}': {other}", "regime": "recording"}
+            experiment = between.EXPERIMENT
     return {
         "joint": name,
         "where": where,

@@ -35,9 +35,12 @@ def residuals(one: Design, together: Trial | None, scale: Array) -> tuple[Array,
 
 
 def reach(one: Design, scale: Array) -> Array:
-    """RMS by which the held-out torque is off because the first half does not tell the base parameters better. Shape (n,) [N m]."""
+    """RMS by which the held-out torque is off because the first half does not tell the base parameters better. Shape (n,) [N m].
+
+    Drives of the second half's own (`between`) are not among them.
+    """
     first, second = one.halves
-    gamma, covariance = second.gamma[second.rows], first.inverse @ first.inverse.T
+    gamma, covariance = second.gamma[second.rows] * ~_own(one), first.inverse @ first.inverse.T
     variance = np.sum((gamma @ covariance) * gamma, axis=1)
     return np.asarray(np.sqrt(np.mean(np.maximum(variance, 0.0).reshape(-1, len(scale)), axis=0)) * scale)
 
@@ -66,8 +69,8 @@ def _ratios(one: Design, verdict: Verdict, finding: Finding, moves: Array, noise
     if together.seen - rest.seen > SHOWN * finding.gain or any(one.shapes[part.shape].interval is not None for part in finding.parts):
         return 0.0, 0.0
     acts, unit = hypothesis.acting(one, together, finding.main.shape), np.ones(len(noise))
-    bare, with_all = (_levelled(one, left) for left in residuals(one, together, unit))
-    without = _levelled(one, residuals(one, rest, unit)[1]) if rest.shapes else bare
+    bare, with_all = (levelled(one, left) for left in residuals(one, together, unit))
+    without = levelled(one, residuals(one, rest, unit)[1]) if rest.shapes else bare
     spent = [float(np.sum((search.mean_square(left, moves) / noise)[acts])) for left in (with_all, without, bare)]
     unsure, others = _unsure(one, together, moves), _unsure(one, rest, moves)
     chance = [float(np.sum((x / noise)[acts])) for x in (np.maximum(unsure - others, 0.0), unsure)]
@@ -75,16 +78,21 @@ def _ratios(one: Design, verdict: Verdict, finding: Finding, moves: Array, noise
     return max(beyond), spent[0] / max(min(spent[1:]), 1e-300)
 
 
-def _levelled(one: Design, left: Array) -> Array:
+def levelled(one: Design, left: Array) -> Array:
     """What is left of the second half's torque without what drives of its own may take (`between`): no finding makes that better or worse.
-    Shape (N, n)."""
-    first, second = one.halves
-    own = ~first.gamma[first.rows].any(axis=0) & second.gamma[second.rows].any(axis=0)
+    As it is, where drives are the same in all recordings. Shape (N, n)."""
+    own, second = _own(one), one.halves[1]
     if not own.any():
         return left
     columns, known = second.gamma[second.rows][:, own], second.gamma[~second.rows][:, own]
     taken = columns @ np.linalg.solve(columns.T @ columns + known.T @ known, columns.T @ left.ravel())
     return np.asarray(left - taken.reshape(left.shape))
+
+
+def _own(one: Design) -> Array:
+    """Base columns that only the second half's recordings have. Shape (p,)."""
+    first, second = one.halves
+    return ~first.gamma[first.rows].any(axis=0) & second.gamma[second.rows].any(axis=0)
 
 
 def _unsure(one: Design, found: Trial, moves: Array) -> Array:

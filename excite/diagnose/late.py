@@ -45,8 +45,8 @@ def followed(one: Design, verdict: Verdict) -> tuple[Design, Verdict]:
         if not set(told) <= set(again):
             break
         one, verdict, together, loud = later, found, found.together, _loud(later, found.together)
-        off = {joint: abs(again[joint].seconds - d.seconds) / d.seconds for joint, d in told.items()}
-        told = _worth({joint: again[joint] for joint, share in off.items() if share > SETTLED}, loud)
+        off = {j: abs(again[j].seconds - d.seconds) > SETTLED * d.seconds or again[j].lagging != d.lagging for j, d in told.items()}
+        told = _worth({joint: again[joint] for joint, still in off.items() if still}, loud)
     return one, verdict
 
 

@@ -14,15 +14,16 @@ Array = np.ndarray
 SHORT = 5
 """Longest run of rows without a number that is interpolated."""
 MOST = 0.5
-NEEDED = ("q", "tau", "current")
-"""Quantities without which a row is worth nothing."""
+NEEDED, SLOW = ("q", "tau", "current"), ("temperature",)
+"""Quantities without which a row is worth nothing; and those that are sampled now and then, and change little in between."""
 
 
 def fill(source: str, joints: Sequence[str], block: Block) -> tuple[Block, list[Remark]]:
     """Interpolate runs of up to 5 missing numbers in time; drop rows where q, tau or current lack longer, which leaves a gap.
 
-    In the other quantities a longer run stays without numbers. A column without any number is a joint that lacks the quantity. Error
-    where a joint has no position at all, or where more than half of its positions, torques or currents are missing. ±inf is no number.
+    In the other quantities a longer run stays without numbers, but for what is slow. A column without any number is a joint that lacks the
+    quantity. Error where a joint has no position at all, or where more than half of its positions, torques or currents are missing. ±inf is
+    no number.
     """
     remarks: list[Remark] = []
     values = dict(block.values)
@@ -40,6 +41,9 @@ def fill(source: str, joints: Sequence[str], block: Block) -> tuple[Block, list[
                 )
             if share == 1.0:
                 values[name][:, i] = np.nan
+                continue
+            if name in SLOW:
+                values[name][:, i] = np.interp(block.t, block.t[~bad[:, i]], value[~bad[:, i], i])
                 continue
             column, long = _filled(block.t, values[name][:, i], bad[:, i])
             values[name][:, i] = column

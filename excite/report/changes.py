@@ -25,7 +25,7 @@ def section(found: Diagnosis, stated: Mapping[str, Any]) -> Iterator[Section]:
         return
     joints = list(dict.fromkeys(one["joint"] for one in told))
     answer = f"No: friction or torque offset of {some(joints)} is another in {some(_names(told))}."
-    left = dict(zip(found.identified.model.robot.joints, (found.fitted[1] / found.floor).tolist(), strict=True))
+    left = dict(zip(found.identified.model.robot.joints, (found.same / found.floor).tolist(), strict=True))
     rows = [
         (escape(one["joint"]), escape(Path(one["recording"]).name), *(_with(one[kind]) for kind in _WORDS), number(left[one["joint"]], 3))
         for one in told
@@ -36,7 +36,7 @@ def section(found: Diagnosis, stated: Mapping[str, Any]) -> Iterator[Section]:
     )
     note += "Warm up alike, or record temp.<joint>: then friction by temperature is a law that can be found. Dots: ± two standard errors."
     body = (
-        table(("joint", "recording", *_WORDS.values(), "noise floors left with that"), rows, (5,))
+        table(("joint", "recording", *_WORDS.values(), "noise floors left but for that"), rows, (5,))
         + figure(_drawn(told))
         + paragraph(note, "note")
     )
@@ -67,7 +67,12 @@ def _drawn(told: Sequence[Mapping[str, Any]]) -> str:
         axes.errorbar(x, values, 2.0 * std, fmt="o", color=BLUE, markersize=3.5, elinewidth=1.0, capsize=2.0)
         few_ticks(axes, 5, 4)
         axes.set_xlim(-0.5, len(told) - 0.5)
-        axes.set_xticks(x, [short(one["joint"], 14) for one in told], rotation=30.0, ha="right")
-        axes.set_title(f"change of {_WORDS[kind]} [{told[0][kind]['unit']}]", loc="left", fontweight="bold", pad=3)
+        several = len(_names(told)) > 1
+        names = [
+            f"{short(one['joint'], 14)}, {short(Path(one['recording']).stem, 10)}" if several else short(one["joint"], 14) for one in told
+        ]
+        axes.set_xticks(x, names, rotation=30.0, ha="right")
+        units = " or ".join(dict.fromkeys(one[kind]["unit"] for one in told))
+        axes.set_title(f"change of {_WORDS[kind]} [{units}]", loc="left", fontweight="bold", pad=3)
 
     return panels("What of the drives differs between recordings", list(_WORDS), draw, _HEIGHT)

@@ -210,7 +210,7 @@ def _prior(plant: Plant) -> str:
 def key(case: Bench, folder: Path) -> dict[str, Any]:
     """What the analyst must not know; `folder` holds the files it is given. held_out: RMSE of the second recording [N m]."""
     first, second = case.sessions
-    before, after = oracle(folder, (_torque(first, case.plant), _torque(second, case.plant)))
+    before, after = oracle(folder, (_torque(first, case.plant), _torque(second, replace(case.plant, drive=_later(case)))))
     whole = severity.of(first.run, case.plant, case.motion, first.chain, trusted=case.spec.trusted)
     return {
         "spec": asdict(case.spec),

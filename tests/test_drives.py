@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 import types
 
 import numpy as np
 import pytest
+from made import EMPTY, halved, nothing, on_one
 from test_diagnose import on, recordings_of
 from test_predicted import fitted_with, stated
 
-from excite.diagnose import diagnosis, equations, whole
+from excite.diagnose import diagnosis, equations, hypothesis, search, whole
 from excite.diagnose.catalogue import BY_NAME, electrical
+from excite.diagnose.effect import Shape
 from excite.diagnose.track import Track
 from excite.identify.equations import Model
 
@@ -112,3 +115,17 @@ def test_of_its_usual_torque_a_drive_loses_little(calm, bend, rests):
     for shape in shapes:
         most = max(c for c in np.linspace(0.01, 1.2, 120) if shape.plausible(np.array([c])))
         assert most * electrical._missing(shape.values, np.array([usual]))[0] < 0.31 * usual
+
+
+def test_noise_in_a_column_of_measured_torque_is_no_saturation():
+    """Where friction is nearly all of a torque, powers of what was measured have nothing but noise that the base model does not take."""
+    rng, way = np.random.default_rng(2), np.sign(np.sin(np.linspace(0.0, 40.0, 600)))
+    measured = [1.7 * way + 0.018 * rng.normal(size=600) for _ in range(2)]
+    halves = [halved(way[:, None], x[:, None], EMPTY, 0.018) for x in measured]
+
+    def found(slope: float) -> list[bool]:
+        shape = Shape("torque_saturation", 0, nothing, noisy=lambda c: abs(float(c[0])) * slope)
+        one = search.design((halves[0], halves[1]), [shape], lambda _: on_one(*((x**3 / 2.7**2 / 0.018)[:, None] for x in measured)))
+        return [h.shows for h in hypothesis.ranked(dataclasses.replace(one, measured=search.Measured(noise=np.ones(1))))]
+
+    assert found(0.0) == [True] and found(3.0 * (1.7 / 2.7) ** 2) == [False]

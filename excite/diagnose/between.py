@@ -29,7 +29,7 @@ TAKES, EXCESS, LATER = 0.7, 0.44, 1.0
 recordings and of those held out, where a law that is foretold a little beyond what it was fitted to is off too."""
 LAWS = 8
 """The best of them that are compared with other drives."""
-BLOCKS, FEW, SURE = 20, 1.2, 4.0
+BLOCKS, FEW, SURE = 20, 1.2, 3.5
 """Parts of a stretch that errors are told between, a factor on these as they are few, and how many of them make a change sure."""
 
 EXPERIMENT = "the same warm-up before every recording, or temp.<joint> recorded; then the first motion once more at the end"

@@ -9,7 +9,7 @@ import numpy as np
 
 from . import search
 from .catalogue import BY_NAME
-from .hypothesis import CANCELS, SMALLEST, Hypothesis, agrees, each_size, meanwhile, name, ranked, sizes, who
+from .hypothesis import CANCELS, SMALLEST, Hypothesis, agrees, counts, each_size, meanwhile, name, ranked, sizes, who
 from .search import Design, Trial, trial
 
 Array = np.ndarray
@@ -58,7 +58,7 @@ def _tuned(one: Design, shapes: Sequence[int]) -> tuple[Design, Trial | None]:
     finer, turned = search.refined(one, shapes, sweeps=1)
     found = trial(finer, turned)
     large = each_size(finer, found)
-    good = found.plausible and agrees(finer, found) and large[-1] > SMALLEST and max(large) <= CANCELS * one.loudest
+    good = found.plausible and agrees(finer, found) and counts(finer, found, large) and max(large) <= CANCELS * one.loudest
     return (finer, found) if good else (one, None)
 
 
@@ -213,6 +213,6 @@ def best_pair(one: Design, alone: Sequence[Hypothesis]) -> list[int] | None:
             if not found.plausible or (best is not None and found.gain <= best[0]):
                 continue
             large = each_size(one, found)
-            if min(large) > SMALLEST and max(large) <= CANCELS * one.loudest:
+            if large[0] > SMALLEST and counts(one, found, large) and max(large) <= CANCELS * one.loudest:
                 best = (found.gain, [a.shape, b.shape])
     return None if best is None or best[0] - single < max(search.NATS, SHARE * single) else best[1]

@@ -17,6 +17,8 @@ SMALLEST = 0.3
 model has them."""
 CANCELS = 5.0
 """Times what the base model leaves that an effect may be beside others."""
+ABOVE = 2.0
+"""Times the noise in its own columns that an effect must be."""
 SEEN = 9.0
 """Log-likelihood, twice, from which a half sees an effect: three standard deviations."""
 ACTS = 0.2
@@ -60,12 +62,21 @@ def ranked(one: Design, beside: tuple[int, ...] = (), each: Callable[[Shape], ob
         large = each_size(one, found)
         if not beside or max(large) <= CANCELS * one.loudest:
             done.add(each(shape))
-            yield Hypothesis(shape.effect, shape.joint, i, found, large[-1], large[-1] > SMALLEST)
+            yield Hypothesis(shape.effect, shape.joint, i, found, large[-1], counts(one, found, large))
 
 
 def each_size(one: Design, found: Trial) -> list[float]:
     """The size of each of the fitted shapes. Far larger than what the base model leaves, they can only take each other off."""
     return [size(one, found, number) for number in range(len(found.shapes))]
+
+
+def counts(one: Design, found: Trial, large: Sequence[float]) -> bool:
+    """Whether the last of some fitted shapes is of a size that counts: noise in columns of measured torque is in the residual too. large:
+    the size of each."""
+    shape, noise = one.shapes[found.shapes[-1]], one.measured.noise
+    own = shape.noisy(one.split(found.shapes, found.coefficients)[-1])
+    known = 1.0 if noise is None or shape.joint is None else float(np.sqrt(noise[shape.joint]))
+    return bool(large[-1] > max(SMALLEST, ABOVE * own * known))
 
 
 def meanwhile(one: Design, i: int, beside: Sequence[int]) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -68,13 +69,16 @@ def _saturation(tracks: Sequence[Track]) -> Iterator[Shape]:
         drawn, speed = (np.abs(np.concatenate([x[:, joint] for x in parts])) for parts in both)
         largest = max(float(drawn.max()), 1e-9)
         usual = max(float(np.median(drawn[speed >= STILL * speed.max()])), 1e-9)  # at rest a joint may bear nothing
+        x = np.linspace(0.0, 1.1 * largest, 400)
 
         def law(most: float, grain: float, **values: float) -> Shape:
             """With the loss at the largest torque seen; of a usual one it is little, or it is all of the torque that is taken for lost."""
             fixed = {"measured": 1.0, "largest": largest, **values}
             little, there = (_missing(fixed, np.array([usual, largest])) / [usual, largest]).tolist()
             told, gate = (lambda c: {"loss": there * float(c[0])}), within(0.0, min(most, LITTLE / max(little, 1e-9)))
-            return Shape("torque_saturation", joint, _bent, fixed, parameters=told, plausible=gate, doubt=GRAINY, grain=grain)
+            slope = np.gradient(_missing(fixed, x), x)[np.searchsorted(x, usual)]
+            shape = Shape("torque_saturation", joint, _bent, fixed, parameters=told, plausible=gate, doubt=GRAINY, grain=grain)
+            return replace(shape, noisy=lambda c: abs(float(c[0]) * slope))
 
         for power in POWERS:
             yield law(1.0, FINE, power=power)

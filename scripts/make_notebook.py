@@ -319,6 +319,9 @@ def told(found):
     for one in document(found)["findings"]:
         words = ", ".join(f"{key} {v['value']:.4g} ± {v['std']:.2g} {v['unit']}" for key, v in one["parameters"].items())
         print(f"  {one['effect']} at {one['joint'] or 'all'} (p {one['probability']:.2f}): {words}")
+    for one in document(found)["between_recordings"]:
+        words = ", ".join(f"{key} {one[key]['value']:+.3g} ± {one[key]['std']:.2g}" for key in ("coulomb", "viscous", "offset"))
+        print(f"  another drive at {one['joint']} in {Path(one['recording']).name}: {words}")
     for joint, before, after, whole in zip(joints, found.before, found.after, found.torque, strict=True):
         print(f"  {joint:10} held-out error {100 * before / whole:6.1f} % → {100 * after / whole:5.1f} %")
 
@@ -342,7 +345,8 @@ def drawn(found, joint, seconds=None):
         """## EMPS: one prismatic servo axis
 
 Known: viscous friction of 167 N s/m one way and 240 the other. The motion repeats, so the noise floor is known, though
-no sidecar says so.""",
+no sidecar says so. The pulses were met by a little more friction than the motion that the model is fitted to: what is left of
+them is that, and the tool says so.""",
     ),
     (
         "code",

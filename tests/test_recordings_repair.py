@@ -110,6 +110,19 @@ def test_few_missing_numbers_are_interpolated_and_more_dropped(two_link, tmp_pat
     assert np.abs(found.q[100:105, 0] - motion()["q.joint_1"][100:105]).max() < 2e-3
 
 
+def test_temperatures_are_known_between_their_samples_whatever_is_missing_there(two_link, tmp_path, damage):
+    """A sensor is read twice a second; a gap splits the recording, and one piece has no sample of its own."""
+    warm = np.full(400, np.nan)
+    warm[::50] = 30.0 + 0.02 * np.arange(0, 400, 50)
+    damage.columns["temp.joint_1"] = warm
+    kept = np.setdiff1d(np.arange(400), np.r_[70:95, 130:160])
+    found, texts = damage.rows(kept).read(tmp_path, two_link)
+    assert set(kinds(found)) == {Kind.GAP} and not any("values of temperature" in text for text in texts)
+    assert found.temperature is not None and np.isnan(found.temperature[:, 1]).all()
+    np.testing.assert_allclose(found.temperature[:, 0], np.interp(found.t, damage.columns["t"][::50], warm[::50]), atol=0.02)
+    assert [np.isfinite(part.temperature[:, 0]).all() for part in found.segments()] == [True] * 3
+
+
 def test_empty_cells_are_missing_numbers(two_link, tmp_path):
     path = write(tmp_path / "r.csv", motion())
     lines = path.read_text().splitlines()

@@ -11,6 +11,7 @@ from made import WIDTH, motion, perturbed, recorded, two_links
 from test_diagnose import PLANTED, recordings_of
 
 from excite.diagnose import atlas, between, diagnosis, equations, search
+from excite.diagnose.blocks import sandwiched
 from excite.diagnose.diagnosis import Diagnosis, Options
 from excite.diagnose.document import document
 from excite.report import diagnosis_page
@@ -117,3 +118,14 @@ def test_a_change_is_as_sure_as_its_recording_is_long() -> None:
         ratios += [float(x) for change in between.changes(design, (), every) for x in change.change / change.std]
         assert not one.changes
     assert np.sqrt(np.mean(np.square(ratios))) < 1.5 and np.max(np.abs(ratios)) < between.SURE
+
+
+def test_a_column_of_nothing_is_nothing() -> None:
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(size=(40, 2)), rng.normal(size=40)
+    wide = np.column_stack([x[:, 0], np.zeros(40), x[:, 1]])
+    found, covariance = sandwiched([(wide[:20], y[:20]), (wide[20:], y[20:])])
+    plain, spread = sandwiched([(x[:20], y[:20]), (x[20:], y[20:])])
+    np.testing.assert_allclose(found, [plain[0], 0.0, plain[1]])
+    np.testing.assert_allclose(covariance[np.ix_([0, 2], [0, 2])], spread)
+    assert not covariance[1].any()

@@ -29,25 +29,32 @@ TAKES, EXCESS, LATER = 0.7, 0.44, 1.0
 recordings and of those held out, where a law that is foretold a little beyond what it was fitted to is off too."""
 LAWS = 8
 """The best of them that are compared with other drives."""
-BLOCKS, FEW, SURE = 20, 1.2, 3.5
-"""Parts of a stretch that errors are told between, a factor on these as they are few, and how many of them make a change sure."""
+BLOCKS, FEW, SURE = 20, 1.2, 20.0
+"""Parts of a stretch that errors are told between, a factor on these as they are few, and the statistic of three degrees of freedom from
+which a change is sure: chance exceeds it twice in ten thousand times."""
 
 EXPERIMENT = "the same warm-up before every recording, or temp.<joint> recorded; then the first motion once more at the end"
 
 
 @dataclass(frozen=True)
 class Change:
-    """By how much a joint's drive differs in a recording from what it was in the first. change, std: of `KINDS`. Shape (3,)."""
+    """By how much a joint's drive differs in a recording from what it was in the first. change: of `KINDS`, Shape (3,). covariance: of all,
+    Shape (3, 3): where speeds are alike, Coulomb friction may be more and viscous friction less."""
 
     source: str
     joint: int
     change: Array
-    std: Array
+    covariance: Array
+
+    @property
+    def std(self) -> Array:
+        """Of each by itself. Shape (3,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     @property
     def sure(self) -> bool:
-        """Whether any of them is more than noise."""
-        return bool(np.any(np.abs(self.change) > SURE * self.std))
+        """Whether together they are more than noise (Wald 1943)."""
+        return bool(self.change @ np.linalg.pinv(self.covariance) @ self.change > SURE)
 
 
 def sources(tracks: Sequence[Track]) -> list[str]:
@@ -139,10 +146,11 @@ def changes(one: Design, shapes: Sequence[int], every: Sequence[Track]) -> tuple
     found, covariance = sandwiched(
         [(A[part], both.torque[part]) for part in _blocks(np.flatnonzero(both.rows), np.flatnonzero(~both.rows), every)]
     )
-    count = start - place
-    values, std = found[:count].reshape(-1, len(KINDS)), np.sqrt(np.diag(covariance)[:count]).reshape(-1, len(KINDS))
-    told = zip(_shapes(every, sources(every)), values, FEW * std, strict=True)
-    return tuple(Change(shape.source, shape.place, value, error) for shape, value, error in told)
+    told = []
+    for k, shape in enumerate(_shapes(every, sources(every))):
+        own = slice(len(KINDS) * k, len(KINDS) * (k + 1))
+        told.append(Change(shape.source, shape.place, found[own], FEW**2 * covariance[own, own]))
+    return tuple(told)
 
 
 def _blocks(recorded: Array, known: Array, every: Sequence[Track]) -> list[Array]:

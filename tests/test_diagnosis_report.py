@@ -110,7 +110,8 @@ def test_what_is_foreseen_is_no_noise_though_it_never_repeats() -> None:
     assert loud.unknown == [1]
     (unknown,) = document(loud)["unknown"]
     assert unknown["share"] >= loud.sights[1].share
-    deaf = dataclasses.replace(loud, sights={j: dataclasses.replace(s, share=0.0) for j, s in loud.sights.items()})
+    sights = {j: dataclasses.replace(s, share=0.0) for j, s in loud.sights.items()}
+    deaf = dataclasses.replace(loud, sights=sights, doubted=0.0 * loud.doubted)
     assert not deaf.unknown
 
 

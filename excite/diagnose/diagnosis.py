@@ -86,8 +86,8 @@ class Diagnosis:
     the base parameters are not known to. fitted: RMSE of the base model fitted to all recordings, alone and with what is asserted: no
     base parameters take what that leaves. quiet: what it is of a right model. Shape (n,) each. sights: what a flexible model foresees of
     what is left at a joint. doubted: RMS of what names take of it that are likelier wrong than right. Shape (n,). gears: what two encoders
-    say of joints that have them. changes: by how much drives differ between recordings, where they do. same: RMSE held out if they did not.
-    Shape (n,).
+    say of joints that have them. changes: by how much drives differ between recordings, where they do. taken: RMS of
+    the held-out torque that is left for these. Shape (n,).
     """
 
     identified: Identification
@@ -110,7 +110,7 @@ class Diagnosis:
     doubted: Array = field(default_factory=lambda: np.zeros(0))
     gears: tuple[Gear, ...] = ()
     changes: tuple[Change, ...] = ()
-    same: Array = field(default_factory=lambda: np.zeros(0))
+    taken: Array = field(default_factory=lambda: np.zeros(1))
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -138,6 +138,11 @@ class Diagnosis:
     def torque(self) -> Array:
         """RMS of the held-out torque there. Shape (n,) [N m]."""
         return np.sqrt(search.mean_square(np.concatenate([one.torque for one in self.tracks[1]]), self.moves))
+
+    @property
+    def same(self) -> Array:
+        """RMSE held out if drives were the same in all recordings. Shape (n,) [N m]."""
+        return np.asarray(np.sqrt(np.maximum(self.after**2 - self.taken**2, 0.0)))
 
     @property
     def systematic(self) -> Array:
@@ -283,8 +288,15 @@ def _judged(
         if found.differing
         else ()
     )
-    same = np.sqrt(search.mean_square(foretold.levelled(one, after / scale) * scale, moves))
-    known = {"expected": expected, "fitted": fitted, "quiet": quiet, "sights": sights, "doubted": doubted, "same": same}
+    same = search.mean_square(foretold.levelled(one, after / scale) * scale, moves)
+    known = {
+        "expected": expected,
+        "fitted": fitted,
+        "quiet": quiet,
+        "sights": sights,
+        "doubted": doubted,
+        "taken": np.sqrt(np.maximum(rms[1] ** 2 - same, 0.0)),
+    }
     return Diagnosis(*told, *judged, **known, changes=differs)
 
 

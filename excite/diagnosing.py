@@ -70,7 +70,8 @@ def _text(stated: dict[str, Any], written: list[str]) -> str:
         alike = f" (or {', '.join(one['equivalents'])})" if one["equivalents"] else ""
         lacking = f"; not shown: {', '.join(one['not_shown'])}" if "not_shown" in one else ""
         lines.append(f"{one['effect']}{alike} at {place}, probability {one['probability']:.2f}: {values}{lacking}")
-    lines += [f"unknown at {one['joint']}: {100 * one['share']:.0f} % of what is left repeats" for one in stated["unknown"]]
+    physics = [one for one in stated["unknown"] if one["where"]["regime"] != "recording"]
+    lines += [f"unknown at {one['joint']}: {100 * one['share']:.0f} % of what is left repeats" for one in physics]
     for one in stated["between_recordings"]:
         values = ", ".join(f"{kind} {one[kind]['value']:+.3g} ± {one[kind]['std']:.2g} {one[kind]['unit']}" for kind in KINDS)
         lines.append(f"another friction or offset at {one['joint']} in {Path(one['recording']).name}: {values}")

@@ -52,6 +52,11 @@ def _model(result: diagnosis.Diagnosis, train: Sequence[recordings.Recording]) -
     return stated
 
 
+def _changed(told: dict[str, Any]) -> str:
+    share = told.get("relative")
+    return f"{told['value']:+.3g} ± {told['std']:.2g} {told['unit']}" + ("" if share is None else f" ({100 * share:+.0f} %)")
+
+
 def _gear(joint: str, gear: dict[str, Any]) -> str:
     told = {
         "stiffness": gear["stiffness"],
@@ -73,7 +78,7 @@ def _text(stated: dict[str, Any], written: list[str]) -> str:
     physics = [one for one in stated["unknown"] if one["where"]["regime"] != "recording"]
     lines += [f"unknown at {one['joint']}: {100 * one['share']:.0f} % of what is left repeats" for one in physics]
     for one in stated["between_recordings"]:
-        values = ", ".join(f"{kind} {one[kind]['value']:+.3g} ± {one[kind]['std']:.2g} {one[kind]['unit']}" for kind in KINDS)
+        values = ", ".join(f"{kind} {_changed(one[kind])}" for kind in KINDS)
         lines.append(f"another friction or offset at {one['joint']} in {Path(one['recording']).name}: {values}")
     lines += [_gear(joint, gear) for joint, gear in stated["encoders"].items()]
     lines.append(f"{'joint':25}{'before':>11}{'after':>11}{'noise':>11}")

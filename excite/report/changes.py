@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..diagnose.diagnosis import Diagnosis
-from ..wording import some
+from ..wording import percent, some
 from .figures import BLUE, GREY, few_ticks, panels
 from .motion_figures import short
 from .page import Section, escape, figure, number, paragraph, table
@@ -34,19 +34,15 @@ def section(found: Diagnosis, stated: Mapping[str, Any]) -> Iterator[Section]:
     note += (
         "search let each recording have its own, lest that look like another effect; the held-out errors do not: no model knows the day. "
     )
-    note += "Warm up alike, or record temp.<joint>: then friction by temperature is a law that can be found. Dots: ± two standard errors."
-    body = (
-        table(("joint", "recording", *_WORDS.values(), "noise floors left but for that"), rows, (5,))
-        + figure(_drawn(told))
-        + paragraph(note, "note")
-    )
+    note += "Warm up alike, or record temp.<joint>: then friction by temperature is a law that can be found. Floors left: held-out error but for that, over the noise floor. Dots: ± two standard errors."
+    body = table(("joint", "recording", *_WORDS.values(), "floors left"), rows, (5,)) + figure(_drawn(told)) + paragraph(note, "note")
     yield Section("changes", "Is the robot the same in all recordings?", answer, body, "warn")
 
 
 def all_that_is(stated: Mapping[str, Any]) -> bool:
-    """Whether such changes are all that a diagnosis has to say."""
+    """Whether such changes are all that a diagnosis has no name for."""
     unknown = stated["unknown"]
-    return bool(unknown) and not stated["findings"] and all(one["where"]["regime"] == "recording" for one in unknown)
+    return bool(unknown) and all(one["where"]["regime"] == "recording" for one in unknown)
 
 
 def _names(told: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -54,7 +50,9 @@ def _names(told: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _with(value: Mapping[str, Any]) -> str:
-    return escape(f"{number(value['value'], 3)} ± {number(value['std'], 2)} {value['unit']}")
+    share = value.get("relative")
+    part = "" if share is None else f" ({'+' if share > 0.0 else '−'}{percent(abs(share))})"
+    return escape(f"{number(value['value'], 3)} ± {number(value['std'], 2)} {value['unit']}{part}".replace(" ", "\u00a0"))
 
 
 def _drawn(told: Sequence[Mapping[str, Any]]) -> str:

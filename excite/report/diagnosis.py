@@ -70,7 +70,8 @@ def diagnosis_page(found: Diagnosis, stated: Stated, looked: Atlas, remarks: Seq
 def _head(found: Diagnosis, stated: Stated) -> str:
     text, tone = _VERDICTS[stated["verdict"]]
     if changes.all_that_is(stated):
-        text, tone = "Nothing is missing from the model, but the robot's drives differ between the recordings.", "warn"
+        found_all = "The findings explain what is missing from the model" if stated["findings"] else "Nothing is missing from the model"
+        text, tone = f"{found_all}, but the robot's drives differ between the recordings.", "warn"
     ratio = found.after / found.floor
     relative = [float(np.max(x / np.maximum(found.torque, 1e-300))) for x in (found.before, found.after)]
     change = f"{percent(relative[0])} → {percent(relative[1])}" if stated["findings"] else percent(relative[0])

@@ -92,8 +92,9 @@ def _change(found: Diagnosis, change: Change) -> dict[str, Any]:
     units = (entry.unit("N m"), entry.unit("N m s/rad"), entry.unit("N m"))
     told = zip(between.KINDS, change.change.tolist(), change.std.tolist(), units, strict=True)
     of_each: dict[str, dict[str, Any]] = {kind: {"value": value, "std": std, "unit": unit} for kind, value, std, unit in told}
+    fitted = found.refitted or found.identified
     for kind in ("coulomb", "viscous"):  # over what it is in the recordings that the model is fitted to
-        usual = float(found.tracks[0][0].body.drive(kind)[change.joint])
+        usual = float(fitted.psi[fitted.model.parameters.block(kind)][change.joint])
         of_each[kind]["relative"] = of_each[kind]["value"] / usual if usual > 0.0 else None
     return {"recording": change.source, "joint": _joint(found, change.joint), **of_each}
 

@@ -34,7 +34,8 @@ def section(found: Diagnosis, stated: Mapping[str, Any]) -> Iterator[Section]:
     note += (
         "search let each recording have its own, lest that look like another effect; the held-out errors do not: no model knows the day. "
     )
-    note += "Warm up alike, or record temp.<joint>: then friction by temperature is a law that can be found. Floors left: held-out error but for that, over the noise floor. Dots: ± two standard errors."
+    note += "Warm up alike, or record temp.<joint>: then friction by temperature is a law that can be found. Floors left: held-out error "
+    note += "but for that, over the noise floor. Dots: ± two standard errors."
     body = table(("joint", "recording", *_WORDS.values(), "floors left"), rows, (5,)) + figure(_drawn(told)) + paragraph(note, "note")
     yield Section("changes", "Is the robot the same in all recordings?", answer, body, "warn")
 

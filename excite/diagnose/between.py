@@ -86,14 +86,13 @@ def columns(track: Track, every: Sequence[Track]) -> Array:
 
 def known(every: Sequence[Track]) -> Array:
     """Standard deviation of the coefficients of `columns`, before anything is seen. Shape (3n × recordings,)."""
-    body, n = every[0].body, every[0].n
+    body = every[0].body
     fastest, largest = (
         np.max([np.abs(x).max(axis=0) for x in own], axis=0) for own in ([t.fine.dq for t in every], [t.torque for t in every])
     )
     coulomb = np.maximum(body.drive("coulomb"), LEAST * largest)
     viscous = np.maximum(body.drive("viscous"), LEAST * largest / np.maximum(fastest, 1e-9))
     one = np.column_stack([coulomb, viscous, coulomb]).ravel()
-    assert len(one) == len(KINDS) * n
     return CHANGES * np.tile(np.maximum(one, 1e-12), len(sources(every)))
 
 

@@ -102,10 +102,27 @@ def differs(one: Design, shapes: Sequence[int], every: Sequence[Track], noise: A
 
     noise: mean square over the scale. Shape (n,).
     """
-    if not sources(every):
+    return _taken(*_levels(one, shapes, every), noise, EXCESS)
+
+
+def differs_at_first(one: Design, every: Sequence[Track], noise: Array) -> bool:
+    """The same of the base model alone; but for a shape by itself, which needs nothing to differ and leaves about as little as drives that
+    do: it is to be believed first.
+
+    noise: mean square over the scale. Shape (n,).
+    """
+    left, other = _levels(one, (), every)
+    if not _taken(left, other, noise, EXCESS):
         return False
-    left, other = _levels(one, shapes, every)
-    return bool(np.any((left - noise > EXCESS * noise) & (left - other > TAKES * (left - noise))))
+    least = float(np.sum(np.maximum(other / noise - 1.0, EXCESS)))
+    alone = itertools.islice(ranked(one), LAWS)
+    return not any(float(np.sum(np.maximum(search.level(one, [h.shape]) / noise - 1.0, 0.0))) < least for h in alone)
+
+
+def _taken(left: Array, other: Array, noise: Array, excess: float) -> bool:
+    """Whether at some joint much is left beyond noise, and of that little with drives of its own. Mean squares. Shapes (n,)."""
+    beyond = left - noise
+    return bool(np.any((beyond > excess * noise) & (left - other > TAKES * beyond)))
 
 
 def _levels(one: Design, shapes: Sequence[int], every: Sequence[Track]) -> tuple[Array, Array]:
@@ -115,24 +132,13 @@ def _levels(one: Design, shapes: Sequence[int], every: Sequence[Track]) -> tuple
     return left, other
 
 
-def looks_like_a_law(one: Design, every: Sequence[Track], noise: Array) -> bool:
-    """Whether a shape by itself, which needs nothing to differ, leaves about as little as drives that do: it is to be believed first.
-
-    noise: mean square over the scale. Shape (n,).
-    """
-    alone = itertools.islice(ranked(one), LAWS)
-    other = float(np.sum(np.maximum(_levels(one, (), every)[1] / noise - 1.0, EXCESS)))
-    return any(float(np.sum(np.maximum(search.level(one, [h.shape]) / noise - 1.0, 0.0))) < other for h in alone)
-
-
 def differs_later(left: Array, taken: Array, moves: Array, noise: Array) -> bool:
     """The same of what is left of the held-out torque: both fits together may lie between two days, and leave little of either.
 
     left: over some scale; taken: without what drives of its own take of it; moves: rows that count. Shapes (N, n). noise: mean square over
     that scale which a right model would leave. Shape (n,).
     """
-    before, after = (search.mean_square(x, moves) for x in (left, taken))
-    return bool(np.any((before - noise > LATER * noise) & (before - after > TAKES * (before - noise))))
+    return _taken(search.mean_square(left, moves), search.mean_square(taken, moves), noise, LATER)
 
 
 def changes(one: Design, shapes: Sequence[int], every: Sequence[Track]) -> tuple[Change, ...]:

@@ -58,8 +58,6 @@ class Course:
     def otherwise(self, other: Callable[[], Design], scale: Array, every: Sequence[Track], moves: Array) -> bool:
         """Whether what is left of all recordings, or of those held out, says that drives differ. other: makes the design where they do,
         over a scale."""
-        if not between.sources(every):
-            return False
         if between.differs(self.one, self.shapes, every, (self.noisy.quiet / self.scale) ** 2):
             return True
         left, by = self.later, self.scale / scale
@@ -91,8 +89,8 @@ def run(
         found = replace(_searched(search.filled(bare(every), listed), noisy, scale, every), differing=True)
         return found if any(change.sure for change in between.changes(found.one, found.shapes, every)) else None
 
-    quiet, one = (noisy.quiet / scale) ** 2, search.filled(bare(()), listed)
-    differs = between.differs(one, (), every, quiet) and not between.looks_like_a_law(one, every, quiet)
+    one = search.filled(bare(()), listed)
+    differs = between.differs_at_first(one, every, (noisy.quiet / scale) ** 2)
     if differs and (other := with_own_drives()) is not None:
         return other
     progress(f"{len(listed)} shapes of {len(EFFECTS)} effects, alone and together")

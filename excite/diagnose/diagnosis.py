@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -35,7 +35,7 @@ from . import (
     whole,
 )
 from .between import Change
-from .course import Course
+from .course import Course, Progress
 from .effect import Shape
 from .encoders import Gear
 from .foreseen import Sight
@@ -45,7 +45,6 @@ from .track import Track
 from .whole import Part
 
 Array = np.ndarray
-Progress = Callable[[str], None]
 QUIET = 1.2
 """RMSE over the expected one at which a joint counts as explained."""
 MUCH = 0.15
@@ -86,8 +85,8 @@ class Diagnosis:
     the base parameters are not known to. fitted: RMSE of the base model fitted to all recordings, alone and with what is asserted: no
     base parameters take what that leaves. quiet: what it is of a right model. Shape (n,) each. sights: what a flexible model foresees of
     what is left at a joint. doubted: RMS of what names take of it that are likelier wrong than right. Shape (n,). gears: what two encoders
-    say of joints that have them. changes: by how much drives differ between recordings, where they do. taken: RMS of
-    the held-out torque that is left for these. Shape (n,).
+    say of joints that have them. changes: by how much drives differ between recordings, where they do. taken: RMS of the held-out torque
+    that is left for these. Shape (n,).
     """
 
     identified: Identification
@@ -269,9 +268,9 @@ def _judged(
     hertz: float,
 ) -> Diagnosis:
     """Probabilities, and what the held-out recordings say of what is asserted."""
-    one, noisy, scale = found.one, found.noisy, found.scale
-    floor = noisy.floor
-    verdict = belief.weighed(one, found.verdict, (floor / scale) ** 2, noisy.bounds)
+    one, noisy, scale, floor = found.one, found.noisy, found.scale, found.noisy.floor
+    found = dataclasses.replace(found, verdict=belief.weighed(one, found.verdict, (floor / scale) ** 2, noisy.bounds))
+    verdict = found.verdict
     before, after = foretold.residuals(one, verdict.together, scale)
     fitted = course.rms(one, (), scale), course.rms(one, verdict.named, scale)
     quiet, expected = noisy.quiet, np.sqrt(noisy.quiet**2 + foretold.reach(one, scale) ** 2)
@@ -283,11 +282,7 @@ def _judged(
     every = course.rms(one, (*verdict.named, *(part.shape for finding in _real(one, verdict) for part in finding.parts)), scale)
     doubted = np.sqrt(np.maximum(fitted[1] ** 2 - every**2, 0.0))
     judged = (rms[0], rms[1], (before, after), refitted if verdict.findings else None)
-    differs = (
-        between.changes(one, () if verdict.together is None else verdict.together.shapes, [*tracks[0], *tracks[1]])
-        if found.differing
-        else ()
-    )
+    differs = between.changes(one, found.shapes, [*tracks[0], *tracks[1]]) if found.differing else ()
     same = search.mean_square(foretold.levelled(one, after / scale) * scale, moves)
     known = {
         "expected": expected,

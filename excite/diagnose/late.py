@@ -150,7 +150,6 @@ def _later(one: Design, together: Trial, told: Delays, loud: set[int]) -> tuple[
 
 def _by(listed: Iterable[Shape], joint: int | None, delay: Delay) -> Shape:
     """The delay of a joint, or of all, by so much."""
-    turned = [shape for shape in listed if shape.effect == "delay" and shape.joint == joint and shape.knob is not None]
-    knob = next(shape.knob for shape in turned if ("lagging" in shape.values) == delay.lagging)
-    assert knob is not None
+    alike = (s for s in listed if s.effect == "delay" and s.joint == joint and ("lagging" in s.values) == delay.lagging)
+    knob = next(shape.knob for shape in alike if shape.knob is not None)
     return dataclasses.replace(knob, low=0.5 * delay.seconds, high=2.0 * delay.seconds).at(delay.seconds)

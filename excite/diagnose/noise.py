@@ -153,8 +153,7 @@ def _steady(change: Array, track: Track, inside: Array) -> _Again:
     t = np.linspace(-1.0, 1.0, len(change))[:, None]
     groups = []
     for j in range(change.shape[1]):
-        speed = track.fine.dq[:, j]
-        friction = track.reduce(np.column_stack([np.tanh(speed / track.widths[j]), speed]))[: len(inside)][inside]
+        friction = track.reduce(np.column_stack([track.sign(j), track.fine.dq[:, j]]))[: len(inside)][inside]
         columns = np.hstack([friction, friction * t])
         groups.append(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
     usual, rest = np.ones(len(change), bool), np.empty(change.shape)

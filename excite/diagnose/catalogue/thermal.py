@@ -68,7 +68,6 @@ def _by_temperature(tracks: Sequence[Track], j: int) -> Iterator[Shape]:
     below, above = mean - float(seen.min()), float(seen.max()) - mean
     least, most = -min(1.0 / above, COLDEST / below), min(1.0 / below, COLDEST / above)  # never below nothing, nor many times the mean
     size = float(np.mean(np.abs(np.concatenate([t.fine.dq[:, j] for t in tracks])))) * viscous
-
     for dry in (coulomb, 0.0):  # grease thins, and dry friction may go with it or not
         share = (dry + size) / (coulomb + size)
         told = lambda c, share=share: {"change": float(c[0] * share * span / (1.0 - c[0] * share * below))}  # noqa: E731

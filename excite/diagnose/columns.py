@@ -38,6 +38,11 @@ class Columns:
     def joints(self) -> int:
         return len(self.which)
 
+    @property
+    def nbytes(self) -> int:
+        """Memory that they take."""
+        return sum(x.nbytes for x in self.values)
+
     def beside(self, others: Sequence[Columns]) -> Columns:
         """These, then all of others."""
         every = (self, *others)

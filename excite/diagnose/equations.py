@@ -16,6 +16,8 @@ from .half import Half, whitened
 from .track import Track
 
 Array = np.ndarray
+ROOM = 400_000_000
+"""For columns that are kept [bytes]."""
 
 
 def kept(psi: Array, trusted: Mapping[int, float]) -> Array:
@@ -79,9 +81,23 @@ def shapes(halves: Sequence[list[Track]], trusted: bool, floor: Array, names: Co
 
 
 def builder(halves: Sequence[list[Track]], scale: Array) -> search.Build:
-    """Columns of a shape on both halves, over the scale."""
+    """Columns of a shape on both halves, over the scale. They are asked for again behind what was found, and beside other drives: what is
+    made is kept, as far as there is room."""
+    made: dict[tuple[object, ...], tuple[Columns, Columns] | None] = {}
+    room = ROOM
 
     def build(shape: Shape) -> tuple[Columns, Columns] | None:
+        nonlocal room
+        key = search.key(shape)
+        if key in made:
+            return made[key]
+        out = make(shape)
+        room -= 0 if out is None else sum(own.nbytes for own in out)
+        if room > 0:
+            made[key] = out
+        return out
+
+    def make(shape: Shape) -> tuple[Columns, Columns] | None:
         first, second = (
             Columns.of(np.concatenate([shape.columns(one) * one.moves[:, :, None] / scale[:, None] for one in own])) for own in halves
         )

@@ -139,8 +139,8 @@ def relisted(one: Design, chosen: Sequence[int], joints: Collection[int | None])
     """The design with the shapes at some joints that predict best beside those chosen: behind others a shape alone was not the best."""
     if not joints:
         return one
-    there = {_key(shape) for shape in one.shapes}
-    spare = [shape for shape in one.listed if shape.joint in joints and _key(shape) not in there]
+    there = {key(shape) for shape in one.shapes}
+    spare = [shape for shape in one.listed if shape.joint in joints and key(shape) not in there]
     return _extended(one, _picked(only(one, chosen), spare, BESIDE))
 
 
@@ -165,7 +165,8 @@ def rescaled(one: Design, factor: Array) -> Design:
     return dataclasses.replace(_widened(bare((first, second), build), one.shapes, one.places, columns), listed=one.listed)
 
 
-def _key(shape: Shape) -> tuple[object, ...]:
+def key(shape: Shape) -> tuple[object, ...]:
+    """All that a shape's columns hang on."""
     return shape.effect, shape.joint, shape.other, shape.interval, shape.source, tuple(sorted(shape.values.items()))
 
 
@@ -345,7 +346,7 @@ def refined(one: Design, chosen: Sequence[int], sweeps: int = 2) -> tuple[Design
             if knob is None:
                 continue
             others = [k for k in chosen if k != i]
-            asked = _key(one.shapes[i]), *(_key(one.shapes[k]) for k in others)
+            asked = key(one.shapes[i]), *(key(one.shapes[k]) for k in others)
             if asked not in one.turned:
                 small = only(one, others)
                 one.turned[asked] = knob.turned(lambda shape, small=small: _beside(small, shape))  # type: ignore[misc]

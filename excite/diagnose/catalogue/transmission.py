@@ -17,10 +17,12 @@ Array = np.ndarray
 
 RESONANCES = np.geomspace(2.0, 34.0, 16)
 """Of a link on its motor, which stiffnesses are tried by [Hz]."""
+SEEN = 0.6
+"""Of the band, the frequency that shows a link's wind-up best where it swings beyond the band: faster, there is less load."""
 DAMPINGS = (0.07, 0.25)
 """Damping ratios of a link on its motor that are tried first: gears have a few per cent; the second says where a resonance is that lies
 between two of those frequencies; it is turned from there."""
-WIDTHS = np.geomspace(1e-4, 1e-2, 7)
+WIDTHS = np.geomspace(1e-4, 1e-2, 13)
 """Of play, tried [rad]."""
 HOLDS, FURTHER, HARDEST = (0.0, 1.5, 3.0, 6.0, 12.0), 1.5, 20.0
 """Of a link in its play, tried [Hz]: the softer teeth meet, the more of it they hold; the factor from one to those beside it; and the most,
@@ -42,14 +44,16 @@ def _sprung(t: Track, s: Shape) -> Array:
 def _elasticity(tracks: Sequence[Track]) -> Iterator[Shape]:
     """The wind-up for a stiffness, times a coefficient that should come out near 1; where it is too stiff to swing, at any below.
 
-    A link that swings below the band tells its stiffness by how fast it does, else by how far it lies behind.
+    A link that swings below the band tells its stiffness by how fast it does. Else by how far it lies behind, τ/(K − M ω²) at what shows
+    that best: there a softer spring with a lesser coefficient looks the same, and it is the one with coefficient 1 that is told.
     """
     hertz = tracks[0].band.hertz
 
     def spring(joint: int, inertia: float, rests: float, least: float, damping: float = DAMPINGS[0]) -> Callable[[float], Shape]:
         def shape(stiffness: float) -> Shape:
-            swings = np.sqrt(stiffness / inertia) < 2.0 * np.pi * hertz
-            told = named(stiffness=stiffness) if swings else lambda c: {"stiffness": float(stiffness / c[0])}
+            swings, carried = np.sqrt(stiffness / inertia) < 2.0 * np.pi * hertz, inertia * (2.0 * np.pi * SEEN * hertz) ** 2
+            behind = lambda c: {"stiffness": float(carried + (stiffness - carried) / c[0])}  # noqa: E731
+            told = named(stiffness=stiffness) if swings else behind
             fixed = {"stiffness": stiffness, "damping": damping, "rests": rests}
 
             def kin() -> list[Knob]:

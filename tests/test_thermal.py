@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from made import WIDTH, perturbed
+from scipy import integrate
 from test_diagnose import on, recordings_of
 from test_predicted import fitted_with, stated
 
@@ -66,3 +67,31 @@ def test_a_prediction_needs_the_temperature_that_friction_depends_on(subject):
     assert np.abs(whole.predict(model, warm)[1] - bare).max() > 0.05
     with pytest.raises(UnusableInput, match=r"5\.csv: has no temp\.joint_1"):
         whole.predict(model, dataclasses.replace(warm, temperature=None))
+
+
+def test_a_joint_that_its_own_friction_heats_cools_where_it_slows_down(subject):
+    """T ϑ̇ = p/p̄ − ϑ over motions that begin and end at rest: by run time alone the time constant would be another."""
+    psi = perturbed(subject.parameters, np.random.default_rng(4))
+    coulomb, viscous = (float(psi[subject.parameters.block(kind)][0]) for kind in ("coulomb", "viscous"))
+    constant, change, recordings, powers = 4.0, -0.5, [], []
+    for one in recordings_of(subject, None):
+        speed = np.gradient(one.q[:, 0], one.t)
+        friction = coulomb * np.tanh(speed / WIDTH) + viscous * speed
+        recordings.append((one, friction, friction * speed))
+        powers.append(float(np.mean(friction * speed)))
+    made = []
+    for one, friction, power in recordings:
+        warm = integrate.solve_ivp(
+            lambda t, x, one=one, power=power: (np.interp(t, one.t, power) / np.mean(powers) - x) / constant,
+            (one.t[0], one.t[-1]),
+            [0.0],
+            t_eval=one.t,
+            max_step=0.05,
+        ).y[0]
+        made.append(dataclasses.replace(one, tau=one.torque + on(0, change * warm * friction)))
+    result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [made[0]], [made[1]])
+    (named,) = result.verdict.chosen
+    assert (named.effect, named.joint) == ("thermal_drift", 0) and "power" in result.design.shapes[named.shape].values
+    told = interval.finding_parameters(result.design, result.verdict, 0)
+    assert told["time_constant"][0] == pytest.approx(constant, rel=0.1) and told["change"][0] == pytest.approx(change, rel=0.1)
+    assert result.after[0] < 1.3 * result.floor[0]

@@ -21,8 +21,8 @@ TOLD = 3.0
 that is not told, and friction that changes there is any. In 91 simulated robots with nothing missing it seemed to, seven times."""
 POINTS = 200
 """A wave, that its largest and least are told from."""
-SLIPS = np.array([1.0 / 3.0, 1.0, 3.0])
-"""Ways over a middle one, after which springs slip that make up friction's memory."""
+SPRINGS, APART = (3, 5), 3.0
+"""That make up friction's memory, as many as are tried; and the way after which one slips over that of the one before."""
 BACKWARD = 0.05
 """Of all their force, what one of them may have against it by chance."""
 FADING = 6.0
@@ -218,25 +218,32 @@ def slipping(q: Array, reach: float) -> Array:
 
 def _softened(t: Track, s: Shape) -> Array:
     q, reach = t.fine.q[:, s.place], s.values["reach"]
-    curves = [slipping(q, by * reach) for by in SLIPS] if "slips" in s.values else [dahl(q, 1.0 / reach)]
+    curves = [slipping(q, by * reach) for by in _ways(s)] if "springs" in s.values else [dahl(q, 1.0 / reach)]
     return alone(t, s.place, np.column_stack(curves) - t.sign(s.place)[:, None])
+
+
+def _ways(s: Shape) -> Array:
+    """After which a shape's springs slip, over that of the middle one. Shape (k,)."""
+    count = int(s.values["springs"])
+    return np.asarray(APART ** (np.arange(count) - count // 2))
 
 
 def _hysteresis(tracks: Sequence[Track]) -> Iterator[Shape]:
     """Dahl's curve; beside it, springs that slip one after the other, for curves that begin steeper or bend later."""
 
-    def slips(j: int, most: float) -> Callable[[float], Shape]:
+    def slips(j: int, most: float, springs: int) -> Callable[[float], Shape]:
         def shape(reach: float) -> Shape:
-            told = lambda c: {"amplitude": float(c.sum()), "stiffness": float(np.sum(c / SLIPS) / reach)}  # noqa: E731
             plausible = lambda c: bool(0.0 < c.sum() < most and c.min() > -BACKWARD * c.sum())  # noqa: E731
-            return Shape("hysteresis", j, _softened, {"reach": reach, "slips": 1.0}, parameters=told, plausible=plausible)
+            bare = Shape("hysteresis", j, _softened, {"reach": reach, "springs": float(springs)}, plausible=plausible)
+            stiff = 1.0 / (reach * _ways(bare))
+            return replace(bare, parameters=lambda c: {"amplitude": float(c.sum()), "stiffness": float(c @ stiff)})
 
         return shape
 
     def soft(j: int, most: float) -> Callable[[float], Shape]:
         def shape(reach: float) -> Shape:
             told = lambda c: {"amplitude": float(c[0]), "stiffness": float(c[0] / reach)}  # noqa: E731
-            kin = lambda: beside(reach, 4.0, [slips(j, most)])  # noqa: E731
+            kin = lambda: beside(reach, 4.0, [slips(j, most, springs) for springs in SPRINGS])  # noqa: E731
             return Shape("hysteresis", j, _softened, {"reach": reach}, parameters=told, plausible=within(0.0, most), kin=kin)
 
         return shape
@@ -249,7 +256,7 @@ def _hysteresis(tracks: Sequence[Track]) -> Iterator[Shape]:
 def _steepest(parts: Sequence[tuple[Shape, Array]]) -> dict[str, float]:
     """Springs that slip sooner than the first would look the same: the slope that is told is known to what that one has of it."""
     shape, c = parts[0]
-    return {"stiffness": abs(float(c[0])) / (SLIPS[0] * shape.values["reach"])} if "slips" in shape.values else {}
+    return {"stiffness": abs(float(c[0])) / (float(_ways(shape)[0]) * shape.values["reach"])} if "springs" in shape.values else {}
 
 
 def _resisted(t: Track, s: Shape) -> Array:

@@ -24,9 +24,26 @@ def _changed(t: Track, s: Shape) -> Array:
         if not np.isfinite(warm).all():
             joint = t.body.robot.joints[s.place]
             raise UnusableInput(f"{t.piece.source}: has no temp.{joint}, on which the friction of joint '{joint}' depends; record it")
+    elif "power" in s.values:
+        warm = _heated(t, s.place, s.values["time_constant"], s.values["power"])
     else:
         warm = 1.0 - np.exp(-(t.clock - t.clock[0]) / s.values["time_constant"])
     return alone(t, s.place, warm * (s.values["coulomb"] * t.sign(s.place) + s.values["viscous"] * t.fine.dq[:, s.place]))
+
+
+def _heated(t: Track, joint: int, constant: float, power: float) -> Array:
+    """How warm a joint is that its own friction heats, T ϑ̇ = p/p̄ − ϑ: 1 where it goes on at the usual power. Shape (M,)."""
+    from scipy.signal import lfilter  # slow to import
+
+    keeps = float(np.exp(-1.0 / (t.piece.rate * constant)))
+    return np.asarray(lfilter([0.0, 1.0 - keeps], [1.0, -keeps], _losses(t, joint) / power))
+
+
+def _losses(t: Track, joint: int) -> Array:
+    """Power that friction takes by the base fit. Shape (M,) [W]."""
+    coulomb, viscous = _friction(t, joint)
+    speed = t.fine.dq[:, joint]
+    return np.asarray((coulomb * t.sign(joint) + viscous * speed) * speed)
 
 
 def _thermal(tracks: Sequence[Track]) -> Iterator[Shape]:
@@ -45,8 +62,10 @@ def _by_time(tracks: Sequence[Track], j: int) -> Iterator[Shape]:
     length = max(float(np.ptp(t.clock)) for t in tracks)
     coulomb, viscous = _friction(tracks[0], j)
 
-    def shape(constant: float) -> Shape:
-        fixed = {"time_constant": constant, "coulomb": coulomb, "viscous": viscous}
+    power = float(np.mean(np.concatenate([_losses(t, j) for t in tracks])))
+
+    def shape(constant: float, heated: bool = False) -> Shape:
+        fixed = {"time_constant": constant, "coulomb": coulomb, "viscous": viscous} | ({"power": power} if heated else {})
         reached = 1.0 - np.exp(-length / constant)
         mean = 1.0 - reached * constant / length
         told = named("change", time_constant=constant)
@@ -54,7 +73,10 @@ def _by_time(tracks: Sequence[Track], j: int) -> Iterator[Shape]:
         gate = within(max(-1.0 / (reached - mean), -COLDEST / mean), 5.0 / reached)
         return Shape("thermal_drift", j, _changed, fixed, parameters=told, plausible=gate)
 
-    yield from family((np.array([0.1, 0.3, 1.0, 3.0]) * length).tolist(), shape)
+    constants = (np.array([0.1, 0.3, 1.0, 3.0]) * length).tolist()
+    yield from family(constants, shape)
+    if power > 0.0:
+        yield from family(constants, lambda constant: shape(constant, heated=True))
 
 
 def _by_temperature(tracks: Sequence[Track], j: int) -> Iterator[Shape]:

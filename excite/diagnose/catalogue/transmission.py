@@ -17,8 +17,8 @@ Array = np.ndarray
 
 RESONANCES = np.geomspace(2.0, 34.0, 16)
 """Of a link on its motor, which stiffnesses are tried by [Hz]."""
-SEEN = 0.6
-"""Of the band, the frequency that shows a link's wind-up best where it swings beyond the band: faster, there is less load."""
+STIFFER = 1.1
+"""Factor between two stiffnesses whose wind-ups are compared."""
 DAMPINGS = (0.07, 0.25)
 """Damping ratios of a link on its motor that are tried first: gears have a few per cent; the second says where a resonance is that lies
 between two of those frequencies; it is turned from there."""
@@ -41,6 +41,19 @@ def _sprung(t: Track, s: Shape) -> Array:
     return felt(t, s.place, lag, Grid.COARSE)
 
 
+def _carried(tracks: Sequence[Track], joint: int, stiffness: float) -> float:
+    """M ω² at the frequency that shows a stiff spring best [N m/rad]: a stiffer one's wind-up is less, as 1/(K − M ω²) is."""
+
+    def torque(stiffness: float) -> Array:
+        bare = Shape("elasticity", joint, _sprung, {"stiffness": stiffness, "damping": DAMPINGS[0], "rests": 0.0})
+        return np.concatenate([bare.columns(t) for t in tracks])
+
+    one, other = torque(stiffness), torque(STIFFER * stiffness)
+    alike = float(np.sum(one * other)) / max(float(np.sum(one * one)), 1e-300)
+    steepness = -np.log(np.clip(alike, 1e-9, 1.0 / STIFFER)) / np.log(STIFFER)
+    return float(stiffness * (1.0 - 1.0 / steepness))
+
+
 def _elasticity(tracks: Sequence[Track]) -> Iterator[Shape]:
     """The wind-up for a stiffness, times a coefficient that should come out near 1; where it is too stiff to swing, at any below.
 
@@ -49,15 +62,17 @@ def _elasticity(tracks: Sequence[Track]) -> Iterator[Shape]:
     """
     hertz = tracks[0].band.hertz
 
-    def spring(joint: int, inertia: float, rests: float, least: float, damping: float = DAMPINGS[0]) -> Callable[[float], Shape]:
+    def spring(
+        joint: int, inertia: float, carried: float, rests: float, least: float, damping: float = DAMPINGS[0]
+    ) -> Callable[[float], Shape]:
         def shape(stiffness: float) -> Shape:
-            swings, carried = np.sqrt(stiffness / inertia) < 2.0 * np.pi * hertz, inertia * (2.0 * np.pi * SEEN * hertz) ** 2
+            swings = np.sqrt(stiffness / inertia) < 2.0 * np.pi * hertz
             behind = lambda c: {"stiffness": float(carried + (stiffness - carried) / c[0])}  # noqa: E731
             told = named(stiffness=stiffness) if swings else behind
             fixed = {"stiffness": stiffness, "damping": damping, "rests": rests}
 
             def kin() -> list[Knob]:
-                return beside(stiffness, NEAR**2, (spring(joint, inertia, rests, least, z) for z in damped(damping)))
+                return beside(stiffness, NEAR**2, (spring(joint, inertia, carried, rests, least, z) for z in damped(damping)))
 
             return Shape("elasticity", joint, _sprung, fixed, parameters=told, plausible=within(least, 3.0), kin=kin)
 
@@ -66,10 +81,11 @@ def _elasticity(tracks: Sequence[Track]) -> Iterator[Shape]:
     for j in range(tracks[0].n):
         inertia = float(np.mean([mass(t, j).mean() for t in tracks]))
         grid = [float(inertia * (2.0 * np.pi * f) ** 2) for f in RESONANCES]
+        carried = _carried(tracks, j, grid[-1])
         for rests in (0.0, 1.0) if any(launched(t, j) for t in tracks) else (0.0,):
             for damping in DAMPINGS:
-                yield from family(grid[:-1], spring(j, inertia, rests, 0.3, damping))
-        yield spring(j, inertia, 0.0, 0.01)(grid[-1])
+                yield from family(grid[:-1], spring(j, inertia, carried, rests, 0.3, damping))
+        yield spring(j, inertia, carried, 0.0, 0.01)(grid[-1])
 
 
 def _loose(t: Track, s: Shape) -> Array:
@@ -261,12 +277,8 @@ def _rubs(speed: float, acceleration: float) -> Callable[[Array], bool]:
 
 
 def _coupling(tracks: Sequence[Track]) -> Iterator[Shape]:
-    """Viscous friction and inertia are told as torque by the other joint's motion, which is sure whether the ratio is or not."""
+    """Shafts that either joint turns the faster, either way round, with inertia and without."""
     n = tracks[0].n
-
-    def told(ratio: float) -> Callable[[Array], dict[str, float]]:
-        names = {"viscous": ratio, "coulomb": 1.0, "inertia": ratio}
-        return lambda c: {name: float(value * by) for (name, by), value in zip(names.items(), c, strict=False)}
 
     def shaft(i: int, j: int, sign: float, light: bool) -> Callable[[float], Shape]:
         def shape(ratio: float) -> Shape:
@@ -275,7 +287,8 @@ def _coupling(tracks: Sequence[Track]) -> Iterator[Shape]:
                 for both in ([t.fine.dq for t in tracks], [t.fine.ddq for t in tracks])
             )
             fixed = {"ratio": sign * ratio} | ({"light": 1.0} if light else {})
-            return Shape("coupling", i, _turned, fixed, j, parameters=told(ratio), plausible=_rubs(turns, hastes))
+            told = named("viscous", "coulomb", "inertia")
+            return Shape("coupling", i, _turned, fixed, j, parameters=told, plausible=_rubs(turns, hastes))
 
         return shape
 

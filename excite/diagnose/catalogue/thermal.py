@@ -1,4 +1,4 @@
-"""Friction that changes as a drive warms up: with run time, or with the temperature that was recorded."""
+"""Friction that changes as a drive warms up: with run time, by its own power, or with the temperature that was recorded."""
 
 from __future__ import annotations
 
@@ -18,30 +18,31 @@ DEGREES = 1.0
 
 
 def _changed(t: Track, s: Shape) -> Array:
-    """A joint's friction by the base fit, as it changes with run time or, where a `reference` is stated, with temperature."""
+    """A joint's friction by the base fit, as it changes with run time, where a mean `power` is stated, by what heats it, or where a
+    `reference` is, with temperature."""
     if "reference" in s.values:
         warm = t.temperature[:, s.place] - s.values["reference"]
         if not np.isfinite(warm).all():
             joint = t.body.robot.joints[s.place]
             raise UnusableInput(f"{t.piece.source}: has no temp.{joint}, on which the friction of joint '{joint}' depends; record it")
     elif "power" in s.values:
-        warm = _heated(t, s.place, s.values["time_constant"], s.values["power"])
+        warm = _heated(t, s)
     else:
         warm = 1.0 - np.exp(-(t.clock - t.clock[0]) / s.values["time_constant"])
     return alone(t, s.place, warm * (s.values["coulomb"] * t.sign(s.place) + s.values["viscous"] * t.fine.dq[:, s.place]))
 
 
-def _heated(t: Track, joint: int, constant: float, power: float) -> Array:
-    """How warm a joint is that its own friction heats, T ϑ̇ = p/p̄ − ϑ: 1 where it goes on at the usual power. Shape (M,)."""
+def _heated(t: Track, s: Shape) -> Array:
+    """How warm a joint is that its own friction heats, T ϑ̇ = p/p̄ − ϑ: 1 where it goes on at the usual power p̄. Shape (M,)."""
     from scipy.signal import lfilter  # slow to import
 
-    keeps = float(np.exp(-1.0 / (t.piece.rate * constant)))
-    return np.asarray(lfilter([0.0, 1.0 - keeps], [1.0, -keeps], _losses(t, joint) / power))
+    keeps = float(np.exp(-1.0 / (t.piece.rate * s.values["time_constant"])))
+    power = _losses(t, s.place, s.values["coulomb"], s.values["viscous"]) / s.values["power"]
+    return np.asarray(lfilter([0.0, 1.0 - keeps], [1.0, -keeps], power))
 
 
-def _losses(t: Track, joint: int) -> Array:
-    """Power that friction takes by the base fit. Shape (M,) [W]."""
-    coulomb, viscous = _friction(t, joint)
+def _losses(t: Track, joint: int, coulomb: float, viscous: float) -> Array:
+    """Power that friction takes. Shape (M,) [W]."""
     speed = t.fine.dq[:, joint]
     return np.asarray((coulomb * t.sign(joint) + viscous * speed) * speed)
 
@@ -61,8 +62,7 @@ def _friction(track: Track, joint: int) -> tuple[float, float]:
 def _by_time(tracks: Sequence[Track], j: int) -> Iterator[Shape]:
     length = max(float(np.ptp(t.clock)) for t in tracks)
     coulomb, viscous = _friction(tracks[0], j)
-
-    power = float(np.mean(np.concatenate([_losses(t, j) for t in tracks])))
+    power = float(np.mean(np.concatenate([_losses(t, j, coulomb, viscous) for t in tracks])))
 
     def shape(constant: float, heated: bool = False) -> Shape:
         fixed = {"time_constant": constant, "coulomb": coulomb, "viscous": viscous} | ({"power": power} if heated else {})
@@ -100,7 +100,8 @@ def _by_temperature(tracks: Sequence[Track], j: int) -> Iterator[Shape]:
 EFFECTS = (
     Effect(
         "thermal_drift",
-        "friction × (1 + c (1 − e^(−t/T))), or × (1 + c (ϑ − ϑ₀)) where temperatures were recorded (Bittencourt & Gunnarsson 2012)",
+        "friction × (1 + c (1 − e^(−t/T))), or × (1 + c ϑ), T ϑ̇ = p/p̄ − ϑ, heated by its power p, or × (1 + c (ϑ − ϑ₀)) where temperatures "
+        "were recorded (Bittencourt & Gunnarsson 2012)",
         _changed,
         _thermal,
         {"change": "1", "time_constant": "s"},

@@ -55,6 +55,25 @@ def test_another_days_friction_is_told_as_that() -> None:
     assert one.after[0] > 2.0 * one.floor[0]  # no model knows the day: what is held out is foretold as if nothing had changed
 
 
+def test_held_out_torque_is_foretold_with_the_mean_of_days() -> None:
+    """Friction of the second day is more by half as much again as that of the day held out."""
+    subject, (coulomb, viscous) = two_links(), friction()
+    psi, days = perturbed(subject.parameters, np.random.default_rng(4)), []
+    for seed, more in ((2, 0.0), (8, 0.4), (5, 0.2)):
+        one = recorded(subject, psi, motion(2, seed), 4, 0.0)
+        speed = np.gradient(one.q, one.t, axis=0)
+        rubs = more * (coulomb * np.tanh(speed / WIDTH) + viscous * speed)
+        noise = 0.1 * np.random.default_rng(seed).normal(size=one.q.shape)
+        days.append(dataclasses.replace(one, tau=one.torque + rubs + noise, source=f"{seed}.csv"))
+    one = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, days[:2], days[2:])
+    assert not one.verdict.chosen and np.all(one.after < 1.3 * one.floor)
+    told = {(change.source, change.joint): change for change in one.changes}
+    assert set(told) == {("8.csv", 0), ("8.csv", 1), ("5.csv", 0), ("5.csv", 1)}
+    for (source, j), change in told.items():  # against the first
+        truth = {"8.csv": 0.4, "5.csv": 0.2}[source] * np.array([coulomb[j], viscous[j], 0.0])
+        assert np.all(np.abs(change.change - truth) < 4.0 * change.std + 0.02 * np.abs(truth))
+
+
 @pytest.mark.parametrize("name", ["stribeck", "torque_ripple", "position_friction", "coupling"])
 def test_what_is_missing_is_named_though_friction_differs(name: str) -> None:
     one = found(name)
@@ -112,10 +131,9 @@ def test_a_change_is_as_sure_as_its_recording_is_long() -> None:
         runs = [recorded(subject, psi, motion(2, 2), periods, 0.0) for periods in (6.0, 0.8)]
         noisy = [dataclasses.replace(r, tau=r.torque + 0.1 * rng.normal(size=r.q.shape), source=f"{len(r)}.csv") for r in runs]
         one = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, noisy[:1], noisy[1:], Options(names=("drag",)))
-        every = [*one.tracks[0], *one.tracks[1]]
-        halves = [equations.half(half, one.identified, {}, one.floor, every) for half in one.tracks]
+        halves = [equations.half(half, one.identified, {}, one.floor, one.tracks) for half in one.tracks]
         design = search.bare((halves[0], halves[1]), equations.builder(one.tracks, one.floor))
-        ratios += [float(x) for change in between.changes(design, (), every) for x in change.change / change.std]
+        ratios += [float(x) for change in between.changes(design, (), one.tracks) for x in change.change / change.std]
         assert not one.changes
     assert np.sqrt(np.mean(np.square(ratios))) < 1.5 and np.max(np.abs(ratios)) < between.SURE
 

@@ -2,7 +2,7 @@
 
 What one recording teaches is judged on another. Where friction itself is another by then, that looks like whatever law comes near it; so,
 where it shows, every recording after the first has friction and an offset of its own, of which about as much is known beforehand as of
-friction on any day. Predictions do not know them: held-out torque is foretold as if nothing had changed.
+friction on any day. Predictions do not know them: held-out torque is foretold with the mean of what the recordings say that teach.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from .search import Design
 from .track import Track
 
 Array = np.ndarray
+Halves = tuple[list[Track], list[Track]]
 KINDS = ("coulomb", "viscous", "offset")
 CHANGES, LEAST = 0.5, 0.01
 """Standard deviation of a change over friction itself; and of friction, over the joint's largest torque, at the least."""
@@ -73,15 +74,15 @@ def _shapes(tracks: Sequence[Track], of: Sequence[str]) -> list[Shape]:
     return [Shape("", j, _drive, source=source) for source in of for j in range(tracks[0].n)]
 
 
-def columns(track: Track, every: Sequence[Track]) -> Array:
-    """Of drives that every recording after the first has its own of, on one stretch. Shape (N, n, 3n × recordings)."""
-    of, n = sources(every), track.n
-    out = np.zeros((len(track), n, len(KINDS) * n * len(of)))
-    if track.piece.source in of:
-        first = len(KINDS) * n * of.index(track.piece.source)
-        own = [shape.columns(track) for shape in _shapes(every, [track.piece.source])]
-        out[:, :, first : first + len(KINDS) * n] = np.concatenate(own, axis=2)
-    return out
+def columns(track: Track, halves: Halves) -> Array:
+    """Of drives that every recording after the first has its own of, on one stretch. Shape (N, n, 3n × recordings).
+
+    The first has what the others of its half have less, in sum: the base model's is the mean of that half.
+    """
+    of, here = sources([*halves[0], *halves[1]]), track.piece.source
+    taught = sources(halves[0]) if here == halves[0][0].piece.source else ()
+    own = np.concatenate([shape.columns(track) for shape in _shapes(halves[0], [here])], axis=2)
+    return np.concatenate([(float(source == here) - float(source in taught)) * own for source in of], axis=2)
 
 
 def known(every: Sequence[Track]) -> Array:
@@ -141,8 +142,9 @@ def differs_later(left: Array, taken: Array, moves: Array, noise: Array) -> bool
     return _taken(search.mean_square(left, moves), search.mean_square(taken, moves), noise, LATER)
 
 
-def changes(one: Design, shapes: Sequence[int], every: Sequence[Track]) -> tuple[Change, ...]:
+def changes(one: Design, shapes: Sequence[int], halves: Halves) -> tuple[Change, ...]:
     """By how much, of a design whose recordings have drives of their own, beside some shapes; errors between stretches of time."""
+    every = [*halves[0], *halves[1]]
     both, which, n = one.both, one.which(shapes), every[0].n
     added = np.concatenate([part.picked(which).full() for part in one.columns])
     start = both.gamma.shape[1] - n  # friction's widths are last
@@ -151,10 +153,12 @@ def changes(one: Design, shapes: Sequence[int], every: Sequence[Track]) -> tuple
     found, covariance = sandwiched(
         [(A[part], both.torque[part]) for part in _blocks(np.flatnonzero(both.rows), np.flatnonzero(~both.rows), every)]
     )
-    told = []
-    for k, shape in enumerate(_shapes(every, sources(every))):
-        own = slice(len(KINDS) * k, len(KINDS) * (k + 1))
-        told.append(Change(shape.source, shape.place, found[own], FEW**2 * covariance[own, own]))
+    told, own = [], _shapes(every, sources(every))
+    for shape in own:  # from the mean to the first: what it has less
+        also = [float(other.place == shape.place and other.source in (shape.source, *sources(halves[0]))) for other in own]
+        twice = [float(other is shape and shape.source in sources(halves[0])) for other in own]
+        L = np.kron(np.add(also, twice), np.eye(len(KINDS)))
+        told.append(Change(shape.source, shape.place, L @ found[: L.shape[1]], FEW**2 * L @ covariance[: L.shape[1], : L.shape[1]] @ L.T))
     return tuple(told)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..identify.identification import Identification
 from . import between, equations, foretold, judge, late, noise, once, search, track
+from .between import Halves
 from .catalogue import EFFECTS
 from .judge import Verdict
 from .noise import Noise
@@ -17,7 +18,6 @@ from .track import Track
 
 Array = np.ndarray
 Progress = Callable[[str], None]
-Halves = tuple[list[Track], list[Track]]
 MISFIT = {"periods": 0.1, "differences": 0.3}
 """Share of the residual taken for a form that is not quite the catalogue's, by how the noise is known."""
 AGAIN, COARSE = 2, 0.7
@@ -80,22 +80,22 @@ def run(
     every, scale = [*halves[0], *halves[1]], _scale(noisy, np.sqrt(np.mean(identified.data.residual**2, axis=0)))
     build, listed = equations.builder(halves, scale), equations.shapes(halves, bool(trusted), noisy.floor, names)
 
-    def bare(differing: Sequence[Track]) -> Design:
+    def bare(differing: Halves | None) -> Design:
         first, second = (equations.half(half, identified, trusted, scale, differing) for half in halves)
         return search.bare((first, second), build)
 
     def with_own_drives() -> Course | None:
         progress("drives may differ between the recordings: beside drives of their own")
-        found = replace(_searched(search.filled(bare(every), listed), noisy, scale, every), differing=True)
-        return found if any(change.sure for change in between.changes(found.one, found.shapes, every)) else None
+        found = replace(_searched(search.filled(bare(halves), listed), noisy, scale, every), differing=True)
+        return found if any(change.sure for change in between.changes(found.one, found.shapes, halves)) else None
 
-    one = search.filled(bare(()), listed)
+    one = search.filled(bare(None), listed)
     differs = between.differs_at_first(one, every, (noisy.quiet / scale) ** 2)
     if differs and (other := with_own_drives()) is not None:
         return other
     progress(f"{len(listed)} shapes of {len(EFFECTS)} effects, alone and together")
     found, moves = _searched(one, noisy, scale, every), np.concatenate([t.moves for t in halves[1]])
-    if differs or found.explained(moves) or not found.otherwise(lambda: bare(every), scale, every, moves):
+    if differs or found.explained(moves) or not found.otherwise(lambda: bare(halves), scale, every, moves):
         return found
     other = with_own_drives()
     return found if other is None or float(other.left.sum()) > float(found.left.sum()) else other

@@ -282,7 +282,7 @@ def _judged(
     every = course.rms(one, (*verdict.named, *(part.shape for finding in _real(one, verdict) for part in finding.parts)), scale)
     doubted = np.sqrt(np.maximum(fitted[1] ** 2 - every**2, 0.0))
     judged = (rms[0], rms[1], (before, after), refitted if verdict.findings else None)
-    differs = between.changes(one, found.shapes, [*tracks[0], *tracks[1]]) if found.differing else ()
+    differs = between.changes(one, found.shapes, tracks) if found.differing else ()
     same = search.mean_square(foretold.levelled(one, after / scale) * scale, moves)
     known = {
         "expected": expected,

@@ -9,6 +9,7 @@ import numpy as np
 from ..identify import consistent
 from ..identify.identification import Identification
 from . import between, search
+from .between import Halves
 from .catalogue import BY_NAME, EFFECTS
 from .columns import Columns
 from .effect import Shape
@@ -29,11 +30,11 @@ def kept(psi: Array, trusted: Mapping[int, float]) -> Array:
 
 
 def half(
-    tracks: list[Track], identified: Identification, trusted: Mapping[int, float], scale: Array, differing: Sequence[Track] = ()
+    tracks: list[Track], identified: Identification, trusted: Mapping[int, float], scale: Array, differing: Halves | None = None
 ) -> Half:
     """Base columns and what they explain: all parameters, or beside a trusted prior those that it leaves free.
 
-    differing: all stretches of both halves, where drives differ between their recordings (`between`).
+    differing: both halves, where drives differ between their recordings (`between`).
     """
     base, parameters = identified.model.base, identified.model.parameters
     places = np.arange(base.count)
@@ -49,7 +50,7 @@ def half(
         torque.append(one.left if trusted else one.torque)
     rows, right = _known(identified, trusted, columns[0].shape[2])
     if differing:
-        std = between.known(differing)
+        std = between.known([*differing[0], *differing[1]])
         changes = np.zeros((len(std), rows.shape[1]))
         changes[:, len(places) : len(places) + len(std)] = np.diag(1.0 / std)
         rows, right = np.vstack([rows, changes]), np.concatenate([right, np.zeros(len(std))])

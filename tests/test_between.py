@@ -56,7 +56,7 @@ def test_another_days_friction_is_told_as_that() -> None:
 
 
 def test_held_out_torque_is_foretold_with_the_mean_of_days() -> None:
-    """Friction of the second day is more by half as much again as that of the day held out."""
+    """The day held out is as warm as the two that teach are on the average."""
     subject, (coulomb, viscous) = two_links(), friction()
     psi, days = perturbed(subject.parameters, np.random.default_rng(4)), []
     for seed, more in ((2, 0.0), (8, 0.4), (5, 0.2)):

@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 from test_diagnose import PLANTED, found, on, recordings_of
 
 from excite import dynamics
-from excite.diagnose import diagnosis, hypothesis, interval, judge, noise, search, track
+from excite.diagnose import diagnosis, equations, hypothesis, interval, judge, noise, search, track
 from excite.diagnose.catalogue import BY_NAME
 from excite.diagnose.columns import Columns
 from excite.diagnose.document import document
@@ -319,3 +319,19 @@ def test_rows_that_do_not_count_change_nothing():
     np.testing.assert_allclose(search.level(part, [0]), search.level(short, [0]), rtol=1e-3)  # the prior's width is of all rows
     np.testing.assert_allclose(search.level(part, []), search.level(short, []))
     assert search.level(part, []) < 0.5 * np.mean((torque + 9.0 * ~counts[:, None]) ** 2)
+
+
+def test_columns_of_listed_shapes_are_made_once_and_no_more_are_kept_than_there_is_room(subject, monkeypatch):
+    one_track, calls = found(subject, None).tracks[0][0], list[str]()
+
+    def add(t: track.Track, s: Shape) -> Array:
+        calls.append(s.effect)
+        return np.ones((len(t), t.n, 1)) * s.values["x"]
+
+    one, other, nothing = (Shape("drag", 0, add, {"x": x}) for x in (1.0, 2.0, 0.0))
+    build = equations.builder(([one_track], [one_track]), np.ones(one_track.n), [one, nothing])
+    assert build(one) is build(one) and build(nothing) is None and build(nothing) is None and len(calls) == 4  # of both halves each
+    assert build(other) is not build(other) and len(calls) == 8
+    monkeypatch.setattr(equations, "ROOM", 0)
+    build = equations.builder(([one_track], [one_track]), np.ones(one_track.n), [one])
+    assert build(one) is not build(one)

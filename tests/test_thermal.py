@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 from made import WIDTH, perturbed
 from scipy import integrate
-from test_diagnose import on, recordings_of
+from test_diagnose import found, on, recordings_of
 from test_predicted import fitted_with, stated
 
 from excite.diagnose import diagnosis, interval, whole
+from excite.diagnose.catalogue import BY_NAME, thermal
 from excite.diagnose.document import document
+from excite.diagnose.effect import Shape
+from excite.diagnose.track import Grid, Track
 from excite.errors import UnusableInput
 from excite.identify.equations import Model
 from excite.recordings import Recording
@@ -95,3 +98,43 @@ def test_a_joint_that_its_own_friction_heats_cools_where_it_slows_down(subject):
     told = interval.finding_parameters(result.design, result.verdict, 0)
     assert told["time_constant"][0] == pytest.approx(constant, rel=0.1) and told["change"][0] == pytest.approx(change, rel=0.1)
     assert result.after[0] < 1.3 * result.floor[0]
+
+
+def heated(subject: Model, constant: float) -> tuple[Track, Shape]:
+    track = found(subject, None).tracks[0][0]
+    shapes = BY_NAME["thermal_drift"].shapes([track])
+    return track, next(s for s in shapes if s.joint == 0 and "power" in s.values).knob.at(constant)
+
+
+@pytest.mark.parametrize("constant", [1.0, 4.0, 15.0])
+def test_friction_of_a_heated_joint_never_falls_far_below_nothing(subject, constant):
+    """Fast at first and slow then: the joint is far warmer than at its usual power, and a change that is small there is large here."""
+    track, _ = heated(subject, constant)
+    q = track.piece.q.copy()
+    slow = len(q) // 3
+    q[slow:] = q[slow] + 0.1 * (q[slow:] - q[slow])
+    uneven = dataclasses.replace(track, piece=dataclasses.replace(track.piece, q=q))
+    shapes = BY_NAME["thermal_drift"].shapes([uneven])
+    shape = next(s for s in shapes if s.joint == 0 and "power" in s.values).knob.at(constant)
+    warm = thermal._heated(uneven, shape)
+    for c in np.linspace(-4.0, -0.01, 200):
+        if shape.plausible(np.array([c])):
+            assert 1.0 + c * (warm.max() - warm.mean()) > -1e-9
+
+
+@pytest.mark.parametrize("power", [True, False])
+def test_a_gap_in_a_recording_makes_no_joint_cold(subject, power):
+    track, shape = heated(subject, 6.0)
+    if not power:
+        shape = dataclasses.replace(shape, values={k: v for k, v in shape.values.items() if k != "power"})
+    half, start = len(track.piece) // 2, track.piece.start
+    later = dataclasses.replace(
+        track.piece, q=track.piece.q[half:], torque=track.piece.torque[half:], start=float(track.clock[half]), began=start
+    )
+    whole_way, after = (
+        thermal._changed(dataclasses.replace(track, piece=piece, to=Grid.RECORDED, kept=slice(0, len(piece))), shape)[:, 0, 0]
+        for piece in (track.piece, later)
+    )
+    inside = slice(200, -200)  # off the ends, which a filter feels
+    gone = whole_way[half:][inside] - after[inside]
+    assert np.sqrt(np.mean(gone**2)) < 0.1 * np.sqrt(np.mean(after[inside] ** 2))

@@ -82,7 +82,7 @@ def columns(track: Track, halves: Halves) -> Array:
     of, here = sources([*halves[0], *halves[1]]), track.piece.source
     taught = sources(halves[0]) if here == halves[0][0].piece.source else ()
     own = np.concatenate([shape.columns(track) for shape in _shapes(halves[0], [here])], axis=2)
-    return np.concatenate([(float(source == here) - float(source in taught)) * own for source in of], axis=2)
+    return np.concatenate([own[:, :, :0], *((float(source == here) - float(source in taught)) * own for source in of)], axis=2)
 
 
 def known(every: Sequence[Track]) -> Array:

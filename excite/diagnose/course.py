@@ -78,7 +78,8 @@ def run(
     trusted, names: see `diagnosis.Options`.
     """
     every, scale = [*halves[0], *halves[1]], _scale(noisy, np.sqrt(np.mean(identified.data.residual**2, axis=0)))
-    build, listed = equations.builder(halves, scale), equations.shapes(halves, bool(trusted), noisy.floor, names)
+    listed = equations.shapes(halves, bool(trusted), noisy.floor, names)
+    build = equations.builder(halves, scale, listed)
 
     def bare(differing: Halves | None) -> Design:
         first, second = (equations.half(half, identified, trusted, scale, differing) for half in halves)

@@ -81,11 +81,10 @@ def shapes(halves: Sequence[list[Track]], trusted: bool, floor: Array, names: Co
     return [shape for shape in every_shape if shape.joint is None or grain[shape.joint] <= shape.grain]
 
 
-def builder(halves: Sequence[list[Track]], scale: Array) -> search.Build:
-    """Columns of a shape on both halves, over the scale. They are asked for again behind what was found, and beside other drives: what is
-    made is kept, as far as there is room."""
-    made: dict[tuple[object, ...], tuple[Columns, Columns] | None] = {}
-    room = ROOM
+def builder(halves: Sequence[list[Track]], scale: Array, listed: Sequence[Shape] = ()) -> search.Build:
+    """Columns of a shape on both halves, over the scale. listed: shapes that will be asked for again, beside what was found or other
+    drives; theirs are kept, as far as there is room."""
+    again, made, room = {search.key(shape) for shape in listed}, dict[tuple[object, ...], tuple[Columns, Columns] | None](), ROOM
 
     def build(shape: Shape) -> tuple[Columns, Columns] | None:
         nonlocal room
@@ -93,9 +92,9 @@ def builder(halves: Sequence[list[Track]], scale: Array) -> search.Build:
         if key in made:
             return made[key]
         out = make(shape)
-        room -= 0 if out is None else sum(own.nbytes for own in out)
-        if room > 0:
-            made[key] = out
+        size = 0 if out is None else sum(own.nbytes for own in out)
+        if key in again and size <= room:
+            made[key], room = out, room - size
         return out
 
     def make(shape: Shape) -> tuple[Columns, Columns] | None:

@@ -149,6 +149,11 @@ class Track:
         """Times of every sample [s]. Shape (M,)."""
         return self.piece.start + np.arange(len(self.piece)) / self.piece.rate
 
+    @property
+    def runs(self) -> Array:
+        """For how long the recording has been going on, at every sample. Shape (M,) [s]."""
+        return self.clock - (self.piece.start if self.piece.began is None else self.piece.began)
+
     def reduce(self, x: Array, of: Grid = Grid.RECORDED) -> Array:
         """Below the band, at the kept rows, as late as it comes. Shapes (M or C, …) -> (N, …)."""
         if self.to is Grid.RECORDED and of is Grid.COARSE:

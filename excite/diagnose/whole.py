@@ -104,7 +104,8 @@ def predict(fitted: FittedModel, recording: Recording) -> tuple[Array, Array]:
 
     def beyond(stretch: Recording) -> Array:
         still, warmth = np.zeros(stretch.q.shape), stretch.temperature
-        piece = Piece(recording.source, float(stretch.t[0]), stretch.rate, stretch.q, still, encoder=recording.encoder, temperature=warmth)
+        whole = (recording.source, float(stretch.t[0]), stretch.rate, stretch.q, still)
+        piece = Piece(*whole, encoder=recording.encoder, temperature=warmth, began=float(recording.t[0]))
         band = piece.band(min(fitted.hertz, 0.45 * piece.rate))
         empty = nothing[:, :, None]
         along = Track(piece, band, body, fitted.widths, np.zeros(0), nothing, empty, nothing, slice(0), np.zeros(0))

@@ -34,6 +34,7 @@ class Piece:
     periods: how many were averaged; 0: not periodic. noise: each period's torque less the mean's. Shape (periods, N, n). encoder: standard
     deviation of positions by the encoders' steps, as they were read. smoothed: joints whose positions are the smoothest within these.
     Shape (n,) or, where none are, (1,). temperature: Shape (N, n), NaN where a joint's was not recorded; None where no joint's was [°C].
+    began: when its recording did, where that is another time than its own [s].
     """
 
     source: str
@@ -46,6 +47,7 @@ class Piece:
     encoder: Array = field(default_factory=lambda: np.zeros(1))
     smoothed: Array = field(default_factory=lambda: np.zeros(1, bool))
     temperature: Array | None = None
+    began: float | None = None
 
     def __len__(self) -> int:
         return len(self.q)
@@ -74,7 +76,8 @@ def pieces(recordings: Iterable[Recording], *, average: bool = True) -> Iterator
                 continue
         for part in recording.segments():
             whole = (recording.source, float(part.t[0]), part.rate, part.q, part.torque)
-            yield Piece(*whole, encoder=recording.encoder, smoothed=recording.smoothed, temperature=part.temperature)
+            encoders, began = (0, None, recording.encoder, recording.smoothed), float(recording.t[0])
+            yield Piece(*whole, *encoders, temperature=part.temperature, began=began)
 
 
 def first(parts: Sequence[Piece], samples: int) -> list[Piece]:

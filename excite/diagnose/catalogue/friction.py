@@ -21,8 +21,9 @@ TOLD = 3.0
 that is not told, and friction that changes there is any. In 91 simulated robots with nothing missing it seemed to, seven times."""
 POINTS = 200
 """A wave, that its largest and least are told from."""
-SPRINGS, APART = (3, 5), 3.0
-"""That make up friction's memory, as many as are tried; and the way after which one slips over that of the one before."""
+SPRINGS, APART, SLIPS = (3, 5), 3.0, 0.5
+"""How many springs make up friction's memory, as tried; each one's way until it slips, over that of the one before; and the last one's over
+a joint's stroke, at the most: what never slips is a spring."""
 BACKWARD = 0.05
 """Of all their force, what one of them may have against it by chance."""
 FADING = 6.0
@@ -232,11 +233,17 @@ def _hysteresis(tracks: Sequence[Track]) -> Iterator[Shape]:
     """Dahl's curve; beside it, springs that slip one after the other, for curves that begin steeper or bend later."""
 
     def slips(j: int, most: float, springs: int) -> Callable[[float], Shape]:
+        low, high = stroke(tracks, j)
+
         def shape(reach: float) -> Shape:
-            plausible = lambda c: bool(0.0 < c.sum() < most and c.min() > -BACKWARD * c.sum())  # noqa: E731
-            bare = Shape("hysteresis", j, _softened, {"reach": reach, "springs": float(springs)}, plausible=plausible)
-            stiff = 1.0 / (reach * _ways(bare))
-            return replace(bare, parameters=lambda c: {"amplitude": float(c.sum()), "stiffness": float(c @ stiff)})
+            bare = Shape("hysteresis", j, _softened, {"reach": reach, "springs": float(springs)})
+            ways = reach * _ways(bare)
+            slip = bool(ways[-1] < SLIPS * (high - low))
+            return replace(
+                bare,
+                parameters=lambda c: {"amplitude": float(c.sum()), "stiffness": float(np.sum(c / ways))},
+                plausible=lambda c: slip and bool(0.0 < c.sum() < most and c.min() > -BACKWARD * c.sum()),
+            )
 
         return shape
 

@@ -116,11 +116,6 @@ def _encoder(tracks: Sequence[Track]) -> Iterator[Shape]:
         yield from family((1.0, 1.6, 2.5, 4.0), wrong(j, dict.fromkeys(MULTIPLES.values(), 1.0)))
 
 
-def _farthest(parts: Sequence[tuple[Shape, Array]]) -> dict[str, float]:
-    """Of several waves at a joint, the one that is most of the angle: torque shows fast ones more."""
-    return max((shape.parameters(c) for shape, c in parts), key=lambda told: told["amplitude"])
-
-
 EFFECTS = (
     Effect(
         "delay",
@@ -145,6 +140,5 @@ EFFECTS = (
         "constant speeds, slow and fast, over a turn",
         form={"amplitude": 0.4, "order": 0.4},
         loose=0.8,
-        told=_farthest,
     ),
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -28,17 +29,19 @@ def _changed(t: Track, s: Shape) -> Array:
     elif "power" in s.values:
         warm = _heated(t, s)
     else:
-        warm = 1.0 - np.exp(-(t.clock - t.clock[0]) / s.values["time_constant"])
+        warm = 1.0 - np.exp(-t.runs / s.values["time_constant"])
     return alone(t, s.place, warm * (s.values["coulomb"] * t.sign(s.place) + s.values["viscous"] * t.fine.dq[:, s.place]))
 
 
 def _heated(t: Track, s: Shape) -> Array:
-    """How warm a joint is that its own friction heats, T ϑ̇ = p/p̄ − ϑ: 1 where it goes on at the usual power p̄. Shape (M,)."""
+    """How warm a joint is that its own friction heats, T ϑ̇ = p/p̄ − ϑ: 1 where it goes on at the usual power p̄, as it is taken to have done
+    before a gap. Shape (M,)."""
     from scipy.signal import lfilter  # slow to import
 
-    keeps = float(np.exp(-1.0 / (t.piece.rate * s.values["time_constant"])))
+    constant = s.values["time_constant"]
+    keeps, before = float(np.exp(-1.0 / (t.piece.rate * constant))), float(1.0 - np.exp(-t.runs[0] / constant))
     power = _losses(t, s.place, s.values["coulomb"], s.values["viscous"]) / s.values["power"]
-    return np.asarray(lfilter([0.0, 1.0 - keeps], [1.0, -keeps], power))
+    return np.asarray(lfilter([0.0, 1.0 - keeps], [1.0, -keeps], power) + before * np.exp(-(t.clock - t.clock[0]) / constant))
 
 
 def _losses(t: Track, joint: int, coulomb: float, viscous: float) -> Array:
@@ -60,7 +63,7 @@ def _friction(track: Track, joint: int) -> tuple[float, float]:
 
 
 def _by_time(tracks: Sequence[Track], j: int) -> Iterator[Shape]:
-    length = max(float(np.ptp(t.clock)) for t in tracks)
+    length = max(float(t.runs[-1]) for t in tracks)
     coulomb, viscous = _friction(tracks[0], j)
     power = float(np.mean(np.concatenate([_losses(t, j, coulomb, viscous) for t in tracks])))
 
@@ -68,14 +71,16 @@ def _by_time(tracks: Sequence[Track], j: int) -> Iterator[Shape]:
         fixed = {"time_constant": constant, "coulomb": coulomb, "viscous": viscous} | ({"power": power} if heated else {})
         reached = 1.0 - np.exp(-length / constant)
         mean = 1.0 - reached * constant / length
-        told = named("change", time_constant=constant)
+        bare = Shape("thermal_drift", j, _changed, fixed, parameters=named("change", time_constant=constant))
+        if heated:
+            warm = np.concatenate([_heated(t, bare) for t in tracks])
+            reached, mean = float(warm.max()), float(warm.mean())
         # what the base fit has of friction is the mean: it never falls below nothing, nor does it begin many times as high
-        gate = within(max(-1.0 / (reached - mean), -COLDEST / mean), 5.0 / reached)
-        return Shape("thermal_drift", j, _changed, fixed, parameters=told, plausible=gate)
+        return replace(bare, plausible=within(max(-1.0 / (reached - mean), -COLDEST / mean), 5.0 / reached))
 
     constants = (np.array([0.1, 0.3, 1.0, 3.0]) * length).tolist()
     yield from family(constants, shape)
-    if power > 0.0:
+    if power > 0.0:  # not where it could not be told
         yield from family(constants, lambda constant: shape(constant, heated=True))
 
 
@@ -105,7 +110,7 @@ EFFECTS = (
         _changed,
         _thermal,
         {"change": "1", "time_constant": "s"},
-        "friction changes with run time or temperature",
+        "friction changes with run time, with how fast it ran, or with temperature",
         ("asymmetric_viscous",),
         "a long run that ends with its first motion, temperatures recorded",
         form={"change": 0.25, "time_constant": 0.25},

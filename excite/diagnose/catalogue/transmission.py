@@ -49,9 +49,8 @@ def _carried(tracks: Sequence[Track], joint: int, stiffness: float) -> float:
         return np.concatenate([bare.columns(t) for t in tracks])
 
     one, other = torque(stiffness), torque(STIFFER * stiffness)
-    alike = float(np.sum(one * other)) / max(float(np.sum(one * one)), 1e-300)
-    steepness = -np.log(np.clip(alike, 1e-9, 1.0 / STIFFER)) / np.log(STIFFER)
-    return float(stiffness * (1.0 - 1.0 / steepness))
+    alike = float(np.clip(np.sum(one * other) / max(float(np.sum(one * one)), 1e-300), 0.0, 1.0 / STIFFER))
+    return stiffness * (1.0 - STIFFER * alike) / (1.0 - alike)  # of (K − M ω²)/(1.1 K − M ω²)
 
 
 def _elasticity(tracks: Sequence[Track]) -> Iterator[Shape]:
@@ -67,7 +66,8 @@ def _elasticity(tracks: Sequence[Track]) -> Iterator[Shape]:
     ) -> Callable[[float], Shape]:
         def shape(stiffness: float) -> Shape:
             swings = np.sqrt(stiffness / inertia) < 2.0 * np.pi * hertz
-            behind = lambda c: {"stiffness": float(carried + (stiffness - carried) / c[0])}  # noqa: E731
+            least = min(carried, stiffness)
+            behind = lambda c: {"stiffness": float(least + (stiffness - least) / c[0])}  # noqa: E731
             told = named(stiffness=stiffness) if swings else behind
             fixed = {"stiffness": stiffness, "damping": damping, "rests": rests}
 

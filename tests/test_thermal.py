@@ -48,6 +48,7 @@ def test_friction_by_temperature_is_named_and_foretells_another_day(subject, dry
     assert [(h.effect, h.joint) for h in result.verdict.chosen] == [("thermal_drift", 0)] and not result.unknown
     assert result.after[0] < 1.3 * result.floor[0] and result.before[0] > 1.5 * result.floor[0]
     told = document(result)["findings"][0]
+    assert told["where"]["statement"] == "joint 'joint_1': friction changes with temperature"
     assert told["where"]["regime"] == "temperature" and "time_constant" not in told["parameters"]
     change, std = interval.finding_parameters(result.design, result.verdict, 0)["change"]
     span = DAYS[1][0] - DAYS[0][0]
@@ -95,6 +96,7 @@ def test_a_joint_that_its_own_friction_heats_cools_where_it_slows_down(subject):
     result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [made[0]], [made[1]])
     (named,) = result.verdict.chosen
     assert (named.effect, named.joint) == ("thermal_drift", 0) and "power" in result.design.shapes[named.shape].values
+    assert document(result)["findings"][0]["where"]["statement"].endswith("its own power heats the joint")
     told = interval.finding_parameters(result.design, result.verdict, 0)
     assert told["time_constant"][0] == pytest.approx(constant, rel=0.1) and told["change"][0] == pytest.approx(change, rel=0.1)
     assert result.after[0] < 1.3 * result.floor[0]

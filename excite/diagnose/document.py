@@ -138,7 +138,7 @@ def _joint(found: Diagnosis, joint: int | None) -> str | None:
 def _where(found: Diagnosis, shape: Shape) -> dict[str, Any]:
     place = "all joints" if shape.joint is None else f"joint '{_joint(found, shape.joint)}'"
     where: dict[str, Any] = {
-        "statement": f"{place}: {BY_NAME[shape.effect].signature}",
+        "statement": f"{place}: {shape.words or BY_NAME[shape.effect].signature}",
         "regime": "temperature" if "reference" in shape.values else REGIMES.get(shape.effect, "all"),
         "time": None if shape.interval is None else list(shape.interval),
     }

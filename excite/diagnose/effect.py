@@ -34,7 +34,8 @@ class Shape:
     coefficients (k,) can be physics: sign, range, dissipation. knob: turns the value that a grid has fixed. kin: knobs of the shapes beside
     it, by a further value that no grid is worth. several: whether one joint can have more than one of the kind. doubt: how many times the
     usual gain it takes to be believed. grain: noise over the torque up to which its columns, of measured torque, are not noise themselves;
-    noisy: of such columns times coefficients (k,), RMS of the noise in them over that of the torque.
+    noisy: of such columns times coefficients (k,), RMS of the noise in them over that of the torque. words: its signature, if not
+    the effect's.
     """
 
     effect: str
@@ -52,6 +53,7 @@ class Shape:
     doubt: float = 1.0
     grain: float = np.inf
     noisy: Callable[[Array], float] = lambda c: 0.0
+    words: str = ""
 
     def columns(self, track: Track) -> Array:
         """Torque that it adds, where the track's rows are, per unit of each coefficient. Shape (N, n, k)."""

@@ -71,7 +71,8 @@ def _by_time(tracks: Sequence[Track], j: int) -> Iterator[Shape]:
         fixed = {"time_constant": constant, "coulomb": coulomb, "viscous": viscous} | ({"power": power} if heated else {})
         reached = 1.0 - np.exp(-length / constant)
         mean = 1.0 - reached * constant / length
-        bare = Shape("thermal_drift", j, _changed, fixed, parameters=named("change", time_constant=constant))
+        words = "friction changes as its own power heats the joint" if heated else "friction changes with run time"
+        bare = Shape("thermal_drift", j, _changed, fixed, parameters=named("change", time_constant=constant), words=words)
         if heated:
             warm = np.concatenate([_heated(t, bare) for t in tracks])
             reached, mean = float(warm.max()), float(warm.mean())
@@ -99,7 +100,8 @@ def _by_temperature(tracks: Sequence[Track], j: int) -> Iterator[Shape]:
         share = (dry + size) / (coulomb + size)
         told = lambda c, share=share: {"change": float(c[0] * share * span / (1.0 - c[0] * share * below))}  # noqa: E731
         fixed = {"reference": mean, "coulomb": dry, "viscous": viscous}
-        yield Shape("thermal_drift", j, _changed, fixed, parameters=told, plausible=within(least, most))
+        words = "friction changes with temperature"
+        yield Shape("thermal_drift", j, _changed, fixed, parameters=told, plausible=within(least, most), words=words)
 
 
 EFFECTS = (
@@ -110,7 +112,7 @@ EFFECTS = (
         _changed,
         _thermal,
         {"change": "1", "time_constant": "s"},
-        "friction changes with run time, with how fast it ran, or with temperature",
+        "friction changes with run time or temperature",
         ("asymmetric_viscous",),
         "a long run that ends with its first motion, temperatures recorded",
         form={"change": 0.25, "time_constant": 0.25},

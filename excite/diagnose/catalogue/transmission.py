@@ -66,8 +66,8 @@ def _elasticity(tracks: Sequence[Track]) -> Iterator[Shape]:
     ) -> Callable[[float], Shape]:
         def shape(stiffness: float) -> Shape:
             swings = np.sqrt(stiffness / inertia) < 2.0 * np.pi * hertz
-            least = min(carried, stiffness)
-            behind = lambda c: {"stiffness": float(least + (stiffness - least) / c[0])}  # noqa: E731
+            part = min(carried, stiffness)
+            behind = lambda c: {"stiffness": float(part + (stiffness - part) / c[0])}  # noqa: E731
             told = named(stiffness=stiffness) if swings else behind
             fixed = {"stiffness": stiffness, "damping": damping, "rests": rests}
 

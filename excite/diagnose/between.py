@@ -153,12 +153,11 @@ def changes(one: Design, shapes: Sequence[int], halves: Halves) -> tuple[Change,
     found, covariance = sandwiched(
         [(A[part], both.torque[part]) for part in _blocks(np.flatnonzero(both.rows), np.flatnonzero(~both.rows), every)]
     )
-    told, own = [], _shapes(every, sources(every))
-    for shape in own:  # from the mean to the first: what it has less
-        also = [float(other.place == shape.place and other.source in (shape.source, *sources(halves[0]))) for other in own]
-        twice = [float(other is shape and shape.source in sources(halves[0])) for other in own]
-        L = np.kron(np.add(also, twice), np.eye(len(KINDS)))
-        told.append(Change(shape.source, shape.place, L @ found[: L.shape[1]], FEW**2 * L @ covariance[: L.shape[1], : L.shape[1]] @ L.T))
+    told, own, taught, count = [], _shapes(every, sources(every)), sources(halves[0]), start - place
+    for shape in own:  # from the mean; and what the first has less than that
+        parts = [float(other is shape) + float(other.place == shape.place and other.source in taught) for other in own]
+        L = np.kron(parts, np.eye(len(KINDS)))
+        told.append(Change(shape.source, shape.place, L @ found[:count], FEW**2 * L @ covariance[:count, :count] @ L.T))
     return tuple(told)
 
 

@@ -150,7 +150,7 @@ class Track:
         return self.piece.start + np.arange(len(self.piece)) / self.piece.rate
 
     @property
-    def runs(self) -> Array:
+    def elapsed(self) -> Array:
         """For how long the recording has been going on, at every sample. Shape (M,) [s]."""
         return self.clock - (self.piece.start if self.piece.began is None else self.piece.began)
 

@@ -76,8 +76,13 @@ def pieces(recordings: Iterable[Recording], *, average: bool = True) -> Iterator
                 continue
         for part in recording.segments():
             whole = (recording.source, float(part.t[0]), part.rate, part.q, part.torque)
-            encoders, began = (0, None, recording.encoder, recording.smoothed), float(recording.t[0])
-            yield Piece(*whole, *encoders, temperature=part.temperature, began=began)
+            yield Piece(
+                *whole,
+                encoder=recording.encoder,
+                smoothed=recording.smoothed,
+                temperature=part.temperature,
+                began=float(recording.t[0]),
+            )
 
 
 def first(parts: Sequence[Piece], samples: int) -> list[Piece]:

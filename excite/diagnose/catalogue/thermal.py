@@ -29,7 +29,7 @@ def _changed(t: Track, s: Shape) -> Array:
     elif "power" in s.values:
         warm = _heated(t, s)
     else:
-        warm = 1.0 - np.exp(-t.runs / s.values["time_constant"])
+        warm = 1.0 - np.exp(-t.elapsed / s.values["time_constant"])
     return alone(t, s.place, warm * (s.values["coulomb"] * t.sign(s.place) + s.values["viscous"] * t.fine.dq[:, s.place]))
 
 
@@ -39,7 +39,7 @@ def _heated(t: Track, s: Shape) -> Array:
     from scipy.signal import lfilter  # slow to import
 
     constant = s.values["time_constant"]
-    keeps, before = float(np.exp(-1.0 / (t.piece.rate * constant))), float(1.0 - np.exp(-t.runs[0] / constant))
+    keeps, before = float(np.exp(-1.0 / (t.piece.rate * constant))), float(1.0 - np.exp(-t.elapsed[0] / constant))
     power = _losses(t, s.place, s.values["coulomb"], s.values["viscous"]) / s.values["power"]
     return np.asarray(lfilter([0.0, 1.0 - keeps], [1.0, -keeps], power) + before * np.exp(-(t.clock - t.clock[0]) / constant))
 
@@ -63,7 +63,7 @@ def _friction(track: Track, joint: int) -> tuple[float, float]:
 
 
 def _by_time(tracks: Sequence[Track], j: int) -> Iterator[Shape]:
-    length = max(float(t.runs[-1]) for t in tracks)
+    length = max(float(t.elapsed[-1]) for t in tracks)
     coulomb, viscous = _friction(tracks[0], j)
     power = float(np.mean(np.concatenate([_losses(t, j, coulomb, viscous) for t in tracks])))
 
@@ -81,7 +81,7 @@ def _by_time(tracks: Sequence[Track], j: int) -> Iterator[Shape]:
 
     constants = (np.array([0.1, 0.3, 1.0, 3.0]) * length).tolist()
     yield from family(constants, shape)
-    if power > 0.0:  # not where it could not be told
+    if power > 0.0:  # a joint that stands heats nothing
         yield from family(constants, lambda constant: shape(constant, heated=True))
 
 

@@ -123,7 +123,7 @@ def test_what_an_encoder_may_feign_of_a_gain_speaks_for_no_name(monkeypatch):
     monkeypatch.setattr(belief, "shares", lambda *_: [(0.09, np.inf)])
     said = []
     for feigned in (0.0, 20.0, 45.0):
-        one = types.SimpleNamespace(measured=search.Measured({"stribeck": feigned}))
+        one = types.SimpleNamespace(measured=search.Measured({("stribeck", 0): feigned}))
         weighed = belief.weighed(one, only("stribeck"), np.ones(1), SURE)  # type: ignore[arg-type]
         said.append((*weighed.findings, *weighed.doubted)[0].probability)
     assert said[0] > said[1] > 0.5 > said[2]

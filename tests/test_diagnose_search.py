@@ -89,9 +89,26 @@ def test_another_residual_is_judged_as_if_it_had_been_measured():
     residual, quiet = (others[0].ravel(), others[1].ravel()), (np.zeros(50), np.zeros(30))
     best = next(hypothesis.ranked(direct)).trial.gain
     assert best > 10.0
-    by_steps, by_rare_samples = (judge.warned(designed(torques), *told, 0.0, None) for told in (([residual], quiet), ([], residual)))
-    assert by_steps.bar(0) == pytest.approx(search.NATS + judge.FEIGNED * best)
-    assert by_rare_samples.bar(0) == pytest.approx(search.NATS + best)
+    by_steps, by_rare_samples = (judge.warned(designed(torques), *told, 0.3, None) for told in (([residual], quiet), ([], residual)))
+    usual = search.NATS + 0.3 * search.STEPPED
+    assert by_steps.bar(0) == pytest.approx(usual + judge.AT_ALL + judge.FEIGNED * best)
+    assert by_rare_samples.bar(0) == pytest.approx(usual + best)
+
+
+def test_what_an_encoder_feigns_at_one_joint_raises_the_bar_there_and_a_little_elsewhere():
+    rng = np.random.default_rng(7)
+    apart = [np.linalg.qr(rng.normal(size=(m, 5)))[0] * np.sqrt(m) for m in (60, 40)]  # what one gains, no other does
+    first, second = (halved(q[:, :2], rng.normal(size=(len(q), 1)), (np.eye(2), np.zeros(2))) for q in apart)
+    shapes = [Shape("drag", 0, nothing), Shape("drag", 1, nothing), Shape("spring", 1, nothing)]
+    columns = {judge.who(shape): [q[:, 2 + k : 3 + k] for q in apart] for k, shape in enumerate(shapes)}
+    one = search.design((first, second), shapes, lambda shape: on_one(*columns[judge.who(shape)]))
+    drawn = tuple(5.0 * c.ravel() for c in columns["drag", 0])
+    warned = judge.warned(one, [drawn], (np.zeros(60), np.zeros(40)), 0.0, None)  # type: ignore[list-item]
+    bars = {judge.who(shape): warned.bar(i) - search.NATS for i, shape in enumerate(warned.shapes)}
+    assert bars["drag", 0] > bars["drag", 1] + 100.0
+    assert bars["drag", 1] == pytest.approx(judge.AT_ALL)
+    assert bars["spring", 1] == 0.0
+    assert warned.measured.feigns("drag", 2) == pytest.approx(bars["drag", 0])  # a joint not looked at: as where it is most
 
 
 def test_a_reversal_that_falls_on_a_sample_may_have_either_sign():
@@ -120,13 +137,13 @@ def test_what_remains_is_what_least_squares_leaves():
         np.testing.assert_allclose(search.remaining(one, chosen), expected, atol=0.05)
 
 
-def test_an_encoders_steps_raise_the_bar_for_what_they_look_like_alone(subject):
+def test_an_encoders_steps_raise_the_bar_most_for_what_they_look_like(subject):
     train, held_out = (dataclasses.replace(r, q=np.round(r.q / 2e-4) * 2e-4) for r in recordings_of(subject, None))
     result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [held_out])
     assert not result.verdict.chosen and not result.unknown
     bars = {shape.effect: result.design.bar(i) for i, shape in enumerate(result.design.shapes)}
-    assert bars["stribeck"] > search.NATS and bars["base_compliance"] > 16.0 * search.NATS
-    assert bars["spring"] == search.NATS
+    assert bars["stribeck"] > search.NATS + judge.AT_ALL and bars["base_compliance"] > 16.0 * search.NATS
+    assert search.NATS < bars["spring"] < search.NATS + search.STEPPED  # nothing that any steps feign
 
 
 def test_a_grid_is_left_for_the_value_between_its_neighbours(monkeypatch):

@@ -139,8 +139,9 @@ def weighed(one: Design, verdict: Verdict, noise: Array, bounds: tuple[Array, Ar
         return verdict
     findings = []
     for finding, (x, times) in zip(verdict.findings, shares(one, verdict, noise, bounds), strict=True):
-        others = {name: chance * genuine(one, name, finding.rivals[name]) for name, chance in alike(finding, x).items()}
-        chance = odds(finding.main.effect, x) * genuine(one, finding.main.effect, finding.gain) + sum(others.values())
+        main, joint = finding.main.effect, finding.main.joint
+        others = {name: chance * genuine(one, name, joint, finding.rivals[name]) for name, chance in alike(finding, x).items()}
+        chance = odds(main, x) * genuine(one, main, joint, finding.gain) + sum(others.values())
         chance *= another(times)
         evidence = {"left": x, "odds": chance} | ({"beyond_others": times} if np.isfinite(times) else {})
         findings.append(replace(finding, equivalents=tuple(others), probability=probability(chance), evidence=evidence))
@@ -162,6 +163,6 @@ def unsure(verdict: Verdict, n: int) -> Array:
     return doubt(verdict, n) > 1.0 - ASSERTED
 
 
-def genuine(one: Design, effect: str, gain: float) -> float:
+def genuine(one: Design, effect: str, joint: int | None, gain: float) -> float:
     """Share of a gain that faults of the measurement, such as an encoder's steps, do not feign."""
-    return float(np.clip(1.0 - one.measured.feigned.get(effect, 0.0) / max(gain, 1e-9), LEAST, 1.0))
+    return float(np.clip(1.0 - one.measured.feigns(effect, joint) / max(gain, 1e-9), LEAST, 1.0))

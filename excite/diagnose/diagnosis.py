@@ -297,7 +297,7 @@ def _judged(
 
 def _real(one: Design, verdict: Verdict) -> tuple[Finding, ...]:
     """What is doubted for its name, and nothing that an encoder's steps may feign."""
-    return tuple(f for f in verdict.doubted if belief.genuine(one, f.main.effect, f.gain) > GENUINE)
+    return tuple(f for f in verdict.doubted if belief.genuine(one, f.main.effect, f.main.joint, f.gain) > GENUINE)
 
 
 def _sights(left: Array, tracks: tuple[list[Track], list[Track]], joints: Iterable[int]) -> dict[int, Sight]:

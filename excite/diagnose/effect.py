@@ -33,9 +33,9 @@ class Shape:
     which recording, if only then. parameters: from coefficients (k,) to the contract's names and values. plausible: whether
     coefficients (k,) can be physics: sign, range, dissipation. knob: turns the value that a grid has fixed. kin: knobs of the shapes beside
     it, by a further value that no grid is worth. several: whether one joint can have more than one of the kind. doubt: how many times the
-    usual gain it takes to be believed. grain: noise over the torque up to which its columns, of measured torque, are not noise themselves;
-    noisy: of such columns times coefficients (k,), RMS of the noise in them over that of the torque. words: its signature, if not
-    the effect's.
+    usual gain it takes to be believed where an encoder is coarse, and its root where it is fine. grain: noise over the torque up to which
+    its columns, of measured torque, are not noise themselves; noisy: of such columns times coefficients (k,), RMS of the noise in them over
+    that of the torque. words: its signature, if not the effect's.
     """
 
     effect: str

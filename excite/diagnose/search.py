@@ -28,21 +28,27 @@ Built = tuple[Shape, tuple[Columns, Columns]]
 USUAL = 30.0
 """Standard deviation of an effect's torque over the noise, before anything is seen: what is looked for is 1 to 100."""
 NATS = 25.0
-"""Held-out log-likelihood that a name must gain: the most in 60 simulated robots with nothing missing is below 15."""
+"""Held-out log-likelihood that a name must gain: the most in 51 simulated robots with nothing missing and fine encoders is 16. More by the
+root of how many times a shape is doubted: what gains most of these, a base's springs where a clock wavers, gains 43."""
 STEPPED = 100.0
-"""The same, for each time that an effect is doubted, of noise that is all an encoder's steps: they are in its columns and the
-residual alike."""
+"""The same, beyond that, of noise that is all an encoder's steps: they are in a law's columns and the residual alike. What no steps drawn
+anew feign gains 57 at the most, in 46 simulated robots with coarse encoders and nothing missing."""
 
 
 @dataclass(frozen=True)
 class Measured:
-    """How well recordings were made. feigned: further gain that each effect needs, by name, for what faults of the measurement are known to
-    give it on some joint. stepped: share of the noise that is an encoder's steps. noise: its mean square over the scale, per joint, Shape
+    """How well recordings were made. feigned: further gain that each effect at each joint needs, for what faults of the measurement may
+    give it. stepped: share of the noise that is an encoder's steps. noise: its mean square over the scale, per joint, Shape
     (n,), where it is what differs when a motion is made again; None where it is but a guess from below."""
 
-    feigned: Mapping[str, float] = field(default_factory=dict)
+    feigned: Mapping[tuple[str, int | None], float] = field(default_factory=dict)
     stepped: float = 0.0
     noise: Array | None = None
+
+    def feigns(self, effect: str, joint: int | None) -> float:
+        """What an effect at a joint needs; where that joint was not looked at, as much as where it is most."""
+        most = max((gain for (name, _), gain in self.feigned.items() if name == effect), default=0.0)
+        return self.feigned.get((effect, joint), most)
 
 
 @dataclass(frozen=True)
@@ -80,8 +86,8 @@ class Design:
     def bar(self, i: int) -> float:
         """Gain from which a shape is believed: more where faults of the measurement look like it, or blur its columns too."""
         shape = self.shapes[i]
-        blurred = (shape.doubt - 1.0) * (NATS + STEPPED * self.measured.stepped)
-        return NATS + self.measured.feigned.get(shape.effect, 0.0) + blurred
+        usual = np.sqrt(shape.doubt) * NATS + shape.doubt * STEPPED * self.measured.stepped
+        return float(usual + self.measured.feigns(shape.effect, shape.joint))
 
     @cached_property
     def usual(self) -> Array:
@@ -91,12 +97,14 @@ class Design:
     @cached_property
     def scaled(self) -> tuple[Array, Array]:
         """Products of either half and of both, in units of what is usual. Shapes (3, K, K), (3, K)."""
-        return self.some(slice(None))
+        grams = *self.grams, self.whole
+        products = np.stack([gram.matrix for gram in grams]) * np.outer(self.usual, self.usual)
+        return products, np.stack([gram.score for gram in grams]) * self.usual
 
-    def some(self, which: Array | slice) -> tuple[Array, Array]:
+    def some(self, which: Array) -> tuple[Array, Array]:
         """The same of some columns. Shapes (3, k, k), (3, k)."""
-        root, grams = self.usual[which], (*self.grams, self.whole)
-        products = np.stack([gram.matrix[which][:, which] for gram in grams]) * np.outer(root, root)
+        root, here, grams = self.usual[which], np.ix_(which, which), (*self.grams, self.whole)
+        products = np.stack([gram.matrix[here] for gram in grams]) * np.outer(root, root)
         return products, np.stack([gram.score[which] for gram in grams]) * root
 
     def which(self, chosen: Sequence[int]) -> Array:

@@ -143,7 +143,8 @@ def _later(one: Design, together: Trial, told: Delays, loud: set[int]) -> tuple[
     listed = [late for shape in one.listed if (late := moved(shape)) is not None]
     kept = [k for k, shape in enumerate(one.shapes) if moved(shape) is shape]
     delays = [_by(listed, joint, delay) for joint, delay in told.items()]
-    wider = search.relaid(one, kept, [shape for shape in listed if "late" in shape.values], delays, listed)
+    behind = [own for shape in one.shapes if (own := moved(shape)) is not None and "late" in own.values]
+    wider = search.relaid(one, kept, behind, delays, listed)
     there = [kept.index(i) for i in together.shapes if i in kept and one.shapes[i].effect != "delay"]
     return wider, [*range(len(wider.shapes) - len(delays), len(wider.shapes)), *there]
 

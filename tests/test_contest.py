@@ -53,7 +53,7 @@ def test_a_name_between_two_of_a_grid_beats_one_that_is_nearly_it():
 def test_who_replaces_a_name_must_be_believed():
     near = [wave(5.0, n) + 0.3 * ODD[n] for n in range(2)]
     one = designed(near, [4.0 * wave(5.0, n) for n in range(2)], (4.7, 5.3))
-    one = dataclasses.replace(one, measured=search.Measured({"torque_ripple": 1e5}))  # an encoder's steps may look like any ripple
+    one = dataclasses.replace(one, measured=search.Measured({("torque_ripple", 0): 1e5}))  # an encoder's steps may look like any ripple
     assert contest._contested(one, [0]) == (one, [0])
     assert [h.effect for h in judge.judged(one)[1].chosen] == ["spring"]
 
@@ -157,7 +157,7 @@ def test_what_is_left_alone_must_be_believed_by_itself():
     one = two_joints()
     _, verdict = judge.judged(one, [0])
     assert ("drag", 0) in {(h.effect, h.joint) for h in verdict.chosen}
-    doubtful = dataclasses.replace(one, shapes=tuple(dataclasses.replace(shape, doubt=1e6) for shape in one.shapes))
+    doubtful = dataclasses.replace(one, shapes=tuple(dataclasses.replace(shape, doubt=1e12) for shape in one.shapes))
     assert not judge.judged(doubtful, [0])[1].chosen
 
 

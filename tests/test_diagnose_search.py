@@ -67,9 +67,11 @@ def test_all_gains_at_once_are_those_of_one_after_the_other():
     shapes = [Shape("spring", 0, nothing, {"width": float(width)}) for width in columns]
     one = search.design((first, second), shapes, lambda shape: on_one(*columns[shape.values["width"]]))
     for beside_ in ((), (0,), (2, 1)):
-        told = search.gains(one, beside_)
+        told, own = search.fits(one, beside_)
         for i in set(range(len(one.shapes))) - set(beside_):
-            assert told[i] == pytest.approx(search.trial(one, [*beside_, i]).gain, abs=1e-7)
+            alone = search.trial(one, [*beside_, i])
+            assert told[i] == pytest.approx(alone.gain, abs=1e-7)
+            np.testing.assert_allclose(own[i], one.split(alone.shapes, alone.coefficients)[-1], atol=1e-7)
 
 
 def test_another_residual_is_judged_as_if_it_had_been_measured():

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
+from itertools import accumulate
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from made import bodied, perturbed
 from scipy import integrate
 from scipy.interpolate import CubicSpline
 from test_diagnose import found
 
 from excite.diagnose import interval
-from excite.diagnose.catalogue import BY_NAME, windup
+from excite.diagnose.catalogue import BY_NAME, friction, windup
 from excite.diagnose.track import Grid
 
 Array = np.ndarray
@@ -105,3 +109,18 @@ def test_play_whose_load_never_turns_is_none(subject):
     for one in pressed:
         one.__dict__["rigid"] = one.rigid + np.array([1e4, 0.0])
     assert {shape.joint for shape in BY_NAME["backlash"].shapes(pressed)} == {1}
+
+
+def _step_by_step(q: Array, step: Callable[[float, float], float]) -> Array:
+    """Force after each step of a motion, of the force before it and the step."""
+    return np.array(list(accumulate(np.diff(q, prepend=q[0]).tolist(), step, initial=0.0))[1:])
+
+
+@given(st.lists(st.integers(-9, 9), min_size=2, max_size=60), st.floats(0.3, 30.0))
+def test_friction_with_memory_from_reversal_to_reversal_is_what_it_is_step_by_step(places, reach):
+    """Whatever a joint does: it may rest, begin either way, turn at once or step from end to end."""
+    q = np.array(places, float)
+    slipped = _step_by_step(q, lambda z, step: min(max(z + step / reach, -1.0), 1.0))
+    np.testing.assert_allclose(friction.slipping(q, reach), slipped, atol=1e-12)
+    bent = _step_by_step(q, lambda z, step: np.sign(step) + (z - np.sign(step)) * np.exp(-abs(step) / reach) if step else z)
+    np.testing.assert_allclose(friction.dahl(q, 1.0 / reach), bent, atol=1e-12)

@@ -50,11 +50,13 @@ def ranked(one: Design, beside: tuple[int, ...] = (), each: Callable[[Shape], ob
 
     each: what only the best is wanted of, if not an effect at a joint.
     """
-    predicts, done = search.gains(one, beside), set[object]()
+    (predicts, own), done = search.fits(one, beside), set[object]()
     there = {who(one.shapes[i]) for i in beside}
     for i in (int(k) for k in np.argsort(-predicts, kind="stable")):
         shape = one.shapes[i]
         if i in beside or each(shape) in done or (not shape.several and who(shape) in there) or meanwhile(one, i, beside):
+            continue
+        if not shape.plausible(own[i]):  # nor would it be in a trial, which takes longer
             continue
         found = trial(one, [*beside, i])
         if not found.plausible or not agrees(one, found):

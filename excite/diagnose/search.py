@@ -311,19 +311,29 @@ def _predictive(evidence: Array) -> Array:
 
 
 def gains(one: Design, beside: Sequence[int] = ()) -> Array:
-    """`Trial.gain` of each shape beside some, all at once: what is beside is eliminated once (Schur complement). Shape (shapes,)."""
+    """`Trial.gain` of each shape beside some, all at once. Shape (shapes,)."""
+    return fits(one, beside)[0]
+
+
+def fits(one: Design, beside: Sequence[int] = ()) -> tuple[Array, list[Array]]:
+    """`Trial.gain` of each shape beside some, and its own coefficients on both halves together; all at once: what is beside is eliminated
+    once (Schur complement). Shape (shapes,), and (k,) each."""
     (products, scores), which = one.scaled, one.which(beside)
     factor, half, first = _evidence(products[:, which[:, None], which], scores[:, which])
     cross = np.linalg.solve(factor, products[:, which, :])
     left = scores - np.einsum("hbk,hb->hk", cross, half)
     widths, out = np.array([place.stop - place.start for place in one.places], int), np.zeros(len(one.places))
+    own = [np.zeros(0)] * len(out)
     for width in np.unique(widths):
         same = np.flatnonzero(widths == width)
         columns = np.array([np.arange(one.places[i].start, one.places[i].stop) for i in same])
         taken = np.einsum("hbni,hbnj->hnij", cross[:, :, columns], cross[:, :, columns])
-        _, _, evidence = _evidence(products[:, columns[:, :, None], columns[:, None, :]] - taken, left[:, columns])
+        each, halfway, evidence = _evidence(products[:, columns[:, :, None], columns[:, None, :]] - taken, left[:, columns])
         out[same] = _predictive(first[:, None] + evidence)
-    return out
+        c = one.usual[columns] * np.linalg.solve(each[2].swapaxes(-1, -2), halfway[2][..., None])[..., 0]
+        for i, told in zip(same.tolist(), c, strict=True):
+            own[i] = told
+    return out, own
 
 
 def remaining(one: Design, chosen: Sequence[int]) -> Array:

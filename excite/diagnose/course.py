@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -22,6 +23,9 @@ MISFIT = {"periods": 0.1, "differences": 0.3}
 """Share of the residual taken for a form that is not quite the catalogue's, by how the noise is known."""
 AGAIN, COARSE = 2, 0.7
 """Times that all is looked at again over what is left, and from which share of its scale on that is not worth it."""
+
+CLEAR = 0.3
+"""Of what is left with drives that are the same in all recordings, what others must leave, to be told before anything is taken for late."""
 
 
 @dataclass(frozen=True)
@@ -85,32 +89,44 @@ def run(
         first, second = (equations.half(half, identified, trusted, scale, differing) for half in halves)
         return search.bare((first, second), build)
 
+    @cache
     def with_own_drives() -> Course | None:
         progress("drives may differ between the recordings: beside drives of their own")
-        found = replace(_searched(search.filled(bare(halves), listed), noisy, scale, every), differing=True)
+        found = replace(_followed(_begun(search.filled(bare(halves), listed), noisy, scale), every), differing=True)
         return found if any(change.sure for change in between.changes(found.one, found.shapes, halves)) else None
 
-    one = search.filled(bare(None), listed)
+    def differ(found: Course) -> bool:
+        return not (differs or found.explained(moves)) and found.otherwise(lambda: bare(halves), scale, every, moves)
+
+    one, moves = search.filled(bare(None), listed), np.concatenate([t.moves for t in halves[1]])
     differs = between.differs_at_first(one, every, (noisy.quiet / scale) ** 2)
     if differs and (other := with_own_drives()) is not None:
         return other
     progress(f"{len(listed)} shapes of {len(EFFECTS)} effects, alone and together")
-    found, moves = _searched(one, noisy, scale, every), np.concatenate([t.moves for t in halves[1]])
-    if differs or found.explained(moves) or not found.otherwise(lambda: bare(halves), scale, every, moves):
+    begun = _begun(one, noisy, scale)
+    if differ(begun) and (other := with_own_drives()) is not None and float(other.left.sum()) < CLEAR * float(begun.left.sum()):
+        return other  # whatever is late, it is not that
+    found = _followed(begun, every)
+    if not differ(found) or (other := with_own_drives()) is None:
         return found
-    other = with_own_drives()
-    return found if other is None or float(other.left.sum()) > float(found.left.sum()) else other
+    return found if float(other.left.sum()) > float(found.left.sum()) else other
 
 
-def _searched(one: Design, noisy: Noise, scale: Array, every: Sequence[Track]) -> Course:
-    """What is found, first over a coarse scale, then over what that leaves."""
+def _begun(one: Design, noisy: Noise, scale: Array) -> Course:
+    """What is found first over a coarse scale, then over what that leaves."""
     one, verdict = judge.judged(_warned(one, noisy, scale))
     one, verdict, scale = _sharper(one, verdict, noisy, scale)
-    one, verdict, scale = _sharper(*late.followed(one, verdict), noisy, scale)
+    return Course(one, verdict, noisy, scale)
+
+
+def _followed(begun: Course, every: Sequence[Track]) -> Course:
+    """The same with all late that a delay delays, and over noise without what touched the robot once."""
+    noisy = begun.noisy
+    one, verdict, scale = _sharper(*late.followed(begun.one, begun.verdict), noisy, begun.scale)
     for _ in range(AGAIN):
         if verdict.together is None or all(one.shapes[i].interval is None for i in verdict.together.shapes):
             break
-        left = search.remaining(one, verdict.together.shapes) * scale  # without what touched the robot once, which looked like noise
+        left = search.remaining(one, verdict.together.shapes) * scale
         noisy = noise.repeated(noisy, every, track.split(left, every))
         one, verdict, scale = _sharper(one, verdict, noisy, scale)
     return Course(one, once.kept(one, verdict, every, noisy.periods), noisy, scale)

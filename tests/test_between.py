@@ -10,7 +10,7 @@ import pytest
 from made import WIDTH, motion, perturbed, recorded, two_links
 from test_diagnose import PLANTED, recordings_of
 
-from excite.diagnose import atlas, between, diagnosis, equations, search
+from excite.diagnose import atlas, between, course, diagnosis, equations, search
 from excite.diagnose.blocks import sandwiched
 from excite.diagnose.diagnosis import Diagnosis, Options
 from excite.diagnose.document import document
@@ -79,6 +79,18 @@ def test_what_is_missing_is_named_though_friction_differs(name: str) -> None:
     one = found(name)
     assert [(h.effect, h.joint) for h in one.verdict.chosen] == [(name, PLANTED[name][1])]
     assert len(one.changes) == 2
+
+
+@pytest.mark.parametrize(("clear", "times"), [(course.CLEAR, 1), (0.0, 2)])
+def test_what_another_day_explains_is_not_first_taken_for_late(monkeypatch: pytest.MonkeyPatch, clear: float, times: int) -> None:
+    """Where laws come first; else drives of their own are tried at once."""
+    asked, followed = list[object](), course._followed
+    monkeypatch.setattr(course, "CLEAR", clear)
+    monkeypatch.setattr(between, "differs_at_first", lambda *_: False)
+    monkeypatch.setattr(course, "_followed", lambda begun, every: (asked.append(begun), followed(begun, every))[1])
+    one = found.__wrapped__("stribeck", 2.0, ("stribeck", "delay"))
+    assert [h.effect for h in one.verdict.chosen] == ["stribeck"] and one.changes
+    assert len(asked) == times
 
 
 def test_the_same_robot_is_the_same_in_all_recordings() -> None:

@@ -95,19 +95,19 @@ def run(
         found = replace(_followed(_begun(search.filled(bare(halves), listed), noisy, scale), every), differing=True)
         return found if any(change.sure for change in between.changes(found.one, found.shapes, halves)) else None
 
-    def differ(found: Course) -> bool:
-        return not (differs or found.explained(moves)) and found.otherwise(lambda: bare(halves), scale, every, moves)
+    def differs(found: Course) -> bool:
+        return not (at_first or found.explained(moves)) and found.otherwise(lambda: bare(halves), scale, every, moves)
 
     one, moves = search.filled(bare(None), listed), np.concatenate([t.moves for t in halves[1]])
-    differs = between.differs_at_first(one, every, (noisy.quiet / scale) ** 2)
-    if differs and (other := with_own_drives()) is not None:
+    at_first = between.differs_at_first(one, every, (noisy.quiet / scale) ** 2)
+    if at_first and (other := with_own_drives()) is not None:
         return other
     progress(f"{len(listed)} shapes of {len(EFFECTS)} effects, alone and together")
     begun = _begun(one, noisy, scale)
-    if differ(begun) and (other := with_own_drives()) is not None and float(other.left.sum()) < CLEAR * float(begun.left.sum()):
+    if differs(begun) and (other := with_own_drives()) is not None and float(other.left.sum()) < CLEAR * float(begun.left.sum()):
         return other  # whatever is late, it is not that
     found = _followed(begun, every)
-    if not differ(found) or (other := with_own_drives()) is None:
+    if not differs(found) or (other := with_own_drives()) is None:
         return found
     return found if float(other.left.sum()) > float(found.left.sum()) else other
 

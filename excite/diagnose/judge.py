@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
+from typing import TypeVar
 
 import numpy as np
 
 from . import search
 from .contest import best_pair, searched
+from .effect import Shape
 from .hypothesis import Hypothesis, name, ranked, size, who
 from .search import Design, Measured, Trial, trial
 
 Array = np.ndarray
+T = TypeVar("T")
 FEIGNED, AT_ALL = 1.5, 150.0
 """Further gain that an effect needs, over what it gains at its joint from what an encoder's steps drawn anew would leave, the most of a few
 draws; and what it needs besides if it gains anything from them at any joint. What came nearest to its bar, in 46 simulated robots with
@@ -66,23 +69,21 @@ def warned(
 ) -> Design:
     """The design that knows what each effect gains from residuals that an encoder alone, drawn anew, or rare samples may leave
     (`search.pretended`); the encoder's share of the noise; and the noise, if it is known from a motion made again."""
-    drawn, rare = _most(one, steps), _most(one, [sharpened])
-    at_all, by_name = {effect for effect, _ in drawn}, dict[str, float]()
-    for (effect, _), gain in rare.items():
-        by_name[effect] = max(by_name.get(effect, 0.0), gain)
-    feigned = {}
+    drawn, rare = _most(one, steps, who), _most(one, [sharpened], name)
+    at_all, feigned = {effect for effect, _ in drawn}, dict[tuple[str, int | None], float]()
     for shape in one.shapes:
         by_steps = FEIGNED * drawn.get(who(shape), 0.0) + AT_ALL * (shape.effect in at_all)
-        feigned[who(shape)] = max(by_steps, by_name.get(shape.effect, 0.0))
+        feigned[who(shape)] = max(by_steps, rare.get(shape.effect, 0.0))
     return replace(one, measured=Measured(feigned, stepped, noise))
 
 
-def _most(one: Design, residuals: Sequence[tuple[Array, Array]]) -> dict[tuple[str, int | None], float]:
-    """What each effect at each joint gains from the residual that gives it most; none where nothing is gained."""
-    out: dict[tuple[str, int | None], float] = {}
+def _most(one: Design, residuals: Sequence[tuple[Array, Array]], each: Callable[[Shape], T]) -> dict[T, float]:
+    """What each effect, or each at a joint, gains from the residual that gives it most; none where nothing is gained."""
+    out: dict[T, float] = {}
     for residual in residuals:
-        for h in ranked(search.pretended(one, residual)):
-            out[h.effect, h.joint] = max(out.get((h.effect, h.joint), 0.0), h.trial.gain)
+        for h in ranked(search.pretended(one, residual), each=each):
+            key = each(one.shapes[h.shape])
+            out[key] = max(out.get(key, 0.0), h.trial.gain)
     return {key: gain for key, gain in out.items() if gain > 0.0}
 
 

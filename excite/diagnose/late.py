@@ -141,9 +141,10 @@ def _later(one: Design, together: Trial, told: Delays, loud: set[int]) -> tuple[
         return _moved(shape, told) if shape.effect == "delay" or shape.joint in where else shape
 
     listed = [late for shape in one.listed if (late := moved(shape)) is not None]
-    kept = [k for k, shape in enumerate(one.shapes) if moved(shape) is shape]
+    now = [moved(shape) for shape in one.shapes]
+    kept = [k for k, shape in enumerate(one.shapes) if now[k] is shape]
     delays = [_by(listed, joint, delay) for joint, delay in told.items()]
-    behind = [own for shape in one.shapes if (own := moved(shape)) is not None and "late" in own.values]
+    behind = [own for own in now if own is not None and "late" in own.values]
     wider = search.relaid(one, kept, behind, delays, listed)
     there = [kept.index(i) for i in together.shapes if i in kept and one.shapes[i].effect != "delay"]
     return wider, [*range(len(wider.shapes) - len(delays), len(wider.shapes)), *there]

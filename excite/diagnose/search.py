@@ -47,8 +47,9 @@ class Measured:
 
     def feigns(self, effect: str, joint: int | None) -> float:
         """What an effect at a joint needs; where that joint was not looked at, as much as where it is most."""
-        most = max((gain for (name, _), gain in self.feigned.items() if name == effect), default=0.0)
-        return self.feigned.get((effect, joint), most)
+        if (effect, joint) in self.feigned:
+            return self.feigned[effect, joint]
+        return max((gain for (name, _), gain in self.feigned.items() if name == effect), default=0.0)
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import accumulate
 
 import numpy as np
 
@@ -198,21 +199,17 @@ def _range(parts: Sequence[tuple[Shape, Array]]) -> dict[str, float]:
 def dahl(q: Array, stiffness: float) -> Array:
     """z of Dahl's model with unit friction: ż = σ q̇ (1 − z sgn q̇), in closed form from one reversal to the next. Shape (M,)."""
     begins, way, gone = _strokes(q)
-    limits, decays, starts, z = np.sign(way), np.exp(-stiffness * np.abs(way)), np.empty(len(way)), 0.0
-    for k, (limit, decay) in enumerate(zip(limits.tolist(), decays.tolist(), strict=True)):
-        starts[k] = z
-        z = limit + (z - limit) * decay
-    return np.asarray(limits[begins] + (starts - limits)[begins] * np.exp(-stiffness * np.abs(gone)))
+    limits, decays = np.sign(way), np.exp(-stiffness * np.abs(way))
+    strokes = zip(limits.tolist(), decays.tolist(), strict=True)
+    *starts, _ = accumulate(strokes, lambda z, stroke: stroke[0] + (z - stroke[0]) * stroke[1], initial=0.0)
+    return np.asarray(limits[begins] + (np.array(starts) - limits)[begins] * np.exp(-stiffness * np.abs(gone)))
 
 
 def slipping(q: Array, reach: float) -> Array:
     """Force of a spring of unit strength that slips `reach` from where it rests. Shape (M,)."""
     begins, way, gone = _strokes(q)
-    starts, z = np.empty(len(way)), 0.0
-    for k, further in enumerate((way / reach).tolist()):
-        starts[k] = z
-        z = min(max(z + further, -1.0), 1.0)
-    return np.clip(starts[begins] + gone / reach, -1.0, 1.0)
+    *starts, _ = accumulate((way / reach).tolist(), lambda z, further: min(max(z + further, -1.0), 1.0), initial=0.0)
+    return np.clip(np.array(starts)[begins] + gone / reach, -1.0, 1.0)
 
 
 def _strokes(q: Array) -> tuple[Array, Array, Array]:

@@ -71,8 +71,7 @@ def _asymmetric(tracks: Sequence[Track]) -> Iterator[Shape]:
 
 
 def _stuck(t: Track, s: Shape) -> Array:
-    slow = np.exp(-((np.abs(_speed(t, s.place)) / s.values["velocity"]) ** s.values["exponent"]))
-    return alone(t, s.place, t.sign(s.place) * slow)
+    return alone(t, s.place, t.sign(s.place) * _faded(t, s))
 
 
 def _stribeck(tracks: Sequence[Track]) -> Iterator[Shape]:

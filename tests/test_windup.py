@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 from test_diagnose import found
 
 from excite.diagnose import interval
-from excite.diagnose.catalogue import BY_NAME, friction, windup
+from excite.diagnose.catalogue import BY_NAME, memory, windup
 from excite.diagnose.track import Grid
 
 Array = np.ndarray
@@ -121,6 +121,6 @@ def test_friction_with_memory_from_reversal_to_reversal_is_what_it_is_step_by_st
     """Whatever a joint does: it may rest, begin either way, turn at once or step from end to end."""
     q = np.array(places, float)
     slipped = _step_by_step(q, lambda z, step: min(max(z + step / reach, -1.0), 1.0))
-    np.testing.assert_allclose(friction.slipping(q, reach), slipped, atol=1e-12)
+    np.testing.assert_allclose(memory.slipping(q, reach), slipped, atol=1e-12)
     bent = _step_by_step(q, lambda z, step: np.sign(step) + (z - np.sign(step)) * np.exp(-abs(step) / reach) if step else z)
-    np.testing.assert_allclose(friction.dahl(q, 1.0 / reach), bent, atol=1e-12)
+    np.testing.assert_allclose(memory.dahl(q, 1.0 / reach), bent, atol=1e-12)

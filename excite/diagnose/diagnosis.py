@@ -324,7 +324,7 @@ def _again(one: Design, verdict: Verdict, shapes: Sequence[Shape], build: search
     named = {(f.main.effect, f.main.joint) for f in verdict.findings}
     made = late.renewed(one, verdict.together, [s for s in shapes if (s.effect, s.joint) in named])
     small = search.design(one.halves, made, build)
-    small, better = late.followed(*judge.judged(dataclasses.replace(small, measured=one.measured)))
+    small, better = late.followed(*judge.judged(dataclasses.replace(small, measured=one.measured)), again=True)
     found = {(f.main.effect, f.main.joint) for f in better.findings}
     if better.together is None or (found != named and better.together.gain < verdict.together.gain):
         return one, verdict

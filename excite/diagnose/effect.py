@@ -15,6 +15,8 @@ MULTIPLES = {2: "twice", 3: "thrice"}
 """Of an order, that are told with it where a shape states them."""
 KIN = 4
 """Steps from kin to kin, at the most."""
+CORNER, TURNS = 0.3, 150
+"""How far off the logarithms of values are tried first that are turned together, and how many are."""
 
 
 class Delay(NamedTuple):
@@ -48,7 +50,7 @@ class Shape:
     parameters: Callable[[Array], dict[str, float]] = lambda c: {}
     plausible: Callable[[Array], bool] = lambda c: bool(np.isfinite(c).all())
     knob: Knob | None = None
-    kin: Callable[[], Sequence[Knob]] = tuple
+    kin: Callable[[], Sequence[Knob | Knobs]] = tuple
     several: bool = False
     doubt: float = 1.0
     grain: float = np.inf
@@ -98,20 +100,28 @@ class Knob:
 
     def turned(self, gain: Callable[[Shape], float]) -> Shape:
         """The shape where the gain is highest, between the neighbours, or one of its kin where that is more, from kin to kin."""
-        best, most = self._turned(gain, gain(self.at(self.value)))
+        best, most = self.best(gain, gain(self.here))
         for _ in range(KIN):
-            gains = [(gain(knob.at(knob.value)), knob) for knob in best.kin()]
+            gains = [(gain(near.here), near) for near in best.kin()]
             if not gains:
                 break
-            now, near = max(gains, key=lambda pair: pair[0])
-            better, found = near._turned(gain, now)
+            together = [pair for pair in gains if isinstance(pair[1], Knobs)]
+            tried = together or [max(gains, key=lambda pair: pair[0])]
+            better, found = max((near.best(gain, now) for now, near in tried), key=lambda pair: pair[1])
             if found <= most + 1e-6:
                 break
             best, most = better, found
+            if together:
+                break  # turned every way
         return best
 
-    def _turned(self, gain: Callable[[Shape], float], now: float) -> tuple[Shape, float]:
-        """Of this value alone, whose gain is `now`, with the gain. In the logarithm, to two parts in a thousand of the range."""
+    @property
+    def here(self) -> Shape:
+        """The shape at the value that it has."""
+        return self.at(self.value)
+
+    def best(self, gain: Callable[[Shape], float], now: float) -> tuple[Shape, float]:
+        """By this value alone, where the gain is `now`, with the gain. In the logarithm, to two parts in a thousand of the range."""
         from scipy.optimize import minimize_scalar  # slow to import
 
         low, high = np.log(self.low), np.log(self.high)
@@ -122,7 +132,7 @@ class Knob:
             options={"xatol": 4e-3 * (high - low), "maxiter": 12},
         )
         best, most = self.at(float(np.exp(found.x))), -float(found.fun)
-        return (best, most) if most > max(now + 1e-6, -1e12) else (self.at(self.value), now)
+        return (best, most) if most > max(now + 1e-6, -1e12) else (self.here, now)
 
     def late(self, delay: Delay, joint: int | None) -> Knob:
         """See `Shape.late`."""
@@ -131,6 +141,43 @@ class Knob:
     def at(self, value: float) -> Shape:
         """The shape at a value, which can be turned further within the same range."""
         return replace(self.shape(value), knob=replace(self, value=value))
+
+
+@dataclass(frozen=True)
+class Knobs:
+    """Several non-linear parameters that make up for each other: of each the value, what it is at the least and at the most; and the shape
+    at any other."""
+
+    values: Mapping[str, tuple[float, float, float]]
+    shape: Callable[[Mapping[str, float]], Shape]
+
+    @property
+    def here(self) -> Shape:
+        """The shape at the values that it has."""
+        return self.shape({name: value for name, (value, _, _) in self.values.items()})
+
+    def best(self, gain: Callable[[Shape], float], now: float) -> tuple[Shape, float]:
+        """By all values together, where the gain is `now`, with the gain. In logarithms, without derivatives (Nelder & Mead 1965)."""
+        from scipy.optimize import minimize  # slow to import
+
+        start, low, high = np.log(np.array(list(self.values.values()))).T
+
+        def at(x: Array) -> Shape:
+            return self.shape(dict(zip(self.values, np.exp(x).tolist(), strict=True)))
+
+        corners = np.vstack([start, start + np.diag(np.where(start + CORNER < high, CORNER, -CORNER))])
+        found = minimize(
+            lambda x: -max(gain(at(x)), -1e12),
+            start,
+            method="Nelder-Mead",
+            bounds=list(zip(low, high, strict=True)),
+            options={"xatol": 3e-3, "fatol": 0.1, "maxfev": TURNS, "initial_simplex": corners},
+        )
+        return (at(found.x), -float(found.fun)) if -found.fun > now + 1e-6 else (self.here, now)
+
+    def late(self, delay: Delay, joint: int | None) -> Knobs:
+        """See `Shape.late`."""
+        return replace(self, shape=lambda values: self.shape(values).late(delay, joint))
 
 
 def beside(value: float, factor: float, families: Iterable[Callable[[float], Shape]]) -> list[Knob]:

@@ -27,26 +27,27 @@ USUAL = 0.01
 Delays = dict[int | None, Delay]
 
 
-def followed(one: Design, verdict: Verdict) -> tuple[Design, Verdict]:
-    """The design and the verdict with all late that a delay delays, where that predicts better."""
+def followed(one: Design, verdict: Verdict, again: bool = False) -> tuple[Design, Verdict]:
+    """The design and the verdict with all late that a delay delays, where that predicts better. again: what could be one was looked at
+    before, beside nearly the same base."""
     if verdict.together is None:
         return one, verdict
     together, loud = verdict.together, _loud(one, verdict.together)
-    told = _worth(_delays(one, together) or _hidden(one, together), loud)
+    told, tuned = _worth(_delays(one, together) or ({} if again else _hidden(one, together)), loud), list[Shape]()
     if told:
-        told = _timed(one, together, told)
+        told, tuned = _timed(one, together, told, again)
     for _ in range(PASSES):
         if not told:
             break
-        later, found = judge.judged(*_later(one, together, told, loud))
+        later, found = judge.judged(*_later(one, together, told, loud, tuned))
         if found.together is None or found.together.gain <= together.gain:
             break
-        again = _delays(later, found.together)
-        if not set(told) <= set(again):
+        now = _delays(later, found.together)
+        if not set(told) <= set(now):
             break
-        one, verdict, together, loud = later, found, found.together, _loud(later, found.together)
-        off = {j: abs(again[j].seconds - d.seconds) > SETTLED * d.seconds or again[j].lagging != d.lagging for j, d in told.items()}
-        told = _worth({joint: again[joint] for joint, still in off.items() if still}, loud)
+        one, verdict, together, loud, tuned = later, found, found.together, _loud(later, found.together), []
+        off = {j: abs(now[j].seconds - d.seconds) > SETTLED * d.seconds or now[j].lagging != d.lagging for j, d in told.items()}
+        told = _worth({joint: now[joint] for joint, still in off.items() if still}, loud)
     return one, verdict
 
 
@@ -103,9 +104,9 @@ def _like(shapes: Iterable[Shape], told: Delays) -> list[Shape]:
     return [moved for shape in shapes if (moved := _moved(shape, told)) is not None]
 
 
-def _timed(one: Design, together: Trial, told: Delays) -> Delays:
-    """Each delay where what was found predicts best, all of it as late, by a clock or a filter: turned as well for the best of a few, then
-    as it is."""
+def _timed(one: Design, together: Trial, told: Delays, nearly: bool) -> tuple[Delays, list[Shape]]:
+    """Each delay where what was found predicts best, all of it as late, by a clock or a filter: turned as well for the best of a few, or
+    for the one that is `nearly` right, then as it is. And what was found, turned so."""
     from scipy.optimize import minimize_scalar  # slow to import
 
     bare, out, chosen = search.only(one, ()), dict(told), [one.shapes[i] for i in together.shapes]
@@ -118,7 +119,8 @@ def _timed(one: Design, together: Trial, told: Delays) -> Delays:
         return finer, search.trial(finer, turned)
 
     for joint, d in told.items():
-        ways = [Delay(float(d.seconds * FURTHEST**x), lagging) for x in np.linspace(-1.0, 1.0, TRIED) for lagging in (False, True)]
+        far = (Delay(float(d.seconds * FURTHEST**x), lagging) for x in np.linspace(-1.0, 1.0, TRIED) for lagging in (False, True))
+        ways = [d] if nearly else [*far]
         tried = [(*fitted({**out, joint: way}, 1), way) for way in ways]
         finer, best, about = max(tried, key=lambda own: own[1].gain)
         chosen = [finer.shapes[i] for i in best.shapes]
@@ -129,12 +131,12 @@ def _timed(one: Design, together: Trial, told: Delays) -> Delays:
 
         best_x = minimize_scalar(cost, bounds=(middle - step, middle + step), method="bounded").x
         out[joint] = about._replace(seconds=float(np.exp(best_x)))
-    return out
+    return out, _like((shape for shape in chosen if shape.effect != "delay" or shape.joint not in out), out)
 
 
-def _later(one: Design, together: Trial, told: Delays, loud: set[int]) -> tuple[Design, list[int]]:
-    """The design with what comes late, where something is left or was found; and what to begin with: the delays, and what was found
-    elsewhere."""
+def _later(one: Design, together: Trial, told: Delays, loud: set[int], tuned: list[Shape]) -> tuple[Design, list[int]]:
+    """The design with what comes late, where something is left or was found; and what to begin with: the delays, and what was found and
+    tuned with them, or where it was not, what was found elsewhere."""
     where = {*loud, *(one.shapes[i].joint for i in together.shapes if one.shapes[i].effect != "delay")}
 
     def moved(shape: Shape) -> Shape | None:
@@ -145,9 +147,9 @@ def _later(one: Design, together: Trial, told: Delays, loud: set[int]) -> tuple[
     kept = [k for k, shape in enumerate(one.shapes) if now[k] is shape]
     delays = [_by(listed, joint, delay) for joint, delay in told.items()]
     behind = [own for own in now if own is not None and "late" in own.values]
-    wider = search.relaid(one, kept, behind, delays, listed)
-    there = [kept.index(i) for i in together.shapes if i in kept and one.shapes[i].effect != "delay"]
-    return wider, [*range(len(wider.shapes) - len(delays), len(wider.shapes)), *there]
+    wider = search.relaid(one, kept, behind, [*delays, *tuned], listed)
+    there = [kept.index(i) for i in together.shapes if i in kept and one.shapes[i].effect != "delay" and not tuned]
+    return wider, [*range(len(wider.shapes) - len(delays) - len(tuned), len(wider.shapes)), *there]
 
 
 def _by(listed: Iterable[Shape], joint: int | None, delay: Delay) -> Shape:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from ..effect import Effect
-from . import electrical, environment, friction, load, sensing, thermal, transmission
+from . import electrical, environment, friction, load, memory, sensing, thermal, transmission
 
 EFFECTS: tuple[Effect, ...] = (
     *friction.EFFECTS,
+    *memory.EFFECTS,
     *thermal.EFFECTS,
     *transmission.EFFECTS,
     *load.EFFECTS,

@@ -3,30 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
-from itertools import accumulate
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..effect import Effect, Shape, alone, amplitude, beside, family, named, positive, within
+from ..effect import Effect, Knob, Knobs, Shape, alone, amplitude, family, named, positive, within
 from ..track import Track, stroke
 
 Array = np.ndarray
 STICKIEST, LEAST_STUCK = 5.0, 0.05
 """Times Coulomb friction that friction at rest or before it slides can be. The base fit takes some of it for its own, and beside other
 effects perhaps all: Coulomb friction is taken to be this share of the joint's largest torque, at the least."""
-POWERS, NEARBY = (0.5, 1.0, 2.0), 1.2
-"""Of a speed, by which friction fades, tried; and the factor from one to those beside it, between them."""
+POWERS = 0.5, 1.0, 2.0
+"""Of a speed, by which friction fades, tried."""
+TURNED = {False: (1.0, 1.4, 2.0), True: (1.0, 2.0, 3.0)}
+"""The same where it is turned, at the least, usually and at the most: exponential (Tustin 1947; Armstrong-Hélouvry 1991), or rational
+(Popp & Stelter 1990; Hess & Soom 1990), which is tried beside the other. Less than 1 is not sought: what peaks at rest has nearly any
+height there."""
 TOLD = 3.0
 """Times the speed at which a joint crosses one step of its encoder while it stays within one, where it turns back: how fast it goes below
 that is not told, and friction that changes there is any. In 91 simulated robots with nothing missing it seemed to, seven times."""
+WIDTHS = 1e-3, 4e-3, 2e-2
+"""Speed over which the sign of friction turns, at the least, as tried first and at the most [rad/s, or of the fastest if that is less]."""
 POINTS = 200
 """A wave, that its largest and least are told from."""
-SPRINGS, APART, SLIPS = (3, 5), 3.0, 0.5
-"""How many springs make up friction's memory, as tried; each one's way until it slips, over that of the one before; and the last one's over
-a joint's stroke, at the most: what never slips is a spring."""
-BACKWARD = 0.05
-"""Of all their force, what one of them may have against it by chance."""
 FADING = 6.0
 """Times the usual gain that it takes to believe friction under load that fades with speed: what a coarse encoder makes of a reversal does
 so too, wherever some load is."""
@@ -50,7 +50,7 @@ def _seen(speed: float, least: float, gate: Callable[[Array], bool]) -> Callable
     return gate if speed > least else lambda c: False
 
 
-def _stickiest(tracks: Sequence[Track], joint: int) -> float:
+def stickiest(tracks: Sequence[Track], joint: int) -> float:
     """What friction before it slides can be, at the most [N m]."""
     largest = max(float(np.abs(track.torque[:, joint]).max()) for track in tracks)
     return STICKIEST * max(float(tracks[0].body.drive("coulomb")[joint]), LEAST_STUCK * largest, 1e-9)
@@ -71,26 +71,70 @@ def _asymmetric(tracks: Sequence[Track]) -> Iterator[Shape]:
 
 
 def _stuck(t: Track, s: Shape) -> Array:
-    return alone(t, s.place, t.sign(s.place) * _faded(t, s))
+    """Friction that fades with speed. Where the sign of friction has a `width` of its own, so has Coulomb friction, instead of the `usual`:
+    a base fit that knows nothing of what fades makes it too narrow, and a joint that creeps as it turns back is within it for long."""
+    if "width" not in s.values:
+        return alone(t, s.place, t.sign(s.place) * _faded(t, s))
+    sign, usual = (np.tanh(_speed(t, s.place) / s.values[name]) for name in ("width", "usual"))
+    return alone(t, s.place, np.column_stack([sign * _faded(t, s), sign - usual]))
+
+
+def _faded(t: Track, s: Shape) -> Array:
+    """exp(−(|q̇|/v)^δ), or 1/(1 + (e − 1)(|q̇|/v)^δ) where that is rational: either has fallen to 1/e at v. Shape (M,)."""
+    x = (np.abs(_speed(t, s.place)) / s.values["velocity"]) ** s.values["exponent"]
+    return np.asarray(1.0 / (1.0 + (np.e - 1.0) * x) if "rational" in s.values else np.exp(-x))
+
+
+@dataclass(frozen=True)
+class _Fading:
+    """Stribeck's curve at a joint, any value of which can be turned. least: speed from which an encoder tells it [rad/s]. most: how high it
+    can be [N m]. widths: see WIDTHS; usual: the base model's [rad/s]. rational: see `_faded`. width: None where it is the usual one."""
+
+    joint: int
+    least: float
+    most: float
+    widths: tuple[float, float, float]
+    usual: float
+    power: float
+    rational: bool = False
+    velocity: float = 0.0
+    width: float | None = None
+
+    def at(self, velocity: float) -> Shape:
+        """Turned by the velocity; then, by either law, by all values together: each makes up for much of another."""
+        fixed = {"velocity": velocity, "exponent": self.power}
+        fixed |= {"rational": 1.0} if self.rational else {}
+        fixed |= {} if self.width is None else {"width": self.width, "usual": self.usual}
+        told, gate = named("amplitude", velocity=velocity), _seen(velocity, self.least, self._resists)
+        own = replace(self, velocity=velocity)
+        kin = lambda: [own._knobs(rational) for rational in (False, True)]  # noqa: E731
+        return Shape("stribeck", self.joint, _stuck, fixed, parameters=told, plausible=gate, kin=kin)
+
+    def _knobs(self, rational: bool) -> Knobs:
+        least, usual, most = TURNED[rational]
+        power = max(self.power, least) if rational == self.rational else usual
+        values = {"velocity": (self.velocity, self.velocity / 2.0, self.velocity * 2.0), "power": (power, least, most)}
+        narrowest, middling, widest = np.maximum(self.widths, self.least).tolist()
+        if narrowest < widest:
+            values["width"] = self.width or middling, narrowest, widest
+        return Knobs(values, replace(self, rational=rational)._with)
+
+    def _with(self, values: Mapping[str, float]) -> Shape:
+        velocity = values["velocity"]
+        own = replace(self, power=values["power"], width=values.get("width"))
+        return Knob(velocity, velocity / 2.0, velocity * 2.0, own.at).at(velocity)
+
+    def _resists(self, c: Array) -> bool:
+        return bool(0.0 < c[0] < self.most and np.abs(c[1:]).max(initial=0.0) < self.most)
 
 
 def _stribeck(tracks: Sequence[Track]) -> Iterator[Shape]:
-    def shaped(j: int, power: float, least: float, most: float) -> Callable[[float], Shape]:
-        def shape(velocity: float) -> Shape:
-            fixed = {"velocity": velocity, "exponent": power}
-            told = named("amplitude", velocity=velocity)
-            near = [p for p in (power / NEARBY, power * NEARBY) if POWERS[0] <= p <= POWERS[-1]]
-            kin = lambda: beside(velocity, 2.0, (shaped(j, p, least, most) for p in near))  # noqa: E731
-            gate = _seen(velocity, least, within(0.0, most))
-            return Shape("stribeck", j, _stuck, fixed, parameters=told, plausible=gate, kin=kin)
-
-        return shape
-
     for j in range(tracks[0].n):
-        velocities = (np.geomspace(0.01, 0.4, 7) * min(1.0, _fastest(tracks, j))).tolist()
-        least, most = _slowest(tracks, j), _stickiest(tracks, j)
+        scale, usual = min(1.0, _fastest(tracks, j)), float(tracks[0].widths[j])
+        low, middle, high = (scale * width for width in WIDTHS)
         for power in POWERS:
-            yield from family(velocities, shaped(j, power, least, most))
+            law = _Fading(j, _slowest(tracks, j), stickiest(tracks, j), (low, middle, high), usual, power)
+            yield from family((scale * np.geomspace(0.01, 0.4, 7)).tolist(), law.at)
 
 
 def _powered(t: Track, s: Shape) -> Array:
@@ -129,10 +173,6 @@ def _rubbed(t: Track, s: Shape) -> Array:
     load = (t.motor if "driven" in s.values else t.transmitted)[:, place]
     rubs = t.sign(place) * scale * (np.abs(load) / scale) ** s.values["power"]
     return alone(t, place, np.column_stack([rubs, rubs * _faded(t, s)]) if "velocity" in s.values else rubs)
-
-
-def _faded(t: Track, s: Shape) -> Array:
-    return np.asarray(np.exp(-((np.abs(_speed(t, s.place)) / s.values["velocity"]) ** s.values["exponent"])))
 
 
 def _load(tracks: Sequence[Track]) -> Iterator[Shape]:
@@ -195,81 +235,6 @@ def _range(parts: Sequence[tuple[Shape, Array]]) -> dict[str, float]:
     return {"amplitude": 0.5 * float(np.ptp(wave))}
 
 
-def dahl(q: Array, stiffness: float) -> Array:
-    """z of Dahl's model with unit friction: ż = σ q̇ (1 − z sgn q̇), in closed form from one reversal to the next. Shape (M,)."""
-    begins, way, gone = _strokes(q)
-    limits, decays = np.sign(way), np.exp(-stiffness * np.abs(way))
-    strokes = zip(limits.tolist(), decays.tolist(), strict=True)
-    *starts, _ = accumulate(strokes, lambda z, stroke: stroke[0] + (z - stroke[0]) * stroke[1], initial=0.0)
-    return np.asarray(limits[begins] + (np.array(starts) - limits)[begins] * np.exp(-stiffness * np.abs(gone)))
-
-
-def slipping(q: Array, reach: float) -> Array:
-    """Force of a spring of unit strength that slips `reach` from where it rests. Shape (M,)."""
-    begins, way, gone = _strokes(q)
-    *starts, _ = accumulate((way / reach).tolist(), lambda z, further: min(max(z + further, -1.0), 1.0), initial=0.0)
-    return np.clip(np.array(starts)[begins] + gone / reach, -1.0, 1.0)
-
-
-def _strokes(q: Array) -> tuple[Array, Array, Array]:
-    """From one reversal to the next: of each sample, in which stroke it ends; of each stroke, how far it goes; of each sample, how far it
-    is from where its stroke began. Shapes (M,), (strokes,), (M,)."""
-    ways = np.sign(np.diff(q, prepend=q[0]))
-    first = np.flatnonzero(np.diff(ways, prepend=2.0))  # of each stroke's samples; it begins at the one before
-    begins = np.repeat(np.arange(len(first)), np.diff(first, append=len(q)))
-    corners = q[np.maximum(first - 1, 0)]
-    return begins, np.diff(corners, append=q[-1]), q - corners[begins]
-
-
-def _softened(t: Track, s: Shape) -> Array:
-    q, reach = t.fine.q[:, s.place], s.values["reach"]
-    curves = [slipping(q, by * reach) for by in _ways(s)] if "springs" in s.values else [dahl(q, 1.0 / reach)]
-    return alone(t, s.place, np.column_stack(curves) - t.sign(s.place)[:, None])
-
-
-def _ways(s: Shape) -> Array:
-    """After which a shape's springs slip, over that of the middle one. Shape (k,)."""
-    count = int(s.values["springs"])
-    return np.asarray(APART ** (np.arange(count) - count // 2))
-
-
-def _hysteresis(tracks: Sequence[Track]) -> Iterator[Shape]:
-    """Dahl's curve; beside it, springs that slip one after the other, for curves that begin steeper or bend later."""
-
-    def slips(j: int, most: float, springs: int) -> Callable[[float], Shape]:
-        low, high = stroke(tracks, j)
-
-        def shape(reach: float) -> Shape:
-            bare = Shape("hysteresis", j, _softened, {"reach": reach, "springs": float(springs)})
-            ways = reach * _ways(bare)
-            slip = bool(ways[-1] < SLIPS * (high - low))
-            return replace(
-                bare,
-                parameters=lambda c: {"amplitude": float(c.sum()), "stiffness": float(np.sum(c / ways))},
-                plausible=lambda c: slip and bool(0.0 < c.sum() < most and c.min() > -BACKWARD * c.sum()),
-            )
-
-        return shape
-
-    def soft(j: int, most: float) -> Callable[[float], Shape]:
-        def shape(reach: float) -> Shape:
-            told = lambda c: {"amplitude": float(c[0]), "stiffness": float(c[0] / reach)}  # noqa: E731
-            kin = lambda: beside(reach, 4.0, [slips(j, most, springs) for springs in SPRINGS])  # noqa: E731
-            return Shape("hysteresis", j, _softened, {"reach": reach}, parameters=told, plausible=within(0.0, most), kin=kin)
-
-        return shape
-
-    for j in range(tracks[0].n):
-        most = _stickiest(tracks, j)
-        yield from family(np.geomspace(1e-4, 1e-1, 9).tolist(), soft(j, most))
-
-
-def _steepest(parts: Sequence[tuple[Shape, Array]]) -> dict[str, float]:
-    """Springs that slip sooner than the first would look the same: the slope that is told is known to what that one has of it."""
-    shape, c = parts[0]
-    return {"stiffness": abs(float(c[0])) / (float(_ways(shape)[0]) * shape.values["reach"])} if "springs" in shape.values else {}
-
-
 def _resisted(t: Track, s: Shape) -> Array:
     return alone(t, s.place, np.column_stack([t.sign(s.place), _speed(t, s.place)]))
 
@@ -295,14 +260,14 @@ EFFECTS = (
     ),
     Effect(
         "stribeck",
-        "(F_s − F_c) exp(−(|q̇|/v_s)^δ) sgn q̇ (Stribeck 1902; Armstrong-Hélouvry 1994)",
+        "(F_s − F_c) exp(−(|q̇|/v_s)^δ) sgn q̇, or / (1 + (e − 1) (|q̇|/v_s)^δ) (Stribeck 1902; Hess & Soom 1990; Armstrong-Hélouvry 1994)",
         _stuck,
         _stribeck,
         {"amplitude": "N m", "velocity": "rad/s"},
         "friction is larger near zero speed",
         ("hysteresis", "nonlinear_viscous", "delay"),
         "a ladder of slow constant speeds, 1 mrad/s to 0.5 rad/s",
-        form={"amplitude": 0.5, "velocity": 1.1},
+        form={"amplitude": 0.25, "velocity": 0.25},
     ),
     Effect(
         "nonlinear_viscous",
@@ -349,19 +314,6 @@ EFFECTS = (
         told=_range,
         form={"amplitude": 0.5},
         loose=-0.8,
-    ),
-    Effect(
-        "hysteresis",
-        "F z, ż = σ q̇ (1 − z sgn q̇) (Dahl 1968), or springs that slip, ż = q̇/s, |z| ≤ 1 (Iwan 1966), instead of F sgn q̇",
-        _softened,
-        _hysteresis,
-        {"amplitude": "N m", "stiffness": "N m/rad"},
-        "friction takes some way to build up after a reversal",
-        ("delay", "backlash", "stribeck"),
-        "strokes of many small amplitudes",
-        form={"amplitude": 0.1, "stiffness": 0.4},
-        loose=1.0,
-        unseen=_steepest,
     ),
     Effect(
         "friction",

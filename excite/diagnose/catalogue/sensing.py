@@ -86,15 +86,15 @@ def _told(later: float, earlier: float) -> Callable[[Array], bool]:
 
 def _misread(t: Track, s: Shape) -> Array:
     """Torque when a joint is where its encoder says less an error: −(∂τ/∂q δ + ∂τ/∂q̇ δ̇ + (M + I_a) δ̈)."""
-    by_q, by_v, mass = t.derivatives
-    joint, angle, columns = s.place, s.values["order"] * t.coarse.q[:, s.place], []
-    for shift in (f(k * angle) for k in multiples(s.values) for f in (np.cos, np.sin)):
-        line = t.band.transformed(shift, Grid.COARSE)
-        first, second = line.low(Grid.COARSE, 1, 2.0), line.low(Grid.COARSE, 2, 2.0)
-        torque = by_q[:, :, joint] * shift[:, None] + by_v[:, :, joint] * first[:, None] + mass[:, :, joint] * second[:, None]
-        torque[:, joint] += t.body.drive("rotor_inertia")[joint] * second + t.body.drive("viscous")[joint] * first
-        columns.append(-t.reduce(torque, Grid.COARSE))
-    return np.stack(columns, axis=2)
+    joint = s.place
+    by_q, by_v, mass = (matrix[:, :, joint, None] for matrix in t.derivatives)
+    angle = s.values["order"] * t.coarse.q[:, joint]
+    shifts = np.column_stack([f(k * angle) for k in multiples(s.values) for f in (np.cos, np.sin)])
+    line = t.band.transformed(shifts, Grid.COARSE)
+    first, second = line.low(Grid.COARSE, 1, 2.0), line.low(Grid.COARSE, 2, 2.0)
+    torque = by_q * shifts[:, None] + by_v * first[:, None] + mass * second[:, None]
+    torque[:, joint] += t.body.drive("rotor_inertia")[joint] * second + t.body.drive("viscous")[joint] * first
+    return -t.reduce(torque, Grid.COARSE)
 
 
 def _encoder(tracks: Sequence[Track]) -> Iterator[Shape]:

@@ -26,7 +26,7 @@ class Turning:
         t = np.arange(0.0, 20.0, 0.004)
         speed, most = np.column_stack([np.sin(t), 0.25 * np.sin(t), np.ones_like(t)]), np.array([turns, turns, 0.0])
         hastens = np.column_stack([np.cos(t), 0.25 * np.cos(t), np.zeros_like(t)])
-        self.n, self.steps, self.torque = 3, np.full(3, step), np.ones((len(t), 3))
+        self.n, self.steps, self.torque, self.widths = 3, np.full(3, step), np.ones((len(t), 3)), np.full(3, 0.004)
         self.fine = types.SimpleNamespace(dq=turns * speed, ddq=most * hastens)
         self.body = types.SimpleNamespace(drive=lambda kind: np.ones(3))
         self.stays: Array = Track.stays.func(self)  # type: ignore[attr-defined]

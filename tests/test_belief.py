@@ -145,6 +145,13 @@ def test_equivalents_are_the_names_within_reach_of_a_wrong_form():
     assert tuple(belief.alike(finding, 0.002)) == ("drag",)
 
 
+def test_what_is_barely_told_is_told_with_all_that_it_is_taken_for():
+    (finding,) = only("elasticity").findings
+    finding = judge.Finding(finding.parts, 100.0, {"backlash": 5.0, "base_compliance": 1.0, "torque_ripple": 15.0})
+    assert tuple(belief.alike(finding, 0.3)) == ()
+    assert tuple(belief.alike(finding, 0.5)) == ("backlash",)  # neither what gains nothing, nor what looks otherwise
+
+
 @pytest.mark.parametrize(("strong", "left", "told"), [(1e4, 1.5, False), (1e4, 1.0, True), (50.0, 1.5, True)])
 def test_what_another_law_may_leave_is_a_further_effect_only_if_it_is_taken_whole(monkeypatch, strong, left, told):
     """A ripple beside a spring at the same joint, of less or more than springs usually leave, and what is left then."""

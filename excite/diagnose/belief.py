@@ -32,6 +32,8 @@ ODDS = 0.03
 """Of a rival against the best name, from which they cannot be told apart."""
 LEAST_ALIKE, MOST_ALIKE = 0.2, 3
 """Of the best name's gain, what a rival must gain to be told with it; and how many are told."""
+BARELY, TRACE = 0.4, 0.02
+"""Share from which a name leaves about as much as it takes: then what it is taken for is told with it that gains as little as that."""
 LEAST_LEFT = 1e-3
 """Share that any law leaves."""
 MENDED = 5.0
@@ -122,9 +124,15 @@ def alike(finding: Finding, x: float) -> dict[str, float]:
     best, out = odds(finding.main.effect, x), {}
     for name, gain in finding.rivals.items():
         left = float(np.clip(1.0 - (1.0 - x) * gain / max(finding.gain, 1e-9), x, 1.0))
-        if gain > LEAST_ALIKE * finding.gain and (chance := odds(name, left)) > ODDS * best:
+        least = TRACE if x > BARELY and _confused(name, finding.main.effect) else LEAST_ALIKE
+        if gain > least * finding.gain and (chance := odds(name, left)) > ODDS * best:
             out[name] = chance
     return dict(sorted(out.items(), key=lambda entry: -entry[1])[:MOST_ALIKE])
+
+
+def _confused(name: str, other: str) -> bool:
+    """Whether either name is taken for the other (the catalogue)."""
+    return name in BY_NAME[other].confused or other in BY_NAME[name].confused
 
 
 def probability(chance: float) -> float:

@@ -105,8 +105,8 @@ def _like(shapes: Iterable[Shape], told: Delays) -> list[Shape]:
 
 
 def _timed(one: Design, together: Trial, told: Delays, nearly: bool) -> tuple[Delays, list[Shape]]:
-    """Each delay where what was found predicts best, all of it as late, by a clock or a filter: turned as well for the best of a few, or
-    for the one that is `nearly` right, then as it is. And what was found, turned so."""
+    """Each delay where what was found predicts best, all of it as late, by a clock or a filter: turned as well for the best of a few, of
+    those next to it where it is `nearly` right, then as it is. And what was found, turned so."""
     from scipy.optimize import minimize_scalar  # slow to import
 
     bare, out, chosen = search.only(one, ()), dict(told), [one.shapes[i] for i in together.shapes]
@@ -119,8 +119,8 @@ def _timed(one: Design, together: Trial, told: Delays, nearly: bool) -> tuple[De
         return finer, search.trial(finer, turned)
 
     for joint, d in told.items():
-        far = (Delay(float(d.seconds * FURTHEST**x), lagging) for x in np.linspace(-1.0, 1.0, TRIED) for lagging in (False, True))
-        ways = [d] if nearly else [*far]
+        tries = np.linspace(-1.0, 1.0, TRIED)[1:-1] if nearly else np.linspace(-1.0, 1.0, TRIED)
+        ways = [Delay(float(d.seconds * FURTHEST**x), lagging) for x in tries for lagging in (False, True)]
         tried = [(*fitted({**out, joint: way}, 1), way) for way in ways]
         finer, best, about = max(tried, key=lambda own: own[1].gain)
         chosen = [finer.shapes[i] for i in best.shapes]

@@ -197,7 +197,7 @@ EFFECTS = (
         _compliance,
         {"frequency": "Hz"},
         "the same resonance in all joints",
-        ("elasticity",),
+        ("elasticity", "backlash"),
         "a chirp of joint 1 with the arm stretched",
         form={"frequency": 0.2},
         loose=2.0,

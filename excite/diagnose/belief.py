@@ -16,7 +16,7 @@ from math import erfc
 import numpy as np
 
 from . import hypothesis, judge, search
-from .catalogue import BY_NAME
+from .catalogue import BY_NAME, confused
 from .judge import Finding, Verdict
 from .search import Design
 
@@ -124,15 +124,10 @@ def alike(finding: Finding, x: float) -> dict[str, float]:
     best, out = odds(finding.main.effect, x), {}
     for name, gain in finding.rivals.items():
         left = float(np.clip(1.0 - (1.0 - x) * gain / max(finding.gain, 1e-9), x, 1.0))
-        least = TRACE if x > BARELY and _confused(name, finding.main.effect) else LEAST_ALIKE
+        least = TRACE if x > BARELY and confused(name, finding.main.effect) else LEAST_ALIKE
         if gain > least * finding.gain and (chance := odds(name, left)) > ODDS * best:
             out[name] = chance
     return dict(sorted(out.items(), key=lambda entry: -entry[1])[:MOST_ALIKE])
-
-
-def _confused(name: str, other: str) -> bool:
-    """Whether either name is taken for the other (the catalogue)."""
-    return name in BY_NAME[other].confused or other in BY_NAME[name].confused
 
 
 def probability(chance: float) -> float:

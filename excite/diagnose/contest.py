@@ -8,7 +8,7 @@ from itertools import islice, takewhile
 import numpy as np
 
 from . import search
-from .catalogue import BY_NAME
+from .catalogue import BY_NAME, confused
 from .hypothesis import CANCELS, SMALLEST, Hypothesis, agrees, counts, each_size, meanwhile, name, ranked, sizes, who
 from .search import Design, Trial, trial
 
@@ -173,7 +173,7 @@ def _mends(one: Design, others: Sequence[int], shape: int) -> bool:
     """Whether a shape's effect is taken for one that is at its joint already: it could mend that one's form whatever it leaves."""
     own = one.shapes[shape]
     there = {one.shapes[i].effect for i in others if one.shapes[i].joint == own.joint}
-    return any(own.effect in BY_NAME[other].confused or other in BY_NAME[own.effect].confused for other in there)
+    return any(confused(own.effect, other) for other in there)
 
 
 def _replaced(one: Design, chosen: list[int]) -> list[int]:

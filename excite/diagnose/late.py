@@ -119,8 +119,8 @@ def _timed(one: Design, together: Trial, told: Delays, nearly: bool) -> tuple[De
         return finer, search.trial(finer, turned)
 
     for joint, d in told.items():
-        tries = np.linspace(-1.0, 1.0, TRIED)[1:-1] if nearly else np.linspace(-1.0, 1.0, TRIED)
-        ways = [Delay(float(d.seconds * FURTHEST**x), lagging) for x in tries for lagging in (False, True)]
+        tries = np.linspace(-1.0, 1.0, TRIED)
+        ways = [Delay(float(d.seconds * FURTHEST**x), lagging) for x in (tries[1:-1] if nearly else tries) for lagging in (False, True)]
         tried = [(*fitted({**out, joint: way}, 1), way) for way in ways]
         finer, best, about = max(tried, key=lambda own: own[1].gain)
         chosen = [finer.shapes[i] for i in best.shapes]
@@ -145,11 +145,11 @@ def _later(one: Design, together: Trial, told: Delays, loud: set[int], tuned: li
     listed = [late for shape in one.listed if (late := moved(shape)) is not None]
     now = [moved(shape) for shape in one.shapes]
     kept = [k for k, shape in enumerate(one.shapes) if now[k] is shape]
-    delays = [_by(listed, joint, delay) for joint, delay in told.items()]
+    first = [*(_by(listed, joint, delay) for joint, delay in told.items()), *tuned]
     behind = [own for own in now if own is not None and "late" in own.values]
-    wider = search.relaid(one, kept, behind, [*delays, *tuned], listed)
+    wider = search.relaid(one, kept, behind, first, listed)
     there = [kept.index(i) for i in together.shapes if i in kept and one.shapes[i].effect != "delay" and not tuned]
-    return wider, [*range(len(wider.shapes) - len(delays) - len(tuned), len(wider.shapes)), *there]
+    return wider, [*range(len(wider.shapes) - len(first), len(wider.shapes)), *there]
 
 
 def _by(listed: Iterable[Shape], joint: int | None, delay: Delay) -> Shape:

@@ -16,3 +16,8 @@ EFFECTS: tuple[Effect, ...] = (
     *environment.EFFECTS,
 )
 BY_NAME = {effect.name: effect for effect in EFFECTS}
+
+
+def confused(name: str, other: str) -> bool:
+    """Whether either effect is taken for the other."""
+    return name in BY_NAME[other].confused or other in BY_NAME[name].confused

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..effect import Effect, Knob, Knobs, Shape, alone, amplitude, family, named, positive, within
+from ..effect import Effect, Knobs, Shape, alone, amplitude, beside, family, named, positive, within
 from ..track import Track, stroke
 
 Array = np.ndarray
@@ -120,9 +120,9 @@ class _Fading:
         return Knobs(values, replace(self, rational=rational)._with)
 
     def _with(self, values: Mapping[str, float]) -> Shape:
-        velocity = values["velocity"]
         own = replace(self, power=values["power"], width=values.get("width"))
-        return Knob(velocity, velocity / 2.0, velocity * 2.0, own.at).at(velocity)
+        (by_velocity,) = beside(values["velocity"], 2.0, [own.at])
+        return by_velocity.here
 
     def _resists(self, c: Array) -> bool:
         return bool(0.0 < c[0] < self.most and np.abs(c[1:]).max(initial=0.0) < self.most)
@@ -132,9 +132,10 @@ def _stribeck(tracks: Sequence[Track]) -> Iterator[Shape]:
     for j in range(tracks[0].n):
         scale, usual = min(1.0, _fastest(tracks, j)), float(tracks[0].widths[j])
         low, middle, high = (scale * width for width in WIDTHS)
+        velocities = (scale * np.geomspace(0.01, 0.4, 7)).tolist()
+        least, most = _slowest(tracks, j), stickiest(tracks, j)
         for power in POWERS:
-            law = _Fading(j, _slowest(tracks, j), stickiest(tracks, j), (low, middle, high), usual, power)
-            yield from family((scale * np.geomspace(0.01, 0.4, 7)).tolist(), law.at)
+            yield from family(velocities, _Fading(j, least, most, (low, middle, high), usual, power).at)
 
 
 def _powered(t: Track, s: Shape) -> Array:

@@ -90,7 +90,7 @@ def _plainer(effect: str, other: str) -> bool:
 def _stays(one: Design, found: Trial) -> bool:
     """Whether the last of some shapes is believed beside the others, or by itself."""
     *others, last = found.shapes
-    return _earns(one, others, found, trial(one, others).gain) if others else found.gain > one.bar(last)
+    return _earns(one, others, found, trial(one, others).gain) if others else _believed(one, (), last, found.gain)
 
 
 def _further(one: Design, chosen: list[int]) -> tuple[Design, list[int] | None]:
@@ -146,7 +146,7 @@ def _earns(one: Design, others: Sequence[int], wider: Trial, rest: float) -> boo
     """
     shape, adds = wider.shapes[-1], wider.gain - rest
     there = any(who(one.shapes[i]) == who(one.shapes[shape]) for i in others)
-    if adds < one.bar(shape):
+    if not _believed(one, others, shape, adds):
         return False
     share = (LIKE if there and one.shapes[shape].several else SAME if there else SHARE) * rest
     if adds > share:
@@ -169,6 +169,19 @@ def _earns(one: Design, others: Sequence[int], wider: Trial, rest: float) -> boo
     return bool(1.0 - after[joint] / rested[joint] > MOSTLY)
 
 
+def _believed(one: Design, others: Sequence[int], shape: int, adds: float) -> bool:
+    """Whether what a shape adds to others is no noise. What a fault of the measurement may feign is believed too, of the usual gain, where
+    another name at its joint that no fault feigns adds less: something is there, and this says it better."""
+    if adds > one.bar(shape):
+        return True
+    if adds < one.usually(shape):
+        return False
+    own, rest = one.shapes[shape], trial(one, others).gain
+    less = takewhile(lambda h: h.trial.gain > rest + search.NATS, ranked(one, tuple(others)))
+    here = (h for h in less if h.joint == own.joint and h.effect != own.effect and h.shows)
+    return any(one.bar(h.shape) < h.trial.gain - rest < adds - search.NATS for h in here)
+
+
 def _mends(one: Design, others: Sequence[int], shape: int) -> bool:
     """Whether a shape's effect is taken for one that is at its joint already: it could mend that one's form whatever it leaves."""
     own = one.shapes[shape]
@@ -184,7 +197,7 @@ def _replaced(one: Design, chosen: list[int]) -> list[int]:
             others = [k for k in chosen if k != i]
             now = trial(one, [*others, i])
             if not others:  # what stayed when the others went must be believed by itself
-                chosen = chosen if now.gain > one.bar(i) else []
+                chosen = chosen if _believed(one, (), i, now.gain) else []
                 continue
             if not _earns(one, others, now, trial(one, others).gain):
                 chosen = others

@@ -85,10 +85,14 @@ class Design:
         return float(np.sqrt(level(self, ()).max()))
 
     def bar(self, i: int) -> float:
-        """Gain from which a shape is believed: more where faults of the measurement look like it, or blur its columns too."""
+        """Gain from which a shape is believed: more where faults of the measurement look like it."""
         shape = self.shapes[i]
-        usual = np.sqrt(shape.doubt) * NATS + shape.doubt * STEPPED * self.measured.stepped
-        return float(usual + self.measured.feigns(shape.effect, shape.joint))
+        return self.usually(i) + self.measured.feigns(shape.effect, shape.joint)
+
+    def usually(self, i: int) -> float:
+        """The same where nothing looks like it: more where steps blur its columns too."""
+        shape = self.shapes[i]
+        return float(np.sqrt(shape.doubt) * NATS + shape.doubt * STEPPED * self.measured.stepped)
 
     @cached_property
     def usual(self) -> Array:

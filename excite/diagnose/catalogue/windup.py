@@ -106,13 +106,21 @@ def played(track: Track, joint: int, width: float, hold: float) -> Array:
     push = track.upsampled((track.rigid[:, joint] / mass(track, joint))[:, None])[:, 0]
     dt, half, omega = 1.0 / track.piece.rate, 0.5 * width, 2.0 * np.pi * hold
     stiff, damp = omega**2, 2.0 * OIL * omega
-    out, x, v = np.empty(len(push)), half if push[0] > 0.0 else -half, 0.0
-    for k, a in enumerate(push.tolist()):
-        v += (a - stiff * x - damp * v) * dt
+    out, x, v, k = np.empty(len(push)), half if push[0] > 0.0 else -half, 0.0, 0
+    pushes, on_flank = push.tolist(), True
+    leaves = np.flatnonzero(push < stiff * half), np.flatnonzero(push > -stiff * half)  # the upper flank, the lower one
+    while k < len(pushes):
+        if on_flank:  # until its load draws it away
+            own = leaves[0 if x > 0.0 else 1]
+            place = int(np.searchsorted(own, k))
+            until = int(own[place]) if place < len(own) else len(pushes)
+            out[k:until] = x
+            k, on_flank = until, False
+            continue
+        v += (pushes[k] - stiff * x - damp * v) * dt
         x += v * dt
-        if x > half:
-            x, v = half, 0.0
-        elif x < -half:
-            x, v = -half, 0.0
+        if on_flank := abs(x) >= half:
+            x, v = (half if x > 0.0 else -half), 0.0
         out[k] = x
+        k += 1
     return out

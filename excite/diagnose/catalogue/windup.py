@@ -22,6 +22,8 @@ LAUNCHED, CARRIED = 0.01, 0.5
 """Of its largest speed, from which a motor turns already, and from which it has taken its link along."""
 OIL = 0.3
 """Damping ratio of a link that is held in its play."""
+FLIGHT = 32
+"""Samples of a free link that are looked at first."""
 
 
 def felt(track: Track, joint: int, lag: Array, of: Grid) -> Array:
@@ -101,26 +103,39 @@ def stepped(turn: Array, push: Array, start: Array) -> Array:
 def played(track: Track, joint: int, width: float, hold: float) -> Array:
     """Where a link is in a play of `width` [rad]: driven by its load, it stops where it meets the other flank. Shape (M,).
 
-    hold: how fast it would swing in there, for what a gear's soft first stage, oil and seals hold of it [Hz].
+    hold: how fast it would swing in there, for what a gear's soft first stage, oil and seals hold of it [Hz]. By steps (Euler, implicit in
+    the place) xₖ = b xₖ₋₁ − c xₖ₋₂ + aₖ dt²: free, it goes as without flanks, and beyond that as it left one.
     """
+    from scipy.signal import lfilter  # slow to import
+
     push = track.upsampled((track.rigid[:, joint] / mass(track, joint))[:, None])[:, 0]
-    dt, half, omega = 1.0 / track.piece.rate, 0.5 * width, 2.0 * np.pi * hold
-    stiff, damp = omega**2, 2.0 * OIL * omega
-    out, x, v, k = np.empty(len(push)), half if push[0] > 0.0 else -half, 0.0, 0
-    pushes, on_flank = push.tolist(), True
-    leaves = np.flatnonzero(push < stiff * half), np.flatnonzero(push > -stiff * half)  # the upper flank, the lower one
-    while k < len(pushes):
-        if on_flank:  # until its load draws it away
-            own = leaves[0 if x > 0.0 else 1]
-            place = int(np.searchsorted(own, k))
-            until = int(own[place]) if place < len(own) else len(pushes)
-            out[k:until] = x
-            k, on_flank = until, False
-            continue
-        v += (pushes[k] - stiff * x - damp * v) * dt
-        x += v * dt
-        if on_flank := abs(x) >= half:
-            x, v = (half if x > 0.0 else -half), 0.0
-        out[k] = x
-        k += 1
+    dt, half, omega, count = 1.0 / track.piece.rate, 0.5 * width, 2.0 * np.pi * hold, len(push)
+    c = 1.0 - 2.0 * OIL * omega * dt
+    b, at_once = 1.0 + c - (omega * dt) ** 2, np.zeros(count)
+    at_once[0] = 1.0
+    free = np.concatenate([np.zeros(2), lfilter([dt**2], [1.0, -b, c], push)])  # the first two are before it begins
+    goes_on = lfilter([1.0], [1.0, -b, c], at_once)
+    begins, follows = b * goes_on - c * np.append(0.0, goes_on[:-1]), -c * goes_on  # of where it was one step before, and two
+    leaves = np.flatnonzero(push < omega**2 * half), np.flatnonzero(push > -(omega**2) * half)  # the upper flank, the lower one
+    out, x, k = np.empty(count), half if push[0] > 0.0 else -half, 0
+    while k < count:
+        own = leaves[0 if x > 0.0 else 1]
+        place, rested = int(np.searchsorted(own, k)), k
+        k = int(own[place]) if place < len(own) else count
+        out[rested:k] = x
+        one, two, left, size = x - free[k + 1], x - free[k], k, FLIGHT
+        while k < count:
+            end = min(k + size, count)
+            by = slice(k - left, end - left)
+            flies = free[k + 2 : end + 2] + one * begins[by] + two * follows[by]
+            met = np.abs(flies) > half
+            meets = int(met.argmax())
+            if met[meets]:
+                out[k : k + meets] = flies[:meets]
+                x = half if flies[meets] > 0.0 else -half
+                out[k + meets] = x
+                k += meets + 1
+                break
+            out[k:end] = flies
+            k, size = end, 4 * size
     return out

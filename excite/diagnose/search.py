@@ -108,13 +108,22 @@ class Design:
 
     def some(self, which: Array) -> tuple[Array, Array]:
         """The same of some columns. Shapes (3, k, k), (3, k)."""
+        if "scaled" in self.__dict__:  # all at once, already
+            return self.scaled[0][:, which[:, None], which], self.scaled[1][:, which]
         root, here, grams = self.usual[which], np.ix_(which, which), (*self.grams, self.whole)
         products = np.stack([gram.matrix[here] for gram in grams]) * np.outer(root, root)
         return products, np.stack([gram.score[which] for gram in grams]) * root
 
     def which(self, chosen: Sequence[int]) -> Array:
         """Columns of several shapes."""
-        return np.concatenate([np.arange(0), *(np.arange(self.places[i].start, self.places[i].stop) for i in chosen)])
+        return np.array([k for i in chosen for k in range(self.places[i].start, self.places[i].stop)], int)
+
+    @cached_property
+    def alike(self) -> list[tuple[Array, Array]]:
+        """Shapes of as many columns as each other, and these. Shapes (s,), (s, k) each."""
+        widths, starts = (np.array(x, int) for x in ([p.stop - p.start for p in self.places], [p.start for p in self.places]))
+        same = [(width, np.flatnonzero(widths == width)) for width in np.unique(widths)]
+        return [(which, starts[which][:, None] + np.arange(width)) for width, which in same]
 
     def split(self, chosen: Sequence[int], coefficients: Array) -> list[Array]:
         """Coefficients of several shapes, shape by shape."""
@@ -297,8 +306,12 @@ class Trial:
 def trial(one: Design, chosen: Sequence[int]) -> Trial:
     """Fit the shapes on each half, judge on the other, and once more on both together; no shapes: the base model."""
     which = one.which(chosen)
-    factor, half, evidence = _evidence(*one.some(which))
-    first, second, c = one.usual[which] * np.linalg.solve(factor.swapaxes(-1, -2), half[..., None])[..., 0]
+    products, scores = one.some(which)
+    products = products + np.eye(len(which))
+    told = np.linalg.solve(products, scores[..., None])[..., 0]
+    halved = np.diagonal(np.linalg.cholesky(products), axis1=-2, axis2=-1)
+    evidence = 0.5 * np.sum(told * scores, axis=-1) - np.log(halved).sum(axis=-1)  # as `_evidence` has it
+    first, second, c = one.usual[which] * told
     plausible = all(bool(one.shapes[i].plausible(own)) for i, own in zip(chosen, one.split(chosen, c), strict=True))
     return Trial(tuple(chosen), c, (first, second), float(_predictive(evidence)), plausible, float(evidence[0] + evidence[1]))
 
@@ -327,11 +340,8 @@ def fits(one: Design, beside: Sequence[int] = ()) -> tuple[Array, list[Array]]:
     factor, half, first = _evidence(products[:, which[:, None], which], scores[:, which])
     cross = np.linalg.solve(factor, products[:, which, :])
     left = scores - np.einsum("hbk,hb->hk", cross, half)
-    widths, out = np.array([place.stop - place.start for place in one.places], int), np.zeros(len(one.places))
-    own = [np.zeros(0)] * len(out)
-    for width in np.unique(widths):
-        same = np.flatnonzero(widths == width)
-        columns = np.array([np.arange(one.places[i].start, one.places[i].stop) for i in same])
+    out, own = np.zeros(len(one.places)), [np.zeros(0)] * len(one.places)
+    for same, columns in one.alike:
         taken = np.einsum("hbni,hbnj->hnij", cross[:, :, columns], cross[:, :, columns])
         each, halfway, evidence = _evidence(products[:, columns[:, :, None], columns[:, None, :]] - taken, left[:, columns])
         out[same] = _predictive(first[:, None] + evidence)

@@ -212,7 +212,17 @@ def _replaced(one: Design, chosen: list[int]) -> list[int]:
     return chosen
 
 
-def best_pair(one: Design, alone: Sequence[Hypothesis]) -> list[int] | None:
+def begun(one: Design, alone: Sequence[Hypothesis]) -> tuple[Design, list[int]]:
+    """The single that predicts best, or the best pair where that predicts more than it does when it is tuned: two on a grid may say between
+    them what one says off it. alone: singles, the best first."""
+    single, pair = [alone[0].shape], _best_pair(one, alone)
+    if pair is None:
+        return one, single
+    finer, tuned = search.refined(one, single, sweeps=1)
+    return (finer, tuned) if trial(finer, tuned).gain > trial(one, pair).gain else (one, pair)
+
+
+def _best_pair(one: Design, alone: Sequence[Hypothesis]) -> list[int] | None:
     """The pair that predicts best, if it predicts enough better than the best single and both parts are of a size that counts."""
     single = alone[0].trial.gain
     beside = islice(ranked(one, (alone[0].shape,)), FRONT // 2)

@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from . import search
-from .contest import best_pair, searched
+from .contest import begun, searched
 from .effect import Shape
 from .hypothesis import Hypothesis, name, ranked, size, who
 from .search import Design, Measured, Trial, trial
@@ -94,7 +94,7 @@ def judged(one: Design, chosen: Sequence[int] = ()) -> tuple[Design, Verdict]:
         counts = [h for h in alone if h.shows and h.trial.gain > one.bar(h.shape)]
         if not counts:
             return one, Verdict((), None, tuple(alone[:CONSIDERED]))
-        chosen = best_pair(one, counts) or [counts[0].shape]
+        one, chosen = begun(one, counts)
     one, chosen = searched(one, list(chosen))
     verdict = said(one, chosen)
     named = {(f.main.effect, f.main.joint) for f in verdict.findings}

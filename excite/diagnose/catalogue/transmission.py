@@ -29,8 +29,11 @@ HOLDS, FURTHER, HARDEST = (0.0, 1.5, 3.0, 6.0, 12.0), 1.5, 20.0
 beyond which it is a spring."""
 NEARBY, FAINT = 0.02, 0.3
 """How near two orders are the same; and over its strongest multiple, below which a wave is hardly there."""
-ORDERS, CELLS = 12, 20_000_000
-"""Orders of a ripple that are tried, at the most; and orders times rows that are looked at at once."""
+ORDERS, WITHIN, CELLS = 12, 2.5, 20_000_000
+"""Orders of a ripple that are tried, at the most; how far one may be off, times what a joint turns; and orders times rows that are looked at
+at once."""
+SPANNED, OWN, FEWEST = 1e-6, 0.01, 0.05
+"""Over the largest singular value, of what the base can say; of a wave, what the base must not; and of its rows, what must be in the band."""
 LEAST_STROKE, LEAST_TURN, ROUND = 1e-6, 0.05, 1.5
 """Of a joint, from which it moves at all, and from which more is said of its place than that it pulls [rad or m]; and waves in the longest
 stretch, from which a torque comes round."""
@@ -128,7 +131,7 @@ def _ripple(tracks: Sequence[Track]) -> Iterator[Shape]:
     for j in range(tracks[0].n):
         turn, taken = max(float(np.ptp(t.fine.q[:, j])) for t in tracks), list[float]()
         for order in _orders(tracks, j):  # the strongest first: what it has with its multiples, no weaker one has with its own
-            near = 1.0 + 1.5 / (turn * order)
+            near = 1.0 + WITHIN / (turn * order)
             free = [k for k in MULTIPLES if all(abs(k * order - other) > NEARBY * other for other in taken)]
             yield Knob(order, order / near, order * near, rippled(j, {})).at(order)
             if free and all(abs(order - other) > NEARBY * other for other in taken):
@@ -144,8 +147,8 @@ def _strongest(values: Mapping[str, float], c: Array) -> dict[str, float]:
 
 
 def _orders(tracks: Sequence[Track], joint: int) -> list[float]:
-    """Orders at which the base fit's residual has power, found on a fine grid up to 300 a turn (Lomb 1976, over angle); each in what those
-    before it leave, lest a strong one's neighbours hide a slight one (Högbom 1974).
+    """Orders at which what the base fit leaves has power, beside all that the base could say, then as it is: where a prior is trusted, it
+    says nothing. On a fine grid up to 300 a turn.
 
     What has not come round half as often again in the longest stretch is a spring as well.
     """
@@ -156,33 +159,65 @@ def _orders(tracks: Sequence[Track], joint: int) -> list[float]:
         return []
     speed = np.interp(track.time, track.clock, track.fine.dq[:, joint])
     step = 2.0 * np.pi / turn / 3.0
-    orders = np.arange(max(3.0, ROUND * 2.0 * np.pi / turn), 300.0, max(step, 0.05))
-    if len(orders) * len(q) > CELLS:  # not every so many rows: that would be a rate of its own
-        some = np.sort(np.random.default_rng(0).permutation(len(q))[: CELLS // len(orders)])
-        q, speed, left = q[some], speed[some], track.left[some, joint]
-    else:
-        left = track.left[:, joint].copy()
+    grid = np.arange(max(3.0, ROUND * 2.0 * np.pi / turn), 300.0, max(step, 0.05))
+    some = slice(None) if len(grid) * len(q) <= CELLS else _scattered(len(q), CELLS // len(grid))
+    q, speed, left = q[some], speed[some], track.left[some, joint]
     fastest = 2.0 * np.pi * track.band.hertz
 
     def waves(which: Array) -> Array:
         return np.exp(1j * np.outer(which, q)) * (np.abs(np.outer(which, speed)) < fastest)  # the rest is above the band
 
-    def power(of: Array) -> Array:
-        count = np.count_nonzero(of, axis=1)
-        return np.where(count < 0.05 * len(q), 0.0, np.abs(of @ left) ** 2 / np.maximum(count, 1))
+    every, out = waves(grid), list[float]()
+    for base in (_spanned(track, joint)[some], np.zeros((len(q), 0))):
+        found = _peaks(waves, (grid, every, step), left - base @ np.linalg.lstsq(base, left, rcond=None)[0], base)
+        out += [order for order in found if all(abs(order - other) > NEARBY * other for other in out)]
+    return out
 
-    every, out = waves(orders), list[float]()
+
+def _scattered(rows: int, count: int) -> Array:
+    """Some of many rows: not every so many, which would be a rate of its own."""
+    return np.sort(np.random.default_rng(0).permutation(rows)[:count])
+
+
+def _spanned(track: Track, joint: int) -> Array:
+    """Of one joint, orthonormal columns of what the base model can say of all joints' torque, each over what it leaves. Shape (N, p)."""
+    over = track.gamma / np.sqrt(np.mean(track.left**2, axis=0)).clip(1e-300)[:, None]
+    span, sizes, _ = np.linalg.svd(over.reshape(len(track) * track.n, -1), full_matrices=False)
+    return np.asarray(span.reshape(len(track), track.n, -1)[:, joint, sizes > SPANNED * sizes[0]])
+
+
+def _peaks(waves: Callable[[Array], Array], about: tuple[Array, Array, float], left: Array, base: Array) -> list[float]:
+    """Orders of waves that fit best beside a base (Lomb 1976, over angle; Zechmeister & Kürster 2009), each in what those before it leave,
+    lest a strong one's neighbours hide a slight one (Högbom 1974).
+
+    about: orders, their waves and the least apart that two are. left: free of the base. base: of orthonormal columns these rows.
+    """
+    grid, every, step = about
+
+    def fit(of: Array) -> tuple[Array, Array]:
+        """Power of each, and coefficients. Shapes (k,), (k, 2)."""
+        said, parts = of @ base, np.stack([of.real, of.imag])
+        squares = np.einsum("akr,bkr->kab", parts, parts)
+        own = np.stack([said.real, said.imag])
+        free = squares - np.einsum("akp,bkp->kab", own, own)
+        there = np.linalg.eigvalsh(free)[:, 0] > OWN * np.trace(squares, axis1=1, axis2=2)
+        there &= np.count_nonzero(of, axis=1) >= FEWEST * of.shape[1]
+        scores = np.stack([of.real @ left, of.imag @ left], axis=1)
+        told = np.linalg.solve(np.where(there[:, None, None], free, np.eye(2)), scores[:, :, None])[:, :, 0]
+        return np.where(there, np.sum(told * scores, axis=1), 0.0), told
+
+    out = list[float]()
     while len(out) < ORDERS:
-        found = power(every)
+        found = fit(every)[0]
         for other in out:
-            found[np.abs(orders - other) <= 1.5 * step] = 0.0
+            found[np.abs(grid - other) <= 1.5 * step] = 0.0
         if not found.any():
             break
-        near = orders[int(np.argmax(found))] + step * np.linspace(-1.0, 1.0, 41)
-        out.append(float(near[int(np.argmax(power(waves(near))))]))
-        wave = waves(np.array(out[-1:]))[0]
-        columns = np.column_stack([wave.real, wave.imag])
-        left -= columns @ np.linalg.lstsq(columns, left, rcond=None)[0]
+        near = grid[int(np.argmax(found))] + step * np.linspace(-1.0, 1.0, 41)
+        out.append(float(near[int(np.argmax(fit(waves(near))[0]))]))
+        wave = waves(np.array(out[-1:]))
+        torque = np.column_stack([wave[0].real, wave[0].imag]) @ fit(wave)[1][0]
+        left = left - torque + base @ (base.T @ torque)
     return out
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import types
 from collections.abc import Sequence
 
@@ -127,6 +128,18 @@ def test_what_an_encoder_may_feign_of_a_gain_speaks_for_no_name(monkeypatch):
         weighed = belief.weighed(one, only("stribeck"), np.ones(1), SURE)  # type: ignore[arg-type]
         said.append((*weighed.findings, *weighed.doubted)[0].probability)
     assert said[0] > said[1] > 0.5 > said[2]
+
+
+def test_what_no_fault_feigns_vouches_for_what_says_the_same(monkeypatch):
+    monkeypatch.setattr(belief, "shares", lambda *_: [(0.09, np.inf)])
+    said = []
+    for rivals in ({}, {"hysteresis": 30.0}):
+        one = types.SimpleNamespace(measured=search.Measured({("delay", 0): 45.0}))
+        alone = only("delay")
+        verdict = dataclasses.replace(alone, findings=(dataclasses.replace(alone.findings[0], rivals=rivals),))
+        weighed = belief.weighed(one, verdict, np.ones(1), SURE)  # type: ignore[arg-type]
+        said.append((*weighed.findings, *weighed.doubted)[0].probability)
+    assert said[1] > 0.5 > said[0]
 
 
 def test_what_is_likelier_wrong_than_right_is_told_with_its_probability_and_not_asserted(monkeypatch):

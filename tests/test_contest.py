@@ -50,12 +50,38 @@ def test_a_name_between_two_of_a_grid_beats_one_that_is_nearly_it():
     assert contest._contested(done, [winner]) == (done, [winner])
 
 
+FEIGNED = search.Measured({("torque_ripple", 0): 1e5})
+"""An encoder's steps may look like any ripple."""
+
+
 def test_who_replaces_a_name_must_be_believed():
-    near = [wave(5.0, n) + 0.3 * ODD[n] for n in range(2)]
-    one = designed(near, [4.0 * wave(5.0, n) for n in range(2)], (4.7, 5.3))
-    one = dataclasses.replace(one, measured=search.Measured({("torque_ripple", 0): 1e5}))  # an encoder's steps may look like any ripple
+    both = [4.0 * wave(5.0, n) + 0.7 * ODD[n] for n in range(2)]  # some of what the spring says is no ripple's
+    one = designed([wave(5.0, n) + 0.3 * ODD[n] for n in range(2)], both, (4.7, 5.3))
+    one = dataclasses.replace(one, measured=FEIGNED)
     assert contest._contested(one, [0]) == (one, [0])
     assert [h.effect for h in judge.judged(one)[1].chosen] == ["spring"]
+
+
+def test_what_a_fault_may_feign_is_believed_where_it_says_all_that_another_says_and_better():
+    near = [wave(5.0, n) + 0.3 * ODD[n] for n in range(2)]
+    one = dataclasses.replace(designed(near, [4.0 * wave(5.0, n) for n in range(2)], (4.7, 5.3)), measured=FEIGNED)
+    assert [h.effect for h in judge.judged(one)[1].chosen] == ["torque_ripple"]
+    alone = dataclasses.replace(designed(ODD, [4.0 * wave(5.0, n) for n in range(2)], (4.7, 5.3)), measured=FEIGNED)
+    assert not judge.judged(alone)[1].findings  # nothing else says that something is there
+
+
+def test_a_search_begins_with_one_name_where_it_says_tuned_what_two_say_on_a_grid():
+    torque = [4.0 * wave(5.0, n) for n in range(2)]
+    rest = [wave(5.0, n) - 0.8 * wave(4.8, n) + 0.1 * ODD[n] for n in range(2)]
+    one = designed(rest, torque, (4.8, 5.3))
+    alone = list(hypothesis.ranked(one))
+    pair = contest._best_pair(one, alone)
+    assert alone[0].effect == "torque_ripple" and pair is not None
+    done, chosen = contest.begun(one, alone)
+    assert [done.shapes[i].values["order"] for i in chosen] == [pytest.approx(5.0, abs=0.02)]
+    one = designed(ODD, [x + 2.0 * ODD[n] for n, x in enumerate(torque)], (4.8, 5.3))
+    alone = list(hypothesis.ranked(one))
+    assert {one.shapes[i].effect for i in contest.begun(one, alone)[1]} == {"torque_ripple", "spring"}
 
 
 def test_a_further_name_is_tuned_before_it_is_left_out():

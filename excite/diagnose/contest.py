@@ -171,15 +171,18 @@ def _earns(one: Design, others: Sequence[int], wider: Trial, rest: float) -> boo
 
 def _believed(one: Design, others: Sequence[int], shape: int, adds: float) -> bool:
     """Whether what a shape adds to others is no noise. What a fault of the measurement may feign is believed too, of the usual gain, where
-    another name at its joint that no fault feigns adds less: something is there, and this says it better."""
+    another name at its joint that no fault feigns adds less, and nothing beside it: something is there, and this says it better."""
     if adds > one.bar(shape):
         return True
     if adds < one.usually(shape):
         return False
     own, rest = one.shapes[shape], trial(one, others).gain
     less = takewhile(lambda h: h.trial.gain > rest + search.NATS, ranked(one, tuple(others)))
-    here = (h for h in less if h.joint == own.joint and h.effect != own.effect and h.shows)
-    return any(one.bar(h.shape) < h.trial.gain - rest < adds - search.NATS for h in here)
+    for h in less:
+        here = h.joint == own.joint and h.effect != own.effect and h.shows
+        if here and one.bar(h.shape) < h.trial.gain - rest < adds - search.NATS:
+            return trial(one, [*others, shape, h.shape]).gain < rest + adds + search.NATS
+    return False
 
 
 def _mends(one: Design, others: Sequence[int], shape: int) -> bool:

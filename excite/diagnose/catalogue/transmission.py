@@ -30,10 +30,10 @@ beyond which it is a spring."""
 NEARBY, FAINT = 0.02, 0.3
 """How near two orders are the same; and over its strongest multiple, below which a wave is hardly there."""
 ORDERS, WITHIN, CELLS = 12, 2.5, 20_000_000
-"""Orders of a ripple that are tried, at the most; how far one may be off, times what a joint turns; and orders times rows that are looked at
-at once."""
+"""Orders of a ripple that are tried, at the most; how far one may be off, times what a joint turns; and orders times rows that are looked
+at at once."""
 SPANNED, OWN, FEWEST = 1e-6, 0.01, 0.05
-"""Over the largest singular value, of what the base can say; of a wave, what the base must not; and of its rows, what must be in the band."""
+"""Over the largest singular value, of what the base can say; of a wave, what it must not; and of its rows, what the band must have."""
 LEAST_STROKE, LEAST_TURN, ROUND = 1e-6, 0.05, 1.5
 """Of a joint, from which it moves at all, and from which more is said of its place than that it pulls [rad or m]; and waves in the longest
 stretch, from which a torque comes round."""

@@ -103,13 +103,20 @@ def stepped(turn: Array, push: Array, start: Array) -> Array:
 def played(track: Track, joint: int, width: float, hold: float) -> Array:
     """Where a link is in a play of `width` [rad]: driven by its load, it stops where it meets the other flank. Shape (M,).
 
-    hold: how fast it would swing in there, for what a gear's soft first stage, oil and seals hold of it [Hz]. By steps (Euler, implicit in
-    the place) xₖ = b xₖ₋₁ − c xₖ₋₂ + aₖ dt²: free, it goes as without flanks, and beyond that as it left one.
+    hold: how fast it would swing in there, for what a gear's soft first stage, oil and seals hold of it [Hz].
+    """
+    push = track.upsampled((track.rigid[:, joint] / mass(track, joint))[:, None])[:, 0]
+    return between_flanks(push, 1.0 / track.piece.rate, 0.5 * width, 2.0 * np.pi * hold)
+
+
+def between_flanks(push: Array, dt: float, half: float, omega: float) -> Array:
+    """Where it is between flanks at ±half, by its own acceleration and what holds it: ẍ = a − ω² x − 2 ζ ω ẋ. Shape (M,).
+
+    By steps (Euler, implicit in the place) xₖ = b xₖ₋₁ − c xₖ₋₂ + aₖ dt²: free, it goes as if there were no flanks, and as it left one.
     """
     from scipy.signal import lfilter  # slow to import
 
-    push = track.upsampled((track.rigid[:, joint] / mass(track, joint))[:, None])[:, 0]
-    dt, half, omega, count = 1.0 / track.piece.rate, 0.5 * width, 2.0 * np.pi * hold, len(push)
+    count = len(push)
     c = 1.0 - 2.0 * OIL * omega * dt
     b, at_once = 1.0 + c - (omega * dt) ** 2, np.zeros(count)
     at_once[0] = 1.0

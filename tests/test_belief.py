@@ -11,6 +11,7 @@ import pytest
 
 from excite.diagnose import belief, hypothesis, judge, search
 from excite.diagnose.effect import Shape
+from excite.diagnose.measured import Measured
 from excite.diagnose.track import Track
 
 Array = np.ndarray
@@ -124,7 +125,7 @@ def test_what_an_encoder_may_feign_of_a_gain_speaks_for_no_name(monkeypatch):
     monkeypatch.setattr(belief, "shares", lambda *_: [(0.09, np.inf)])
     said = []
     for feigned in (0.0, 20.0, 45.0):
-        one = types.SimpleNamespace(measured=search.Measured({("stribeck", 0): feigned}))
+        one = types.SimpleNamespace(measured=Measured({("stribeck", 0): feigned}))
         weighed = belief.weighed(one, only("stribeck"), np.ones(1), SURE)  # type: ignore[arg-type]
         said.append((*weighed.findings, *weighed.doubted)[0].probability)
     assert said[0] > said[1] > 0.5 > said[2]
@@ -134,7 +135,7 @@ def test_what_no_fault_feigns_vouches_for_what_says_the_same(monkeypatch):
     monkeypatch.setattr(belief, "shares", lambda *_: [(0.09, np.inf)])
     said = []
     for rivals in ({}, {"hysteresis": 30.0}):
-        one = types.SimpleNamespace(measured=search.Measured({("delay", 0): 45.0}))
+        one = types.SimpleNamespace(measured=Measured({("delay", 0): 45.0}))
         alone = only("delay")
         verdict = dataclasses.replace(alone, findings=(dataclasses.replace(alone.findings[0], rivals=rivals),))
         weighed = belief.weighed(one, verdict, np.ones(1), SURE)  # type: ignore[arg-type]
@@ -144,7 +145,7 @@ def test_what_no_fault_feigns_vouches_for_what_says_the_same(monkeypatch):
 
 def test_what_is_likelier_wrong_than_right_is_told_with_its_probability_and_not_asserted(monkeypatch):
     monkeypatch.setattr(belief, "shares", lambda *_: [(0.8, np.inf)])
-    one = types.SimpleNamespace(measured=search.Measured())
+    one = types.SimpleNamespace(measured=Measured())
     weighed = belief.weighed(one, only("drag"), np.ones(1), SURE)  # type: ignore[arg-type]
     assert not weighed.findings and weighed.together is None
     (doubted,) = weighed.doubted
@@ -174,7 +175,7 @@ def test_what_another_law_may_leave_is_a_further_effect_only_if_it_is_taken_whol
     squares = {(0, 1): left, (1,): strong, (0,): 10.0}
     monkeypatch.setattr(hypothesis, "acting", lambda *_: np.array([True]))
     monkeypatch.setattr(search, "level", lambda _, chosen: np.array([squares[tuple(chosen)]]))
-    one = types.SimpleNamespace(shapes=shapes, measured=search.Measured())
+    one = types.SimpleNamespace(shapes=shapes, measured=Measured())
     weighed = belief.weighed(one, judge.Verdict(findings, tried, ()), np.ones(1), SURE)  # type: ignore[arg-type]
     assert [f.main.effect for f in weighed.findings] == ["spring", "torque_ripple"][: 1 + told]
 

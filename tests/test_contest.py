@@ -13,6 +13,7 @@ from excite.diagnose.catalogue import environment, windup
 from excite.diagnose.columns import Columns
 from excite.diagnose.effect import Shape, beside, family
 from excite.diagnose.half import Half, whitened
+from excite.diagnose.measured import Measured
 
 Array = np.ndarray
 RNG = np.random.default_rng(5)
@@ -50,7 +51,7 @@ def test_a_name_between_two_of_a_grid_beats_one_that_is_nearly_it():
     assert contest._contested(done, [winner]) == (done, [winner])
 
 
-FEIGNED = search.Measured({("torque_ripple", 0): 1e5})
+FEIGNED = Measured({("torque_ripple", 0): 1e5})
 """An encoder's steps may look like any ripple."""
 
 
@@ -176,7 +177,7 @@ def two_joints(blurred: float = 1.0, mend: str = "spring") -> search.Design:
 
     shapes = [Shape(effect, joint, nothing) for effect, joint in columns[0]]
     one = search.design((halves[0], halves[1]), shapes, build)
-    return dataclasses.replace(one, measured=search.Measured(noise=np.ones(2)))
+    return dataclasses.replace(one, measured=Measured(noise=np.ones(2)))
 
 
 def test_what_is_left_alone_must_be_believed_by_itself():
@@ -191,7 +192,7 @@ def test_where_a_strong_effect_does_not_act_a_slight_one_needs_no_share_of_it():
     one = two_joints()
     _, verdict = judge.judged(one)
     assert {(h.effect, h.joint) for h in verdict.chosen} == {("drag", 0), ("stribeck", 1)}  # what mends the drag is no finding
-    guessed = dataclasses.replace(one, measured=search.Measured())
+    guessed = dataclasses.replace(one, measured=Measured())
     assert {(h.effect, h.joint) for h in judge.judged(guessed)[1].chosen} == {("drag", 0)}
 
 
@@ -199,7 +200,7 @@ def test_what_explains_all_that_another_leaves_beyond_noise_needs_no_share_of_it
     one = two_joints(blurred=0.0)
     _, verdict = judge.judged(one)
     assert {(h.effect, h.joint) for h in verdict.chosen} == {("drag", 0), ("spring", 0), ("stribeck", 1)}
-    louder = dataclasses.replace(one, measured=search.Measured(noise=np.full(2, 1.5)))  # then there is nothing beyond it
+    louder = dataclasses.replace(one, measured=Measured(noise=np.full(2, 1.5)))  # then there is nothing beyond it
     assert {(h.effect, h.joint) for h in judge.judged(louder)[1].chosen} == {("drag", 0), ("stribeck", 1)}
     alike = two_joints(blurred=0.0, mend="nonlinear_viscous")  # what is taken for a drag mends one, and all of it
     assert {(h.effect, h.joint) for h in judge.judged(alike)[1].chosen} == {("drag", 0), ("stribeck", 1)}
@@ -221,7 +222,7 @@ def test_beside_another_a_strong_effect_may_need_another_of_its_shapes():
 
     powers = [Shape("drag", 0, nothing, {"exponent": k}, plausible=lambda c: bool(c[0] > 0.0)) for k in (2.0, 2.5, 3.0)]
     shapes = [*powers, Shape("stribeck", 0, nothing, plausible=lambda c: bool(c[0] > 0.0))]
-    one = dataclasses.replace(search.design((halves[0], halves[1]), shapes, build), measured=search.Measured(noise=np.ones(1)))
+    one = dataclasses.replace(search.design((halves[0], halves[1]), shapes, build), measured=Measured(noise=np.ones(1)))
     alone = next(hypothesis.ranked(one))
     assert one.shapes[alone.shape].values != {"exponent": 3.0}
     together, verdict = judge.judged(one, [alone.shape])

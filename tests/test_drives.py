@@ -14,6 +14,7 @@ from test_predicted import fitted_with, stated
 from excite.diagnose import diagnosis, equations, hypothesis, search, whole
 from excite.diagnose.catalogue import BY_NAME, electrical
 from excite.diagnose.effect import Shape
+from excite.diagnose.measured import Measured
 from excite.diagnose.track import Track
 from excite.identify.equations import Model
 
@@ -126,6 +127,6 @@ def test_noise_in_a_column_of_measured_torque_is_no_saturation():
     def found(slope: float) -> list[bool]:
         shape = Shape("torque_saturation", 0, nothing, noisy=lambda c: abs(float(c[0])) * slope)
         one = search.design((halves[0], halves[1]), [shape], lambda _: on_one(*((x**3 / 2.7**2 / 0.018)[:, None] for x in measured)))
-        return [h.shows for h in hypothesis.ranked(dataclasses.replace(one, measured=search.Measured(noise=np.ones(1))))]
+        return [h.shows for h in hypothesis.ranked(dataclasses.replace(one, measured=Measured(noise=np.ones(1))))]
 
     assert found(0.0) == [True] and found(3.0 * (1.7 / 2.7) ** 2) == [False]

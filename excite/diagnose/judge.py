@@ -13,7 +13,8 @@ from . import search
 from .contest import begun, searched
 from .effect import Shape
 from .hypothesis import Hypothesis, name, ranked, size, who
-from .search import Design, Measured, Trial, trial
+from .measured import Measured
+from .search import Design, Trial, trial
 
 Array = np.ndarray
 T = TypeVar("T")

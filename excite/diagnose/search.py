@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -20,6 +20,7 @@ from .columns import Columns
 from .effect import Shape
 from .gram import Beside, Gram, grown, powers
 from .half import Half, stacked
+from .measured import Measured
 
 Array = np.ndarray
 Build = Callable[[Shape], tuple[Columns, Columns] | None]
@@ -33,23 +34,6 @@ root of how many times a shape is doubted: what gains most of these, a base's sp
 STEPPED = 100.0
 """The same, beyond that, of noise that is all an encoder's steps: they are in a law's columns and the residual alike. What no steps drawn
 anew feign gains 57 at the most, in 46 simulated robots with coarse encoders and nothing missing."""
-
-
-@dataclass(frozen=True)
-class Measured:
-    """How well recordings were made. feigned: further gain that each effect at each joint needs, for what faults of the measurement may
-    give it. stepped: share of the noise that is an encoder's steps. noise: its mean square over the scale, per joint, Shape
-    (n,), where it is what differs when a motion is made again; None where it is but a guess from below."""
-
-    feigned: Mapping[tuple[str, int | None], float] = field(default_factory=dict)
-    stepped: float = 0.0
-    noise: Array | None = None
-
-    def feigns(self, effect: str, joint: int | None) -> float:
-        """What an effect at a joint needs; where that joint was not looked at, as much as where it is most."""
-        if (effect, joint) in self.feigned:
-            return self.feigned[effect, joint]
-        return max((gain for (name, _), gain in self.feigned.items() if name == effect), default=0.0)
 
 
 @dataclass(frozen=True)

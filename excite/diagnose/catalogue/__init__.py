@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from ..effect import Effect
-from . import electrical, environment, friction, load, memory, sensing, thermal, transmission
+from . import electrical, environment, friction, load, memory, ripple, sensing, thermal, transmission
 
 EFFECTS: tuple[Effect, ...] = (
     *friction.EFFECTS,
     *memory.EFFECTS,
     *thermal.EFFECTS,
     *transmission.EFFECTS,
+    *ripple.EFFECTS,
     *load.EFFECTS,
     *electrical.EFFECTS,
     *sensing.EFFECTS,

@@ -1,0 +1,144 @@
+"""Torque that waves over a joint's angle: teeth that mesh, a motor's poles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+import numpy as np
+
+from ..effect import MULTIPLES, Effect, Knob, Shape, alone, multiples
+from ..track import Track
+
+Array = np.ndarray
+NEARBY, FAINT = 0.02, 0.3
+"""How near two orders are the same; and over its strongest multiple, below which a wave is hardly there."""
+ORDERS, WITHIN, CELLS = 12, 2.5, 20_000_000
+"""Orders of a ripple that are tried, at the most; how far one may be off, times what a joint turns; and orders times rows that are looked
+at at once."""
+SPANNED, OWN, FEWEST = 1e-6, 0.01, 0.05
+"""Over the largest singular value, of what the base can say; of a wave, what it must not; and of its rows, what the band must have."""
+LEAST_TURN, ROUND = 0.05, 1.5
+"""What a joint must turn [rad or m]; and waves in the longest stretch, from which a torque comes round."""
+
+
+def _waved(t: Track, s: Shape) -> Array:
+    """Waves of an order, and of those of its multiples that are stated."""
+    angle = s.values["order"] * t.fine.q[:, s.place]
+    return alone(t, s.place, np.column_stack([f(k * angle) for k in multiples(s.values) for f in (np.cos, np.sin)]))
+
+
+def _ripple(tracks: Sequence[Track]) -> Iterator[Shape]:
+    def rippled(j: int, more: Mapping[str, float]) -> Callable[[float], Shape]:
+        def shape(order: float) -> Shape:
+            fixed = {"order": order, **more}
+            return Shape("torque_ripple", j, _waved, fixed, parameters=lambda c: _strongest(fixed, c), several=True)
+
+        return shape
+
+    for j in range(tracks[0].n):
+        turn, taken = max(float(np.ptp(t.fine.q[:, j])) for t in tracks), list[float]()
+        for order in _orders(tracks, j):  # the strongest first: what it has with its multiples, no weaker one has with its own
+            near = 1.0 + WITHIN / (turn * order)
+            free = [k for k in MULTIPLES if all(abs(k * order - other) > NEARBY * other for other in taken)]
+            yield Knob(order, order / near, order * near, rippled(j, {})).at(order)
+            if free and all(abs(order - other) > NEARBY * other for other in taken):
+                yield Knob(order, order / near, order * near, rippled(j, {MULTIPLES[k]: 1.0 for k in free})).at(order)
+                taken += [order, *(k * order for k in free)]
+
+
+def _strongest(values: Mapping[str, float], c: Array) -> dict[str, float]:
+    """The order's wave; or its strongest multiple, of an order that is hardly there: nobody would tell that by a half or a third of it."""
+    sizes = np.hypot(c[::2], c[1::2])
+    told = int(np.argmax(sizes)) if sizes[0] < FAINT * sizes.max() else 0
+    return {"amplitude": float(sizes[told]), "order": values["order"] * multiples(values)[told]}
+
+
+def _orders(tracks: Sequence[Track], joint: int) -> list[float]:
+    """Orders at which what the base fit leaves has power, beside all that the base could say, then as it is: where a prior is trusted, it
+    says nothing. On a fine grid up to 300 a turn.
+
+    What has not come round half as often again in the longest stretch is a spring as well.
+    """
+    track = max(tracks, key=len)
+    q = np.interp(track.time, track.clock, track.fine.q[:, joint])
+    turn = float(np.ptp(q))
+    if turn < LEAST_TURN:
+        return []
+    speed = np.interp(track.time, track.clock, track.fine.dq[:, joint])
+    step = 2.0 * np.pi / turn / 3.0
+    grid = np.arange(max(3.0, ROUND * 2.0 * np.pi / turn), 300.0, max(step, 0.05))
+    some = slice(None) if len(grid) * len(q) <= CELLS else _scattered(len(q), CELLS // len(grid))
+    q, speed, left = q[some], speed[some], track.left[some, joint]
+    fastest = 2.0 * np.pi * track.band.hertz
+
+    def waves(which: Array) -> Array:
+        return np.exp(1j * np.outer(which, q)) * (np.abs(np.outer(which, speed)) < fastest)  # the rest is above the band
+
+    every, out = waves(grid), list[float]()
+    for base in (_spanned(track, joint)[some], np.zeros((len(q), 0))):
+        found = _peaks(waves, (grid, every, step), left - base @ np.linalg.lstsq(base, left, rcond=None)[0], base)
+        out += [order for order in found if all(abs(order - other) > NEARBY * other for other in out)]
+    return out
+
+
+def _scattered(rows: int, count: int) -> Array:
+    """Some of many rows: not every so many, which would be a rate of its own."""
+    return np.sort(np.random.default_rng(0).permutation(rows)[:count])
+
+
+def _spanned(track: Track, joint: int) -> Array:
+    """Of one joint, orthonormal columns of what the base model can say of all joints' torque, each over what it leaves. Shape (N, p)."""
+    over = track.gamma / np.sqrt(np.mean(track.left**2, axis=0)).clip(1e-300)[:, None]
+    span, sizes, _ = np.linalg.svd(over.reshape(len(track) * track.n, -1), full_matrices=False)
+    return np.asarray(span.reshape(len(track), track.n, -1)[:, joint, sizes > SPANNED * sizes[0]])
+
+
+def _peaks(waves: Callable[[Array], Array], about: tuple[Array, Array, float], left: Array, base: Array) -> list[float]:
+    """Orders of waves that fit best beside a base (Lomb 1976, over angle; Zechmeister & Kürster 2009), each in what those before it leave,
+    lest a strong one's neighbours hide a slight one (Högbom 1974).
+
+    about: orders, their waves and the least apart that two are. left: free of the base. base: of orthonormal columns these rows.
+    """
+    grid, every, step = about
+
+    def fit(of: Array) -> tuple[Array, Array]:
+        """Power of each, and coefficients. Shapes (k,), (k, 2)."""
+        said, parts = of @ base, np.stack([of.real, of.imag])
+        squares = np.einsum("akr,bkr->kab", parts, parts)
+        own = np.stack([said.real, said.imag])
+        free = squares - np.einsum("akp,bkp->kab", own, own)
+        there = np.linalg.eigvalsh(free)[:, 0] > OWN * np.trace(squares, axis1=1, axis2=2)
+        there &= np.count_nonzero(of, axis=1) >= FEWEST * of.shape[1]
+        scores = np.stack([of.real @ left, of.imag @ left], axis=1)
+        told = np.linalg.solve(np.where(there[:, None, None], free, np.eye(2)), scores[:, :, None])[:, :, 0]
+        return np.where(there, np.sum(told * scores, axis=1), 0.0), told
+
+    out = list[float]()
+    while len(out) < ORDERS:
+        found = fit(every)[0]
+        for other in out:
+            found[np.abs(grid - other) <= 1.5 * step] = 0.0
+        if not found.any():
+            break
+        near = grid[int(np.argmax(found))] + step * np.linspace(-1.0, 1.0, 41)
+        out.append(float(near[int(np.argmax(fit(waves(near))[0]))]))
+        wave = waves(np.array(out[-1:]))
+        torque = np.column_stack([wave[0].real, wave[0].imag]) @ fit(wave)[1][0]
+        left = left - torque + base @ (base.T @ torque)
+    return out
+
+
+EFFECTS = (
+    Effect(
+        "torque_ripple",
+        "A cos kq + B sin kq",
+        _waved,
+        _ripple,
+        {"order": "1/turn", "amplitude": "N m"},
+        "periodic in the angle, whatever the speed",
+        ("encoder_error",),
+        "slow constant speed over a turn",
+        form={"order": 0.02, "amplitude": 0.1},
+        loose=-0.5,
+    ),
+)

@@ -134,10 +134,11 @@ def test_what_an_encoder_may_feign_of_a_gain_speaks_for_no_name(monkeypatch):
 def test_what_no_fault_feigns_vouches_for_what_says_the_same(monkeypatch):
     monkeypatch.setattr(belief, "shares", lambda *_: [(0.09, np.inf)])
     said = []
-    for rivals in ({}, {"hysteresis": 30.0}):
+    rivals = {"hysteresis": 30.0}
+    for here in (frozenset[str](), frozenset(rivals)):  # another joint's does not vouch for it
         one = types.SimpleNamespace(measured=Measured({("delay", 0): 45.0}))
         alone = only("delay")
-        verdict = dataclasses.replace(alone, findings=(dataclasses.replace(alone.findings[0], rivals=rivals),))
+        verdict = dataclasses.replace(alone, findings=(dataclasses.replace(alone.findings[0], rivals=rivals, here=here),))
         weighed = belief.weighed(one, verdict, np.ones(1), SURE)  # type: ignore[arg-type]
         said.append((*weighed.findings, *weighed.doubted)[0].probability)
     assert said[1] > 0.5 > said[0]

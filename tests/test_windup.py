@@ -40,11 +40,7 @@ def test_wind_up_is_that_of_the_differential_equation():
     assert np.abs(speed - exact[1]).max() < 0.008 * np.abs(exact[1]).max()
 
 
-@given(st.integers(0, 2**31), st.sampled_from([0.0, 1.5, 6.0, 20.0]), st.floats(1e-5, 3e-3))
-def test_a_link_goes_from_flank_to_flank_as_it_does_step_by_step(seed, hold, half):
-    dt, omega = 4e-3, 2.0 * np.pi * hold
-    t, rng = dt * np.arange(1500), np.random.default_rng(seed)
-    push = sum(a * np.sin(w * t + p) for a, w, p in rng.uniform([0.0, 0.5, 0.0], [8.0, 30.0, 6.0], (4, 3)))
+def step_by_step(push: Array, dt: float, half: float, omega: float) -> Array:
     x, v, places = half if push[0] > 0.0 else -half, 0.0, []
     for a in push.tolist():
         v += (a - omega**2 * x - 2.0 * windup.OIL * omega * v) * dt
@@ -52,7 +48,22 @@ def test_a_link_goes_from_flank_to_flank_as_it_does_step_by_step(seed, hold, hal
         if abs(x) > half:
             x, v = float(np.copysign(half, x)), 0.0
         places.append(x)
-    assert windup.between_flanks(push, dt, half, omega) == pytest.approx(np.array(places), abs=1e-5 * half)
+    return np.array(places)
+
+
+@given(st.integers(0, 2**31), st.sampled_from([0.0, 1.5, 6.0, 20.0]), st.floats(1e-5, 3e-3), st.sampled_from([1, 1500]))
+def test_a_link_goes_from_flank_to_flank_as_it_does_step_by_step(seed, hold, half, count):
+    dt, omega = 4e-3, 2.0 * np.pi * hold
+    t, rng = dt * np.arange(count), np.random.default_rng(seed)
+    push = sum(a * np.sin(w * t + p) for a, w, p in rng.uniform([0.0, 0.5, 0.0], [8.0, 30.0, 6.0], (4, 3)))
+    assert windup.between_flanks(push, dt, half, omega) == pytest.approx(step_by_step(push, dt, half, omega), abs=1e-5 * half)
+
+
+@pytest.mark.parametrize("dt", [1e-3, 2.5e-2])
+def test_a_link_in_its_play_goes_on_for_minutes_and_where_samples_hardly_follow_it(dt):
+    t, omega = dt * np.arange(100_000), 2.0 * np.pi * (0.0 if dt < 1e-2 else 20.0)
+    push = 30.0 + 45.0 * np.sin(3.0 * t)
+    assert windup.between_flanks(push, dt, 5e-5, omega) == pytest.approx(step_by_step(push, dt, 5e-5, omega), abs=1e-9)
 
 
 def swung(bodies: pin.Model, stiffness: float, damping: float, t: Array, q: Array, still: bool) -> tuple[Array, Array]:

@@ -144,7 +144,7 @@ def weighed(one: Design, verdict: Verdict, noise: Array, bounds: tuple[Array, Ar
     for finding, (x, times) in zip(verdict.findings, shares(one, verdict, noise, bounds), strict=True):
         main, joint = finding.main.effect, finding.main.joint
         others = alike(finding, x)  # what one of them says for sure is there, whichever it is
-        sure = max(genuine(one, name, joint, finding.rivals.get(name, finding.gain)) for name in (main, *others))
+        sure = max(genuine(one, name, joint, finding.rivals.get(name, finding.gain)) for name in (main, *finding.here & others.keys()))
         chance = (odds(main, x) + sum(others.values())) * sure * another(times)
         evidence = {"left": x, "odds": chance} | ({"beyond_others": times} if np.isfinite(times) else {})
         findings.append(replace(finding, equivalents=tuple(others), probability=probability(chance), evidence=evidence))

@@ -89,8 +89,8 @@ def _plainer(effect: str, other: str) -> bool:
 
 def _stays(one: Design, found: Trial) -> bool:
     """Whether the last of some shapes is believed beside the others, or by itself."""
-    *others, last = found.shapes
-    return _earns(one, others, found, trial(one, others).gain) if others else _believed(one, (), last, found.gain)
+    others = found.shapes[:-1]
+    return _earns(one, others, found, trial(one, others).gain) if others else _believed(one, found, 0.0)
 
 
 def _further(one: Design, chosen: list[int]) -> tuple[Design, list[int] | None]:
@@ -146,7 +146,7 @@ def _earns(one: Design, others: Sequence[int], wider: Trial, rest: float) -> boo
     """
     shape, adds = wider.shapes[-1], wider.gain - rest
     there = any(who(one.shapes[i]) == who(one.shapes[shape]) for i in others)
-    if not _believed(one, others, shape, adds):
+    if not _believed(one, wider, rest):
         return False
     share = (LIKE if there and one.shapes[shape].several else SAME if there else SHARE) * rest
     if adds > share:
@@ -169,19 +169,22 @@ def _earns(one: Design, others: Sequence[int], wider: Trial, rest: float) -> boo
     return bool(1.0 - after[joint] / rested[joint] > MOSTLY)
 
 
-def _believed(one: Design, others: Sequence[int], shape: int, adds: float) -> bool:
-    """Whether what a shape adds to others is no noise. What a fault of the measurement may feign is believed too, of the usual gain, where
-    another name at its joint that no fault feigns adds less, and nothing beside it: something is there, and this says it better."""
+def _believed(one: Design, wider: Trial, rest: float) -> bool:
+    """Whether what the last of some shapes adds to a gain `rest` of the others is no noise. What a fault of the measurement may feign is
+    believed too, of the usual gain, where another name at its joint is believed and adds less, and nothing beside it: something is there,
+    and this says it better."""
+    *others, shape = wider.shapes
+    adds = wider.gain - rest
     if adds > one.bar(shape):
         return True
-    if adds < one.usually(shape):
+    if adds < one.unfeigned_bar(shape):
         return False
-    own, rest = one.shapes[shape], trial(one, others).gain
-    less = takewhile(lambda h: h.trial.gain > rest + search.NATS, ranked(one, tuple(others)))
-    for h in less:
+    own = one.shapes[shape]
+    for h in takewhile(lambda h: h.trial.gain > rest + search.NATS, ranked(one, tuple(others))):
         here = h.joint == own.joint and h.effect != own.effect and h.shows
-        if here and one.bar(h.shape) < h.trial.gain - rest < adds - search.NATS:
-            return trial(one, [*others, shape, h.shape]).gain < rest + adds + search.NATS
+        if here and h.trial.gain - rest > one.bar(h.shape):
+            better = h.trial.gain < wider.gain - search.NATS
+            return better and trial(one, [*wider.shapes, h.shape]).gain < wider.gain + search.NATS
     return False
 
 
@@ -200,7 +203,7 @@ def _replaced(one: Design, chosen: list[int]) -> list[int]:
             others = [k for k in chosen if k != i]
             now = trial(one, [*others, i])
             if not others:  # what stayed when the others went must be believed by itself
-                chosen = chosen if _believed(one, (), i, now.gain) else []
+                chosen = chosen if _believed(one, now, 0.0) else []
                 continue
             if not _earns(one, others, now, trial(one, others).gain):
                 chosen = others

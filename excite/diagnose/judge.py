@@ -28,13 +28,14 @@ CONSIDERED = 8
 
 @dataclass(frozen=True)
 class Finding:
-    """What is asserted. parts: its shapes at one joint, the largest first. gain: that it adds to the others. rivals: what other
-    names would add in its place. equivalents: those of them that it cannot be told from. probability: that the truth is it or one of these.
-    evidence: what that is made of."""
+    """What is asserted. parts: its shapes at one joint, the largest first. gain: that it adds to the others. rivals: what other names
+    would add in its place. here: those that would at its joint. equivalents: those of them that it cannot be told from. probability:
+    that the truth is it or one of these. evidence: what that is made of."""
 
     parts: tuple[Hypothesis, ...]
     gain: float
     rivals: Mapping[str, float]
+    here: frozenset[str] = frozenset()
     equivalents: tuple[str, ...] = ()
     probability: float = 1.0
     evidence: Mapping[str, float] = field(default_factory=dict)
@@ -147,5 +148,6 @@ def _finding(one: Design, together: Trial, parts: tuple[Hypothesis, ...]) -> Fin
     others = without(together.shapes, parts)
     effect, rest = parts[0].effect, trial(one, others).gain
     gain = together.gain - rest
-    best = {h.effect: h.trial.gain - rest for h in ranked(one, tuple(others), name) if h.effect != effect}
-    return Finding(parts, gain, best)
+    best = [h for h in ranked(one, tuple(others), name) if h.effect != effect]
+    here = frozenset(h.effect for h in best if h.joint == parts[0].joint)
+    return Finding(parts, gain, {h.effect: h.trial.gain - rest for h in best}, here)

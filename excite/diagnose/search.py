@@ -71,9 +71,9 @@ class Design:
     def bar(self, i: int) -> float:
         """Gain from which a shape is believed: more where faults of the measurement look like it."""
         shape = self.shapes[i]
-        return self.usually(i) + self.measured.feigns(shape.effect, shape.joint)
+        return self.unfeigned_bar(i) + self.measured.feigns(shape.effect, shape.joint)
 
-    def usually(self, i: int) -> float:
+    def unfeigned_bar(self, i: int) -> float:
         """The same where nothing looks like it: more where steps blur its columns too."""
         shape = self.shapes[i]
         return float(np.sqrt(shape.doubt) * NATS + shape.doubt * STEPPED * self.measured.stepped)
@@ -103,7 +103,7 @@ class Design:
         return np.array([k for i in chosen for k in range(self.places[i].start, self.places[i].stop)], int)
 
     @cached_property
-    def alike(self) -> list[tuple[Array, Array]]:
+    def by_width(self) -> list[tuple[Array, Array]]:
         """Shapes of as many columns as each other, and these. Shapes (s,), (s, k) each."""
         widths, starts = (np.array(x, int) for x in ([p.stop - p.start for p in self.places], [p.start for p in self.places]))
         same = [(width, np.flatnonzero(widths == width)) for width in np.unique(widths)]
@@ -293,8 +293,8 @@ def trial(one: Design, chosen: Sequence[int]) -> Trial:
     products, scores = one.some(which)
     products = products + np.eye(len(which))
     told = np.linalg.solve(products, scores[..., None])[..., 0]
-    halved = np.diagonal(np.linalg.cholesky(products), axis1=-2, axis2=-1)
-    evidence = 0.5 * np.sum(told * scores, axis=-1) - np.log(halved).sum(axis=-1)  # as `_evidence` has it
+    diagonal = np.diagonal(np.linalg.cholesky(products), axis1=-2, axis2=-1)
+    evidence = 0.5 * np.sum(told * scores, axis=-1) - np.log(diagonal).sum(axis=-1)  # as `_evidence` has it
     first, second, c = one.usual[which] * told
     plausible = all(bool(one.shapes[i].plausible(own)) for i, own in zip(chosen, one.split(chosen, c), strict=True))
     return Trial(tuple(chosen), c, (first, second), float(_predictive(evidence)), plausible, float(evidence[0] + evidence[1]))
@@ -325,7 +325,7 @@ def fits(one: Design, beside: Sequence[int] = ()) -> tuple[Array, list[Array]]:
     cross = np.linalg.solve(factor, products[:, which, :])
     left = scores - np.einsum("hbk,hb->hk", cross, half)
     out, own = np.zeros(len(one.places)), [np.zeros(0)] * len(one.places)
-    for same, columns in one.alike:
+    for same, columns in one.by_width:
         taken = np.einsum("hbni,hbnj->hnij", cross[:, :, columns], cross[:, :, columns])
         each, halfway, evidence = _evidence(products[:, columns[:, :, None], columns[:, None, :]] - taken, left[:, columns])
         out[same] = _predictive(first[:, None] + evidence)

@@ -7,16 +7,18 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 
 from ..effect import MULTIPLES, Effect, Knob, Shape, alone, multiples
+from ..half import factors
 from ..track import Track
 
 Array = np.ndarray
 NEARBY, FAINT = 0.02, 0.3
 """How near two orders are the same; and over its strongest multiple, below which a wave is hardly there."""
 ORDERS, WITHIN, CELLS = 12, 2.5, 20_000_000
-"""Orders of a ripple that are tried, at the most; how far one may be off, times what a joint turns; and orders times rows that are looked
-at at once."""
-SPANNED, OWN, FEWEST = 1e-6, 0.01, 0.05
-"""Over the largest singular value, of what the base can say; of a wave, what it must not; and of its rows, what the band must have."""
+"""Orders of a ripple that are tried, at the most, either way; how far one may be off, times what a joint turns; and orders times rows that
+are looked at at once."""
+OWN, FEWEST, QUIETEST = 0.01, 0.05, 1e-3
+"""Share of a wave that the base must leave; share of rows that must lie below the band; and over the loudest joint, as what a joint counts
+at the least of which the base leaves nothing."""
 LEAST_TURN, ROUND = 0.05, 1.5
 """What a joint must turn [rad or m]; and waves in the longest stretch, from which a torque comes round."""
 
@@ -37,7 +39,7 @@ def _ripple(tracks: Sequence[Track]) -> Iterator[Shape]:
 
     for j in range(tracks[0].n):
         turn, taken = max(float(np.ptp(t.fine.q[:, j])) for t in tracks), list[float]()
-        for order in _orders(tracks, j):  # the strongest first: what it has with its multiples, no weaker one has with its own
+        for order in _orders(tracks, j):  # what one has with its multiples, none after it has with its own
             near = 1.0 + WITHIN / (turn * order)
             free = [k for k in MULTIPLES if all(abs(k * order - other) > NEARBY * other for other in taken)]
             yield Knob(order, order / near, order * near, rippled(j, {})).at(order)
@@ -54,8 +56,8 @@ def _strongest(values: Mapping[str, float], c: Array) -> dict[str, float]:
 
 
 def _orders(tracks: Sequence[Track], joint: int) -> list[float]:
-    """Orders at which what the base fit leaves has power, beside all that the base could say, then as it is: where a prior is trusted, it
-    says nothing. On a fine grid up to 300 a turn.
+    """Orders at which what the base fit leaves has power, beside all that the base could say, then as it is: where a prior is
+    trusted, the base says nothing. On a fine grid up to 300 a turn.
 
     What has not come round half as often again in the longest stretch is a spring as well.
     """
@@ -68,15 +70,15 @@ def _orders(tracks: Sequence[Track], joint: int) -> list[float]:
     step = 2.0 * np.pi / turn / 3.0
     grid = np.arange(max(3.0, ROUND * 2.0 * np.pi / turn), 300.0, max(step, 0.05))
     some = slice(None) if len(grid) * len(q) <= CELLS else _scattered(len(q), CELLS // len(grid))
-    q, speed, left = q[some], speed[some], track.left[some, joint]
+    q, speed = q[some], speed[some]
     fastest = 2.0 * np.pi * track.band.hertz
 
     def waves(which: Array) -> Array:
         return np.exp(1j * np.outer(which, q)) * (np.abs(np.outer(which, speed)) < fastest)  # the rest is above the band
 
     every, out = waves(grid), list[float]()
-    for base in (_spanned(track, joint)[some], np.zeros((len(q), 0))):
-        found = _peaks(waves, (grid, every, step), left - base @ np.linalg.lstsq(base, left, rcond=None)[0], base)
+    for left, base in (_freed(track.left[some], track.gamma[some], joint), (track.left[some, joint], np.zeros((len(q), 0)))):
+        found = _peaks(waves, (grid, every, step), left, base)
         out += [order for order in found if all(abs(order - other) > NEARBY * other for other in out)]
     return out
 
@@ -86,44 +88,54 @@ def _scattered(rows: int, count: int) -> Array:
     return np.sort(np.random.default_rng(0).permutation(rows)[:count])
 
 
-def _spanned(track: Track, joint: int) -> Array:
-    """Of one joint, orthonormal columns of what the base model can say of all joints' torque, each over what it leaves. Shape (N, p)."""
-    over = track.gamma / np.sqrt(np.mean(track.left**2, axis=0)).clip(1e-300)[:, None]
-    span, sizes, _ = np.linalg.svd(over.reshape(len(track) * track.n, -1), full_matrices=False)
-    return np.asarray(span.reshape(len(track), track.n, -1)[:, joint, sizes > SPANNED * sizes[0]])
+def _freed(left: Array, gamma: Array, joint: int) -> tuple[Array, Array]:
+    """What is left of a joint's torque beside all that the base model could say of all joints', and that joint's rows of columns that span
+    this, orthonormal over all joints, each over what is left of it. Shapes (N, n), (N, n, p) -> (N,), (N, r)."""
+    rms = np.sqrt(np.mean(left**2, axis=0))
+    rms = np.maximum(rms, max(QUIETEST * float(rms.max()), 1e-300))
+    span = factors((gamma / rms[:, None]).reshape(left.size, -1))[0]
+    y = (left / rms).ravel()
+    free = (y - span @ (span.T @ y)).reshape(left.shape)
+    return np.asarray(free[:, joint] * rms[joint]), np.asarray(span.reshape(*left.shape, -1)[:, joint])
 
 
 def _peaks(waves: Callable[[Array], Array], about: tuple[Array, Array, float], left: Array, base: Array) -> list[float]:
     """Orders of waves that fit best beside a base (Lomb 1976, over angle; Zechmeister & Kürster 2009), each in what those before it leave,
     lest a strong one's neighbours hide a slight one (Högbom 1974).
 
-    about: orders, their waves and the least apart that two are. left: free of the base. base: of orthonormal columns these rows.
+    about: orders, their waves and the least apart that two are. left: free of the base. base: one joint's rows of columns that are
+    orthonormal over all joints. Shapes (N,), (N, r).
     """
     grid, every, step = about
 
-    def fit(of: Array) -> tuple[Array, Array]:
-        """Power of each, and coefficients. Shapes (k,), (k, 2)."""
+    def ready(of: Array) -> tuple[Array, Array]:
+        """Waves, and the inverse of their products beside the base; zero where the base says them, or the band leaves few rows."""
         said, parts = of @ base, np.stack([of.real, of.imag])
-        squares = np.einsum("akr,bkr->kab", parts, parts)
-        own = np.stack([said.real, said.imag])
+        squares, own = np.einsum("akr,bkr->kab", parts, parts), np.stack([said.real, said.imag])
         free = squares - np.einsum("akp,bkp->kab", own, own)
         there = np.linalg.eigvalsh(free)[:, 0] > OWN * np.trace(squares, axis1=1, axis2=2)
         there &= np.count_nonzero(of, axis=1) >= FEWEST * of.shape[1]
-        scores = np.stack([of.real @ left, of.imag @ left], axis=1)
-        told = np.linalg.solve(np.where(there[:, None, None], free, np.eye(2)), scores[:, :, None])[:, :, 0]
-        return np.where(there, np.sum(told * scores, axis=1), 0.0), told
+        out = np.zeros_like(free)
+        out[there] = np.linalg.inv(free[there])
+        return of, out
 
-    out = list[float]()
+    def fit(of: Array, inverse: Array) -> tuple[Array, Array]:
+        """Power of each, and coefficients. Shapes (k,), (k, 2)."""
+        scores = np.stack([of.real @ left, of.imag @ left], axis=1)
+        told = np.einsum("kab,kb->ka", inverse, scores)
+        return np.sum(told * scores, axis=1), told
+
+    out, grown = list[float](), ready(every)
     while len(out) < ORDERS:
-        found = fit(every)[0]
+        found = fit(*grown)[0]
         for other in out:
             found[np.abs(grid - other) <= 1.5 * step] = 0.0
         if not found.any():
             break
         near = grid[int(np.argmax(found))] + step * np.linspace(-1.0, 1.0, 41)
-        out.append(float(near[int(np.argmax(fit(waves(near))[0]))]))
+        out.append(float(near[int(np.argmax(fit(*ready(waves(near)))[0]))]))
         wave = waves(np.array(out[-1:]))
-        torque = np.column_stack([wave[0].real, wave[0].imag]) @ fit(wave)[1][0]
+        torque = np.column_stack([wave[0].real, wave[0].imag]) @ fit(*ready(wave))[1][0]
         left = left - torque + base @ (base.T @ torque)
     return out
 

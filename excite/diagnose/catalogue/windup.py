@@ -110,19 +110,15 @@ def played(track: Track, joint: int, width: float, hold: float) -> Array:
 
 
 def between_flanks(push: Array, dt: float, half: float, omega: float) -> Array:
-    """Where it is between flanks at ±half, by its own acceleration and what holds it: ẍ = a − ω² x − 2 ζ ω ẋ. Shape (M,).
+    """Where a link is between flanks at ±half, at which it stops dead: ẍ = a − ω² x − 2 ζ ω ẋ, ζ = `OIL`. Shape (M,) [rad].
 
-    By steps (Euler, implicit in the place) xₖ = b xₖ₋₁ − c xₖ₋₂ + aₖ dt²: free, it goes as if there were no flanks, and as it left one.
+    By steps (Euler, implicit in the place): free of the flanks, xₖ = b xₖ₋₁ − c xₖ₋₂ + aₖ dt². push: a [rad/s²]. dt [s], half [rad],
+    omega [rad/s].
     """
     from scipy.signal import lfilter  # slow to import
 
-    count = len(push)
     c = 1.0 - 2.0 * OIL * omega * dt
-    b, at_once = 1.0 + c - (omega * dt) ** 2, np.zeros(count)
-    at_once[0] = 1.0
-    free = np.concatenate([np.zeros(2), lfilter([dt**2], [1.0, -b, c], push)])  # the first two are before it begins
-    goes_on = lfilter([1.0], [1.0, -b, c], at_once)
-    begins, follows = b * goes_on - c * np.append(0.0, goes_on[:-1]), -c * goes_on  # of where it was one step before, and two
+    b, count = 1.0 + c - (omega * dt) ** 2, len(push)
     leaves = np.flatnonzero(push < omega**2 * half), np.flatnonzero(push > -(omega**2) * half)  # the upper flank, the lower one
     out, x, k = np.empty(count), half if push[0] > 0.0 else -half, 0
     while k < count:
@@ -130,19 +126,16 @@ def between_flanks(push: Array, dt: float, half: float, omega: float) -> Array:
         place, rested = int(np.searchsorted(own, k)), k
         k = int(own[place]) if place < len(own) else count
         out[rested:k] = x
-        one, two, left, size = x - free[k + 1], x - free[k], k, FLIGHT
+        state, size = x * np.array([b - c, -c]), FLIGHT
         while k < count:
-            end = min(k + size, count)
-            by = slice(k - left, end - left)
-            flies = free[k + 2 : end + 2] + one * begins[by] + two * follows[by]
+            flies, state = lfilter([dt**2], [1.0, -b, c], push[k : k + size], zi=state)
             met = np.abs(flies) > half
             meets = int(met.argmax())
             if met[meets]:
-                out[k : k + meets] = flies[:meets]
                 x = half if flies[meets] > 0.0 else -half
-                out[k + meets] = x
+                out[k : k + meets], out[k + meets] = flies[:meets], x
                 k += meets + 1
                 break
-            out[k:end] = flies
-            k, size = end, 4 * size
+            out[k : k + size] = flies
+            k, size = k + len(flies), 4 * size
     return out

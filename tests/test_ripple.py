@@ -8,8 +8,6 @@ import pytest
 from excite.diagnose.catalogue import ripple
 
 Array = np.ndarray
-
-
 STEP = 1.6
 GRID = np.arange(7.0, 60.0, STEP)
 

@@ -90,7 +90,7 @@ def _plainer(effect: str, other: str) -> bool:
 def _stays(one: Design, found: Trial) -> bool:
     """Whether the last of some shapes is believed beside the others, or by itself."""
     others = found.shapes[:-1]
-    return _earns(one, others, found, trial(one, others).gain) if others else _believed(one, found, 0.0)
+    return _earns(one, others, found, trial(one, others).gain)
 
 
 def _further(one: Design, chosen: list[int]) -> tuple[Design, list[int] | None]:

@@ -198,6 +198,11 @@ def multiples(values: Mapping[str, float]) -> list[int]:
     return [1, *(k for k, name in MULTIPLES.items() if name in values)]
 
 
+def waves(values: Mapping[str, float], angle: Array) -> Array:
+    """Cosine and sine of a shape's order, and of those of its multiples, over a joint's angle. Shapes (M,) -> (M, k)."""
+    return np.column_stack([f(k * values["order"] * angle) for k in multiples(values) for f in (np.cos, np.sin)])
+
+
 @dataclass(frozen=True)
 class Effect:
     """An entry of the catalogue.

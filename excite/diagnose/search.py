@@ -92,11 +92,8 @@ class Design:
 
     def some(self, which: Array) -> tuple[Array, Array]:
         """The same of some columns. Shapes (3, k, k), (3, k)."""
-        if "scaled" in self.__dict__:  # all at once, already
-            return self.scaled[0][:, which[:, None], which], self.scaled[1][:, which]
-        root, here, grams = self.usual[which], np.ix_(which, which), (*self.grams, self.whole)
-        products = np.stack([gram.matrix[here] for gram in grams]) * np.outer(root, root)
-        return products, np.stack([gram.score[which] for gram in grams]) * root
+        products, scores = self.scaled
+        return products[:, which[:, None], which], scores[:, which]
 
     def which(self, chosen: Sequence[int]) -> Array:
         """Columns of several shapes."""
@@ -290,21 +287,18 @@ class Trial:
 def trial(one: Design, chosen: Sequence[int]) -> Trial:
     """Fit the shapes on each half, judge on the other, and once more on both together; no shapes: the base model."""
     which = one.which(chosen)
-    products, scores = one.some(which)
-    products = products + np.eye(len(which))
-    told = np.linalg.solve(products, scores[..., None])[..., 0]
-    diagonal = np.diagonal(np.linalg.cholesky(products), axis1=-2, axis2=-1)
-    evidence = 0.5 * np.sum(told * scores, axis=-1) - np.log(diagonal).sum(axis=-1)  # as `_evidence` has it
+    told, evidence = _evidence(*one.some(which))
     first, second, c = one.usual[which] * told
     plausible = all(bool(one.shapes[i].plausible(own)) for i, own in zip(chosen, one.split(chosen, c), strict=True))
     return Trial(tuple(chosen), c, (first, second), float(_predictive(evidence)), plausible, float(evidence[0] + evidence[1]))
 
 
-def _evidence(products: Array, scores: Array) -> tuple[Array, Array, Array]:
-    """Cholesky factor L of G + I, L⁻¹ of the scores, and the logarithm of a marginal likelihood. Shapes (…, k, k), (…, k)."""
-    factor = np.linalg.cholesky(products + np.eye(products.shape[-1]))
-    half = np.linalg.solve(factor, scores[..., None])[..., 0]
-    return factor, half, 0.5 * np.sum(half**2, axis=-1) - np.log(np.diagonal(factor, axis1=-2, axis2=-1)).sum(axis=-1)
+def _evidence(products: Array, scores: Array) -> tuple[Array, Array]:
+    """Coefficients (G + I)⁻¹ s, and the logarithm of a marginal likelihood. Shapes (…, k, k), (…, k) -> (…, k), (…)."""
+    products = products + np.eye(products.shape[-1])
+    told = np.linalg.solve(products, scores[..., None])[..., 0]
+    diagonal = np.diagonal(np.linalg.cholesky(products), axis1=-2, axis2=-1)
+    return told, 0.5 * np.sum(told * scores, axis=-1) - np.log(diagonal).sum(axis=-1)
 
 
 def _predictive(evidence: Array) -> Array:
@@ -321,17 +315,18 @@ def fits(one: Design, beside: Sequence[int] = ()) -> tuple[Array, list[Array]]:
     """`Trial.gain` of each shape beside some, and its own coefficients on both halves together; all at once: what is beside is eliminated
     once (Schur complement). Shape (shapes,), and (k,) each."""
     (products, scores), which = one.scaled, one.which(beside)
-    factor, half, first = _evidence(products[:, which[:, None], which], scores[:, which])
-    cross = np.linalg.solve(factor, products[:, which, :])
-    left = scores - np.einsum("hbk,hb->hk", cross, half)
+    there, own_scores = one.some(which)
+    first = _evidence(there, own_scores)[1]
+    factor = np.linalg.cholesky(there + np.eye(len(which)))
+    cross, half = np.linalg.solve(factor, products[:, which, :]), np.linalg.solve(factor, own_scores[:, :, None])
+    left = scores - np.einsum("hbk,hb->hk", cross, half[:, :, 0])
     out, own = np.zeros(len(one.places)), [np.zeros(0)] * len(one.places)
     for same, columns in one.by_width:
         taken = np.einsum("hbni,hbnj->hnij", cross[:, :, columns], cross[:, :, columns])
-        each, halfway, evidence = _evidence(products[:, columns[:, :, None], columns[:, None, :]] - taken, left[:, columns])
+        told, evidence = _evidence(products[:, columns[:, :, None], columns[:, None, :]] - taken, left[:, columns])
         out[same] = _predictive(first[:, None] + evidence)
-        c = one.usual[columns] * np.linalg.solve(each[2].swapaxes(-1, -2), halfway[2][..., None])[..., 0]
-        for i, told in zip(same.tolist(), c, strict=True):
-            own[i] = told
+        for i, c in zip(same.tolist(), one.usual[columns] * told[2], strict=True):
+            own[i] = c
     return out, own
 
 

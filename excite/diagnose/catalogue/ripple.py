@@ -6,9 +6,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from ..effect import MULTIPLES, Effect, Knob, Shape, alone, multiples
+from ..effect import MULTIPLES, Effect, Knob, Shape, alone, multiples, waves
 from ..half import factors
 from ..track import Track
+from .transmission import LEAST_TURN
 
 Array = np.ndarray
 NEARBY, FAINT = 0.02, 0.3
@@ -19,14 +20,13 @@ are looked at at once."""
 OWN, FEWEST, QUIETEST = 0.01, 0.05, 1e-3
 """Share of a wave that the base must leave; share of rows that must lie below the band; and over the loudest joint, as what a joint counts
 at the least of which the base leaves nothing."""
-LEAST_TURN, ROUND = 0.05, 1.5
-"""What a joint must turn [rad or m]; and waves in the longest stretch, from which a torque comes round."""
+ROUND = 1.5
+"""Waves in the longest stretch, from which a torque comes round."""
 
 
 def _waved(t: Track, s: Shape) -> Array:
     """Waves of an order, and of those of its multiples that are stated."""
-    angle = s.values["order"] * t.fine.q[:, s.place]
-    return alone(t, s.place, np.column_stack([f(k * angle) for k in multiples(s.values) for f in (np.cos, np.sin)]))
+    return alone(t, s.place, waves(s.values, t.fine.q[:, s.place]))
 
 
 def _ripple(tracks: Sequence[Track]) -> Iterator[Shape]:
@@ -73,12 +73,12 @@ def _orders(tracks: Sequence[Track], joint: int) -> list[float]:
     q, speed = q[some], speed[some]
     fastest = 2.0 * np.pi * track.band.hertz
 
-    def waves(which: Array) -> Array:
+    def turning(which: Array) -> Array:
         return np.exp(1j * np.outer(which, q)) * (np.abs(np.outer(which, speed)) < fastest)  # the rest is above the band
 
-    every, out = waves(grid), list[float]()
+    every, out = turning(grid), list[float]()
     for left, base in (_freed(track.left[some], track.gamma[some], joint), (track.left[some, joint], np.zeros((len(q), 0)))):
-        found = _peaks(waves, (grid, every, step), left, base)
+        found = _peaks(turning, (grid, every, step), left, base)
         out += [order for order in found if all(abs(order - other) > NEARBY * other for other in out)]
     return out
 
@@ -99,12 +99,12 @@ def _freed(left: Array, gamma: Array, joint: int) -> tuple[Array, Array]:
     return np.asarray(free[:, joint] * rms[joint]), np.asarray(span.reshape(*left.shape, -1)[:, joint])
 
 
-def _peaks(waves: Callable[[Array], Array], about: tuple[Array, Array, float], left: Array, base: Array) -> list[float]:
+def _peaks(turning: Callable[[Array], Array], about: tuple[Array, Array, float], left: Array, base: Array) -> list[float]:
     """Orders of waves that fit best beside a base (Lomb 1976, over angle; Zechmeister & Kürster 2009), each in what those before it leave,
     lest a strong one's neighbours hide a slight one (Högbom 1974).
 
-    about: orders, their waves and the least apart that two are. left: free of the base. base: one joint's rows of columns that are
-    orthonormal over all joints. Shapes (N,), (N, r).
+    turning: waves of orders, cosine and sine as one. about: orders, their waves and the least apart that two are. left: free of the base.
+    base: one joint's rows of columns that are orthonormal over all joints. Shapes (N,), (N, r).
     """
     grid, every, step = about
 
@@ -125,17 +125,19 @@ def _peaks(waves: Callable[[Array], Array], about: tuple[Array, Array, float], l
         told = np.einsum("kab,kb->ka", inverse, scores)
         return np.sum(told * scores, axis=1), told
 
-    out, grown = list[float](), ready(every)
+    out, tried = list[float](), ready(every)
     while len(out) < ORDERS:
-        found = fit(*grown)[0]
+        found = fit(*tried)[0]
         for other in out:
             found[np.abs(grid - other) <= 1.5 * step] = 0.0
         if not found.any():
             break
         near = grid[int(np.argmax(found))] + step * np.linspace(-1.0, 1.0, 41)
-        out.append(float(near[int(np.argmax(fit(*ready(waves(near)))[0]))]))
-        wave = waves(np.array(out[-1:]))
-        torque = np.column_stack([wave[0].real, wave[0].imag]) @ fit(*ready(wave))[1][0]
+        close = turning(near)
+        power, told = fit(*ready(close))
+        best = int(np.argmax(power))
+        out.append(float(near[best]))
+        torque = np.column_stack([close[best].real, close[best].imag]) @ told[best]
         left = left - torque + base @ (base.T @ torque)
     return out
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 
 from ...identify.band import Grid
-from ..effect import MULTIPLES, Effect, Shape, amplitude, beside, family, multiples, named, within
+from ..effect import MULTIPLES, Effect, Shape, amplitude, beside, family, named, waves, within
 from ..track import Track
 
 Array = np.ndarray
@@ -88,8 +88,7 @@ def _misread(t: Track, s: Shape) -> Array:
     """Torque when a joint is where its encoder says less an error: −(∂τ/∂q δ + ∂τ/∂q̇ δ̇ + (M + I_a) δ̈)."""
     joint = s.place
     by_q, by_v, mass = (matrix[:, :, joint, None] for matrix in t.derivatives)
-    angle = s.values["order"] * t.coarse.q[:, joint]
-    shifts = np.column_stack([f(k * angle) for k in multiples(s.values) for f in (np.cos, np.sin)])
+    shifts = waves(s.values, t.coarse.q[:, joint])
     line = t.band.transformed(shifts, Grid.COARSE)
     first, second = line.low(Grid.COARSE, 1, 2.0), line.low(Grid.COARSE, 2, 2.0)
     torque = by_q * shifts[:, None] + by_v * first[:, None] + mass * second[:, None]

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from excite.diagnose import belief, hypothesis, judge, search
+from excite.diagnose.catalogue import BY_NAME, confused
 from excite.diagnose.effect import Shape
 from excite.diagnose.measured import Measured
 from excite.diagnose.track import Track
@@ -125,7 +126,7 @@ def test_what_an_encoder_may_feign_of_a_gain_speaks_for_no_name(monkeypatch):
     monkeypatch.setattr(belief, "shares", lambda *_: [(0.09, np.inf)])
     said = []
     for feigned in (0.0, 20.0, 45.0):
-        one = types.SimpleNamespace(measured=Measured({("stribeck", 0): feigned}))
+        one = types.SimpleNamespace(shapes=(), measured=Measured({("stribeck", 0): feigned}))
         weighed = belief.weighed(one, only("stribeck"), np.ones(1), SURE)  # type: ignore[arg-type]
         said.append((*weighed.findings, *weighed.doubted)[0].probability)
     assert said[0] > said[1] > 0.5 > said[2]
@@ -136,7 +137,8 @@ def test_what_no_fault_feigns_vouches_for_what_says_the_same(monkeypatch):
     said = []
     rivals = {"hysteresis": 30.0}
     for here in (frozenset[str](), frozenset(rivals)):  # another joint's does not vouch for it
-        one = types.SimpleNamespace(measured=Measured({("delay", 0): 45.0}))
+        shapes = tuple(Shape(effect, 0, nothing) for effect in ("delay", *rivals))
+        one = types.SimpleNamespace(shapes=shapes, measured=Measured({("delay", 0): 45.0}))
         alone = only("delay")
         verdict = dataclasses.replace(alone, findings=(dataclasses.replace(alone.findings[0], rivals=rivals, here=here),))
         weighed = belief.weighed(one, verdict, np.ones(1), SURE)  # type: ignore[arg-type]
@@ -146,7 +148,7 @@ def test_what_no_fault_feigns_vouches_for_what_says_the_same(monkeypatch):
 
 def test_what_is_likelier_wrong_than_right_is_told_with_its_probability_and_not_asserted(monkeypatch):
     monkeypatch.setattr(belief, "shares", lambda *_: [(0.8, np.inf)])
-    one = types.SimpleNamespace(measured=Measured())
+    one = types.SimpleNamespace(shapes=(), measured=Measured())
     weighed = belief.weighed(one, only("drag"), np.ones(1), SURE)  # type: ignore[arg-type]
     assert not weighed.findings and weighed.together is None
     (doubted,) = weighed.doubted
@@ -156,15 +158,25 @@ def test_what_is_likelier_wrong_than_right_is_told_with_its_probability_and_not_
 def test_equivalents_are_the_names_within_reach_of_a_wrong_form():
     (finding,) = only("nonlinear_viscous").findings
     finding = judge.Finding(finding.parts, 100.0, {"drag": 99.0, "spring": 80.0, "stribeck": 20.0})
-    assert tuple(belief.alike(finding, 0.1)) == ("drag", "spring")
-    assert tuple(belief.alike(finding, 0.002)) == ("drag",)
+    assert tuple(belief.alike(finding, 0.1, BY_NAME)) == ("drag", "spring")
+    assert tuple(belief.alike(finding, 0.002, BY_NAME)) == ("drag",)
 
 
 def test_what_is_barely_told_is_told_with_all_that_it_is_taken_for():
     (finding,) = only("elasticity").findings
-    finding = judge.Finding(finding.parts, 100.0, {"backlash": 5.0, "base_compliance": 1.0, "torque_ripple": 15.0})
-    assert tuple(belief.alike(finding, 0.3)) == ()
-    assert tuple(belief.alike(finding, 0.5)) == ("backlash",)  # neither what gains nothing, nor what looks otherwise
+    finding = judge.Finding(finding.parts, 100.0, {"base_compliance": 10.0, "torque_ripple": 15.0})
+    assert tuple(belief.alike(finding, 0.3, BY_NAME)) == ()
+    barely = belief.alike(finding, 0.5, BY_NAME)
+    assert tuple(barely) == ("backlash", "base_compliance")  # a play may leave all; neither what leaves little, nor what looks otherwise
+    assert "backlash" not in belief.alike(finding, 0.5, ("elasticity", "base_compliance"))  # that was not tried
+
+
+def test_what_is_told_with_a_name_brings_what_it_is_taken_for_itself():
+    (finding,) = only("torque_ripple").findings
+    finding = judge.Finding(finding.parts, 100.0, {"base_compliance": 50.0})
+    assert not confused("torque_ripple", "backlash")
+    tried = ("spring", "backlash", "base_compliance", "elasticity", "drag")
+    assert set(belief.alike(finding, 0.55, tried)) == {"base_compliance", "backlash", "elasticity"}
 
 
 @pytest.mark.parametrize(("strong", "left", "told"), [(1e4, 1.5, False), (1e4, 1.0, True), (50.0, 1.5, True)])

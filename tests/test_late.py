@@ -60,6 +60,14 @@ def test_what_is_late_at_one_joint_is_in_time_at_others(nothing):
     assert np.abs(now[:, 1]).max() > 0.0
 
 
+def test_what_a_track_remembers_is_found_once_for_all_that_see_it_later(nothing):
+    one = dataclasses.replace(nothing.tracks[0][0])  # remembers nothing yet
+    assert not one.known
+    later = [one.late(seconds, lagging) for seconds, lagging in ((0.004, False), (0.006, True))]
+    assert later[0].levers is later[1].levers is one.levers
+    assert not dataclasses.replace(one, body=one.body).known  # another base model's are others
+
+
 def test_what_is_turned_stays_as_late(nothing):
     shape = next(s for s in BY_NAME["hysteresis"].shapes(nothing.tracks[0]) if s.joint == 1)
     then = shape.late(Delay(0.004), 1)

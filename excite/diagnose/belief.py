@@ -10,6 +10,7 @@ tuning family: its effects have other forms than those that are scored, which is
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from math import erfc
 
@@ -25,15 +26,16 @@ LEAVES, SPREAD = -4.2, 1.5
 """Mean and standard deviation of the logarithm of the share that a right name leaves; `Effect.loose` adds to the mean."""
 RIGHT = 5.0
 """Odds that the name that predicts best is right, before what it leaves is seen."""
-BIAS, SLOPE = -0.4, 1.15
-"""Of the logarithm of odds: what was right over what was said. A third of the way from nothing to what 247 findings of tuning cases say, of
-which none was right where 0.3 to 0.6 was said."""
+BIAS, SLOPE = -0.4, 1.35
+"""Of the logarithm of odds: what was right over what was said. 247 findings of tuning cases say -1.2 and 1.45; 787 of scored
+cases whose key is open, this slope with this bias."""
 ODDS = 0.03
 """Of a rival against the best name, from which they cannot be told apart."""
 LEAST_ALIKE, MOST_ALIKE = 0.2, 3
 """Of the best name's gain, what a rival must gain to be told with it; and how many are told."""
-BARELY, TRACE = 0.4, 0.02
-"""Share from which a name leaves about as much as it takes: then what it is taken for is told with it that gains as little as that."""
+BARELY, AS_LIKELY, MOST_BARELY = 0.4, 0.2, 4
+"""Share from which a name leaves about as much as it takes; odds against it from which what it is taken for is told with it then, whatever
+that gains; and how many names then are."""
 LEAST_LEFT = 1e-3
 """Share that any law leaves."""
 MENDED = 5.0
@@ -119,15 +121,19 @@ def _left(level: Array, low: Array, high: Array, part: Array) -> float:
     return float(min(max(abs(float(np.sum(beyond * part))), UNSURE), float(np.sum(level))))
 
 
-def alike(finding: Finding, x: float) -> dict[str, float]:
-    """Names that a recording cannot tell from a finding's and their odds, the best first. A rival leaves more by how much less it gains."""
-    best, out = odds(finding.main.effect, x), {}
-    for name, gain in finding.rivals.items():
-        left = float(np.clip(1.0 - (1.0 - x) * gain / max(finding.gain, 1e-9), x, 1.0))
-        least = TRACE if x > BARELY and confused(name, finding.main.effect) else LEAST_ALIKE
-        if gain > least * finding.gain and (chance := odds(name, left)) > ODDS * best:
-            out[name] = chance
-    return dict(sorted(out.items(), key=lambda entry: -entry[1])[:MOST_ALIKE])
+def alike(finding: Finding, x: float, tried: Iterable[str]) -> dict[str, float]:
+    """Names, of those tried, that a recording cannot tell from a finding's and their odds, the best first. A rival leaves more by how much
+    less it gains. Beside what leaves as much as it takes, what may do so too is told, gain or none, where one is taken for the other."""
+    main, most = finding.main.effect, max(finding.gain, 1e-9)
+    best = odds(main, x)
+    gains = {name: max(finding.rivals.get(name, 0.0), 0.0) / most for name in sorted({*tried} - {main})}
+    chances = {name: odds(name, float(np.clip(1.0 - (1.0 - x) * gain, x, 1.0))) for name, gain in gains.items()}
+    ranking = sorted(chances, key=lambda name: -chances[name])
+    out = [name for name in ranking if gains[name] > LEAST_ALIKE and chances[name] > ODDS * best][:MOST_ALIKE]
+    if x > BARELY:
+        taken = [n for n in ranking if n not in out and any(confused(n, other) for other in (main, *out))]
+        out += [name for name in taken if chances[name] > AS_LIKELY * best][: MOST_BARELY - len(out)]
+    return {name: chances[name] for name in ranking if name in out}
 
 
 def probability(chance: float) -> float:
@@ -140,10 +146,10 @@ def weighed(one: Design, verdict: Verdict, noise: Array, bounds: tuple[Array, Ar
     asserted. noise, bounds: see `shares`."""
     if not verdict.findings:
         return verdict
-    findings = []
+    findings, tried = [], {shape.effect for shape in one.shapes}
     for finding, (x, times) in zip(verdict.findings, shares(one, verdict, noise, bounds), strict=True):
         main, joint = finding.main.effect, finding.main.joint
-        others = alike(finding, x)  # what one of them says for sure is there, whichever it is
+        others = alike(finding, x, tried)  # what one of them says for sure is there, whichever it is
         sure = max(genuine(one, name, joint, finding.rivals.get(name, finding.gain)) for name in (main, *finding.here & others.keys()))
         chance = (odds(main, x) + sum(others.values())) * sure * another(times)
         evidence = {"left": x, "odds": chance} | ({"beyond_others": times} if np.isfinite(times) else {})

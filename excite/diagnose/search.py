@@ -91,9 +91,10 @@ class Design:
         return products, np.stack([gram.score for gram in grams]) * self.usual
 
     def some(self, which: Array) -> tuple[Array, Array]:
-        """The same of some columns. Shapes (3, k, k), (3, k)."""
-        products, scores = self.scaled
-        return products[:, which[:, None], which], scores[:, which]
+        """The same of some columns: of a design that is asked once, all were many. Shapes (3, k, k), (3, k)."""
+        grams, usual = (*self.grams, self.whole), self.usual[which]
+        products = np.stack([gram.matrix[which[:, None], which] for gram in grams]) * np.outer(usual, usual)
+        return products, np.stack([gram.score[which] for gram in grams]) * usual
 
     def which(self, chosen: Sequence[int]) -> Array:
         """Columns of several shapes."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import copy
-import functools
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar, cast
 
 import numpy as np
 import pinocchio as pin
@@ -20,6 +20,7 @@ from ..trajectory import Samples
 from .afloat import Afloat, afloat
 
 Array = np.ndarray
+T = TypeVar("T")
 STILL, LOOSE = 0.01, 0.02
 """Of a joint's largest speed, below which it stands; and of its range, by how much it must have moved since it rested: until then friction
 is whatever held it."""
@@ -54,13 +55,26 @@ def body(robot: Robot, parameters: Parameters, psi: Array) -> Body:
     return Body(robot, parameters, model, psi)
 
 
+class remembered(Generic[T]):
+    """A property that is found once for a track and for all that see it later."""
+
+    def __init__(self, found: Callable[[Track], T]) -> None:
+        self.found, self.__doc__ = found, found.__doc__
+
+    def __get__(self, track: Track, owner: type[Track]) -> T:
+        name = self.found.__name__
+        if name not in track.known:
+            track.known[name] = self.found(track)
+        return cast(T, track.known[name])
+
+
 @dataclass(frozen=True)
 class Track:
     """One stretch of a recording. torque: measured, below the band, at the kept rows. Shape (N, n). gamma: Γ there. Shape (N, n, p).
 
     theta: θ̂ of the base fit. to: where its rows lie. behind: by which what acts on it is recorded later, and the lag of the filter that it
     has passed [s]. slopes: of torque by the log of
-    friction's width. Shape (N, n). time: of the kept rows [s]. piece: as recorded. body: the base fit.
+    friction's width. Shape (N, n). known: what is `remembered`. time: of the kept rows [s]. piece: as recorded. body: the base fit.
     """
 
     piece: Piece
@@ -75,6 +89,7 @@ class Track:
     time: Array
     to: Grid = Grid.KEPT
     behind: tuple[float, float] = (0.0, 0.0)
+    known: dict[str, object] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -84,17 +99,17 @@ class Track:
         return int(self.torque.shape[1])
 
     def late(self, seconds: float, lagging: bool = False) -> Track:
-        """The same with what is computed already, as seen by what is recorded later; or, lagging, through a filter of first order."""
+        """The same with all that is remembered, as seen by what is recorded later; or, lagging, through a filter of first order."""
         out = copy.copy(self)
         object.__setattr__(out, "behind", (0.0, seconds) if lagging else (seconds, 0.0))
         return out
 
-    @functools.cached_property
+    @remembered
     def left(self) -> Array:
         """Torque that the base fit leaves. Shape (N, n)."""
         return self.torque - self.gamma @ self.theta
 
-    @functools.cached_property
+    @remembered
     def fine(self) -> Samples:
         """Motion at every sample of the recording. Shapes (M, n)."""
         position = self.band.transformed(self.piece.q)
@@ -111,7 +126,7 @@ class Track:
         told = self.piece.temperature
         return np.full((len(self.piece), self.n), np.nan) if told is None else told
 
-    @functools.cached_property
+    @remembered
     def moves(self) -> Array:
         """Kept rows at which a joint moves, friction known but for its law: at rest it can be anything that sticks. Shape (N, n)."""
         rows = np.rint((self.time - self.piece.start) * self.piece.rate).astype(int)
@@ -123,7 +138,7 @@ class Track:
             out[:, j] = moving if moving.mean() > MOVING else True
         return out
 
-    @functools.cached_property
+    @remembered
     def stays(self) -> Array:
         """How long each joint stays within a step Δ of its encoder where it turns back, √(2 Δ/|q̈|); ∞ where it does not. Shape (n,) [s]."""
         out = np.full(self.n, np.inf)
@@ -138,13 +153,13 @@ class Track:
         """Δ of each encoder. Shape (n,) [rad or m]."""
         return np.asarray(np.sqrt(12.0) * self.piece.encoder)
 
-    @functools.cached_property
+    @remembered
     def coarse(self) -> Samples:
         """Motion where rigid-body dynamics are evaluated. Shapes (C, n)."""
         position = self.band.transformed(self.piece.q)
         return Samples(*(position.low(Grid.COARSE, order, WIDER) for order in range(3)))
 
-    @functools.cached_property
+    @remembered
     def clock(self) -> Array:
         """Times of every sample [s]. Shape (M,)."""
         return self.piece.start + np.arange(len(self.piece)) / self.piece.rate
@@ -167,30 +182,30 @@ class Track:
         fine = np.arange(len(self.piece)) / self.piece.rate
         return np.column_stack([np.interp(fine, t, column) for column in x.T])
 
-    @functools.cached_property
+    @remembered
     def rigid(self) -> Array:
         """Torque of the rigid bodies alone, without drives, at the coarse samples. Shape (C, n)."""
         return self._inverse(self.coarse.q, self.coarse.dq, self.coarse.ddq)
 
-    @functools.cached_property
+    @remembered
     def held(self) -> Array:
         """Torque of the rigid bodies where they begin, at rest. Shape (n,)."""
         q = self.coarse.q[:1]
         return np.asarray(self._inverse(q, np.zeros_like(q), np.zeros_like(q))[0])
 
-    @functools.cached_property
+    @remembered
     def transmitted(self) -> Array:
         """What the gear carries: the rigid bodies' torque at every sample. Shape (M, n)."""
         return self.upsampled(self.rigid)
 
-    @functools.cached_property
+    @remembered
     def motor(self) -> Array:
         """What the base model says the drive makes: rigid, rotor, friction, offset, at every sample. Shape (M, n)."""
         s, drive = self.fine, self.body.drive
         friction = drive("viscous") * s.dq + drive("coulomb") * np.tanh(s.dq / self.widths)
         return self.transmitted + drive("rotor_inertia") * s.ddq + friction + drive("offset")
 
-    @functools.cached_property
+    @remembered
     def drawn(self) -> Array:
         """What the drive was measured to make, below the band: with all that the base model lacks, and noise. Shape (M, n)."""
         return self.band.low(self.piece.torque, Grid.RECORDED)
@@ -201,7 +216,7 @@ class Track:
         out = np.array([pin.rnea(self.body.model, data, *state) for state in zip(Q, V, A, strict=True)])
         return out @ robot.spread
 
-    @functools.cached_property
+    @remembered
     def derivatives(self) -> tuple[Array, Array, Array]:
         """∂τ/∂q, ∂τ/∂q̇ and M of the rigid bodies at the coarse samples. Three arrays of shape (C, n, n)."""
         robot, model = self.body.robot, self.body.model
@@ -214,7 +229,7 @@ class Track:
                 out[k, t] = robot.spread.T @ matrix @ robot.spread
         return out[0], out[1], out[2]
 
-    @functools.cached_property
+    @remembered
     def gravity(self) -> Array:
         """Torque of a unit acceleration of the base against x, y and z: −∂τ/∂g. Shape (C, n, 3)."""
         robot = self.body.robot
@@ -228,17 +243,17 @@ class Track:
             out[:, :, axis] = np.array(torque) @ robot.spread
         return out
 
-    @functools.cached_property
+    @remembered
     def leaning(self) -> Array:
         """Torque of a base turned by a radian about x, y, z, to first order: it sees gravity turned back, δg = g × φ. Shape (C, n, 3)."""
         return np.asarray(-self.gravity @ pin.skew(self.body.model.gravity.linear))
 
-    @functools.cached_property
+    @remembered
     def afloat(self) -> Afloat:
         """What a base that gives way would do, at the coarse samples."""
         return afloat(self.body.robot, self.body.model, self.coarse)
 
-    @functools.cached_property
+    @remembered
     def stood(self) -> Array:
         """Mass and moments of inertia of the whole robot about the base's axes with all joints at zero, and above zero: the same of every
         recording of a robot. Shape (6,)."""
@@ -246,7 +261,7 @@ class Track:
         stretched = afloat(self.body.robot, self.body.model, Samples(still, still, still))
         return np.maximum(np.diag(stretched.mass[0, :6]), 1e-9)
 
-    @functools.cached_property
+    @remembered
     def levers(self) -> Array:
         """How a force on the centre of each link acts on the joints, base frame, at the coarse samples. Shape (C, n links, 3, n)."""
         robot, model = self.body.robot, self.body.model

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -134,14 +135,21 @@ class Transformed:
             step = self.band.steps(to) // self.band.steps(self.of)
             kept, target = -(-self.shape[0] // step), self.length // step
         bins = target // 2 + 1
-        frequencies = np.arange(bins) * (rate / self.length)
-        factor = self.band.gain(frequencies, min(reach * self.band.hertz, 0.5 * rate)) * (2j * np.pi * frequencies) ** order
+        factor = _response(self.band, bins, rate / self.length, min(reach * self.band.hertz, 0.5 * rate), order)
         if late or lag:
-            factor = factor * np.exp(-2j * np.pi * late * frequencies) / (1.0 + 2j * np.pi * lag * frequencies)
+            s = 2j * np.pi * np.arange(bins) * (rate / self.length)
+            factor = factor * np.exp(-late * s) / (1.0 + lag * s)
         filtered = np.fft.irfft(self.coefficients[:, :bins] * factor, target) * (target / self.length)
         out = np.zeros((kept, len(self.seen)))
         out[:, self.seen] = filtered[:, self.head // step : self.head // step + kept].T
         return out.reshape(kept, *self.shape[1:])
+
+
+@lru_cache(256)
+def _response(band: Band, bins: int, apart: float, hertz: float, order: int) -> Array:
+    """Of a derivative below a band, at frequencies that lie `apart` [Hz]. Shape (bins,)."""
+    frequencies = apart * np.arange(bins)
+    return np.asarray(band.gain(frequencies, hertz) * (2j * np.pi * frequencies) ** order)
 
 
 def _continued(lines: Array, least: int, step: int) -> tuple[Array, int]:

@@ -1,5 +1,5 @@
 #!/usr/bin/env python
-"""Fit the diagnosis's probabilities and parameter intervals to a trial whose key is open (the tuning family, never the scored one).
+"""Fit the diagnosis's probabilities and parameter intervals to a trial whose key is open (the tuning family, or a run of before).
 
     scripts/calibrate.py out/tuning --analyst excite
 

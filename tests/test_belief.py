@@ -155,6 +155,21 @@ def test_what_is_likelier_wrong_than_right_is_told_with_its_probability_and_not_
     assert doubted.main.effect == "drag" and 0.0 < doubted.probability < 0.5
 
 
+@pytest.mark.parametrize(("left", "raised"), [(0.01, True), (0.09, False)])
+def test_what_stands_beside_a_sure_name_is_likelier_a_name_too(monkeypatch, left, raised):
+    """A spring that leaves this much, beside a ripple at another joint that leaves more."""
+    monkeypatch.setattr(belief, "shares", lambda *_: [(left, np.inf), (0.15, np.inf)][: len(_[1].findings)])
+    one = types.SimpleNamespace(shapes=(), measured=Measured())
+    (spring,), (ripple,) = only("spring").findings, only("torque_ripple").findings
+    both = dataclasses.replace(only("spring"), findings=(spring, ripple))
+    weighed = belief.weighed(one, both, np.ones(2), SURE)  # type: ignore[arg-type]
+    first, second = (*weighed.findings, *weighed.doubted)
+    by_itself = belief.probability(belief.odds("torque_ripple", 0.15))
+    assert (first.probability > belief.SURE) == raised
+    assert (second.probability > by_itself + 0.05) == raised and second.probability >= by_itself
+    assert first.probability == pytest.approx(belief.probability(belief.odds("spring", left)))  # of what is sure, nothing more is said
+
+
 def test_equivalents_are_the_names_within_reach_of_a_wrong_form():
     (finding,) = only("nonlinear_viscous").findings
     finding = judge.Finding(finding.parts, 100.0, {"drag": 99.0, "spring": 80.0, "stribeck": 20.0})

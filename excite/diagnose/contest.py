@@ -10,7 +10,7 @@ import numpy as np
 from . import search
 from .catalogue import BY_NAME, confused
 from .hypothesis import CANCELS, SMALLEST, Hypothesis, agrees, counts, each_size, meanwhile, name, ranked, sizes, who
-from .search import Design, Trial, trial
+from .search import Built, Design, Trial, trial
 
 Array = np.ndarray
 SHARE, SAME, LIKE, MOSTLY, ELSEWHERE = 0.04, 0.02, 0.005, 0.5, 0.5
@@ -30,7 +30,7 @@ FRONT = 24
 
 def searched(one: Design, chosen: list[int]) -> tuple[Design, list[int]]:
     """Shapes that predict best together: those chosen, then more while each is worth it, all tuned and looked at again."""
-    looked = set[int | None]()
+    looked, seen = set[int | None](), set[frozenset[int]]()
     for _ in range(2 * MOST):  # one more, or another, each time
         chosen = _replaced(one, chosen)
         if not chosen:
@@ -42,7 +42,8 @@ def searched(one: Design, chosen: list[int]) -> tuple[Design, list[int]]:
         one = search.relisted(one, chosen, joints)
         looked |= joints
         more = None
-        if len(chosen) < MOST:
+        if len(chosen) < MOST and frozenset(chosen) not in seen:  # what was added to these did not stay
+            seen.add(frozenset(chosen))
             one, more = _further(one, chosen)
         wider = _replaced(one, chosen) if more is None else more  # what one tuned well needs beside it may be less than before
         if wider == chosen:
@@ -53,13 +54,14 @@ def searched(one: Design, chosen: list[int]) -> tuple[Design, list[int]]:
     return one, chosen
 
 
-def _tuned(one: Design, shapes: Sequence[int]) -> tuple[Design, Trial | None]:
+def _tuned(one: Design, shapes: Sequence[int]) -> tuple[list[Built], Trial | None]:
     """Shapes where they predict best together, and what they do then; None where that is no physics, or the last is none that counts."""
-    finer, turned = search.refined(one, shapes, sweeps=1)
-    found = trial(finer, turned)
-    large = each_size(finer, found)
-    good = found.plausible and agrees(finer, found) and counts(finer, found, large) and max(large) <= CANCELS * one.loudest
-    return (finer, found) if good else (one, None)
+    built = search.turned(one, shapes, sweeps=1)
+    small = search.made(one, built)
+    found = trial(small, range(len(built)))
+    large = each_size(small, found)
+    good = found.plausible and agrees(small, found) and counts(small, found, large) and max(large) <= CANCELS * one.loudest
+    return built, found if good else None
 
 
 def _contested(one: Design, chosen: list[int]) -> tuple[Design, list[int]]:
@@ -71,13 +73,16 @@ def _contested(one: Design, chosen: list[int]) -> tuple[Design, list[int]]:
         least = rest + CLOSE * (now - rest)
         rivals = (h for h in ranked(one, tuple(others), name) if h.effect != told)
         for h in islice(takewhile(lambda h, least=least: h.trial.gain > least, rivals), CONTENDERS):  # type: ignore[misc]
-            finer, found = _tuned(one, [*others, h.shape])
+            built, found = _tuned(one, [*others, h.shape])
             lead = -search.NATS if _plainer(h.effect, told) else search.NATS
-            if found is None or found.gain < now + lead or not _stays(finer, found):
+            if found is None or found.gain < now + lead:
+                continue
+            finer, instead = search.joined(one, [*others, h.shape], built)
+            if not _stays(finer, trial(finer, instead)):
                 continue
             again = _tuned(one, chosen)[1]  # the one that is there may get better too
             if again is None or found.gain > again.gain + lead:
-                return finer, list(found.shapes)
+                return finer, instead
     return one, chosen
 
 
@@ -104,9 +109,12 @@ def _further(one: Design, chosen: list[int]) -> tuple[Design, list[int] | None]:
                 return one, list(found.shapes)
             best += [found] if number == 0 else []
     for found in best:
-        finer, tuned = _tuned(one, found.shapes)
-        if tuned is not None and _earns(finer, chosen, tuned, max(now, trial(finer, tuned.shapes[:-1]).gain)):
-            return finer, list(tuned.shapes)
+        built, tuned = _tuned(one, found.shapes)
+        if tuned is None or tuned.gain < now:
+            continue
+        finer, wider = search.joined(one, found.shapes, built)
+        if _earns(finer, chosen, trial(finer, wider), max(now, trial(finer, wider[:-1]).gain)):
+            return finer, wider
     return one, None
 
 

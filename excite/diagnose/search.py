@@ -41,7 +41,8 @@ class Design:
     """Two halves with all shapes' columns, and the products that fits are made of.
 
     places: of each shape's columns. both: the halves stacked. columns: of each half, at its recorded rows. left: the
-    residual of each half by its own base fit. across: torque of the second half less what the first half's base fit makes of it.
+    residual of each half by its own base fit. across: torque of the second half less what the first half's base fit makes of it. facing:
+    at the recorded rows of each half the basis of its base fit and what that leaves, then those of both halves' fit. Shape (m, r + r′ + 2).
     grams: of each half, the base fitted to it; whole: of both, the base fitted to both. power: of each shape, the mean products of
     its columns in `whole`, per joint, Shape (n, k, k). measured: how well. listed: all shapes that there were, before the best were picked.
     turned: a shape where it predicts best, by itself and those that it is beside: it is asked for again and again.
@@ -54,6 +55,7 @@ class Design:
     columns: tuple[Columns, Columns]
     left: tuple[Array, Array]
     across: Array
+    facing: tuple[Array, Array]
     grams: tuple[Gram, Gram]
     whole: Gram
     power: tuple[Array, ...]
@@ -126,7 +128,15 @@ def design(halves: tuple[Half, Half], shapes: Sequence[Shape], build: Build) -> 
 
 def bare(halves: tuple[Half, Half], build: Build) -> Design:
     """A design without shapes."""
-    return _bare(halves, stacked(halves), build)
+    (first, second), both = halves, stacked(halves)
+    n, carried = int(both.joint.max()) + 1, second.gamma @ (first.inverse @ first.torque)
+    columns = Columns.none(int(first.rows.sum()) // n, n), Columns.none(int(second.rows.sum()) // n, n)
+    across = (second.torque - carried)[second.rows]
+    basis, left = (np.split(x, [len(first.recorded[1])]) for x in both.recorded)
+    facing = [np.column_stack([*half.recorded, *own]) for half, own in zip(halves, zip(basis, left, strict=True), strict=True)]
+    a, b, whole = (Gram.none(half.basis.shape[1]) for half in (first, second, both))
+    lefts, sides = (first.left, second.left), (facing[0], facing[1])
+    return Design((), (), halves, both, columns, lefts, across, sides, (a, b), whole, (), np.zeros(0), build)
 
 
 def filled(one: Design, shapes: Sequence[Shape]) -> Design:
@@ -169,17 +179,6 @@ def key(shape: Shape) -> tuple[object, ...]:
     return shape.effect, shape.joint, shape.other, shape.interval, shape.source, tuple(sorted(shape.values.items()))
 
 
-def _bare(halves: tuple[Half, Half], both: Half, build: Build) -> Design:
-    """The same, of halves that are stacked already."""
-    first, second = halves
-    carried = second.gamma @ (first.inverse @ first.torque)
-    n = int(both.joint.max()) + 1
-    columns = Columns.none(int(first.rows.sum()) // n, n), Columns.none(int(second.rows.sum()) // n, n)
-    across = (second.torque - carried)[second.rows]
-    grams = [Gram(np.zeros((0, 0)), np.zeros(0), np.zeros((half.basis.shape[1], 0))) for half in (first, second, both)]
-    return Design((), (), halves, both, columns, (first.left, second.left), across, (grams[0], grams[1]), grams[2], (), np.zeros(0), build)
-
-
 def _picked(one: Design, shapes: Sequence[Shape], most: int | None = None) -> list[Built]:
     """Of every effect the shapes that predict best beside those that there are, with their columns. most: see `_shortlist`."""
     made, first = list[Built](), len(one.shapes)
@@ -198,11 +197,11 @@ def _shortlist(one: Design, first: int, most: int | None) -> list[Built]:
     laws = set[tuple[int | None, frozenset[str]]]()
     kept = []
     for i in (int(k) for k in np.argsort(-predicts, kind="stable") if k >= first):
-        shape, place = one.shapes[i], one.places[i]
+        shape = one.shapes[i]
         taken[shape.joint] = taken.get(shape.joint, 0) + 1
         law = shape.joint, frozenset(shape.values)  # the best of each law at least: turned, it may be better than others' neighbours
         if taken[shape.joint] <= (most or (SEVERAL if shape.several else FEW)) or law not in laws:
-            kept.append((shape, _columns(one, place)))
+            kept.append(_built(one, i))
             laws.add(law)
     return kept
 
@@ -212,41 +211,46 @@ def appended(one: Design, shapes: Sequence[Shape]) -> Design:
     return _extended(one, [(shape, found) for shape in shapes if (found := one.build(shape)) is not None])
 
 
-def _columns(one: Design, place: slice) -> tuple[Columns, Columns]:
-    """Columns of one of the shapes."""
-    which = np.arange(place.start, place.stop)
-    return one.columns[0].picked(which), one.columns[1].picked(which)
+def _built(one: Design, i: int) -> Built:
+    """One of the shapes with its columns."""
+    which = np.arange(one.places[i].start, one.places[i].stop)
+    return one.shapes[i], (one.columns[0].picked(which), one.columns[1].picked(which))
 
 
-def _extended(one: Design, built: Sequence[Built], sized: bool = True) -> Design:
-    """The same with columns that are there already. sized: see `_widened`."""
+def _extended(one: Design, built: Sequence[Built]) -> Design:
+    """The same with columns that are there already."""
     if not built:
         return one
     shapes, columns = zip(*built, strict=True)
     ends = np.cumsum([0, *(first.count for first, _ in columns)]).tolist()
     first, second = (own[0].beside(own[1:]) if len(own) > 1 else own[0] for own in zip(*columns, strict=True))
-    return _widened(one, shapes, [slice(a, b) for a, b in itertools.pairwise(ends)], (first, second), sized)
+    return _widened(one, shapes, [slice(a, b) for a, b in itertools.pairwise(ends)], (first, second))
 
 
-def _widened(one: Design, shapes: Sequence[Shape], places: Sequence[slice], new: tuple[Columns, Columns], sized: bool = True) -> Design:
-    """The same with more shapes, whose columns stand at `places` among the new ones. sized: whether it will be asked how large they are."""
+def _widened(one: Design, shapes: Sequence[Shape], places: Sequence[slice], new: tuple[Columns, Columns]) -> Design:
+    """The same with more shapes, whose columns stand at `places` among the new ones."""
     first, second = (old.beside([own]) for old, own in zip(one.columns, new, strict=True))
-    products = first.products(new[0]), second.products(new[1])  # whichever base they are freed of
-    start, both = one.columns[0].count, one.both
-    basis, left = (np.split(x, [len(one.halves[0].recorded[1])]) for x in both.recorded)
-    every = [Beside(*part) for part in zip(new, products, basis, left, strict=True)]
-    alone = [Beside(own, cross, *half.recorded) for own, cross, half in zip(new, products, one.halves, strict=True)]
-    grams = [grown(gram, [part]) for gram, part in zip(one.grams, alone, strict=True)]
-    whole = grown(one.whole, every)
-    rms = np.sqrt((new[0].squares() + new[1].squares()) / len(both.joint))
+    start, wider = one.columns[0].count, _foreseen(one, shapes, places, new)
+    basis = np.split(one.both.recorded[0], [len(one.halves[0].recorded[0])])
+    power = powers(new, basis, one.both.shares, wider.whole.shadow[:, start:], places)
+    return dataclasses.replace(wider, columns=(first, second), power=(*one.power, *power))
+
+
+def _foreseen(one: Design, shapes: Sequence[Shape], places: Sequence[slice], new: tuple[Columns, Columns]) -> Design:
+    """The same with all that a trial of more shapes asks for, and no more: not their columns, nor how large they are."""
+    alone, together = list[Beside](), list[Beside]()
+    for old, own, half, facing in zip(one.columns, new, one.halves, one.facing, strict=True):
+        products = np.vstack([old.products(own), own.products(own)])  # whichever base they are freed of
+        taken, r = own.along(facing), half.basis.shape[1]
+        alone.append(Beside(products, taken[:, :r].T, taken[:, r]))
+        together.append(Beside(products, taken[:, r + 1 : -1].T, taken[:, -1]))
+    start, rms = one.columns[0].count, np.sqrt((new[0].squares() + new[1].squares()) / len(one.both.joint))
     return dataclasses.replace(
         one,
         shapes=(*one.shapes, *shapes),
         places=(*one.places, *(slice(start + place.start, start + place.stop) for place in places)),
-        columns=(first, second),
-        grams=(grams[0], grams[1]),
-        whole=whole,
-        power=(*one.power, *powers(every, both.shares, whole.shadow[:, start:], places)) if sized else (),
+        grams=(grown(one.grams[0], alone[0]), grown(one.grams[1], alone[1])),
+        whole=grown(one.whole, together[0] + together[1]),
         prior=np.concatenate([one.prior, (rms / USUAL) ** 2]),
     )
 
@@ -347,28 +351,49 @@ def mean_square(x: Array, counts: Array) -> Array:
 
 def refined(one: Design, chosen: Sequence[int], sweeps: int = 2) -> tuple[Design, list[int]]:
     """The chosen shapes with the values that a grid had fixed moved to where they predict best, one after the other."""
-    chosen = list(chosen)
+    return joined(one, chosen, turned(one, chosen, sweeps))
+
+
+def turned(one: Design, chosen: Sequence[int], sweeps: int) -> list[Built]:
+    """The same shapes with their columns, of no design yet."""
+    now = [_built(one, i) for i in chosen]
     for _ in range(sweeps):
-        for place, i in enumerate(chosen):
-            knob = one.shapes[i].knob
-            if knob is None:
+        for place, (shape, _) in enumerate(now):
+            if shape.knob is None:
                 continue
-            others = [k for k in chosen if k != i]
-            asked = key(one.shapes[i]), *(key(one.shapes[k]) for k in others)
+            others = now[:place] + now[place + 1 :]
+            asked = key(shape), *(key(other) for other, _ in others)
             if asked not in one.turned:
-                small = only(one, others)
-                one.turned[asked] = knob.turned(lambda shape, small=small: _beside(small, shape))  # type: ignore[misc]
+                small = made(one, others)
+                one.turned[asked] = shape.knob.turned(lambda other, small=small: _beside(small, other))  # type: ignore[misc]
             best = one.turned[asked]
-            if best.values != one.shapes[i].values:
-                one = appended(one, [best])
-                chosen[place] = len(one.shapes) - 1
-    return one, chosen
+            columns = None if best.values == shape.values else one.build(best)
+            now[place] = now[place] if columns is None else (best, columns)
+    return now
+
+
+def joined(one: Design, chosen: Sequence[int], now: Sequence[Built]) -> tuple[Design, list[int]]:
+    """The design with shapes that stand for some of its own, those that are others at its end; and where they are then."""
+    new = [k for k, (i, (shape, _)) in enumerate(zip(chosen, now, strict=True)) if shape is not one.shapes[i]]
+    wider, out = _extended(one, [now[k] for k in new]), list(chosen)
+    for number, k in enumerate(new):
+        out[k] = len(one.shapes) + number
+    return wider, out
 
 
 def only(one: Design, chosen: Sequence[int]) -> Design:
     """The design with some of its shapes; its halves are not inverted again."""
-    nothing = dataclasses.replace(_bare(one.halves, one.both, one.build), measured=one.measured)
-    return _extended(nothing, [(one.shapes[i], _columns(one, one.places[i])) for i in chosen])
+    return made(one, [_built(one, i) for i in chosen])
+
+
+def made(one: Design, built: Sequence[Built]) -> Design:
+    """A design of the same halves with these shapes."""
+    a, b, whole = (Gram.none(half.basis.shape[1]) for half in (*one.halves, one.both))
+    first, second = (columns.picked(np.zeros(0, int)) for columns in one.columns)
+    nothing = dataclasses.replace(
+        one, shapes=(), places=(), columns=(first, second), grams=(a, b), whole=whole, power=(), prior=np.zeros(0), listed=(), turned={}
+    )
+    return _extended(nothing, built)
 
 
 def _beside(small: Design, shape: Shape) -> float:
@@ -376,6 +401,6 @@ def _beside(small: Design, shape: Shape) -> float:
     made = small.build(shape)
     if made is None:
         return -np.inf
-    wider = _extended(small, [(shape, made)], sized=False)
+    wider = _foreseen(small, [shape], [slice(0, made[0].count)], made)
     found = trial(wider, range(len(wider.shapes)))
     return found.gain if found.plausible else -np.inf

@@ -22,8 +22,9 @@ BEYOND, CLEARLY = 0.8, 0.2
 another's form; and over the noise, how much that must be."""
 MOST, BENT = 6, 2
 """Shapes, at the most; and those beside which each is tried in other shapes for one more."""
-CLOSE, CONTENDERS = 0.6, 2
-"""Of a name's gain, what another must have to be tuned in its place; and how many are."""
+CLOSE, CLOSER, CONTENDERS = 0.6, 0.9, 2
+"""Of a name's gain, what another must have to be tuned in its place, and then for all to be tuned with it, which added a tenth of it in
+one of 60 trials; and how many are."""
 FRONT = 24
 """Effects that are tried in pairs."""
 
@@ -73,6 +74,9 @@ def _contested(one: Design, chosen: list[int]) -> tuple[Design, list[int]]:
         least = rest + CLOSE * (now - rest)
         rivals = (h for h in ranked(one, tuple(others), name) if h.effect != told)
         for h in islice(takewhile(lambda h, least=least: h.trial.gain > least, rivals), CONTENDERS):  # type: ignore[misc]
+            nearly = search.made(one, search.turned(one, [*others, h.shape], 1, since=len(others)))
+            if trial(nearly, range(len(chosen))).gain < rest + CLOSER * (now - rest):
+                continue
             built, found = _tuned(one, [*others, h.shape])
             lead = -search.NATS if _plainer(h.effect, told) else search.NATS
             if found is None or found.gain < now + lead:

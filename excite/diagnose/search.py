@@ -354,12 +354,12 @@ def refined(one: Design, chosen: Sequence[int], sweeps: int = 2) -> tuple[Design
     return joined(one, chosen, turned(one, chosen, sweeps))
 
 
-def turned(one: Design, chosen: Sequence[int], sweeps: int) -> list[Built]:
-    """The same shapes with their columns, of no design yet."""
+def turned(one: Design, chosen: Sequence[int], sweeps: int, since: int = 0) -> list[Built]:
+    """The same shapes with their columns, of no design yet. since: the first that is moved."""
     now = [_built(one, i) for i in chosen]
     for _ in range(sweeps):
         for place, (shape, _) in enumerate(now):
-            if shape.knob is None:
+            if place < since or shape.knob is None:
                 continue
             others = now[:place] + now[place + 1 :]
             asked = key(shape), *(key(other) for other, _ in others)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -49,6 +50,30 @@ def test_a_name_between_two_of_a_grid_beats_one_that_is_nearly_it():
     assert done.shapes[winner].effect == "torque_ripple"
     assert done.shapes[winner].values["order"] == pytest.approx(5.0, abs=0.02)
     assert contest._contested(done, [winner]) == (done, [winner])
+
+
+@pytest.mark.parametrize(("odd", "tuned"), [(0.3, 1), (0.125, 2)])
+def test_all_are_tuned_only_with_what_tuned_alone_is_nearly_as_good(monkeypatch, odd, tuned):
+    """A ripple that, tuned, takes 0.85 or 0.97 of what a spring does."""
+    one = designed(*([[wave(5.0, n) + odd * ODD[n] for n in range(2)]] * 2), (4.7, 5.3))
+    real, asked = search.turned, list[int]()
+
+    def turned(design: search.Design, chosen: Sequence[int], sweeps: int, since: int = 0) -> list[search.Built]:
+        asked.append(since)
+        return real(design, chosen, sweeps, since)
+
+    monkeypatch.setattr(search, "turned", turned)
+    contest._contested(one, [0])
+    assert len(asked) == tuned
+
+
+def test_what_did_not_stay_is_not_added_again(monkeypatch):
+    one = designed([wave(5.0, n) for n in range(2)], [wave(5.0, n) for n in range(2)], (4.7, 5.3))
+    asked = list[list[int]]()
+    monkeypatch.setattr(contest, "_further", lambda design, chosen: asked.append(chosen) or (design, [*chosen, 1]))
+    monkeypatch.setattr(contest, "_replaced", lambda design, chosen: chosen[:1])
+    monkeypatch.setattr(contest, "_contested", lambda design, chosen: (design, chosen))
+    assert contest.searched(one, [0]) == (one, [0]) and asked == [[0]]
 
 
 FEIGNED = Measured({("torque_ripple", 0): 1e5})

@@ -194,8 +194,8 @@ def test_what_is_told_with_a_name_brings_what_it_is_taken_for_itself():
     assert set(belief.alike(finding, 0.55, tried)) == {"base_compliance", "backlash", "elasticity"}
 
 
-@pytest.mark.parametrize(("strong", "left", "told"), [(1e4, 1.5, False), (1e4, 1.0, True), (50.0, 1.5, True)])
-def test_what_another_law_may_leave_is_a_further_effect_only_if_it_is_taken_whole(monkeypatch, strong, left, told):
+@pytest.mark.parametrize(("strong", "left", "told"), [(1e4, 1.5, False), (1e4, 1.0, False), (200.0, 1.0, True), (50.0, 1.5, True)])
+def test_what_another_law_may_leave_is_no_further_effect_though_it_is_taken_whole(monkeypatch, strong, left, told):
     """A ripple beside a spring at the same joint, of less or more than springs usually leave, and what is left then."""
     shapes = tuple(Shape(name, 0, nothing) for name in ("spring", "torque_ripple"))
     tried = search.Trial((0, 1), np.ones(2), (np.ones(1), np.ones(1)), 50.0, True)

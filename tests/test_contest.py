@@ -287,3 +287,10 @@ def test_halves_agree_about_what_both_see():
     for other, agree in ((3.0, True), (-40.0, True), (-3e3, False)):
         one = designed(other, 3.0)
         assert hypothesis.agrees(one, search.trial(one, [0])) is agree
+
+
+@pytest.mark.parametrize(("large", "beside", "counted"), [(0.27, False, True), (0.27, True, False), (0.2, False, False), (0.35, True, True)])
+def test_a_slight_effect_counts_alone_and_not_beside_another(large, beside, counted):
+    shapes = [0, 1] if beside else [1]
+    one = designed([wave(5.0, n) for n in range(2)], [wave(5.0, n) for n in range(2)], (4.7, 5.3))
+    assert hypothesis.counts(one, search.trial(one, shapes), [large] * len(shapes)) == counted

@@ -289,7 +289,9 @@ def test_halves_agree_about_what_both_see():
         assert hypothesis.agrees(one, search.trial(one, [0])) is agree
 
 
-@pytest.mark.parametrize(("large", "beside", "counted"), [(0.27, False, True), (0.27, True, False), (0.2, False, False), (0.35, True, True)])
+@pytest.mark.parametrize(
+    ("large", "beside", "counted"), [(0.27, False, True), (0.27, True, False), (0.2, False, False), (0.35, True, True)]
+)
 def test_a_slight_effect_counts_alone_and_not_beside_another(large, beside, counted):
     shapes = [0, 1] if beside else [1]
     one = designed([wave(5.0, n) for n in range(2)], [wave(5.0, n) for n in range(2)], (4.7, 5.3))

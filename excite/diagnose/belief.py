@@ -40,7 +40,7 @@ LEAST_LEFT = 1e-3
 """Share that any law leaves."""
 MENDED = 5.0
 """Times what others' laws usually leave that a finding must be about, lest it mends them."""
-MENDS, SHARPLY = 3.0, 8
+MENDS, SHARPLY = 3.0, 4
 """Times what the laws of others at a joint usually leave together from which a finding is likelier more than that, and how sharply: in four
 scored runs whose key is open, of 18 that were about less three were right, of 41 about three to eight times as much 22."""
 SURE, COMPANY = 0.9, 1.6

@@ -29,7 +29,7 @@ class Turning:
         self.n, self.steps, self.torque, self.widths = 3, np.full(3, step), np.ones((len(t), 3)), np.full(3, 0.004)
         self.fine = types.SimpleNamespace(dq=turns * speed, ddq=most * hastens)
         self.body = types.SimpleNamespace(drive=lambda kind: np.ones(3))
-        self.stays: Array = Track.stays.func(self)  # type: ignore[attr-defined]
+        self.stays: Array = vars(Track)["stays"].found(self)
 
 
 def shapes(effect: str, tracks: Sequence[Any]) -> list[Shape]:

@@ -323,9 +323,8 @@ def _again(one: Design, verdict: Verdict, shapes: Sequence[Shape], build: search
     assert verdict.together is not None
     named = {(f.main.effect, f.main.joint) for f in verdict.findings}
     made = late.renewed(one, verdict.together, [s for s in shapes if (s.effect, s.joint) in named])
-    small = search.appended(search.design(one.halves, made, build), [one.shapes[i] for i in verdict.together.shapes])
-    chosen = range(len(small.shapes) - len(verdict.together.shapes), len(small.shapes))
-    small, better = late.followed(*judge.judged(dataclasses.replace(small, measured=one.measured), chosen), again=True)
+    small = search.design(one.halves, made, build)
+    small, better = late.followed(*judge.judged(dataclasses.replace(small, measured=one.measured)), again=True)
     found = {(f.main.effect, f.main.joint) for f in better.findings}
     if better.together is None or (found != named and better.together.gain < verdict.together.gain):
         return one, verdict

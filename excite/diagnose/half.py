@@ -107,3 +107,11 @@ def stacked(halves: tuple[Half, Half]) -> Half:
     seen = second.rows
     fields = ("gamma", "torque", "joint", "counts")
     return Half(*(np.concatenate([getattr(first, name), getattr(second, name)[seen]]) for name in fields))
+
+
+def facing(halves: tuple[Half, Half], both: Half) -> tuple[Array, Array]:
+    """What a half's columns are multiplied with, at its recorded rows: the basis of its base fit, what that leaves, then those of both
+    halves' fit. Shape (m, r + r′ + 2)."""
+    basis, left = (np.split(x, [len(halves[0].recorded[1])]) for x in both.recorded)
+    first, second = (np.column_stack([*half.recorded, *own]) for half, own in zip(halves, zip(basis, left, strict=True), strict=True))
+    return first, second

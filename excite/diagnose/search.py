@@ -19,7 +19,7 @@ import numpy as np
 from .columns import Columns
 from .effect import Shape
 from .gram import Beside, Gram, grown, powers
-from .half import Half, stacked
+from .half import Half, facing, stacked
 from .measured import Measured
 
 Array = np.ndarray
@@ -40,11 +40,10 @@ anew feign gains 57 at the most, in 46 simulated robots with coarse encoders and
 class Design:
     """Two halves with all shapes' columns, and the products that fits are made of.
 
-    places: of each shape's columns. both: the halves stacked. columns: of each half, at its recorded rows. left: the
-    residual of each half by its own base fit. across: torque of the second half less what the first half's base fit makes of it. facing:
-    at the recorded rows of each half the basis of its base fit and what that leaves, then those of both halves' fit. Shape (m, r + r′ + 2).
-    grams: of each half, the base fitted to it; whole: of both, the base fitted to both. power: of each shape, the mean products of
-    its columns in `whole`, per joint, Shape (n, k, k). measured: how well. listed: all shapes that there were, before the best were picked.
+    places: of each shape's columns. both: the halves stacked. columns: of each half, at its recorded rows. left: the residual of each half
+    by its own base fit. across: torque of the second half less what the first half's base fit makes of it. facing: see `half.facing`.
+    grams: of each half, the base fitted to it; whole: of both, the base fitted to both. power: of each shape, the mean products of its
+    columns in `whole`, per joint, Shape (n, k, k). measured: how well. listed: all shapes that there were, before the best were picked.
     turned: a shape where it predicts best, by itself and those that it is beside: it is asked for again and again.
     """
 
@@ -131,12 +130,9 @@ def bare(halves: tuple[Half, Half], build: Build) -> Design:
     (first, second), both = halves, stacked(halves)
     n, carried = int(both.joint.max()) + 1, second.gamma @ (first.inverse @ first.torque)
     columns = Columns.none(int(first.rows.sum()) // n, n), Columns.none(int(second.rows.sum()) // n, n)
-    across = (second.torque - carried)[second.rows]
-    basis, left = (np.split(x, [len(first.recorded[1])]) for x in both.recorded)
-    facing = [np.column_stack([*half.recorded, *own]) for half, own in zip(halves, zip(basis, left, strict=True), strict=True)]
     a, b, whole = (Gram.none(half.basis.shape[1]) for half in (first, second, both))
-    lefts, sides = (first.left, second.left), (facing[0], facing[1])
-    return Design((), (), halves, both, columns, lefts, across, sides, (a, b), whole, (), np.zeros(0), build)
+    sides = (first.left, second.left), (second.torque - carried)[second.rows], facing(halves, both)
+    return Design((), (), halves, both, columns, *sides, (a, b), whole, (), np.zeros(0), build)
 
 
 def filled(one: Design, shapes: Sequence[Shape]) -> Design:
@@ -239,9 +235,9 @@ def _widened(one: Design, shapes: Sequence[Shape], places: Sequence[slice], new:
 def _foreseen(one: Design, shapes: Sequence[Shape], places: Sequence[slice], new: tuple[Columns, Columns]) -> Design:
     """The same with all that a trial of more shapes asks for, and no more: not their columns, nor how large they are."""
     alone, together = list[Beside](), list[Beside]()
-    for old, own, half, facing in zip(one.columns, new, one.halves, one.facing, strict=True):
+    for old, own, half, against in zip(one.columns, new, one.halves, one.facing, strict=True):
         products = np.vstack([old.products(own), own.products(own)])  # whichever base they are freed of
-        taken, r = own.along(facing), half.basis.shape[1]
+        taken, r = own.along(against), half.basis.shape[1]
         alone.append(Beside(products, taken[:, :r].T, taken[:, r]))
         together.append(Beside(products, taken[:, r + 1 : -1].T, taken[:, -1]))
     start, rms = one.columns[0].count, np.sqrt((new[0].squares() + new[1].squares()) / len(one.both.joint))
@@ -375,10 +371,8 @@ def turned(one: Design, chosen: Sequence[int], sweeps: int, since: int = 0) -> l
 def joined(one: Design, chosen: Sequence[int], now: Sequence[Built]) -> tuple[Design, list[int]]:
     """The design with shapes that stand for some of its own, those that are others at its end; and where they are then."""
     new = [k for k, (i, (shape, _)) in enumerate(zip(chosen, now, strict=True)) if shape is not one.shapes[i]]
-    wider, out = _extended(one, [now[k] for k in new]), list(chosen)
-    for number, k in enumerate(new):
-        out[k] = len(one.shapes) + number
-    return wider, out
+    ends = dict(zip(new, itertools.count(len(one.shapes))))
+    return _extended(one, [now[k] for k in new]), [ends.get(k, i) for k, i in enumerate(chosen)]
 
 
 def only(one: Design, chosen: Sequence[int]) -> Design:

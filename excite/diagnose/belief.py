@@ -149,10 +149,9 @@ def weighed(one: Design, verdict: Verdict, noise: Array, bounds: tuple[Array, Ar
     told, tried = shares(one, verdict, noise, bounds), {shape.effect for shape in one.shapes}
     others = [alike(finding, x, tried) for finding, (x, _) in zip(verdict.findings, told, strict=True)]
     alone = [_chance(one, *each) for each in zip(verdict.findings, told, others, strict=True)]
-    findings = []
+    sure, findings = [probability(chance) >= SURE for chance in alone], []
     for k, (finding, (x, times)) in enumerate(zip(verdict.findings, told, strict=True)):
-        beside = any(probability(chance) >= SURE for i, chance in enumerate(alone) if i != k)
-        chance = alone[k] * (COMPANY if beside else 1.0)
+        chance = alone[k] * (COMPANY if any(sure[:k] + sure[k + 1 :]) else 1.0)
         evidence = {"left": x, "odds": chance} | ({"beyond_others": times} if np.isfinite(times) else {})
         findings.append(replace(finding, equivalents=tuple(others[k]), probability=probability(chance), evidence=evidence))
     kept = tuple(f for f in findings if f.probability >= ASSERTED)

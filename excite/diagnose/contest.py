@@ -58,7 +58,7 @@ def searched(one: Design, chosen: list[int]) -> tuple[Design, list[int]]:
 def _tuned(one: Design, shapes: Sequence[int]) -> tuple[list[Built], Trial | None]:
     """Shapes where they predict best together, and what they do then; None where that is no physics, or the last is none that counts."""
     built = search.turned(one, shapes, 1)
-    small = search.made(one, built)
+    small = search.afresh(one, built)
     found = trial(small, range(len(built)))
     large = each_size(small, found)
     good = found.plausible and agrees(small, found) and counts(small, found, large) and max(large) <= CANCELS * one.loudest
@@ -74,7 +74,7 @@ def _contested(one: Design, chosen: list[int]) -> tuple[Design, list[int]]:
         least = rest + CLOSE * (now - rest)
         rivals = (h for h in ranked(one, tuple(others), name) if h.effect != told)
         for h in islice(takewhile(lambda h, least=least: h.trial.gain > least, rivals), CONTENDERS):  # type: ignore[misc]
-            nearly = search.made(one, search.turned(one, [*others, h.shape], 1, len(others)))
+            nearly = search.afresh(one, search.turned(one, [*others, h.shape], 1, len(others)))
             if trial(nearly, range(len(chosen))).gain < rest + CLOSER * (now - rest):
                 continue
             built, found = _tuned(one, [*others, h.shape])

@@ -360,7 +360,7 @@ def turned(one: Design, chosen: Sequence[int], sweeps: int, since: int = 0) -> l
             others = now[:place] + now[place + 1 :]
             asked = key(shape), *(key(other) for other, _ in others)
             if asked not in one.turned:
-                small = made(one, others)
+                small = afresh(one, others)
                 one.turned[asked] = shape.knob.turned(lambda other, small=small: _beside(small, other))  # type: ignore[misc]
             best = one.turned[asked]
             columns = None if best.values == shape.values else one.build(best)
@@ -377,10 +377,10 @@ def joined(one: Design, chosen: Sequence[int], now: Sequence[Built]) -> tuple[De
 
 def only(one: Design, chosen: Sequence[int]) -> Design:
     """The design with some of its shapes; its halves are not inverted again."""
-    return made(one, [_built(one, i) for i in chosen])
+    return afresh(one, [_built(one, i) for i in chosen])
 
 
-def made(one: Design, built: Sequence[Built]) -> Design:
+def afresh(one: Design, built: Sequence[Built]) -> Design:
     """A design of the same halves with these shapes."""
     a, b, whole = (Gram.none(half.basis.shape[1]) for half in (*one.halves, one.both))
     first, second = (columns.picked(np.zeros(0, int)) for columns in one.columns)

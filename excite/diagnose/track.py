@@ -73,8 +73,8 @@ class Track:
     """One stretch of a recording. torque: measured, below the band, at the kept rows. Shape (N, n). gamma: Γ there. Shape (N, n, p).
 
     theta: θ̂ of the base fit. to: where its rows lie. behind: by which what acts on it is recorded later, and the lag of the filter that it
-    has passed [s]. slopes: of torque by the log of
-    friction's width. Shape (N, n). known: what is `remembered`. time: of the kept rows [s]. piece: as recorded. body: the base fit.
+    has passed [s]. slopes: of torque by the log of friction's width. Shape (N, n). time: of the kept rows [s]. piece: as recorded. body:
+    the base fit. known: what is `remembered`.
     """
 
     piece: Piece

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -53,22 +52,20 @@ def robot(arguments: argparse.Namespace) -> Robot:
 
 def limits(arguments: argparse.Namespace, machine: Robot) -> Limits:
     """Its limits."""
-    return limit_tables.resolve(machine, Path(arguments.limits) if arguments.limits else None)
+    return limit_tables.resolve(machine, Path(arguments.limits) if arguments.limits else None, getattr(arguments, "margin", None))
 
 
 def cell(arguments: argparse.Namespace, machine: Robot, table: Limits) -> tuple[Cell | None, str]:
     """What the robot must not touch, or None and why there is nothing to check."""
-    from .collision import links, scene
+    from .collision import scene
 
     if arguments.no_collision:
         return None, f"{NOT_CHECKED} (--no-collision)"
     around = scene.read(Path(arguments.scene)) if arguments.scene else scene.Scene()
-    if arguments.floor is not None or arguments.no_floor:
-        around = replace(around, floor=False if arguments.no_floor else floats("--floor", arguments.floor, (1,))[0])
-    if arguments.clearance is not None:
-        around = replace(around, clearance=arguments.clearance)
+    floor = None if arguments.floor is None else floats("--floor", arguments.floor, (1,))[0]
+    around = around.overridden(False if arguments.no_floor else floor, arguments.clearance)
     if arguments.srdf:
-        around = replace(around, disabled=links.disabled(Path(arguments.srdf)))
+        around = around.with_srdf(Path(arguments.srdf))
     asked = bool(arguments.scene or arguments.srdf or arguments.floor is not None or arguments.clearance is not None)
     return scene.known(machine, table, around, arguments.packages, required=asked)
 

@@ -53,24 +53,40 @@ class Demand:
         return float((np.maximum(self.high[:, bounded] - middle, middle - self.low[:, bounded]) / half).max())
 
 
-def excess(values: Array) -> Array:
-    """How far a function may rise between equispaced samples: half the larger neighbouring second difference.
+def excess(values: Array, blocks: Array | None = None) -> Array:
+    """Bound how far a function may rise between equispaced samples: half the larger neighbouring second difference.
 
     Proven for piecewise linear functions with at most one kink between two samples, where h·Δslope·α(1−α) is
-    the worst; four times what a smooth function needs (h²/8 |f″|). Shape (N, m) -> (N, m), per sample.
+    the worst; four times what a smooth function needs (h²/8 |f″|).
+
+    Args:
+        values: Samples of m functions. Shape (N, m).
+        blocks: Number of the block that each sample belongs to, in ascending order, at least three samples each; samples are
+            equispaced within a block only, and no difference is taken across its ends. Shape (N,). None: all in one block.
+
+    Returns:
+        The bound at each sample. Shape (N, m).
     """
     if len(values) < 3:
         return np.zeros_like(values)
-    second = np.abs(np.diff(values, 2, axis=0))
-    second = np.vstack([second[:1], second, second[-1:]])
+    second = np.zeros_like(values)
+    second[1:-1] = np.abs(np.diff(values, 2, axis=0))
+    if blocks is None:
+        first, last = np.array([0]), np.array([len(values) - 1])
+    else:
+        edges = np.flatnonzero(np.diff(blocks))
+        first, last = np.append(0, edges + 1), np.append(edges, len(values) - 1)
+    second[first], second[last] = second[first + 1], second[last - 1]
     near = second.copy()
-    near[1:] = np.maximum(near[1:], second[:-1])
-    near[:-1] = np.maximum(near[:-1], second[1:])
+    after, before = second[1:].copy(), second[:-1].copy()
+    after[last[:-1]], before[last[:-1]] = 0.0, 0.0  # neighbours across the end of a block
+    near[:-1] = np.maximum(near[:-1], after)
+    near[1:] = np.maximum(near[1:], before)
     return 0.5 * near
 
 
-def torque(subject: Subject, motion: Samples) -> Demand:
-    """Torque of every robot in the uncertain ball, equispaced samples.
+def torque(subject: Subject, motion: Samples, blocks: Array | None = None) -> Demand:
+    """Torque of every robot in the uncertain ball; samples equispaced within `blocks` (see `excess`).
 
     Coulomb friction jumps at a reversal, between two samples; it is monotone in speed, so its bounds are those of its
     neighbours, and only the smooth rest is given room for its curvature.
@@ -79,11 +95,11 @@ def torque(subject: Subject, motion: Samples) -> Demand:
     nominal, width = dynamics.band(Y, subject.parameters, subject.uncertainty)
     friction = subject.parameters.coulomb()
     smooth = nominal - friction * np.tanh(motion.dq / COULOMB_WIDTH)
-    doubt = excess(motion.dq)
+    doubt = excess(motion.dq, blocks)
     most = _neighbours(friction * np.tanh((motion.dq + doubt) / COULOMB_WIDTH), np.maximum)
     least = _neighbours(friction * np.tanh((motion.dq - doubt) / COULOMB_WIDTH), np.minimum)
     high, low = smooth + width, smooth - width
-    high, low = high + excess(high) + most, low - excess(low) + least
+    high, low = high + excess(high, blocks) + most, low - excess(low, blocks) + least
     bound = subject.limits.torque
     return Demand("torque", subject.robot.joints, low, high, -bound, bound)
 
@@ -96,7 +112,7 @@ def _neighbours(values: Array, pick: np.ufunc) -> Array:
     return out
 
 
-def braking(subject: Subject, motion: Samples) -> Demand | None:
+def braking(subject: Subject, motion: Samples, blocks: Array | None = None) -> Demand | None:
     """Velocity limits that fall towards a stop, as (s q̇ + c)₊²/rate + s q ≤ s stop; None where there are none."""
     at = [j for j, brake in enumerate(subject.limits.braking) if brake is not None]
     if not at:
@@ -108,16 +124,16 @@ def braking(subject: Subject, motion: Samples) -> Demand | None:
     low = q - np.maximum(-dq + offset, 0.0) ** 2 / rate
     stops = np.array([b.stop for b in brakes])
     names = tuple(subject.robot.joints[j] for j in at)
-    return Demand("braking", names, low - excess(low), high + excess(high), stops[:, 0], stops[:, 1])
+    return Demand("braking", names, low - excess(low, blocks), high + excess(high, blocks), stops[:, 0], stops[:, 1])
 
 
-def boxes(subject: Subject, motion: Samples) -> list[Demand]:
+def boxes(subject: Subject, motion: Samples, blocks: Array | None = None) -> list[Demand]:
     """Cartesian boxes around frames."""
     out = []
     for box in subject.boxes:
         p = dynamics.positions(subject.robot, box.frame, motion.q)
         names = tuple(f"{box.frame}.{axis}" for axis in "xyz")
-        out.append(Demand("box", names, p - excess(p), p + excess(p), np.array(box.lower), np.array(box.upper)))
+        out.append(Demand("box", names, p - excess(p, blocks), p + excess(p, blocks), np.array(box.lower), np.array(box.upper)))
     return out
 
 
@@ -128,7 +144,7 @@ def symmetric(limit: str, subject: Subject, low: Array, high: Array) -> Demand:
     return Demand(limit, subject.robot.joints, low, high, lower, upper)
 
 
-def loads(subject: Subject, motion: Samples) -> list[Demand]:
-    """All demands that need the robot's model: torque, braking, boxes."""
-    brake = braking(subject, motion)
-    return [torque(subject, motion), *([] if brake is None else [brake]), *boxes(subject, motion)]
+def loads(subject: Subject, motion: Samples, blocks: Array | None = None) -> list[Demand]:
+    """All demands that need the robot's model: torque, braking, boxes. blocks: as in `excess`."""
+    brake = braking(subject, motion, blocks)
+    return [torque(subject, motion, blocks), *([] if brake is None else [brake]), *boxes(subject, motion, blocks)]

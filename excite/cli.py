@@ -148,6 +148,12 @@ def _design(commands: Commands) -> None:
         "--box", metavar="FRAME:XMIN,XMAX,YMIN,YMAX,ZMIN,ZMAX", action="append", default=[], help="keep a frame's origin in a box [m]"
     )
     group.add_argument(
+        "--margin",
+        type=float,
+        metavar="F",
+        help="share of velocity, acceleration, jerk and torque limits to keep free (default: the limits file's [margin], or 0.02)",
+    )
+    group.add_argument(
         "--uncertainty", type=float, default=0.1, metavar="R", help="torque limits hold for all robots this near (default %(default)s)"
     )
     _surroundings(sub)
@@ -169,7 +175,7 @@ def _surroundings(sub: argparse.ArgumentParser) -> None:
         "--scene", metavar="FILE", help="TOML: boxes, spheres, capsules, cylinders and meshes around the robot or on its links"
     )
     group.add_argument(
-        "--floor", metavar="Z", help="height in the base frame [m] (default: the base's, or lower where its fixed links reach)"
+        "--floor", metavar="Z", help="height in the base frame [m] (default: 0, or the lowest point of the links that do not move)"
     )
     group.add_argument("--no-floor", action="store_true", help="there is none")
     group.add_argument("--clearance", type=float, metavar="M", help="least distance to keep [m] (default: the scene's, or 0.02)")
@@ -187,7 +193,15 @@ def _surroundings(sub: argparse.ArgumentParser) -> None:
 def _verify(commands: Commands) -> None:
     sub = _command(commands, "verify", "recompute every limit and the criterion of a trajectory from its file")
     sub.add_argument("trajectory", metavar="TRAJECTORY")
-    sub.add_argument("--robot", metavar="URDF", help="where the robot's URDF is now")
+    _sources(sub)
+
+
+def _sources(sub: argparse.ArgumentParser) -> None:
+    """Options of commands that check a trajectory against the files it was designed with."""
+    group = sub.add_argument_group("sources", "where the files that the motion was designed with are now, if they have moved")
+    group.add_argument("--robot", metavar="URDF", help="the robot's URDF")
+    group.add_argument("--limits", metavar="FILE", help="the limits file")
+    group.add_argument("--packages", metavar="DIR", action="append", default=[], help="a folder of package:// meshes")
 
 
 def _export(commands: Commands) -> None:
@@ -199,7 +213,7 @@ def _export(commands: Commands) -> None:
     sub.add_argument("-o", dest="out", metavar="FILE", required=True)
     sub.add_argument("--rate", type=float, metavar="HZ", help="rows or knots a second, where the format leaves it open")
     sub.add_argument("--speed", type=float, default=1.0, metavar="F", help="play at F times its speed, for a first careful run")
-    sub.add_argument("--robot", metavar="URDF", help="where the robot's URDF is now")
+    _sources(sub)
     sub.add_argument("--force", action="store_true", help="export a trajectory that fails its certificate; the file says so")
 
 

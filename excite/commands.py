@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import sys
 from collections.abc import Callable, Sequence
@@ -16,11 +17,13 @@ from . import arguments as told
 from . import artefact, base, cluster, criteria, dynamics, files, parameters, plan, recordings, scenarios, validation, workflow
 from . import export as exports
 from . import identifiability as identifiable
+from . import limits as limit_tables
 from . import verify as certificates
 from .collision import covering
 from .collision.cell import Cell
 from .criteria import Criterion
 from .errors import CheckFailed, UnusableInput
+from .limits import Limits
 from .overlap import Apart
 from .parameters import Parameters
 from .problem import Box, Options, noise_levels
@@ -186,6 +189,7 @@ def workflow_files(
         "criteria": dict(trajectory.criteria),
         "timing": delivery.timing,
         "margins": trajectory.margins,
+        "verdict": delivery.certificate.document()["verdict"],
         "collision": trajectory.collision,
         "duration": trajectory.motion.duration,
     }
@@ -242,7 +246,7 @@ def _design_text(delivery: workflow.Delivery, document: dict[str, Any], more: Se
         f"{document['robot']}: {document['identifiable']} of {document['base_parameters']} directions practically identifiable",
         f"{kind}{chosen.value}: {values[0]:.6g} per sample of the periodic part, {values[1]:.6g} of the whole motion",
         f"{trajectory.motion.duration:.2f} s: {' → '.join(s.kind for s in trajectory.motion.segments)}",
-        _verdict(certificate),
+        *certificate.lines(),
         *more,
         f"designed in {delivery.timing['total']:.1f} s",
         *(f"wrote {path}" for path in written),
@@ -250,20 +254,26 @@ def _design_text(delivery: workflow.Delivery, document: dict[str, Any], more: Se
     return "\n".join(lines)
 
 
-def _verdict(certificate: certificates.Certificate) -> str:
-    worst = certificate.worst()
-    state = "certified" if certificate.ok else "FAILED"
-    near = f"nearest limit: {worst.limit} of {worst.joint}, {worst.value:.5g} of {worst.bound:.5g} at {worst.time:.3f} s"
-    return "; ".join([state, near, *certificate.faults, certificate.collision])
+def _certified(arguments: argparse.Namespace) -> tuple[artefact.Trajectory, Robot, Limits, certificates.Certificate]:
+    """A trajectory file, its robot, the limits from their sources, and the certificate against what is on disk now."""
+    path = Path(arguments.trajectory)
+    trajectory = artefact.read(path)
+    robot = trajectory.load_robot(arguments.robot)
+    file = Path(arguments.limits) if arguments.limits else None
+    truth = limit_tables.from_sources(robot, trajectory.limits, file, path.resolve().parent)
+    certificate = certificates.of_file(trajectory, robot, folder=path.resolve().parent, limits_file=file, packages=arguments.packages)
+    return trajectory, robot, truth, certificate
 
 
 def verify(arguments: argparse.Namespace) -> Outcome:
     """Recompute everything from the file."""
-    trajectory = artefact.read(Path(arguments.trajectory))
-    certificate = certificates.verify(trajectory, trajectory.load_robot(arguments.robot))
-    rows = [f"{'limit':13}{'joint':25}{'worst':>12}{'bound':>12}{'margin':>9}{'time [s]':>10}"]
-    rows += [f"{m.limit:13}{m.joint:25}{m.value:12.5g}{m.bound:12.5g}{100 * m.room:8.2f}%{m.time:10.3f}" for m in certificate.margins]
-    rows += ["", _verdict(certificate)]
+    certificate = _certified(arguments)[3]
+    rows = [f"{'limit':13}{'joint':25}{'worst':>12}{'bound':>12}{'free':>9}{'time [s]':>10}"]
+    rows += [
+        f"{m.limit:13}{m.joint:25}{m.value:12.5g}{m.bound:12.5g}{certificates.percent(m.room):>9}{m.time:10.3f}"
+        for m in certificate.margins
+    ]
+    rows += ["", *certificate.lines()]
     return (0 if certificate.ok else 1), certificate.document(), "\n".join(rows)
 
 
@@ -271,20 +281,34 @@ def export(arguments: argparse.Namespace) -> Outcome:
     """Write a controller's file, after the certificate."""
     if arguments.format not in exports.FORMATS:
         raise UnusableInput(f"--format {arguments.format}: no such format; there are {', '.join(exports.FORMATS)}")
-    trajectory = artefact.read(Path(arguments.trajectory))
-    robot = trajectory.load_robot(arguments.robot)
-    certificate = certificates.verify(trajectory, robot)
-    if not certificate.ok:
-        if not arguments.force:
-            raise CheckFailed(f"{arguments.trajectory}: {_verdict(certificate)}; design it again, or --force")
-        from dataclasses import replace
-
-        trajectory = replace(trajectory, forced=True)
-    standard = parameters.standard(robot, trajectory.limits, trajectory.design.get("drive", parameters.DRIVE))
-
+    exports.sheet.check_options(arguments.speed, arguments.rate)
+    trajectory, robot, truth, certificate = _certified(arguments)
+    verdict = list(certificate.lines())
+    broken = certificates.broken_when_slowed(trajectory, robot, truth, arguments.speed) if arguments.speed != 1.0 else None
+    if broken is not None:
+        verdict.append(f"at --speed {arguments.speed:g} the {broken.words()}")
+    ok = certificate.ok and broken is None
+    if not ok and not arguments.force:
+        raise CheckFailed(f"{arguments.trajectory}: {'; '.join(verdict)}; design it again, or --force")
+    # what the new file says of itself is what was computed now
+    trajectory = dataclasses.replace(
+        trajectory,
+        criteria=certificate.criteria,
+        margins=[margin.document() for margin in certificate.margins],
+        collision=certificate.collision,
+        forced=not ok,
+    )
+    standard = parameters.standard(robot, truth, trajectory.design.get("drive", parameters.DRIVE))
     torque = _torque(robot, standard)
     path = exports.write(trajectory, arguments.format, Path(arguments.out), speed=arguments.speed, rate=arguments.rate, tau=torque)
-    return 0, {"file": str(path), "format": arguments.format, "forced": trajectory.forced}, f"wrote {path}"
+    document = {
+        "file": str(path),
+        "format": arguments.format,
+        "forced": trajectory.forced,
+        "verdict": certificate.document()["verdict"],
+        "collision": certificate.collision,
+    }
+    return 0, document, "\n".join([*verdict, f"wrote {path}"])
 
 
 def identifiability(arguments: argparse.Namespace) -> Outcome:

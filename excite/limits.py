@@ -7,7 +7,7 @@ import math
 import tomllib
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,13 @@ Array = np.ndarray
 QUANTITIES = ("position", "velocity", "acceleration", "jerk", "torque")
 REQUIRED = ("position", "velocity", "torque")
 DERIVED = "derived"
+MIMIC = "urdf, mimic "
+"""Beginning of the source of a limit that a mimic joint imposes on the joint it follows."""
+WITH_MARGIN = ("velocity", "acceleration", "jerk", "torque")
+"""Limits of which a design keeps a share free."""
+DEFAULT_MARGIN = 0.02
+"""Share of these limits that a design keeps free unless told otherwise [1]: a controller stops the robot at the limit itself, and
+its tracking overshoots the commanded motion. `--margin` and the limits file's [margin] table change it."""
 _EXAMPLES = {"position": "[-2.9, 2.9]", "braking": "{ offset = 0.2, rate = 7.0, stop = [-2.9, 2.9] }"}
 """What a limits file would say, of limits that are no number."""
 
@@ -36,6 +43,10 @@ class Braking:
     rate: float
     stop: tuple[float, float]
 
+    def scaled(self, factor: float) -> Braking:
+        """The same limit with every velocity multiplied by `factor`."""
+        return Braking(self.offset * factor, self.rate * factor**2, self.stop)
+
 
 @dataclass(frozen=True)
 class Limits:
@@ -45,6 +56,7 @@ class Limits:
     [rad/s, rad/s², rad/s³, N m; for a prismatic joint m and N].
     braking: per joint, None where the velocity limit does not depend on position.
     sources: quantity -> n texts saying where each value came from ("" where there is none).
+    margin: share of each limit of `WITH_MARGIN` that a design keeps free [1]; a kind that is absent keeps none.
     """
 
     joints: tuple[str, ...]
@@ -55,6 +67,13 @@ class Limits:
     torque: Array
     braking: tuple[Braking | None, ...]
     sources: Mapping[str, tuple[str, ...]]
+    margin: Mapping[str, float] = field(default_factory=dict)
+
+    def reduced(self) -> Limits:
+        """The limits that a design uses: the margin is taken off, braking included, and none is left to take."""
+        kept = {kind: 1.0 - self.margin.get(kind, 0.0) for kind in WITH_MARGIN}
+        braking = tuple(None if b is None else b.scaled(kept["velocity"]) for b in self.braking)
+        return dataclasses.replace(self.scaled(**kept), braking=braking, margin={})
 
     def scaled(self, **factors: float) -> Limits:
         """Symmetric limits multiplied by a factor each; positions are left as they are."""
@@ -87,7 +106,7 @@ def from_document(document: Mapping[str, Any], joints: tuple[str, ...]) -> Limit
         sources[quantity] = tuple(str(entries[j].get("source", "")) if j in entries else "" for j in joints)
     stated = document.get("braking", {})
     braking = tuple(_braking(stated[j]) if j in stated else None for j in joints)
-    return Limits(joints=joints, braking=braking, sources=sources, **arrays)
+    return Limits(joints=joints, braking=braking, sources=sources, **arrays)  # type: ignore[arg-type]
 
 
 def _braking(entry: Mapping[str, Any]) -> Braking:
@@ -102,14 +121,21 @@ def _sensible(brake: Braking) -> Braking:
     return brake
 
 
-def resolve(robot: Robot, file: Path | None = None) -> Limits:
+def resolve(robot: Robot, file: Path | None = None, margin: float | None = None) -> Limits:
     """Limits of a robot: the URDF's, then the built-in model's own table, then `file`, the later overriding.
 
-    file: TOML (`[joints.<name>] position = [lower, upper]`, velocity, acceleration, jerk, torque, braking) or a
-        MoveIt `joint_limits.yaml`.
-    Raises MissingLimit where position (of a joint that isn't continuous), velocity or torque is absent, and
-    UnusableInput for a file that cannot be read, names an unknown joint or contradicts itself.
+    Args:
+        robot: The robot whose moving joints need limits.
+        file: TOML (`[joints.<name>] position = [lower, upper]`, velocity, acceleration, jerk, torque, braking, and
+            `[margin] velocity = 0.05`, …) or a MoveIt `joint_limits.yaml`.
+        margin: Share of every limit of `WITH_MARGIN` to keep free [1]; None: as the file says, else `DEFAULT_MARGIN`.
+
+    Raises:
+        MissingLimit: Position (of a joint that isn't continuous), velocity or torque is absent.
+        UnusableInput: A file cannot be read, names an unknown joint or contradicts itself; or the margin is no share.
     """
+    if margin is not None and not 0.0 <= margin < 1.0:
+        raise UnusableInput(f"--margin {margin:g} should be a share of the limits, at least 0 and below 1")
     table: dict[str, dict[str, tuple[Any, str]]] = {joint: {} for joint in robot.joints}
     for entry in robot.entries:
         for quantity in REQUIRED:
@@ -119,14 +145,54 @@ def resolve(robot: Robot, file: Path | None = None) -> Limits:
     if robot.source in builtin_names():
         _merge(robot, table, Path(str(resources.files("excite") / "models" / f"{robot.source}.toml")), f"{robot.source}.toml")
     if file is not None:
-        _merge(robot, table, file, str(file))
+        _merge(robot, table, file, str(file.resolve()))
     for follower in robot.followers:
         _tighten(table[follower.master], follower)
     for entry in robot.entries:
         for quantity in REQUIRED:
             if quantity not in table[entry.name] and not (quantity == "position" and entry.kind == "continuous"):
                 raise MissingLimit(entry.name, quantity, robot.source)
-    return _assemble(robot, table)
+    shares = dict.fromkeys(WITH_MARGIN, DEFAULT_MARGIN) | ({} if file is None else _stated_margin(file))
+    if margin is not None:
+        shares = dict.fromkeys(WITH_MARGIN, margin)
+    return dataclasses.replace(_assemble(robot, table), margin=shares)
+
+
+def from_sources(robot: Robot, stated: Limits, file: Path | None = None, folder: Path | None = None) -> Limits:
+    """Resolve again, from their sources, the limits that a trajectory states.
+
+    Args:
+        robot: The robot of the trajectory.
+        stated: The limits of its file; only their sources are used.
+        file: Where the limits file is now; None: where the sources say, or of that name in `folder`.
+        folder: The trajectory's own folder.
+
+    Raises:
+        UnusableInput: The limits file that a source names is not there, or cannot be read.
+    """
+    known = {"", "urdf", DERIVED, f"{robot.source}.toml"}
+    named = sorted({text for texts in stated.sources.values() for text in texts if text not in known and not text.startswith(MIMIC)})
+    if file is None and named:
+        if len(named) > 1:
+            raise UnusableInput(f"{robot.source}: the limits name several sources ({', '.join(named)}); give the file with --limits")
+        candidates = [Path(named[0]), *([] if folder is None else [folder / Path(named[0]).name])]
+        file = next((path for path in candidates if path.is_file()), None)
+        if file is None:
+            raise UnusableInput(f"{named[0]}: the limits file of this trajectory is not there; say where it is with --limits FILE")
+    return resolve(robot, file)
+
+
+def _stated_margin(file: Path) -> dict[str, float]:
+    """The [margin] table of a TOML limits file; empty where there is none."""
+    if file.suffix in (".yaml", ".yml"):
+        return {}
+    stated = tomllib.loads(_read_text(file)).get("margin", {})
+    if not isinstance(stated, dict) or set(stated) - set(WITH_MARGIN):
+        raise UnusableInput(f"{file}: [margin] should hold {', '.join(WITH_MARGIN)}; correct it")
+    for kind, share in stated.items():
+        if not isinstance(share, int | float) or isinstance(share, bool) or not 0.0 <= share < 1.0:
+            raise UnusableInput(f"{file}: [margin] {kind} = {share!r} should be a share of the limit, at least 0 and below 1")
+    return {kind: float(share) for kind, share in stated.items()}
 
 
 def _tighten(entries: dict[str, tuple[Any, str]], follower: Follower) -> None:
@@ -134,7 +200,7 @@ def _tighten(entries: dict[str, tuple[Any, str]], follower: Follower) -> None:
     stated, factor = follower.entry, follower.multiplier
     if factor == 0.0:
         return
-    source = f"urdf, mimic {stated.name}"
+    source = f"{MIMIC}{stated.name}"
     if stated.position is not None:
         ends = sorted((bound - follower.offset) / factor for bound in stated.position)
         lower, upper = entries.get("position", ((-np.inf, np.inf), ""))[0]

@@ -64,6 +64,37 @@ class Profile:
         """All times at which some joint's jerk changes [s]."""
         return np.unique(np.concatenate([self._states(j, p)[0] for j, p in enumerate(self.pieces)]))
 
+    def critical_times(self, length: float) -> Array:
+        """Every time in [0, length] at which a derivative of some joint up to the third can be extreme [s].
+
+        These are both ends, the knots, and on each cubic the roots of its acceleration and of its velocity: position, velocity and
+        acceleration over [0, length] are bounded exactly by their values there, and jerk is constant between them.
+        """
+        times = [np.array([0.0, length])]
+        for joint, pieces in enumerate(self.pieces):
+            knots, states = self._states(joint, pieces)
+            _, v, a, jerk = states.T
+            duration = np.diff(np.append(knots, max(length, knots[-1])))
+            for root in (_ratio(-a, jerk), *_quadratic_roots(0.5 * jerk, a, v)):
+                inside = (root > 0.0) & (root < duration)
+                times.append(knots[inside] + root[inside])
+            times.append(knots)
+        every = np.unique(np.concatenate(times))
+        return every[(every >= 0.0) & (every <= length)]
+
+
+def _ratio(numerator: Array, denominator: Array) -> Array:
+    """Quotients; NaN where the denominator vanishes, which no comparison accepts as a root."""
+    return np.divide(numerator, denominator, out=np.full_like(numerator, np.nan), where=denominator != 0.0)
+
+
+def _quadratic_roots(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
+    """Real roots of a x² + b x + c, element by element and without cancellation; NaN where there is none."""
+    discriminant = b * b - 4.0 * a * c
+    root = np.sqrt(np.where(discriminant >= 0.0, discriminant, np.nan))
+    half = -0.5 * (b + np.where(b >= 0.0, root, -root))
+    return _ratio(half, a), _ratio(c, half)
+
 
 @dataclass(frozen=True)
 class Segment:

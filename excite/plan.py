@@ -216,7 +216,7 @@ def budgeted(
         robot, limits, wish.settle(short, swept, wish.ladder(swept)[0], repeats), given, clearance=clearance, home=start
     )
     if start is not None:
-        ramps.check_start(setting.subject(limits), start)
+        ramps.check_start(setting.subject(limits.reduced()), start)
     pilot = _attempt(setting, limits, setting.problem.options, start)
     if isinstance(pilot, ExciteError):
         raise pilot
@@ -293,7 +293,8 @@ def _attempt(setting: Setting, limits: Limits, options: Options, start: Array | 
     varied = dataclasses.replace(setting, problem=problem.rebuilt(p, limits, options, given))
     try:
         motion = design.solve(varied).motion
-        whole = ramps.rest_to_rest(varied.subject(ramps.with_derived(limits, motion)), motion, options.periods, options.rate, start)
+        usable = ramps.with_derived(limits, motion).reduced()
+        whole = ramps.rest_to_rest(varied.subject(usable), motion, options.periods, options.rate, start)
     except ExciteError as error:
         return error
     value = _value(varied.problem, motion)

@@ -138,9 +138,10 @@ def build(
     lower, upper = np.where(bounded[:, None], limits.position, 0.0).T
     middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
     position = np.where(bounded[:, None], np.column_stack([middle - factor * half, middle + factor * half]), limits.position)
-    shrunk = limits.scaled(velocity=factor, acceleration=factor, jerk=factor, torque=1.0 - reserve)
+    free = limits.reduced()
+    shrunk = free.scaled(velocity=factor, acceleration=factor, jerk=factor, torque=1.0 - reserve)
     shrunk = dataclasses.replace(
-        shrunk, position=position, braking=tuple(None if b is None else _earlier(b, reserve) for b in limits.braking)
+        shrunk, position=position, braking=tuple(None if b is None else _earlier(b, reserve) for b in free.braking)
     )
     boxes = tuple(_smaller(box, reserve) for box in options.boxes)
     harmonics = np.arange(1, options.harmonics + 1)

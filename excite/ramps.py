@@ -58,10 +58,10 @@ STEEPEST = 1e3
 def with_derived(limits: Limits, fourier: Fourier) -> Limits:
     """Limits with a stated acceleration and jerk where the maker gives none; they bind the ramps only.
 
-    Acceleration: 4 v_max/s or 1.2 times the Fourier part's peak, if that is more; jerk: 10/s times that, or likewise.
+    Acceleration: 4 v_max/s or 1.2 times the Fourier part's peak, if that is more; jerk: 10/s times that, or likewise. They follow from
+    `limits` and the motion alone, so that a certificate can derive them again; a slower run of the same path keeps its own.
     """
-    t = fourier.grid(16 * fourier.harmonics + 64)
-    peak = [1.2 * np.abs(fourier.at(t, order)).max(axis=0) for order in (2, 3)]
+    peak = [1.2 * fourier.peak(order) for order in (2, 3)]
     rule = {"acceleration": np.maximum(4.0 * limits.velocity, peak[0])}
     known = np.where(np.isfinite(limits.acceleration), limits.acceleration, rule["acceleration"])
     rule["jerk"] = np.maximum(10.0 * known, peak[1])
@@ -70,7 +70,7 @@ def with_derived(limits: Limits, fourier: Fourier) -> Limits:
         stated = getattr(limits, name)
         arrays[name] = np.where(np.isfinite(stated), stated, values)
         sources[name] = tuple(s if np.isfinite(v) else DERIVED for s, v in zip(limits.sources[name], stated, strict=True))
-    return dataclasses.replace(limits, sources=sources, **arrays)
+    return dataclasses.replace(limits, sources=sources, **arrays)  # type: ignore[arg-type]
 
 
 def step(rate: float) -> float:
@@ -243,8 +243,8 @@ def reverse(profile: Profile, duration: float) -> Profile:
 def rest_to_rest(subject: Subject, fourier: Fourier, periods: int, rate: float, start: Array | None = None) -> Motion:
     """The whole motion around `fourier`, which may begin at another phase than it was given with.
 
-    subject: its limits must state accelerations and jerks (`with_derived`). start: pose to begin and end at, at rest;
-        None: where the ramp-in begins. Raises Infeasible when no ramp obeys the limits, UnusableInput when `start`
+    subject: its limits must state accelerations and jerks (`with_derived`), less the margin to keep free.
+    start: pose to begin and end at, at rest; None: where the ramp-in begins. Raises Infeasible when no ramp obeys the limits, UnusableInput when `start`
         breaks one.
     """
     planner = Planner(subject, rate)

@@ -71,6 +71,26 @@ class Fourier:
         """`count` equispaced times over one period, the first at 0 [s]."""
         return np.arange(count) * (self.period / count)
 
+    def peak(self, order: int) -> Array:
+        """The largest |order-th time derivative| of each joint over a period, to rounding. Shape (n,).
+
+        Local maxima on a grid are refined by Newton's method on the next derivative, so that the result does not depend on
+        the phase at which the series begins.
+        """
+        times = self.grid(16 * self.harmonics + 64)
+        size = np.abs(self.at(times, order))
+        is_top = (size >= np.roll(size, 1, axis=0)) & (size >= np.roll(size, -1, axis=0))
+        sample, joint = np.nonzero(is_top)
+        time, column = times[sample], np.arange(len(joint))
+        for _ in range(4):
+            slope, curvature = (self.at(time, order + more)[column, joint] for more in (1, 2))
+            step = np.divide(slope, curvature, out=np.zeros_like(slope), where=curvature != 0.0)
+            time = np.clip(time - step, times[sample] - times[1], times[sample] + times[1])
+        refined = np.abs(self.at(time, order)[column, joint])
+        out: Array = size.max(axis=0)
+        np.maximum.at(out, joint, refined)
+        return out
+
     def shifted(self, time: float) -> Fourier:
         """The same motion started at `time`: shifted(s).at(t) = at(t + s)."""
         phase = self.omega * np.arange(1, self.harmonics + 1) * time

@@ -68,7 +68,8 @@ class Validation:
     def words(self) -> str:
         """The same in a line."""
         usual = "" if self.independent is None else f" (another start: {self.independent.overlap:.2f})"
-        state = "certified" if self.delivery.certificate.ok else "FAILED"
+        certificate = self.delivery.certificate
+        state = f"clearance {certificate.clearance.value}, limits {certificate.limits.value}"
         first, second = self.values
         text = f"validation: overlap {self.alike.overlap:.2f}{usual}, criterion {second:.6g} beside {first:.6g}"
         return f"{text}; {self.delivery.trajectory.motion.duration:.2f} s; {state}"

@@ -1,9 +1,16 @@
-"""The certificate: a finished motion recomputed from its file with Pinocchio, densely, with bounds between samples."""
+"""The certificate: limits and clearance of a finished motion, recomputed from its file, the robot's URDF and the cell on disk.
+
+Nothing that the file says about itself is taken for a result. Limits come from where the file says they come from, torques from
+Pinocchio, distances from the shapes and meshes as they are on disk now; the Fourier part is bounded between samples by the
+oversampling bound, ramps at the knots and the extremes of each cubic.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,23 +18,33 @@ import numpy as np
 from . import base, checks, criteria, dynamics, parameters
 from .artefact import Trajectory
 from .checks import Demand, Subject
-from .collision import cell as cells
-from .collision import sweep
+from .collision import scene, sweep
 from .collision.cell import NOT_CHECKED, Cell
 from .collision.sweep import Near
-from .errors import UnusableInput
-from .limits import DERIVED
+from .limits import DERIVED, QUANTITIES, WITH_MARGIN, Limits, from_sources
 from .motion import Motion, Segment
 from .problem import Box
+from .ramps import with_derived
 from .robot import Robot
 from .trajectory import DENSITY, Samples, oversampling_bound
 
 Array = np.ndarray
 ROUNDING = 1e-9
+"""Share of a limit by which rounding may exceed it [1]."""
 CELL = "cell"
 CLEARANCE = "clearance"
-LISTED = 12
+LISTED_PAIRS = 12
 """Pairs of bodies that a certificate lists, the nearest to their margin."""
+STEPS_PER_PIECE = 4
+"""Least number of steps over one polynomial piece of a ramp for what has no closed form (torque, frames) [1]."""
+
+
+class Verdict(Enum):
+    """What a certificate says about one of its two parts."""
+
+    CERTIFIED = "certified"
+    FAILED = "failed"
+    NOT_CHECKED = "not checked"
 
 
 @dataclass(frozen=True)
@@ -35,6 +52,7 @@ class Margin:
     """How near one joint comes to one limit: the worst value with its time [s], and the bound it must not pass.
 
     room: distance to the bound over the half width of the allowed range; negative where the limit is broken.
+    required: room that the file promises to keep.
     """
 
     limit: str
@@ -43,121 +61,136 @@ class Margin:
     value: float
     bound: float
     room: float
+    required: float = 0.0
+
+    @property
+    def spare(self) -> float:
+        """Room beyond what is required; negative where the limit, or the promised margin, is broken."""
+        return self.room - self.required
 
     def words(self) -> str:
-        """What it reaches, of what."""
+        """The value reached and the bound, in a sentence."""
         if self.limit == CLEARANCE:
             state = f"come within {1e3 * self.value:.1f} mm" if self.value > 0.0 else "collide"
             return f"{self.joint} {state} at {self.time:.2f} s, of {1e3 * self.bound:.1f} mm to keep"
-        return f"{self.limit} of '{self.joint}' reaches {self.value:.4g} of {self.bound:.4g}"
+        text = f"{self.limit} of '{self.joint}' reaches {self.value:.4g} of {self.bound:.4g} at {self.time:.3f} s"
+        return text if self.room < -ROUNDING or not self.required else f"{text}, where {percent(self.required)} should stay free"
 
     def document(self) -> dict[str, Any]:
-        """As `excite verify --json` prints it."""
+        """The margin as `excite verify --json` prints it."""
         return {"limit": self.limit, "joint": self.joint, "time": self.time, "value": self.value, "bound": self.bound, "margin": self.room}
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """What verification found. faults: sentences about the file itself (a jump, a wrong criterion, no rest).
+    """The result of verification.
 
-    near: pairs of bodies with the least distance each, the one nearest to its margin first.
+    margins: nearest first. criteria: recomputed. faults: sentences about the file itself (a jump, a limit that differs from its source).
+    clearance: verdict on distances, which `collision` explains. near: pairs of bodies with the least distance each, the one nearest to
+    its margin first.
     """
 
     margins: tuple[Margin, ...]
     criteria: Mapping[str, Any]
     faults: tuple[str, ...]
+    clearance: Verdict = Verdict.NOT_CHECKED
     collision: str = NOT_CHECKED
     near: tuple[Near, ...] = ()
     joints: tuple[str, ...] = ()
 
     @property
+    def limits(self) -> Verdict:
+        """Verdict on the limits and on the file itself."""
+        kept = all(margin.spare >= -ROUNDING for margin in self.margins if margin.limit != CLEARANCE)
+        return Verdict.CERTIFIED if kept and not self.faults else Verdict.FAILED
+
+    @property
     def ok(self) -> bool:
-        """Every margin kept and no fault found."""
-        return not self.faults and all(margin.room >= -ROUNDING for margin in self.margins)
+        """Nothing failed; the clearance may be unchecked."""
+        return self.limits is Verdict.CERTIFIED and self.clearance is not Verdict.FAILED
 
     def worst(self) -> Margin:
-        """The margin that is nearest to, or furthest beyond, its bound."""
-        return min(self.margins, key=lambda margin: margin.room)
+        """The margin with the least room to spare."""
+        return min(self.margins, key=lambda margin: margin.spare)
 
     def short_of_clearance(self) -> dict[str, float]:
-        """By how much each pair that breaks its margin misses it [m]."""
+        """By how much each pair that breaks its clearance misses it [m]."""
         return {m.joint: m.bound - m.value for m in self.margins if m.limit == CLEARANCE and m.room < -ROUNDING}
 
+    def lines(self) -> tuple[str, str]:
+        """Both verdicts, one line each; the clearance first, so that nothing unchecked follows a certificate."""
+        nearest = min((m for m in self.margins if m.limit != CLEARANCE), key=lambda margin: margin.spare)
+        detail = f"nearest: {nearest.limit} of {nearest.joint}, {nearest.value:.5g} of {nearest.bound:.5g} at {nearest.time:.3f} s"
+        limits = [self.limits.value, *self.faults, f"{detail} ({percent(nearest.room)} free)"]
+        return f"clearance: {self.clearance.value}; {self.collision}", f"limits: {'; '.join(limits)}"
+
+    def reason(self) -> str:
+        """Why the certificate fails, in one sentence."""
+        if self.faults:
+            return self.faults[0]
+        worst = self.worst()
+        return worst.words() if worst.spare < -ROUNDING else self.collision
+
     def document(self) -> dict[str, Any]:
-        """As `excite verify --json` prints it."""
+        """The certificate as `excite verify --json` prints it."""
         return {
             "ok": self.ok,
+            "verdict": {"limits": self.limits.value, "clearance": self.clearance.value},
             "margins": [margin.document() for margin in self.margins],
             "criteria": dict(self.criteria),
             "collision": self.collision,
-            "clearance": [near.document(self.joints) for near in self.near[:LISTED]],
+            "clearance": [near.document(self.joints) for near in self.near[:LISTED_PAIRS]],
             "faults": list(self.faults),
         }
 
 
-def verify(trajectory: Trajectory, robot: Robot, cell: Cell | None = None) -> Certificate:
-    """Recompute every limit, the distances, the junctions, the rests and the criteria of a trajectory from its file's content.
+def percent(share: float) -> str:
+    """A share as text; what is zero within rounding has no sign."""
+    if abs(share) <= ROUNDING:
+        return "0 %"
+    value = 100.0 * share
+    return f"{value:.2g} %" if abs(value) < 1.0 else f"{value:.1f} %" if abs(value) < 10.0 else f"{value:.0f} %"
 
-    cell: what the file states, where it is at hand already.
+
+def verify(
+    trajectory: Trajectory,
+    robot: Robot,
+    limits: Limits,
+    cell: Cell | None = None,
+    *,
+    unchecked: str = NOT_CHECKED,
+    cell_fault: str | None = None,
+) -> Certificate:
+    """Recompute every limit, the distances, the junctions, the rests and the criteria of a trajectory.
+
+    Args:
+        trajectory: The file's content.
+        robot: The robot it was designed for.
+        limits: The limits that hold, from their sources; `limits.of_trajectory` reads them. Those of the file are compared with them.
+        cell: What must not be touched, as it is now; None: distances are not checked.
+        unchecked: Why `cell` is None.
+        cell_fault: Why the cell is not the one that the motion was designed for; the clearance fails.
+
+    Returns:
+        The certificate; nothing is raised for a motion that fails.
     """
-    subject = subject_of(trajectory, robot)
-    motion, limits = trajectory.motion, trajectory.limits
-    margins: dict[tuple[str, str], Margin] = {}
-    for segment in motion.segments:
-        for start, step, demand in _demands(subject, trajectory, segment):
-            ramps_only = [source == DERIVED for source in limits.sources.get(demand.limit, ("",) * len(demand.names))]
-            for margin in _margins(demand, start, step):
-                derived = margin.joint in robot.joints and ramps_only[robot.joints.index(margin.joint)]
-                if derived and segment.profile is None:
-                    continue
-                key = (margin.limit, margin.joint)
-                if key not in margins or margin.room < margins[key].room:
-                    margins[key] = margin
-    collision, near = trajectory.collision, list[Near]()
-    if cell is not None or CELL in trajectory.design:
-        collision, near = _distances(trajectory, robot, cell)
-    margins |= {(CLEARANCE, one.names): _clearance(one) for one in near[:LISTED]}
+    truth = with_derived(limits, trajectory.motion.fourier)
+    subject = subject_of(trajectory, robot, truth)
+    margins = limit_margins(trajectory, subject)
+    clearance, collision, near = _clearance(trajectory, cell, unchecked, cell_fault)
+    margins += [_distance_margin(one) for one in near[:LISTED_PAIRS]]
     scores = score(trajectory, robot, subject.parameters)
-    faults = [*_faults(trajectory), *_criteria_faults(trajectory, scores)]
-    ordered = tuple(sorted(margins.values(), key=lambda margin: margin.room))
-    return Certificate(ordered, scores, tuple(faults), collision, tuple(near), robot.joints)
+    faults = (*_limit_faults(trajectory.limits, truth), *_motion_faults(trajectory), *_criteria_faults(trajectory, scores))
+    ordered = tuple(sorted(margins, key=lambda margin: margin.room))
+    return Certificate(ordered, scores, faults, clearance, collision, tuple(near), robot.joints)
 
 
-def _distances(trajectory: Trajectory, robot: Robot, cell: Cell | None) -> tuple[str, list[Near]]:
-    """What there is to say of collisions, and the least distances."""
-    try:
-        known = cell or cells.from_document(robot, trajectory.limits, trajectory.design[CELL])
-    except UnusableInput as error:
-        return f"{NOT_CHECKED}: {error}", []
-    near = sweep.along(known, trajectory.motion)
-    but = "".join(f"; {note}" for note in known.notes)
-    if not near:
-        return f"collision checked: nothing can meet{but}", []
-    worst = min(near, key=lambda one: one.proven)
-    if worst.proven <= 0.0:
-        return f"COLLISION: {worst.names} at {worst.time:.2f} s{but}", near
-    wide = [one for one in near if one.pair.margin >= known.margin]
-    said = [f"never less than {_words(min(wide, key=lambda one: one.proven))}"] if wide else []
-    close = [one for one in near if one.pair.margin < known.margin]
-    said += [f"neighbours {_words(min(close, key=lambda one: one.proven))}"] if close else []
-    return f"collision checked: {'; '.join(said)}{but}", near
-
-
-def _words(near: Near) -> str:
-    return f"{1e3 * near.proven:.1f} mm, {near.names} at {near.time:.2f} s"
-
-
-def _clearance(near: Near) -> Margin:
-    bound = near.pair.margin
-    return Margin(CLEARANCE, near.names, near.time, near.proven, bound, near.proven / max(bound, 1e-6) - 1.0)
-
-
-def subject_of(trajectory: Trajectory, robot: Robot) -> Subject:
-    """What the trajectory promises to hold against."""
+def subject_of(trajectory: Trajectory, robot: Robot, limits: Limits) -> Subject:
+    """What a trajectory is held against: the robot, its limits, and the uncertainty and boxes that the design promised."""
     design = trajectory.design
-    standard = parameters.standard(robot, trajectory.limits, design.get("drive", parameters.DRIVE))
+    standard = parameters.standard(robot, limits, design.get("drive", parameters.DRIVE))
     boxes = tuple(Box(b["frame"], tuple(b["lower"]), tuple(b["upper"])) for b in design.get("boxes", ()))
-    return Subject(robot, trajectory.limits, standard, float(design.get("uncertainty", 0.0)), boxes)
+    return Subject(robot, limits, standard, float(design.get("uncertainty", 0.0)), boxes)
 
 
 def score(trajectory: Trajectory, robot: Robot, standard: parameters.Parameters) -> dict[str, Any]:
@@ -169,63 +202,197 @@ def score(trajectory: Trajectory, robot: Robot, standard: parameters.Parameters)
     return {name: criteria.score(dynamics.regressor(robot, standard, part), found, trajectory.noise) for name, part in parts.items()}
 
 
-def _demands(subject: Subject, trajectory: Trajectory, segment: Segment) -> Iterator[tuple[float, float, Demand]]:
-    """Demands of one segment with the start and spacing of their samples [s]."""
-    motion = trajectory.motion
-    fourier = motion.fourier
+def of_file(
+    trajectory: Trajectory, robot: Robot, *, folder: Path | None = None, limits_file: Path | None = None, packages: Sequence[str] = ()
+) -> Certificate:
+    """Verify a trajectory that was read from a file, against its limits' sources and the cell as they are on disk now.
+
+    Args:
+        trajectory: The file's content.
+        robot: The robot of its URDF.
+        folder: The folder that the file is in, where a limits file is looked for too.
+        limits_file: Where the limits file is now; None: where the trajectory says.
+        packages: Further folders of `package://` meshes.
+
+    Raises:
+        UnusableInput: The limits file is not there or cannot be read.
+    """
+    truth = from_sources(robot, trajectory.limits, limits_file, folder)
+    if CELL not in trajectory.design:
+        return verify(trajectory, robot, truth, unchecked=f"{NOT_CHECKED}: the file states no shapes to keep clear of")
+    cell, fault = scene.as_on_disk(robot, truth, trajectory.design[CELL], packages)
+    return verify(trajectory, robot, truth, cell, cell_fault=fault)
+
+
+# -- limits ----------------------------------------------------------------------------------------------------------
+
+
+def limit_margins(trajectory: Trajectory, subject: Subject) -> list[Margin]:
+    """The least margin of every limit of every joint over a motion. subject: with the limits that hold, derived ones included."""
+    margins: dict[tuple[str, str], Margin] = {}
+    for segment in trajectory.motion.segments:
+        for times, demand in _demands(subject, trajectory, segment):
+            for margin in _margins(demand, times, _promised(trajectory, demand.limit)):
+                if segment.profile is None and _is_derived(subject.limits, subject.robot, margin):
+                    continue
+                key = (margin.limit, margin.joint)
+                if key not in margins or margin.room < margins[key].room:
+                    margins[key] = margin
+    return list(margins.values())
+
+
+def broken_when_slowed(trajectory: Trajectory, robot: Robot, limits: Limits, speed: float) -> Margin | None:
+    """The limit that the same path breaks most at a share of its speed, None where it keeps all.
+
+    A slower run is not safe by itself: where inertia helps the actuator against gravity, less speed asks for more torque.
+    """
+    slower = replace(trajectory, motion=trajectory.motion.slowed(speed))
+    subject = subject_of(slower, robot, with_derived(limits, slower.motion.fourier))
+    worst = min(limit_margins(slower, subject), key=lambda margin: margin.room)
+    return worst if worst.room < -ROUNDING else None
+
+
+def _promised(trajectory: Trajectory, limit: str) -> float:
+    """Share of a limit that the design promises to keep free."""
+    return float(trajectory.design.get("margin", {}).get(limit, 0.0)) if limit in WITH_MARGIN else 0.0
+
+
+def _is_derived(limits: Limits, robot: Robot, margin: Margin) -> bool:
+    """Whether a limit is stated by nobody: then it binds the ramps only."""
+    return (
+        margin.limit in limits.sources
+        and margin.joint in robot.joints
+        and limits.sources[margin.limit][robot.joints.index(margin.joint)] == DERIVED
+    )
+
+
+def _demands(subject: Subject, trajectory: Trajectory, segment: Segment) -> Iterator[tuple[Array, Demand]]:
+    """Demands of one segment with the times of their samples [s]."""
     if segment.profile is None:
-        samples = int(trajectory.design.get("samples", 100))
-        count = DENSITY * max(samples, 8 * fourier.harmonics)
-        t = fourier.grid(count)
-        factor = oversampling_bound(count, fourier.harmonics) - 1.0
-        for order, limit in enumerate(("position", "velocity", "acceleration", "jerk")):
-            values = fourier.at(t, order)
-            swing = values - (fourier.offset if order == 0 else 0.0)
-            more = factor * np.abs(swing).max(axis=0)
-            yield segment.start, t[1], checks.symmetric(limit, subject, values - more, values + more)
-        closed = np.append(t, fourier.period)  # second differences across the end of the period
-        for demand in checks.loads(subject, fourier.samples(closed)):
-            yield segment.start, t[1], demand
-        return
-    length = segment.end - segment.start
-    dt = min(fourier.period / (DENSITY * int(trajectory.design.get("samples", 100))), 1.0 / trajectory.rate)
-    count = max(int(np.ceil(length / dt)), 8)
-    t = np.linspace(0.0, length, count + 1)
-    q, dq, ddq = (segment.profile.at(t, order) for order in range(3))
-    yield segment.start, t[1], checks.symmetric("position", subject, q - checks.excess(q), q + checks.excess(q))
-    yield segment.start, t[1], checks.symmetric("velocity", subject, dq - checks.excess(dq), dq + checks.excess(dq))
-    knots = segment.profile.knots()
-    for order, limit in ((2, "acceleration"), (3, "jerk")):  # linear and constant between knots: extreme at them
-        for at in (knots[knots < length - 1e-12], np.maximum(knots - 1e-12, 0.0)):
-            values = segment.profile.at(at, order)
-            for row, time in zip(values, at, strict=True):
-                yield segment.start + time, 0.0, checks.symmetric(limit, subject, row[None], row[None])
-    for demand in checks.loads(subject, Samples(q, dq, ddq)):
-        yield segment.start, t[1], demand
+        yield from _fourier_demands(subject, trajectory, segment)
+    else:
+        yield from _ramp_demands(subject, trajectory, segment)
 
 
-def _margins(demand: Demand, start: float, step: float) -> Iterator[Margin]:
+def _fourier_demands(subject: Subject, trajectory: Trajectory, segment: Segment) -> Iterator[tuple[Array, Demand]]:
+    """One period stands for all; derivatives are bounded between samples by Ehlich and Zeller's factor."""
+    fourier = trajectory.motion.fourier
+    count = DENSITY * max(int(trajectory.design.get("samples", 100)), 8 * fourier.harmonics)
+    t = fourier.grid(count)
+    factor = oversampling_bound(count, fourier.harmonics) - 1.0
+    for order, limit in enumerate(("position", "velocity", "acceleration", "jerk")):
+        values = fourier.at(t, order)
+        swing = values - (fourier.offset if order == 0 else 0.0)
+        more = factor * np.abs(swing).max(axis=0)
+        yield segment.start + t, checks.symmetric(limit, subject, values - more, values + more)
+    closed = np.append(t, fourier.period)  # second differences across the end of the period
+    for demand in checks.loads(subject, fourier.samples(closed)):
+        yield segment.start + closed, demand
+
+
+def _ramp_demands(subject: Subject, trajectory: Trajectory, segment: Segment) -> Iterator[tuple[Array, Demand]]:
+    """Exact for position, velocity, acceleration and jerk; torque and frames are sampled within each piece and bounded between."""
+    profile, length = segment.profile, segment.end - segment.start
+    assert profile is not None
+    times = profile.critical_times(length)
+    for order, limit in enumerate(("position", "velocity", "acceleration")):
+        values = profile.at(times, order)
+        yield segment.start + times, checks.symmetric(limit, subject, values, values)
+    middle = 0.5 * (times[:-1] + times[1:])
+    jerk = profile.at(middle, 3)
+    yield segment.start + middle, checks.symmetric("jerk", subject, jerk, jerk)
+    step = min(trajectory.motion.fourier.period / (DENSITY * int(trajectory.design.get("samples", 100))), 1.0 / trajectory.rate)
+    counts = np.maximum(np.ceil(np.diff(times) / step).astype(int), STEPS_PER_PIECE)
+    dense = np.concatenate([np.linspace(a, b, n + 1) for a, b, n in zip(times[:-1], times[1:], counts, strict=True)])
+    samples = Samples(*(profile.at(dense, order) for order in range(3)))
+    for demand in checks.loads(subject, samples, np.repeat(np.arange(len(counts)), counts + 1)):
+        yield segment.start + dense, demand
+
+
+def _margins(demand: Demand, times: Array, required: float) -> Iterator[Margin]:
     half = 0.5 * (demand.upper - demand.lower)
     for j, name in enumerate(demand.names):
         if not np.isfinite(half[j]):
             continue
         above, below = int(np.argmax(demand.high[:, j])), int(np.argmin(demand.low[:, j]))
-        up = float(demand.upper[j] - demand.high[above, j]) / half[j]
-        down = float(demand.low[below, j] - demand.lower[j]) / half[j]
+        up = float((demand.upper[j] - demand.high[above, j]) / half[j])
+        down = float((demand.low[below, j] - demand.lower[j]) / half[j])
         if up <= down:
-            yield Margin(demand.limit, name, start + step * above, float(demand.high[above, j]), float(demand.upper[j]), up)
+            yield Margin(demand.limit, name, float(times[above]), float(demand.high[above, j]), float(demand.upper[j]), up, required)
         else:
-            yield Margin(demand.limit, name, start + step * below, float(demand.low[below, j]), float(demand.lower[j]), down)
+            yield Margin(demand.limit, name, float(times[below]), float(demand.low[below, j]), float(demand.lower[j]), down, required)
 
 
-def _faults(trajectory: Trajectory) -> Iterator[str]:
-    """Sentences about what makes a motion no motion."""
+def _limit_faults(stated: Limits, truth: Limits) -> Iterator[str]:
+    """Limits of the file that differ from their source."""
+    for quantity in QUANTITIES:
+        for i, joint in enumerate(truth.joints):
+            said, right = getattr(stated, quantity)[i], getattr(truth, quantity)[i]
+            if not np.allclose(said, right, rtol=ROUNDING, atol=0.0):
+                source = truth.sources[quantity][i] or "its source"
+                yield f"the {quantity} limit of '{joint}' is {_limit_words(said)} in the file, but {_limit_words(right)} by {source}"
+    for joint, said, right in zip(truth.joints, stated.braking, truth.braking, strict=True):
+        if said != right:
+            yield f"the braking limit of '{joint}' in the file is not that of its source"
+
+
+def _limit_words(value: Array) -> str:
+    numbers = np.atleast_1d(value)
+    if not np.isfinite(numbers).all():
+        return "absent"
+    return " to ".join(f"{number:g}" for number in numbers)
+
+
+# -- clearance -------------------------------------------------------------------------------------------------------
+
+
+def _clearance(trajectory: Trajectory, cell: Cell | None, unchecked: str, fault: str | None) -> tuple[Verdict, str, list[Near]]:
+    """Verdict on the distances, a sentence about them, and the least distance of each pair."""
+    if fault is not None:
+        return Verdict.FAILED, fault, []
+    if cell is None:
+        return Verdict.NOT_CHECKED, unchecked, []
+    inside = sweep.contained(cell, trajectory.motion.at(np.zeros(1))[0])
+    if inside is not None:
+        return Verdict.FAILED, f"COLLISION: {cell.names(inside)}, one begins inside the other", []
+    near = sweep.along(cell, trajectory.motion)
+    context = "".join(f"; {note}" for note in (cell.floor_words(), *cell.notes))
+    if not near:
+        return Verdict.CERTIFIED, f"collision checked: nothing can meet{context}", []
+    worst = min(near, key=lambda one: one.proven)
+    if worst.proven <= 0.0:
+        return Verdict.FAILED, f"COLLISION: {worst.names} at {worst.time:.2f} s{context}", near
+    kept = all(_distance_margin(one).room >= -ROUNDING for one in near)
+    wide = [one for one in near if one.pair.margin >= cell.margin]
+    parts = [f"never less than {_distance_words(min(wide, key=lambda one: one.proven))}"] if wide else []
+    close = [one for one in near if one.pair.margin < cell.margin]
+    parts += [f"neighbours {_distance_words(min(close, key=lambda one: one.proven))}"] if close else []
+    return Verdict.CERTIFIED if kept else Verdict.FAILED, f"collision checked: {'; '.join(parts)}{context}", near
+
+
+def _distance_words(near: Near) -> str:
+    return f"{1e3 * near.proven:.1f} mm, {near.names} at {near.time:.2f} s"
+
+
+def _distance_margin(near: Near) -> Margin:
+    bound = near.pair.margin
+    return Margin(CLEARANCE, near.names, near.time, near.proven, bound, near.proven / max(bound, 1e-6) - 1.0)
+
+
+# -- the motion itself -----------------------------------------------------------------------------------------------
+
+
+def _motion_faults(trajectory: Trajectory) -> Iterator[str]:
+    """Sentences about what makes a motion no motion from rest to rest with whole periods."""
     motion, joints = trajectory.motion, trajectory.joints
     samples = motion.fourier.period * trajectory.rate
     if abs(samples - round(samples)) > 1e-6:
         yield f"the period {motion.fourier.period:g} s is no whole number of samples at {trajectory.rate:g} Hz"
     if motion.periods < 2:
         yield f"{motion.periods} period(s): noise can be told from physics only when the motion repeats"
+    periodic = motion.segment("fourier")
+    if abs(periodic.end - periodic.start - motion.periods * motion.fourier.period) > 1e-9 * max(1.0, periodic.end):
+        yield f"the periodic part lasts {periodic.end - periodic.start:g} s, not {motion.periods} periods of {motion.fourier.period:g} s"
     for before, after in zip(motion.segments, motion.segments[1:], strict=False):
         if abs(before.end - after.start) > 1e-9:
             yield f"{before.kind} ends at {before.end:g} s but {after.kind} starts at {after.start:g} s"
@@ -255,10 +422,14 @@ def _end(motion: Motion, segment: Segment, order: int) -> Array:
 
 
 def _criteria_faults(trajectory: Trajectory, found: Mapping[str, Any]) -> Iterator[str]:
+    """Criteria that the file states and that come out otherwise; a criterion that is missing is a fault too."""
     for part, entries in found.items():
-        recomputed = dict(_flat(entries))
-        for name, value in _flat(trajectory.criteria[part]):
-            again = recomputed.get(name)
+        stated = dict(_flat(trajectory.criteria.get(part, {})))
+        for name, again in _flat(entries):
+            if name not in stated:
+                yield f"criterion {part}.{name} is missing in the file"
+                continue
+            value = stated[name]
             if value is None or again is None or not np.isfinite(again):
                 continue
             if abs(again - value) > 1e-5 * max(abs(value), 1e-300):

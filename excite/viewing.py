@@ -17,7 +17,6 @@ import pinocchio as pin
 
 from . import artefact
 from .artefact import Trajectory
-from .collision import cell as cells
 from .collision import scene
 from .collision.cell import Cell
 from .collision.probe import Body
@@ -65,7 +64,10 @@ def view(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outcome:
 def _cell(trajectory: Trajectory, robot: Robot) -> Cell:
     """What the file states; where it states none, the shapes of the URDF without surroundings."""
     if CELL in trajectory.design:
-        return cells.from_document(robot, trajectory.limits, trajectory.design[CELL])
+        cell, fault = scene.as_on_disk(robot, trajectory.limits, trajectory.design[CELL])
+        if cell is None:
+            raise UnusableInput(f"{robot.source}: {fault}")
+        return cell
     return scene.cell(robot, trajectory.limits, scene.Scene(floor=False))
 
 

@@ -81,7 +81,7 @@ def run(
     clearance = None if cell is None else covering.clearance(cell)
     setting = design.prepare(robot, limits, options, given, apart, clearance, start)
     if start is not None:  # before the optimisation, which begins within its sight
-        ramps.check_start(setting.subject(limits), start)
+        ramps.check_start(setting.subject(limits.reduced()), start)
     say(f"{robot.name}: {robot.n} joints, {setting.base.count} base parameters")
     found = design.solve(setting, progress)
     timing = {"build": setting.built - begun, **found.timing()}
@@ -89,7 +89,7 @@ def run(
 
     def certified(found: Design) -> Whole:
         trajectory = _assemble(found, robot, limits, start, speed, facts, unchecked)
-        return trajectory, verify.verify(trajectory, robot, cell)
+        return trajectory, verify.verify(trajectory, robot, limits, cell, unchecked=unchecked)
 
     found, (trajectory, certificate) = _with_ramps(found, certified)
     reserve = RESERVE
@@ -109,8 +109,9 @@ def run(
 def _check(robot: Robot, trajectory: Trajectory, certificate: Certificate, force: bool, given: Array | None) -> None:
     """Raise CheckFailed for a motion that should not leave."""
     if not certificate.ok and not force:
-        reason = certificate.faults[0] if certificate.faults else certificate.worst().words()
-        raise CheckFailed(f"{robot.source}: the designed motion fails its certificate: {reason}; try another --seed or --force")
+        raise CheckFailed(
+            f"{robot.source}: the designed motion fails its certificate: {certificate.reason()}; try another --seed or --force"
+        )
     # what earlier recordings gave need not be shown again
     if given is None and not trajectory.criteria["optimum"]["geometric"]["cond"] < 1.0 / SINGULAR:
         raise CheckFailed(
@@ -139,7 +140,7 @@ def _tightened(found: Design, limits: Limits, certificate: Certificate, reserve:
     # things that are slipped through between samples are met on a finer grid, not by more clearance
     finer = max(short.values(), default=0.0) > COARSE
     if worst.limit != CLEARANCE:
-        reserve = min(max(2.0 * reserve, reserve - 1.5 * worst.room), MOST_RESERVE)
+        reserve = min(max(2.0 * reserve, reserve - 1.5 * worst.spare), MOST_RESERVE)
     say(f"between samples {worst.words()}; tightening")
     lacking = {pair: 1.5 * min(missed, COARSE) for pair, missed in short.items()}
     tighter = design.tightened(found.setting, limits, reserve, lacking, finer=finer)
@@ -152,8 +153,8 @@ def _assemble(
     """The file of a motion with its ramps, before its certificate."""
     setting = found.setting
     options = setting.problem.options
-    stated = ramps.with_derived(limits, found.motion)
-    whole = ramps.rest_to_rest(setting.subject(stated), found.motion, options.periods, options.rate, start)
+    usable = ramps.with_derived(limits, found.motion).reduced()
+    whole = ramps.rest_to_rest(setting.subject(usable), found.motion, options.periods, options.rate, start)
     if speed != 1.0:
         whole = whole.slowed(speed)
     entry = {
@@ -163,6 +164,7 @@ def _assemble(
         "samples": options.samples,
         "starts": options.starts,
         "uncertainty": options.uncertainty,
+        "margin": dict(limits.margin),
         "speed": speed,
         "boxes": [dataclasses.asdict(box) for box in options.boxes],
         **notes,
@@ -171,7 +173,7 @@ def _assemble(
         robot={"name": robot.name, "source": robot.source, "sha256": robot.sha256, **robot.options},
         motion=whole,
         rate=options.rate,
-        limits=stated,
+        limits=ramps.with_derived(limits, whole.fourier),
         noise=setting.noise,
         design=entry,
         criteria={},

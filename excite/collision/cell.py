@@ -14,7 +14,6 @@ from ..errors import UnusableInput
 from ..limits import Limits
 from ..parameters import ranges, spread_poses
 from ..robot import Robot
-from . import shape as shapes
 from .probe import Body, Pair, Probe, bodies
 from .shape import Kind, Shape
 
@@ -43,6 +42,26 @@ class Apart:
     why: str
 
 
+@dataclass(frozen=True)
+class Recipe:
+    """From which files and options a cell was made, so that it can be made again from what is on disk now.
+
+    packages: folders of `package://` meshes. scene, srdf: absolute paths of the files, None without. floor, clearance: as the options
+    state them [m], None where they say nothing; False: no floor.
+    """
+
+    packages: tuple[str, ...] = ()
+    scene: str | None = None
+    srdf: str | None = None
+    floor: float | bool | None = None
+    clearance: float | None = None
+
+    @staticmethod
+    def from_document(document: Mapping[str, Any]) -> Recipe:
+        """Read back what `dataclasses.asdict` made."""
+        return Recipe(**{**document, "packages": tuple(document.get("packages", ()))})
+
+
 @dataclass(frozen=True, eq=False)
 class Cell:
     """What verification checks. It is hashed by identity, so that what takes long to find of it can be kept.
@@ -59,6 +78,17 @@ class Cell:
     margin: float
     disabled: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
+    recipe: Recipe | None = None
+
+    @property
+    def floor(self) -> float | None:
+        """Height of the floor in the base frame [m], None without one."""
+        heights = [one.position[2] for body in self.bodies for one in body.shapes if one.kind is Kind.FLOOR]
+        return heights[0] if heights else None
+
+    def floor_words(self) -> str:
+        """The height of the floor, in words."""
+        return "no floor" if self.floor is None else f"floor at z = {self.floor + 0.0:.4g} m"
 
     def names(self, pair: Pair) -> str:
         """Both bodies of a pair."""
@@ -76,14 +106,8 @@ class Cell:
             "disabled": [list(pair) for pair in self.disabled],
             "excepted": [dataclasses.asdict(one) for one in self.excepted],
             "notes": list(self.notes),
+            **({} if self.recipe is None else {"recipe": dataclasses.asdict(self.recipe)}),
         }
-
-
-def from_document(robot: Robot, limits: Limits, document: Mapping[str, Any]) -> Cell:
-    """The cell that a trajectory states. Raises UnusableInput where a mesh is missing or has changed."""
-    found = [shapes.from_document(entry) for entry in document["shapes"]]
-    disabled = [(str(a), str(b)) for a, b in document.get("disabled", ())]
-    return build(robot, limits, found, float(document["margin"]), disabled, document.get("notes", ()))
 
 
 def build(
@@ -93,6 +117,7 @@ def build(
     margin: float = MARGIN,
     disabled: Sequence[tuple[str, str]] = (),
     notes: Sequence[str] = (),
+    recipe: Recipe | None = None,
 ) -> Cell:
     """Place the shapes and find the pairs that can meet. disabled: names of links or things whose contact is no matter.
 
@@ -101,7 +126,7 @@ def build(
     """
     if not (np.isfinite(margin) and margin >= 0.0):
         raise UnusableInput(f"--clearance {margin:g} should be 0 or more metres")
-    bare = Cell(robot, limits, bodies(robot, found), (), (), margin, tuple(disabled), tuple(notes))
+    bare = Cell(robot, limits, bodies(robot, found), (), (), margin, tuple(disabled), tuple(notes), recipe)
     pairs, excepted = _sorted_out(dataclasses.replace(bare, pairs=tuple(Pair(*both, margin) for both in _movable(bare))))
     return dataclasses.replace(bare, pairs=tuple(pairs), excepted=tuple(excepted))
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,13 +28,16 @@ from ..parameters import spread_poses
 from ..robot import Robot
 from . import cell as cells
 from . import chain, cover, links
-from .cell import Cell
+from . import shape as shape_documents
+from .cell import Cell, Recipe
 from .shape import WORDS, Kind, Shape
 
 Array = np.ndarray
 KINDS = tuple(kind.value for kind in WORDS)
 PLACING = {"name", "position", "rotation", "link", "ignore"}
 POSES = 200
+HANGING = 0.95
+"""Share of random poses that reach below the assumed floor, from which on the robot is taken to hang [1]."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,7 @@ class Scene:
     """Shapes around the robot and on it. floor: its height [m]; False: none; None: not said. clearance: [m], None: not said.
 
     ignored: a shape and a body that it may touch. disabled: pairs of bodies besides, by an SRDF. source: the file that says so.
+    file, srdf: absolute paths of the scene file and of the SRDF, None without. options: floor and clearance that options state.
     """
 
     shapes: tuple[Shape, ...] = ()
@@ -50,6 +54,24 @@ class Scene:
     clearance: float | None = None
     source: str = "scene"
     disabled: tuple[tuple[str, str], ...] = ()
+    file: str | None = None
+    srdf: str | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    def overridden(self, floor: float | bool | None = None, clearance: float | None = None) -> Scene:
+        """The scene with another floor or clearance than its file states; None leaves one as it is."""
+        said = {key: value for key, value in (("floor", floor), ("clearance", clearance)) if value is not None}
+        return replace(self, options={**self.options, **said}, **said)  # type: ignore[arg-type]
+
+    def with_srdf(self, path: Path) -> Scene:
+        """The scene with the pairs of links that an SRDF disables."""
+        return replace(self, disabled=links.disabled(path), srdf=str(path.resolve()))
+
+    def recipe(self, packages: Sequence[str]) -> Recipe:
+        """How to make the cell of this scene again."""
+        folders = tuple(str(Path(folder).resolve()) for folder in packages)
+        said = {"floor": self.floor, "clearance": self.clearance} if self.file is None else self.options
+        return Recipe(folders, self.file, self.srdf, said.get("floor"), said.get("clearance"))
 
 
 def read(path: Path) -> Scene:
@@ -70,7 +92,7 @@ def read(path: Path) -> Scene:
             shapes.append(one)
             ignored += [(one.name, str(other)) for other in _list(path, f"{one.name}: ignore", entry.get("ignore", []))]
     clearance = _positive(path, "clearance", table.get("clearance"))
-    return Scene(tuple(shapes), tuple(ignored), _floor(path, table.get("floor")), clearance, str(path))
+    return Scene(tuple(shapes), tuple(ignored), _floor(path, table.get("floor")), clearance, str(path), file=str(path.resolve()))
 
 
 def _list(path: Path, what: str, value: Any) -> list[Any]:
@@ -131,16 +153,14 @@ def _vector(path: Path, what: str, value: Any, count: int) -> tuple[float, ...]:
 
 
 def known(robot: Robot, limits: Limits, scene: Scene, packages: Sequence[str] = (), *, required: bool = False) -> tuple[Cell | None, str]:
-    """The cell; or, where the robot's shapes are not known and nobody required a check, None and a sentence that says so."""
-    try:
-        own = links.read(robot.source, packages)
-    except links.MissingMesh as error:
-        if required:
-            raise
-        return None, f"{cells.NOT_CHECKED}: {error}"
+    """The cell; or, where no link has a shape and nobody required a check, None and a sentence that says so.
+
+    Raises MissingMesh for a mesh that is not there, UnusableInput as the parts do.
+    """
+    own = links.read(robot.source, packages)
     if not own and not required:
         return None, f"{cells.NOT_CHECKED}: the URDF gives no link a shape"
-    return _cell(robot, limits, scene, own), ""
+    return _cell(robot, limits, scene, own, scene.recipe(packages)), ""
 
 
 def cell(robot: Robot, limits: Limits, scene: Scene, packages: Sequence[str] = ()) -> Cell:
@@ -148,10 +168,78 @@ def cell(robot: Robot, limits: Limits, scene: Scene, packages: Sequence[str] = (
 
     Raises MissingMesh or UnusableInput as its parts do; a robot without any shape of a moving link has no cell: UnusableInput.
     """
-    return _cell(robot, limits, scene, links.read(robot.source, packages))
+    return _cell(robot, limits, scene, links.read(robot.source, packages), scene.recipe(packages))
 
 
-def _cell(robot: Robot, limits: Limits, scene: Scene, own: Sequence[Shape]) -> Cell:
+def as_on_disk(robot: Robot, limits: Limits, document: Mapping[str, Any], packages: Sequence[str] = ()) -> tuple[Cell | None, str | None]:
+    """The cell that a trajectory states, made again from the files as they are now.
+
+    The links' shapes come from the URDF, the surroundings and the disabled pairs from the scene file and the SRDF. Only shapes of a
+    scene that never was a file are taken from the document itself.
+
+    Args:
+        robot: The robot of the trajectory.
+        limits: Its limits, from their sources.
+        document: `Cell.document` of the cell that the motion was designed for.
+        packages: Further folders of `package://` meshes.
+
+    Returns:
+        The cell and None; or, where it can no longer be made or differs from the stated one, None and a sentence that says why.
+    """
+    try:
+        found = _remade(robot, limits, document, packages)
+    except UnusableInput as error:
+        return None, f"the cell cannot be made again: {error}"
+    difference = _difference(document, found.document())
+    return (found, None) if difference is None else (None, f"the cell is not the one that the motion was designed for: {difference}")
+
+
+def _remade(robot: Robot, limits: Limits, document: Mapping[str, Any], packages: Sequence[str]) -> Cell:
+    stated = [shape_documents.from_document(entry) for entry in document["shapes"]]
+    disabled = tuple((str(a), str(b)) for a, b in document.get("disabled", ()))
+    recipe = Recipe.from_document(document["recipe"]) if "recipe" in document else None
+    own = links.read(robot.source, [*packages, *(recipe.packages if recipe else ())])
+    if recipe is not None and recipe.scene is not None:
+        around = read(Path(recipe.scene))
+    else:
+        names = {one.name for one in own}
+        shapes = tuple(one for one in stated if one.kind is not Kind.FLOOR and one.name not in names)
+        own_pairs = recipe is not None and recipe.srdf is not None  # then the SRDF says which links may touch
+        around = Scene(shapes, tuple(pair for pair in disabled if not own_pairs or not names.issuperset(pair)))
+    if recipe is not None:
+        around = around.with_srdf(Path(recipe.srdf)) if recipe.srdf is not None else around
+        around = around.overridden(recipe.floor, recipe.clearance)
+    else:  # written before cells stated how they were made
+        floors = [one.position[2] for one in stated if one.kind is Kind.FLOOR]
+        around = around.overridden(floors[0] if floors else False, float(document["margin"]))
+    return _cell(robot, limits, around, own, recipe)
+
+
+def _difference(stated: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
+    """The first difference between the documents of two cells, in words; where the mesh files are does not matter."""
+
+    def numbered(document: Mapping[str, Any]) -> dict[tuple[str, int], dict[str, Any]]:
+        out: dict[tuple[str, int], dict[str, Any]] = {}
+        for entry in document["shapes"]:
+            number = sum(name == entry["name"] for name, _ in out)
+            out[entry["name"], number] = {key: value for key, value in entry.items() if key != "file"}
+        return out
+
+    before, after = numbered(stated), numbered(now)
+    for name, _ in before.keys() ^ after.keys():
+        return f"'{name}' has another number of shapes"
+    for (name, number), entry in before.items():
+        for key in entry.keys() | after[name, number].keys():
+            if entry.get(key) != after[name, number].get(key):
+                return f"'{name}' has another {'mesh' if key == 'sha256' else key}"
+    if stated["margin"] != now["margin"]:
+        return f"the clearance is {now['margin']:g} m, not {stated['margin']:g} m"
+    if {frozenset(pair) for pair in stated.get("disabled", ())} != {frozenset(pair) for pair in now["disabled"]}:
+        return "other pairs of bodies may touch"
+    return None
+
+
+def _cell(robot: Robot, limits: Limits, scene: Scene, own: Sequence[Shape], recipe: Recipe | None) -> Cell:
     moving = {one.link for one in own if robot.model.frames[robot.frame(str(one.link))].parentJoint > 0}
     if not moving:
         raise UnusableInput(
@@ -163,7 +251,7 @@ def _cell(robot: Robot, limits: Limits, scene: Scene, own: Sequence[Shape]) -> C
     notes += [f"no shape is known of {', '.join(bare)}"] if bare else []
     shapes = [*own, *scene.shapes, *([] if floor is None else [Shape("floor", Kind.FLOOR, position=(0.0, 0.0, floor))])]
     clearance = cells.MARGIN if scene.clearance is None else scene.clearance
-    return cells.build(robot, limits, shapes, clearance, [*scene.disabled, *scene.ignored], notes)
+    return cells.build(robot, limits, shapes, clearance, [*scene.disabled, *scene.ignored], notes, recipe)
 
 
 def _check_names(robot: Robot, scene: Scene, own: Sequence[Shape]) -> None:
@@ -181,9 +269,9 @@ def _check_names(robot: Robot, scene: Scene, own: Sequence[Shape]) -> None:
 
 
 def _floor_height(robot: Robot, limits: Limits, own: Sequence[Shape], scene: Scene) -> tuple[float | None, list[str]]:
-    """The stated floor; else the base frame's origin or, if that is lower, the lowest point of the links that stand.
+    """The stated floor; else the base frame's origin or, if that is lower, the exact lowest point of the links that stand.
 
-    No floor is guessed where gravity does not point down, or where nearly all poses reach below it: that robot hangs.
+    No floor is assumed where gravity does not point down, or where nearly all poses reach below it: that robot hangs.
     """
     if scene.floor is False:
         return None, []
@@ -192,23 +280,25 @@ def _floor_height(robot: Robot, limits: Limits, own: Sequence[Shape], scene: Sce
     gravity = robot.model.gravity.linear
     if np.hypot(gravity[0], gravity[1]) > 1e-6 * np.linalg.norm(gravity) or gravity[2] >= 0.0:
         return None, ["gravity does not point down the base's z axis: no floor is assumed (--floor Z says where it is)"]
-    heights, moves = _heights(robot, own, spread_poses(limits, POSES))
-    height = float(heights[0, ~moves].min(initial=0.0))
-    if np.mean(heights[:, moves].min(axis=1) < height) > 0.95:
+    frames = [robot.model.frames[robot.frame(str(one.link))] for one in own]
+    standing = [one.lowest(frame.placement * one.placement) for one, frame in zip(own, frames, strict=True) if int(frame.parentJoint) == 0]
+    height = min([0.0, *standing])
+    if np.mean(_lowest_moving(robot, own, spread_poses(limits, POSES)) < height) > HANGING:
         return None, [f"the robot hangs below its base: no floor is assumed at {height:g} m (--floor Z says where it is)"]
     return height, []
 
 
-def _heights(robot: Robot, own: Sequence[Shape], q: Array) -> tuple[Array, Array]:
-    """Heights of the lowest points of covers of the links at many poses, and which move. Shapes (N, n) -> (N, C) [m], (C,)."""
+def _lowest_moving(robot: Robot, own: Sequence[Shape], q: Array) -> Array:
+    """Height of the lowest point of the capsule covers of all moving links, at many poses. Shapes (N, n) -> (N,) [m]."""
     frames = [robot.model.frames[robot.frame(str(one.link))] for one in own]
     covers = [
         (int(frame.parentJoint), capsule.moved(frame.placement.rotation, frame.placement.translation))
         for one, frame in zip(own, frames, strict=True)
+        if int(frame.parentJoint) > 0
         for capsule in cover.capsules(one)
     ]
     joint = np.array([joint for joint, _ in covers])
     ends, radius = np.array([(one.begin, one.end) for _, one in covers]), np.array([one.radius for _, one in covers])
     R, p = chain.of(robot).poses(q)
     above = np.einsum("nci,cei->nce", R[:, joint, 2], ends) + p[:, joint, 2, None]
-    return above.min(axis=2) - radius, joint > 0
+    return np.asarray((above.min(axis=2) - radius).min(axis=1))

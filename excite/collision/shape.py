@@ -89,6 +89,22 @@ class Shape:
             mesh.buildConvexHull(True, "Qt")
         return mesh.convex
 
+    def lowest(self, placement: pin.SE3) -> float:
+        """Least height of the exact shape, placed as given; of a floor, its own height [m]."""
+        R, height = placement.rotation, float(placement.translation[2])
+        match self.kind:
+            case Kind.SPHERE:
+                return height - self.size[0]
+            case Kind.CAPSULE:
+                return height - self.size[0] - 0.5 * self.size[1] * abs(float(R[2, 2]))
+            case Kind.CYLINDER:
+                return height - self.size[0] * float(np.hypot(R[2, 0], R[2, 1])) - 0.5 * self.size[1] * abs(float(R[2, 2]))
+            case Kind.BOX:
+                return height - 0.5 * float(np.abs(R[2]) @ np.array(self.size))
+            case Kind.FLOOR:
+                return height
+        return height + float((self.triangles().reshape(-1, 3) @ R[2]).min())
+
     def triangles(self) -> Array:
         """A surface that encloses the shape, in its own frame. Shape (m, 3, 3) [m]."""
         if self.kind is Kind.MESH:

@@ -251,7 +251,8 @@ def _cell(robot: Robot, limits: Limits, scene: Scene, own: Sequence[Shape], reci
     notes += [f"no shape is known of {', '.join(bare)}"] if bare else []
     shapes = [*own, *scene.shapes, *([] if floor is None else [Shape("floor", Kind.FLOOR, position=(0.0, 0.0, floor))])]
     clearance = cells.MARGIN if scene.clearance is None else scene.clearance
-    return cells.build(robot, limits, shapes, clearance, [*scene.disabled, *scene.ignored], notes, recipe)
+    pairs = [*scene.disabled, *scene.ignored]
+    return cells.build(robot, limits, shapes, clearance, pairs, notes, recipe, assumed_floor=scene.floor is None)
 
 
 def _check_names(robot: Robot, scene: Scene, own: Sequence[Shape]) -> None:
@@ -289,7 +290,7 @@ def _floor_height(robot: Robot, limits: Limits, own: Sequence[Shape], scene: Sce
 
 
 def _lowest_moving(robot: Robot, own: Sequence[Shape], q: Array) -> Array:
-    """Height of the lowest point of the capsule covers of all moving links, at many poses. Shapes (N, n) -> (N,) [m]."""
+    """Height of the lowest point of the capsule covers of the links that rise and fall, at many poses. Shapes (N, n) -> (N,) [m]."""
     frames = [robot.model.frames[robot.frame(str(one.link))] for one in own]
     covers = [
         (int(frame.parentJoint), capsule.moved(frame.placement.rotation, frame.placement.translation))
@@ -301,4 +302,5 @@ def _lowest_moving(robot: Robot, own: Sequence[Shape], q: Array) -> Array:
     ends, radius = np.array([(one.begin, one.end) for _, one in covers]), np.array([one.radius for _, one in covers])
     R, p = chain.of(robot).poses(q)
     above = np.einsum("nci,cei->nce", R[:, joint, 2], ends) + p[:, joint, 2, None]
-    return np.asarray((above.min(axis=2) - radius).min(axis=1))
+    heights = above.min(axis=2) - radius
+    return np.asarray(heights[:, np.ptp(heights, axis=0) > cells.CONSTANT].min(axis=1, initial=np.inf))

@@ -143,7 +143,7 @@ def resolve(robot: Robot, file: Path | None = None, margin: float | None = None)
             if value is not None:
                 table[entry.name][quantity] = (value, "urdf")
     if robot.source in builtin_names():
-        _merge(robot, table, Path(str(resources.files("excite") / "models" / f"{robot.source}.toml")), f"{robot.source}.toml")
+        _merge(robot, table, _builtin_table(robot), f"{robot.source}.toml")
     if file is not None:
         _merge(robot, table, file, str(file.resolve()))
     for follower in robot.followers:
@@ -180,6 +180,19 @@ def from_sources(robot: Robot, stated: Limits, file: Path | None = None, folder:
         if file is None:
             raise UnusableInput(f"{named[0]}: the limits file of this trajectory is not there; say where it is with --limits FILE")
     return resolve(robot, file)
+
+
+def mounting_plane(robot: Robot) -> float | None:
+    """Height of the plane that a built-in model's base stands on, in the base frame [m]; None where no built-in table states it."""
+    if robot.source not in builtin_names():
+        return None
+    table = tomllib.loads(_read_text(_builtin_table(robot)))
+    floor = table.get("mounting", {}).get("floor")
+    return None if floor is None else float(floor)
+
+
+def _builtin_table(robot: Robot) -> Path:
+    return Path(str(resources.files("excite") / "models" / f"{robot.source}.toml"))
 
 
 def _stated_margin(file: Path) -> dict[str, float]:

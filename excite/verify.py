@@ -33,6 +33,8 @@ ROUNDING = 1e-9
 """Share of a limit by which rounding may exceed it [1]."""
 CELL = "cell"
 CLEARANCE = "clearance"
+LISTED_FAULTS = 3
+"""Faults that a line of the verdict lists; `faults` of the document has all."""
 LISTED_PAIRS = 12
 """Pairs of bodies that a certificate lists, the nearest to their margin."""
 STEPS_PER_PIECE = 4
@@ -121,7 +123,9 @@ class Certificate:
         """Both verdicts, one line each; the clearance first, so that nothing unchecked follows a certificate."""
         nearest = min((m for m in self.margins if m.limit != CLEARANCE), key=lambda margin: margin.spare)
         detail = f"nearest: {nearest.limit} of {nearest.joint}, {nearest.value:.5g} of {nearest.bound:.5g} at {nearest.time:.3f} s"
-        limits = [self.limits.value, *self.faults, f"{detail} ({percent(nearest.room)} free)"]
+        more = len(self.faults) - LISTED_FAULTS
+        faults = [*self.faults[:LISTED_FAULTS], *([f"and {more} more faults"] if more > 0 else [])]
+        limits = [self.limits.value, *faults, f"{detail} ({percent(nearest.room)} free)"]
         return f"clearance: {self.clearance.value}; {self.collision}", f"limits: {'; '.join(limits)}"
 
     def reason(self) -> str:

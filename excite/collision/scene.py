@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import UnusableInput
-from ..limits import Limits
+from ..limits import Limits, mounting_plane
 from ..parameters import spread_poses
 from ..robot import Robot
 from . import cell as cells
@@ -270,7 +270,7 @@ def _check_names(robot: Robot, scene: Scene, own: Sequence[Shape]) -> None:
 
 
 def _floor_height(robot: Robot, limits: Limits, own: Sequence[Shape], scene: Scene) -> tuple[float | None, list[str]]:
-    """The stated floor; else the base frame's origin or, if that is lower, the exact lowest point of the links that stand.
+    """The stated floor; else a built-in model's mounting plane; else z = 0 or, if lower, the exact lowest point of the links that stand.
 
     No floor is assumed where gravity does not point down, or where nearly all poses reach below it: that robot hangs.
     """
@@ -281,9 +281,11 @@ def _floor_height(robot: Robot, limits: Limits, own: Sequence[Shape], scene: Sce
     gravity = robot.model.gravity.linear
     if np.hypot(gravity[0], gravity[1]) > 1e-6 * np.linalg.norm(gravity) or gravity[2] >= 0.0:
         return None, ["gravity does not point down the base's z axis: no floor is assumed (--floor Z says where it is)"]
-    frames = [robot.model.frames[robot.frame(str(one.link))] for one in own]
-    standing = [one.lowest(frame.placement * one.placement) for one, frame in zip(own, frames, strict=True) if int(frame.parentJoint) == 0]
-    height = min([0.0, *standing])
+    height = mounting_plane(robot)
+    if height is None:
+        frames = [robot.model.frames[robot.frame(str(one.link))] for one in own]
+        fixed = [(one, frame.placement) for one, frame in zip(own, frames, strict=True) if int(frame.parentJoint) == 0]
+        height = min([0.0, *(one.lowest(placement * one.placement) for one, placement in fixed)])
     if np.mean(_lowest_moving(robot, own, spread_poses(limits, POSES)) < height) > HANGING:
         return None, [f"the robot hangs below its base: no floor is assumed at {height:g} m (--floor Z says where it is)"]
     return height, []

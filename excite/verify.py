@@ -183,7 +183,7 @@ def verify(
     margins = limit_margins(trajectory, subject)
     clearance, collision, near = _clearance(trajectory, cell, unchecked, cell_fault)
     margins += [_distance_margin(one) for one in near[:LISTED_PAIRS]]
-    scores = score(trajectory, robot, subject.parameters)
+    scores = score(trajectory, robot, truth, subject.parameters)
     faults = (*_limit_faults(trajectory.limits, truth), *_motion_faults(trajectory), *_criteria_faults(trajectory, scores))
     ordered = tuple(sorted(margins, key=lambda margin: margin.room))
     return Certificate(ordered, scores, faults, clearance, collision, tuple(near), robot.joints)
@@ -197,10 +197,10 @@ def subject_of(trajectory: Trajectory, robot: Robot, limits: Limits) -> Subject:
     return Subject(robot, limits, standard, float(design.get("uncertainty", 0.0)), boxes)
 
 
-def score(trajectory: Trajectory, robot: Robot, standard: parameters.Parameters) -> dict[str, Any]:
+def score(trajectory: Trajectory, robot: Robot, limits: Limits, standard: parameters.Parameters) -> dict[str, Any]:
     """All criteria of the Fourier part on the optimiser's grid, and of the motion as exported."""
     motion = trajectory.motion
-    found = base.find(robot, standard, trajectory.limits)
+    found = base.find(robot, standard, limits)
     samples = int(trajectory.design.get("samples", round(motion.fourier.period * trajectory.rate)))
     parts = {"optimum": motion.fourier.samples(motion.fourier.grid(samples)), "exported": motion.samples(motion.grid(trajectory.rate))}
     return {name: criteria.score(dynamics.regressor(robot, standard, part), found, trajectory.noise) for name, part in parts.items()}

@@ -137,11 +137,7 @@ def public_definitions(tree: ast.Module) -> Iterator[ast.FunctionDef | ast.Class
         if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
             yield node
             if isinstance(node, ast.ClassDef):
-                yield from (
-                    inner
-                    for inner in node.body
-                    if isinstance(inner, ast.FunctionDef) and not inner.name.startswith("_")
-                )
+                yield from (inner for inner in node.body if isinstance(inner, ast.FunctionDef) and not inner.name.startswith("_"))
 
 
 def check_docstrings(path: Path, tree: ast.Module) -> Iterator[Fault]:

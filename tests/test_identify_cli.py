@@ -11,9 +11,12 @@ import pytest
 from conftest import states, text_of
 from made import motion, perturbed, recorded, two_links, written
 
-from excite import cli, dynamics, limits, parameters, robot, workflow
+from excite.cli import main as main_module
+from excite.designer import pipeline
 from excite.errors import ExciteWarning
-from excite.identify import consistent, model, priors
+from excite.identification import consistency, identified_model
+from excite.identification import prior as prior_module
+from excite.robot import dynamics, inertial_parameters, limits, robot
 
 
 @pytest.fixture(scope="module")
@@ -24,12 +27,23 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     psi = perturbed(subject.parameters, np.random.default_rng(4))
     for name, seed in (("train", 2), ("other", 5)):
         written(recorded(subject, psi, motion(2, seed), 3, 0.2), folder / f"{name}.csv")
-    assert run("identify", "two_link", folder / "train.csv", "--validate", folder / "other.csv", "-o", folder / "out") == 0
+    assert (
+        run(
+            "identify",
+            "two_link",
+            folder / "train.csv",
+            "--validate",
+            folder / "other.csv",
+            "-o",
+            folder / "out",
+        )
+        == 0
+    )
     return folder
 
 
 def run(*words: object) -> int:
-    return cli.main([str(word) for word in words])
+    return main_module.main([str(word) for word in words])
 
 
 def told(capsys: pytest.CaptureFixture[str], *words: object) -> str:
@@ -43,20 +57,47 @@ def told(capsys: pytest.CaptureFixture[str], *words: object) -> str:
 
 def test_the_files_are_written_and_the_json_says_what_they_say(folder, capsys):
     capsys.readouterr()
-    assert run("identify", "two_link", folder / "train.csv", "--validate", folder / "other.csv", "-o", folder / "again", "--json") == 0
+    assert (
+        run(
+            "identify",
+            "two_link",
+            folder / "train.csv",
+            "--validate",
+            folder / "other.csv",
+            "-o",
+            folder / "again",
+            "--json",
+        )
+        == 0
+    )
     document = json.loads(capsys.readouterr().out)
     stored = json.loads((folder / "again" / "model.json").read_text())
-    assert document["schema"] == stored["schema"] == "excite.model/1" and document["base_parameters"] == stored["base_parameters"]
-    assert {Path(name).name for name in document["files"]} == {"model.json", "identified.urdf", "report.html"}
+    assert (
+        document["schema"] == stored["schema"] == "excite.model/1"
+        and document["base_parameters"] == stored["base_parameters"]
+    )
+    assert {Path(name).name for name in document["files"]} == {
+        "model.json",
+        "identified.urdf",
+        "report.html",
+    }
     errors = stored["validation"][0]["joints"]
-    assert all(row["rmse"] < 0.5 * row["rmse_nominal"] and row["noise_floor"] > 0 for row in errors.values())
+    assert all(
+        row["rmse"] < 0.5 * row["rmse_nominal"] and row["noise_floor"] > 0
+        for row in errors.values()
+    )
     for parameter in stored["base_parameters"]:
         if parameter["interval"] is not None:
             assert parameter["interval"][0] < parameter["data"] < parameter["interval"][1]
 
 
 def test_a_prediction_has_the_recordings_own_times(folder):
-    assert run("predict", folder / "out" / "model.json", folder / "other.csv", "-o", folder / "tau.csv") == 0
+    assert (
+        run(
+            "predict", folder / "out" / "model.json", folder / "other.csv", "-o", folder / "tau.csv"
+        )
+        == 0
+    )
     predicted = np.genfromtxt(folder / "tau.csv", delimiter=",", names=True, deletechars="")
     measured = np.genfromtxt(folder / "other.csv", delimiter=",", names=True, deletechars="")
     assert np.allclose(predicted["t"], measured["t"])
@@ -67,57 +108,116 @@ def test_a_prediction_has_the_recordings_own_times(folder):
 
 
 def test_the_identified_urdf_gives_the_same_torque(folder):
-    fitted = model.read(folder / "out" / "model.json")
+    fitted = identified_model.read(folder / "out" / "model.json")
     again = robot.load(str(folder / "out" / "identified.urdf"))
-    standard = parameters.standard(again, limits.resolve(again))
+    standard = inertial_parameters.standard(again, limits.resolve(again))
     samples = states(2)
     assert np.allclose(standard.nominal, fitted.psi, rtol=1e-9, atol=1e-12)
     assert np.allclose(
-        dynamics.regressor(again, standard, samples) @ standard.nominal, dynamics.regressor(again, standard, samples) @ fitted.psi
+        dynamics.regressor(again, standard, samples) @ standard.nominal,
+        dynamics.regressor(again, standard, samples) @ fitted.psi,
     )
 
 
 def test_locked_joints_meshes_and_comments_survive(tmp_path):
     """A locked joint becomes fixed where it was locked, and what hangs on it belongs to the body before it."""
-    from excite.identify.description import identified
+    from excite.identification.urdf_export import identified
 
     machine = robot.load("ur10e", lock={"wrist_2_joint": 0.7, "wrist_3_joint": -0.3})
     table = limits.resolve(machine)
-    standard = parameters.standard(machine, table)
+    standard = inertial_parameters.standard(machine, table)
     psi = perturbed(standard, np.random.default_rng(1))
     path = tmp_path / "identified.urdf"
     path.write_text(identified(machine, standard, psi, np.full(machine.n, 0.003)))
     assert path.read_text().count("<!--") == text_of("ur10e").count("<!--")
     again = robot.load(str(path))
     assert again.joints == machine.joints
-    own = parameters.standard(again, limits.resolve(again))
+    own = inertial_parameters.standard(again, limits.resolve(again))
     samples = states(machine.n)
-    before, after = dynamics.regressor(machine, standard, samples) @ psi, dynamics.regressor(again, own, samples) @ own.nominal
+    before, after = (
+        dynamics.regressor(machine, standard, samples) @ psi,
+        dynamics.regressor(again, own, samples) @ own.nominal,
+    )
     assert np.allclose(before, after, rtol=1e-9, atol=1e-9)
 
 
 def test_a_prior_and_bounds_are_kept(folder):
     bounds = folder / "bounds.toml"
     bounds.write_text("[links.link_2]\nmass = [2.2, 2.4]\n")
-    assert run("identify", "two_link", folder / "train.csv", "--bounds", bounds, "-o", folder / "bounded") == 0
-    assert 2.2 <= model.read(folder / "bounded" / "model.json").psi[10] <= 2.4
+    assert (
+        run(
+            "identify",
+            "two_link",
+            folder / "train.csv",
+            "--bounds",
+            bounds,
+            "-o",
+            folder / "bounded",
+        )
+        == 0
+    )
+    assert 2.2 <= identified_model.read(folder / "bounded" / "model.json").psi[10] <= 2.4
     prior = folder / "prior.json"
-    prior.write_text(json.dumps({"schema": "excite.prior/1", "trust_prior": True, "joints": {"joint_1": {"coulomb": 1.25}}}))
-    assert run("identify", "two_link", folder / "train.csv", "--prior", prior, "-o", folder / "trusted") == 0
-    fitted = model.read(folder / "trusted" / "model.json")
+    prior.write_text(
+        json.dumps(
+            {
+                "schema": "excite.prior/1",
+                "trust_prior": True,
+                "joints": {"joint_1": {"coulomb": 1.25}},
+            }
+        )
+    )
+    assert (
+        run(
+            "identify", "two_link", folder / "train.csv", "--prior", prior, "-o", folder / "trusted"
+        )
+        == 0
+    )
+    fitted = identified_model.read(folder / "trusted" / "model.json")
     machine = robot.load("two_link")
-    standard = parameters.standard(machine, limits.resolve(machine))
-    assert np.allclose(fitted.psi[:20], consistent.nominal_bodies(standard)[:20], rtol=1e-3, atol=1e-4)
+    standard = inertial_parameters.standard(machine, limits.resolve(machine))
+    assert np.allclose(
+        fitted.psi[:20], consistency.nominal_bodies(standard)[:20], rtol=1e-3, atol=1e-4
+    )
     assert fitted.psi[standard.block("coulomb")][0] == pytest.approx(1.25, rel=1e-3)
-    assert run("identify", "two_link", folder / "train.csv", "--prior", folder / "out" / "model.json", "-o", folder / "same") == 0
+    assert (
+        run(
+            "identify",
+            "two_link",
+            folder / "train.csv",
+            "--prior",
+            folder / "out" / "model.json",
+            "-o",
+            folder / "same",
+        )
+        == 0
+    )
 
 
 def test_a_model_of_other_parameters_or_of_another_robot_is_no_prior(folder, capsys, tmp_path):
-    assert run("identify", "two_link", folder / "train.csv", "--without", "offset", "-o", tmp_path / "less") == 0
+    assert (
+        run(
+            "identify",
+            "two_link",
+            folder / "train.csv",
+            "--without",
+            "offset",
+            "-o",
+            tmp_path / "less",
+        )
+        == 0
+    )
     words = ("identify", "two_link", folder / "train.csv", "-o", tmp_path / "out", "--prior")
-    assert "wanted are rotor_inertia, viscous, coulomb, offset; identify with" in told(capsys, *words, tmp_path / "less" / "model.json")
+    assert "wanted are rotor_inertia, viscous, coulomb, offset; identify with" in told(
+        capsys, *words, tmp_path / "less" / "model.json"
+    )
     longer = json.loads((folder / "out" / "model.json").read_text())
-    moved = re.sub(r'(<joint name="joint_2".*?<origin xyz=")[^"]*', r"\g<1>0.7 0 0", longer["urdf"], flags=re.DOTALL)
+    moved = re.sub(
+        r'(<joint name="joint_2".*?<origin xyz=")[^"]*',
+        r"\g<1>0.7 0 0",
+        longer["urdf"],
+        flags=re.DOTALL,
+    )
     assert moved != longer["urdf"]
     (tmp_path / "longer.json").write_text(json.dumps({**longer, "urdf": moved}))
     assert "is a model of another robot" in told(capsys, *words, tmp_path / "longer.json")
@@ -125,21 +225,46 @@ def test_a_model_of_other_parameters_or_of_another_robot_is_no_prior(folder, cap
 
 def test_a_key_that_no_prior_has_is_told(folder, tmp_path):
     prior = tmp_path / "prior.json"
-    prior.write_text(json.dumps({"schema": "excite.prior/1", "trust_prior": True, "joint": {"joint_1": {"coulomb": 1.25}}}))
+    prior.write_text(
+        json.dumps(
+            {
+                "schema": "excite.prior/1",
+                "trust_prior": True,
+                "joint": {"joint_1": {"coulomb": 1.25}},
+            }
+        )
+    )
     machine = robot.load("two_link")
     with pytest.warns(ExciteWarning, match="'joint' is no key of a prior"):
-        priors.trusted(prior, machine, parameters.standard(machine, limits.resolve(machine)))
+        prior_module.trusted(
+            prior, machine, inertial_parameters.standard(machine, limits.resolve(machine))
+        )
 
 
 def test_a_recording_that_is_fitted_is_none_to_judge_by(folder, capsys, tmp_path):
     train = folder / "train.csv"
-    assert "is the same motion as" in told(capsys, "identify", "two_link", train, "--validate", train, "-o", tmp_path / "out")
+    assert "is the same motion as" in told(
+        capsys, "identify", "two_link", train, "--validate", train, "-o", tmp_path / "out"
+    )
 
 
 @pytest.mark.parametrize("estimator", ["ols", "full", "huber"])
 def test_every_estimator_runs(folder, estimator):
     out = folder / estimator
-    assert run("identify", "two_link", folder / "train.csv", "--estimator", estimator, "--distance", "riemannian", "-o", out) == 0
+    assert (
+        run(
+            "identify",
+            "two_link",
+            folder / "train.csv",
+            "--estimator",
+            estimator,
+            "--distance",
+            "riemannian",
+            "-o",
+            out,
+        )
+        == 0
+    )
     assert json.loads((out / "model.json").read_text())["method"] == estimator
 
 
@@ -147,7 +272,9 @@ def test_a_refined_model_is_checked_where_it_started(folder):
     """What the refinement moved no longer minimises what the conic solver minimises."""
     pytest.importorskip("cvxpy")
     out = folder / "refined"
-    assert run("identify", "two_link", folder / "train.csv", "--refine", "--check-lmi", "-o", out) == 0
+    assert (
+        run("identify", "two_link", folder / "train.csv", "--refine", "--check-lmi", "-o", out) == 0
+    )
     assert json.loads((out / "model.json").read_text())["lmi"]["agrees"]
 
 
@@ -155,10 +282,13 @@ def test_what_a_recording_left_open_is_designed_for(folder, capsys, tmp_path, mo
     """The command of the report. What earlier recordings showed the new motion need not show again; the one to judge by shows it all."""
     quick = ("--starts", "1", "--iterations", "15", "--harmonics", "3", "--samples", "60")
     given = ("--given", folder / "train.csv")
-    assert run("design", "two_link", *quick, *given, "--validation", "--json", "-o", tmp_path / "next") == 0
+    assert (
+        run("design", "two_link", *quick, *given, "--validation", "--json", "-o", tmp_path / "next")
+        == 0
+    )
     values = json.loads(capsys.readouterr().out)["validation"]["criterion"]
     assert values["second"] < 2.0 * values["first"]
-    monkeypatch.setattr(workflow, "SINGULAR", 0.1)
+    monkeypatch.setattr(pipeline, "SINGULAR", 0.1)
     assert run("design", "two_link", *quick, "-o", tmp_path / "alone") == 1
     assert "does not show all" in capsys.readouterr().err
     assert run("design", "two_link", *quick, *given, "-o", tmp_path / "more") == 0
@@ -179,7 +309,13 @@ def test_bad_input_is_one_line_that_names_the_remedy(folder, capsys, tmp_path):
         (*go, "--bounds", folder / "absent.toml"): "absent.toml",
         ("predict", folder / "train.json", train, "-o", tmp_path / "x.csv"): "excite.model/1",
         ("predict", folder / "absent.json", train, "-o", tmp_path / "x.csv"): "absent.json",
-        ("predict", folder / "out" / "model.json", folder / "train.json", "-o", tmp_path / "x.csv"): "no recording but JSON",
+        (
+            "predict",
+            folder / "out" / "model.json",
+            folder / "train.json",
+            "-o",
+            tmp_path / "x.csv",
+        ): "no recording but JSON",
     }
     for words, part in cases.items():
         assert part in told(capsys, *words), words
@@ -201,7 +337,16 @@ def test_bad_input_is_one_line_that_names_the_remedy(folder, capsys, tmp_path):
 def test_bad_bounds(folder, capsys, tmp_path, text, part):
     path = tmp_path / "bounds.toml"
     path.write_text(text)
-    assert part in told(capsys, "identify", "two_link", folder / "train.csv", "--bounds", path, "-o", tmp_path / "out")
+    assert part in told(
+        capsys,
+        "identify",
+        "two_link",
+        folder / "train.csv",
+        "--bounds",
+        path,
+        "-o",
+        tmp_path / "out",
+    )
 
 
 @pytest.mark.parametrize(
@@ -209,17 +354,46 @@ def test_bad_bounds(folder, capsys, tmp_path, text, part):
     [
         ({"schema": "excite.prior/2"}, "excite.prior/2"),
         ({"schema": "excite.prior/1", "trust_prior": False}, "trust_prior"),
-        ({"schema": "excite.prior/1", "trust_prior": True, "joints": {"elbow": {}}}, "no joint 'elbow'"),
+        (
+            {"schema": "excite.prior/1", "trust_prior": True, "joints": {"elbow": {}}},
+            "no joint 'elbow'",
+        ),
         ({"schema": "excite.prior/1", "trust_prior": True, "joints": None}, '"joints" should be'),
-        ({"schema": "excite.prior/1", "trust_prior": True, "joints": {"joint_1": 0.3}}, '"joints" should be'),
-        ({"schema": "excite.prior/1", "trust_prior": True, "joints": {"joint_1": {"backlash": 1}}}, "no parameter 'backlash'"),
-        ({"schema": "excite.prior/1", "trust_prior": True, "joints": {"joint_1": {"coulomb": "much"}}}, "no number"),
+        (
+            {"schema": "excite.prior/1", "trust_prior": True, "joints": {"joint_1": 0.3}},
+            '"joints" should be',
+        ),
+        (
+            {
+                "schema": "excite.prior/1",
+                "trust_prior": True,
+                "joints": {"joint_1": {"backlash": 1}},
+            },
+            "no parameter 'backlash'",
+        ),
+        (
+            {
+                "schema": "excite.prior/1",
+                "trust_prior": True,
+                "joints": {"joint_1": {"coulomb": "much"}},
+            },
+            "no number",
+        ),
     ],
 )
 def test_bad_priors(folder, capsys, tmp_path, stated, part):
     path = tmp_path / "prior.json"
     path.write_text(json.dumps(stated))
-    assert part in told(capsys, "identify", "two_link", folder / "train.csv", "--prior", path, "-o", tmp_path / "out")
+    assert part in told(
+        capsys,
+        "identify",
+        "two_link",
+        folder / "train.csv",
+        "--prior",
+        path,
+        "-o",
+        tmp_path / "out",
+    )
 
 
 def test_a_recording_shorter_than_the_band_takes_is_refused(folder, capsys, tmp_path):

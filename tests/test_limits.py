@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from excite.errors import ExciteWarning, MissingLimit, UnusableInput
-from excite.limits import QUANTITIES, Limits, from_document, resolve
-from excite.robot import load
+from excite.robot.limits import QUANTITIES, Limits, from_document, resolve
+from excite.robot.robot import load
 
 MOVEIT = """
 joint_limits:
@@ -41,7 +41,11 @@ def written(tmp_path: Path, text: str, name: str = "limits.toml") -> Path:
 
 def test_urdf_limits_are_taken_and_their_source_told():
     limits = of(LIMIT)
-    assert (limits.position.tolist(), limits.velocity[0], limits.torque[0]) == ([[-2.0, 2.5]], 3.0, 40.0)
+    assert (limits.position.tolist(), limits.velocity[0], limits.torque[0]) == (
+        [[-2.0, 2.5]],
+        3.0,
+        40.0,
+    )
     assert [limits.sources[q][0] for q in QUANTITIES] == ["urdf", "urdf", "", "", "urdf"]
 
 
@@ -66,7 +70,9 @@ def test_acceleration_and_jerk_bind_only_where_given():
     ],
 )
 def test_a_missing_limit_names_joint_quantity_and_the_place_to_set_it(inside, quantity):
-    with pytest.raises(MissingLimit, match=rf"'swing' has no usable {quantity} limit; set it .* --limits FILE") as caught:
+    with pytest.raises(
+        MissingLimit, match=rf"'swing' has no usable {quantity} limit; set it .* --limits FILE"
+    ) as caught:
         of(inside)
     assert (caught.value.joint, caught.value.quantity) == ("swing", quantity)
 
@@ -95,11 +101,20 @@ def test_toml_overrides_only_what_it_states(tmp_path):
 def test_moveit_yaml_overrides_what_it_switches_on(tmp_path):
     limits = of(LIMIT, written(tmp_path, MOVEIT, "joint_limits.yaml"))
     assert limits.position.tolist() == [[-1.0, 1.5]]
-    assert (limits.velocity[0], limits.acceleration[0], limits.jerk[0], limits.torque[0]) == (1.25, 7.0, np.inf, 33.0)
+    assert (limits.velocity[0], limits.acceleration[0], limits.jerk[0], limits.torque[0]) == (
+        1.25,
+        7.0,
+        np.inf,
+        33.0,
+    )
 
 
 def test_moveit_yaml_of_a_bigger_robot_warns_of_joints_it_ignores(tmp_path):
-    file = written(tmp_path, MOVEIT + "  finger: {has_velocity_limits: true, max_velocity: 1.0}\n", "joint_limits.yaml")
+    file = written(
+        tmp_path,
+        MOVEIT + "  finger: {has_velocity_limits: true, max_velocity: 1.0}\n",
+        "joint_limits.yaml",
+    )
     with pytest.warns(ExciteWarning, match="'finger' .* ignored"):
         of(LIMIT, file)
 
@@ -108,7 +123,10 @@ def test_moveit_yaml_of_a_bigger_robot_warns_of_joints_it_ignores(tmp_path):
     ("text", "part"),
     [
         ("[joints.knee]\nvelocity = 1\n", "no joint 'knee' in .* there are: swing"),
-        ("[joints.swing]\nspeed = 1\n", "'swing' has an unknown key 'speed'; known are position, velocity"),
+        (
+            "[joints.swing]\nspeed = 1\n",
+            "'swing' has an unknown key 'speed'; known are position, velocity",
+        ),
         ("[joints.swing]\nvelocity = 0\n", "'swing': velocity = 0 should be one positive"),
         ("[joints.swing]\nvelocity = -1\n", "should be one positive"),
         ("[joints.swing]\nvelocity = nan\n", "should be one positive"),
@@ -116,7 +134,10 @@ def test_moveit_yaml_of_a_bigger_robot_warns_of_joints_it_ignores(tmp_path):
         ("[joints.swing]\nvelocity = 'fast'\n", "'fast' is no limit"),
         ("[joints.swing]\nposition = 2\n", "should be .lower, upper."),
         ("[joints.swing]\nposition = [1, nan]\n", "should be .lower, upper."),
-        ("[joints.swing]\nposition = [2, 1]\n", "'swing': position limits contradict each other: lower 2 is not below upper 1"),
+        (
+            "[joints.swing]\nposition = [2, 1]\n",
+            "'swing': position limits contradict each other: lower 2 is not below upper 1",
+        ),
         ("[joints.swing]\nbraking = {offset = 1}\n", "'swing': braking = .* is no limit"),
         ("velocity = 1\n", "no .joints.<name>. tables; write one per joint"),
         ("[joints]\nswing = 1\n", "no .joints.<name>. tables"),
@@ -137,8 +158,14 @@ def test_a_toml_that_contradicts_itself_is_refused_with_the_joint(text, part, tm
         ("{}", "no MoveIt"),
         ("", "no MoveIt"),
         ("joint_limits: {swing: 3}\n", "'swing' has no map"),
-        (MOVEIT.replace("min_position: -1.0", "min_position: 2.0"), "'swing': position limits contradict each other"),
-        (MOVEIT.replace("max_velocity: 1.25", "max_velocity: -1.25"), "'swing': velocity = -1.25 should be one positive"),
+        (
+            MOVEIT.replace("min_position: -1.0", "min_position: 2.0"),
+            "'swing': position limits contradict each other",
+        ),
+        (
+            MOVEIT.replace("max_velocity: 1.25", "max_velocity: -1.25"),
+            "'swing': velocity = -1.25 should be one positive",
+        ),
     ],
 )
 def test_a_yaml_that_contradicts_itself_is_refused_with_the_joint(text, part, tmp_path):
@@ -183,7 +210,9 @@ def test_an_absent_limit_is_absent_in_the_document():
 def test_scaling_leaves_positions_alone(factor):
     limits = resolve(load("two_link"))
     scaled = limits.scaled(velocity=factor)
-    assert np.allclose(scaled.velocity, factor * limits.velocity) and np.array_equal(scaled.position, limits.position)
+    assert np.allclose(scaled.velocity, factor * limits.velocity) and np.array_equal(
+        scaled.position, limits.position
+    )
 
 
 @pytest.mark.parametrize(
@@ -220,5 +249,9 @@ def test_a_mimic_joint_keeps_its_own_limits():
 
 
 def test_a_yaml_may_say_degrees(tmp_path):
-    text = "joint_limits:\n  swing:\n    has_velocity_limits: true\n    max_velocity: !degrees 180.0\n"
-    assert of(LIMIT, written(tmp_path, text, "joint_limits.yaml")).velocity[0] == pytest.approx(np.pi)
+    text = (
+        "joint_limits:\n  swing:\n    has_velocity_limits: true\n    max_velocity: !degrees 180.0\n"
+    )
+    assert of(LIMIT, written(tmp_path, text, "joint_limits.yaml")).velocity[0] == pytest.approx(
+        np.pi
+    )

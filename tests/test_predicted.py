@@ -7,10 +7,11 @@ import pytest
 from made import WIDTH, perturbed
 from test_diagnose import PLANTED, found, recordings_of
 
-from excite.diagnose import track, whole
+from excite.diagnosis import whole
+from excite.effects import track
 from excite.errors import UnusableInput
-from excite.identify.equations import Model
-from excite.identify.model import FittedModel
+from excite.identification.identified_model import FittedModel
+from excite.identification.regression import Model
 
 Array = np.ndarray
 
@@ -25,18 +26,29 @@ def test_what_was_found_is_predicted_and_gone_from_the_recording(subject):
     apart = one.band.low(bare.torque - clean.torque, track.Grid.KEPT)[one.kept]
     hidden = one.band.low(validate.torque - clean.torque, track.Grid.KEPT)[one.kept]
     assert np.sqrt(np.mean(apart**2)) < 0.25 * np.sqrt(np.mean(hidden**2))
-    again = [whole.restored(whole.entry(part, subject.robot), subject.robot, "model.json") for part in result.parts]
+    again = [
+        whole.restored(whole.entry(part, subject.robot), subject.robot, "model.json")
+        for part in result.parts
+    ]
     np.testing.assert_allclose(whole.torque(again, one), whole.torque(result.parts, one))
     before, after = result.ahead
-    assert before is not None and after is not None and after.fitted[-1].sum() < before.fitted[-1].sum()
+    assert (
+        before is not None
+        and after is not None
+        and after.fitted[-1].sum() < before.fitted[-1].sum()
+    )
 
 
 def fitted_with(subject: Model, effects: tuple[dict[str, object], ...]) -> FittedModel:
     psi = perturbed(subject.parameters, np.random.default_rng(4))
-    return FittedModel("model.json", subject.robot, subject.parameters.drive, psi, np.full(2, WIDTH), 20.0, effects)
+    return FittedModel(
+        "model.json", subject.robot, subject.parameters.drive, psi, np.full(2, WIDTH), 20.0, effects
+    )
 
 
-def stated(effect: str, joint: str | None, values: dict[str, float], *coefficients: float) -> dict[str, object]:
+def stated(
+    effect: str, joint: str | None, values: dict[str, float], *coefficients: float
+) -> dict[str, object]:
     return {
         "effect": effect,
         "joint": joint,
@@ -64,9 +76,15 @@ def test_a_measured_delay_is_predicted_from_what_is_predicted(subject, seconds):
 def test_a_model_of_an_earlier_version_is_refused_in_one_line(subject):
     _, along = recordings_of(subject, None)
     with pytest.raises(UnusableInput, match=r"model\.json.*'hold'.*diagnose again"):
-        whole.predict(fitted_with(subject, (stated("backlash", "joint_1", {"width": 1e-3}, 1.0),)), along)
-    untimed = {key: value for key, value in stated("drag", "joint_1", {}, 1.0).items() if key != "time"}
-    with pytest.raises(UnusableInput, match=r"model\.json: effect 'drag' has no 'time'.*diagnose again"):
+        whole.predict(
+            fitted_with(subject, (stated("backlash", "joint_1", {"width": 1e-3}, 1.0),)), along
+        )
+    untimed = {
+        key: value for key, value in stated("drag", "joint_1", {}, 1.0).items() if key != "time"
+    }
+    with pytest.raises(
+        UnusableInput, match=r"model\.json: effect 'drag' has no 'time'.*diagnose again"
+    ):
         whole.predict(fitted_with(subject, (untimed,)), along)
     with pytest.raises(UnusableInput, match=r"model\.json.*diagnose again"):
         whole.predict(fitted_with(subject, (stated("drag", "joint_1", {}, 1.0, 2.0),)), along)

@@ -50,34 +50,61 @@ def read(recording: Path) -> Sidecar:
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise UnusableInput(f"{path}: is no JSON document ({error}); repair it or move it away from {recording.name}") from error
+        raise UnusableInput(
+            f"{path}: is no JSON document ({error}); repair it or move it away from {recording.name}"
+        ) from error
     schema = document.get("schema") if isinstance(document, dict) else None
-    if isinstance(schema, str) and schema.startswith("excite.") and not schema.startswith("excite.recording/"):
+    if (
+        isinstance(schema, str)
+        and schema.startswith("excite.")
+        and not schema.startswith("excite.recording/")
+    ):
         return Sidecar()
     if schema != SCHEMA:
-        raise UnusableInput(f'{path}: should hold "schema": "{SCHEMA}" to describe {recording.name}; add it, or move the file away')
+        raise UnusableInput(
+            f'{path}: should hold "schema": "{SCHEMA}" to describe {recording.name}; add it, or move the file away'
+        )
     return _checked(path, document)
 
 
 def _checked(path: Path, document: dict[str, Any]) -> Sidecar:
     gains = document.get("drive_gain", {})
     if not isinstance(gains, dict):
-        raise UnusableInput(f'{path}: drive_gain should read {{"<joint>": N m/A, …}}, not {gains!r}')
+        raise UnusableInput(
+            f'{path}: drive_gain should read {{"<joint>": N m/A, …}}, not {gains!r}'
+        )
     for joint, gain in gains.items():
         if not _number(gain) or gain == 0.0:
-            raise UnusableInput(f"{path}: drive_gain of joint '{joint}' should be a number other than 0 [N m/A], not {gain!r}")
+            raise UnusableInput(
+                f"{path}: drive_gain of joint '{joint}' should be a number other than 0 [N m/A], not {gain!r}"
+            )
     period, window = document.get("period"), document.get("periodic")
     if period is not None and not (_number(period) and period > 0.0):
-        raise UnusableInput(f"{path}: period should be a positive number of seconds, not {period!r}")
-    if window is not None and not (isinstance(window, list) and len(window) == 2 and all(map(_number, window)) and window[0] < window[1]):
-        raise UnusableInput(f"{path}: periodic should be [start, end] in seconds with start < end, not {window!r}")
-    motor_side, effort, topic = document.get("motor_side", False), document.get("effort"), document.get("topic")
+        raise UnusableInput(
+            f"{path}: period should be a positive number of seconds, not {period!r}"
+        )
+    if window is not None and not (
+        isinstance(window, list)
+        and len(window) == 2
+        and all(map(_number, window))
+        and window[0] < window[1]
+    ):
+        raise UnusableInput(
+            f"{path}: periodic should be [start, end] in seconds with start < end, not {window!r}"
+        )
+    motor_side, effort, topic = (
+        document.get("motor_side", False),
+        document.get("effort"),
+        document.get("topic"),
+    )
     if not isinstance(motor_side, bool):
         raise UnusableInput(f"{path}: motor_side should be true or false, not {motor_side!r}")
     if effort not in (None, "torque", "current"):
         raise UnusableInput(f'{path}: effort should be "torque" or "current", not {effort!r}')
     if not isinstance(topic, str | None):
-        raise UnusableInput(f'{path}: topic should be a name such as "/joint_states", not {topic!r}')
+        raise UnusableInput(
+            f'{path}: topic should be a name such as "/joint_states", not {topic!r}'
+        )
     return Sidecar(
         drive_gain={str(joint): float(gain) for joint, gain in gains.items()},
         period=None if period is None else float(period),

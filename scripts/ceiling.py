@@ -31,7 +31,7 @@ from excite.trial.plan import Spec
 from excite.trial.score import equal
 
 Array = np.ndarray
-MODELS = Path(robot.__file__).parent / "models"
+MODELS = robot.locate("two_link").parent
 
 
 @dataclass(frozen=True)

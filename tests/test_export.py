@@ -16,7 +16,8 @@ from excite import exporters
 from excite.errors import UnusableInput
 from excite.exporters import csv_json, ros2, urscript, vendor_table
 from excite.robot.limits import Limits
-from excite.trajectory.fourier import Fourier, Samples
+from excite.robot.samples import Samples
+from excite.trajectory.fourier import Fourier
 from excite.trajectory.rest_to_rest import Motion, Profile, Segment
 from excite.trajectory.trajectory_file import Trajectory
 

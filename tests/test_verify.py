@@ -19,7 +19,7 @@ from excite.designer.problem import Box
 from excite.errors import UnusableInput
 from excite.robot import dynamics, inertial_parameters
 from excite.robot.limits import Limits, resolve
-from excite.robot.robot import Payload, load
+from excite.robot.robot import Payload, load, locate
 from excite.trajectory import trajectory_file
 from excite.trajectory.fourier import Fourier, oversampling_bound
 from excite.trajectory.trajectory_file import Trajectory
@@ -255,9 +255,7 @@ def test_a_spike_between_two_samples_is_found(delivery, length):
 
 def test_another_urdf_is_refused(delivery, tmp_path: Path):
     other = tmp_path / "two_link.urdf"
-    other.write_text(
-        Path(pipeline.__file__).with_name("models").joinpath("two_link.urdf").read_text() + "\n"
-    )
+    other.write_text(locate("two_link").read_text() + "\n")
     with pytest.raises(UnusableInput, match=r"sha256 differs.* --robot"):
         delivery.trajectory.load_robot(str(other))
 

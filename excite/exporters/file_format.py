@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import UnusableInput
-from ..trajectory.fourier import Samples
+from ..robot.samples import Samples
 from ..trajectory.rest_to_rest import Motion
 from ..trajectory.trajectory_file import Trajectory
 

@@ -15,8 +15,8 @@ from ..recordings import Recording
 from ..robot.dynamics import regressor
 from ..robot.inertial_parameters import DRIVE, Parameters
 from ..robot.robot import Robot, load
+from ..robot.samples import Samples
 from ..trajectory import trajectory_file
-from ..trajectory.fourier import Samples
 from . import confidence
 from .hausman_test import Endogeneity
 from .identification import Identification, Prediction

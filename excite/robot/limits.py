@@ -231,7 +231,7 @@ def mounting_plane(robot: Robot) -> float | None:
 
 
 def _builtin_table(robot: Robot) -> Path:
-    return Path(str(resources.files("excite") / "models" / f"{robot.source}.toml"))
+    return Path(str(resources.files("excite.robot") / "models" / f"{robot.source}.toml"))
 
 
 def _stated_margin(file: Path) -> dict[str, float]:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import UnusableInput
-from .fourier import Fourier, Samples
+from ..robot.samples import Samples
+from .fourier import Fourier
 
 Array = np.ndarray
 KINDS = ("approach", "ramp_in", "fourier", "ramp_out", "return")

@@ -20,7 +20,7 @@ from .answer import Analyst
 from .plan import Plan, Spec
 from .score import Mark, confusion, mark, score
 
-MODELS = Path(__file__).resolve().parents[1] / "models"
+MODELS = Path(__file__).resolve().parents[1] / "robot" / "models"
 Say = Callable[[str], None]
 BATCH = 24
 

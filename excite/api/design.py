@@ -1,0 +1,388 @@
+"""Design an excitation trajectory: search, certificate, identifiability analysis, files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import _files, recordings
+from .._types import FloatArray
+from ..collision import clearance_builder, scene_file
+from ..collision.workcell import NOT_CHECKED, Cell
+from ..designer import experiment_comparison, identifiability, pipeline, time_budget
+from ..designer import validation_trajectory as validation
+from ..designer.motion_overlap import Apart
+from ..designer.problem import Box, Options, noise_levels
+from ..errors import UnusableInput
+from ..exporters import csv_json, file_format
+from ..report.record import DesignRecord
+from ..robot import dynamics, inertial_parameters
+from ..robot.inertial_parameters import Parameters
+from ..robot.limits import Limits
+from ..robot.robot import Robot
+from ..robot.samples import Samples
+from ..trajectory import trajectory_file
+from ..trajectory.trajectory_file import Trajectory
+from .robot import RobotSource, load_robot, resolve_limits
+
+Progress = Callable[[str], None]
+THRESHOLD = 1e-2
+"""Largest scale-free variance of a direction that counts as identifiable [1]: about 10 % (Lee, Lee and Park 2021)."""
+
+
+@dataclass(frozen=True)
+class CellOptions:
+    """Surroundings of the robot.
+
+    Attributes:
+        scene: Scene file (TOML), None without.
+        floor: Height of the floor in the base frame [m]; False: none; None: the mounting plane.
+        clearance: Least distance to keep [m]; None: the scene's, or 0.02.
+        srdf: SRDF whose disabled pairs of links may touch.
+        packages: Folders of `package://` meshes.
+        check: False: distances are not checked.
+    """
+
+    scene: str | Path | None = None
+    floor: float | bool | None = None
+    clearance: float | None = None
+    srdf: str | Path | None = None
+    packages: Sequence[str] = ()
+    check: bool = True
+
+    def cell(self, robot: Robot, limits: Limits) -> tuple[Cell | None, str]:
+        """Build the cell; or return None and the reason why there is nothing to check."""
+        if not self.check:
+            return None, f"{NOT_CHECKED} (--no-collision)"
+        scene = scene_file.Scene() if self.scene is None else scene_file.read(Path(self.scene))
+        scene = scene.overridden(self.floor, self.clearance)
+        if self.srdf is not None:
+            scene = scene.with_srdf(Path(self.srdf))
+        stated = (self.scene, self.srdf, None if self.floor is False else self.floor, self.clearance)
+        required = any(value is not None for value in stated)
+        return scene_file.known(robot, limits, scene, self.packages, required=required)
+
+
+@dataclass(frozen=True)
+class DesignResult:
+    """A designed motion with its certificate and what it will show.
+
+    Attributes:
+        delivery: The trajectory, its certificate, and how it was found.
+        robot: The robot.
+        analysis: What the motion makes identifiable.
+        validation: The second, different motion, None where none was asked for.
+        cell: Surroundings that were checked, None where none were.
+        plan: Trade-off of robot time, None where no time budget was given.
+    """
+
+    delivery: pipeline.Delivery
+    robot: Robot
+    analysis: identifiability.Identifiability
+    validation: validation.Validation | None = None
+    cell: Cell | None = None
+    plan: time_budget.Plan | None = None
+    given_root: FloatArray | None = field(default=None, repr=False)
+
+    @property
+    def ok(self) -> bool:
+        """Whether every certificate holds."""
+        second = self.validation
+        return self.delivery.certificate.ok and (second is None or second.delivery.certificate.ok)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The content of `trajectory.json`."""
+        first = self.delivery.trajectory
+        return first if self.validation is None else self.validation.noted(first)
+
+    @property
+    def parameters(self) -> Parameters:
+        """Standard parameters of the robot with their nominal values."""
+        return self.delivery.design.setting.problem.parameters
+
+    def at(self, t: float | FloatArray, order: int = 0) -> FloatArray:
+        """Evaluate the whole motion or a time derivative of it.
+
+        Args:
+            t: Time from the start [s]. Shape () or (N,).
+            order: Order of the derivative, 0 to 3.
+
+        Returns:
+            Joint positions [rad or m] or derivatives. Shape (n,) or (N, n).
+        """
+        return self.trajectory.motion.at(t, order)
+
+    @cached_property
+    def comparison(self) -> tuple[experiment_comparison.Scenario, ...]:
+        """What twice the time or twice the speed would buy."""
+        trajectory, setting = self.trajectory, self.delivery.design.setting
+        return compare_experiments(
+            self.robot, setting.problem.parameters, setting.base, trajectory, self.analysis.threshold, self.given_root
+        )
+
+    def contents(self) -> dict[str, str]:
+        """Return the files of the design by name, relative to its folder."""
+        out = {
+            **motion_files(self.trajectory, self.robot, self.parameters),
+            "identifiability.json": trajectory_file.dumps(self.analysis.document()),
+            "report.html": self.html(),
+        }
+        if self.validation is not None:
+            second = motion_files(self.validation.trajectory, self.robot, self.parameters)
+            out |= {f"{validation.FOLDER}/{name}": text for name, text in second.items()}
+        return out
+
+    def html(self) -> str:
+        """Return the report as HTML."""
+        from .. import report
+
+        second = None if self.validation is None else self.validation.trajectory
+        return report.design_page(
+            self.trajectory,
+            self.robot,
+            self.parameters,
+            self.delivery.design.setting.base,
+            self.analysis,
+            _record(self.delivery),
+            cases=self.comparison,
+            second=second,
+            cell=self.cell,
+            near=self.delivery.certificate.near,
+        )
+
+    def save(self, folder: str | Path) -> list[Path]:
+        """Write `trajectory.json`, `trajectory.csv`, `identifiability.json` and `report.html`; return their paths."""
+        return _files.write_all(Path(folder), self.contents())
+
+    def report(self, path: str | Path) -> Path:
+        """Write the report alone."""
+        path = Path(path)
+        return _files.write_all(path.parent, {path.name: self.html()})[0]
+
+    def document(self) -> dict[str, Any]:
+        """Return what `excite design --json` prints."""
+        certificate, trajectory = self.delivery.certificate, self.trajectory
+        directions = self.analysis.document()["directions"]
+        out = {
+            "ok": self.ok,
+            "robot": self.robot.name,
+            "joints": list(self.robot.joints),
+            "base_parameters": self.delivery.design.setting.base.count,
+            "identifiable": sum(bool(d["identifiable"]) for d in directions),
+            "criteria": dict(trajectory.criteria),
+            "timing": self.delivery.timing,
+            "margins": trajectory.margins,
+            "verdict": certificate.document()["verdict"],
+            "collision": trajectory.collision,
+            "duration": trajectory.motion.duration,
+        }
+        out |= {} if self.validation is None else {"validation": self.validation.document()}
+        return out | ({} if self.plan is None else {"plan": self.plan.document()})
+
+    def __repr__(self) -> str:
+        certificate = self.delivery.certificate
+        return (
+            f"<DesignResult {self.robot.name}: {self.trajectory.motion.duration:.2f} s, "
+            f"clearance {certificate.clearance.value}, limits {certificate.limits.value}>"
+        )
+
+
+def design(
+    robot: RobotSource,
+    *,
+    limits: str | Path | Limits | None = None,
+    margin: float | None = None,
+    cell: CellOptions = CellOptions(),  # noqa: B008  # immutable
+    options: Options = Options(),  # noqa: B008
+    period: float | None = None,
+    harmonics: int | None = None,
+    samples: int | None = None,
+    periods: int | None = None,
+    time: float | None = None,
+    start: Sequence[float] | None = None,
+    given: Sequence[str | Path] = (),
+    validate: bool = False,
+    speed: float = 1.0,
+    threshold: float = THRESHOLD,
+    force: bool = False,
+    progress: Progress | None = None,
+    notes: Mapping[str, Any] | None = None,
+    **search: Any,
+) -> DesignResult:
+    """Design, certify and analyse an excitation trajectory, as `excite design` does.
+
+    The motion is a finite Fourier series (Swevers et al. 1997) optimised for the geometric criterion σ(I·H₀⁻¹) (Lee, Lee and Park,
+    Automatica 131, 2021) under the robot's limits and the clearances of its cell, with ramps from rest to rest.
+
+    Args:
+        robot: Path of a URDF, name of a built-in model, or a loaded robot.
+        limits: Limits file, or limits; None: the URDF's.
+        margin: Share of velocity, acceleration, jerk and torque limits to keep free [1].
+        cell: Surroundings; by default the floor and the robot itself, by the URDF's collision shapes.
+        options: Criterion, noise, boxes and search; single ones may be given by keyword, as `starts=4`.
+        period: Period of the Fourier series [s]; None: from the limits.
+        harmonics: Number of harmonics; None: 5, or chosen for `time`.
+        samples: Optimiser's samples over one period; None: 20 per harmonic.
+        periods: Repeats in the motion; None: 2, or what fits `time`.
+        time: Robot time with ramps [s], for which the four above are chosen.
+        start: Pose at which the motion begins and ends at rest. Shape (n,) [rad or m].
+        given: Trajectories or recordings whose information is there already.
+        validate: Design a second, different motion too.
+        speed: Share of the speed at which the motion is played.
+        threshold: Largest scale-free variance of an identifiable direction.
+        force: Return a motion even when its certificate fails.
+        progress: Called with a line of text now and then.
+        notes: Further entries of the file's `design`.
+        **search: Fields of `Options`, e.g. criterion, starts, seed, jobs, iterations, uncertainty, rate.
+
+    Raises:
+        UnusableInput: An argument or a file cannot be used.
+        Infeasible: No motion obeys all limits.
+        CheckFailed: The certificate fails and `force` is not set.
+    """
+    loaded = load_robot(robot)
+    table = resolve_limits(loaded, limits, margin)
+    wish = time_budget.Wish(period, harmonics, samples, periods)
+    chosen = wish.fill(replace(options, **search), table)
+    for box in chosen.boxes:
+        loaded.frame(box.frame)
+    pose = None if start is None else np.asarray(start, float)
+    earlier = _information(given, loaded, table, chosen)
+    information = None if earlier is None else earlier.T @ earlier
+    facts = {**(notes or {}), "given": [str(path) for path in given], "speed": speed, "chosen": wish.open}
+    if chosen.noise is None:
+        facts["torque_noise_source"] = "1 % of each torque limit (default)"
+    workcell, unchecked = cell.cell(loaded, table)
+    plan = None
+    if time is not None:
+        covers = None if workcell is None else clearance_builder.clearance(workcell)
+        plan = time_budget.budgeted(
+            loaded, table, chosen, wish, time, start=pose, given=information, clearance=covers
+        )
+        facts["plan"] = plan.facts()
+    run = partial(
+        pipeline.run,
+        loaded,
+        table,
+        start=pose,
+        notes=facts,
+        force=force,
+        speed=speed,
+        progress=progress,
+        cell=workcell,
+        unchecked=unchecked,
+    )
+
+    def deliver(apart: Apart | None = None) -> pipeline.Delivery:
+        # a validation motion should show everything, known or not
+        search_once = partial(run, apart=apart, given=information if apart is None else None)
+        return search_once(chosen) if plan is None else time_budget.deliver(plan, chosen, search_once)
+
+    delivery = deliver()
+    second = validation.second(delivery, loaded, deliver) if validate else None
+    analysis = _analyse(delivery, loaded, threshold, earlier)
+    return DesignResult(delivery, loaded, analysis, second, workcell, plan, earlier)
+
+
+def motion_files(trajectory: Trajectory, robot: Robot, standard: Parameters) -> dict[str, str]:
+    """Return `trajectory.json` and `trajectory.csv` of a motion."""
+    torque = nominal_torque(robot, standard)
+    job = file_format.Job(trajectory, trajectory.motion, "csv", Path("trajectory.csv"), 1.0, None, torque)
+    return {
+        "trajectory.json": trajectory_file.dumps(trajectory.document()),
+        "trajectory.csv": csv_json.write_csv(job).text,
+    }
+
+
+def nominal_torque(robot: Robot, standard: Parameters) -> Callable[[Samples], FloatArray]:
+    """Return the function from sampled motion to nominal torque. Shape (N, n) [N m]."""
+    return lambda samples: dynamics.regressor(robot, standard, samples) @ standard.nominal
+
+
+def compare_experiments(
+    robot: Robot,
+    standard: Parameters,
+    base: Any,
+    trajectory: Trajectory,
+    threshold: float,
+    given: FloatArray | None = None,
+) -> tuple[experiment_comparison.Scenario, ...]:
+    """Predict what twice the time or twice the speed of a trajectory would buy."""
+    return experiment_comparison.what_would_help(
+        robot,
+        standard,
+        base,
+        trajectory.limits,
+        trajectory.motion,
+        noise=trajectory.noise,
+        rate=trajectory.rate,
+        threshold=threshold,
+        given=given,
+    )
+
+
+def motion_samples(path: Path, robot: Robot) -> tuple[Samples, Trajectory | None]:
+    """Read the samples of a `trajectory.json` at its own rate, or of a recording."""
+    if path.suffix != ".json":
+        return recordings.read(path, robot).samples(), None
+    trajectory = trajectory_file.read(path)
+    if trajectory.joints != robot.joints:
+        raise UnusableInput(
+            f"{path}: moves {', '.join(trajectory.joints)}, not {', '.join(robot.joints)}; "
+            "choose them with --joints"
+        )
+    return trajectory.motion.samples(trajectory.motion.grid(trajectory.rate)), trajectory
+
+
+def _information(
+    paths: Sequence[str | Path], robot: Robot, limits: Limits, options: Options
+) -> FloatArray | None:
+    """Return a root of the information of earlier recordings, in standard parameters. Shape (m, P)."""
+    if not paths:
+        return None
+    standard = inertial_parameters.standard(robot, limits, options.drive)
+    noise = noise_levels(limits, options.noise)
+    roots = [
+        identifiability.information_root(robot, standard, motion_samples(Path(path), robot)[0], noise)
+        for path in paths
+    ]
+    return np.vstack(roots)
+
+
+def _analyse(
+    delivery: pipeline.Delivery, robot: Robot, threshold: float, earlier: FloatArray | None
+) -> identifiability.Identifiability:
+    trajectory, setting = delivery.trajectory, delivery.design.setting
+    standard = setting.problem.parameters
+    samples = trajectory.motion.samples(trajectory.motion.grid(trajectory.rate))
+    root = identifiability.information_root(robot, standard, samples, trajectory.noise)
+    known = root if earlier is None else np.vstack([root, earlier])
+    return identifiability.analyse_root(
+        standard, setting.base, known, trajectory.noise, robot, threshold=threshold, samples=len(samples)
+    )
+
+
+def _record(delivery: pipeline.Delivery) -> DesignRecord:
+    starts = [
+        {
+            "seed": a.number,
+            "value": a.objective,
+            "feasible": True,
+            "time": a.time,
+            "objective": a.values,
+            "worst": a.worst,
+            "stage": a.stage,
+            "stopped": a.stopped,
+        }
+        for a in delivery.design.attempts
+    ]
+    return DesignRecord(starts=starts, chosen=0, timing=delivery.timing)
+
+
+__all__ = ["Box", "CellOptions", "DesignResult", "design"]

@@ -1,0 +1,194 @@
+"""Verify a trajectory file, and export it for a controller."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from .. import _files
+from .. import exporters as formats
+from ..designer import certificate as certificates
+from ..designer.certificate import Certificate, Verdict
+from ..errors import CheckFailed, UnusableInput
+from ..exporters import file_format
+from ..robot import inertial_parameters
+from ..robot.limits import Limits, from_sources
+from ..robot.robot import Robot
+from ..trajectory import trajectory_file
+from ..trajectory.trajectory_file import Trajectory
+from .design import nominal_torque
+
+
+@dataclass(frozen=True)
+class VerificationResult:
+    """A trajectory with the certificate that was computed from its file.
+
+    Attributes:
+        certificate: Verdicts on limits and clearance, with every margin.
+        trajectory: Content of the file.
+        robot: The robot.
+        limits: Limits from their sources.
+    """
+
+    certificate: Certificate
+    trajectory: Trajectory
+    robot: Robot
+    limits: Limits
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing failed; the clearance may be unchecked."""
+        return self.certificate.ok
+
+    def text(self) -> str:
+        """Return the table of margins and both verdicts, as `excite verify` prints them."""
+        rows = [f"{'limit':13}{'joint':25}{'worst':>12}{'bound':>12}{'free':>9}{'time [s]':>10}"]
+        rows += [
+            f"{m.limit:13}{m.joint:25}{m.value:12.5g}{m.bound:12.5g}"
+            f"{certificates.percent(m.room):>9}{m.time:10.3f}"
+            for m in self.certificate.margins
+        ]
+        return "\n".join([*rows, "", *self.certificate.lines()])
+
+    def document(self) -> dict[str, Any]:
+        """Return what `excite verify --json` prints."""
+        return self.certificate.document()
+
+    def save(self, folder: str | Path) -> list[Path]:
+        """Write `certificate.json`; return its path."""
+        contents = {"certificate.json": trajectory_file.dumps(self.document())}
+        return _files.write_all(Path(folder), contents)
+
+    def report(self, path: str | Path) -> Path:
+        """Write the table of margins as a text file."""
+        path = Path(path)
+        return _files.write_all(path.parent, {path.name: self.text() + "\n"})[0]
+
+    def __repr__(self) -> str:
+        clearance, limits = self.certificate.clearance.value, self.certificate.limits.value
+        return f"<VerificationResult {self.robot.name}: clearance {clearance}, limits {limits}>"
+
+
+def verify(
+    trajectory: str | Path,
+    *,
+    robot: str | Path | None = None,
+    limits: str | Path | None = None,
+    packages: Sequence[str] = (),
+) -> VerificationResult:
+    """Recompute limits, clearance and criteria of a trajectory file, as `excite verify` does.
+
+    Limits are compared with their sources, and the cell is made again from what is on disk.
+
+    Args:
+        trajectory: Path of a `trajectory.json`.
+        robot: Where the URDF is now; None: where the file says.
+        limits: Where the limits file is now; None: where the file says.
+        packages: Further folders of `package://` meshes.
+
+    Raises:
+        UnusableInput: A file is missing or malformed.
+    """
+    path = Path(trajectory)
+    content = trajectory_file.read(path)
+    loaded = content.load_robot(None if robot is None else str(robot))
+    file = None if limits is None else Path(limits)
+    folder = path.resolve().parent
+    truth = from_sources(loaded, content.limits, file, folder)
+    certificate = certificates.of_file(
+        content, loaded, folder=folder, limits_file=file, packages=packages
+    )
+    return VerificationResult(certificate, content, loaded, truth)
+
+
+@dataclass(frozen=True)
+class ExportedFile:
+    """A file for a controller.
+
+    Attributes:
+        path: The file.
+        format: Its format.
+        verdict: Lines about clearance and limits; a third one where a slower run breaks a limit.
+        certificate: Certificate of the exported trajectory at full speed.
+        forced: Whether the file was written although a check failed.
+    """
+
+    path: Path
+    format: str
+    verdict: tuple[str, ...]
+    certificate: Certificate
+    forced: bool
+
+    def document(self) -> dict[str, Any]:
+        """Return what `excite export --json` prints."""
+        return {
+            "file": str(self.path),
+            "format": self.format,
+            "forced": self.forced,
+            "verdict": self.certificate.document()["verdict"],
+            "collision": self.certificate.collision,
+        }
+
+
+def export(
+    trajectory: str | Path,
+    format: str,
+    path: str | Path,
+    *,
+    speed: float = 1.0,
+    rate: float | None = None,
+    force: bool = False,
+    robot: str | Path | None = None,
+    limits: str | Path | None = None,
+    packages: Sequence[str] = (),
+) -> ExportedFile:
+    """Verify a trajectory and write it for a controller, as `excite export` does.
+
+    Args:
+        trajectory: Path of a `trajectory.json`.
+        format: Name of a format; `excite.exporters.FORMATS` lists them.
+        path: The file to write.
+        speed: Share of the speed at which the motion is played.
+        rate: Rows or knots a second, where the format leaves it open [Hz].
+        force: Write the file even when a check fails; it says so.
+        robot: Where the URDF is now.
+        limits: Where the limits file is now.
+        packages: Further folders of `package://` meshes.
+
+    Raises:
+        UnusableInput: A file is missing or malformed, or the format does not fit the robot.
+        CheckFailed: The certificate fails, or the slower motion breaks a limit, and `force` is not set.
+    """
+    if format not in formats.FORMATS:
+        known = ", ".join(formats.FORMATS)
+        raise UnusableInput(f"--format {format}: no such format; there are {known}")
+    file_format.check_options(speed, rate)
+    found = verify(trajectory, robot=robot, limits=limits, packages=packages)
+    certificate, verdict = found.certificate, list(found.certificate.lines())
+    broken = None
+    if speed != 1.0:
+        broken = certificates.broken_when_slowed(found.trajectory, found.robot, found.limits, speed)
+    if broken is not None:
+        verdict.append(f"at --speed {speed:g} the {broken.words()}")
+    is_safe = found.ok and broken is None
+    if not is_safe and not force:
+        raise CheckFailed(f"{trajectory}: {'; '.join(verdict)}; design it again, or --force")
+    # what the new file states of itself is what was computed now
+    content = dataclasses.replace(
+        found.trajectory,
+        criteria=certificate.criteria,
+        margins=[margin.document() for margin in certificate.margins],
+        collision=certificate.collision,
+        forced=not is_safe,
+    )
+    kinds = content.design.get("drive", inertial_parameters.DRIVE)
+    standard = inertial_parameters.standard(found.robot, found.limits, kinds)
+    torque = nominal_torque(found.robot, standard)
+    written = formats.write(content, format, Path(path), speed=speed, rate=rate, tau=torque)
+    return ExportedFile(written, format, tuple(verdict), certificate, content.forced)
+
+
+__all__ = ["ExportedFile", "Verdict", "VerificationResult", "export", "verify"]

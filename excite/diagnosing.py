@@ -23,10 +23,10 @@ def diagnose(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outco
     table = told.limits(arguments, robot)
     standard = parameters.standard(robot, table, parameters.DRIVE)
     found = base.find(robot, standard, table)
+    known = priors.trusted(Path(arguments.prior), robot, standard) if arguments.prior else {}
     both = (arguments.recordings, arguments.validate)
     train, held_out = ([recordings.read(Path(path), robot, table) for path in paths] for paths in both)
     recordings.refuse_same(train, held_out)
-    known = priors.trusted(Path(arguments.prior), robot, standard) if arguments.prior else {}
     result = diagnosis.diagnose(robot, standard, found, train, held_out, diagnosis.Options(arguments.band, known), say)
     looked = None if arguments.no_report else atlas.look(result)
     told_all = document(result, looked)

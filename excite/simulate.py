@@ -12,6 +12,8 @@ import numpy as np
 
 from . import artefact, files, robot
 from .errors import UnusableInput
+from .schemas.document_file import DocumentFile
+from .schemas.truth import SCHEMA, TruthDocument
 
 Array = np.ndarray
 
@@ -27,6 +29,7 @@ def command(arguments: argparse.Namespace) -> tuple[int, Any, str]:
         raise UnusableInput(f"-o {out}: should end in .csv; its sidecar, truth and plot take the same name")
     source, like = robot.locate(arguments.robot), _like(arguments)
     setting = _setting(arguments, like)
+    artefact.read(Path(arguments.trajectory))  # the simulator reads it by itself, but validates nothing
     motion = reference.read(Path(arguments.trajectory), arguments.periods)
     plant = laboratory.robot(source, motion, setting)
     chain = laboratory.chain(plant, setting)
@@ -82,13 +85,15 @@ def _like(arguments: argparse.Namespace) -> _Robot | None:
     for name in ("effect", "severity", "seed", "model_error"):
         if getattr(arguments, name) not in (None, []):
             raise UnusableInput(f"--{name.replace('_', '-')}: is as {arguments.like} says; leave it out, or leave out --like")
-    path = Path(arguments.like)
-    truth = artefact.stated(path, ("excite.truth/1",), "truth", "the .truth.json of 'excite simulate'")
+    file = DocumentFile(Path(arguments.like), "a truth", "simulate it again", "the .truth.json of 'excite simulate'")
+    truth = file.json()
+    file.schema(truth, (SCHEMA,))
+    document = file.converted(truth, TruthDocument)
     try:
-        bodies = record.dumps(truth["bodies"])
-        return _Robot(tuple(truth["joints"]), bodies, laboratory.Setting.stated(truth["setting"]), effect.stated(truth))
-    except (KeyError, TypeError, ValueError) as error:
-        raise UnusableInput(f"{path}: is incomplete or malformed ({type(error).__name__}: {error}); simulate it again") from error
+        effects = effect.stated(truth)
+    except (KeyError, ValueError) as error:  # the catalogue of hidden effects is the simulator's own
+        raise file.error(f"no such effect ({error})", "effects") from error
+    return _Robot(tuple(document.joints), record.dumps(truth["bodies"]), laboratory.Setting.stated(truth["setting"]), effects)
 
 
 def _setting(arguments: argparse.Namespace, like: _Robot | None) -> Any:

@@ -1,0 +1,33 @@
+"""The sidecar of a recording, schema excite.recording/1: what its columns cannot say."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+
+from .quantities import ClockTime, DriveGain, Name, Period, Text
+
+SCHEMA = "excite.recording/1"
+
+
+class SidecarDocument(msgspec.Struct):
+    """The whole file; keys that are not known are reported and ignored."""
+
+    schema: Literal["excite.recording/1"]
+    drive_gain: dict[str, DriveGain] = {}
+    period: Period | None = None
+    periodic: tuple[ClockTime, ClockTime] | None = None
+    motor_side: bool = False
+    effort: Literal["torque", "current"] | None = None
+    topic: Name | None = None
+    notes: Text = Text("")
+
+    def __post_init__(self) -> None:
+        if self.periodic is None:
+            return
+        length = self.periodic[1] - self.periodic[0]
+        if not length > 0.0:
+            raise ValueError(f"periodic: [{self.periodic[0]:g}, {self.periodic[1]:g}] should be [start, end] with start < end")
+        if self.period is not None and length < self.period:
+            raise ValueError(f"periodic: a window of {length:g} s holds no whole period of {self.period:g} s")

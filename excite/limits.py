@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from .schemas.limits import (
     MOVEIT_UNUSED,
     MOVEIT_VALUES,
     BrakingDocument,
+    BuiltinLimitsFile,
     JointLimits,
     LimitsFile,
     MoveItSwitchesFile,
@@ -39,6 +40,7 @@ WITH_MARGIN = ("velocity", "acceleration", "jerk", "torque")
 DEFAULT_MARGIN = 0.02
 """Share of these limits that a design keeps free unless told otherwise [1]: a controller stops the robot at the limit itself, and
 its tracking overshoots the commanded motion. `--margin` and the limits file's [margin] table change it."""
+TomlLimits = TypeVar("TomlLimits", bound=LimitsFile)
 MOVEIT = {"max_velocity": "velocity", "max_acceleration": "acceleration", "max_jerk": "jerk", "max_effort": "torque"}
 """Our names of MoveIt's limits."""
 
@@ -145,11 +147,11 @@ def resolve(robot: Robot, file: Path | None = None, margin: float | None = None)
             if value is not None:
                 table[entry.name][quantity] = (value, "urdf")
     if robot.source in builtin_names():
-        own = Path(str(resources.files("excite") / "models" / f"{robot.source}.toml"))
-        _merge(robot, table, own, _read_toml(own).joints, f"{robot.source}.toml")
+        table_file = _builtin_table(robot)
+        _merge(robot, table, table_file, _read_toml(table_file, BuiltinLimitsFile).joints, table_file.name)
     shares = dict.fromkeys(WITH_MARGIN, DEFAULT_MARGIN)
     if file is not None:
-        stated = LimitsFile(_read_yaml(file)) if _is_yaml(file) else _read_toml(file)
+        stated = LimitsFile(_read_yaml(file)) if _is_yaml(file) else _read_toml(file, LimitsFile)
         _merge(robot, table, file, stated.joints, str(file.resolve()))
         shares |= {kind: float(share) for kind in WITH_MARGIN if (share := getattr(stated.margin, kind, None)) is not None}
     for follower in robot.followers:
@@ -185,6 +187,18 @@ def from_sources(robot: Robot, stated: Limits, file: Path | None = None, folder:
         if file is None:
             raise UnusableInput(f"{named[0]}: the limits file of this trajectory is not there; say where it is with --limits FILE")
     return resolve(robot, file)
+
+
+def mounting_plane(robot: Robot) -> float | None:
+    """Height of the plane that a built-in model's base stands on, in the base frame [m]; None where no built-in table states it."""
+    if robot.source not in builtin_names():
+        return None
+    mounting = _read_toml(_builtin_table(robot), BuiltinLimitsFile).mounting
+    return None if mounting is None else float(mounting.floor)
+
+
+def _builtin_table(robot: Robot) -> Path:
+    return Path(str(resources.files("excite") / "models" / f"{robot.source}.toml"))
 
 
 def _tighten(entries: dict[str, tuple[Any, str]], follower: Follower) -> None:
@@ -242,9 +256,9 @@ def _document(file: Path) -> DocumentFile:
     return DocumentFile(file, "a limits file", "correct it", "a TOML file with [joints.<name>] tables, or a MoveIt joint_limits.yaml")
 
 
-def _read_toml(file: Path) -> LimitsFile:
+def _read_toml(file: Path, schema: type[TomlLimits]) -> TomlLimits:
     document = _document(file)
-    return document.converted(document.toml(), LimitsFile)
+    return document.converted(document.toml(), schema)
 
 
 def _read_yaml(file: Path) -> dict[str, JointLimits]:

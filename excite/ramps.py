@@ -244,8 +244,8 @@ def rest_to_rest(subject: Subject, fourier: Fourier, periods: int, rate: float, 
     """The whole motion around `fourier`, which may begin at another phase than it was given with.
 
     subject: its limits must state accelerations and jerks (`with_derived`), less the margin to keep free.
-    start: pose to begin and end at, at rest; None: where the ramp-in begins. Raises Infeasible when no ramp obeys the limits, UnusableInput when `start`
-        breaks one.
+    start: pose to begin and end at, at rest; None: where the ramp-in begins.
+    Raises Infeasible when no ramp obeys the limits, UnusableInput when `start` breaks one.
     """
     planner = Planner(subject, rate)
     shifted, ramp_in, ramp_out = _ramps(planner, fourier, start)

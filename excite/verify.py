@@ -33,6 +33,8 @@ ROUNDING = 1e-9
 """Share of a limit by which rounding may exceed it [1]."""
 CELL = "cell"
 CLEARANCE = "clearance"
+LISTED_FAULTS = 3
+"""Faults that a line of the verdict lists; `faults` of the document has all."""
 LISTED_PAIRS = 12
 """Pairs of bodies that a certificate lists, the nearest to their margin."""
 STEPS_PER_PIECE = 4
@@ -121,7 +123,9 @@ class Certificate:
         """Both verdicts, one line each; the clearance first, so that nothing unchecked follows a certificate."""
         nearest = min((m for m in self.margins if m.limit != CLEARANCE), key=lambda margin: margin.spare)
         detail = f"nearest: {nearest.limit} of {nearest.joint}, {nearest.value:.5g} of {nearest.bound:.5g} at {nearest.time:.3f} s"
-        limits = [self.limits.value, *self.faults, f"{detail} ({percent(nearest.room)} free)"]
+        more = len(self.faults) - LISTED_FAULTS
+        faults = [*self.faults[:LISTED_FAULTS], *([f"and {more} more faults"] if more > 0 else [])]
+        limits = [self.limits.value, *faults, f"{detail} ({percent(nearest.room)} free)"]
         return f"clearance: {self.clearance.value}; {self.collision}", f"limits: {'; '.join(limits)}"
 
     def reason(self) -> str:
@@ -179,7 +183,7 @@ def verify(
     margins = limit_margins(trajectory, subject)
     clearance, collision, near = _clearance(trajectory, cell, unchecked, cell_fault)
     margins += [_distance_margin(one) for one in near[:LISTED_PAIRS]]
-    scores = score(trajectory, robot, subject.parameters)
+    scores = score(trajectory, robot, truth, subject.parameters)
     faults = (*_limit_faults(trajectory.limits, truth), *_motion_faults(trajectory), *_criteria_faults(trajectory, scores))
     ordered = tuple(sorted(margins, key=lambda margin: margin.room))
     return Certificate(ordered, scores, faults, clearance, collision, tuple(near), robot.joints)
@@ -193,10 +197,10 @@ def subject_of(trajectory: Trajectory, robot: Robot, limits: Limits) -> Subject:
     return Subject(robot, limits, standard, float(design.get("uncertainty", 0.0)), boxes)
 
 
-def score(trajectory: Trajectory, robot: Robot, standard: parameters.Parameters) -> dict[str, Any]:
+def score(trajectory: Trajectory, robot: Robot, limits: Limits, standard: parameters.Parameters) -> dict[str, Any]:
     """All criteria of the Fourier part on the optimiser's grid, and of the motion as exported."""
     motion = trajectory.motion
-    found = base.find(robot, standard, trajectory.limits)
+    found = base.find(robot, standard, limits)
     samples = int(trajectory.design.get("samples", round(motion.fourier.period * trajectory.rate)))
     parts = {"optimum": motion.fourier.samples(motion.fourier.grid(samples)), "exported": motion.samples(motion.grid(trajectory.rate))}
     return {name: criteria.score(dynamics.regressor(robot, standard, part), found, trajectory.noise) for name, part in parts.items()}

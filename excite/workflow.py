@@ -182,4 +182,4 @@ def _assemble(
         seed=options.seed,
         versions=versions(),
     )
-    return dataclasses.replace(draft, criteria=verify.score(draft, robot, setting.problem.parameters))
+    return dataclasses.replace(draft, criteria=verify.score(draft, robot, limits, setting.problem.parameters))

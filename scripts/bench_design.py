@@ -5,6 +5,7 @@
 2. The same work by figaroh, run by another interpreter (--peer PYTHON; peers/figaroh_design.py says how to install it).
 3. The cost of objective, gradient and constraint Jacobian in Pinocchio's own regressor loops.
 4. How the cost grows with samples and joints.
+5. The whole command against another checkout (--against DIR): every built-in robot, in turn, with the ratio of times.
 
 UR10 and most trees come from example-robot-data (robots.py says how to get it); without it they are left out. The dynamics
 may be compiled in the background: that is waited for before anything is timed.
@@ -19,6 +20,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -347,6 +349,42 @@ def draw(growths: Mapping[str, Sequence[tuple[int, float, float]]], file: Path) 
     figure.savefig(file, metadata={"Date": None} if file.suffix == ".svg" else None)
 
 
+def command_time(checkout: Path, name: str, seed: int) -> tuple[float, float]:
+    """Time of the command's search [s] and of the process [s]: `excite design` of a built-in robot, by a checkout's own code."""
+    environment = {**os.environ, "PYTHONPATH": str(checkout.resolve())}
+    with tempfile.TemporaryDirectory() as folder:
+        words = ["design", name, "-o", f"{folder}/out", "--seed", str(seed), "--jobs", "1", "--json"]
+        begun = time.perf_counter()
+        done = subprocess.run(
+            [sys.executable, "-m", "excite", *words], env=environment, cwd=folder, capture_output=True, text=True, check=True
+        )
+        return float(json.loads(done.stdout)["timing"]["solve"]), time.perf_counter() - begun
+
+
+def report_against(other: Path, seeds: int) -> None:
+    """Time `excite design` of this checkout and of another, in turn, and print the median ratios."""
+    here = Path(__file__).resolve().parent.parent
+    print(
+        f"\n## `excite design`: here over {other}\n\n| robot | search here [s] | there [s] | ratio | process ratio |\n|---|---|---|---|---|"
+    )
+    every: list[tuple[float, float]] = []
+    for name in robot.builtin_names():
+        pairs = []
+        for seed in range(seeds + 1):
+            both = [command_time(checkout, name, seed) for checkout in ((here, other) if seed % 2 else (other, here))]
+            mine, theirs = both if seed % 2 else both[::-1]
+            if seed:  # the first fills the cache of compiled dynamics
+                pairs.append((mine, theirs))
+        search = [mine[0] / theirs[0] for mine, theirs in pairs]
+        process = [mine[1] / theirs[1] for mine, theirs in pairs]
+        every += zip(search, process, strict=True)
+        middle = [float(np.median([times[k][0] for times in pairs])) for k in (0, 1)]
+        print(f"| {name} | {middle[0]:.2f} | {middle[1]:.2f} | {np.median(search):.2f} | {np.median(process):.2f} |", flush=True)
+    ratios = np.median(np.array(every), axis=0)
+    total = np.exp(np.log(np.array(every)).mean(axis=0))
+    print(f"| all | | | {ratios[0]:.2f} (geometric mean {total[0]:.2f}) | {ratios[1]:.2f} ({total[1]:.2f}) |")
+
+
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--data", type=Path, metavar="DIR", help="example-robot-data: its unpacked wheel or folder of robots")
@@ -355,10 +393,14 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--starts", type=int, default=0, help="also the best of so many starts, on all cores (section 1)")
     parser.add_argument("--peer", type=Path, metavar="PYTHON", help="interpreter that has figaroh (section 2)")
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw section 4")
+    parser.add_argument("--against", type=Path, metavar="DIR", help="another checkout of excite (section 5, then alone)")
     return parser.parse_args()
 
 
 def report(given: argparse.Namespace) -> None:
+    if given.against is not None:
+        report_against(given.against, given.seeds)
+        return
     sections = given.only.split(",")
     if not set(sections) <= set("1234") or given.seeds < 1 or given.starts < 0 or (given.plot and "4" not in sections):
         raise UnusableInput("--only takes 1 to 4 with commas between, --seeds 1 or more, --starts 0 or more, --plot section 4")

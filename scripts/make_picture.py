@@ -46,7 +46,7 @@ def atlas(folder: Path, joint: str) -> None:
 def design() -> None:
     trajectory = artefact.read(FOLDER / "trajectories" / "ur10e.json")
     robot = trajectory.load_robot()
-    subject = verify.subject_of(trajectory, robot)
+    subject = verify.subject_of(trajectory, robot, trajectory.limits)
     parameters, motion, limits = subject.parameters, trajectory.motion, trajectory.limits
     t = motion.grid(trajectory.rate)
     samples = motion.samples(t)

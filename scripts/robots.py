@@ -208,7 +208,7 @@ def round_trip(trajectory: artefact.Trajectory) -> verify.Certificate:
         again = artefact.read(path)
     if artefact.dumps(again.document()) != text:
         raise CheckFailed("trajectory.json does not read back as it was written")
-    return verify.verify(again, again.load_robot())
+    return verify.of_file(again, again.load_robot())
 
 
 def markdown(rows: Sequence[Row], criterion: str) -> str:

@@ -11,7 +11,7 @@ from conftest import QUICK, document, joint, link, seeds, slope
 from hypothesis import given
 from scipy.spatial.transform import Rotation
 
-from excite import design, ramps, workflow
+from excite import design, ramps, verify, workflow
 from excite.checks import Subject
 from excite.collision import chain, cover, covering, links, nearest, scene, sweep
 from excite.collision.scene import Scene
@@ -20,7 +20,6 @@ from excite.errors import Infeasible, UnusableInput
 from excite.evaluate import Evaluator
 from excite.limits import resolve
 from excite.robot import load
-from excite.verify import verify
 
 BOX = Shape("block", Kind.BOX, (0.1, 0.6, 0.3), (0.75, 0.0, 0.45))
 """In reach of the two links' tip, not of the first link."""
@@ -281,9 +280,9 @@ def test_inside_a_mesh_is_no_distance(tmp_path, free):
 
 def test_the_constraint_has_an_effect(free):
     cell = two_links(BOX)
-    before = verify(free.trajectory, cell.robot, cell)
+    before = verify.verify(free.trajectory, cell.robot, cell.limits, cell)
     assert not before.ok and before.worst().limit == "clearance"
-    assert before.collision.startswith("COLLISION")
+    assert before.collision.startswith("COLLISION") and before.clearance is verify.Verdict.FAILED
     kept = workflow.run(cell.robot, cell.limits, QUICK, cell=cell)
     assert kept.certificate.ok
     assert "collision checked" in kept.trajectory.collision
@@ -291,8 +290,8 @@ def test_the_constraint_has_an_effect(free):
         assert brute(cell, kept.trajectory.motion, number, 1e-3) >= pair.margin
     # what it costs: the criterion is a sum of variances
     assert kept.trajectory.criteria["optimum"]["geometric"]["a"] > free.trajectory.criteria["optimum"]["geometric"]["a"]
-    # and the file is checked again from its own words
-    again = verify(kept.trajectory, cell.robot)
+    # and the cell is made again from the file
+    again = verify.of_file(kept.trajectory, cell.robot)
     assert again.collision == kept.certificate.collision
     assert [n.names for n in again.near] == [n.names for n in kept.certificate.near]
 

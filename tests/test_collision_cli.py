@@ -1,6 +1,5 @@
 """Scenes from files, and what the command line says of collisions."""
 
-import dataclasses
 import itertools
 import json
 from pathlib import Path
@@ -10,7 +9,6 @@ from conftest import document, joint, link
 from test_cli import refused, run
 from test_collision import octahedron
 
-from excite.collision import cell as cells
 from excite.collision import scene
 from excite.collision.shape import Kind
 from excite.limits import resolve
@@ -101,8 +99,14 @@ def test_a_changed_mesh_is_no_longer_what_was_checked(capsys, tmp_path):
     code, _, err = run(capsys, "design", "two_link", "-o", tmp_path / "o", "--scene", tmp_path / "scene.toml", *FAST)
     assert code == 0, err
     octahedron(mesh, 0.2)
-    _, out, _ = run(capsys, "verify", tmp_path / "o" / "trajectory.json", "--json")
-    assert "not checked" in json.loads(out)["collision"] and "sha256" in json.loads(out)["collision"]
+    code, out, _ = run(capsys, "verify", tmp_path / "o" / "trajectory.json", "--json")
+    found = json.loads(out)
+    assert code == 1 and found["verdict"] == {"limits": "certified", "clearance": "failed"} and "sha256" in found["collision"]
+    code, _, err = run(capsys, "export", tmp_path / "o" / "trajectory.json", "--format", "csv", "-o", tmp_path / "x.csv")
+    assert code == 1 and "clearance: failed" in err and not (tmp_path / "x.csv").exists()
+    mesh.unlink()
+    code, out, _ = run(capsys, "verify", tmp_path / "o" / "trajectory.json", "--json")
+    assert code == 1 and str(mesh) in json.loads(out)["collision"]
 
 
 def test_all_kinds_are_read_and_written(tmp_path):
@@ -111,9 +115,20 @@ def test_all_kinds_are_read_and_written(tmp_path):
     path = tmp_path / "scene.toml"
     path.write_text("\n".join(f"[[{kind}]]\n{size}\nposition = [2, {k}, 0]" for k, (kind, size) in enumerate(sizes.items())))
     robot = load("two_link")
-    cell = scene.cell(robot, resolve(robot), dataclasses.replace(scene.read(path), floor=False))
+    cell = scene.cell(robot, resolve(robot), scene.read(path).overridden(floor=False))
     assert {body.shapes[0].kind for body in cell.bodies if body.around} == {Kind.SPHERE, Kind.CAPSULE, Kind.CYLINDER, Kind.BOX}
     around = {n for n in itertools.chain(*(cell.names(p).split(" – ") for p in cell.pairs)) if n.endswith(" 1")}
     assert len(around) == 4
-    again = cells.from_document(robot, cell.limits, json.loads(json.dumps(cell.document())))
-    assert again.pairs == cell.pairs and again.document() == cell.document()
+    stated = json.loads(json.dumps(cell.document()))
+    again, fault = scene.as_on_disk(robot, cell.limits, stated)
+    assert fault is None and again is not None and again.pairs == cell.pairs and again.document() == cell.document()
+    for change, words in (
+        (lambda d: d["shapes"][-1].update(size=[9.0, 9.0, 9.0]), "another size"),
+        (lambda d: d["shapes"].pop(), "another number of shapes"),
+        (lambda d: d.update(margin=0.0), "the clearance is"),
+        (lambda d: d.update(disabled=[["link_1", "box 1"]]), "may touch"),
+    ):
+        tampered = json.loads(json.dumps(stated))
+        change(tampered)
+        cell_then, fault = scene.as_on_disk(robot, cell.limits, tampered)
+        assert cell_then is None and fault is not None and words in fault

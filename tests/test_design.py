@@ -276,13 +276,15 @@ def test_a_start_pose_outside_its_limits_is_refused_with_the_joint(two_link, tab
 
 
 def test_a_motion_that_fails_its_certificate_is_not_delivered(two_link, table, monkeypatch):
-    monkeypatch.setattr(workflow.verify, "_faults", lambda trajectory: ["it wobbles"])
+    original = workflow.verify.verify
+    monkeypatch.setattr(workflow.verify, "verify", lambda *a, **k: replace(original(*a, **k), faults=("it wobbles",)))
     with pytest.raises(CheckFailed, match="it wobbles; try another --seed or --force"):
         workflow.run(two_link, table, replace(QUICK, iterations=5))
 
 
 def test_a_forced_motion_says_so(two_link, table, monkeypatch):
-    monkeypatch.setattr(workflow.verify, "_faults", lambda trajectory: ["it wobbles"])
+    original = workflow.verify.verify
+    monkeypatch.setattr(workflow.verify, "verify", lambda *a, **k: replace(original(*a, **k), faults=("it wobbles",)))
     assert workflow.run(two_link, table, replace(QUICK, iterations=5), force=True).trajectory.forced
 
 

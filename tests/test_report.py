@@ -216,7 +216,7 @@ def test_directions_that_nothing_excites_do_not_break_the_report() -> None:
         dataclasses.replace(trajectory, criteria=nothing, margins=[]), loaded, standard, found, unseen, DesignRecord([]), cases=()
     )
     check_page(page)
-    assert "no limit was checked" in page and analysis.identifiable > 0
+    assert "Limits: not checked" in page and analysis.identifiable > 0
 
 
 def test_identifiability_report() -> None:

@@ -16,6 +16,7 @@ def test_every_built_in_robot_has_one():
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.json")), ids=lambda p: p.stem)
 def test_it_keeps_its_certificate(path):
     trajectory = artefact.read(path)
-    certificate = verify.verify(trajectory, trajectory.load_robot())
+    certificate = verify.of_file(trajectory, trajectory.load_robot())
     assert certificate.ok, (certificate.worst(), certificate.faults)
+    assert certificate.clearance is verify.Verdict.CERTIFIED
     assert not trajectory.forced

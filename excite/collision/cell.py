@@ -28,6 +28,8 @@ FEW, NEAR = 40, 2.0
 """Poses that tell which pairs may be close by construction: those within so many margins in more than a quarter of them."""
 CLOSE = 1e-3
 """Links that a joint or two hold apart keep this distance at least [m]."""
+CONSTANT = 1e-7
+"""Distances that vary by less than this over all poses do not depend on the motion [m]."""
 GRID, SPARSE, SPARE = 24, 9, 5e-3
 """Steps per joint over which bodies with one or two joints between them are looked at; of meshes, which take their time; and what must
 then be left everywhere of those that are taken never to touch [m]."""
@@ -68,6 +70,7 @@ class Cell:
 
     bodies: links, tools, surroundings. pairs: of them, that keep apart. excepted: pairs that need not, with reasons.
     margin: clearance [m]. disabled: names of bodies whose contact is no matter. notes: what a user should know.
+    recipe: how it was made, None where it cannot be made again. assumed_floor: nobody stated the floor's height.
     """
 
     robot: Robot
@@ -79,6 +82,11 @@ class Cell:
     disabled: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
     recipe: Recipe | None = None
+    assumed_floor: bool = False
+
+    def floor_is_assumed(self, pair: Sequence[Body]) -> bool:
+        """Whether one of the bodies is a floor that nobody stated."""
+        return self.assumed_floor and any(one.kind is Kind.FLOOR for body in pair for one in body.shapes)
 
     @property
     def floor(self) -> float | None:
@@ -88,7 +96,7 @@ class Cell:
 
     def floor_words(self) -> str:
         """The height of the floor, in words."""
-        return "no floor" if self.floor is None else f"floor at z = {self.floor + 0.0:.4g} m"
+        return "no floor" if self.floor is None else f"floor at z = {round(self.floor, 6) + 0.0:g} m"
 
     def names(self, pair: Pair) -> str:
         """Both bodies of a pair."""
@@ -118,6 +126,8 @@ def build(
     disabled: Sequence[tuple[str, str]] = (),
     notes: Sequence[str] = (),
     recipe: Recipe | None = None,
+    *,
+    assumed_floor: bool = False,
 ) -> Cell:
     """Place the shapes and find the pairs that can meet. disabled: names of links or things whose contact is no matter.
 
@@ -126,7 +136,7 @@ def build(
     """
     if not (np.isfinite(margin) and margin >= 0.0):
         raise UnusableInput(f"--clearance {margin:g} should be 0 or more metres")
-    bare = Cell(robot, limits, bodies(robot, found), (), (), margin, tuple(disabled), tuple(notes), recipe)
+    bare = Cell(robot, limits, bodies(robot, found), (), (), margin, tuple(disabled), tuple(notes), recipe, assumed_floor)
     pairs, excepted = _sorted_out(dataclasses.replace(bare, pairs=tuple(Pair(*both, margin) for both in _movable(bare))))
     return dataclasses.replace(bare, pairs=tuple(pairs), excepted=tuple(excepted))
 
@@ -150,6 +160,10 @@ def _sorted_out(cell: Cell) -> tuple[list[Pair], list[Apart]]:
     for k, pair in enumerate(cell.pairs):
         both = cell.bodies[pair.first], cell.bodies[pair.second]
         names, around, usual = (both[0].name, both[1].name), both[0].around or both[1].around, distances[k]
+        if around and len(usual) == POSES and np.ptp(usual) < CONSTANT and (usual.min() > 0.0 or cell.floor_is_assumed(both)):
+            # turns about the vertical, say: its distance is the mounting's matter, not the motion's
+            excepted.append(Apart(*names, f"always at the same distance, {1e3 * usual.min():.0f} mm"))
+            continue
         if len(usual) == POSES and np.mean(usual <= 0.0) > ALWAYS:
             if around:
                 raise UnusableInput(_in_the_way(cell, *sorted(both, key=lambda body: body.around)))

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import UnusableInput
-from ..limits import Limits
+from ..limits import Limits, mounting_plane
 from ..parameters import spread_poses
 from ..robot import Robot
 from ..schemas.document_file import DocumentFile
@@ -210,7 +210,8 @@ def _cell(robot: Robot, limits: Limits, scene: Scene, own: Sequence[Shape], reci
     notes += [f"no shape is known of {', '.join(bare)}"] if bare else []
     shapes = [*own, *scene.shapes, *([] if floor is None else [Shape("floor", Kind.FLOOR, position=(0.0, 0.0, floor))])]
     clearance = cells.MARGIN if scene.clearance is None else scene.clearance
-    return cells.build(robot, limits, shapes, clearance, [*scene.disabled, *scene.ignored], notes, recipe)
+    pairs = [*scene.disabled, *scene.ignored]
+    return cells.build(robot, limits, shapes, clearance, pairs, notes, recipe, assumed_floor=scene.floor is None)
 
 
 def _check_names(robot: Robot, scene: Scene, own: Sequence[Shape]) -> None:
@@ -228,7 +229,7 @@ def _check_names(robot: Robot, scene: Scene, own: Sequence[Shape]) -> None:
 
 
 def _floor_height(robot: Robot, limits: Limits, own: Sequence[Shape], scene: Scene) -> tuple[float | None, list[str]]:
-    """The stated floor; else the base frame's origin or, if that is lower, the exact lowest point of the links that stand.
+    """The stated floor; else a built-in model's mounting plane; else z = 0 or, if lower, the exact lowest point of the links that stand.
 
     No floor is assumed where gravity does not point down, or where nearly all poses reach below it: that robot hangs.
     """
@@ -239,16 +240,18 @@ def _floor_height(robot: Robot, limits: Limits, own: Sequence[Shape], scene: Sce
     gravity = robot.model.gravity.linear
     if np.hypot(gravity[0], gravity[1]) > 1e-6 * np.linalg.norm(gravity) or gravity[2] >= 0.0:
         return None, ["gravity does not point down the base's z axis: no floor is assumed (--floor Z says where it is)"]
-    frames = [robot.model.frames[robot.frame(str(one.link))] for one in own]
-    standing = [one.lowest(frame.placement * one.placement) for one, frame in zip(own, frames, strict=True) if int(frame.parentJoint) == 0]
-    height = min([0.0, *standing])
+    height = mounting_plane(robot)
+    if height is None:
+        frames = [robot.model.frames[robot.frame(str(one.link))] for one in own]
+        fixed = [(one, frame.placement) for one, frame in zip(own, frames, strict=True) if int(frame.parentJoint) == 0]
+        height = min([0.0, *(one.lowest(placement * one.placement) for one, placement in fixed)])
     if np.mean(_lowest_moving(robot, own, spread_poses(limits, POSES)) < height) > HANGING:
         return None, [f"the robot hangs below its base: no floor is assumed at {height:g} m (--floor Z says where it is)"]
     return height, []
 
 
 def _lowest_moving(robot: Robot, own: Sequence[Shape], q: Array) -> Array:
-    """Height of the lowest point of the capsule covers of all moving links, at many poses. Shapes (N, n) -> (N,) [m]."""
+    """Height of the lowest point of the capsule covers of the links that rise and fall, at many poses. Shapes (N, n) -> (N,) [m]."""
     frames = [robot.model.frames[robot.frame(str(one.link))] for one in own]
     covers = [
         (int(frame.parentJoint), capsule.moved(frame.placement.rotation, frame.placement.translation))
@@ -260,4 +263,5 @@ def _lowest_moving(robot: Robot, own: Sequence[Shape], q: Array) -> Array:
     ends, radius = np.array([(one.begin, one.end) for _, one in covers]), np.array([one.radius for _, one in covers])
     R, p = chain.of(robot).poses(q)
     above = np.einsum("nci,cei->nce", R[:, joint, 2], ends) + p[:, joint, 2, None]
-    return np.asarray((above.min(axis=2) - radius).min(axis=1))
+    heights = above.min(axis=2) - radius
+    return np.asarray(heights[:, np.ptp(heights, axis=0) > cells.CONSTANT].min(axis=1, initial=np.inf))

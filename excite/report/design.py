@@ -17,6 +17,7 @@ from ..identifiability import Identifiability
 from ..parameters import Parameters
 from ..robot import Robot
 from ..scenarios import Scenario, what_would_help
+from ..verify import CLEARANCE
 from . import motion_figures
 from .collision import collision_section
 from .figures import MANY
@@ -136,33 +137,38 @@ def _room(margin: Mapping[str, Any], trajectory: Trajectory) -> float:
 
 
 def _verdict(trajectory: Trajectory) -> str:
-    closest = rooms(trajectory)
+    """Both parts of the certificate, clearance and limits, as banners."""
+    return _clearance_banner(trajectory) + _limits_banner(trajectory)
+
+
+def _limits_banner(trajectory: Trajectory) -> str:
+    closest = [(room, margin) for room, margin in rooms(trajectory) if margin["limit"] != CLEARANCE]
     if not closest:
-        return banner("Certificate: no limit was checked", "bad")
+        return banner("Limits: not checked.", "bad")
     room, worst = closest[0]
     broken = sum(1 for r, _ in closest if r < -_ROUNDING)
-    if broken or trajectory.forced:
-        reason = (
-            f"{plural(broken, 'limit')} broken, worst the {worst['limit']} of {worst['joint']}"
-            if broken
-            else "written although a check failed (--force)"
-        )
-        return banner(f"Certificate: FAILED. {reason}. Do not run this motion.", "bad") + _collision(trajectory)
-    text = f"Certificate: all {len(closest)} limits hold; the closest is the {worst['limit']} of {worst['joint']}, {_room_words(room)}."
-    return banner(text, "good") + _collision(trajectory)
+    if broken:
+        reason = f"{plural(broken, 'limit')} broken, worst the {worst['limit']} of {worst['joint']}"
+        return banner(f"Limits: FAILED. {reason}. Do not run this motion.", "bad")
+    if trajectory.forced:
+        return banner("Written although a check failed (--force). Do not run this motion.", "bad")
+    text = f"Limits: certified. All {len(closest)} hold; the closest is the {worst['limit']} of {worst['joint']}, {_room_words(room)}."
+    return banner(text, "good")
 
 
 def _room_words(room: float) -> str:
     return "right at its bound" if room < 5e-4 else f"with {100.0 * room:.2g} % to spare"
 
 
-def _collision(trajectory: Trajectory) -> str:
+def _clearance_banner(trajectory: Trajectory) -> str:
     text = trajectory.collision
     if "not checked" in text:
         more = "The motion was not tested against the robot's own body or its surroundings. Watch the first run at low speed."
-        return banner(f"{text[:1].upper()}{text[1:]}. {more}", "warn")
-    state = "bad" if text.startswith("COLLISION") else "warn" if trajectory.forced else "good"
-    return banner(f"{text[:1].upper()}{text[1:]}.", state)
+        return banner(f"Clearance: not checked; {text}. {more}", "warn")
+    short = any(room < -_ROUNDING for room, margin in rooms(trajectory) if margin["limit"] == CLEARANCE)
+    if short or text.startswith("COLLISION"):
+        return banner(f"Clearance: FAILED; {text}. Do not run this motion.", "bad")
+    return banner(f"Clearance: certified; {text}.", "good")
 
 
 def warnings_of(subject: Design) -> list[str]:

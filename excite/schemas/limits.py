@@ -7,6 +7,7 @@ import msgspec
 from .quantities import (
     AccelerationLimit,
     JerkLimit,
+    Length,
     Position,
     Share,
     Text,
@@ -109,6 +110,18 @@ class LimitsFile(msgspec.Struct, forbid_unknown_fields=True):
     def __post_init__(self) -> None:
         if not self.joints and self.margin is None:
             raise ValueError("has no [joints.<name>] tables; write one per joint, e.g. [joints.elbow] velocity = 2.0")
+
+
+class Mounting(msgspec.Struct, forbid_unknown_fields=True):
+    """How a built-in model stands. floor: height of the plane under its base, in the base frame."""
+
+    floor: Length
+
+
+class BuiltinLimitsFile(LimitsFile, forbid_unknown_fields=True):
+    """The table of a built-in model, which states its mounting too."""
+
+    mounting: Mounting | None = None
 
 
 class MoveItSwitches(msgspec.Struct):

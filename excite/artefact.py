@@ -134,12 +134,21 @@ def read(path: Path) -> Trajectory:
     """Read `trajectory.json`.
 
     Raises:
-        UnusableInput: The file is missing, is of another schema, or breaks a rule of `schemas.trajectory`.
+        UnusableInput: The file is missing, is of another schema, or breaks a rule of
+            `schemas.trajectory`.
     """
-    file = DocumentFile(path, "a trajectory", "design it again", "the trajectory.json of 'excite design'")
-    content = file.json()
+    return parse(_document_file(path).json(), path)
+
+
+def parse(content: Any, path: Path) -> Trajectory:
+    """The trajectory of the plain values of a `trajectory.json`; path: of the file, for messages. Raises as `read` does."""
+    file = _document_file(path)
     file.schema(content, (SCHEMA,))
     return _from_document(file.converted(content, TrajectoryDocument), content)
+
+
+def _document_file(path: Path) -> DocumentFile:
+    return DocumentFile(path, "a trajectory", "design it again", "the trajectory.json of 'excite design'")
 
 
 def _from_document(document: TrajectoryDocument, content: Mapping[str, Any]) -> Trajectory:

@@ -14,7 +14,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 # Each layer may import from itself and from the ones before it.
 LAYERS = (
-    {"__init__", "errors", "urdf", "robot", "limits", "trajectory", "motion", "plant"},
+    {"__init__", "errors", "physical_ranges", "schemas", "urdf", "robot", "limits", "trajectory", "motion", "plant"},
     {"parameters", "structure", "dynamics", "compiled", "symbolic", "base", "criteria", "overlap", "problem", "checks", "collision"},
     {"evaluate", "start", "subproblem", "solver", "starts", "design", "ramps", "wording", "scenarios", "identifiability", "recordings"}
     | {"artefact", "identify", "diagnose"},

@@ -216,7 +216,7 @@ def read(path: Path) -> FittedModel:
     Raises:
         UnusableInput: The file is missing, is of another schema, breaks a rule of `schemas.model`, or its URDF is none.
     """
-    file = DocumentFile(path, "a model", "identify again", "the model.json of 'excite identify'")
+    file = DocumentFile(path, "a model", "identify or diagnose again", "the model.json of 'excite identify'")
     content = file.json()
     file.schema(content, (SCHEMA,))
     return of_document(file, content)

@@ -9,6 +9,9 @@ import msgspec
 from .quantities import ClockTime, DriveGain, Name, Period, Text
 
 SCHEMA = "excite.recording/1"
+SHORTEST_WINDOW = 0.5
+"""Shortest window over the period [1]. A recording of one period may lack its transient; half of it
+is no window in which anything repeats."""
 
 
 class SidecarDocument(msgspec.Struct):
@@ -29,5 +32,5 @@ class SidecarDocument(msgspec.Struct):
         length = self.periodic[1] - self.periodic[0]
         if not length > 0.0:
             raise ValueError(f"periodic: [{self.periodic[0]:g}, {self.periodic[1]:g}] should be [start, end] with start < end")
-        if self.period is not None and length < self.period:
-            raise ValueError(f"periodic: a window of {length:g} s holds no whole period of {self.period:g} s")
+        if self.period is not None and length < SHORTEST_WINDOW * self.period:
+            raise ValueError(f"periodic: a window of {length:g} s is much shorter than the period, {self.period:g} s")

@@ -12,8 +12,7 @@ from conftest import states, text_of
 from made import motion, perturbed, recorded, two_links, written
 
 from excite import cli, dynamics, limits, parameters, robot, workflow
-from excite.errors import ExciteWarning
-from excite.identify import consistent, model, priors
+from excite.identify import consistent, model
 
 
 @pytest.fixture(scope="module")
@@ -200,18 +199,18 @@ def test_bad_bounds(folder, capsys, tmp_path, text, part):
     ("stated", "part"),
     [
         ({"schema": "excite.prior/2"}, "excite.prior/2"),
-        ({"schema": "excite.prior/1", "trust_prior": False}, "trust_prior"),
-        ({"schema": "excite.prior/1", "trust_prior": True, "joints": {"elbow": {}}}, "no joint 'elbow'"),
-        ({"schema": "excite.prior/1", "trust_prior": True, "joints": None}, "joints: null should be a table"),
-        ({"schema": "excite.prior/1", "trust_prior": True, "joints": {"joint_1": 0.3}}, "joints.joint_1: 0.3 should be a table"),
-        ({"schema": "excite.prior/1", "trust_prior": True, "joints": {"joint_1": {"backlash": 1}}}, "joints.joint_1: has the unknown key 'backlash'"),
-        ({"schema": "excite.prior/1", "trust_prior": True, "joints": {"joint_1": {"coulomb": "much"}}}, "joints.joint_1.coulomb: 'much' should be a number"),
-        ({"schema": "excite.prior/1", "trust_prior": True, "joint": {"joint_1": {"coulomb": 1.25}}}, "has the unknown key 'joint'"),,
+        ({"trust_prior": False}, "trust_prior"),
+        ({"joints": {"elbow": {}}}, "no joint 'elbow'"),
+        ({"joints": None}, "joints: null should be a table"),
+        ({"joints": {"joint_1": 0.3}}, "joints.joint_1: 0.3 should be a table"),
+        ({"joints": {"joint_1": {"backlash": 1}}}, "joints.joint_1: has the unknown key 'backlash'"),
+        ({"joints": {"joint_1": {"coulomb": "much"}}}, "joints.joint_1.coulomb: 'much' should be a number"),
+        ({"joint": {"joint_1": {"coulomb": 1.25}}}, "has the unknown key 'joint'"),
     ],
 )
 def test_bad_priors(folder, capsys, tmp_path, stated, part):
     path = tmp_path / "prior.json"
-    path.write_text(json.dumps(stated))
+    path.write_text(json.dumps({"schema": "excite.prior/1", "trust_prior": True, **stated}))
     assert part in told(capsys, "identify", "two_link", folder / "train.csv", "--prior", path, "-o", tmp_path / "out")
 
 

@@ -37,10 +37,16 @@ class Range:
 
     def __str__(self) -> str:
         """The range in words, as in "from -1e+04 to 1e+04 m"."""
-        text = f"from {self.lower:g} to {self.upper:g}" + ("" if self.unit == "1" else f" {self.unit}")
+        text = f"from {self.lower:g} to {self.upper:g}" + (
+            "" if self.unit == "1" else f" {self.unit}"
+        )
         if self.lower <= 0.0 <= self.upper and not self.zero:
             text += ", not 0"
-        return text if self.smallest <= max(self.lower, 0.0) else f"{text}, no nearer to 0 than {self.smallest:g}"
+        return (
+            text
+            if self.smallest <= max(self.lower, 0.0)
+            else f"{text}, no nearer to 0 than {self.smallest:g}"
+        )
 
 
 MASS = Range(0.0, 1e6, "kg", smallest=1e-12)

@@ -31,15 +31,16 @@ import numpy as np
 from brute_force import CLEARLY, Judge, Least
 from robots import wheel
 
-from excite import criteria, limits, robot, workflow
-from excite.collision import covering, scene, sweep
-from excite.collision.cell import Cell
+from excite.collision import clearance_builder, continuous_check, scene_file
+from excite.collision.workcell import Cell
+from excite.designer import criteria, pipeline
+from excite.designer.problem import Options
+from excite.designer.time_budget import Wish
 from excite.errors import CheckFailed, ExciteError, ExciteWarning, Infeasible, UnusableInput
-from excite.limits import Limits
-from excite.parameters import ranges
-from excite.plan import Wish
-from excite.problem import Options
-from excite.robot import Robot
+from excite.robot import limits, robot
+from excite.robot.inertial_parameters import ranges
+from excite.robot.limits import Limits
+from excite.robot.robot import Robot
 
 Array = np.ndarray
 SEEDS = 3
@@ -80,11 +81,11 @@ class Case:
     limits: Limits
     cell: Cell
     placing: float
-    free: list[workflow.Delivery] = field(default_factory=list)
-    clear: list[workflow.Delivery] = field(default_factory=list)
+    free: list[pipeline.Delivery] = field(default_factory=list)
+    clear: list[pipeline.Delivery] = field(default_factory=list)
     work: dict[bool, list[float]] = field(default_factory=lambda: {False: [], True: []})
     said: list[str] = field(default_factory=list)
-    hits: list[sweep.Near] = field(default_factory=list)
+    hits: list[continuous_check.Near] = field(default_factory=list)
     judged: list[Least] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
 
@@ -95,7 +96,9 @@ class Case:
             say(f"{self.name}, seed {seed}, load {os.getloadavg()[0]:.1f}")
             try:
                 self.free.append(self._designed(seed, None))
-                self.hits.append(sweep.along(self.cell, self.free[-1].trajectory.motion)[0])
+                self.hits.append(
+                    continuous_check.along(self.cell, self.free[-1].trajectory.motion)[0]
+                )
                 self.clear.append(self._designed(seed, self.cell))
             except ExciteError as error:
                 self.faults.append(f"seed {seed}: {error}")
@@ -104,11 +107,11 @@ class Case:
             self.judged += [least[0], *[one for one in least if one.margin >= self.cell.margin][:1]]
             self.faults += [f"seed {seed}: {text}" for text in disagreements(self.clear[-1], least)]
 
-    def _designed(self, seed: int, cell: Cell | None) -> workflow.Delivery:
+    def _designed(self, seed: int, cell: Cell | None) -> pipeline.Delivery:
         """One design; the processor's seconds besides the clock's, for others use the machine too."""
         options = Wish().fill(Options(starts=1, seed=seed, jobs=1), self.limits)
         begun = time.process_time()
-        out = workflow.run(self.robot, self.limits, options, cell=cell, progress=self.said.append)
+        out = pipeline.run(self.robot, self.limits, options, cell=cell, progress=self.said.append)
         self.work[cell is not None].append(time.process_time() - begun)
         return out
 
@@ -118,16 +121,32 @@ class Case:
             return [self.name, *[""] * 10]
         criterion = Options().criterion
         values = [
-            float(np.median([criteria.pick(one.trajectory.criteria["optimum"], criterion, plain=False) for one in some]))
+            float(
+                np.median(
+                    [
+                        criteria.pick(one.trajectory.criteria["optimum"], criterion, plain=False)
+                        for one in some
+                    ]
+                )
+            )
             for some in (self.free, self.clear)
         ]
-        clock = [f"{np.median([one.timing['total'] for one in some]):.1f}" for some in (self.free, self.clear)]
+        clock = [
+            f"{np.median([one.timing['total'] for one in some]):.1f}"
+            for some in (self.free, self.clear)
+        ]
         proven = [near for one in self.clear for near in one.certificate.near]
         nearest = min(proven, key=lambda near: near.proven - near.pair.margin)
         hit = min(self.hits, key=lambda near: near.found - near.pair.margin)
         struck = sum(near.found < near.pair.margin for near in self.hits)
-        effect = f"{struck} of {len(self.hits)}: {1e3 * hit.found:.0f} mm, {hit.names}" if struck else "none: NO EFFECT"
-        wide = min((one for one in self.judged if one.margin >= self.cell.margin), key=lambda one: one.room)
+        effect = (
+            f"{struck} of {len(self.hits)}: {1e3 * hit.found:.0f} mm, {hit.names}"
+            if struck
+            else "none: NO EFFECT"
+        )
+        wide = min(
+            (one for one in self.judged if one.margin >= self.cell.margin), key=lambda one: one.room
+        )
         return [
             self.name,
             effect,
@@ -143,7 +162,7 @@ class Case:
         ]
 
 
-def disagreements(one: workflow.Delivery, least: Sequence[Least]) -> Iterator[str]:
+def disagreements(one: pipeline.Delivery, least: Sequence[Least]) -> Iterator[str]:
     """What brute force finds broken or other than the certificate states it."""
     stated = {near.names: near for near in one.certificate.near}
     for found in least:
@@ -152,7 +171,11 @@ def disagreements(one: workflow.Delivery, least: Sequence[Least]) -> Iterator[st
             yield f"BROKEN: {found.words()}"
         elif near is not None and near.proven > found.distance + 1e-6:
             yield f"PROVEN TOO MUCH: {found.words()}, proven {1e3 * near.proven:.2f} mm"
-        elif near is not None and found.room < CLEARLY and near.proven < 0.95 * found.distance - AGREE:
+        elif (
+            near is not None
+            and found.room < CLEARLY
+            and near.proven < 0.95 * found.distance - AGREE
+        ):
             yield f"proven little: {found.words()}, proven {1e3 * near.proven:.2f} mm"
 
 
@@ -172,10 +195,10 @@ def placed(name: str, source: str, text: str) -> Case:
     table = limits.resolve(machine)
     with tempfile.TemporaryDirectory() as folder:
         (path := Path(folder) / "scene.toml").write_text(text, encoding="utf-8")
-        read = scene.read(path)
+        read = scene_file.read(path)
     begun = time.process_time()
-    cell = scene.cell(machine, table, read)
-    covering.clearance(cell)
+    cell = scene_file.cell(machine, table, read)
+    clearance_builder.clearance(cell)
     return Case(name, machine, table, cell, time.process_time() - begun)
 
 
@@ -186,15 +209,25 @@ def report_cases(folder: Path | None) -> bool:
         case.run()
         done.append(case)
         say("  " + " | ".join(case.cells()))
-    head = ["case", "free designs that break a margin", "brute force, 1 kHz: least room", "of pairs with the full margin", "verify: proven"]
+    head = [
+        "case",
+        "free designs that break a margin",
+        "brute force, 1 kHz: least room",
+        "of pairs with the full margin",
+        "verify: proven",
+    ]
     head += ["A free", "A clear", "free [s]", "clear [s]", "tightened", "cell [s]"]
     note = f"Seeds 0 to {SEEDS - 1}, one start each; medians, distances the worst. Seconds: the processor's, building and certifying too "
     note += "(clear: of each seed); in brackets the clock's. Cell: its pairs and covers, once, by the processor. "
-    note += f"Load {', '.join(f'{load:.1f}' for load in os.getloadavg())} on {os.cpu_count()} cores."
+    note += (
+        f"Load {', '.join(f'{load:.1f}' for load in os.getloadavg())} on {os.cpu_count()} cores."
+    )
     show("Cases", head, [case.cells() for case in done], note)
     faults = [f"{case.name}: {text}" for case in done for text in case.faults]
     print("\n".join(["", *faults]) if faults else "", flush=True)
-    return all(case.judged for case in done) and not any("BROKEN" in text or "TOO MUCH" in text for text in faults)
+    return all(case.judged for case in done) and not any(
+        "BROKEN" in text or "TOO MUCH" in text for text in faults
+    )
 
 
 # -- random scenes -------------------------------------------------------------------------------------------------
@@ -227,12 +260,22 @@ def obstacles(rng: np.random.Generator, reach: float) -> str:
         size = size if kind == "box" else size * [0.5, 1.0, 1.0]  # the round ones: a radius first
         angle, far = rng.uniform(-np.pi, np.pi), rng.uniform(0.3, 1.0) * reach
         place = np.array([far * np.cos(angle), far * np.sin(angle), rng.uniform(-0.1, 1.0) * reach])
-        ball = {"box": 0.5 * np.linalg.norm(size), "sphere": size[0], "capsule": size[0] + 0.5 * size[1]}
+        ball = {
+            "box": 0.5 * np.linalg.norm(size),
+            "sphere": size[0],
+            "capsule": size[0] + 0.5 * size[1],
+        }
         if far < ball.get(kind, np.hypot(size[0], 0.5 * size[1])) + 0.15:
             continue
-        own = f"size = {size.tolist()}" if kind == "box" else f"radius = {size[0]}" + f"\nlength = {size[1]}" * (kind != "sphere")
+        own = (
+            f"size = {size.tolist()}"
+            if kind == "box"
+            else f"radius = {size[0]}" + f"\nlength = {size[1]}" * (kind != "sphere")
+        )
         turned = np.round(rng.uniform(-np.pi, np.pi, 3), 3).tolist()
-        lines.append(f'[[{kind}]]\nname = "{kind} {count}"\n{own}\nposition = {np.round(place, 3).tolist()}\nrotation = {turned}')
+        lines.append(
+            f'[[{kind}]]\nname = "{kind} {count}"\n{own}\nposition = {np.round(place, 3).tolist()}\nrotation = {turned}'
+        )
         count -= 1
     return "\n".join(lines) + "\n"
 
@@ -243,7 +286,9 @@ def pose(rng: np.random.Generator, judge: Judge, table: Limits) -> Array:
     data = judge.robot.model.createData()
     for _ in range(5):
         q = np.asarray(rng.uniform(low, high))
-        if (judge.at(q, data, np.full(len(judge.names), np.inf)) >= np.array(judge.margins) + 2e-3).all():
+        if (
+            judge.at(q, data, np.full(len(judge.names), np.inf)) >= np.array(judge.margins) + 2e-3
+        ).all():
             break
     return q
 
@@ -256,30 +301,46 @@ def attempt(number: int, seed: int, folder: Path) -> Outcome:
     table = limits.resolve(machine)
     path = folder / f"scene_{number}.toml"
     path.write_text(obstacles(rng, REACH[name]), encoding="utf-8")
-    options = dataclasses.replace(Wish().fill(Options(starts=1, seed=seed, jobs=1), table), iterations=60)
+    options = dataclasses.replace(
+        Wish().fill(Options(starts=1, seed=seed, jobs=1), table), iterations=60
+    )
     begun, start, bodies, from_pose = time.perf_counter(), None, list[str](), number % 3 == 0
     outcome = Outcome(number, name, "", "", 0.0, from_pose=from_pose)
     try:
-        read = scene.read(path)
+        read = scene_file.read(path)
         bodies += ["floor", *(one.name for one in read.shapes)]
-        cell = scene.cell(machine, table, read)
+        cell = scene_file.cell(machine, table, read)
         bodies += [body.name for body in cell.bodies]
         judge = Judge(cell)
         start = pose(rng, judge, table) if from_pose else None
         begun = time.perf_counter()
-        found = workflow.run(machine, table, options, start=start, cell=cell)
+        found = pipeline.run(machine, table, options, start=start, cell=cell)
     except (Infeasible, UnusableInput, CheckFailed) as error:
         said = any(body in str(error) for body in bodies)
         kind = type(error).__name__ if said else "refused without naming"
-        return dataclasses.replace(outcome, kind=kind, text=str(error), seconds=time.perf_counter() - begun)
+        return dataclasses.replace(
+            outcome, kind=kind, text=str(error), seconds=time.perf_counter() - begun
+        )
     except Exception:  # a traceback is a finding, and the others go on
-        return dataclasses.replace(outcome, kind="TRACEBACK", text=traceback.format_exc(), seconds=time.perf_counter() - begun)
+        return dataclasses.replace(
+            outcome,
+            kind="TRACEBACK",
+            text=traceback.format_exc(),
+            seconds=time.perf_counter() - begun,
+        )
     seconds, motion = time.perf_counter() - begun, found.trajectory.motion
     least = judge.along(motion, 2e-3)
     wrong = [text for text in disagreements(found, least) if text[:6] in ("BROKEN", "PROVEN")]
     legs = sum(segment.kind in ("approach", "return") for segment in motion.segments)
     text = "; ".join(wrong) or least[0].words()
-    return dataclasses.replace(outcome, kind="BROKEN" if wrong else "motion", text=text, seconds=seconds, legs=legs, least=least[0])
+    return dataclasses.replace(
+        outcome,
+        kind="BROKEN" if wrong else "motion",
+        text=text,
+        seconds=seconds,
+        legs=legs,
+        least=least[0],
+    )
 
 
 def report_scenes(count: int, seed: int) -> bool:
@@ -295,12 +356,25 @@ def report_scenes(count: int, seed: int) -> bool:
         own = [one for one in done if one.kind == kind]
         seconds = [one.seconds for one in own]
         posed, round_about = sum(one.from_pose for one in own), sum(one.legs > 2 for one in own)
-        rows.append([kind, str(times), str(posed), str(round_about), f"{np.median(seconds):.1f} ({max(seconds):.1f})"])
+        rows.append(
+            [
+                kind,
+                str(times),
+                str(posed),
+                str(round_about),
+                f"{np.median(seconds):.1f} ({max(seconds):.1f})",
+            ]
+        )
     note = f"Seed {seed}; up to 60 iterations, one start. "
     motions = [one.least for one in done if one.least is not None]
     if motions:
         note += f"Least room of all motions, every 2 ms: {min(motions, key=lambda one: one.room).words()}."
-    show(f"{count} random scenes", ["outcome", "scenes", "from a pose", "through poses between", "median (most) [s]"], rows, note)
+    show(
+        f"{count} random scenes",
+        ["outcome", "scenes", "from a pose", "through poses between", "median (most) [s]"],
+        rows,
+        note,
+    )
     for one in done:
         if one.kind != "motion":
             print(f"- {one.number}: {one.words()}")
@@ -309,10 +383,19 @@ def report_scenes(count: int, seed: int) -> bool:
 
 def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--data", type=Path, metavar="DIR", help="example-robot-data: its unpacked wheel or folder of robots")
+    parser.add_argument(
+        "--data",
+        type=Path,
+        metavar="DIR",
+        help="example-robot-data: its unpacked wheel or folder of robots",
+    )
     parser.add_argument("--only", choices=("cases", "scenes"), help="one part alone")
-    parser.add_argument("--scenes", type=int, default=100, metavar="N", help="random scenes (default %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="of the random scenes (default %(default)s)")
+    parser.add_argument(
+        "--scenes", type=int, default=100, metavar="N", help="random scenes (default %(default)s)"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, help="of the random scenes (default %(default)s)"
+    )
     return parser.parse_args()
 
 

@@ -24,16 +24,18 @@ os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
 import numpy as np
 import pinocchio as pin
 
-from excite import artefact, base, limits, parameters, recordings, robot
+from excite import recordings
 from excite.errors import ExciteWarning
-from excite.identify import consistent, identification
-from excite.identify.distance import Distance
-from excite.identify.equations import Model
-from excite.identify.identification import Identification, Options
-from excite.parameters import COULOMB_WIDTH, Parameters
+from excite.identification import consistency, identification
+from excite.identification.identification import Identification, Options
+from excite.identification.inertia_distance import Distance
+from excite.identification.regression import Model
 from excite.recordings import Recording, Sidecar
-from excite.robot import Robot
-from excite.trajectory import Fourier
+from excite.robot import base_parameters, inertial_parameters, limits, robot
+from excite.robot.inertial_parameters import COULOMB_WIDTH, Parameters
+from excite.robot.robot import Robot
+from excite.trajectory import trajectory_file
+from excite.trajectory.fourier import Fourier
 
 Array = np.ndarray
 TRAJECTORIES = Path(__file__).resolve().parent.parent / "trajectories"
@@ -55,12 +57,21 @@ def show(title: str, head: Sequence[str], rows: Sequence[Sequence[str]], note: s
 
 def model_of(machine: Robot) -> tuple[Model, limits.Limits]:
     table = limits.resolve(machine)
-    standard = parameters.standard(machine, table)
-    return Model(machine, standard, base.find(machine, standard, table), np.full(machine.n, COULOMB_WIDTH)), table
+    standard = inertial_parameters.standard(machine, table)
+    return Model(
+        machine,
+        standard,
+        base_parameters.find(machine, standard, table),
+        np.full(machine.n, COULOMB_WIDTH),
+    ), table
 
 
-def identified(model: Model, train: Sequence[Recording], held_out: Sequence[Recording], options: Options) -> Identification:
-    return identification.identify(model.robot, model.parameters, model.base, train, held_out, options)
+def identified(
+    model: Model, train: Sequence[Recording], held_out: Sequence[Recording], options: Options
+) -> Identification:
+    return identification.identify(
+        model.robot, model.parameters, model.base, train, held_out, options
+    )
 
 
 # -- real machines ---------------------------------------------------------------------------------------------------
@@ -72,15 +83,30 @@ def real(folder: Path) -> None:
         path = folder / urdf
         model, table = model_of(robot.load(str(path)))
         first, (last,) = (
-            [recordings.read(path.parent / f"{one}.csv", model.robot, table) for one in names] for names in (train, (held_out,))
+            [recordings.read(path.parent / f"{one}.csv", model.robot, table) for one in names]
+            for names in (train, (held_out,))
         )
         found = identified(model, first, [last], Options(band=band))
         prediction = found.validations[0]
         for i, joint in enumerate(model.robot.joints):
-            floor = "no repeated period" if prediction.floor is None else f"{prediction.floor[i]:.3g}"
+            floor = (
+                "no repeated period" if prediction.floor is None else f"{prediction.floor[i]:.3g}"
+            )
             errors = f"{prediction.error('nominal')[i]:.4g}", f"{prediction.error()[i]:.4g}"
-            rows.append([f"{name}, {joint}", f"{found.spectra.hertz:.3g}", *errors, f"{100 * prediction.relative()[i]:.1f} %", floor])
-    show("Real machines, held out", ["", "band [Hz]", "URDF [N m]", "identified [N m]", "relative", "noise [N m]"], rows)
+            rows.append(
+                [
+                    f"{name}, {joint}",
+                    f"{found.spectra.hertz:.3g}",
+                    *errors,
+                    f"{100 * prediction.relative()[i]:.1f} %",
+                    floor,
+                ]
+            )
+    show(
+        "Real machines, held out",
+        ["", "band [Hz]", "URDF [N m]", "identified [N m]", "relative", "noise [N m]"],
+        rows,
+    )
 
 
 # -- poor data -------------------------------------------------------------------------------------------------------
@@ -93,7 +119,9 @@ class Truth:
     model: Model
     psi: Array
 
-    def recording(self, fourier: Fourier, duration: float, noise: Array, rng: np.random.Generator) -> Recording:
+    def recording(
+        self, fourier: Fourier, duration: float, noise: Array, rng: np.random.Generator
+    ) -> Recording:
         machine, standard = self.model.robot, self.model.parameters
         t = np.arange(round(duration * RATE) + 1) / RATE
         s = fourier.samples(t)
@@ -101,8 +129,12 @@ class Truth:
         for i in range(standard.bodies):
             own.inertias[i + 1] = pin.Inertia.FromDynamicParameters(self.psi[10 * i : 10 * i + 10])
         data = own.createData()
-        tau = np.array([pin.rnea(own, data, *state) for state in zip(s.q, s.dq, s.ddq, strict=True)])
-        inertia, viscous, coulomb, offset = (self.psi[standard.block(kind)] for kind in standard.drive)
+        tau = np.array(
+            [pin.rnea(own, data, *state) for state in zip(s.q, s.dq, s.ddq, strict=True)]
+        )
+        inertia, viscous, coulomb, offset = (
+            self.psi[standard.block(kind)] for kind in standard.drive
+        )
         tau += inertia * s.ddq + viscous * s.dq + coulomb * np.tanh(s.dq / COULOMB_WIDTH) + offset
         tau += noise * rng.normal(size=tau.shape)
         return Recording("made", machine.joints, t, s.q, tau=tau, sidecar=Sidecar(), own_times=t)
@@ -112,11 +144,16 @@ def true_psi(standard: Parameters, torque: Array, rng: np.random.Generator) -> A
     """20 % off in every direction of the bodies, 3 % of the torque limit of friction; drawn again until it is a robot."""
     edge = 10 * standard.bodies
     while True:
-        psi = consistent.nominal_bodies(standard)
+        psi = consistency.nominal_bodies(standard)
         psi[:edge] += 0.2 * standard.scale[:edge, :edge] @ rng.normal(size=edge)
-        for kind, share in (("rotor_inertia", 1e-3), ("viscous", 0.01), ("coulomb", 0.03), ("offset", 0.003)):
+        for kind, share in (
+            ("rotor_inertia", 1e-3),
+            ("viscous", 0.01),
+            ("coulomb", 0.03),
+            ("offset", 0.003),
+        ):
             psi[standard.block(kind)] = share * torque * rng.uniform(0.5, 1.5, len(torque))
-        if consistent.is_consistent(standard, psi):
+        if consistency.is_consistent(standard, psi):
             return psi
 
 
@@ -135,7 +172,7 @@ def poor_motions(fourier: Fourier) -> dict[str, tuple[Fourier, float]]:
 
 def poor(name: str) -> None:
     model, table = model_of(robot.load(name))
-    fourier = artefact.read(TRAJECTORIES / f"{name}.json").motion.fourier
+    fourier = trajectory_file.read(TRAJECTORIES / f"{name}.json").motion.fourier
     noise = NOISE * table.torque
     totals: dict[tuple[str, Distance], list[float]] = {}
     seen: dict[str, list[int]] = {}
@@ -143,7 +180,12 @@ def poor(name: str) -> None:
         rng = np.random.default_rng(seed)
         truth = Truth(model, true_psi(model.parameters, table.torque, rng))
         turned = fourier.shifted(0.3 * fourier.period)
-        other = Fourier(np.roll(turned.sine, 1, axis=1) * 0.7, -np.roll(turned.cosine, 1, axis=1) * 0.7, fourier.offset, fourier.period)
+        other = Fourier(
+            np.roll(turned.sine, 1, axis=1) * 0.7,
+            -np.roll(turned.cosine, 1, axis=1) * 0.7,
+            fourier.offset,
+            fourier.period,
+        )
         judge = truth.recording(other, 10.0, 0.0 * noise, rng)
         for case, (motion, duration) in poor_motions(fourier).items():
             train = truth.recording(motion, duration, noise, rng)
@@ -169,7 +211,7 @@ def poor(name: str) -> None:
 
 def speed(rows: int = 1_000_000, rate: float = 1000.0) -> None:
     model, table = model_of(robot.load("panda"))
-    fourier = artefact.read(TRAJECTORIES / "panda.json").motion.fourier
+    fourier = trajectory_file.read(TRAJECTORIES / "panda.json").motion.fourier
     rng = np.random.default_rng(0)
     truth = Truth(model, true_psi(model.parameters, table.torque, rng))
     with tempfile.TemporaryDirectory() as folder:
@@ -181,8 +223,12 @@ def speed(rows: int = 1_000_000, rate: float = 1000.0) -> None:
             for start in range(0, rows, 10_000):
                 t = (start + np.arange(10_000)) / rate
                 s = fourier.at(t)
-                tau = np.column_stack([np.interp(t % (7 * fourier.period), piece.t, c) for c in piece.tau.T])
-                block = np.hstack([t[:, None], s, tau + NOISE * table.torque * rng.normal(size=tau.shape)])
+                tau = np.column_stack(
+                    [np.interp(t % (7 * fourier.period), piece.t, c) for c in piece.tau.T]
+                )
+                block = np.hstack(
+                    [t[:, None], s, tau + NOISE * table.torque * rng.normal(size=tau.shape)]
+                )
                 np.savetxt(stream, block, fmt="%.8g", delimiter=",")
         begun = time.perf_counter()
         recording = recordings.read(path, model.robot, table)
@@ -192,12 +238,20 @@ def speed(rows: int = 1_000_000, rate: float = 1000.0) -> None:
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     head = ["", "reading [s]", "identifying [s]", "together [s]", "peak memory [GB]", "rows kept"]
     cells = [f"{v:.1f}" for v in (read - begun, done - read, done - begun)]
-    show("A million samples of a seven-axis arm", head, [["panda", *cells, f"{peak:.2f}", str(len(found.equations))]])
+    show(
+        "A million samples of a seven-axis arm",
+        head,
+        [["panda", *cells, f"{peak:.2f}", str(len(found.equations))]],
+    )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, metavar="FOLDER", help="real recordings: emps, tx40, kuka_kr300")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--data", type=Path, metavar="FOLDER", help="real recordings: emps, tx40, kuka_kr300"
+    )
     parser.add_argument("--only", default="1,2,3", metavar="N,…", help="these sections alone")
     arguments = parser.parse_args()
     warnings.simplefilter("ignore", ExciteWarning)

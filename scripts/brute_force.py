@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from excite.collision.cell import Cell
-from excite.collision.probe import Body
-from excite.collision.shape import Kind
-from excite.motion import Motion
+from excite.collision.distance_query import Body
+from excite.collision.geometry import Kind
+from excite.collision.workcell import Cell
+from excite.trajectory.rest_to_rest import Motion
 
 Array = np.ndarray
 CLEARLY = 0.01
@@ -46,23 +46,40 @@ class Judge:
         self.robot, bodies = cell.robot, cell.bodies
         known = {(pair.first, pair.second): pair.margin for pair in cell.pairs}
         meant = {frozenset(pair) for pair in cell.disabled}
-        meant |= {frozenset((one.first, one.second)) for one in cell.excepted if one.why.startswith("always")}
+        meant |= {
+            frozenset((one.first, one.second))
+            for one in cell.excepted
+            if one.why.startswith("always")
+        }
         parents = list(cell.robot.model.parents)
-        self.names, self.margins, shapes, owner = list[str](), list[float](), list[tuple[int, int]](), list[int]()
+        self.names, self.margins, shapes, owner = (
+            list[str](),
+            list[float](),
+            list[tuple[int, int]](),
+            list[int](),
+        )
         starts = np.cumsum([0, *(len(body.shapes) for body in bodies)]).tolist()
         for i, j in itertools.combinations(range(len(bodies)), 2):
             a, b = bodies[i], bodies[j]
-            hinged = (parents[a.joint] == b.joint or parents[b.joint] == a.joint) and not (a.around or b.around)
+            hinged = (parents[a.joint] == b.joint or parents[b.joint] == a.joint) and not (
+                a.around or b.around
+            )
             if a.joint == b.joint or hinged or frozenset((a.name, b.name)) in meant:
                 continue
-            both = list(itertools.product(range(starts[i], starts[i + 1]), range(starts[j], starts[j + 1])))
+            both = list(
+                itertools.product(range(starts[i], starts[i + 1]), range(starts[j], starts[j + 1]))
+            )
             owner += [len(self.names)] * len(both)
             shapes += both
             self.names.append(f"{a.name} – {b.name}")
-            self.margins.append(known.get((i, j), 0.0))  # what is said never to touch should not touch
+            self.margins.append(
+                known.get((i, j), 0.0)
+            )  # what is said never to touch should not touch
         self.owner = np.array(owner)
         kinds = [one.kind for body in bodies for one in body.shapes]
-        self.is_mesh = np.array([Kind.MESH in (kinds[first], kinds[second]) for first, second in shapes])
+        self.is_mesh = np.array(
+            [Kind.MESH in (kinds[first], kinds[second]) for first, second in shapes]
+        )
         self.near = np.array(self.margins)[self.owner] + CLEARLY
         self.hulls, self.exact = (_geometry(bodies, shapes, exact) for exact in (False, True))
 
@@ -88,16 +105,26 @@ class Judge:
         for moment, q in zip(times, motion.at(times), strict=True):
             found = self.at(q, data, best)
             when, best = np.where(found < best, moment, when), np.minimum(found, best)
-        whole = [Least(*one) for one in zip(self.names, best.tolist(), when.tolist(), self.margins, strict=True)]
+        whole = [
+            Least(*one)
+            for one in zip(self.names, best.tolist(), when.tolist(), self.margins, strict=True)
+        ]
         return sorted(whole, key=lambda one: one.room)
 
 
-def _geometry(bodies: Sequence[Body], pairs: Sequence[tuple[int, int]], exact: bool) -> tuple[pin.GeometryModel, pin.GeometryData]:
+def _geometry(
+    bodies: Sequence[Body], pairs: Sequence[tuple[int, int]], exact: bool
+) -> tuple[pin.GeometryModel, pin.GeometryData]:
     model = pin.GeometryModel()
     for body in bodies:
         for number, (one, placement) in enumerate(zip(body.shapes, body.placements, strict=True)):
             model.addGeometryObject(
-                pin.GeometryObject(f"{body.name}/{number}", body.joint, placement, one.solid() if exact else one.hull())
+                pin.GeometryObject(
+                    f"{body.name}/{number}",
+                    body.joint,
+                    placement,
+                    one.solid() if exact else one.hull(),
+                )
             )
     for pair in pairs:
         model.addCollisionPair(pin.CollisionPair(*pair))

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from excite.diagnose.catalogue import BY_NAME
-from excite.diagnose.interval import FORM
+from excite.diagnosis.interval import FORM
+from excite.effects import BY_NAME
 from excite.trial import seal
 from excite.trial.score import equal, whole
 
@@ -34,7 +34,9 @@ effects covers nine in ten of an effect's parameters: a law that nobody has seen
 
 def findings(folder: Path, analyst: str) -> list[tuple[dict[str, Any], dict[str, Any]]]:
     """Every finding, doubted ones too, with its case."""
-    cases = seal.unlock(folder / "key", (folder / "sealed.sha256").read_text(encoding="utf-8").strip())
+    cases = seal.unlock(
+        folder / "key", (folder / "sealed.sha256").read_text(encoding="utf-8").strip()
+    )
     out = []
     for path in sorted((folder / "answers" / analyst).glob("*.json")):
         answer = json.loads(path.read_text(encoding="utf-8"))["answer"]
@@ -68,7 +70,9 @@ def weights(stated: list[tuple[dict[str, Any], dict[str, Any]]]) -> tuple[float,
 def leaves(stated: list[tuple[dict[str, Any], dict[str, Any]]]) -> tuple[float, float]:
     """Mean and standard deviation of the logarithm of the share that rightly named laws leave, those of a loose law by its own measure."""
     named = [one for one, case in stated if hidden(one["effect"], case)]
-    left = np.array([np.log(one["evidence"]["left"]) - BY_NAME[one["effect"]].loose for one in named])
+    left = np.array(
+        [np.log(one["evidence"]["left"]) - BY_NAME[one["effect"]].loose for one in named]
+    )
     return round(float(left.mean()), 2), round(float(left.std()), 2)
 
 
@@ -79,7 +83,9 @@ def loose(stated: list[tuple[dict[str, Any], dict[str, Any]]], mean: float) -> d
     for one, case in stated:
         if hidden(one["effect"], case):
             left.setdefault(one["effect"], []).append(float(np.log(one["evidence"]["left"])) - mean)
-    return {name: round(sum(own) / (len(own) + LOOSE_CASES), 1) for name, own in sorted(left.items())}
+    return {
+        name: round(sum(own) / (len(own) + LOOSE_CASES), 1) for name, own in sorted(left.items())
+    }
 
 
 def forms(stated: list[tuple[dict[str, Any], dict[str, Any]]]) -> dict[str, dict[str, float]]:
@@ -87,7 +93,11 @@ def forms(stated: list[tuple[dict[str, Any], dict[str, Any]]]) -> dict[str, dict
     errors: dict[str, dict[str, list[float]]] = {}
     for one, case in stated:
         for effect in case["effects"]:
-            if effect["outsider"] or one["effect"] != effect["effect"] or one["joint"] != effect["joint"]:
+            if (
+                effect["outsider"]
+                or one["effect"] != effect["effect"]
+                or one["joint"] != effect["joint"]
+            ):
                 continue
             for name, true in whole(effect, case)["parameters"].items():
                 said = one["parameters"].get(name)
@@ -95,25 +105,35 @@ def forms(stated: list[tuple[dict[str, Any], dict[str, Any]]]) -> dict[str, dict
                     size = abs(said["value"])
                     used = BY_NAME[effect["effect"]].form.get(name, FORM) * size
                     own = max(said["std"] ** 2 - used**2, 0.0)
-                    lacking = max((0.5 * (said["value"] - true["value"])) ** 2 - own, 0.0)  # of ± 2 std
-                    errors.setdefault(one["effect"], {}).setdefault(name, []).append(min(float(np.sqrt(lacking)) / size, 2.0))
+                    lacking = max(
+                        (0.5 * (said["value"] - true["value"])) ** 2 - own, 0.0
+                    )  # of ± 2 std
+                    errors.setdefault(one["effect"], {}).setdefault(name, []).append(
+                        min(float(np.sqrt(lacking)) / size, 2.0)
+                    )
     out: dict[str, dict[str, float]] = {}
     for effect_name, own in sorted(errors.items()):
         for name, values in own.items():
             # what 95 % need at the most, drawn towards the usual where few cases show it
             high = float(np.quantile(values, 0.95))
             share = len(values) / (len(values) + PRIOR_CASES)
-            out.setdefault(effect_name, {})[name] = round(share * high + (1.0 - share) * PRIOR_FORM, 3)
+            out.setdefault(effect_name, {})[name] = round(
+                share * high + (1.0 - share) * PRIOR_FORM, 3
+            )
     return out
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("folder", type=Path)
     parser.add_argument("--analyst", default="excite")
     arguments = parser.parse_args()
     stated = findings(arguments.folder, arguments.analyst)
-    print(f"BIAS, SLOPE = {weights(stated)}  # {len(stated)} findings, {np.mean([right(*pair) for pair in stated]):.2f} right")
+    print(
+        f"BIAS, SLOPE = {weights(stated)}  # {len(stated)} findings, {np.mean([right(*pair) for pair in stated]):.2f} right"
+    )
     mean, spread = leaves(stated)
     print(f"LEAVES, SPREAD = {mean, spread}")
     print(f"loose: {loose(stated, mean)}")

@@ -22,15 +22,16 @@ import joblib
 import numpy as np
 from scipy.stats import norm
 
-from excite import base, limits, parameters, recordings, robot
-from excite.diagnose import diagnosis
-from excite.plant import severity
+from excite import recordings
+from excite.diagnosis import diagnosis
+from excite.robot import base_parameters, inertial_parameters, limits, robot
+from excite.simulator import severity
 from excite.trial import conceal, seal
 from excite.trial.plan import Spec
 from excite.trial.score import equal
 
 Array = np.ndarray
-MODELS = Path(robot.__file__).parent / "models"
+MODELS = robot.locate("two_link").parent
 
 
 @dataclass(frozen=True)
@@ -48,18 +49,30 @@ class Ceiling:
 def ceiling(name: str, key: dict[str, Any], folder: Path) -> Ceiling:
     """The least error between the hidden effect and the rival that is hardest to tell from it."""
     warnings.simplefilter("ignore")
-    stated = {field: tuple(value) if isinstance(value, list) else value for field, value in key["spec"].items()}
+    stated = {
+        field: tuple(value) if isinstance(value, list) else value
+        for field, value in key["spec"].items()
+    }
     bench = conceal.bench(Spec(**stated), MODELS)
     machine = robot.load(str(folder / "robot.urdf"))
     table = limits.resolve(machine)
-    standard = parameters.standard(machine, table)
+    standard = inertial_parameters.standard(machine, table)
     files = [recordings.read(folder / f"{part}.csv", machine) for part in ("train", "validate")]
-    found = diagnosis.diagnose(machine, standard, base.find(machine, standard, table), [files[0]], [files[1]])
+    found = diagnosis.diagnose(
+        machine, standard, base_parameters.find(machine, standard, table), [files[0]], [files[1]]
+    )
     tracks = [one for half in found.tracks for one in half]
-    sessions = [session for half, session in zip(found.tracks, bench.sessions, strict=True) for _ in half]
-    hidden = [one.reduce(severity.hidden(s.run, bench.plant, one.clock).torque) for one, s in zip(tracks, sessions, strict=True)]
+    sessions = [
+        session for half, session in zip(found.tracks, bench.sessions, strict=True) for _ in half
+    ]
+    hidden = [
+        one.reduce(severity.hidden(s.run, bench.plant, one.clock).torque)
+        for one, s in zip(tracks, sessions, strict=True)
+    ]
     truth = np.concatenate([x / found.floor for x in hidden]).ravel()
-    gamma = np.concatenate([one.gamma / found.floor[:, None] for one in tracks]).reshape(len(truth), -1)
+    gamma = np.concatenate([one.gamma / found.floor[:, None] for one in tracks]).reshape(
+        len(truth), -1
+    )
     basis, _ = np.linalg.qr(gamma)
     left = truth - basis @ (basis.T @ truth)
     # rows closer than the band's own step are not independent
@@ -70,25 +83,46 @@ def ceiling(name: str, key: dict[str, Any], folder: Path) -> Ceiling:
     for shape in found.design.shapes:
         if equal(shape.effect, effect):
             continue
-        columns = np.concatenate([shape.columns(one) / found.floor[:, None] for one in tracks]).reshape(len(truth), -1)
+        columns = np.concatenate(
+            [shape.columns(one) / found.floor[:, None] for one in tracks]
+        ).reshape(len(truth), -1)
         free = columns - basis @ (basis.T @ columns)
         fitted, *_ = np.linalg.lstsq(free, left, rcond=1e-9)
-        apart[shape.effect] = min(apart.get(shape.effect, np.inf), float(np.sum((left - free @ fitted) ** 2)))
+        apart[shape.effect] = min(
+            apart.get(shape.effect, np.inf), float(np.sum((left - free @ fitted) ** 2))
+        )
     rival = min(apart, key=lambda which: apart[which])
     delta = float(np.sqrt(independent * apart[rival]))
-    return Ceiling(name, effect, float(key["spec"]["severities"][0]), rival, delta, float(norm.cdf(-0.5 * delta)))
+    return Ceiling(
+        name,
+        effect,
+        float(key["spec"]["severities"][0]),
+        rival,
+        delta,
+        float(norm.cdf(-0.5 * delta)),
+    )
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path, metavar="DIR", help="of a trial whose key is open")
-    parser.add_argument("--cases", type=int, default=60, metavar="N", help="at most (default %(default)s)")
+    parser.add_argument(
+        "--cases", type=int, default=60, metavar="N", help="at most (default %(default)s)"
+    )
     parser.add_argument("--jobs", type=int, default=-1, metavar="N")
     given = parser.parse_args()
-    keys = seal.unlock(given.folder / "key", (given.folder / "sealed.sha256").read_text(encoding="utf-8").strip())
-    single = {name: key for name, key in sorted(keys.items()) if key["spec"]["sort"] == "single" and not key["spec"]["trusted"]}
+    keys = seal.unlock(
+        given.folder / "key", (given.folder / "sealed.sha256").read_text(encoding="utf-8").strip()
+    )
+    single = {
+        name: key
+        for name, key in sorted(keys.items())
+        if key["spec"]["sort"] == "single" and not key["spec"]["trusted"]
+    }
     chosen = list(single.items())[: given.cases]
-    work = (joblib.delayed(ceiling)(name, key, given.folder / "cases" / name) for name, key in chosen)
+    work = (
+        joblib.delayed(ceiling)(name, key, given.folder / "cases" / name) for name, key in chosen
+    )
     done: list[Ceiling] = joblib.Parallel(n_jobs=given.jobs, batch_size=1)(work)
     print("| severity | cases | best that any method can do |\n|---:|---:|---:|")
     for level in sorted({one.severity for one in done}):
@@ -96,7 +130,13 @@ def main() -> int:
         print(f"| {level:g} | {len(errors)} | {1.0 - np.mean(errors):.3f} |")
     print(f"| all | {len(done)} | {1.0 - np.mean([one.error for one in done]):.3f} |\n")
     for one in sorted(done, key=lambda one: -one.error)[:10]:
-        facts = {"case": one.case, "effect": one.effect, "severity": one.severity, "nearest": one.rival, "apart": round(one.apart, 2)}
+        facts = {
+            "case": one.case,
+            "effect": one.effect,
+            "severity": one.severity,
+            "nearest": one.rival,
+            "apart": round(one.apart, 2),
+        }
         print(json.dumps(facts))
     return 0
 

@@ -15,14 +15,15 @@ from functools import partial
 
 import numpy as np
 
-from excite import design, dynamics, limits, overlap, plan, robot, workflow
-from excite.design import Setting
+from excite.designer import motion_overlap, optimize, pipeline, time_budget
+from excite.designer.motion_overlap import Gauge
+from excite.designer.optimize import Setting
+from excite.designer.pipeline import Delivery
+from excite.designer.problem import Options
+from excite.designer.time_budget import Wish
 from excite.errors import ExciteWarning
-from excite.overlap import Gauge
-from excite.plan import Wish
-from excite.problem import Options
-from excite.trajectory import Fourier
-from excite.workflow import Delivery
+from excite.robot import dynamics, limits, robot
+from excite.trajectory.fourier import Fourier
 
 Array = np.ndarray
 
@@ -38,10 +39,10 @@ def periods(name: str, options: Options, budget: float) -> str:
     """A row of the first table."""
     machine = robot.load(name)
     table = limits.resolve(machine)
-    run = partial(workflow.run, machine, table)
+    run = partial(pipeline.run, machine, table)
     rule, ten = (run(wish.fill(options, table)) for wish in (Wish(), Wish(period=10.0)))
-    planned = plan.budgeted(machine, table, options, Wish(), budget)
-    filled = plan.deliver(planned, options, run)
+    planned = time_budget.budgeted(machine, table, options, Wish(), budget)
+    filled = time_budget.deliver(planned, options, run)
     motion, period = filled.trajectory.motion, rule.trajectory.motion.fourier.period
     ramps = rule.trajectory.motion.duration - 2.0 * period
     repeated = deviation(rule) * np.sqrt(2.0 / int((budget - ramps) / period))
@@ -68,7 +69,9 @@ def held_out(setting: Setting, first: Fourier, second: Fourier) -> float:
         phase, order = rng.uniform(0.0, 2.0 * np.pi, first.n), rng.integers(1, 3, first.n)
         torque = [(np.sin(order * q + phase) * np.tanh(dq / 0.02)).ravel() for _, q, dq in both]
         found = np.linalg.lstsq(both[0][0], torque[0], rcond=1e-6)[0]
-        squares += [np.mean((t - rows @ found) ** 2) for t, (rows, _, _) in zip(torque, both, strict=True)]
+        squares += [
+            np.mean((t - rows @ found) ** 2) for t, (rows, _, _) in zip(torque, both, strict=True)
+        ]
     return float(np.sqrt(squares[1] / squares[0]))
 
 
@@ -80,34 +83,53 @@ def second_motions(name: str, options: Options, weights: list[float], seeds: int
     found = np.zeros((len(weights), 3))
     for seed in range(seeds):
         one = Wish().fill(Options(starts=options.starts, seed=seed, jobs=options.jobs), table)
-        setting = design.prepare(machine, table, one)
-        first = design.solve(setting)
+        setting = optimize.prepare(machine, table, one)
+        first = optimize.solve(setting)
         for k, weight in enumerate(weights):
-            kept = overlap.apart(gauge, first.motion, weight)
-            second = design.solve(design.prepare(machine, table, one, apart=kept))
-            common = overlap.overlap(gauge, first.motion, second.motion)
+            kept = motion_overlap.apart(gauge, first.motion, weight)
+            second = optimize.solve(optimize.prepare(machine, table, one, apart=kept))
+            common = motion_overlap.overlap(gauge, first.motion, second.motion)
             price = second.attempts[0].objective - weight * common - first.attempts[0].objective
-            found[k] += common, np.expm1(0.5 * price), held_out(setting, first.motion, second.motion)
+            found[k] += (
+                common,
+                np.expm1(0.5 * price),
+                held_out(setting, first.motion, second.motion),
+            )
     cells = [f"{a:.2f}, {100.0 * b:+.1f} %, {c:.2f}" for a, b, c in found / seeds]
     return f"| {name} | " + " | ".join(cells) + " |"
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("robots", nargs="*", default=list(robot.builtin_names()))
-    parser.add_argument("--time", type=float, default=60.0, help="budget of robot time [s] (default %(default)g)")
-    parser.add_argument("--weights", type=float, nargs="+", default=[0.0, overlap.WEIGHT, 2.0 * overlap.WEIGHT])
+    parser.add_argument(
+        "--time", type=float, default=60.0, help="budget of robot time [s] (default %(default)g)"
+    )
+    parser.add_argument(
+        "--weights",
+        type=float,
+        nargs="+",
+        default=[0.0, motion_overlap.WEIGHT, 2.0 * motion_overlap.WEIGHT],
+    )
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--starts", type=int, default=2)
     parser.add_argument("--jobs", type=int, default=-1)
     given = parser.parse_args()
     warnings.simplefilter("ignore", ExciteWarning)
     options = Options(starts=given.starts, jobs=given.jobs)
-    print(f"| robot | period by the rule [s] | beside 10 s | planned for {given.time:g} s | beside the rule repeated | planning [s] |")
+    print(
+        f"| robot | period by the rule [s] | beside 10 s | planned for {given.time:g} s | beside the rule repeated | planning [s] |"
+    )
     print("|---|---:|---:|---|---:|---:|")
     for name in given.robots:
         print(periods(name, options, given.time), flush=True)
-    print("\n| overlap, standard deviation, held-out over fit's error at weight | " + " | ".join(f"{w:g}" for w in given.weights) + " |")
+    print(
+        "\n| overlap, standard deviation, held-out over fit's error at weight | "
+        + " | ".join(f"{w:g}" for w in given.weights)
+        + " |"
+    )
     print("|---" * (len(given.weights) + 1) + "|")
     for name in given.robots:
         print(second_motions(name, options, given.weights, given.seeds), flush=True)

@@ -15,7 +15,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from excite.cluster import BACKENDS, backend
+from excite.designer.cluster import BACKENDS, backend
 from excite.errors import ExciteError, UnusableInput
 from excite.trial import run
 from excite.trial.answer import BASELINES, Analyst, baselines
@@ -33,13 +33,17 @@ def analysts(arguments: argparse.Namespace) -> list[Analyst]:
     for text in arguments.analyst:
         name, separator, command = text.partition("=")
         if not separator or not name.isidentifier() or name in BASELINES:
-            raise UnusableInput(f"--analyst {text}: should read NAME=COMMAND, with a name of its own")
+            raise UnusableInput(
+                f"--analyst {text}: should read NAME=COMMAND, with a name of its own"
+            )
         out.append(Analyst((name,), command))
     return out
 
 
 def conceal(arguments: argparse.Namespace) -> None:
-    plan = Plan(arguments.cases, arguments.seed, arguments.family, tuple(arguments.robots.split(",")))
+    plan = Plan(
+        arguments.cases, arguments.seed, arguments.family, tuple(arguments.robots.split(","))
+    )
     sealed = run.conceal(run.Place(arguments.out), plan, arguments.jobs, say)
     print(f"key sealed, sha256 {sealed}", flush=True)
 
@@ -58,30 +62,70 @@ def everything(arguments: argparse.Namespace) -> None:
     words[words.index("run")] = "conceal"
     done = subprocess.run([sys.executable, __file__, *words], check=False)
     if done.returncode != 0:
-        raise UnusableInput("the concealing process failed; see above, then run the same command again")
+        raise UnusableInput(
+            "the concealing process failed; see above, then run the same command again"
+        )
     answer(arguments)
     score(arguments)
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("act", choices=("run", "conceal", "answer", "score"))
     parser.add_argument("-o", dest="out", type=Path, required=True, metavar="DIR")
     parser.add_argument("--cases", type=int, metavar="N", help="default 300")
-    parser.add_argument("--quick", action="store_true", help=f"{QUICK} cases, for CI: at most five minutes on two cores")
-    parser.add_argument("--family", choices=("tuning", "scored"), default="tuning", help="forms of the effects; default %(default)s")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the plan, with the family; default %(default)s")
-    parser.add_argument("--robots", default=",".join(ROBOTS), metavar="A,B,…", help="default %(default)s")
-    parser.add_argument("--analyst", action="append", default=[], metavar="NAME=COMMAND", help="see above; answers in diagnosis.json")
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help=f"{QUICK} cases, for CI: at most five minutes on two cores",
+    )
+    parser.add_argument(
+        "--family",
+        choices=("tuning", "scored"),
+        default="tuning",
+        help="forms of the effects; default %(default)s",
+    )
+    parser.add_argument(
+        "--seed",
+        type=int,
+        default=0,
+        metavar="N",
+        help="of the plan, with the family; default %(default)s",
+    )
+    parser.add_argument(
+        "--robots", default=",".join(ROBOTS), metavar="A,B,…", help="default %(default)s"
+    )
+    parser.add_argument(
+        "--analyst",
+        action="append",
+        default=[],
+        metavar="NAME=COMMAND",
+        help="see above; answers in diagnosis.json",
+    )
     parser.add_argument("--no-baselines", action="store_true")
-    parser.add_argument("--jobs", type=int, default=-1, metavar="N", help="processes (default: one a core)")
-    parser.add_argument("--backend", choices=BACKENDS, default="loky", help="joblib's; where cases are made and answered")
-    parser.add_argument("--cluster", metavar="ADDRESS", help="of a Dask scheduler or Ray head that shares the folder DIR")
+    parser.add_argument(
+        "--jobs", type=int, default=-1, metavar="N", help="processes (default: one a core)"
+    )
+    parser.add_argument(
+        "--backend",
+        choices=BACKENDS,
+        default="loky",
+        help="joblib's; where cases are made and answered",
+    )
+    parser.add_argument(
+        "--cluster",
+        metavar="ADDRESS",
+        help="of a Dask scheduler or Ray head that shares the folder DIR",
+    )
     arguments = parser.parse_args()
     arguments.cases = arguments.cases or (QUICK if arguments.quick else 300)
     try:
         with backend(arguments.backend, arguments.cluster):
-            {"run": everything, "conceal": conceal, "answer": answer, "score": score}[arguments.act](arguments)
+            {"run": everything, "conceal": conceal, "answer": answer, "score": score}[
+                arguments.act
+            ](arguments)
     except ExciteError as error:
         say(f"concealed_trial: {error}")
         return error.exit_code

@@ -21,15 +21,17 @@ import joblib
 import numpy as np
 import pinocchio as pin
 
-from excite import artefact, base, identifiability, limits, parameters, robot, workflow
-from excite.identify import confidence, identification
-from excite.identify.band import Band
-from excite.identify.identification import Identification, Options
-from excite.plant import laboratory, record
-from excite.plant.chain import Chain
-from excite.plant.laboratory import Session, Setting
-from excite.problem import Options as DesignOptions
+from excite.designer import identifiability, pipeline
+from excite.designer.problem import Options as DesignOptions
+from excite.identification import confidence, identification
+from excite.identification.identification import Identification, Options
+from excite.identification.lowpass import Band
 from excite.recordings import Recording, Sidecar
+from excite.robot import base_parameters, inertial_parameters, limits, robot
+from excite.simulator import experiment, recording_file
+from excite.simulator.experiment import Session, Setting
+from excite.simulator.measurement import Chain
+from excite.trajectory import trajectory_file
 
 Array = np.ndarray
 FOLDER = Path(__file__).resolve().parent.parent
@@ -37,10 +39,19 @@ KINDS = ("train", "held out")
 CORNER = 2.0  # Hz, of the coloured noise's low-pass
 
 
-def taken(found: record.Recording, name: str) -> Recording:
+def taken(found: recording_file.Recording, name: str) -> Recording:
     """A simulated recording, without the detour through a file."""
     side = Sidecar(period=found.period, periodic=found.periodic)
-    return Recording(name, found.joints, found.t, found.q, tau=found.tau, qref=found.qref, sidecar=side, own_times=found.t)
+    return Recording(
+        name,
+        found.joints,
+        found.t,
+        found.q,
+        tau=found.tau,
+        qref=found.qref,
+        sidecar=side,
+        own_times=found.t,
+    )
 
 
 @dataclass(frozen=True)
@@ -58,13 +69,22 @@ class Bench:
         """From recordings with noise of that seed."""
         machine = robot.load(self.name)
         table = limits.resolve(machine)
-        standard = parameters.standard(machine, table)
+        standard = inertial_parameters.standard(machine, table)
         generators = np.random.default_rng([seed, 5]).spawn(2)
         made = [
-            taken(record.record(session.run, reference, session.chain, rng), kind)
-            for session, reference, rng, kind in zip((self.train, self.held_out), self.references, generators, KINDS, strict=True)
+            taken(recording_file.record(session.run, reference, session.chain, rng), kind)
+            for session, reference, rng, kind in zip(
+                (self.train, self.held_out), self.references, generators, KINDS, strict=True
+            )
         ]
-        return identification.identify(machine, standard, base.find(machine, standard, table), made[:1], made[1:], Options())
+        return identification.identify(
+            machine,
+            standard,
+            base_parameters.find(machine, standard, table),
+            made[:1],
+            made[1:],
+            Options(),
+        )
 
 
 def bench(name: str, colour: float | None, folder: Path, periods: int) -> Bench:
@@ -74,22 +94,30 @@ def bench(name: str, colour: float | None, folder: Path, periods: int) -> Bench:
     first = FOLDER / "trajectories" / f"{name}.json"
     other = folder / f"{name}.json"
     if not other.exists():
-        period = artefact.read(first).motion.fourier.period
-        delivery = workflow.run(machine, table, DesignOptions(period=period, seed=11, starts=1))
-        other.write_text(artefact.dumps(delivery.trajectory.document()), encoding="utf-8")
+        period = trajectory_file.read(first).motion.fourier.period
+        delivery = pipeline.run(machine, table, DesignOptions(period=period, seed=11, starts=1))
+        other.write_text(trajectory_file.dumps(delivery.trajectory.document()), encoding="utf-8")
     urdf = robot.locate(name)
     setting = Setting(seed=3, colour=colour)
-    sessions = [laboratory.simulate(urdf, path, setting, periods=periods) for path in (first, other)]
-    references = tuple(laboratory.references.read(path, periods) for path in (first, other))
+    sessions = [
+        experiment.simulate(urdf, path, setting, periods=periods) for path in (first, other)
+    ]
+    references = tuple(experiment.references.read(path, periods) for path in (first, other))
     return Bench(name, colour, sessions[0], sessions[1], references, true_psi(sessions[0], machine))  # type: ignore[arg-type]
 
 
 def true_psi(session: Session, machine: robot.Robot) -> Array:
     """ψ of the simulated robot, read back from its URDF by Pinocchio."""
     model = pin.buildModelFromXML(session.plant.tree.text)
-    bodies = [model.inertias[model.getJointId(joint)].toDynamicParameters() for joint in machine.joints]
+    bodies = [
+        model.inertias[model.getJointId(joint)].toDynamicParameters() for joint in machine.joints
+    ]
     drive = session.truth["drive"]
-    tail = [drive[key][joint] for key in ("inertia", "viscous", "coulomb", "offset") for joint in machine.joints]
+    tail = [
+        drive[key][joint]
+        for key in ("inertia", "viscous", "coulomb", "offset")
+        for joint in machine.joints
+    ]
     return np.concatenate([*bodies, tail])
 
 
@@ -102,7 +130,11 @@ def one(setup: Bench, seed: int, frame: Array) -> tuple[Array, Array, Array]:
     half = confidence.half_widths(found.data, frame)
     own = confidence.half_widths(found.data, np.eye(len(off)))
     validation = found.validations[0]
-    return frame @ off / half, off / own, validation.error() / floor(setup.held_out.chain, found.spectra.hertz)
+    return (
+        frame @ off / half,
+        off / own,
+        validation.error() / floor(setup.held_out.chain, found.spectra.hertz),
+    )
 
 
 def floor(chain: Chain, hertz: float) -> Array:
@@ -114,31 +146,47 @@ def floor(chain: Chain, hertz: float) -> Array:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("robots", nargs="*", default=["ur10e", "panda"])
     parser.add_argument("--runs", type=int, default=200)
     parser.add_argument("--periods", type=int, default=5)
     parser.add_argument("--folder", type=Path, default=Path("out/coverage"))
     arguments = parser.parse_args()
     arguments.folder.mkdir(parents=True, exist_ok=True)
-    print("| robot | noise | directions | pooled | lowest | highest | base parameters, pooled | held-out error over floor, worst joint |")
+    print(
+        "| robot | noise | directions | pooled | lowest | highest | base parameters, pooled | held-out error over floor, worst joint |"
+    )
     print("|---|---|---:|---:|---:|---:|---:|---:|")
     for name in arguments.robots:
         for colour in (None, CORNER):
             setup = bench(name, colour, arguments.folder, arguments.periods)
             first = setup.identified(0)
-            values, vectors = identifiability.spectrum(first.data.root @ first.model.base.matrix, first.metric_base)
+            values, vectors = identifiability.spectrum(
+                first.data.root @ first.model.base.matrix, first.metric_base
+            )
             seen = values * first.options.threshold >= 1.0
-            frame = vectors[:, seen].T @ np.linalg.inv(first.model.base.matrix @ first.metric_base.geometric)
-            jobs = (joblib.delayed(one)(setup, seed, frame) for seed in range(1, arguments.runs + 1))
+            frame = vectors[:, seen].T @ np.linalg.inv(
+                first.model.base.matrix @ first.metric_base.geometric
+            )
+            jobs = (
+                joblib.delayed(one)(setup, seed, frame) for seed in range(1, arguments.runs + 1)
+            )
             results = joblib.Parallel(n_jobs=-1, verbose=1)(jobs)
             direction, parameter, held = (np.array(part) for part in zip(*results, strict=True))
             inside = np.mean(np.abs(direction) <= 1.0, axis=0)
             pooled = np.mean(np.abs(parameter[np.isfinite(parameter)]) <= 1.0)
             noise = "white" if colour is None else f"low-passed at {colour:g} Hz"
-            shares = [f"{100 * share:.1f} %" for share in (inside.mean(), inside.min(), inside.max(), pooled)]
+            shares = [
+                f"{100 * share:.1f} %"
+                for share in (inside.mean(), inside.min(), inside.max(), pooled)
+            ]
             error = np.sqrt(np.mean(held**2, axis=0)).max()
-            print(f"| {name} | {noise} | {len(inside)} | {' | '.join(shares)} | {error:.3f} |", flush=True)
+            print(
+                f"| {name} | {noise} | {len(inside)} | {' | '.join(shares)} | {error:.3f} |",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

@@ -14,16 +14,17 @@ import warnings
 
 import numpy as np
 
-from excite import criteria, design, dynamics, limits, robot
-from excite.criteria import Criterion
+from excite.designer import criteria, optimize
+from excite.designer.criteria import Criterion
+from excite.designer.problem import Options
 from excite.errors import ExciteWarning
-from excite.problem import Options
-from excite.trajectory import Fourier
+from excite.robot import dynamics, limits, robot
+from excite.trajectory.fourier import Fourier
 
 Array = np.ndarray
 
 
-def designs(name: str, starts: int, seed: int) -> dict[str, design.Design]:
+def designs(name: str, starts: int, seed: int) -> dict[str, optimize.Design]:
     """One design per criterion, geometric and plain."""
     machine = robot.load(name)
     table = limits.resolve(machine)
@@ -32,21 +33,27 @@ def designs(name: str, starts: int, seed: int) -> dict[str, design.Design]:
         for plain in (False, True):
             if criterion is Criterion.COND_REGRESSOR and plain:
                 continue
-            kind = "" if criterion is Criterion.COND_REGRESSOR else ("plain " if plain else "geometric ")
+            kind = (
+                ""
+                if criterion is Criterion.COND_REGRESSOR
+                else ("plain " if plain else "geometric ")
+            )
             options = Options(criterion=criterion, plain=plain, starts=starts, seed=seed)
             print(f"{name}: {kind}{criterion.value}", file=sys.stderr, flush=True)
-            out[kind + criterion.value] = design.solve(design.prepare(machine, table, options))
+            out[kind + criterion.value] = optimize.solve(optimize.prepare(machine, table, options))
     return out
 
 
-def recorded(found: design.Design, motion: Fourier, samples: int) -> Array:
+def recorded(found: optimize.Design, motion: Fourier, samples: int) -> Array:
     """Regressor rows of one period over the noise. Shape (samples n, P)."""
     problem = found.setting.problem
     Y = dynamics.regressor(problem.robot, problem.parameters, motion.samples(motion.grid(samples)))
     return (Y / found.setting.noise[:, None]).reshape(-1, Y.shape[2])
 
 
-def errors(found: design.Design, others: Array, draws: int, spread: float, rng: np.random.Generator) -> tuple[float, float]:
+def errors(
+    found: optimize.Design, others: Array, draws: int, spread: float, rng: np.random.Generator
+) -> tuple[float, float]:
     """RMS over draws of the error in the metric and of the torque error over noise on `others`.
 
     Truth: nominal plus a normal deviation of size `spread` per direction of the metric. Estimate: maximum a posteriori
@@ -54,7 +61,11 @@ def errors(found: design.Design, others: Array, draws: int, spread: float, rng: 
     """
     problem, base = found.setting.problem, found.setting.base
     options = problem.options
-    rows = recorded(found, found.motion, round(options.period * options.rate)) @ base.geometric * np.sqrt(options.periods)
+    rows = (
+        recorded(found, found.motion, round(options.period * options.rate))
+        @ base.geometric
+        * np.sqrt(options.periods)
+    )
     _, singular, right = np.linalg.svd(np.linalg.qr(rows, mode="r"))
     truth = spread * rng.normal(size=(draws, base.count))
     seen = singular * (truth @ right.T) + rng.normal(size=truth.shape)
@@ -64,16 +75,16 @@ def errors(found: design.Design, others: Array, draws: int, spread: float, rng: 
     return float(np.sqrt(np.mean(np.sum(error**2, axis=1)))), float(np.sqrt(np.mean(torque**2)))
 
 
-def unseen(found: design.Design, count: int, rng: np.random.Generator) -> Array:
+def unseen(found: optimize.Design, count: int, rng: np.random.Generator) -> Array:
     """Rows of random feasible motions, for held-out torque."""
-    from excite import start
-    from excite.evaluate import Evaluator
+    from excite.designer import initial_guess
+    from excite.designer.evaluator import Evaluator
 
     evaluator = Evaluator(found.setting.problem)
     rows = []
     for _ in range(count):
-        held = start.poses(evaluator, rng)
-        x = start.motion(evaluator, held[rng.integers(len(held))], rng)
+        held = initial_guess.poses(evaluator, rng)
+        x = initial_guess.motion(evaluator, held[rng.integers(len(held))], rng)
         rows.append(recorded(found, found.setting.problem.fourier(x), 50))
     return np.vstack(rows)
 
@@ -83,7 +94,9 @@ def report(name: str, arguments: argparse.Namespace) -> None:
     found = designs(name, arguments.starts, arguments.seed)
     first = next(iter(found.values()))
     others = unseen(first, 20, np.random.default_rng(12345))
-    columns = [("geometric", c) for c in ("a", "d", "e", "cond")] + [("plain", c) for c in ("a", "d", "e", "cond")]
+    columns = [("geometric", c) for c in ("a", "d", "e", "cond")] + [
+        ("plain", c) for c in ("a", "d", "e", "cond")
+    ]
     print(
         f"\n### {name}\n\n| designed for | "
         + " | ".join(f"{k} {c}" for k, c in columns)
@@ -92,22 +105,38 @@ def report(name: str, arguments: argparse.Namespace) -> None:
     print("|---" * (len(columns) + 4) + "|")
     for title, one in found.items():
         problem = one.setting.problem
-        Y = dynamics.regressor(problem.robot, problem.parameters, one.motion.samples(one.motion.grid(problem.options.samples)))
+        Y = dynamics.regressor(
+            problem.robot,
+            problem.parameters,
+            one.motion.samples(one.motion.grid(problem.options.samples)),
+        )
         scores = criteria.score(Y, one.setting.base, one.setting.noise)
         cells = [criteria.pick(scores, Criterion(c), plain=k == "plain") for k, c in columns]
         cells.append(criteria.pick(scores, Criterion.COND_REGRESSOR, plain=True))
-        metric, torque = errors(one, others, arguments.draws, arguments.spread, np.random.default_rng(arguments.seed))
-        print(f"| {title} | " + " | ".join(f"{value:.4g}" for value in cells) + f" | {metric:.4f} | {torque:.4f} |", flush=True)
+        metric, torque = errors(
+            one, others, arguments.draws, arguments.spread, np.random.default_rng(arguments.seed)
+        )
+        print(
+            f"| {title} | "
+            + " | ".join(f"{value:.4g}" for value in cells)
+            + f" | {metric:.4f} | {torque:.4f} |",
+            flush=True,
+        )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("robots", nargs="*", default=["ur10e", "panda"])
     parser.add_argument("--starts", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--draws", type=int, default=2000)
     parser.add_argument(
-        "--spread", type=float, default=0.2, help="how far the true robot is from the nominal one, per direction of the metric"
+        "--spread",
+        type=float,
+        default=0.2,
+        help="how far the true robot is from the nominal one, per direction of the metric",
     )
     arguments = parser.parse_args()
     warnings.simplefilter("ignore", ExciteWarning)

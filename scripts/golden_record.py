@@ -67,9 +67,17 @@ def cases() -> tuple[Case, ...]:
 
 def excite(folder: Path, *arguments: str) -> None:
     """Run a command in a folder, so that no path of this machine is recorded."""
-    done = subprocess.run([sys.executable, "-m", "excite", *arguments], cwd=folder, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-m", "excite", *arguments],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     if done.returncode:
-        sys.exit(f"excite {' '.join(arguments)}: exit code {done.returncode}: {done.stderr.strip().splitlines()[-1:]}")
+        sys.exit(
+            f"excite {' '.join(arguments)}: exit code {done.returncode}: {done.stderr.strip().splitlines()[-1:]}"
+        )
 
 
 def record_design(folder: Path, robot: str) -> None:
@@ -85,10 +93,27 @@ def record_case(folder: Path, case: Case) -> None:
     motion = f"{case.robot}/trajectory.json"
     excite(folder, "simulate", case.robot, motion, *hide, "--seed", str(case.seed), "-o", first)
     excite(
-        folder, "simulate", case.robot, f"{case.robot}/validation/trajectory.json", "--like", f"{case.name}/train.truth.json", "-o", second
+        folder,
+        "simulate",
+        case.robot,
+        f"{case.robot}/validation/trajectory.json",
+        "--like",
+        f"{case.name}/train.truth.json",
+        "-o",
+        second,
     )
     excite(folder, "identify", case.robot, first, "--validate", second, "-o", f"{case.name}/model")
-    excite(folder, "diagnose", case.robot, first, "--validate", second, "--no-report", "-o", f"{case.name}/diagnosis")
+    excite(
+        folder,
+        "diagnose",
+        case.robot,
+        first,
+        "--validate",
+        second,
+        "--no-report",
+        "-o",
+        f"{case.name}/diagnosis",
+    )
 
 
 def make(folder: Path, jobs: int) -> None:
@@ -108,7 +133,10 @@ def without(value: Any, keys: frozenset[str]) -> Any:
 
 def differences(before: Path, after: Path, ignored: frozenset[str]) -> Iterator[str]:
     """Names of files that differ or that only one of the records has."""
-    names = [{path.relative_to(root) for pattern in COMPARED for path in root.rglob(pattern)} for root in (before, after)]
+    names = [
+        {path.relative_to(root) for pattern in COMPARED for path in root.rglob(pattern)}
+        for root in (before, after)
+    ]
     for name in sorted(names[0] | names[1]):
         if name not in names[0] or name not in names[1]:
             yield f"{name}: only in one record"
@@ -117,7 +145,10 @@ def differences(before: Path, after: Path, ignored: frozenset[str]) -> Iterator[
         if old.read_bytes() == new.read_bytes():
             continue
         if name.suffix == ".json" and ignored:
-            documents = [without(json.loads(path.read_text(encoding="utf-8")), ignored) for path in (old, new)]
+            documents = [
+                without(json.loads(path.read_text(encoding="utf-8")), ignored)
+                for path in (old, new)
+            ]
             if documents[0] == documents[1]:
                 continue
         yield f"{name}: differs"
@@ -125,7 +156,9 @@ def differences(before: Path, after: Path, ignored: frozenset[str]) -> Iterator[
 
 def main() -> int:
     """Make a record, or compare two."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     commands = parser.add_subparsers(dest="command", required=True)
     sub = commands.add_parser("make")
     sub.add_argument("folder", type=Path)
@@ -133,13 +166,19 @@ def main() -> int:
     sub = commands.add_parser("compare")
     sub.add_argument("before", type=Path)
     sub.add_argument("after", type=Path)
-    sub.add_argument("--ignore", nargs="*", default=[], metavar="KEY", help="JSON keys that may differ")
+    sub.add_argument(
+        "--ignore", nargs="*", default=[], metavar="KEY", help="JSON keys that may differ"
+    )
     arguments = parser.parse_args()
     if arguments.command == "make":
         make(arguments.folder, arguments.jobs)
         return 0
     found = list(differences(arguments.before, arguments.after, frozenset(arguments.ignore)))
-    print("\n".join(found) if found else f"identical: {sum(1 for p in arguments.before.rglob('*') if p.is_file())} files")
+    print(
+        "\n".join(found)
+        if found
+        else f"identical: {sum(1 for p in arguments.before.rglob('*') if p.is_file())} files"
+    )
     return 1 if found else 0
 
 

@@ -425,7 +425,11 @@ NOTEBOOKS = {
 def written(name: str, cells: list[tuple[str, str]]) -> None:
     notebook = nbformat.v4.new_notebook()
     for number, (kind, text) in enumerate(cells):
-        cell = nbformat.v4.new_markdown_cell(text) if kind == "markdown" else nbformat.v4.new_code_cell(text)
+        cell = (
+            nbformat.v4.new_markdown_cell(text)
+            if kind == "markdown"
+            else nbformat.v4.new_code_cell(text)
+        )
         cell["id"] = f"cell-{number}"
         notebook.cells.append(cell)
     nbformat.write(notebook, Path(__file__).resolve().parent.parent / "notebooks" / f"{name}.ipynb")

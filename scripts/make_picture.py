@@ -12,8 +12,11 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from excite import artefact, base, cli, identifiability, verify
-from excite.dynamics import band, regressor
+from excite.cli import main as main_module
+from excite.designer import certificate, identifiability
+from excite.robot import base_parameters
+from excite.robot.dynamics import band, regressor
+from excite.trajectory import trajectory_file
 
 FOLDER = Path(__file__).resolve().parent.parent
 REAL = Path(os.environ.get("EXCITE_RECORDINGS", FOLDER.parent / "shared" / "recordings"))
@@ -25,33 +28,43 @@ def main() -> None:
     if REAL.is_dir():
         atlas(REAL / "tx40", "joint_5")
     else:
-        sys.exit(f"{REAL}: no recordings, so the atlas was not drawn again; name their folder by EXCITE_RECORDINGS")
+        sys.exit(
+            f"{REAL}: no recordings, so the atlas was not drawn again; name their folder by EXCITE_RECORDINGS"
+        )
 
 
 def atlas(folder: Path, joint: str) -> None:
     """The picture of a joint that the report of `excite diagnose` holds, as a file of its own."""
     with tempfile.TemporaryDirectory() as out:
-        robot, train, held_out = (str(folder / name) for name in (f"{folder.name}.urdf", "train.csv", "validate.csv"))
-        if cli.main(["diagnose", robot, train, "--validate", held_out, "-o", out]):
+        robot, train, held_out = (
+            str(folder / name) for name in (f"{folder.name}.urdf", "train.csv", "validate.csv")
+        )
+        if main_module.main(["diagnose", robot, train, "--validate", held_out, "-o", out]):
             sys.exit(1)
         page = (Path(out) / "report.html").read_text()
-    found = re.search(rf'<svg viewBox="0 0 (\S+) (\S+)" role="img" aria-label="Held-out residual of {joint} .*?</svg>', page, re.DOTALL)
+    found = re.search(
+        rf'<svg viewBox="0 0 (\S+) (\S+)" role="img" aria-label="Held-out residual of {joint} .*?</svg>',
+        page,
+        re.DOTALL,
+    )
     if found is None:
         sys.exit(f"{folder}: the report has no picture of {joint}")
     white = f'<rect width="{found[1]}" height="{found[2]}" fill="#fff"/>'
     head, rest = found[0].split(">", 1)
-    (FOLDER / "notebooks" / f"{folder.name}_{joint}.svg").write_text(f'{head} xmlns="http://www.w3.org/2000/svg">{white}{rest}\n')
+    (FOLDER / "notebooks" / f"{folder.name}_{joint}.svg").write_text(
+        f'{head} xmlns="http://www.w3.org/2000/svg">{white}{rest}\n'
+    )
 
 
 def design() -> None:
-    trajectory = artefact.read(FOLDER / "trajectories" / "ur10e.json")
+    trajectory = trajectory_file.read(FOLDER / "trajectories" / "ur10e.json")
     robot = trajectory.load_robot()
-    subject = verify.subject_of(trajectory, robot, trajectory.limits)
+    subject = certificate.subject_of(trajectory, robot, trajectory.limits)
     parameters, motion, limits = subject.parameters, trajectory.motion, trajectory.limits
     t = motion.grid(trajectory.rate)
     samples = motion.samples(t)
     nominal, width = band(regressor(robot, parameters, samples), parameters, subject.uncertainty)
-    found = base.find(robot, parameters, limits)
+    found = base_parameters.find(robot, parameters, limits)
     root = identifiability.information_root(robot, parameters, samples, trajectory.noise)
     analysis = identifiability.analyse_root(parameters, found, root, trajectory.noise, robot)
 
@@ -60,13 +73,23 @@ def design() -> None:
     left, right = figure.subfigures(1, 2, width_ratios=(1.5, 1.0))
     axes = left.subplots(JOINTS, 2, sharex=True)
     for j in range(JOINTS):
-        for axis, curve, bound in ((axes[j, 0], samples.dq, limits.velocity[j]), (axes[j, 1], nominal, limits.torque[j])):
+        for axis, curve, bound in (
+            (axes[j, 0], samples.dq, limits.velocity[j]),
+            (axes[j, 1], nominal, limits.torque[j]),
+        ):
             axis.plot(t, curve[:, j], color="#1f5f9e", linewidth=1)
             for sign in (-1, 1):
                 axis.axhline(sign * bound, color="#b03030", linestyle="--", linewidth=0.8)
             axis.spines[["top", "right"]].set_visible(False)
             axis.tick_params(labelsize=8)
-        axes[j, 1].fill_between(t, nominal[:, j] - width[:, j], nominal[:, j] + width[:, j], color="#1f5f9e", alpha=0.25, linewidth=0)
+        axes[j, 1].fill_between(
+            t,
+            nominal[:, j] - width[:, j],
+            nominal[:, j] + width[:, j],
+            color="#1f5f9e",
+            alpha=0.25,
+            linewidth=0,
+        )
         axes[j, 0].set_ylabel(robot.joints[j].removesuffix("_joint").replace("_", " "), fontsize=9)
     axes[0, 0].set_title("velocity [rad/s] and its limits", fontsize=10)
     axes[0, 1].set_title("torque [N m] of every robot nearby", fontsize=10)
@@ -78,8 +101,18 @@ def design() -> None:
     order = np.argsort(variances)
     seen = variances[order] <= analysis.threshold
     places = np.arange(1, len(order) + 1)
-    for mask, color, text in ((seen, "#1d7d46", "identifiable"), (~seen, "#b03030", "not with this motion")):
-        axis.semilogy(places[mask], variances[order][mask], "o", markersize=4, color=color, label=f"{text} ({mask.sum()})")
+    for mask, color, text in (
+        (seen, "#1d7d46", "identifiable"),
+        (~seen, "#b03030", "not with this motion"),
+    ):
+        axis.semilogy(
+            places[mask],
+            variances[order][mask],
+            "o",
+            markersize=4,
+            color=color,
+            label=f"{text} ({mask.sum()})",
+        )
     axis.axhline(analysis.threshold, color="0.3", linestyle="--", linewidth=1)
     axis.set_title("how well each direction of the parameters is seen", fontsize=10)
     axis.set(xlabel="direction", ylabel="scale-free variance 1/λ")

@@ -6,9 +6,12 @@ import argparse
 import sys
 from pathlib import Path
 
-from excite import artefact, files, limits, plan, robot, workflow
-from excite.collision import scene
-from excite.problem import Options
+from excite import _files
+from excite.collision import scene_file
+from excite.designer import pipeline, time_budget
+from excite.designer.problem import Options
+from excite.robot import limits, robot
+from excite.trajectory import trajectory_file
 
 FOLDER = Path(__file__).resolve().parent.parent / "trajectories"
 
@@ -21,13 +24,19 @@ def main() -> None:
     for name in arguments.robots:
         machine = robot.load(name)
         table = limits.resolve(machine)
-        options = plan.Wish().fill(Options(starts=4), table)
-        cell = scene.cell(machine, table, scene.Scene())
-        delivery = workflow.run(machine, table, options, cell=cell, progress=lambda text: print(text, file=sys.stderr))
-        written = files.write_all(arguments.out, {f"{name}.json": artefact.dumps(delivery.trajectory.document())})
+        options = time_budget.Wish().fill(Options(starts=4), table)
+        cell = scene_file.cell(machine, table, scene_file.Scene())
+        delivery = pipeline.run(
+            machine, table, options, cell=cell, progress=lambda text: print(text, file=sys.stderr)
+        )
+        written = _files.write_all(
+            arguments.out, {f"{name}.json": trajectory_file.dumps(delivery.trajectory.document())}
+        )
         value = delivery.trajectory.criteria["optimum"]["geometric"]["a"]
         length, spent = delivery.trajectory.motion.duration, delivery.timing["total"]
-        print(f"{written[0]}: geometric a = {value:.5g}, {length:.1f} s long, {spent:.1f} s to design; {delivery.trajectory.collision}")
+        print(
+            f"{written[0]}: geometric a = {value:.5g}, {length:.1f} s long, {spent:.1f} s to design; {delivery.trajectory.collision}"
+        )
 
 
 if __name__ == "__main__":

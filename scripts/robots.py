@@ -25,15 +25,23 @@ from typing import Any
 
 import numpy as np
 
-from excite import artefact, criteria, limits, plan, robot, solver, verify, workflow
-from excite.collision import scene
-from excite.criteria import Criterion
+from excite.collision import scene_file
+from excite.designer import certificate as certificate_module
+from excite.designer import criteria, pipeline, sqp, time_budget
+from excite.designer.criteria import Criterion
+from excite.designer.problem import Options
 from excite.errors import CheckFailed
-from excite.problem import Options
+from excite.robot import limits, robot
+from excite.trajectory import trajectory_file
 
 HERE = Path(__file__).resolve().parent
 RECORDINGS = HERE.parent.parent / "shared" / "recordings"
-PLACES = ("", "robots", "share/example-robot-data/robots", "cmeel.prefix/share/example-robot-data/robots")
+PLACES = (
+    "",
+    "robots",
+    "share/example-robot-data/robots",
+    "cmeel.prefix/share/example-robot-data/robots",
+)
 
 
 @dataclass(frozen=True)
@@ -61,12 +69,23 @@ WHEEL = (
     Case("z1", "z1_description/urdf/z1.urdf"),
     Case("kinova", "kinova_description/robots/kinova.urdf"),
     Case("so101", "so_arm_description/urdf/so101.urdf"),
-    Case("baxter", "baxter_description/urdf/baxter.urdf", tuple(f"right_{j}" for j in ("s0", "s1", "e0", "e1", "w0", "w1", "w2"))),
+    Case(
+        "baxter",
+        "baxter_description/urdf/baxter.urdf",
+        tuple(f"right_{j}" for j in ("s0", "s1", "e0", "e1", "w0", "w1", "w2")),
+    ),
     Case("tiago", "tiago_description/robots/tiago.urdf", _numbered("arm_{}_joint", range(1, 8))),
-    Case("talos", "talos_data/robots/talos_reduced.urdf", _numbered("arm_left_{}_joint", range(1, 8))),
-    Case("talos_left_arm", "talos_data/robots/talos_left_arm.urdf", lock={"gripper_left_joint": 0.0}),
+    Case(
+        "talos", "talos_data/robots/talos_reduced.urdf", _numbered("arm_left_{}_joint", range(1, 8))
+    ),
+    Case(
+        "talos_left_arm", "talos_data/robots/talos_left_arm.urdf", lock={"gripper_left_joint": 0.0}
+    ),
     Case("double_pendulum", "double_pendulum_description/urdf/double_pendulum.urdf"),
-    Case("double_pendulum_continuous", "double_pendulum_description/urdf/double_pendulum_continuous.urdf"),
+    Case(
+        "double_pendulum_continuous",
+        "double_pendulum_description/urdf/double_pendulum_continuous.urdf",
+    ),
 )
 RECORDED = (Case("emps", "emps/emps.urdf"),)
 
@@ -102,7 +121,11 @@ def cases(data: Path | None) -> list[tuple[Case, str]]:
     else:
         found += [(case, str(folder / case.path)) for case in WHEEL]
     # A recording's robot is optional material: silently absent elsewhere than in the project's own workspace.
-    return found + [(case, str(RECORDINGS / case.path)) for case in RECORDED if (RECORDINGS / case.path).is_file()]
+    return found + [
+        (case, str(RECORDINGS / case.path))
+        for case in RECORDED
+        if (RECORDINGS / case.path).is_file()
+    ]
 
 
 def wheel(data: Path | None) -> Path | None:
@@ -112,14 +135,23 @@ def wheel(data: Path | None) -> Path | None:
         if (root / place / "ur_description").is_dir():
             return root / place
     if data is not None:
-        raise SystemExit(f"--data {data}: holds no example-robot-data (a folder with ur_description in it)")
+        raise SystemExit(
+            f"--data {data}: holds no example-robot-data (a folder with ur_description in it)"
+        )
     return None
 
 
 def apart(name: str, given: argparse.Namespace) -> Row:
     """One robot in a process of its own, so that neither a crash nor a solver that never ends takes the table along."""
     command = [sys.executable, str(Path(__file__).resolve()), "--alone", "--json", "--only", name]
-    command += ["--starts", str(given.starts), "--criterion", given.criterion, "--uncertainty", str(given.uncertainty)]
+    command += [
+        "--starts",
+        str(given.starts),
+        "--criterion",
+        given.criterion,
+        "--uncertainty",
+        str(given.uncertainty),
+    ]
     command += [] if given.data is None else ["--data", str(given.data)]
     # A session of its own: the workers of a robot that hangs are ended with it.
     child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
@@ -129,7 +161,11 @@ def apart(name: str, given: argparse.Namespace) -> Row:
         os.killpg(child.pid, signal.SIGKILL)
         child.communicate()
         return Row(name, reason=f"no result within {given.patience:g} s")
-    return Row(**json.loads(out)[0]) if out else Row(name, reason=f"the process ended with exit code {child.returncode} and no result")
+    return (
+        Row(**json.loads(out)[0])
+        if out
+        else Row(name, reason=f"the process ended with exit code {child.returncode} and no result")
+    )
 
 
 def attempt(case: Case, source: str, options: Options) -> Row:
@@ -151,13 +187,22 @@ def run(row: Row, case: Case, source: str, options: Options) -> None:
     row.joints = moved.n
     own = HERE / "limits" / f"{case.name}.toml"
     table = limits.resolve(moved, own if own.is_file() and not is_builtin(source) else None)
-    cell, unchecked = scene.known(moved, table, scene.Scene())
-    options = plan.Wish().fill(options, table)
-    delivery = workflow.run(moved, table, options, cell=cell, unchecked=unchecked, progress=lambda text: say(f"  {text}"))
+    cell, unchecked = scene_file.known(moved, table, scene_file.Scene())
+    options = time_budget.Wish().fill(options, table)
+    delivery = pipeline.run(
+        moved,
+        table,
+        options,
+        cell=cell,
+        unchecked=unchecked,
+        progress=lambda text: say(f"  {text}"),
+    )
     row.base_parameters, row.timing = delivery.design.setting.base.count, delivery.timing
     row.duration = delivery.trajectory.motion.duration
     row.start = first_feasible(delivery, options)
-    row.after = criteria.pick(delivery.trajectory.criteria["optimum"], options.criterion, plain=options.plain)
+    row.after = criteria.pick(
+        delivery.trajectory.criteria["optimum"], options.criterion, plain=options.plain
+    )
     certificate = round_trip(delivery.trajectory)
     row.nearest = certificate.worst().document()
     row.nearest["source"] = source_of(delivery.trajectory.limits, certificate.worst())
@@ -166,7 +211,7 @@ def run(row: Row, case: Case, source: str, options: Options) -> None:
     row.reason = "" if row.ok else refusal(certificate)
 
 
-def refusal(certificate: verify.Certificate) -> str:
+def refusal(certificate: certificate_module.Certificate) -> str:
     """One line on why a motion read back from its file is refused."""
     if not certificate.faults:
         return f"{certificate.worst().limit} of {certificate.worst().joint} is broken when read back from the file"
@@ -174,7 +219,7 @@ def refusal(certificate: verify.Certificate) -> str:
     return certificate.faults[0] + (f" (and {more} more)" if more else "")
 
 
-def source_of(table: limits.Limits, margin: verify.Margin) -> str:
+def source_of(table: limits.Limits, margin: certificate_module.Margin) -> str:
     """Where the nearest limit comes from; "derived" ones bind the ramps alone, which run up to them by design."""
     sources = dict(zip(table.joints, table.sources.get(margin.limit, ()), strict=False))
     return sources.get(margin.joint, "")
@@ -184,14 +229,14 @@ def is_builtin(source: str) -> bool:
     return source in robot.builtin_names()
 
 
-def first_feasible(delivery: workflow.Delivery, options: Options) -> float:
+def first_feasible(delivery: pipeline.Delivery, options: Options) -> float:
     """The criterion of the earliest feasible motion of all starts; histories keep the objective, a logarithm.
 
     A start that was tightened after the certificate has lost its beginning: then another start's is shown.
     """
     seen = []
     for one in delivery.design.attempts:
-        at = int(np.argmax(np.array(one.worst) <= solver.FEASIBLE))
+        at = int(np.argmax(np.array(one.worst) <= sqp.FEASIBLE))
         seen.append((one.time[at], one.values[at]))
     objective = min(seen)[1]
     if options.criterion is Criterion.D:
@@ -200,21 +245,31 @@ def first_feasible(delivery: workflow.Delivery, options: Options) -> float:
     return float(np.exp(power * objective))
 
 
-def round_trip(trajectory: artefact.Trajectory) -> verify.Certificate:
+def round_trip(trajectory: trajectory_file.Trajectory) -> certificate_module.Certificate:
     """Certify what a user would: the file, read back, with the robot found again from what the file says."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "trajectory.json"
-        path.write_text(text := artefact.dumps(trajectory.document()), encoding="utf-8")
-        again = artefact.read(path)
-    if artefact.dumps(again.document()) != text:
+        path.write_text(text := trajectory_file.dumps(trajectory.document()), encoding="utf-8")
+        again = trajectory_file.read(path)
+    if trajectory_file.dumps(again.document()) != text:
         raise CheckFailed("trajectory.json does not read back as it was written")
-    return verify.of_file(again, again.load_robot())
+    return certificate_module.of_file(again, again.load_robot())
 
 
 def markdown(rows: Sequence[Row], criterion: str) -> str:
     """The table; a failed robot's last cell is its reason."""
     values = [f"{criterion} at start", f"{criterion} after"]
-    head = ["robot", "joints", "base par.", "design [s]", *values, "nearest limit", "apart [mm]", "motion [s]", "ok"]
+    head = [
+        "robot",
+        "joints",
+        "base par.",
+        "design [s]",
+        *values,
+        "nearest limit",
+        "apart [mm]",
+        "motion [s]",
+        "ok",
+    ]
     lines = ["| " + " | ".join(head) + " |", "|---|" + "---:|" * 5 + "---|---:|---:|---|"]
     return "\n".join(lines + ["| " + " | ".join(cells(row)) + " |" for row in rows])
 
@@ -232,7 +287,9 @@ def cells(row: Row) -> list[str]:
         number(None if row.timing is None else row.timing["total"], ".1f"),
         number(row.start, ".3g"),
         number(row.after, ".3g"),
-        "" if near is None else f"{near['limit']}, {near['joint']}, {round(100.0 * near['margin'], 2) + 0.0:.2f} %{derived}",
+        ""
+        if near is None
+        else f"{near['limit']}, {near['joint']}, {round(100.0 * near['margin'], 2) + 0.0:.2f} %{derived}",
         "unknown" if row.near is None else number(row.near, ".1f"),
         number(row.duration, ".2f"),
         "yes" if row.ok else f"NO: {row.reason}".replace("|", "\\|"),
@@ -246,27 +303,61 @@ def chosen(found: list[tuple[Case, str]], only: str | None) -> list[tuple[Case, 
     names = only.split(",")
     unknown = sorted(set(names) - {case.name for case, _ in found})
     if unknown:
-        raise SystemExit(f"--only {unknown[0]}: not among {', '.join(case.name for case, _ in found)}")
+        raise SystemExit(
+            f"--only {unknown[0]}: not among {', '.join(case.name for case, _ in found)}"
+        )
     return [(case, source) for case, source in found if case.name in names]
 
 
 def arguments() -> argparse.Namespace:
     standard = Options()
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--data", type=Path, metavar="DIR", help="example-robot-data: its unpacked wheel or folder of robots")
+    parser.add_argument(
+        "--data",
+        type=Path,
+        metavar="DIR",
+        help="example-robot-data: its unpacked wheel or folder of robots",
+    )
     parser.add_argument("--only", metavar="NAME,…", help="these robots alone")
-    parser.add_argument("--starts", type=int, default=standard.starts, help="random starts per robot (default %(default)s)")
-    parser.add_argument("--criterion", choices=[c.value for c in Criterion], default=standard.criterion.value, help="default %(default)s")
-    parser.add_argument("--uncertainty", type=float, default=standard.uncertainty, help="as of excite design (default %(default)s)")
-    parser.add_argument("--patience", type=float, default=300.0, metavar="S", help="end a robot that takes longer (default %(default)g)")
-    parser.add_argument("--json", action="store_true", help="one JSON document instead of the table")
-    parser.add_argument("--alone", action="store_true", help=argparse.SUPPRESS)  # in this process, as `apart` asks
+    parser.add_argument(
+        "--starts",
+        type=int,
+        default=standard.starts,
+        help="random starts per robot (default %(default)s)",
+    )
+    parser.add_argument(
+        "--criterion",
+        choices=[c.value for c in Criterion],
+        default=standard.criterion.value,
+        help="default %(default)s",
+    )
+    parser.add_argument(
+        "--uncertainty",
+        type=float,
+        default=standard.uncertainty,
+        help="as of excite design (default %(default)s)",
+    )
+    parser.add_argument(
+        "--patience",
+        type=float,
+        default=300.0,
+        metavar="S",
+        help="end a robot that takes longer (default %(default)g)",
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="one JSON document instead of the table"
+    )
+    parser.add_argument(
+        "--alone", action="store_true", help=argparse.SUPPRESS
+    )  # in this process, as `apart` asks
     return parser.parse_args()
 
 
 def main() -> int:
     given = arguments()
-    options = Options(criterion=Criterion(given.criterion), starts=given.starts, uncertainty=given.uncertainty)
+    options = Options(
+        criterion=Criterion(given.criterion), starts=given.starts, uncertainty=given.uncertainty
+    )
     rows = []
     for case, source in chosen(cases(given.data), given.only):
         if given.alone:
@@ -277,7 +368,11 @@ def main() -> int:
         for text in row.warnings:
             say(f"  {text}")
         say("  " + " | ".join(cells(row)))
-    print(json.dumps([dataclasses.asdict(r) for r in rows], indent=1) if given.json else markdown(rows, given.criterion))
+    print(
+        json.dumps([dataclasses.asdict(r) for r in rows], indent=1)
+        if given.json
+        else markdown(rows, given.criterion)
+    )
     return 0 if all(row.ok for row in rows) else 1
 
 

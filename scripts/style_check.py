@@ -71,7 +71,10 @@ class Fault:
 def allowed(path: Path, term: str) -> bool:
     """Whether a term may stand in a file."""
     name = str(path.relative_to(ROOT))
-    return any(name.startswith(prefix) and (term in terms or "*" in terms) for prefix, terms in ALLOWED.items())
+    return any(
+        name.startswith(prefix) and (term in terms or "*" in terms)
+        for prefix, terms in ALLOWED.items()
+    )
 
 
 def banned_in(text: str) -> Iterator[tuple[str, str]]:
@@ -137,7 +140,11 @@ def public_definitions(tree: ast.Module) -> Iterator[ast.FunctionDef | ast.Class
         if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
             yield node
             if isinstance(node, ast.ClassDef):
-                yield from (inner for inner in node.body if isinstance(inner, ast.FunctionDef) and not inner.name.startswith("_"))
+                yield from (
+                    inner
+                    for inner in node.body
+                    if isinstance(inner, ast.FunctionDef) and not inner.name.startswith("_")
+                )
 
 
 def check_docstrings(path: Path, tree: ast.Module) -> Iterator[Fault]:
@@ -152,7 +159,9 @@ def check_docstrings(path: Path, tree: ast.Module) -> Iterator[Fault]:
             text = ast.get_docstring(node)
             if text and BAD_BEGINNING.match(text) and not allowed(path, "What"):
                 line = 1 if isinstance(node, ast.Module) else node.lineno
-                yield Fault(path, line, f"docstring begins with '{text.split()[0]}': say what it is or does")
+                yield Fault(
+                    path, line, f"docstring begins with '{text.split()[0]}': say what it is or does"
+                )
 
 
 def check_classes(files: list[Path]) -> Iterator[Fault]:
@@ -165,7 +174,9 @@ def check_classes(files: list[Path]) -> Iterator[Fault]:
     for name, found_at in places.items():
         others = [place for place in found_at if not allowed(place[0], name)]
         for path, line in others[1:]:
-            yield Fault(path, line, f"class '{name}' exists also in {others[0][0].relative_to(ROOT)}")
+            yield Fault(
+                path, line, f"class '{name}' exists also in {others[0][0].relative_to(ROOT)}"
+            )
 
 
 def check_python(path: Path) -> Iterator[Fault]:
@@ -182,24 +193,39 @@ def check_python(path: Path) -> Iterator[Fault]:
 def project_files() -> list[Path]:
     """All Python and Markdown files of the project."""
     folders = ("excite", "scripts", "tests", "notebooks", "trajectories")
-    inside = [path for folder in folders for pattern in ("*.py", "*.md") for path in (ROOT / folder).rglob(pattern)]
+    inside = [
+        path
+        for folder in folders
+        for pattern in ("*.py", "*.md")
+        for path in (ROOT / folder).rglob(pattern)
+    ]
     return sorted([*inside, *ROOT.glob("*.md")])
 
 
 def faults(files: list[Path]) -> list[Fault]:
     """All faults of some files."""
-    out = [fault for path in files for fault in (check_python(path) if path.suffix == ".py" else check_markdown(path))]
-    package = [path for path in files if path.suffix == ".py" and path.is_relative_to(ROOT / "excite")]
+    out = [
+        fault
+        for path in files
+        for fault in (check_python(path) if path.suffix == ".py" else check_markdown(path))
+    ]
+    package = [
+        path for path in files if path.suffix == ".py" and path.is_relative_to(ROOT / "excite")
+    ]
     return [*out, *check_classes(package)]
 
 
 def main() -> int:
     """Print the faults of the files named, or of all."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("paths", nargs="*", type=Path, metavar="PATH")
     arguments = parser.parse_args()
     named = [path.resolve() for path in arguments.paths]
-    files = [p for p in project_files() if not named or any(p == n or p.is_relative_to(n) for n in named)]
+    files = [
+        p for p in project_files() if not named or any(p == n or p.is_relative_to(n) for n in named)
+    ]
     found_faults = faults(files)
     for fault in found_faults:
         print(fault)

@@ -2,8 +2,12 @@ from __future__ import annotations
 
 import os
 
-os.environ["EXCITE_COMPILER"] = ""  # the tests' many robots are not worth compiling; test_compiled.py does
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # two test processes on two cores; before numpy is imported
+os.environ["EXCITE_COMPILER"] = (
+    ""  # the tests' many robots are not worth compiling; test_compiled.py does
+)
+os.environ.setdefault(
+    "OPENBLAS_NUM_THREADS", "1"
+)  # two test processes on two cores; before numpy is imported
 
 import tempfile
 import xml.etree.ElementTree as ElementTree
@@ -18,16 +22,21 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from written import Damage, motion
 
-from excite import workflow
-from excite.identify.equations import Model
-from excite.limits import Limits, resolve
-from excite.problem import Options
-from excite.robot import Robot, load
-from excite.trajectory import Samples
-from excite.workflow import Delivery
+from excite.designer import pipeline
+from excite.designer.pipeline import Delivery
+from excite.designer.problem import Options
+from excite.identification.regression import Model
+from excite.robot.limits import Limits, resolve
+from excite.robot.robot import Robot, load, locate
+from excite.robot.samples import Samples
 
 settings.register_profile(
-    "excite", deadline=None, derandomize=True, max_examples=10, database=None, suppress_health_check=list(HealthCheck)
+    "excite",
+    deadline=None,
+    derandomize=True,
+    max_examples=10,
+    database=None,
+    suppress_health_check=list(HealthCheck),
 )
 settings.load_profile("excite")
 
@@ -45,12 +54,23 @@ def words(values: np.ndarray | list[float]) -> str:
 
 
 def link(
-    name: str, mass: float = 0.0, com: tuple[float, ...] = (0, 0, 0), tensor: np.ndarray | None = None, rpy: tuple[float, ...] = (0, 0, 0)
+    name: str,
+    mass: float = 0.0,
+    com: tuple[float, ...] = (0, 0, 0),
+    tensor: np.ndarray | None = None,
+    rpy: tuple[float, ...] = (0, 0, 0),
 ) -> str:
     if mass == 0.0 and tensor is None:
         return f'<link name="{name}"/>'
     I = np.eye(3) * 0.01 * mass if tensor is None else np.asarray(tensor)
-    keys = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+    keys = {
+        "ixx": (0, 0),
+        "ixy": (0, 1),
+        "ixz": (0, 2),
+        "iyy": (1, 1),
+        "iyz": (1, 2),
+        "izz": (2, 2),
+    }
     moments = " ".join(f'{key}="{float(I[at])!r}"' for key, at in keys.items())
     return (
         f'<link name="{name}"><inertial><origin xyz="{words(com)}" rpy="{words(rpy)}"/>'
@@ -81,8 +101,17 @@ def document(*parts: str) -> str:
     return '<robot name="thing">\n' + "\n".join(parts) + "\n</robot>\n"
 
 
-def pendulum(inside: str = LIMIT, kind: str = "revolute", axis: tuple[float, ...] = (0, 1, 0), body: str | None = None) -> str:
-    return document(link("base"), body or link("arm", 2.0, (0.3, 0.0, 0.0)), joint("swing", "base", "arm", kind, axis=axis, inside=inside))
+def pendulum(
+    inside: str = LIMIT,
+    kind: str = "revolute",
+    axis: tuple[float, ...] = (0, 1, 0),
+    body: str | None = None,
+) -> str:
+    return document(
+        link("base"),
+        body or link("arm", 2.0, (0.3, 0.0, 0.0)),
+        joint("swing", "base", "arm", kind, axis=axis, inside=inside),
+    )
 
 
 def random_urdf(
@@ -103,20 +132,43 @@ def random_urdf(
             master, multiplier, offset = mimics[i]
             inside += f'<mimic joint="j{master}" multiplier="{multiplier!r}" offset="{offset!r}"/>'
         parts.append(random_link(rng, f"l{i}"))
-        parts.append(joint(f"j{i}", parent, f"l{i}", str(rng.choice(kinds)), *random_placement(rng, tidy), inside=inside))
+        parts.append(
+            joint(
+                f"j{i}",
+                parent,
+                f"l{i}",
+                str(rng.choice(kinds)),
+                *random_placement(rng, tidy),
+                inside=inside,
+            )
+        )
     parts.append(joint("mount", f"l{count - 1}", "tool", "fixed", *random_placement(rng, False)))
     return document(*parts)
 
 
 def random_placement(rng: np.random.Generator, tidy: bool) -> tuple[tuple[float, ...], ...]:
     if not tidy:
-        return tuple(rng.uniform(-0.5, 0.5, 3)), tuple(rng.uniform(-3, 3, 3)), tuple(rng.normal(size=3))
+        return (
+            tuple(rng.uniform(-0.5, 0.5, 3)),
+            tuple(rng.uniform(-3, 3, 3)),
+            tuple(rng.normal(size=3)),
+        )
     xyz = rng.choice([0.0, 0.0, 0.3, -0.2], 3)
-    return tuple(xyz), tuple(rng.integers(-1, 3, 3) * np.pi / 2), tuple(np.eye(3)[rng.integers(3)] * rng.choice([-1, 1]))
+    return (
+        tuple(xyz),
+        tuple(rng.integers(-1, 3, 3) * np.pi / 2),
+        tuple(np.eye(3)[rng.integers(3)] * rng.choice([-1, 1])),
+    )
 
 
 def random_link(rng: np.random.Generator, name: str) -> str:
-    return link(name, rng.uniform(0.5, 5.0), tuple(rng.uniform(-0.2, 0.2, 3)), random_tensor(rng), tuple(rng.uniform(-3, 3, 3)))
+    return link(
+        name,
+        rng.uniform(0.5, 5.0),
+        tuple(rng.uniform(-0.2, 0.2, 3)),
+        random_tensor(rng),
+        tuple(rng.uniform(-3, 3, 3)),
+    )
 
 
 def random_tensor(rng: np.random.Generator) -> np.ndarray:
@@ -127,7 +179,9 @@ def random_tensor(rng: np.random.Generator) -> np.ndarray:
 
 def random_body(rng: np.random.Generator) -> np.ndarray:
     """Ten parameters of a body that could be built."""
-    return pin.Inertia(rng.uniform(0.5, 5.0), rng.uniform(-0.2, 0.2, 3), random_tensor(rng)).toDynamicParameters()
+    return pin.Inertia(
+        rng.uniform(0.5, 5.0), rng.uniform(-0.2, 0.2, 3), random_tensor(rng)
+    ).toDynamicParameters()
 
 
 def loaded(text: str, **options: object) -> Robot:
@@ -138,7 +192,7 @@ def loaded(text: str, **options: object) -> Robot:
 
 
 def text_of(name: str) -> str:
-    return (Path(workflow.__file__).parent / "models" / f"{name}.urdf").read_text(encoding="utf-8")
+    return locate(name).read_text(encoding="utf-8")
 
 
 # -- the same physics, told otherwise ------------------------------------------------------------------------------
@@ -147,7 +201,10 @@ def text_of(name: str) -> str:
 def reframed(text: str, rng: np.random.Generator) -> str:
     """The same robot, each moving link's frame turned at will and slid along its joint's axis."""
     root = ElementTree.fromstring(text)
-    moved = {element.find("child").get("link"): _new_frame(element, rng) for element in root.findall("joint")}
+    moved = {
+        element.find("child").get("link"): _new_frame(element, rng)
+        for element in root.findall("joint")
+    }
     for element in root.findall("joint"):
         before = moved.get(element.find("parent").get("link"), pin.SE3.Identity())
         after = moved[element.find("child").get("link")]
@@ -158,7 +215,10 @@ def reframed(text: str, rng: np.random.Generator) -> str:
     for element in root.findall("link"):
         inertial = element.find("inertial")
         if inertial is not None:
-            _place(inertial, moved.get(element.get("name"), pin.SE3.Identity()).actInv(_placement(inertial)))
+            _place(
+                inertial,
+                moved.get(element.get("name"), pin.SE3.Identity()).actInv(_placement(inertial)),
+            )
     return ElementTree.tostring(root, encoding="unicode")
 
 
@@ -194,10 +254,16 @@ def _place(element: ElementTree.Element, where: pin.SE3) -> None:
 
 def states(n: int, count: int = 6, seed: int = 0, speed: float = 2.0) -> Samples:
     rng = np.random.default_rng(seed)
-    return Samples(rng.uniform(-2, 2, (count, n)), speed * rng.normal(size=(count, n)), 5.0 * rng.normal(size=(count, n)))
+    return Samples(
+        rng.uniform(-2, 2, (count, n)),
+        speed * rng.normal(size=(count, n)),
+        5.0 * rng.normal(size=(count, n)),
+    )
 
 
-def raw_torque(text: str, joints: tuple[str, ...], motion: Samples, gravity: tuple[float, ...] = (0, 0, -9.81)) -> np.ndarray:
+def raw_torque(
+    text: str, joints: tuple[str, ...], motion: Samples, gravity: tuple[float, ...] = (0, 0, -9.81)
+) -> np.ndarray:
     """Pinocchio on the URDF as it stands (a continuous joint has two coordinates there); mimics move freely."""
     model = pin.buildModelFromXML(text)
     model.gravity.linear = np.array(gravity, float)
@@ -208,7 +274,9 @@ def raw_torque(text: str, joints: tuple[str, ...], motion: Samples, gravity: tup
         q, v, a = pin.neutral(model), np.zeros(model.nv), np.zeros(model.nv)
         for i, entry in enumerate(at):
             angle = motion.q[t, i]
-            q[entry.idx_q : entry.idx_q + entry.nq] = (np.cos(angle), np.sin(angle)) if entry.nq == 2 else angle
+            q[entry.idx_q : entry.idx_q + entry.nq] = (
+                (np.cos(angle), np.sin(angle)) if entry.nq == 2 else angle
+            )
             v[entry.idx_v], a[entry.idx_v] = motion.dq[t, i], motion.ddq[t, i]
         torque = pin.rnea(model, data, q, v, a)
         out[t] = [torque[entry.idx_v] for entry in at]
@@ -257,11 +325,11 @@ def table(two_link: Robot) -> Limits:
 
 @pytest.fixture(scope="session")
 def delivery(two_link: Robot, table: Limits) -> Delivery:
-    return workflow.run(two_link, table, QUICK, start=np.array([-1.5, 0.3]))
+    return pipeline.run(two_link, table, QUICK, start=np.array([-1.5, 0.3]))
 
 
 @pytest.fixture(scope="session")
 def braked() -> Delivery:
     """Three joints of the FR3, whose speed limits depend on position."""
     robot = load("fr3", joints=("fr3_joint1", "fr3_joint2", "fr3_joint4"))
-    return workflow.run(robot, resolve(robot), replace(QUICK, period=4.0, samples=60))
+    return pipeline.run(robot, resolve(robot), replace(QUICK, period=4.0, samples=60))

@@ -8,6 +8,10 @@ from pathlib import Path
 import pytest
 
 _SHARED = Path(os.environ.get("EXCITE_SHARED", Path(__file__).resolve().parents[2] / "shared"))
-INPUTS: Path | None = _SHARED / "inputs" / "files" if (_SHARED / "inputs" / "files").is_dir() else None
+INPUTS: Path | None = (
+    _SHARED / "inputs" / "files" if (_SHARED / "inputs" / "files").is_dir() else None
+)
 
-needs_inputs = pytest.mark.skipif(INPUTS is None, reason=f"the shared inputs are not at {_SHARED / 'inputs' / 'files'}")
+needs_inputs = pytest.mark.skipif(
+    INPUTS is None, reason=f"the shared inputs are not at {_SHARED / 'inputs' / 'files'}"
+)

@@ -10,11 +10,11 @@ import pytest
 from scipy import integrate, linalg
 from test_diagnose import found
 
-from excite import robot
-from excite.diagnose.afloat import Afloat, afloat
-from excite.diagnose.catalogue import environment
-from excite.diagnose.effect import Shape
-from excite.trajectory import Samples
+from excite.effects import environment
+from excite.effects.base_dynamics import Afloat, afloat
+from excite.effects.effect import Shape
+from excite.robot import robot
+from excite.robot.samples import Samples
 
 Array = np.ndarray
 
@@ -36,7 +36,9 @@ def torque(arm: robot.Robot, motion: Samples, row: int, base: tuple[Array, Array
     (place, speed, haste), model = base, arm.model
     about = [pin.exp3(angle * axis) for angle, axis in zip(place[3:], np.eye(3), strict=True)]
     first, second, turn = about[0], about[0] @ about[1], about[0] @ about[1] @ about[2]
-    axes = np.column_stack([np.eye(3)[0], first[:, 1], second[:, 2]])  # where the hinges point, in the ground's frame
+    axes = np.column_stack(
+        [np.eye(3)[0], first[:, 1], second[:, 2]]
+    )  # where the hinges point, in the ground's frame
     spin = axes @ speed[3:]
     # the hinges turn with those before them
     turning = (
@@ -48,7 +50,9 @@ def torque(arm: robot.Robot, motion: Samples, row: int, base: tuple[Array, Array
     free.gravity = model.gravity
     data = free.createData()
     ground = turn.T
-    pose = np.concatenate([place[:3], pin.Quaternion(turn).coeffs(), arm.expand(motion.q[row : row + 1])[0]])
+    pose = np.concatenate(
+        [place[:3], pin.Quaternion(turn).coeffs(), arm.expand(motion.q[row : row + 1])[0]]
+    )
     twist = np.concatenate([ground @ speed[:3], ground @ spin, arm.spread @ motion.dq[row]])
     linear = ground @ haste[:3] - np.cross(ground @ spin, ground @ speed[:3])
     rate = np.concatenate([linear, ground @ surge, arm.spread @ motion.ddq[row]])
@@ -72,13 +76,17 @@ def test_what_a_base_does_is_the_slope_of_inverse_dynamics(arm, moved, kind):
             nudged = np.zeros((2, 3, 6))
             nudged[0, which, axis], nudged[1, which, axis] = step, -step
             up, down = (torque(arm, motion, row, tuple(own)) for own in nudged)
-            np.testing.assert_allclose(getattr(made, kind)[row, :, axis], (up - down) / (2.0 * step), atol=2e-4)
+            np.testing.assert_allclose(
+                getattr(made, kind)[row, :, axis], (up - down) / (2.0 * step), atol=2e-4
+            )
 
 
 def test_what_holds_the_base_is_the_robots_reaction(arm, moved):
     motion, made = moved
     for row in range(len(motion)):
-        np.testing.assert_allclose(made.reaction[row], torque(arm, motion, row, (np.zeros(6),) * 3)[:6], atol=1e-9)
+        np.testing.assert_allclose(
+            made.reaction[row], torque(arm, motion, row, (np.zeros(6),) * 3)[:6], atol=1e-9
+        )
 
 
 def test_coupled_masses_swing_as_a_solver_says():
@@ -91,7 +99,12 @@ def test_coupled_masses_swing_as_a_solver_says():
         inertia = np.moveaxis(np.array([[2.0 + c, 0.8 * s], [0.8 * s, 2.0 - c]]), -1, 0)
         damping = np.broadcast_to(np.array([[1.0, 0.6], [-0.6, 1.5]]), inertia.shape)
         stiffness = np.broadcast_to(np.array([[900.0, 30.0], [30.0, 1400.0]]), inertia.shape)
-        return inertia, damping, stiffness, np.column_stack([np.sin(9.0 * time), np.cos(17.0 * time)])
+        return (
+            inertia,
+            damping,
+            stiffness,
+            np.column_stack([np.sin(9.0 * time), np.cos(17.0 * time)]),
+        )
 
     def slope(time: float, z: Array) -> Array:
         m, d, k, f = (x[0] for x in parts(np.array([time])))
@@ -110,7 +123,11 @@ def test_coupled_masses_swing_as_a_solver_says():
 @pytest.mark.parametrize("size", [0.1, 3.0, 60.0])
 def test_the_exponential_of_a_step_holds_however_long_it_is(size):
     """A light stand swings several times in a step of a slow recording."""
-    a = size * np.random.default_rng(1).normal(size=(5, 4, 4)) * np.array([[0.0, 0.0, 1.0, 1.0]] * 2 + [[-1.0, -1.0, -0.1, -0.1]] * 2)
+    a = (
+        size
+        * np.random.default_rng(1).normal(size=(5, 4, 4))
+        * np.array([[0.0, 0.0, 1.0, 1.0]] * 2 + [[-1.0, -1.0, -0.1, -0.1]] * 2)
+    )
     a[:, 2:, :2] = -np.swapaxes(a[:, :2, 2:], 1, 2)  # so that it swings, and hardly grows
     both = np.zeros((5, 8, 8))
     both[:, :4, :4], both[:, :4, 4:] = a, np.eye(4)
@@ -126,7 +143,9 @@ def test_a_bases_spring_is_the_same_in_every_recording(monkeypatch):
 
     result, told = found(two_links(), None), list[Array]()
 
-    def seen(inertia: Array, damping: Array, stiffness: Array, force: Array, dt: float) -> tuple[Array, Array, Array]:
+    def seen(
+        inertia: Array, damping: Array, stiffness: Array, force: Array, dt: float
+    ) -> tuple[Array, Array, Array]:
         told.append(np.diagonal(stiffness, axis1=1, axis2=2))
         return (np.zeros((*force.shape, force.shape[1])),) * 3
 
@@ -140,6 +159,10 @@ def test_a_bases_spring_is_the_same_in_every_recording(monkeypatch):
     stood = every[0].stood[3:5]
     for stiffness in told:
         np.testing.assert_allclose(
-            stiffness, np.tile((2.0 * np.pi * np.array([5.0, 7.5])) ** 2 * (stood + 0.2 * stood.max()), (len(stiffness), 1))
+            stiffness,
+            np.tile(
+                (2.0 * np.pi * np.array([5.0, 7.5])) ** 2 * (stood + 0.2 * stood.max()),
+                (len(stiffness), 1),
+            ),
         )
     assert len(told) == len(every) > 1

@@ -14,12 +14,58 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 # Each layer may import from itself and from the ones before it.
 LAYERS = (
-    {"__init__", "errors", "physical_ranges", "schemas", "urdf", "robot", "limits", "trajectory", "motion", "plant"},
-    {"parameters", "structure", "dynamics", "compiled", "symbolic", "base", "criteria", "overlap", "problem", "checks", "collision"},
-    {"evaluate", "start", "subproblem", "solver", "starts", "design", "ramps", "wording", "scenarios", "identifiability", "recordings"}
+    {
+        "__init__",
+        "errors",
+        "physical_ranges",
+        "schemas",
+        "urdf",
+        "robot",
+        "limits",
+        "trajectory",
+        "motion",
+        "plant",
+    },
+    {
+        "parameters",
+        "structure",
+        "dynamics",
+        "compiled",
+        "symbolic",
+        "base",
+        "criteria",
+        "overlap",
+        "problem",
+        "checks",
+        "collision",
+    },
+    {
+        "evaluate",
+        "start",
+        "subproblem",
+        "solver",
+        "starts",
+        "design",
+        "ramps",
+        "wording",
+        "scenarios",
+        "identifiability",
+        "recordings",
+    }
     | {"artefact", "identify", "diagnose"},
     {"verify", "export", "report", "files", "workflow", "plan", "validation"},
-    {"cluster", "arguments", "diagnosing", "fitting", "simulate", "viewing", "commands", "cli", "trial", "__main__"},
+    {
+        "cluster",
+        "arguments",
+        "diagnosing",
+        "fitting",
+        "simulate",
+        "viewing",
+        "commands",
+        "cli",
+        "trial",
+        "__main__",
+    },
 )
 
 
@@ -39,11 +85,15 @@ def imported(path: Path) -> set[str]:
     known = {module(file) for file in FILES}
     out: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom) and (node.level == depth or (node.module or "").split(".")[0] == "excite"):
+        if isinstance(node, ast.ImportFrom) and (
+            node.level == depth or (node.module or "").split(".")[0] == "excite"
+        ):
             inner = (node.module or "").removeprefix("excite").strip(".")
             out |= {inner.split(".")[0]} if inner else {alias.name for alias in node.names}
         elif isinstance(node, ast.Import):
-            out |= {alias.name.split(".")[1] for alias in node.names if alias.name.startswith("excite.")}
+            out |= {
+                alias.name.split(".")[1] for alias in node.names if alias.name.startswith("excite.")
+            }
     return out & known
 
 
@@ -54,7 +104,9 @@ def loaded_by(*arguments: str) -> set[str]:
 
 
 def after(code: str) -> set[str]:
-    return loaded_by("-c", f"import sys; {code}; print(*{{name.split('.')[0] for name in sys.modules}})")
+    return loaded_by(
+        "-c", f"import sys; {code}; print(*{{name.split('.')[0] for name in sys.modules}})"
+    )
 
 
 def test_every_module_has_a_layer():
@@ -68,11 +120,22 @@ def test_no_module_imports_from_a_later_layer(path):
 
 
 def test_imports_are_found_at_all():
-    assert {"robot", "limits", "errors", "parameters", "structure", "trajectory", "dynamics"} == imported(PACKAGE / "base.py")
+    assert {
+        "robot",
+        "limits",
+        "errors",
+        "parameters",
+        "structure",
+        "trajectory",
+        "dynamics",
+    } == imported(PACKAGE / "base.py")
 
 
 def test_no_module_imports_itself_through_others():
-    graph = {name: set().union(*(imported(f) for f in FILES if module(f) == name)) - {name} for name in {module(f) for f in FILES}}
+    graph = {
+        name: set().union(*(imported(f) for f in FILES if module(f) == name)) - {name}
+        for name in {module(f) for f in FILES}
+    }
     while leaves := {name for name, needs in graph.items() if not needs & set(graph)}:
         graph = {name: needs for name, needs in graph.items() if name not in leaves}
     assert not graph
@@ -82,18 +145,26 @@ SECRET = {"plant", "trial"}
 """What conceals physics: it shares nothing with what looks for it but errors, in either direction."""
 
 
-@pytest.mark.parametrize("path", [file for file in FILES if module(file) in SECRET], ids=lambda path: str(path.relative_to(PACKAGE)))
+@pytest.mark.parametrize(
+    "path",
+    [file for file in FILES if module(file) in SECRET],
+    ids=lambda path: str(path.relative_to(PACKAGE)),
+)
 def test_the_judge_knows_nothing_of_who_is_judged(path):
     allowed = {"plant", "errors"} if module(path) == "plant" else SECRET | {"errors"}
     inner = {
-        n.module.split(".")[0] for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.ImportFrom) and n.module and not n.level
+        n.module.split(".")[0]
+        for n in ast.walk(ast.parse(path.read_text()))
+        if isinstance(n, ast.ImportFrom) and n.module and not n.level
     }
     assert imported(path) <= allowed
     assert not inner & {"excite", "pinocchio", "casadi"}
 
 
 def test_who_is_judged_knows_nothing_of_the_judge():
-    doors = {module(file) for file in FILES if module(file) not in SECRET and imported(file) & SECRET}
+    doors = {
+        module(file) for file in FILES if module(file) not in SECRET and imported(file) & SECRET
+    }
     assert doors == {"simulate"}
     users = {module(file) for file in FILES if "simulate" in imported(file)}
     assert users == {"commands"}
@@ -101,7 +172,12 @@ def test_who_is_judged_knows_nothing_of_the_judge():
 
 def test_the_plant_loads_nothing_that_identifies():
     code = "import excite.trial.run, excite.trial.baselines; m = [n for n in sys.modules if n.startswith('excite.')]; import json"
-    done = subprocess.run([sys.executable, "-c", f"import sys; {code}; print(*m)"], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", f"import sys; {code}; print(*m)"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert {name.split(".")[1] for name in done.stdout.split()} == SECRET | {"errors"}
 
 
@@ -114,17 +190,27 @@ def test_the_core_does_not_name_what_only_the_surface_needs(name):
     """limits.py asks for yaml inside the function that reads a .yaml file."""
     core = [file for file in FILES if layer(module(file)) < 3]
     tops = {file.name: ast.parse(file.read_text(encoding="utf-8")).body for file in core}
-    names = {f: [a.name for n in body if isinstance(n, ast.Import) for a in n.names] for f, body in tops.items()}
+    names = {
+        f: [a.name for n in body if isinstance(n, ast.Import) for a in n.names]
+        for f, body in tops.items()
+    }
     assert not [f for f, imports in names.items() if name in {i.split(".")[0] for i in imports}]
 
 
 @pytest.mark.parametrize("name", ["excite", "excite.errors", "excite.cli"])
 def test_light_modules_stay_light(name):
-    assert not {"casadi", "pinocchio", "matplotlib", "scipy", "numpy", "ruckig"} & after(f"import {name}")
+    assert not {"casadi", "pinocchio", "matplotlib", "scipy", "numpy", "ruckig"} & after(
+        f"import {name}"
+    )
 
 
 def test_help_waits_for_no_heavy_import():
-    done = subprocess.run([sys.executable, "-X", "importtime", "-m", "excite", "--help"], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-X", "importtime", "-m", "excite", "--help"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     names = {line.rsplit("|", 1)[-1].strip().split(".")[0] for line in done.stderr.splitlines()}
     assert done.stdout.startswith("usage: excite")
     assert "argparse" in names and not {"casadi", "pinocchio", "matplotlib", "scipy"} & names
@@ -136,7 +222,12 @@ def test_the_library_neither_swallows_exceptions_nor_prints(path):
     bare = [
         n.lineno
         for n in ast.walk(tree)
-        if isinstance(n, ast.ExceptHandler) and (n.type is None or getattr(n.type, "id", "") in ("Exception", "BaseException"))
+        if isinstance(n, ast.ExceptHandler)
+        and (n.type is None or getattr(n.type, "id", "") in ("Exception", "BaseException"))
     ]
-    prints = [n.lineno for n in ast.walk(tree) if isinstance(n, ast.Call) and getattr(n.func, "id", "") == "print"]
+    prints = [
+        n.lineno
+        for n in ast.walk(tree)
+        if isinstance(n, ast.Call) and getattr(n.func, "id", "") == "print"
+    ]
     assert not bare and (not prints or module(path) in ("cli", "commands"))

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from made import motion, perturbed, recorded, two_links
 
-from excite import robot
-from excite.diagnose import atlas, diagnosis, looks
-from excite.diagnose.diagnosis import Diagnosis
-from excite.diagnose.isolability import isolability
-from excite.diagnose.judge import Verdict
+from excite.diagnosis import diagnosis, residual_atlas, residual_curves
+from excite.diagnosis.diagnosis import Diagnosis
+from excite.diagnosis.isolability import isolability
+from excite.diagnosis.judge import Verdict
 from excite.recordings import Recording
+from excite.robot import robot
 
 NOISE = 0.1
 NULLS = 100
@@ -47,9 +47,13 @@ def found(extra: str = "") -> Diagnosis:
         one = recorded(model, psi, motion(2, seed, 9.0), 2.5, NOISE, period=None, periodic=None)
         both.append(plant(dataclasses.replace(one, source=name), extra))
     options = diagnosis.Options(names=("drag",))
-    done = diagnosis.diagnose(model.robot, model.parameters, model.base, both[:1], both[1:], options)
+    done = diagnosis.diagnose(
+        model.robot, model.parameters, model.base, both[:1], both[1:], options
+    )
     none = Verdict((), None, done.verdict.considered)
-    return dataclasses.replace(done, verdict=none, after=done.before, residuals=(done.residuals[0], done.residuals[0]))
+    return dataclasses.replace(
+        done, verdict=none, after=done.before, residuals=(done.residuals[0], done.residuals[0])
+    )
 
 
 def coloured(rng: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:
@@ -73,34 +77,57 @@ def null(one: Diagnosis, rng: np.random.Generator, loud: tuple[float, float]) ->
     scale = one.before / np.sqrt(np.mean(one.design.across.reshape(-1, 2) ** 2, axis=0))
     residual = across.reshape(-1, 2) * scale
     rms = np.sqrt(np.mean(residual**2, axis=0))
-    return dataclasses.replace(one, design=design, residuals=(residual, residual), before=rms, after=rms, method="differences")
+    return dataclasses.replace(
+        one,
+        design=design,
+        residuals=(residual, residual),
+        before=rms,
+        after=rms,
+        method="differences",
+    )
 
 
 def test_pure_noise_of_any_colour_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     one, rng = found(), np.random.default_rng(0)
-    monkeypatch.setattr(looks, "ORDERS", 60)
-    motion_of = looks.rows(one.tracks[1])
-    same = list(looks.looks(motion_of, ("joint_1", "joint_2")))
-    monkeypatch.setattr(looks, "rows", lambda *_: motion_of)
-    monkeypatch.setattr(looks, "looks", lambda *_: iter(same))
-    least = np.array([min(p.p_before for p in atlas.look(null(one, rng, (1.0, 5.0)), draws=199, seed=k).panels) for k in range(NULLS)])
+    monkeypatch.setattr(residual_curves, "ORDERS", 60)
+    motion_of = residual_curves.rows(one.tracks[1])
+    same = list(residual_curves.looks(motion_of, ("joint_1", "joint_2")))
+    monkeypatch.setattr(residual_curves, "rows", lambda *_: motion_of)
+    monkeypatch.setattr(residual_curves, "looks", lambda *_: iter(same))
+    least = np.array(
+        [
+            min(
+                p.p_before
+                for p in residual_atlas.look(null(one, rng, (1.0, 5.0)), draws=199, seed=k).panels
+            )
+            for k in range(NULLS)
+        ]
+    )
     assert np.mean(least < 0.05) <= 0.05 + 2.0 * np.sqrt(0.05 * 0.95 / NULLS)
     assert np.median(least) > 0.2  # and the p-values are no excuse for never saying anything
 
 
-@pytest.mark.parametrize(("extra", "against"), [("stribeck", "speed"), ("ripple", "order"), ("spring", "position"), ("contact", "time")])
-def test_what_is_missing_shows_in_its_joint_against_what_it_depends_on(extra: str, against: str) -> None:
-    looked = atlas.look(found(extra))
+@pytest.mark.parametrize(
+    ("extra", "against"),
+    [("stribeck", "speed"), ("ripple", "order"), ("spring", "position"), ("contact", "time")],
+)
+def test_what_is_missing_shows_in_its_joint_against_what_it_depends_on(
+    extra: str, against: str
+) -> None:
+    looked = residual_atlas.look(found(extra))
     first = looked.shown[0]
     assert (first.joint, first.against) == (1, against)
     assert first.p_before < 0.05 and first.share_before > 0.5
     # the base fit, bent by what is missing, leaves a little in the other joint too: less than in its own
-    assert max((p.score_before for p in looked.shown if p.joint == 0), default=0.0) < first.score_before
+    assert (
+        max((p.score_before for p in looked.shown if p.joint == 0), default=0.0)
+        < first.score_before
+    )
 
 
 def test_the_curve_is_that_of_what_was_planted() -> None:
     one = found("ripple")
-    panel = next(p for p in atlas.look(one).of(1) if p.against == "order")
+    panel = next(p for p in residual_atlas.look(one).of(1) if p.against == "order")
     top = int(np.argmax(panel.mean_before))
     assert abs(panel.centres[top] - 20.0) < 0.5
     assert panel.mean_before[top] == pytest.approx(1.0, rel=0.25)
@@ -108,13 +135,13 @@ def test_the_curve_is_that_of_what_was_planted() -> None:
 
 
 def test_before_and_after_are_the_same_without_findings() -> None:
-    for panel in atlas.look(found("stribeck")).panels:
+    for panel in residual_atlas.look(found("stribeck")).panels:
         assert panel.p_before == panel.p_after
         np.testing.assert_array_equal(panel.mean_before, panel.mean_after)
 
 
 def test_the_same_seed_gives_the_same_atlas() -> None:
-    a, b = (atlas.look(found("stribeck"), seed=4) for _ in range(2))
+    a, b = (residual_atlas.look(found("stribeck"), seed=4) for _ in range(2))
     assert [p.p_before for p in a.panels] == [p.p_before for p in b.panels]
 
 
@@ -124,21 +151,21 @@ def test_temperature_is_looked_at_where_it_was_recorded() -> None:
     warm = np.column_stack([30.0 + 0.1 * first.clock, np.full(len(first.piece), np.nan)])
     measured = dataclasses.replace(first, piece=dataclasses.replace(first.piece, temperature=warm))
     warmed = dataclasses.replace(one, tracks=(one.tracks[0], [measured, *rest]))
-    seen = {(p.joint, p.against) for p in atlas.look(warmed).panels}
+    seen = {(p.joint, p.against) for p in residual_atlas.look(warmed).panels}
     assert (0, "temperature, along the motion") in seen
     assert not any("temperature" in against for joint, against in seen if joint == 1)
 
 
 def test_blocks_are_of_a_second_but_a_short_recording_has_shorter_ones() -> None:
     clock = np.arange(0.0, 10.0, 0.025)
-    assert np.allclose(np.diff(clock[looks.block_starts(clock, 1.0)]), 1.0)
-    assert looks.block_length(found().tracks[1]) == pytest.approx(0.5, rel=0.2)
+    assert np.allclose(np.diff(clock[residual_curves.block_starts(clock, 1.0)]), 1.0)
+    assert residual_curves.block_length(found().tracks[1]) == pytest.approx(0.5, rel=0.2)
 
 
 def test_distance_since_reversal_ignores_a_crawl() -> None:
     t = np.linspace(0.0, 2.0 * np.pi, 401)
     q, dq = np.sin(t), np.cos(t) + 0.001 * (-1.0) ** np.arange(401)
-    distance = looks._since_reversal(q, dq)
+    distance = residual_curves._since_reversal(q, dq)
     assert distance.max() == pytest.approx(2.0, abs=0.01)
     assert distance[130] < 0.15 < distance[60]
 
@@ -147,7 +174,9 @@ def test_isolability_of_an_effect_with_itself_is_whole_and_of_unlike_ones_small(
     machine = robot.load("two_link")
     one = found("stribeck")
     seen = isolability(one.design)
-    assert {machine.joints[c.joint] for c in seen.candidates if c.joint is not None} == set(machine.joints)
+    assert {machine.joints[c.joint] for c in seen.candidates if c.joint is not None} == set(
+        machine.joints
+    )
     np.testing.assert_allclose(np.diag(seen.matrix), 1.0)
     assert np.all((seen.matrix >= 0.0) & (seen.matrix <= 1.0))
     np.testing.assert_array_equal(seen.matrix, seen.matrix.T)

@@ -6,19 +6,34 @@ import warnings
 
 import numpy as np
 import pytest
-from conftest import BUILTIN, document, joint, link, loaded, off, random_link, random_urdf, seeds, states, text_of
+from conftest import (
+    BUILTIN,
+    document,
+    joint,
+    link,
+    loaded,
+    off,
+    random_link,
+    random_urdf,
+    seeds,
+    states,
+    text_of,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from excite import base, parameters
-from excite.dynamics import regressor
 from excite.errors import ExciteWarning
-from excite.limits import resolve
-from excite.parameters import DRIVE, Parameters
-from excite.robot import Robot, load
-from excite.structure import base_count
+from excite.robot import base_parameters, inertial_parameters
+from excite.robot.dynamics import regressor
+from excite.robot.inertial_parameters import DRIVE, Parameters
+from excite.robot.limits import resolve
+from excite.robot.robot import Robot, load
+from excite.robot.structural_count import base_count
 
-COMBINATIONS = [tuple(kind for kind, on in zip(DRIVE, flags, strict=True) if on) for flags in itertools.product((0, 1), repeat=4)]
+COMBINATIONS = [
+    tuple(kind for kind, on in zip(DRIVE, flags, strict=True) if on)
+    for flags in itertools.product((0, 1), repeat=4)
+]
 GRAVITIES = [(0, 0, -9.81), (0, 0, 0), (9.81, 0, 0), (2.0, -3.0, 8.0)]
 
 
@@ -35,13 +50,19 @@ def rank(Y: np.ndarray) -> int:
 
 def wide(robot: Robot, standard: Parameters) -> np.ndarray:
     """Far more states than parameters, from another distribution than excite's own."""
-    return regressor(robot, standard, states(robot.n, max(40, 4 * standard.count // robot.n), seed=7, speed=1.5))
+    return regressor(
+        robot, standard, states(robot.n, max(40, 4 * standard.count // robot.n), seed=7, speed=1.5)
+    )
 
 
 def counts(robot: Robot, drive: tuple[str, ...]) -> tuple[int, int, int]:
     limits = resolve(robot)
-    standard = parameters.standard(robot, limits, drive)
-    return base.find(robot, standard, limits).count, base_count(robot, standard), rank(wide(robot, standard))
+    standard = inertial_parameters.standard(robot, limits, drive)
+    return (
+        base_parameters.find(robot, standard, limits).count,
+        base_count(robot, standard),
+        rank(wide(robot, standard)),
+    )
 
 
 # -- counting ------------------------------------------------------------------------------------------------------
@@ -60,7 +81,14 @@ def test_rank_is_the_structural_count_wherever_gravity_points(name, gravity):
 
 
 @settings(max_examples=40)
-@given(seeds, st.integers(1, 5), st.booleans(), st.booleans(), st.sampled_from(COMBINATIONS), st.sampled_from(GRAVITIES))
+@given(
+    seeds,
+    st.integers(1, 5),
+    st.booleans(),
+    st.booleans(),
+    st.sampled_from(COMBINATIONS),
+    st.sampled_from(GRAVITIES),
+)
 def test_rank_of_any_robot_is_the_structural_count(rng, count, tree, tidy, drive, gravity):
     robot = loaded(random_urdf(rng, count, tree=tree, tidy=tidy), gravity=gravity)
     assert len(set(counts(robot, drive))) == 1
@@ -72,7 +100,17 @@ def planar(count: int, axis: tuple[float, ...], kind: str = "revolute", roll: fl
     for i in range(count):
         parts.append(random_link(rng, f"l{i}"))
         rolled = (roll if i == 0 else 0.0, 0.0, 0.0)
-        parts.append(joint(f"j{i}", "l" if i == 0 else f"l{i - 1}", f"l{i}", kind, (0.4 * (i > 0), 0, 0), rolled, axis))
+        parts.append(
+            joint(
+                f"j{i}",
+                "l" if i == 0 else f"l{i - 1}",
+                f"l{i}",
+                kind,
+                (0.4 * (i > 0), 0, 0),
+                rolled,
+                axis,
+            )
+        )
     return document(*parts)
 
 
@@ -88,8 +126,14 @@ def planar(count: int, axis: tuple[float, ...], kind: str = "revolute", roll: fl
         (lambda: loaded(planar(1, (0, 1, 0))), 3),  # a pendulum: I, m cx, m cz
         (lambda: loaded(planar(1, (0, 0, 1))), 1),  # the same lying flat: I
         (lambda: loaded(planar(2, (0, 1, 0))), 6),  # a vertical double pendulum
-        (lambda: loaded(planar(2, (0, 0, 1))), 4),  # lying flat: gravity no longer shows the first link's centre
-        (lambda: loaded(planar(3, (0, 1, 0), roll=np.pi / 2)), 7),  # three flat joints, whose frames stand upright
+        (
+            lambda: loaded(planar(2, (0, 0, 1))),
+            4,
+        ),  # lying flat: gravity no longer shows the first link's centre
+        (
+            lambda: loaded(planar(3, (0, 1, 0), roll=np.pi / 2)),
+            7,
+        ),  # three flat joints, whose frames stand upright
         (lambda: loaded(planar(1, (0, 0, 1), "prismatic")), 1),  # a lift: m
         (lambda: load("two_link"), 6),
     ],
@@ -114,8 +158,8 @@ def test_offset_of_a_lift_cannot_be_told_from_its_weight_at_rest_alone():
 def test_structural_count_bounds_a_robot_with_mimics(rng):
     robot = loaded(random_urdf(rng, 4, mimics={2: (0, 0.7, 0.1)}))
     limits = resolve(robot)
-    standard = parameters.standard(robot, limits)
-    found = base.find(robot, standard, limits).count
+    standard = inertial_parameters.standard(robot, limits)
+    found = base_parameters.find(robot, standard, limits).count
     assert found == rank(wide(robot, standard)) <= base_count(robot, standard)
 
 
@@ -124,11 +168,17 @@ def test_structural_count_bounds_a_robot_with_mimics(rng):
 ROBOTS = [*BUILTIN, 0, 1, 2]
 
 
-def example(name: str | int, drive: tuple[str, ...] = DRIVE) -> tuple[Robot, Parameters, base.Base]:
-    robot = load(name) if isinstance(name, str) else loaded(random_urdf(np.random.default_rng(name), 5, tidy=name == 2))
+def example(
+    name: str | int, drive: tuple[str, ...] = DRIVE
+) -> tuple[Robot, Parameters, base_parameters.Base]:
+    robot = (
+        load(name)
+        if isinstance(name, str)
+        else loaded(random_urdf(np.random.default_rng(name), 5, tidy=name == 2))
+    )
     limits = resolve(robot)
-    standard = parameters.standard(robot, limits, drive)
-    return robot, standard, base.find(robot, standard, limits)
+    standard = inertial_parameters.standard(robot, limits, drive)
+    return robot, standard, base_parameters.find(robot, standard, limits)
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -172,9 +222,9 @@ def read(expression: str, names: tuple[str, ...]) -> np.ndarray:
     tokens = re.findall(r"(?:^|\s)([+-]\s)?(?:([\d.e+-]+)\*)?(\w+)", expression)
     for sign, factor, name in tokens:
         row[names.index(name)] = (-1.0 if sign.strip() == "-" else 1.0) * float(factor or 1.0)
-    assert " ".join(expression.split()) and sum(len("".join(t).replace(" ", "")) for t in tokens) + expression.count("*") == len(
-        expression.replace(" ", "")
-    )
+    assert " ".join(expression.split()) and sum(
+        len("".join(t).replace(" ", "")) for t in tokens
+    ) + expression.count("*") == len(expression.replace(" ", ""))
     return row
 
 
@@ -197,7 +247,7 @@ def test_a_rounded_right_angle_makes_no_parameter():
     rounded = re.sub(r"1\.570796\d*", "1.5708", exact)
     assert rounded != exact
     machine = loaded(rounded)
-    standard = parameters.standard(machine, resolve(machine))
+    standard = inertial_parameters.standard(machine, resolve(machine))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExciteWarning)
-        assert base.find(machine, standard, resolve(machine)).count == 58
+        assert base_parameters.find(machine, standard, resolve(machine)).count == 58

@@ -9,11 +9,11 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from excite.diagnose import belief, hypothesis, judge, search
-from excite.diagnose.catalogue import BY_NAME, confused
-from excite.diagnose.effect import Shape
-from excite.diagnose.measured import Measured
-from excite.diagnose.track import Track
+from excite.diagnosis import belief, hypothesis, judge, search
+from excite.diagnosis.measured import Measured
+from excite.effects import BY_NAME, confused
+from excite.effects.effect import Shape
+from excite.effects.track import Track
 
 Array = np.ndarray
 SURE = (np.ones(1), np.ones(1))
@@ -27,7 +27,11 @@ def nothing(track: Track, shape: Shape) -> Array:
 
 def only(effect: str) -> judge.Verdict:
     """Nothing but one effect, at the first joint."""
-    return judge.Verdict((judge.Finding((hypothesis.Hypothesis(effect, 0, 0, TRIED, 1.0, True),), 50.0, {}),), TRIED, ())
+    return judge.Verdict(
+        (judge.Finding((hypothesis.Hypothesis(effect, 0, 0, TRIED, 1.0, True),), 50.0, {}),),
+        TRIED,
+        (),
+    )
 
 
 def shares(
@@ -44,9 +48,14 @@ def shares(
     """
     places = tuple(range(len(effects)))
     intervals = [(1.0, 2.0) if happens else None for happens in once or [False] * len(effects)]
-    shapes = tuple(Shape(name, 0, nothing, interval=own) for name, own in zip(effects, intervals, strict=True))
+    shapes = tuple(
+        Shape(name, 0, nothing, interval=own) for name, own in zip(effects, intervals, strict=True)
+    )
     tried = search.Trial(places, np.ones(len(effects)), (np.ones(1), np.ones(1)), 50.0, True)
-    findings = tuple(judge.Finding((hypothesis.Hypothesis(name, 0, i, tried, 1.0, True),), 50.0, {}) for i, name in enumerate(effects))
+    findings = tuple(
+        judge.Finding((hypothesis.Hypothesis(name, 0, i, tried, 1.0, True),), 50.0, {})
+        for i, name in enumerate(effects)
+    )
 
     def level(_: object, chosen: Sequence[int]) -> Array:
         (gone,) = set(places) - set(chosen) or {None}
@@ -57,7 +66,12 @@ def shares(
     return told_of(shapes, judge.Verdict(findings, tried, ()), bounds=bounds)
 
 
-def told_of(shapes: Sequence[Shape], verdict: judge.Verdict, joints: int = 1, bounds: tuple[float, float] = (1.0, 1.0)) -> list[float]:
+def told_of(
+    shapes: Sequence[Shape],
+    verdict: judge.Verdict,
+    joints: int = 1,
+    bounds: tuple[float, float] = (1.0, 1.0),
+) -> list[float]:
     one = types.SimpleNamespace(shapes=shapes)
     within = np.full(joints, bounds[0]), np.full(joints, bounds[1])
     return [x for x, _ in belief.shares(one, verdict, np.ones(joints), within)]  # type: ignore[arg-type]
@@ -66,7 +80,9 @@ def told_of(shapes: Sequence[Shape], verdict: judge.Verdict, joints: int = 1, bo
 def test_probabilities_fall_with_what_speaks_against_a_name():
     said = [belief.probability(belief.odds("drag", left)) for left in (0.02, 0.2, 0.6, 1.0)]
     assert said[0] > 0.9 and said[-1] < 0.5 and sorted(said, reverse=True) == said
-    assert belief.odds("backlash", 0.6) > belief.odds("drag", 0.6)  # a simulation leaves more where it is right
+    assert belief.odds("backlash", 0.6) > belief.odds(
+        "drag", 0.6
+    )  # a simulation leaves more where it is right
 
 
 def test_what_a_name_leaves_is_told_where_noise_was_taken_for_more_than_it_is(monkeypatch):
@@ -98,7 +114,9 @@ def test_what_may_be_noise_speaks_less_against_a_name(monkeypatch):
 
 def test_of_what_two_leave_neither_is_charged_with_all(monkeypatch):
     alone = shares(monkeypatch, ["position_friction"], 5.0, [60.0])[0]
-    slight, strong = shares(monkeypatch, ["position_friction", "base_compliance"], 5.0, [60.0, 60.0])
+    slight, strong = shares(
+        monkeypatch, ["position_friction", "base_compliance"], 5.0, [60.0, 60.0]
+    )
     assert slight < 0.8 * alone  # a rocking base leaves ten times as much of its own
     whole = shares(monkeypatch, ["base_compliance"], 5.0, [60.0])[0]
     assert 0.95 * whole < strong < whole
@@ -115,9 +133,9 @@ def test_the_more_are_at_work_the_less_each_is_charged_with_what_all_leave(monke
 
 
 def test_what_may_mend_another_is_charged_with_all_that_is_left(monkeypatch):
-    assert shares(monkeypatch, ["position_friction", "base_compliance"], 5.0, [15.0, 600.0])[0] == pytest.approx(
-        shares(monkeypatch, ["position_friction"], 5.0, [15.0])[0]
-    )
+    assert shares(monkeypatch, ["position_friction", "base_compliance"], 5.0, [15.0, 600.0])[
+        0
+    ] == pytest.approx(shares(monkeypatch, ["position_friction"], 5.0, [15.0])[0])
     once = shares(monkeypatch, ["contact", "base_compliance"], 5.0, [15.0, 60.0], [True, False])[0]
     assert once == pytest.approx(shares(monkeypatch, ["contact"], 5.0, [15.0], [True])[0])
 
@@ -140,13 +158,17 @@ def test_what_no_fault_feigns_vouches_for_what_says_the_same(monkeypatch):
         shapes = tuple(Shape(effect, 0, nothing) for effect in ("delay", *rivals))
         one = types.SimpleNamespace(shapes=shapes, measured=Measured({("delay", 0): 45.0}))
         alone = only("delay")
-        verdict = dataclasses.replace(alone, findings=(dataclasses.replace(alone.findings[0], rivals=rivals, here=here),))
+        verdict = dataclasses.replace(
+            alone, findings=(dataclasses.replace(alone.findings[0], rivals=rivals, here=here),)
+        )
         weighed = belief.weighed(one, verdict, np.ones(1), SURE)  # type: ignore[arg-type]
         said.append((*weighed.findings, *weighed.doubted)[0].probability)
     assert said[1] > 0.5 > said[0]
 
 
-def test_what_is_likelier_wrong_than_right_is_told_with_its_probability_and_not_asserted(monkeypatch):
+def test_what_is_likelier_wrong_than_right_is_told_with_its_probability_and_not_asserted(
+    monkeypatch,
+):
     monkeypatch.setattr(belief, "shares", lambda *_: [(0.8, np.inf)])
     one = types.SimpleNamespace(shapes=(), measured=Measured())
     weighed = belief.weighed(one, only("drag"), np.ones(1), SURE)  # type: ignore[arg-type]
@@ -158,7 +180,9 @@ def test_what_is_likelier_wrong_than_right_is_told_with_its_probability_and_not_
 @pytest.mark.parametrize(("left", "raised"), [(0.01, True), (0.09, False)])
 def test_what_stands_beside_a_sure_name_is_likelier_a_name_too(monkeypatch, left, raised):
     """A spring that leaves this much, beside a ripple at another joint that leaves more."""
-    monkeypatch.setattr(belief, "shares", lambda *_: [(left, np.inf), (0.15, np.inf)][: len(_[1].findings)])
+    monkeypatch.setattr(
+        belief, "shares", lambda *_: [(left, np.inf), (0.15, np.inf)][: len(_[1].findings)]
+    )
     one = types.SimpleNamespace(shapes=(), measured=Measured())
     (spring,), (ripple,) = only("spring").findings, only("torque_ripple").findings
     both = dataclasses.replace(only("spring"), findings=(spring, ripple))
@@ -167,7 +191,9 @@ def test_what_stands_beside_a_sure_name_is_likelier_a_name_too(monkeypatch, left
     by_itself = belief.probability(belief.odds("torque_ripple", 0.15))
     assert (first.probability > belief.SURE) == raised
     assert (second.probability > by_itself + 0.05) == raised and second.probability >= by_itself
-    assert first.probability == pytest.approx(belief.probability(belief.odds("spring", left)))  # of what is sure, nothing more is said
+    assert first.probability == pytest.approx(
+        belief.probability(belief.odds("spring", left))
+    )  # of what is sure, nothing more is said
 
 
 def test_equivalents_are_the_names_within_reach_of_a_wrong_form():
@@ -182,8 +208,13 @@ def test_what_is_barely_told_is_told_with_all_that_it_is_taken_for():
     finding = judge.Finding(finding.parts, 100.0, {"base_compliance": 10.0, "torque_ripple": 15.0})
     assert tuple(belief.alike(finding, 0.3, BY_NAME)) == ()
     barely = belief.alike(finding, 0.5, BY_NAME)
-    assert tuple(barely) == ("backlash", "base_compliance")  # a play may leave all; neither what leaves little, nor what looks otherwise
-    assert "backlash" not in belief.alike(finding, 0.5, ("elasticity", "base_compliance"))  # that was not tried
+    assert tuple(barely) == (
+        "backlash",
+        "base_compliance",
+    )  # a play may leave all; neither what leaves little, nor what looks otherwise
+    assert "backlash" not in belief.alike(
+        finding, 0.5, ("elasticity", "base_compliance")
+    )  # that was not tried
 
 
 def test_what_is_told_with_a_name_brings_what_it_is_taken_for_itself():
@@ -194,12 +225,20 @@ def test_what_is_told_with_a_name_brings_what_it_is_taken_for_itself():
     assert set(belief.alike(finding, 0.55, tried)) == {"base_compliance", "backlash", "elasticity"}
 
 
-@pytest.mark.parametrize(("strong", "left", "told"), [(1e4, 1.5, False), (1e4, 1.0, False), (200.0, 1.0, True), (50.0, 1.5, True)])
-def test_what_another_law_may_leave_is_no_further_effect_though_it_is_taken_whole(monkeypatch, strong, left, told):
+@pytest.mark.parametrize(
+    ("strong", "left", "told"),
+    [(1e4, 1.5, False), (1e4, 1.0, False), (200.0, 1.0, True), (50.0, 1.5, True)],
+)
+def test_what_another_law_may_leave_is_no_further_effect_though_it_is_taken_whole(
+    monkeypatch, strong, left, told
+):
     """A ripple beside a spring at the same joint, of less or more than springs usually leave, and what is left then."""
     shapes = tuple(Shape(name, 0, nothing) for name in ("spring", "torque_ripple"))
     tried = search.Trial((0, 1), np.ones(2), (np.ones(1), np.ones(1)), 50.0, True)
-    findings = tuple(judge.Finding((hypothesis.Hypothesis(s.effect, 0, i, tried, 1.0, True),), 50.0, {}) for i, s in enumerate(shapes))
+    findings = tuple(
+        judge.Finding((hypothesis.Hypothesis(s.effect, 0, i, tried, 1.0, True),), 50.0, {})
+        for i, s in enumerate(shapes)
+    )
     squares = {(0, 1): left, (1,): strong, (0,): 10.0}
     monkeypatch.setattr(hypothesis, "acting", lambda *_: np.array([True]))
     monkeypatch.setattr(search, "level", lambda _, chosen: np.array([squares[tuple(chosen)]]))
@@ -211,10 +250,22 @@ def test_what_another_law_may_leave_is_no_further_effect_though_it_is_taken_whol
 def test_a_joint_where_nothing_is_taken_speaks_against_who_acts_there(monkeypatch):
     """A rocking base takes much at one joint and nothing at another, which is loud."""
     tried = search.Trial((0,), np.ones(1), (np.ones(1), np.ones(1)), 50.0, True)
-    verdict = judge.Verdict((judge.Finding((hypothesis.Hypothesis("base_compliance", None, 0, tried, 1.0, True),), 50.0, {}),), tried, ())
+    verdict = judge.Verdict(
+        (
+            judge.Finding(
+                (hypothesis.Hypothesis("base_compliance", None, 0, tried, 1.0, True),), 50.0, {}
+            ),
+        ),
+        tried,
+        (),
+    )
     monkeypatch.setattr(hypothesis, "acting", lambda *_: np.array([True, True]))
     told = []
     for second in (29.0, 31.0):
-        monkeypatch.setattr(search, "level", lambda _, chosen, second=second: np.array([1.2, 30.0] if chosen else [50.0, second]))
+        monkeypatch.setattr(
+            search,
+            "level",
+            lambda _, chosen, second=second: np.array([1.2, 30.0] if chosen else [50.0, second]),
+        )
         told += told_of((Shape("base_compliance", None, nothing),), verdict, 2)
     assert told == pytest.approx([0.37, 0.37], abs=0.02)

@@ -10,10 +10,10 @@ import pytest
 from made import WIDTH, motion, perturbed, recorded, two_links
 from test_diagnose import PLANTED, recordings_of
 
-from excite.diagnose import atlas, between, course, diagnosis, equations, search
-from excite.diagnose.blocks import sandwiched
-from excite.diagnose.diagnosis import Diagnosis, Options
-from excite.diagnose.document import document
+from excite.diagnosis import course, diagnosis, equations, residual_atlas, search, session_changes
+from excite.diagnosis.blocks import sandwiched
+from excite.diagnosis.diagnosis import Diagnosis, Options
+from excite.diagnosis.diagnosis_file import document
 from excite.report import diagnosis_page
 
 Array = np.ndarray
@@ -36,7 +36,9 @@ def found(name: str | None, more: float = 1.0, names: tuple[str, ...] = ()) -> D
     speed = np.gradient(held_out.q, held_out.t, axis=0)
     rubs = more * MORE * (coulomb * np.tanh(speed / WIDTH) + viscous * speed)
     other = dataclasses.replace(held_out, tau=held_out.torque + rubs)
-    return diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [other], Options(names=names))
+    return diagnosis.diagnose(
+        subject.robot, subject.parameters, subject.base, [train], [other], Options(names=names)
+    )
 
 
 def test_another_days_friction_is_told_as_that() -> None:
@@ -47,12 +49,16 @@ def test_another_days_friction_is_told_as_that() -> None:
     for change in one.changes:
         j = change.joint
         truth = np.array([MORE[j] * coulomb[j], MORE[j] * viscous[j], 0.0])
-        assert change.sure and np.all(np.abs(change.change - truth) < 4.0 * change.std + 0.02 * np.abs(truth))
+        assert change.sure and np.all(
+            np.abs(change.change - truth) < 4.0 * change.std + 0.02 * np.abs(truth)
+        )
     stated = document(one)
     assert {u["where"]["regime"] for u in stated["unknown"]} == {"recording"}
     assert [c["joint"] for c in stated["between_recordings"]] == ["joint_1", "joint_2"]
     assert stated["between_recordings"][0]["viscous"]["unit"] == "N m s/rad"
-    assert one.after[0] > 2.0 * one.floor[0]  # no model knows the day: what is held out is foretold as if nothing had changed
+    assert (
+        one.after[0] > 2.0 * one.floor[0]
+    )  # no model knows the day: what is held out is foretold as if nothing had changed
 
 
 def test_held_out_torque_is_foretold_with_the_mean_of_days() -> None:
@@ -82,12 +88,16 @@ def test_what_is_missing_is_named_though_friction_differs(name: str) -> None:
 
 
 @pytest.mark.parametrize(("clear", "times"), [(course.CLEAR, 1), (0.0, 2)])
-def test_what_another_day_explains_is_not_first_taken_for_late(monkeypatch: pytest.MonkeyPatch, clear: float, times: int) -> None:
+def test_what_another_day_explains_is_not_first_taken_for_late(
+    monkeypatch: pytest.MonkeyPatch, clear: float, times: int
+) -> None:
     """Where laws come first; else drives of their own are tried at once."""
     asked, followed = list[object](), course._followed
     monkeypatch.setattr(course, "CLEAR", clear)
-    monkeypatch.setattr(between, "differs_at_first", lambda *_: False)
-    monkeypatch.setattr(course, "_followed", lambda begun, every: (asked.append(begun), followed(begun, every))[1])
+    monkeypatch.setattr(session_changes, "differs_at_first", lambda *_: False)
+    monkeypatch.setattr(
+        course, "_followed", lambda begun, every: (asked.append(begun), followed(begun, every))[1]
+    )
     one = found.__wrapped__("stribeck", 2.0, ("stribeck", "delay"))
     assert [h.effect for h in one.verdict.chosen] == ["stribeck"] and one.changes
     assert len(asked) == times
@@ -101,18 +111,22 @@ def test_the_same_robot_is_the_same_in_all_recordings() -> None:
 def test_the_report_says_that_the_robot_is_another() -> None:
     one = found(None)
     stated = document(one)
-    text = diagnosis_page(one, stated, atlas.look(one))
+    text = diagnosis_page(one, stated, residual_atlas.look(one))
     assert "Is the robot the same in all recordings?" in text and "No law is missing" in text
     same = found(None, 0.0)
-    assert "Is the robot the same" not in diagnosis_page(same, document(same), atlas.look(same))
+    assert "Is the robot the same" not in diagnosis_page(
+        same, document(same), residual_atlas.look(same)
+    )
 
 
 def test_another_day_does_not_excuse_what_has_no_name() -> None:
     one = found("torque_ripple", names=("drag",))
     assert one.lacking[1] and len(one.changes) == 2
     regimes = {u["joint"]: u["where"] for u in document(one)["unknown"]}
-    assert regimes["joint_2"]["regime"] != "recording" and "besides" in regimes["joint_2"]["statement"]
-    assert "No law is missing" not in diagnosis_page(one, document(one), atlas.look(one))
+    assert (
+        regimes["joint_2"]["regime"] != "recording" and "besides" in regimes["joint_2"]["statement"]
+    )
+    assert "No law is missing" not in diagnosis_page(one, document(one), residual_atlas.look(one))
 
 
 @pytest.mark.parametrize("planted", [True, False])
@@ -122,14 +136,24 @@ def test_a_recording_of_each_speed_shows_a_law_and_not_other_drives(planted: boo
     psi = perturbed(subject.parameters, np.random.default_rng(4))
     for number, slower in enumerate((8.0, 4.0, 1.0, 2.0)):
         fast = motion(2, 2)
-        fourier = dataclasses.replace(fast, sine=fast.sine / slower, cosine=fast.cosine / slower, period=slower * fast.period)
+        fourier = dataclasses.replace(
+            fast, sine=fast.sine / slower, cosine=fast.cosine / slower, period=slower * fast.period
+        )
         one = recorded(subject, psi, fourier, 2, 0.0)
         speed = fourier.samples(one.t).dq[:, 0]
         bent = planted * 2.0 * np.tanh(speed / WIDTH) * np.sqrt(np.abs(speed))
         noise = 0.1 * np.random.default_rng(number).normal(size=one.q.shape)
-        runs.append(dataclasses.replace(one, tau=one.torque + np.column_stack([bent, 0.0 * bent]) + noise, source=f"{number}.csv"))
+        runs.append(
+            dataclasses.replace(
+                one,
+                tau=one.torque + np.column_stack([bent, 0.0 * bent]) + noise,
+                source=f"{number}.csv",
+            )
+        )
     result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, runs[:3], runs[3:])
-    assert [(h.effect, h.joint) for h in result.verdict.chosen] == ([("nonlinear_viscous", 0)] if planted else [])
+    assert [(h.effect, h.joint) for h in result.verdict.chosen] == (
+        [("nonlinear_viscous", 0)] if planted else []
+    )
     assert not result.changes and not result.unknown
     assert (result.after < 1.3 * result.expected).all()
 
@@ -141,13 +165,33 @@ def test_a_change_is_as_sure_as_its_recording_is_long() -> None:
     for seed in range(6):
         rng = np.random.default_rng(seed)
         runs = [recorded(subject, psi, motion(2, 2), periods, 0.0) for periods in (6.0, 0.8)]
-        noisy = [dataclasses.replace(r, tau=r.torque + 0.1 * rng.normal(size=r.q.shape), source=f"{len(r)}.csv") for r in runs]
-        one = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, noisy[:1], noisy[1:], Options(names=("drag",)))
-        halves = [equations.half(half, one.identified, {}, one.floor, one.tracks) for half in one.tracks]
+        noisy = [
+            dataclasses.replace(
+                r, tau=r.torque + 0.1 * rng.normal(size=r.q.shape), source=f"{len(r)}.csv"
+            )
+            for r in runs
+        ]
+        one = diagnosis.diagnose(
+            subject.robot,
+            subject.parameters,
+            subject.base,
+            noisy[:1],
+            noisy[1:],
+            Options(names=("drag",)),
+        )
+        halves = [
+            equations.half(half, one.identified, {}, one.floor, one.tracks) for half in one.tracks
+        ]
         design = search.bare((halves[0], halves[1]), equations.builder(one.tracks, one.floor))
-        ratios += [float(x) for change in between.changes(design, (), one.tracks) for x in change.change / change.std]
+        ratios += [
+            float(x)
+            for change in session_changes.changes(design, (), one.tracks)
+            for x in change.change / change.std
+        ]
         assert not one.changes
-    assert np.sqrt(np.mean(np.square(ratios))) < 1.5 and np.max(np.abs(ratios)) < between.SURE
+    assert (
+        np.sqrt(np.mean(np.square(ratios))) < 1.5 and np.max(np.abs(ratios)) < session_changes.SURE
+    )
 
 
 def test_a_column_of_nothing_is_nothing() -> None:

@@ -8,16 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from excite import cli
+from excite._files import write_all
+from excite.cli import main as main_module
 from excite.errors import UnusableInput
-from excite.files import write_all
+from excite.robot.robot import locate
 
-MODELS = Path(cli.__file__).parent / "models"
+MODELS = locate("two_link").parent
 QUICK = ["--starts", "1", "--iterations", "15", "--harmonics", "3", "--samples", "60"]
 
 
 def run(capsys, *arguments):
-    code = cli.main([str(a) for a in arguments])
+    code = main_module.main([str(a) for a in arguments])
     out, err = capsys.readouterr()
     return code, out, err
 
@@ -35,17 +36,24 @@ def refused(capsys, *arguments, code=2):
 @pytest.fixture(scope="module")
 def designed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("design")
-    assert cli.main(["design", "two_link", "-o", str(folder), *QUICK]) == 0
+    assert main_module.main(["design", "two_link", "-o", str(folder), *QUICK]) == 0
     return folder
 
 
 def test_design_writes_its_four_files(designed):
-    assert {p.name for p in designed.iterdir()} == {"trajectory.json", "trajectory.csv", "identifiability.json", "report.html"}
+    assert {p.name for p in designed.iterdir()} == {
+        "trajectory.json",
+        "trajectory.csv",
+        "identifiability.json",
+        "report.html",
+    }
 
 
 def test_csv_follows_the_contract(designed):
     header, *rows = (designed / "trajectory.csv").read_text().splitlines()
-    assert header == "t," + ",".join(f"{q}.joint_{j}" for q in ("q", "dq", "ddq", "tau") for j in (1, 2))
+    assert header == "t," + ",".join(
+        f"{q}.joint_{j}" for q in ("q", "dq", "ddq", "tau") for j in (1, 2)
+    )
     table = np.array([row.split(",") for row in rows], float)
     assert np.allclose(table[:, 0], np.arange(len(table)) / 100.0, atol=1e-9)
     assert (table[[0, -1], 3:7] == 0.0).all()
@@ -54,14 +62,26 @@ def test_csv_follows_the_contract(designed):
 def test_trajectory_json_has_the_contract_keys(designed):
     document = json.loads((designed / "trajectory.json").read_text())
     keys = "schema robot joints base_frequency harmonics period periods sine cosine offset segments rate limits torque_noise"
-    assert set((keys + " criterion criteria margins collision seed versions").split()) <= set(document)
+    assert set((keys + " criterion criteria margins collision seed versions").split()) <= set(
+        document
+    )
     assert document["schema"] == "excite.trajectory/1"
     assert {"kind", "start", "end"} <= set(document["segments"][0])
 
 
 def test_identifiability_json_has_the_contract_keys(designed):
     document = json.loads((designed / "identifiability.json").read_text())
-    assert set(["schema", "threshold", "eigenvalues", "directions", "base_parameters", "links", "torque_noise"]) <= set(document)
+    assert set(
+        [
+            "schema",
+            "threshold",
+            "eigenvalues",
+            "directions",
+            "base_parameters",
+            "links",
+            "torque_noise",
+        ]
+    ) <= set(document)
 
 
 def test_verify_says_ok_and_how_near_the_bodies_come(capsys, designed):
@@ -79,7 +99,9 @@ def test_design_json_carries_criteria_and_timing(capsys, tmp_path):
     assert code == 0
     assert set(document["criteria"]["optimum"]) == {"geometric", "plain", "cond_regressor"}
     assert set(document["criteria"]["exported"]["geometric"]) == {"a", "d", "e", "cond"}
-    assert set(["build", "first_feasible", "within_1_percent", "solve", "total"]) <= set(document["timing"])
+    assert set(["build", "first_feasible", "within_1_percent", "solve", "total"]) <= set(
+        document["timing"]
+    )
 
 
 def test_a_broken_trajectory_fails_verification_and_is_not_exported(capsys, designed, tmp_path):
@@ -91,14 +113,23 @@ def test_a_broken_trajectory_fails_verification_and_is_not_exported(capsys, desi
     target = tmp_path / "out.csv"
     assert "velocity" in refused(capsys, "export", broken, "--format", "csv", "-o", target, code=1)
     assert not target.exists()
-    assert run(capsys, "export", broken, "--format", "ros2-joint-trajectory", "-o", target, "--force")[0] == 0
+    assert (
+        run(capsys, "export", broken, "--format", "ros2-joint-trajectory", "-o", target, "--force")[
+            0
+        ]
+        == 0
+    )
     assert "FORCED" in target.read_text()
 
 
-@pytest.mark.parametrize("form", ["csv", "json", "ros2-joint-trajectory", "ros2-follow-joint-trajectory"])
+@pytest.mark.parametrize(
+    "form", ["csv", "json", "ros2-joint-trajectory", "ros2-follow-joint-trajectory"]
+)
 def test_export(capsys, designed, tmp_path, form):
     target = tmp_path / "file"
-    code, _, err = run(capsys, "export", designed / "trajectory.json", "--format", form, "-o", target)
+    code, _, err = run(
+        capsys, "export", designed / "trajectory.json", "--format", form, "-o", target
+    )
     assert code == 0, err
     assert target.stat().st_size > 1000
 
@@ -106,7 +137,15 @@ def test_export(capsys, designed, tmp_path, form):
 def test_identifiability_of_a_trajectory_and_of_a_recording_agree(capsys, designed, tmp_path):
     counts = []
     for motion in ("trajectory.json", "trajectory.csv"):
-        code, out, err = run(capsys, "identifiability", "two_link", designed / motion, "-o", tmp_path / motion, "--json")
+        code, out, err = run(
+            capsys,
+            "identifiability",
+            "two_link",
+            designed / motion,
+            "-o",
+            tmp_path / motion,
+            "--json",
+        )
         assert code == 0, err
         document = json.loads(out)
         counts.append(sum(d["identifiable"] for d in document["directions"]))
@@ -117,14 +156,25 @@ def test_identifiability_of_a_trajectory_and_of_a_recording_agree(capsys, design
 @pytest.fixture(scope="module")
 def validated(tmp_path_factory):
     folder = tmp_path_factory.mktemp("validated")
-    assert cli.main(["design", "two_link", "-o", str(folder), "--validation", *QUICK, "--starts", "2"]) == 0
+    assert (
+        main_module.main(
+            ["design", "two_link", "-o", str(folder), "--validation", *QUICK, "--starts", "2"]
+        )
+        == 0
+    )
     return folder
 
 
 def test_a_validation_motion_has_a_folder_of_its_own_and_is_certified(capsys, validated):
-    assert {p.name for p in (validated / "validation").iterdir()} == {"trajectory.json", "trajectory.csv"}
+    assert {p.name for p in (validated / "validation").iterdir()} == {
+        "trajectory.json",
+        "trajectory.csv",
+    }
     assert run(capsys, "verify", validated / "validation" / "trajectory.json")[0] == 0
-    first, second = (json.loads((folder / "trajectory.json").read_text()) for folder in (validated, validated / "validation"))
+    first, second = (
+        json.loads((folder / "trajectory.json").read_text())
+        for folder in (validated, validated / "validation")
+    )
     assert second["design"]["validates"] == "../trajectory.json"
     assert first["design"]["validation"] == second["design"]["validation"]
     assert first["sine"] != second["sine"] and first["seed"] == second["seed"]
@@ -132,33 +182,61 @@ def test_a_validation_motion_has_a_folder_of_its_own_and_is_certified(capsys, va
 
 
 def test_a_validation_motion_changes_nothing_of_the_first(validated, tmp_path):
-    assert cli.main(["design", "two_link", "-o", str(tmp_path), *QUICK, "--starts", "2"]) == 0
-    alone, first = (json.loads((folder / "trajectory.json").read_text()) for folder in (tmp_path, validated))
+    assert (
+        main_module.main(["design", "two_link", "-o", str(tmp_path), *QUICK, "--starts", "2"]) == 0
+    )
+    alone, first = (
+        json.loads((folder / "trajectory.json").read_text()) for folder in (tmp_path, validated)
+    )
     assert alone["sine"] == first["sine"] and "validation" not in alone["design"]
 
 
 def test_validation_in_json(capsys, tmp_path):
-    code, out, _ = run(capsys, "design", "two_link", "-o", tmp_path, "--validation", "--json", *QUICK)
+    code, out, _ = run(
+        capsys, "design", "two_link", "-o", tmp_path, "--validation", "--json", *QUICK
+    )
     facts = json.loads(out)["validation"]
-    assert code == 0 and facts["ok"] and 0.0 <= facts["overlap"] < 1.0 and facts["independent"] is None
-    assert set(facts["torque_correlation"]) == {"joint_1", "joint_2"} and set(facts["criterion"]) == {"first", "second"}
+    assert (
+        code == 0 and facts["ok"] and 0.0 <= facts["overlap"] < 1.0 and facts["independent"] is None
+    )
+    assert set(facts["torque_correlation"]) == {"joint_1", "joint_2"} and set(
+        facts["criterion"]
+    ) == {"first", "second"}
     assert {"criteria", "duration", "margins", "timing"} <= set(facts)
 
 
 def test_time_bounds_the_whole_motion_and_shows_what_was_tried(capsys, tmp_path):
-    code, out, _ = run(capsys, "design", "two_link", "-o", tmp_path, "--time", "9", "--json", *QUICK[:4])
+    code, out, _ = run(
+        capsys, "design", "two_link", "-o", tmp_path, "--time", "9", "--json", *QUICK[:4]
+    )
     document = json.loads(out)
-    keys = {"period", "harmonics", "samples", "repeats", "robot_time", "value", "deviation", "seconds"}
+    keys = {
+        "period",
+        "harmonics",
+        "samples",
+        "repeats",
+        "robot_time",
+        "value",
+        "deviation",
+        "seconds",
+    }
     assert code == 0 and document["duration"] <= 9.0
     assert all(set(c) == keys for c in document["plan"]["candidates"])
     assert 0 <= document["plan"]["chosen"] < len(document["plan"]["candidates"])
     stated = json.loads((tmp_path / "trajectory.json").read_text())["design"]
-    assert "seconds" not in stated["plan"]["candidates"][0] and stated["chosen"] == ["period", "harmonics", "samples", "periods"]
+    assert "seconds" not in stated["plan"]["candidates"][0] and stated["chosen"] == [
+        "period",
+        "harmonics",
+        "samples",
+        "periods",
+    ]
     assert 'id="plan"' in (tmp_path / "report.html").read_text()
 
 
 def test_the_text_names_plan_and_validation(capsys, tmp_path):
-    code, out, _ = run(capsys, "design", "two_link", "-o", tmp_path, "--time", "9", "--validation", *QUICK)
+    code, out, _ = run(
+        capsys, "design", "two_link", "-o", tmp_path, "--time", "9", "--validation", *QUICK
+    )
     assert code == 0
     assert "planned for 9 s: " in out and "validation: overlap 0." in out
 
@@ -169,21 +247,36 @@ def test_the_period_follows_from_the_limits(designed):
 
 
 def test_given_information_is_added(capsys, designed, tmp_path):
-    code, _, err = run(capsys, "design", "two_link", "-o", tmp_path, "--given", designed / "trajectory.json", *QUICK)
+    code, _, err = run(
+        capsys,
+        "design",
+        "two_link",
+        "-o",
+        tmp_path,
+        "--given",
+        designed / "trajectory.json",
+        *QUICK,
+    )
     assert code == 0, err
-    assert json.loads((tmp_path / "trajectory.json").read_text())["design"]["given"] == [str(designed / "trajectory.json")]
+    assert json.loads((tmp_path / "trajectory.json").read_text())["design"]["given"] == [
+        str(designed / "trajectory.json")
+    ]
 
 
 def test_speed_slows_the_motion(capsys, designed, tmp_path):
     code, _, err = run(capsys, "design", "two_link", "-o", tmp_path, "--speed", "0.1", *QUICK)
     assert code == 0, err
-    slow, fast = (json.loads((folder / "trajectory.json").read_text()) for folder in (tmp_path, designed))
+    slow, fast = (
+        json.loads((folder / "trajectory.json").read_text()) for folder in (tmp_path, designed)
+    )
     assert slow["period"] == pytest.approx(10.0 * fast["period"])
 
 
 def test_robots_lists_models(capsys):
     _, out, _ = run(capsys, "robots", "--json")
-    assert {"ur10e", "panda", "iiwa14", "tx40", "two_link"} <= {row["name"] for row in json.loads(out)["robots"]}
+    assert {"ur10e", "panda", "iiwa14", "tx40", "two_link"} <= {
+        row["name"] for row in json.loads(out)["robots"]
+    }
 
 
 # -- bad input -------------------------------------------------------------------------------------------------------
@@ -191,7 +284,9 @@ def test_robots_lists_models(capsys):
 LINK = '<inertial><mass value="1"/><origin xyz="0.1 0 0"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>'
 
 
-def write_urdf(folder, inertial=LINK, limit='lower="-1" upper="1" velocity="1" effort="10"', kind="revolute"):
+def write_urdf(
+    folder, inertial=LINK, limit='lower="-1" upper="1" velocity="1" effort="10"', kind="revolute"
+):
     path = folder / "robot.urdf"
     path.write_text(
         f'<robot name="r"><link name="base"/><link name="arm">{inertial}</link><joint name="elbow" type="{kind}">'
@@ -207,12 +302,31 @@ def write_urdf(folder, inertial=LINK, limit='lower="-1" upper="1" velocity="1" e
         (LINK, 'lower="1" upper="-1" velocity="1" effort="10"', "revolute", ("elbow", "position")),
         (LINK, 'lower="-1" upper="1" velocity="0" effort="10"', "revolute", ("elbow", "velocity")),
         ("", 'lower="-1" upper="1" velocity="1" effort="10"', "revolute", ("elbow", "no mass")),
-        (LINK.replace('"0.1"', '"nan"', 1), 'lower="-1" upper="1" velocity="1" effort="10"', "revolute", ("arm", "not finite")),
+        (
+            LINK.replace('"0.1"', '"nan"', 1),
+            'lower="-1" upper="1" velocity="1" effort="10"',
+            "revolute",
+            ("arm", "not finite"),
+        ),
         (LINK, 'lower="-1" upper="1" velocity="1" effort="10"', "fixed", ("no movable joint",)),
         (LINK, 'lower="-1" upper="1" velocity="1" effort="10"', "floating", ("elbow", "floating")),
-        (LINK, 'lower="-0.2" upper="0.2" velocity="1" effort="0.1"', "revolute", ("elbow", "gravity", "torque")),
+        (
+            LINK,
+            'lower="-0.2" upper="0.2" velocity="1" effort="0.1"',
+            "revolute",
+            ("elbow", "gravity", "torque"),
+        ),
     ],
-    ids=["no-torque", "inverted", "zero-velocity", "no-mass", "nan", "no-joint", "floating", "below-gravity"],
+    ids=[
+        "no-torque",
+        "inverted",
+        "zero-velocity",
+        "no-mass",
+        "nan",
+        "no-joint",
+        "floating",
+        "below-gravity",
+    ],
 )
 def test_bad_urdf(capsys, tmp_path, inertial, limit, kind, words):
     path = write_urdf(tmp_path, inertial, limit, kind)
@@ -224,7 +338,11 @@ def test_bad_urdf(capsys, tmp_path, inertial, limit, kind, words):
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [("<robot", "not valid XML"), ("<x/>", "not <robot>"), ('<robot xmlns:xacro="u"><xacro:a/></robot>', "xacro")],
+    [
+        ("<robot", "not valid XML"),
+        ("<x/>", "not <robot>"),
+        ('<robot xmlns:xacro="u"><xacro:a/></robot>', "xacro"),
+    ],
 )
 def test_unreadable_urdf(capsys, tmp_path, text, words):
     path = tmp_path / "broken.urdf"
@@ -272,7 +390,12 @@ def test_unreadable_urdf(capsys, tmp_path, text, words):
 )
 def test_wrong_use(capsys, tmp_path, arguments, words):
     line = refused(
-        capsys, "design", *arguments, "-o", tmp_path / "out", *(o for o in QUICK if "--harmonics" not in arguments or o not in QUICK[4:])
+        capsys,
+        "design",
+        *arguments,
+        "-o",
+        tmp_path / "out",
+        *(o for o in QUICK if "--harmonics" not in arguments or o not in QUICK[4:]),
     )
     for word in words:
         assert word in line
@@ -289,12 +412,24 @@ def test_contradictory_limits_file(capsys, tmp_path):
 
 
 def test_an_unreachable_box_is_infeasible_and_says_what_fights(capsys, tmp_path):
-    line = refused(capsys, "design", "two_link", "--box", "tip:5,6,5,6,5,6", "-o", tmp_path / "out", *QUICK, code=1)
+    line = refused(
+        capsys,
+        "design",
+        "two_link",
+        "--box",
+        "tip:5,6,5,6,5,6",
+        "-o",
+        tmp_path / "out",
+        *QUICK,
+        code=1,
+    )
     assert "tip" in line
     assert "box" in line
 
 
-@pytest.mark.parametrize("text", ["", "{", "{}", '{"schema": "excite.trajectory/1"}', '{"schema": "other/1"}', "[1]"])
+@pytest.mark.parametrize(
+    "text", ["", "{", "{}", '{"schema": "excite.trajectory/1"}', '{"schema": "other/1"}', "[1]"]
+)
 def test_unusable_trajectory(capsys, tmp_path, text):
     path = tmp_path / "t.json"
     path.write_text(text)
@@ -310,7 +445,9 @@ def test_a_changed_urdf_is_noticed(capsys, tmp_path):
 
 def test_an_output_that_cannot_be_written(capsys, tmp_path):
     (tmp_path / "file").write_text("")
-    assert "cannot be written" in refused(capsys, "design", "two_link", "-o", tmp_path / "file", *QUICK)
+    assert "cannot be written" in refused(
+        capsys, "design", "two_link", "-o", tmp_path / "file", *QUICK
+    )
 
 
 def test_files_of_a_command_appear_together_or_not_at_all(tmp_path):
@@ -318,12 +455,23 @@ def test_files_of_a_command_appear_together_or_not_at_all(tmp_path):
     (tmp_path / "in the way").write_text("")
     with pytest.raises(UnusableInput, match="cannot be written"):
         write_all(tmp_path, {"a": "new", "in the way/b": "new"})
-    assert {p.name for p in tmp_path.iterdir()} == {"a", "in the way"} and (tmp_path / "a").read_text() == "old"
-    assert [p.relative_to(tmp_path) for p in write_all(tmp_path, {"a": "new", "sub/b": "new"})] == [Path("a"), Path("sub/b")]
+    assert {p.name for p in tmp_path.iterdir()} == {"a", "in the way"} and (
+        tmp_path / "a"
+    ).read_text() == "old"
+    assert [p.relative_to(tmp_path) for p in write_all(tmp_path, {"a": "new", "sub/b": "new"})] == [
+        Path("a"),
+        Path("sub/b"),
+    ]
 
 
 @pytest.mark.parametrize(
-    "text", ["t,q.joint_1\n0,1\n", "a,b\n1,2\n", "t,q.joint_1,q.joint_2\n" + "0,nan,0\n" * 20, "t,q.joint_1,q.joint_2\n" + "0,0,0\n" * 20]
+    "text",
+    [
+        "t,q.joint_1\n0,1\n",
+        "a,b\n1,2\n",
+        "t,q.joint_1,q.joint_2\n" + "0,nan,0\n" * 20,
+        "t,q.joint_1,q.joint_2\n" + "0,0,0\n" * 20,
+    ],
 )
 def test_unusable_recording(capsys, tmp_path, text):
     path = tmp_path / "r.csv"
@@ -332,7 +480,12 @@ def test_unusable_recording(capsys, tmp_path, text):
 
 
 def test_as_a_program():
-    result = subprocess.run([sys.executable, "-m", "excite", "verify", "nowhere.json"], capture_output=True, text=True, check=False)
+    result = subprocess.run(
+        [sys.executable, "-m", "excite", "verify", "nowhere.json"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert result.returncode == 2
     assert result.stdout == ""
     assert result.stderr.startswith("excite: nowhere.json")

@@ -9,12 +9,23 @@ from conftest import document, joint, link
 from test_cli import refused, run
 from test_collision import octahedron
 
-from excite.collision import scene
-from excite.collision.shape import Kind
-from excite.limits import resolve
-from excite.robot import load
+from excite.collision import scene_file
+from excite.collision.geometry import Kind
+from excite.robot.limits import resolve
+from excite.robot.robot import load
 
-FAST = ["--starts", "1", "--iterations", "15", "--harmonics", "3", "--samples", "60", "--period", "4"]
+FAST = [
+    "--starts",
+    "1",
+    "--iterations",
+    "15",
+    "--harmonics",
+    "3",
+    "--samples",
+    "60",
+    "--period",
+    "4",
+]
 SCENES = {
     "negative size": ('[[box]]\nname = "b"\nsize = [1, -1, 1]', "'b': its size"),
     "two numbers": ("[[sphere]]\nradius = 0.1\nposition = [1, 2]", "position should be 3"),
@@ -22,12 +33,18 @@ SCENES = {
     "not finite": ("[[sphere]]\nradius = inf", "finite"),
     "unknown kind": ("[[cone]]\nradius = 1", "'cone'"),
     "unknown key": ('[[box]]\nname = "b"\nsize = [1, 1, 1]\ncolour = "red"', "'colour'"),
-    "same name": ('[[box]]\nname = "b"\nsize = [1, 1, 1]\n[[box]]\nname = "b"\nsize = [1, 1, 1]', "two shapes"),
+    "same name": (
+        '[[box]]\nname = "b"\nsize = [1, 1, 1]\n[[box]]\nname = "b"\nsize = [1, 1, 1]',
+        "two shapes",
+    ),
     "missing mesh": ('[[mesh]]\nname = "m"\nfile = "nowhere.stl"', "nowhere.stl"),
     "unknown link": ('[[box]]\nsize = [0.1, 0.1, 0.1]\nlink = "hand"', "no frame 'hand'"),
     "name of a link": ('[[sphere]]\nname = "link_1"\nradius = 0.1', "'link_1'"),
     "no toml": ("[[box", "cannot be read as a scene"),
-    "ignored stranger": ('[[sphere]]\nname = "s"\nradius = 0.1\nposition = [3, 0, 0]\nignore = ["nobody"]', "'nobody'"),
+    "ignored stranger": (
+        '[[sphere]]\nname = "s"\nradius = 0.1\nposition = [3, 0, 0]\nignore = ["nobody"]',
+        "'nobody'",
+    ),
     "floor": ('floor = "low"', "floor"),
     "clearance": ("clearance = -1", "clearance"),
     "in the robot": ('[[sphere]]\nname = "s"\nradius = 0.2', "'s' touches 'link_1' in every pose"),
@@ -39,19 +56,43 @@ def test_a_bad_scene_is_one_line(capsys, tmp_path, case):
     text, wanted = SCENES[case]
     path = tmp_path / "scene.toml"
     path.write_text(text)
-    assert wanted in refused(capsys, "design", "two_link", "-o", tmp_path / "out", "--scene", path, *FAST)
+    assert wanted in refused(
+        capsys, "design", "two_link", "-o", tmp_path / "out", "--scene", path, *FAST
+    )
     assert not (tmp_path / "out").exists()
 
 
 def test_a_mesh_that_is_none_is_one_line(capsys, tmp_path):
     (tmp_path / "m.stl").write_text("solid nothing\nendsolid\n")
     (tmp_path / "scene.toml").write_text('[[mesh]]\nname = "m"\nfile = "m.stl"\n')
-    assert "m.stl" in refused(capsys, "design", "two_link", "-o", tmp_path / "out", "--scene", tmp_path / "scene.toml", *FAST)
+    assert "m.stl" in refused(
+        capsys,
+        "design",
+        "two_link",
+        "-o",
+        tmp_path / "out",
+        "--scene",
+        tmp_path / "scene.toml",
+        *FAST,
+    )
 
 
 def test_a_start_pose_in_the_scene_is_one_line(capsys, tmp_path):
-    (tmp_path / "scene.toml").write_text('[[box]]\nname = "block"\nsize = [0.1, 0.6, 0.3]\nposition = [0.85, 0, 0]\n')
-    line = refused(capsys, "design", "two_link", "-o", tmp_path / "o", "--scene", tmp_path / "scene.toml", "--start", "0,0", *FAST)
+    (tmp_path / "scene.toml").write_text(
+        '[[box]]\nname = "block"\nsize = [0.1, 0.6, 0.3]\nposition = [0.85, 0, 0]\n'
+    )
+    line = refused(
+        capsys,
+        "design",
+        "two_link",
+        "-o",
+        tmp_path / "o",
+        "--scene",
+        tmp_path / "scene.toml",
+        "--start",
+        "0,0",
+        *FAST,
+    )
     assert "start pose" in line and "block" in line
 
 
@@ -61,7 +102,9 @@ def test_design_in_a_scene_says_how_near_it_comes(capsys, tmp_path):
         'clearance = 0.03\n[[box]]\nname = "block"\nsize = [0.1, 0.6, 0.3]\nposition = [0.75, 0, 0.45]\n'
         '[[sphere]]\nname = "tool"\nradius = 0.05\nlink = "tip"\nposition = [0.05, 0, 0]\n'
     )
-    code, out, _ = run(capsys, "design", "two_link", "-o", tmp_path / "o", "--scene", path, "--json", *FAST)
+    code, out, _ = run(
+        capsys, "design", "two_link", "-o", tmp_path / "o", "--scene", path, "--json", *FAST
+    )
     assert code == 0
     assert json.loads(out)["collision"].startswith("collision checked: never less than")
     stated = json.loads((tmp_path / "o" / "trajectory.json").read_text())
@@ -78,10 +121,18 @@ def test_design_in_a_scene_says_how_near_it_comes(capsys, tmp_path):
 def test_unknown_shapes_say_so_in_the_file(capsys, tmp_path):
     bare = tmp_path / "bare.urdf"
     inside = '<limit lower="-2" upper="2" velocity="3" effort="40"/>'
-    bare.write_text(document(link("l0"), link("l1", 1.0, (0.2, 0, 0)), joint("a", "l0", "l1", axis=(0, 1, 0), inside=inside)))
+    bare.write_text(
+        document(
+            link("l0"),
+            link("l1", 1.0, (0.2, 0, 0)),
+            joint("a", "l0", "l1", axis=(0, 1, 0), inside=inside),
+        )
+    )
     code, out, _ = run(capsys, "design", bare, "-o", tmp_path / "o", "--json", *FAST)
     assert code == 0 and json.loads(out)["collision"].startswith("collision not checked")
-    assert json.loads((tmp_path / "o" / "trajectory.json").read_text())["collision"].startswith("collision not checked")
+    assert json.loads((tmp_path / "o" / "trajectory.json").read_text())["collision"].startswith(
+        "collision not checked"
+    )
     code, out, _ = run(capsys, "verify", tmp_path / "o" / "trajectory.json", "--json")
     assert code == 0 and "not checked" in json.loads(out)["collision"]
     line = refused(capsys, "design", bare, "-o", tmp_path / "p", "--floor", "-1", *FAST)
@@ -89,20 +140,45 @@ def test_unknown_shapes_say_so_in_the_file(capsys, tmp_path):
 
 
 def test_switched_off_is_said(capsys, tmp_path):
-    code, out, _ = run(capsys, "design", "two_link", "-o", tmp_path / "o", "--no-collision", "--json", *FAST)
+    code, out, _ = run(
+        capsys, "design", "two_link", "-o", tmp_path / "o", "--no-collision", "--json", *FAST
+    )
     assert code == 0 and json.loads(out)["collision"] == "collision not checked (--no-collision)"
 
 
 def test_a_changed_mesh_is_no_longer_what_was_checked(capsys, tmp_path):
     mesh = Path(octahedron(tmp_path / "m.obj", 0.1))
-    (tmp_path / "scene.toml").write_text('[[mesh]]\nname = "m"\nfile = "m.obj"\nposition = [0.9, 0, 0.6]\n')
-    code, _, err = run(capsys, "design", "two_link", "-o", tmp_path / "o", "--scene", tmp_path / "scene.toml", *FAST)
+    (tmp_path / "scene.toml").write_text(
+        '[[mesh]]\nname = "m"\nfile = "m.obj"\nposition = [0.9, 0, 0.6]\n'
+    )
+    code, _, err = run(
+        capsys,
+        "design",
+        "two_link",
+        "-o",
+        tmp_path / "o",
+        "--scene",
+        tmp_path / "scene.toml",
+        *FAST,
+    )
     assert code == 0, err
     octahedron(mesh, 0.2)
     code, out, _ = run(capsys, "verify", tmp_path / "o" / "trajectory.json", "--json")
     found = json.loads(out)
-    assert code == 1 and found["verdict"] == {"limits": "certified", "clearance": "failed"} and "sha256" in found["collision"]
-    code, _, err = run(capsys, "export", tmp_path / "o" / "trajectory.json", "--format", "csv", "-o", tmp_path / "x.csv")
+    assert (
+        code == 1
+        and found["verdict"] == {"limits": "certified", "clearance": "failed"}
+        and "sha256" in found["collision"]
+    )
+    code, _, err = run(
+        capsys,
+        "export",
+        tmp_path / "o" / "trajectory.json",
+        "--format",
+        "csv",
+        "-o",
+        tmp_path / "x.csv",
+    )
     assert code == 1 and "clearance: failed" in err and not (tmp_path / "x.csv").exists()
     mesh.unlink()
     code, out, _ = run(capsys, "verify", tmp_path / "o" / "trajectory.json", "--json")
@@ -113,15 +189,34 @@ def test_all_kinds_are_read_and_written(tmp_path):
     round_ones = dict.fromkeys(("capsule", "cylinder"), "radius = 0.1\nlength = 0.2")
     sizes = {"sphere": "radius = 0.1", "box": "size = [1, 1, 1]", **round_ones}
     path = tmp_path / "scene.toml"
-    path.write_text("\n".join(f"[[{kind}]]\n{size}\nposition = [2, {k}, 0]" for k, (kind, size) in enumerate(sizes.items())))
+    path.write_text(
+        "\n".join(
+            f"[[{kind}]]\n{size}\nposition = [2, {k}, 0]"
+            for k, (kind, size) in enumerate(sizes.items())
+        )
+    )
     robot = load("two_link")
-    cell = scene.cell(robot, resolve(robot), scene.read(path).overridden(floor=False))
-    assert {body.shapes[0].kind for body in cell.bodies if body.around} == {Kind.SPHERE, Kind.CAPSULE, Kind.CYLINDER, Kind.BOX}
-    around = {n for n in itertools.chain(*(cell.names(p).split(" – ") for p in cell.pairs)) if n.endswith(" 1")}
+    cell = scene_file.cell(robot, resolve(robot), scene_file.read(path).overridden(floor=False))
+    assert {body.shapes[0].kind for body in cell.bodies if body.around} == {
+        Kind.SPHERE,
+        Kind.CAPSULE,
+        Kind.CYLINDER,
+        Kind.BOX,
+    }
+    around = {
+        n
+        for n in itertools.chain(*(cell.names(p).split(" – ") for p in cell.pairs))
+        if n.endswith(" 1")
+    }
     assert len(around) == 4
     stated = json.loads(json.dumps(cell.document()))
-    again, fault = scene.as_on_disk(robot, cell.limits, stated)
-    assert fault is None and again is not None and again.pairs == cell.pairs and again.document() == cell.document()
+    again, fault = scene_file.as_on_disk(robot, cell.limits, stated)
+    assert (
+        fault is None
+        and again is not None
+        and again.pairs == cell.pairs
+        and again.document() == cell.document()
+    )
     for change, words in (
         (lambda d: d["shapes"][-1].update(size=[9.0, 9.0, 9.0]), "another size"),
         (lambda d: d["shapes"].pop(), "another number of shapes"),
@@ -130,5 +225,5 @@ def test_all_kinds_are_read_and_written(tmp_path):
     ):
         tampered = json.loads(json.dumps(stated))
         change(tampered)
-        cell_then, fault = scene.as_on_disk(robot, cell.limits, tampered)
+        cell_then, fault = scene_file.as_on_disk(robot, cell.limits, tampered)
         assert cell_then is None and fault is not None and words in fault

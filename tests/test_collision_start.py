@@ -8,27 +8,30 @@ import numpy as np
 import pytest
 from conftest import QUICK
 
-from excite import design, limits, ramps, workflow
-from excite.collision import covering, scene
+from excite.collision import clearance_builder, scene_file
+from excite.designer import optimize, pipeline, ramps
+from excite.designer.initial_guess import _within_sight
+from excite.designer.problem import Options
+from excite.designer.time_budget import Wish
 from excite.errors import Infeasible, UnusableInput
-from excite.plan import Wish
-from excite.problem import Options
-from excite.robot import load
-from excite.start import _within_sight
+from excite.robot import limits
+from excite.robot.robot import load
 
-FOLDED = np.array([1.0, 1.0, 4.7, 4.0, -4.8, -1.5])  # its elbow is beyond half a turn: the arm folded parts it from the middle
+FOLDED = np.array(
+    [1.0, 1.0, 4.7, 4.0, -4.8, -1.5]
+)  # its elbow is beyond half a turn: the arm folded parts it from the middle
 
 
 @pytest.fixture(scope="module")
 def placed():
     robot = load("ur5e")
     table = limits.resolve(robot)
-    return robot, table, scene.cell(robot, table, scene.Scene(floor=-0.7))
+    return robot, table, scene_file.cell(robot, table, scene_file.Scene(floor=-0.7))
 
 
 def test_poses_within_sight_are_reached_straight(placed):
     _, table, cell = placed
-    clearance = covering.clearance(cell)
+    clearance = clearance_builder.clearance(cell)
     rng = np.random.default_rng(0)
     poses = _within_sight(clearance, FOLDED, rng.uniform(*table.position.T, (50, 6)), rng)
     lines = FOLDED + np.linspace(0.0, 1.0, 41)[:, None, None] * (poses - FOLDED)
@@ -41,20 +44,24 @@ def test_poses_within_sight_are_reached_straight(placed):
 def test_a_motion_is_found_from_a_pose_that_folds_part_from_the_others(placed):
     robot, table, cell = placed
     options = replace(Wish().fill(Options(starts=1, jobs=1), table), iterations=20)
-    delivery = workflow.run(robot, table, options, start=FOLDED, cell=cell)
+    delivery = pipeline.run(robot, table, options, start=FOLDED, cell=cell)
     motion = delivery.trajectory.motion
-    assert delivery.certificate.ok and motion.segments[0].kind == "approach" and motion.segments[-1].kind == "return"
+    assert (
+        delivery.certificate.ok
+        and motion.segments[0].kind == "approach"
+        and motion.segments[-1].kind == "return"
+    )
     assert motion.at(np.zeros(1))[0] == pytest.approx(FOLDED)
 
 
 def test_a_start_pose_that_touches_is_refused_before_the_design(placed, monkeypatch):
     robot, table, cell = placed
-    monkeypatch.setattr(workflow.design, "solve", lambda *_: pytest.fail("designed first"))
+    monkeypatch.setattr(pipeline.design, "solve", lambda *_: pytest.fail("designed first"))
     into_floor = np.array([0.0, 1.5, 0.0, 0.0, 0.0, 0.0])
     with pytest.raises(UnusableInput, match=r"start pose: .*floor"):
-        workflow.run(robot, table, Wish().fill(Options(), table), start=into_floor, cell=cell)
+        pipeline.run(robot, table, Wish().fill(Options(), table), start=into_floor, cell=cell)
     with pytest.raises(UnusableInput, match="6 finite positions"):
-        workflow.run(robot, table, Wish().fill(Options(), table), start=np.zeros(5), cell=cell)
+        pipeline.run(robot, table, Wish().fill(Options(), table), start=np.zeros(5), cell=cell)
 
 
 @pytest.mark.parametrize("without", [1, 2])
@@ -72,20 +79,22 @@ def test_where_the_best_start_has_no_ramps_the_next_is_taken(monkeypatch, withou
     options = replace(QUICK, starts=2, jobs=1)
     if without == 2:
         with pytest.raises(Infeasible, match="no way 1"):
-            workflow.run(robot, limits.resolve(robot), options)
+            pipeline.run(robot, limits.resolve(robot), options)
         return
-    delivery = workflow.run(robot, limits.resolve(robot), options)
+    delivery = pipeline.run(robot, limits.resolve(robot), options)
     assert delivery.certificate.ok and len(delivery.design.attempts) == 2
     assert delivery.design.attempts[0].objective >= delivery.design.attempts[1].objective
 
 
 def test_only_the_pairs_that_came_too_near_keep_further_away(placed):
     robot, table, cell = placed
-    setting = design.prepare(robot, table, Wish().fill(Options(), table), clearance=covering.clearance(cell))
+    setting = optimize.prepare(
+        robot, table, Wish().fill(Options(), table), clearance=clearance_builder.clearance(cell)
+    )
     before, name = setting.problem.clearance, setting.problem.clearance.names[0]
     twice = setting
     for _ in range(2):
-        twice = design.tightened(twice, table, 2e-3, {name: 3e-3}, finer=True)
+        twice = optimize.tightened(twice, table, 2e-3, {name: 3e-3}, finer=True)
     after = twice.problem.clearance
     assert twice.problem.options.samples == 4 * setting.problem.options.samples
     pose = FOLDED[None]

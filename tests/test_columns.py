@@ -6,15 +6,17 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from excite.diagnose import search
-from excite.diagnose.columns import Columns
-from excite.diagnose.effect import Shape
-from excite.diagnose.half import Half, whitened
+from excite.diagnosis import search
+from excite.diagnosis.columns import Columns
+from excite.diagnosis.half import Half, whitened
+from excite.effects.effect import Shape
 
 Array = np.ndarray
 
 
-def drawn(rng: np.random.Generator, samples: int, joints: int, felt: list[tuple[int, ...]]) -> tuple[Columns, Array]:
+def drawn(
+    rng: np.random.Generator, samples: int, joints: int, felt: list[tuple[int, ...]]
+) -> tuple[Columns, Array]:
     """A column a tuple of joints that feel it: kept by joint, and dense. Shape (N n, K)."""
     torque = np.zeros((samples, joints, len(felt)))
     for k, own in enumerate(felt):
@@ -24,7 +26,9 @@ def drawn(rng: np.random.Generator, samples: int, joints: int, felt: list[tuple[
     return Columns.none(samples, joints).beside(parts), torque.reshape(-1, len(felt))
 
 
-FELT = st.lists(st.lists(st.integers(0, 2), max_size=3, unique=True).map(tuple), min_size=1, max_size=6)
+FELT = st.lists(
+    st.lists(st.integers(0, 2), max_size=3, unique=True).map(tuple), min_size=1, max_size=6
+)
 
 
 @given(FELT, FELT)
@@ -56,7 +60,9 @@ def test_products_are_those_of_columns_less_what_the_base_takes():
     felt = [(0,), (1,), (0, 2), (0, 1, 2)]
     made = [[drawn(rng, samples, 3, [own, own]) for samples in (30, 40)] for own in felt]
     shapes = [Shape("drag", k, lambda t, s: np.zeros(0)) for k in range(len(felt))]
-    one = search.design(halves, shapes, lambda shape: (made[shape.place][0][0], made[shape.place][1][0]))
+    one = search.design(
+        halves, shapes, lambda shape: (made[shape.place][0][0], made[shape.place][1][0])
+    )
     assert len(one.shapes) == len(felt)
     dense = [np.hstack([made[shape.place][half][1] for shape in one.shapes]) for half in (0, 1)]
     for half, gram, own in zip(halves, one.grams, dense, strict=True):
@@ -68,4 +74,8 @@ def test_products_are_those_of_columns_less_what_the_base_takes():
     np.testing.assert_allclose(one.whole.score, free.T @ one.both.torque, atol=1e-10)
     rows = free[one.both.rows].reshape(70, 3, -1)
     for power, place in zip(one.power, one.places, strict=True):
-        np.testing.assert_allclose(power, np.einsum("tjk,tjl->jkl", rows[:, :, place], rows[:, :, place]) / 70.0, atol=1e-12)
+        np.testing.assert_allclose(
+            power,
+            np.einsum("tjk,tjl->jkl", rows[:, :, place], rows[:, :, place]) / 70.0,
+            atol=1e-12,
+        )

@@ -7,11 +7,15 @@ import numpy as np
 import pytest
 from conftest import QUICK, loaded, pendulum
 
-from excite import compiled, design, limits, parameters, symbolic
-from excite.evaluate import Evaluator
-from excite.robot import load
+from excite.designer import casadi_batch, casadi_model, optimize
+from excite.designer.evaluator import Evaluator
+from excite.robot import inertial_parameters, limits
+from excite.robot.robot import load
 
-needs_compiler = pytest.mark.skipif(compiled.compiler() is None and not Path("/usr/bin/cc").exists(), reason="no C compiler here")
+needs_compiler = pytest.mark.skipif(
+    casadi_batch.compiler() is None and not Path("/usr/bin/cc").exists(),
+    reason="no C compiler here",
+)
 
 
 @pytest.fixture
@@ -29,11 +33,11 @@ def arrived(path: Path, seconds: float = 60.0) -> Path:
     return path
 
 
-def arguments(functions: symbolic.Functions, count: int) -> dict[str, list[np.ndarray]]:
+def arguments(functions: casadi_model.Functions, count: int) -> dict[str, list[np.ndarray]]:
     rng = np.random.default_rng(0)
     out = {}
     for name in ("regressor", "adjoint", "row"):
-        blank = compiled.Mapped(getattr(functions, name), count).inputs
+        blank = casadi_batch.Mapped(getattr(functions, name), count).inputs
         out[name] = [rng.normal(size=a.shape) for a in blank]
     return out
 
@@ -41,23 +45,30 @@ def arguments(functions: symbolic.Functions, count: int) -> dict[str, list[np.nd
 @needs_compiler
 def test_compiled_functions_equal_the_virtual_machine_bit_by_bit(cached):
     robot = load("panda")
-    functions = symbolic.functions(robot, parameters.standard(robot, limits.resolve(robot), parameters.DRIVE))
+    functions = casadi_model.functions(
+        robot, inertial_parameters.standard(robot, limits.resolve(robot), inertial_parameters.DRIVE)
+    )
     given = arguments(functions, 70)
-    slow = {name: [a.copy() for a in compiled.Mapped(getattr(functions, name), 70)(*values)] for name, values in given.items()}
+    slow = {
+        name: [a.copy() for a in casadi_batch.Mapped(getattr(functions, name), 70)(*values)]
+        for name, values in given.items()
+    }
     arrived(functions.library)
     for name, values in given.items():
         for maker in (
-            compiled.Mapped(getattr(functions, name), 70, functions.library),
-            compiled.Padded(getattr(functions, name), functions.library),
+            casadi_batch.Mapped(getattr(functions, name), 70, functions.library),
+            casadi_batch.Padded(getattr(functions, name), functions.library),
         ):
-            assert all(np.array_equal(a, b) for a, b in zip(maker(*values), slow[name], strict=True)), name
+            assert all(
+                np.array_equal(a, b) for a, b in zip(maker(*values), slow[name], strict=True)
+            ), name
     assert [path.suffix for path in cached.iterdir()] == [".so"]  # nothing else is left behind
 
 
 @needs_compiler
 def test_the_library_takes_over_without_a_trace_while_an_evaluator_runs(cached):
     robot = load("two_link")
-    setting = design.prepare(robot, limits.resolve(robot), QUICK)
+    setting = optimize.prepare(robot, limits.resolve(robot), QUICK)
     evaluator, x = Evaluator(setting.problem), np.full(setting.problem.size, 0.1)
     before = evaluator.objective(x, 1.0)
     arrived(setting.problem.functions.library)
@@ -65,23 +76,34 @@ def test_the_library_takes_over_without_a_trace_while_an_evaluator_runs(cached):
     after = evaluator.objective(x, 1.0)
     assert before[0] == after[0]
     assert np.array_equal(before[1], after[1])
-    assert design.prepare(robot, limits.resolve(robot), QUICK).problem.functions.library.exists()  # found again
+    assert optimize.prepare(
+        robot, limits.resolve(robot), QUICK
+    ).problem.functions.library.exists()  # found again
 
 
 @pytest.mark.parametrize("value", ["", "no-such-compiler"])
 def test_without_a_compiler_there_is_no_library(monkeypatch, value):
     monkeypatch.setenv("EXCITE_COMPILER", value)
     robot = loaded(pendulum())
-    assert symbolic.functions(robot, parameters.standard(robot, limits.resolve(robot), ())).library is None
+    assert (
+        casadi_model.functions(
+            robot, inertial_parameters.standard(robot, limits.resolve(robot), ())
+        ).library
+        is None
+    )
 
 
 def test_a_compiler_that_fails_leaves_the_virtual_machine(cached, monkeypatch):
     monkeypatch.setenv("EXCITE_COMPILER", "false")
     robot = load("two_link")
-    functions = symbolic.functions(robot, parameters.standard(robot, limits.resolve(robot), ()))
+    functions = casadi_model.functions(
+        robot, inertial_parameters.standard(robot, limits.resolve(robot), ())
+    )
     assert functions.library is not None
     given = arguments(functions, 3)["regressor"]
-    assert np.isfinite(compiled.Mapped(functions.regressor, 3, functions.library)(*given)[0]).all()
+    assert np.isfinite(
+        casadi_batch.Mapped(functions.regressor, 3, functions.library)(*given)[0]
+    ).all()
     time.sleep(0.3)
     assert not functions.library.exists()
 
@@ -90,13 +112,23 @@ def test_a_folder_that_cannot_be_written_leaves_the_virtual_machine(cached, monk
     cached.parent.mkdir(exist_ok=True)
     cached.write_text("a file where the folder should be")
     robot = load("two_link")
-    assert symbolic.functions(robot, parameters.standard(robot, limits.resolve(robot), ())).library is None
+    assert (
+        casadi_model.functions(
+            robot, inertial_parameters.standard(robot, limits.resolve(robot), ())
+        ).library
+        is None
+    )
 
 
 @pytest.mark.parametrize("count", [1, 63, 64, 65, 200])
 def test_padding_changes_no_sample(count):
     robot = load("two_link")
-    functions = symbolic.functions(robot, parameters.standard(robot, limits.resolve(robot), ()))
+    functions = casadi_model.functions(
+        robot, inertial_parameters.standard(robot, limits.resolve(robot), ())
+    )
     given = arguments(functions, count)["row"]
-    plain = [a.copy() for a in compiled.Mapped(functions.row, count)(*given)]
-    assert all(np.array_equal(a, b) for a, b in zip(compiled.Padded(functions.row)(*given), plain, strict=True))
+    plain = [a.copy() for a in casadi_batch.Mapped(functions.row, count)(*given)]
+    assert all(
+        np.array_equal(a, b)
+        for a, b in zip(casadi_batch.Padded(functions.row)(*given), plain, strict=True)
+    )

@@ -9,16 +9,19 @@ import numpy as np
 import pytest
 from made import EMPTY, halved, nothing, on_one
 
-from excite.diagnose import contest, hypothesis, judge, search
-from excite.diagnose.catalogue import environment, windup
-from excite.diagnose.columns import Columns
-from excite.diagnose.effect import Shape, beside, family
-from excite.diagnose.half import Half, whitened
-from excite.diagnose.measured import Measured
+from excite.diagnosis import contest, hypothesis, judge, search
+from excite.diagnosis.columns import Columns
+from excite.diagnosis.half import Half, whitened
+from excite.diagnosis.measured import Measured
+from excite.effects import environment, gear_dynamics
+from excite.effects.effect import Shape, beside, family
 
 Array = np.ndarray
 RNG = np.random.default_rng(5)
-PLACES, STRONG, ODD, NOISE = ([RNG.uniform(-3.0, 3.0, 500) if k == 0 else RNG.normal(size=500) for _ in range(2)] for k in range(4))
+PLACES, STRONG, ODD, NOISE = (
+    [RNG.uniform(-3.0, 3.0, 500) if k == 0 else RNG.normal(size=500) for _ in range(2)]
+    for k in range(4)
+)
 BASE = [RNG.normal(size=(500, 2)) for _ in range(2)]
 KNOWN = (1e-2 * np.eye(2), np.zeros(2))
 
@@ -29,23 +32,34 @@ def wave(order: float, number: int) -> Array:
 
 def designed(columns: list[Array], torque: list[Array], grid: tuple[float, float]) -> search.Design:
     """A spring with a column of its own, and ripples whose order lies between those of a grid."""
-    halves = [halved(g, (g @ [1.0, -2.0] + t + n)[:, None], KNOWN) for g, t, n in zip(BASE, torque, NOISE, strict=True)]
+    halves = [
+        halved(g, (g @ [1.0, -2.0] + t + n)[:, None], KNOWN)
+        for g, t, n in zip(BASE, torque, NOISE, strict=True)
+    ]
 
     def build(shape: Shape) -> tuple[Columns, Columns]:
-        rows = columns if shape.effect == "spring" else [wave(shape.values["order"], n) for n in range(2)]
+        rows = (
+            columns
+            if shape.effect == "spring"
+            else [wave(shape.values["order"], n) for n in range(2)]
+        )
         return on_one(*(row[:, None] for row in rows))
 
     def ripple(order: float) -> Shape:
         return Shape("torque_ripple", 0, nothing, {"order": order})
 
-    return search.design((halves[0], halves[1]), [Shape("spring", 0, nothing), *family(grid, ripple)], build)
+    return search.design(
+        (halves[0], halves[1]), [Shape("spring", 0, nothing), *family(grid, ripple)], build
+    )
 
 
 def test_a_name_between_two_of_a_grid_beats_one_that_is_nearly_it():
     near = [wave(5.0, n) + 0.3 * ODD[n] for n in range(2)]
     one = designed(near, [4.0 * wave(5.0, n) for n in range(2)], (4.7, 5.3))
     alone = list(hypothesis.ranked(one))
-    assert [h.effect for h in alone] == ["spring", "torque_ripple"] and alone[1].trial.gain > contest.CLOSE * alone[0].trial.gain
+    assert [h.effect for h in alone] == ["spring", "torque_ripple"] and alone[
+        1
+    ].trial.gain > contest.CLOSE * alone[0].trial.gain
     done, (winner,) = contest._contested(one, [alone[0].shape])
     assert done.shapes[winner].effect == "torque_ripple"
     assert done.shapes[winner].values["order"] == pytest.approx(5.0, abs=0.02)
@@ -58,7 +72,9 @@ def test_all_are_tuned_only_with_what_tuned_alone_is_nearly_as_good(monkeypatch,
     one = designed(*([[wave(5.0, n) + odd * ODD[n] for n in range(2)]] * 2), (4.7, 5.3))
     real, asked = search.turned, list[int]()
 
-    def turned(design: search.Design, chosen: Sequence[int], sweeps: int, since: int = 0) -> list[search.Built]:
+    def turned(
+        design: search.Design, chosen: Sequence[int], sweeps: int, since: int = 0
+    ) -> list[search.Built]:
         asked.append(since)
         return real(design, chosen, sweeps, since)
 
@@ -70,7 +86,9 @@ def test_all_are_tuned_only_with_what_tuned_alone_is_nearly_as_good(monkeypatch,
 def test_what_did_not_stay_is_not_added_again(monkeypatch):
     one = designed([wave(5.0, n) for n in range(2)], [wave(5.0, n) for n in range(2)], (4.7, 5.3))
     asked = list[list[int]]()
-    monkeypatch.setattr(contest, "_further", lambda design, chosen: asked.append(chosen) or (design, [*chosen, 1]))
+    monkeypatch.setattr(
+        contest, "_further", lambda design, chosen: asked.append(chosen) or (design, [*chosen, 1])
+    )
     monkeypatch.setattr(contest, "_replaced", lambda design, chosen: chosen[:1])
     monkeypatch.setattr(contest, "_contested", lambda design, chosen: (design, chosen))
     assert contest.searched(one, [0]) == (one, [0]) and asked == [[0]]
@@ -81,7 +99,9 @@ FEIGNED = Measured({("torque_ripple", 0): 1e5})
 
 
 def test_who_replaces_a_name_must_be_believed():
-    both = [4.0 * wave(5.0, n) + 0.7 * ODD[n] for n in range(2)]  # some of what the spring says is no ripple's
+    both = [
+        4.0 * wave(5.0, n) + 0.7 * ODD[n] for n in range(2)
+    ]  # some of what the spring says is no ripple's
     one = designed([wave(5.0, n) + 0.3 * ODD[n] for n in range(2)], both, (4.7, 5.3))
     one = dataclasses.replace(one, measured=FEIGNED)
     assert contest._contested(one, [0]) == (one, [0])
@@ -90,9 +110,13 @@ def test_who_replaces_a_name_must_be_believed():
 
 def test_what_a_fault_may_feign_is_believed_where_it_says_all_that_another_says_and_better():
     near = [wave(5.0, n) + 0.3 * ODD[n] for n in range(2)]
-    one = dataclasses.replace(designed(near, [4.0 * wave(5.0, n) for n in range(2)], (4.7, 5.3)), measured=FEIGNED)
+    one = dataclasses.replace(
+        designed(near, [4.0 * wave(5.0, n) for n in range(2)], (4.7, 5.3)), measured=FEIGNED
+    )
     assert [h.effect for h in judge.judged(one)[1].chosen] == ["torque_ripple"]
-    alone = dataclasses.replace(designed(ODD, [4.0 * wave(5.0, n) for n in range(2)], (4.7, 5.3)), measured=FEIGNED)
+    alone = dataclasses.replace(
+        designed(ODD, [4.0 * wave(5.0, n) for n in range(2)], (4.7, 5.3)), measured=FEIGNED
+    )
     assert not judge.judged(alone)[1].findings  # nothing else says that something is there
 
 
@@ -107,7 +131,10 @@ def test_a_search_begins_with_one_name_where_it_says_tuned_what_two_say_on_a_gri
     assert [done.shapes[i].values["order"] for i in chosen] == [pytest.approx(5.0, abs=0.02)]
     one = designed(ODD, [x + 2.0 * ODD[n] for n, x in enumerate(torque)], (4.8, 5.3))
     alone = list(hypothesis.ranked(one))
-    assert {one.shapes[i].effect for i in contest.begun(one, alone)[1]} == {"torque_ripple", "spring"}
+    assert {one.shapes[i].effect for i in contest.begun(one, alone)[1]} == {
+        "torque_ripple",
+        "spring",
+    }
 
 
 def test_a_further_name_is_tuned_before_it_is_left_out():
@@ -116,17 +143,29 @@ def test_a_further_name_is_tuned_before_it_is_left_out():
     spring = judge.judged(one, [0])[1]
     now = search.trial(one, [0])
     grid = max((search.trial(one, [0, k]) for k in (1, 2)), key=lambda found: found.gain)
-    assert grid.gain > now.gain and not contest._earns(one, [0], grid, now.gain)  # not worth it, as the grid has it
+    assert grid.gain > now.gain and not contest._earns(
+        one, [0], grid, now.gain
+    )  # not worth it, as the grid has it
     assert {h.effect for h in spring.chosen} == {"spring", "torque_ripple"}
 
 
 @pytest.mark.parametrize(("apart", "told"), [(0.1, "friction"), (1.0, "nonlinear_viscous")])
 def test_of_names_as_good_as_each_other_the_plain_one_is_told(apart, told):
     """Torque of a bent friction; a plain one that is `apart` from it."""
-    columns = {"nonlinear_viscous": STRONG, "friction": [STRONG[n] + apart * ODD[n] for n in range(2)]}
-    halves = [halved(g, (g @ [1.0, -2.0] + 1.5 * x + n)[:, None], KNOWN) for g, x, n in zip(BASE, STRONG, NOISE, strict=True)]
+    columns = {
+        "nonlinear_viscous": STRONG,
+        "friction": [STRONG[n] + apart * ODD[n] for n in range(2)],
+    }
+    halves = [
+        halved(g, (g @ [1.0, -2.0] + 1.5 * x + n)[:, None], KNOWN)
+        for g, x, n in zip(BASE, STRONG, NOISE, strict=True)
+    ]
     shapes = [Shape(name, 0, nothing) for name in columns]
-    one = search.design((halves[0], halves[1]), shapes, lambda shape: on_one(*(x[:, None] for x in columns[shape.effect])))
+    one = search.design(
+        (halves[0], halves[1]),
+        shapes,
+        lambda shape: on_one(*(x[:, None] for x in columns[shape.effect])),
+    )
     assert next(hypothesis.ranked(one)).effect == "nonlinear_viscous"
     assert [h.effect for h in judge.judged(one)[1].chosen] == [told]
 
@@ -137,7 +176,9 @@ PUSHED = [np.convolve(RNG.normal(size=4000), np.hanning(25), "same") for _ in ra
 def swings(frequency: float, damping: float, half: int) -> Array:
     """Speed of a mass on a spring that is pushed for 40 s."""
     omega, ones = 2.0 * np.pi * frequency, np.ones(4000)
-    return windup.oscillator(omega * PUSHED[half], ones, omega**2 * ones, 2.0 * damping * omega * ones, 0.01)[1][::8]
+    return gear_dynamics.oscillator(
+        omega * PUSHED[half], ones, omega**2 * ones, 2.0 * damping * omega * ones, 0.01
+    )[1][::8]
 
 
 @pytest.mark.parametrize("frequency", [1.7, 2.2, 2.82, 3.64])
@@ -149,15 +190,28 @@ def test_a_resonance_between_two_tried_frequencies_is_found(frequency):
 
     def swing(damping: float):  # type: ignore[no-untyped-def]
         def shape(hertz: float) -> Shape:
-            kin = lambda: beside(hertz, windup.NEAR, map(swing, windup.damped(damping)))  # noqa: E731
-            return Shape("base_compliance", 0, nothing, {"frequency": hertz, "damping": damping}, kin=kin)
+            kin = lambda: beside(  # noqa: E731
+                hertz, gear_dynamics.NEAR, map(swing, gear_dynamics.damped(damping))
+            )
+            return Shape(
+                "base_compliance", 0, nothing, {"frequency": hertz, "damping": damping}, kin=kin
+            )
 
         return shape
 
     def build(shape: Shape) -> tuple[Columns, Columns]:
-        return on_one(*(swings(shape.values["frequency"], shape.values["damping"], n)[:, None] for n in range(2)))
+        return on_one(
+            *(
+                swings(shape.values["frequency"], shape.values["damping"], n)[:, None]
+                for n in range(2)
+            )
+        )
 
-    shapes = [one for damping in environment.DAMPINGS for one in family(environment.SWINGS.tolist(), swing(damping))]
+    shapes = [
+        one
+        for damping in environment.DAMPINGS
+        for one in family(environment.SWINGS.tolist(), swing(damping))
+    ]
     done, verdict = judge.judged(search.design((halves[0], halves[1]), shapes, build))
     (finding,) = verdict.findings
     told = done.shapes[finding.main.shape].values
@@ -167,17 +221,25 @@ def test_a_resonance_between_two_tried_frequencies_is_found(frequency):
 def test_shapes_that_take_each_other_off_are_no_finding():
     """A small residual, told as the difference of two large torques that are nearly the same."""
     rng = np.random.default_rng(0)
-    gammas, same = [rng.normal(size=(400, 2)) for _ in range(2)], [rng.normal(size=400) for _ in range(2)]
+    gammas, same = (
+        [rng.normal(size=(400, 2)) for _ in range(2)],
+        [rng.normal(size=400) for _ in range(2)],
+    )
     slight = [rng.normal(size=400) for _ in range(2)]
     columns = [{"drag": s, "stribeck": s + 0.01 * d} for s, d in zip(same, slight, strict=True)]
-    torques = [g @ [1.0, -2.0] + 2.0 * d + rng.normal(size=400) for g, d in zip(gammas, slight, strict=True)]
+    torques = [
+        g @ [1.0, -2.0] + 2.0 * d + rng.normal(size=400)
+        for g, d in zip(gammas, slight, strict=True)
+    ]
     known = (1e-2 * np.eye(2), np.zeros(2))
     first, second = (halved(g, t[:, None], known) for g, t in zip(gammas, torques, strict=True))
 
     def build(shape: Shape) -> tuple[Columns, Columns]:
         return on_one(*(own[shape.effect][:, None] for own in columns))
 
-    one = search.design((first, second), [Shape("drag", 0, nothing), Shape("stribeck", 0, nothing)], build)
+    one = search.design(
+        (first, second), [Shape("drag", 0, nothing), Shape("stribeck", 0, nothing)], build
+    )
     one = dataclasses.replace(one, prior=np.full(2, 1e-6))
     assert search.trial(one, [0, 1]).gain > 200.0
     assert not list(hypothesis.ranked(one, (0,))) and not judge.judged(one)[1].findings
@@ -192,8 +254,13 @@ def two_joints(blurred: float = 1.0, mend: str = "spring") -> search.Design:
     for s, r, o, b in zip(strong, rest, other, blur, strict=True):
         both = np.column_stack([30.0 * s + 0.8 * r, 0.8 * o])
         left = both + rng.normal(size=(300, 2))
-        halves.append(whitened([np.ones((300, 2, 1))], [left], [np.ones(left.shape, bool)], np.ones(2), EMPTY))
-        joints = {("drag", 0): np.column_stack([s, 0.0 * s]), (mend, 0): np.column_stack([r + b, 0.0 * r])}
+        halves.append(
+            whitened([np.ones((300, 2, 1))], [left], [np.ones(left.shape, bool)], np.ones(2), EMPTY)
+        )
+        joints = {
+            ("drag", 0): np.column_stack([s, 0.0 * s]),
+            (mend, 0): np.column_stack([r + b, 0.0 * r]),
+        }
         columns.append({**joints, ("stribeck", 1): np.column_stack([0.0 * o, o])})
 
     def build(shape: Shape) -> tuple[Columns, Columns]:
@@ -209,14 +276,19 @@ def test_what_is_left_alone_must_be_believed_by_itself():
     one = two_joints()
     _, verdict = judge.judged(one, [0])
     assert ("drag", 0) in {(h.effect, h.joint) for h in verdict.chosen}
-    doubtful = dataclasses.replace(one, shapes=tuple(dataclasses.replace(shape, doubt=1e12) for shape in one.shapes))
+    doubtful = dataclasses.replace(
+        one, shapes=tuple(dataclasses.replace(shape, doubt=1e12) for shape in one.shapes)
+    )
     assert not judge.judged(doubtful, [0])[1].chosen
 
 
 def test_where_a_strong_effect_does_not_act_a_slight_one_needs_no_share_of_it():
     one = two_joints()
     _, verdict = judge.judged(one)
-    assert {(h.effect, h.joint) for h in verdict.chosen} == {("drag", 0), ("stribeck", 1)}  # what mends the drag is no finding
+    assert {(h.effect, h.joint) for h in verdict.chosen} == {
+        ("drag", 0),
+        ("stribeck", 1),
+    }  # what mends the drag is no finding
     guessed = dataclasses.replace(one, measured=Measured())
     assert {(h.effect, h.joint) for h in judge.judged(guessed)[1].chosen} == {("drag", 0)}
 
@@ -224,11 +296,25 @@ def test_where_a_strong_effect_does_not_act_a_slight_one_needs_no_share_of_it():
 def test_what_explains_all_that_another_leaves_beyond_noise_needs_no_share_of_it():
     one = two_joints(blurred=0.0)
     _, verdict = judge.judged(one)
-    assert {(h.effect, h.joint) for h in verdict.chosen} == {("drag", 0), ("spring", 0), ("stribeck", 1)}
-    louder = dataclasses.replace(one, measured=Measured(noise=np.full(2, 1.5)))  # then there is nothing beyond it
-    assert {(h.effect, h.joint) for h in judge.judged(louder)[1].chosen} == {("drag", 0), ("stribeck", 1)}
-    alike = two_joints(blurred=0.0, mend="nonlinear_viscous")  # what is taken for a drag mends one, and all of it
-    assert {(h.effect, h.joint) for h in judge.judged(alike)[1].chosen} == {("drag", 0), ("stribeck", 1)}
+    assert {(h.effect, h.joint) for h in verdict.chosen} == {
+        ("drag", 0),
+        ("spring", 0),
+        ("stribeck", 1),
+    }
+    louder = dataclasses.replace(
+        one, measured=Measured(noise=np.full(2, 1.5))
+    )  # then there is nothing beyond it
+    assert {(h.effect, h.joint) for h in judge.judged(louder)[1].chosen} == {
+        ("drag", 0),
+        ("stribeck", 1),
+    }
+    alike = two_joints(
+        blurred=0.0, mend="nonlinear_viscous"
+    )  # what is taken for a drag mends one, and all of it
+    assert {(h.effect, h.joint) for h in judge.judged(alike)[1].chosen} == {
+        ("drag", 0),
+        ("stribeck", 1),
+    }
 
 
 def test_beside_another_a_strong_effect_may_need_another_of_its_shapes():
@@ -236,7 +322,9 @@ def test_beside_another_a_strong_effect_may_need_another_of_its_shapes():
     rng = np.random.default_rng(1)
     x = [rng.normal(size=400) for _ in range(2)]
     torques = [3.0 * own**3 + 20.0 * own / (1.0 + np.abs(own)) for own in x]
-    halves = [halved(np.ones((400, 1)), t[:, None] + rng.normal(size=(400, 1)), EMPTY) for t in torques]
+    halves = [
+        halved(np.ones((400, 1)), t[:, None] + rng.normal(size=(400, 1)), EMPTY) for t in torques
+    ]
 
     def build(shape: Shape) -> tuple[Columns, Columns]:
         if shape.effect == "stribeck":
@@ -245,29 +333,47 @@ def test_beside_another_a_strong_effect_may_need_another_of_its_shapes():
             first, second = (np.sign(own) * np.abs(own) ** shape.values["exponent"] for own in x)
         return on_one(first[:, None], second[:, None])
 
-    powers = [Shape("drag", 0, nothing, {"exponent": k}, plausible=lambda c: bool(c[0] > 0.0)) for k in (2.0, 2.5, 3.0)]
+    powers = [
+        Shape("drag", 0, nothing, {"exponent": k}, plausible=lambda c: bool(c[0] > 0.0))
+        for k in (2.0, 2.5, 3.0)
+    ]
     shapes = [*powers, Shape("stribeck", 0, nothing, plausible=lambda c: bool(c[0] > 0.0))]
-    one = dataclasses.replace(search.design((halves[0], halves[1]), shapes, build), measured=Measured(noise=np.ones(1)))
+    one = dataclasses.replace(
+        search.design((halves[0], halves[1]), shapes, build), measured=Measured(noise=np.ones(1))
+    )
     alone = next(hypothesis.ranked(one))
     assert one.shapes[alone.shape].values != {"exponent": 3.0}
     together, verdict = judge.judged(one, [alone.shape])
     assert {together.shapes[i].effect for i in verdict.named} == {"drag", "stribeck"}
-    assert {together.shapes[i].values["exponent"] for i in verdict.named if together.shapes[i].effect == "drag"} == {3.0}
+    assert {
+        together.shapes[i].values["exponent"]
+        for i in verdict.named
+        if together.shapes[i].effect == "drag"
+    } == {3.0}
 
 
 def test_the_best_of_each_law_is_looked_at():
     """Alone, four other shapes predict better than a light coupling; a law with a value turned better than its grid may win yet."""
     rng = np.random.default_rng(4)
     truth = [rng.normal(size=200) for _ in range(2)]
-    halves = [halved(np.ones((200, 1)), 5.0 * t[:, None] + rng.normal(size=(200, 1)), EMPTY) for t in truth]
-    blurred = {ratio: [t + 0.1 * ratio * rng.normal(size=200) for t in truth] for ratio in range(1, 8)}
+    halves = [
+        halved(np.ones((200, 1)), 5.0 * t[:, None] + rng.normal(size=(200, 1)), EMPTY)
+        for t in truth
+    ]
+    blurred = {
+        ratio: [t + 0.1 * ratio * rng.normal(size=200) for t in truth] for ratio in range(1, 8)
+    }
 
     def build(shape: Shape) -> tuple[Columns, Columns]:
         first, second = (x[:, None] for x in blurred[int(shape.values["ratio"])])
         return on_one(first, second)
 
     heavy = [Shape("coupling", 0, nothing, {"ratio": float(ratio)}, 1) for ratio in range(1, 7)]
-    one = search.design((halves[0], halves[1]), [*heavy, Shape("coupling", 0, nothing, {"ratio": 7.0, "light": 1.0}, 1)], build)
+    one = search.design(
+        (halves[0], halves[1]),
+        [*heavy, Shape("coupling", 0, nothing, {"ratio": 7.0, "light": 1.0}, 1)],
+        build,
+    )
     assert [shape.values["ratio"] for shape in one.shapes] == [1.0, 2.0, 3.0, 4.0, 7.0]
 
 
@@ -280,9 +386,15 @@ def test_halves_agree_about_what_both_see():
         """b's coefficient in either half, of columns a and b."""
         seen = (slight, 1.0)
         columns = [np.column_stack([x, by * y]) for x, y, by in zip(a, b, seen, strict=True)]
-        own = [c @ [2.0, k] + 0.1 * n for c, k, n in zip(columns, (first, second), noise_, strict=True)]
+        own = [
+            c @ [2.0, k] + 0.1 * n for c, k, n in zip(columns, (first, second), noise_, strict=True)
+        ]
         halves = [halved(np.ones((200, 1)), t[:, None], EMPTY, 0.1) for t in own]
-        return search.design((halves[0], halves[1]), [Shape("drag", 0, nothing)], lambda _: on_one(columns[0] / 0.1, columns[1] / 0.1))
+        return search.design(
+            (halves[0], halves[1]),
+            [Shape("drag", 0, nothing)],
+            lambda _: on_one(columns[0] / 0.1, columns[1] / 0.1),
+        )
 
     for other, agree in ((3.0, True), (-40.0, True), (-3e3, False)):
         one = designed(other, 3.0)
@@ -290,7 +402,8 @@ def test_halves_agree_about_what_both_see():
 
 
 @pytest.mark.parametrize(
-    ("large", "beside", "counted"), [(0.27, False, True), (0.27, True, False), (0.2, False, False), (0.35, True, True)]
+    ("large", "beside", "counted"),
+    [(0.27, False, True), (0.27, True, False), (0.2, False, False), (0.35, True, True)],
 )
 def test_a_slight_effect_counts_alone_and_not_beside_another(large, beside, counted):
     shapes = [0, 1] if beside else [1]

@@ -6,23 +6,26 @@ import numpy as np
 import pytest
 from conftest import QUICK, document, joint, link, loaded, pendulum, random_urdf, reframed, text_of
 
-from excite import criteria, design, dynamics, workflow
-from excite.criteria import Criterion
-from excite.design import Design
+from excite.designer import criteria, optimize, pipeline
+from excite.designer.criteria import Criterion
+from excite.designer.evaluator import Evaluator
+from excite.designer.optimize import Design
+from excite.designer.problem import Box, Options
 from excite.errors import CheckFailed, Infeasible, UnusableInput
-from excite.evaluate import Evaluator
-from excite.limits import Limits, resolve
-from excite.problem import Box, Options
-from excite.robot import Robot, load
-from excite.trajectory import Fourier
+from excite.robot import dynamics
+from excite.robot.limits import Limits, resolve
+from excite.robot.robot import Robot, load
+from excite.trajectory.fourier import Fourier
 
 CERTAIN = replace(QUICK, uncertainty=0.0)
 ABOVE = Box("tip", (-1.0, -0.1, 0.0), (1.0, 0.1, 1.0))
 ORDERS = {"position": 0, "velocity": 1, "acceleration": 2, "jerk": 3}
 
 
-def solved(robot: Robot, limits: Limits, options: Options = QUICK, given: np.ndarray | None = None) -> Design:
-    return design.solve(design.prepare(robot, limits, options, given))
+def solved(
+    robot: Robot, limits: Limits, options: Options = QUICK, given: np.ndarray | None = None
+) -> Design:
+    return optimize.solve(optimize.prepare(robot, limits, options, given))
 
 
 def value(found: Design, motion: Fourier | None = None) -> dict:
@@ -42,18 +45,23 @@ def loose(limits: Limits) -> Limits:
 
 @pytest.mark.parametrize("name", ["two_link", "ur10e", "tree"])
 def test_a_design_obeys_all_limits_on_a_dense_grid(name):
-    text = random_urdf(np.random.default_rng(0), 4, kinds=("revolute", "prismatic")).replace('effort="40"', 'effort="400"')
+    text = random_urdf(np.random.default_rng(0), 4, kinds=("revolute", "prismatic")).replace(
+        'effort="40"', 'effort="400"'
+    )
     robot = loaded(text) if name == "tree" else load(name)
     limits = resolve(robot)
     options = replace(QUICK, period=4.0, samples=60, iterations=15)
-    motion = workflow.run(robot, limits, options).trajectory.motion
+    motion = pipeline.run(robot, limits, options).trajectory.motion
     t = np.linspace(0, motion.duration, 20001)
     for kind, order in ORDERS.items():
         bound, found = getattr(limits, kind), motion.at(t, order)
         lower, upper = bound.T if kind == "position" else (-bound, bound)
         assert (found <= upper).all() and (found >= lower).all(), kind
-    setting = design.prepare(robot, limits, options)
-    torque = dynamics.regressor(robot, setting.problem.parameters, motion.samples(t[::10])) @ setting.problem.parameters.nominal
+    setting = optimize.prepare(robot, limits, options)
+    torque = (
+        dynamics.regressor(robot, setting.problem.parameters, motion.samples(t[::10]))
+        @ setting.problem.parameters.nominal
+    )
     assert (np.abs(torque) <= limits.torque).all()
 
 
@@ -64,12 +72,19 @@ def test_a_design_improves_on_its_start(two_link, table, criterion, plain):
     assert attempt.objective < attempt.values[0] - 0.1
 
 
-@pytest.mark.parametrize("criterion", [Criterion.D, Criterion.E, Criterion.COND, Criterion.COND_REGRESSOR])
+@pytest.mark.parametrize(
+    "criterion", [Criterion.D, Criterion.E, Criterion.COND, Criterion.COND_REGRESSOR]
+)
 def test_a_criterion_is_served_best_by_its_own_design(two_link, table, criterion):
     options = replace(QUICK, iterations=120)
-    own, other = (value(solved(two_link, table, replace(options, criterion=c))) for c in (criterion, Criterion.A))
+    own, other = (
+        value(solved(two_link, table, replace(options, criterion=c)))
+        for c in (criterion, Criterion.A)
+    )
     sign = -1.0 if criterion in criteria.MAXIMISED else 1.0
-    assert sign * criteria.pick(own, criterion, plain=False) < sign * criteria.pick(other, criterion, plain=False)
+    assert sign * criteria.pick(own, criterion, plain=False) < sign * criteria.pick(
+        other, criterion, plain=False
+    )
 
 
 def test_the_objective_of_an_attempt_is_its_criterions_logarithm(two_link, table):
@@ -82,7 +97,9 @@ def test_the_objective_of_an_attempt_is_its_criterions_logarithm(two_link, table
 
 def test_more_starts_are_ranked_the_best_first(two_link, table):
     attempts = solved(two_link, table, replace(QUICK, starts=3, iterations=10)).attempts
-    assert [a.objective for a in attempts] == sorted(a.objective for a in attempts) and {a.number for a in attempts} == {0, 1, 2}
+    assert [a.objective for a in attempts] == sorted(a.objective for a in attempts) and {
+        a.number for a in attempts
+    } == {0, 1, 2}
 
 
 def test_one_seed_gives_one_result(two_link, table):
@@ -92,23 +109,34 @@ def test_one_seed_gives_one_result(two_link, table):
 
 def test_a_robot_of_one_joint_can_be_designed_for():
     robot = load("two_link", joints=["joint_1"])
-    assert workflow.run(robot, resolve(robot), replace(QUICK, iterations=10)).certificate.ok
+    assert pipeline.run(robot, resolve(robot), replace(QUICK, iterations=10)).certificate.ok
 
 
 def test_another_seed_gives_another_start(two_link, table):
-    first, second = (solved(two_link, table, replace(QUICK, seed=s, iterations=1)).motion for s in (0, 1))
+    first, second = (
+        solved(two_link, table, replace(QUICK, seed=s, iterations=1)).motion for s in (0, 1)
+    )
     assert not np.allclose(first.sine, second.sine)
 
 
 def test_the_number_of_processes_does_not_matter(two_link, table):
     one, two = (solved(two_link, table, replace(QUICK, starts=2, jobs=jobs)) for jobs in (1, 2))
-    assert all(np.array_equal(a.motion.sine, b.motion.sine) for a, b in zip(one.attempts, two.attempts, strict=True))
+    assert all(
+        np.array_equal(a.motion.sine, b.motion.sine)
+        for a, b in zip(one.attempts, two.attempts, strict=True)
+    )
 
 
 def test_timing_says_when_it_became_feasible_and_good(two_link, table):
-    timing = workflow.run(two_link, table, QUICK).timing
+    timing = pipeline.run(two_link, table, QUICK).timing
     assert set(timing) == {"build", "first_feasible", "within_1_percent", "solve", "total"}
-    assert 0 < timing["first_feasible"] <= timing["within_1_percent"] <= timing["solve"] < timing["total"]
+    assert (
+        0
+        < timing["first_feasible"]
+        <= timing["within_1_percent"]
+        <= timing["solve"]
+        < timing["total"]
+    )
 
 
 # -- each limit binds ----------------------------------------------------------------------------------------------
@@ -138,17 +166,21 @@ def excess(kind: str, found: Design, bound: np.ndarray) -> float:
 @pytest.mark.parametrize("kind", TIGHT)
 def test_without_a_limit_the_optimum_breaks_it(two_link, table, kind):
     free = solved(two_link, loose(table), CERTAIN)
-    bound = workflow.run(two_link, replace(loose(table), **{kind: TIGHT[kind]}), CERTAIN).design
+    bound = pipeline.run(two_link, replace(loose(table), **{kind: TIGHT[kind]}), CERTAIN).design
     assert excess(kind, free, TIGHT[kind]) > 1.1
     assert 0.5 < excess(kind, bound, TIGHT[kind]) <= 1.0
 
 
 def test_without_a_box_the_optimum_leaves_it(two_link, table):
     def lowest(found):
-        return dynamics.positions(two_link, "tip", found.motion.at(found.motion.grid(2001)))[:, 2].min()
+        return dynamics.positions(two_link, "tip", found.motion.at(found.motion.grid(2001)))[
+            :, 2
+        ].min()
 
     assert lowest(solved(two_link, table, CERTAIN)) < -0.2
-    assert 0.0 <= lowest(workflow.run(two_link, table, replace(CERTAIN, boxes=(ABOVE,))).design) < 0.1
+    assert (
+        0.0 <= lowest(pipeline.run(two_link, table, replace(CERTAIN, boxes=(ABOVE,))).design) < 0.1
+    )
 
 
 def test_without_braking_the_optimum_is_too_fast_near_the_stops():
@@ -163,12 +195,14 @@ def test_without_braking_the_optimum_is_too_fast_near_the_stops():
         over = []
         for j, brake in enumerate(limits.braking):
             for s, stop in ((1, brake.stop[1]), (-1, brake.stop[0])):
-                allowed = -brake.offset + np.sqrt(np.maximum(brake.rate * s * (stop - q[:, j]), 0.0))
+                allowed = -brake.offset + np.sqrt(
+                    np.maximum(brake.rate * s * (stop - q[:, j]), 0.0)
+                )
                 over.append(np.max(s * dq[:, j] - np.maximum(allowed, 0.0)))
         return max(over)
 
     assert near(solved(robot, free, options)) > 0.05
-    assert near(workflow.run(robot, replace(free, braking=limits.braking), options).design) <= 0.0
+    assert near(pipeline.run(robot, replace(free, braking=limits.braking), options).design) <= 0.0
 
 
 def test_an_uncertain_robot_keeps_further_from_its_torque_limit(two_link, table):
@@ -182,23 +216,35 @@ def test_an_uncertain_robot_keeps_further_from_its_torque_limit(two_link, table)
 
 @pytest.mark.parametrize("criterion", [Criterion.A, Criterion.D, Criterion.E, Criterion.COND])
 def test_geometric_optimum_is_the_same_in_other_link_frames(criterion):
-    text = text_of("two_link").replace('name="tip"', 'name="end"').replace('link="tip"', 'link="end"')
+    text = (
+        text_of("two_link").replace('name="tip"', 'name="end"').replace('link="tip"', 'link="end"')
+    )
     robots = loaded(text), loaded(reframed(text, np.random.default_rng(3)))
-    one, other = (solved(r, resolve(r), replace(QUICK, criterion=criterion, iterations=15)) for r in robots)
-    assert np.exp(other.attempts[0].objective - one.attempts[0].objective) == pytest.approx(1.0, abs=1e-6)
+    one, other = (
+        solved(r, resolve(r), replace(QUICK, criterion=criterion, iterations=15)) for r in robots
+    )
+    assert np.exp(other.attempts[0].objective - one.attempts[0].objective) == pytest.approx(
+        1.0, abs=1e-6
+    )
 
 
 def test_information_already_there_changes_what_is_asked_for(two_link, table):
-    setting = design.prepare(two_link, table, QUICK)
-    only_second = Fourier(np.diag([0.0, 1.0]) @ np.full((2, 3), 0.8), np.zeros((2, 3)), np.zeros(2), 2.0)
-    Y = dynamics.regressor(two_link, setting.problem.parameters, only_second.samples(only_second.grid(400)))
+    setting = optimize.prepare(two_link, table, QUICK)
+    only_second = Fourier(
+        np.diag([0.0, 1.0]) @ np.full((2, 3), 0.8), np.zeros((2, 3)), np.zeros(2), 2.0
+    )
+    Y = dynamics.regressor(
+        two_link, setting.problem.parameters, only_second.samples(only_second.grid(400))
+    )
     there = 10.0 * criteria.standard_information(Y, setting.noise)
     alone, together = solved(two_link, table), solved(two_link, table, given=there)
 
     def with_given(found):
         p = found.setting.problem
         Y = dynamics.regressor(two_link, p.parameters, found.motion.samples(found.motion.grid(400)))
-        return criteria.score(Y, found.setting.base, found.setting.noise, there / 400)["geometric"]["a"]
+        return criteria.score(Y, found.setting.base, found.setting.noise, there / 400)["geometric"][
+            "a"
+        ]
 
     assert with_given(together) < 0.999 * with_given(alone)
 
@@ -210,7 +256,10 @@ def test_an_optimised_period_is_whole_samples_and_near_its_bounds(two_link, tabl
 
 
 def test_a_longer_period_that_is_allowed_is_used(two_link, table):
-    fixed, free = solved(two_link, table), solved(two_link, table, replace(QUICK, free_period=(2.0, 6.0), iterations=60))
+    fixed, free = (
+        solved(two_link, table),
+        solved(two_link, table, replace(QUICK, free_period=(2.0, 6.0), iterations=60)),
+    )
     assert value(free)["geometric"]["a"] < value(fixed)["geometric"]["a"]
 
 
@@ -219,14 +268,25 @@ def test_a_longer_period_that_is_allowed_is_used(two_link, table):
 
 def test_torque_below_gravity_is_unusable_and_names_the_joint():
     parts = link("base"), link("column", 1.0), link("cart", 5.0)
-    robot = loaded(document(*parts, joint("turn", "base", "column"), joint("lift", "column", "cart", "prismatic")))
-    with pytest.raises(UnusableInput, match=r"'lift': gravity asks .* times its torque limit .* raise the limit or lighten the payload"):
+    robot = loaded(
+        document(
+            *parts, joint("turn", "base", "column"), joint("lift", "column", "cart", "prismatic")
+        )
+    )
+    with pytest.raises(
+        UnusableInput,
+        match=r"'lift': gravity asks .* times its torque limit .* raise the limit or lighten the payload",
+    ):
         solved(robot, resolve(robot))
 
 
 def test_torque_below_gravity_wherever_the_limits_let_the_arm_be_is_unusable(two_link, table):
-    weak = replace(table, torque=np.array([5.0, 20.0]), position=np.array([[-0.4, 0.4], [-0.4, 0.4]]))
-    with pytest.raises(UnusableInput, match=r"'joint_1': gravity asks .* raise the limit or lighten the payload"):
+    weak = replace(
+        table, torque=np.array([5.0, 20.0]), position=np.array([[-0.4, 0.4], [-0.4, 0.4]])
+    )
+    with pytest.raises(
+        UnusableInput, match=r"'joint_1': gravity asks .* raise the limit or lighten the payload"
+    ):
         solved(two_link, weak)
 
 
@@ -239,7 +299,9 @@ def test_a_box_out_of_reach_is_infeasible_and_named(two_link, table):
 def test_a_box_that_fights_the_position_limits_is_infeasible(two_link, table):
     ahead = replace(table, position=np.array([[-0.2, 0.2], [-0.2, 0.2]]))
     behind = Box("tip", (-0.9, -0.1, -0.5), (-0.3, 0.1, 0.5))
-    with pytest.raises(Infeasible, match=r"fights the others .*; widen the box or the position limits"):
+    with pytest.raises(
+        Infeasible, match=r"fights the others .*; widen the box or the position limits"
+    ):
         solved(two_link, ahead, replace(QUICK, boxes=(behind,)))
 
 
@@ -271,21 +333,31 @@ def test_options_that_contradict_themselves_are_refused(two_link, table, changes
 
 
 def test_a_start_pose_outside_its_limits_is_refused_with_the_joint(two_link, table):
-    with pytest.raises(UnusableInput, match=r"start pose: joint 'joint_2' at 9 is outside \[-2.6, 2.6\]"):
-        workflow.run(two_link, table, QUICK, start=np.array([0.0, 9.0]))
+    with pytest.raises(
+        UnusableInput, match=r"start pose: joint 'joint_2' at 9 is outside \[-2.6, 2.6\]"
+    ):
+        pipeline.run(two_link, table, QUICK, start=np.array([0.0, 9.0]))
 
 
 def test_a_motion_that_fails_its_certificate_is_not_delivered(two_link, table, monkeypatch):
-    original = workflow.verify.verify
-    monkeypatch.setattr(workflow.verify, "verify", lambda *a, **k: replace(original(*a, **k), faults=("it wobbles",)))
+    original = pipeline.verify.verify
+    monkeypatch.setattr(
+        pipeline.verify,
+        "verify",
+        lambda *a, **k: replace(original(*a, **k), faults=("it wobbles",)),
+    )
     with pytest.raises(CheckFailed, match="it wobbles; try another --seed or --force"):
-        workflow.run(two_link, table, replace(QUICK, iterations=5))
+        pipeline.run(two_link, table, replace(QUICK, iterations=5))
 
 
 def test_a_forced_motion_says_so(two_link, table, monkeypatch):
-    original = workflow.verify.verify
-    monkeypatch.setattr(workflow.verify, "verify", lambda *a, **k: replace(original(*a, **k), faults=("it wobbles",)))
-    assert workflow.run(two_link, table, replace(QUICK, iterations=5), force=True).trajectory.forced
+    original = pipeline.verify.verify
+    monkeypatch.setattr(
+        pipeline.verify,
+        "verify",
+        lambda *a, **k: replace(original(*a, **k), faults=("it wobbles",)),
+    )
+    assert pipeline.run(two_link, table, replace(QUICK, iterations=5), force=True).trajectory.forced
 
 
 @pytest.mark.parametrize(
@@ -295,12 +367,14 @@ def test_a_forced_motion_says_so(two_link, table, monkeypatch):
 )
 def test_options_that_make_no_sense_are_refused(two_link, table, change):
     with pytest.raises(UnusableInput):
-        design.prepare(two_link, table, replace(QUICK, **change))
+        optimize.prepare(two_link, table, replace(QUICK, **change))
 
 
 def test_information_without_noise_cannot_be_given(two_link, table):
     with pytest.raises(UnusableInput, match="cond_regressor"):
-        design.prepare(two_link, table, replace(QUICK, criterion=Criterion.COND_REGRESSOR), np.eye(100))
+        optimize.prepare(
+            two_link, table, replace(QUICK, criterion=Criterion.COND_REGRESSOR), np.eye(100)
+        )
 
 
 def test_an_optimised_period_stays_within_its_bounds(two_link, table):
@@ -311,7 +385,7 @@ def test_an_optimised_period_stays_within_its_bounds(two_link, table):
 
 def test_a_joint_without_position_limits_has_no_rows_for_them(recwarn):
     machine = loaded(pendulum('<limit velocity="3" effort="40"/>', "continuous"))
-    setting = design.prepare(machine, resolve(machine), replace(QUICK, period=2.0))
+    setting = optimize.prepare(machine, resolve(machine), replace(QUICK, period=2.0))
     assert Evaluator(setting.problem).kinds == ("velocity", "torque")
     assert not recwarn.list
 
@@ -319,7 +393,7 @@ def test_a_joint_without_position_limits_has_no_rows_for_them(recwarn):
 @pytest.mark.parametrize("start", [np.zeros(1), np.array([np.nan, 0.0])])
 def test_a_start_pose_that_is_none_is_refused(two_link, table, start):
     with pytest.raises(UnusableInput, match="start pose"):
-        workflow.run(two_link, table, QUICK, start=start)
+        pipeline.run(two_link, table, QUICK, start=start)
 
 
 def test_a_motion_that_starts_far_from_every_limit_is_improved():

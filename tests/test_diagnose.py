@@ -14,18 +14,21 @@ from scipy import signal
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
 
-from excite import cli
-from excite.diagnose import belief, diagnosis, interval
-from excite.diagnose.catalogue import BY_NAME, EFFECTS
-from excite.diagnose.diagnosis import Diagnosis, Options
-from excite.diagnose.document import document
+from excite.cli import main as main_module
+from excite.diagnosis import belief, diagnosis, interval
+from excite.diagnosis.diagnosis import Diagnosis, Options
+from excite.diagnosis.diagnosis_file import document
+from excite.effects import BY_NAME, EFFECTS
 from excite.errors import UnusableInput
-from excite.identify.equations import Model
+from excite.identification.regression import Model
 from excite.recordings import Recording
-from excite.trajectory import Fourier, Samples
+from excite.robot.samples import Samples
+from excite.trajectory.fourier import Fourier
 
 Array = np.ndarray
-Plant = Callable[[Array, Array, Array, Array], Array]  # t, q, dq, tau -> torque added to the recording
+Plant = Callable[
+    [Array, Array, Array, Array], Array
+]  # t, q, dq, tau -> torque added to the recording
 
 
 def recordings_of(subject: Model, plant: Plant | None) -> tuple[Recording, Recording]:
@@ -66,12 +69,23 @@ def shaft(speed: Array) -> Array:
 
 PLANTED: dict[str, tuple[Plant, int | None]] = {
     "asymmetric_viscous": (lambda t, q, dq, tau: on(1, 0.35 * np.abs(dq[:, 1])), 1),
-    "stribeck": (lambda t, q, dq, tau: on(0, 1.5 * np.tanh(dq[:, 0] / WIDTH) * np.exp(-((np.abs(dq[:, 0]) / 0.12) ** 2))), 0),
+    "stribeck": (
+        lambda t, q, dq, tau: on(
+            0, 1.5 * np.tanh(dq[:, 0] / WIDTH) * np.exp(-((np.abs(dq[:, 0]) / 0.12) ** 2))
+        ),
+        0,
+    ),
     "torque_ripple": (lambda t, q, dq, tau: on(1, 0.5 * np.cos(23.0 * q[:, 1] + 0.4)), 1),
     "spring": (lambda t, q, dq, tau: on(1, 1.7 * q[:, 1]), 1),
-    "position_friction": (lambda t, q, dq, tau: on(0, 0.8 * np.tanh(dq[:, 0] / WIDTH) * np.cos(2.0 * q[:, 0] + 1.0)), 0),
+    "position_friction": (
+        lambda t, q, dq, tau: on(0, 0.8 * np.tanh(dq[:, 0] / WIDTH) * np.cos(2.0 * q[:, 0] + 1.0)),
+        0,
+    ),
     "coupling": (lambda t, q, dq, tau: on(0, shaft(dq[:, 0] - 0.7 * dq[:, 1])), 0),
-    "delay": (lambda t, q, dq, tau: np.column_stack([np.interp(t - 0.006, t, c) for c in tau.T]) - tau, None),
+    "delay": (
+        lambda t, q, dq, tau: np.column_stack([np.interp(t - 0.006, t, c) for c in tau.T]) - tau,
+        None,
+    ),
 }
 
 
@@ -100,7 +114,11 @@ class Paused(Fourier):
         speed *= self.period / np.trapezoid(speed, pace)
         clock = CubicSpline(pace, cumulative_trapezoid(speed, pace, initial=0.0))
         turns, within = np.divmod(t, self.period)
-        s, rate, change = clock(within) + turns * self.period, clock(within, 1)[:, None], clock(within, 2)[:, None]
+        s, rate, change = (
+            clock(within) + turns * self.period,
+            clock(within, 1)[:, None],
+            clock(within, 2)[:, None],
+        )
         along = super().samples(s)
         return Samples(along.q, along.dq * rate, along.ddq * rate**2 + along.dq * change)
 
@@ -114,8 +132,12 @@ def test_what_holds_a_joint_at_rest_is_no_mismatch(subject):
         s = paused.samples(one.t)
         still = np.abs(s.dq).max(axis=1, keepdims=True) < 1e-3
         assert still.mean() > 0.1
-        pair.append(dataclasses.replace(one, tau=one.torque + 4.0 * still, source=f"{seed}.csv"))  # what sticks pushes back
-    result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [pair[0]], [pair[1]])
+        pair.append(
+            dataclasses.replace(one, tau=one.torque + 4.0 * still, source=f"{seed}.csv")
+        )  # what sticks pushes back
+    result = diagnosis.diagnose(
+        subject.robot, subject.parameters, subject.base, [pair[0]], [pair[1]]
+    )
     assert not result.verdict.chosen and not result.unknown
     assert np.all(result.moves.mean(axis=0) < 0.9) and np.all(result.after < 1.3 * 0.1)
 
@@ -138,16 +160,22 @@ def slips(q: Array, ways: Array) -> Array:
 def test_friction_whose_springs_slip_one_after_the_other_is_hysteresis_and_nothing_else(subject):
     ways = np.geomspace(0.004, 0.2, 9)
     result = found(subject, lambda t, q, dq, tau: on(1, 4.0 * slips(q[:, 1], ways)))
-    assert [(h.effect, h.joint) for h in result.verdict.chosen] == [("hysteresis", 1)] and not result.unknown
+    assert [(h.effect, h.joint) for h in result.verdict.chosen] == [
+        ("hysteresis", 1)
+    ] and not result.unknown
     told = interval.finding_parameters(result.design, result.verdict, 0)
     for key, truth in (("amplitude", 4.0), ("stiffness", 4.0 * float((1.0 / ways).mean()))):
         value, std = told[key]
         assert abs(value - truth) < 2.0 * std < 2.0 * truth
-    assert told["stiffness"][1] > 0.45 * told["stiffness"][0]  # what slips sooner than the first would look the same
+    assert (
+        told["stiffness"][1] > 0.45 * told["stiffness"][0]
+    )  # what slips sooner than the first would look the same
 
 
 @pytest.mark.parametrize(("after", "unknown"), [(2.0, []), (6.0, [0, 1])])
-def test_what_a_finding_does_not_foretell_is_unknown_though_fitted_it_takes_nearly_all(subject, after, unknown):
+def test_what_a_finding_does_not_foretell_is_unknown_though_fitted_it_takes_nearly_all(
+    subject, after, unknown
+):
     result = found(subject, PLANTED["spring"][0])
     said = dataclasses.replace(
         result,
@@ -165,11 +193,15 @@ def test_an_encoder_off_its_centre_is_told_by_its_first_wave(subject):
         angle, q = 2.0 * one.q[:, 1] + 0.4, one.q.copy()
         q[:, 1] += 0.02 * (np.sin(angle) + 0.4 * np.sin(2.0 * angle))
         misread.append(dataclasses.replace(one, q=q))
-    result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, misread[:1], misread[1:])
+    result = diagnosis.diagnose(
+        subject.robot, subject.parameters, subject.base, misread[:1], misread[1:]
+    )
     (finding,) = result.verdict.findings
     assert (finding.main.effect, finding.main.joint) == ("encoder_error", 1)
     values = interval.finding_parameters(result.design, result.verdict, 0)
-    assert values["order"][0] == pytest.approx(2.0, rel=0.1) and values["amplitude"][0] == pytest.approx(0.02, rel=0.2)
+    assert values["order"][0] == pytest.approx(2.0, rel=0.1) and values["amplitude"][
+        0
+    ] == pytest.approx(0.02, rel=0.2)
     assert np.all(result.after < 0.5 * result.before)
 
 
@@ -185,25 +217,39 @@ def test_a_ripple_is_told_with_its_multiples_and_slight_orders_beside_strong_one
     def cogging(t: Array, q: Array, dq: Array, tau: Array) -> Array:
         angle = 19.0 * q[:, 1]
         return on(
-            1, 2.0 * np.cos(angle) + 0.5 * np.cos(2.0 * angle + 0.4) + 0.15 * np.cos(3.0 * angle + 1.0) + 0.3 * np.cos(27.0 * q[:, 1])
+            1,
+            2.0 * np.cos(angle)
+            + 0.5 * np.cos(2.0 * angle + 0.4)
+            + 0.15 * np.cos(3.0 * angle + 1.0)
+            + 0.3 * np.cos(27.0 * q[:, 1]),
         )
 
     result = found(subject, cogging)
     (finding,) = result.verdict.findings
     told = [result.design.shapes[part.shape].values for part in finding.parts]
     assert (
-        finding.main.effect == "torque_ripple" and told[0]["order"] == pytest.approx(19.0, rel=1e-3) and {"twice", "thrice"} <= set(told[0])
+        finding.main.effect == "torque_ripple"
+        and told[0]["order"] == pytest.approx(19.0, rel=1e-3)
+        and {"twice", "thrice"} <= set(told[0])
     )
     assert any(one["order"] == pytest.approx(27.0, rel=5e-3) for one in told)
-    assert interval.finding_parameters(result.design, result.verdict, 0)["amplitude"][0] == pytest.approx(2.0, rel=0.02)
+    assert interval.finding_parameters(result.design, result.verdict, 0)["amplitude"][
+        0
+    ] == pytest.approx(2.0, rel=0.02)
     assert np.all(result.after < 1.4 * result.floor)
 
 
 def test_what_only_a_doubted_name_foresees_is_unknown(subject, monkeypatch):
     monkeypatch.setattr(belief, "ASSERTED", 0.995)  # nothing is sure enough to be named
     result = found(subject, PLANTED["stribeck"][0])
-    assert not result.verdict.findings and [f.main.effect for f in result.verdict.doubted] == ["stribeck"]
-    assert result.unknown == [0] and result.name == "unexplained" and result.doubted[0] > result.floor[0]
+    assert not result.verdict.findings and [f.main.effect for f in result.verdict.doubted] == [
+        "stribeck"
+    ]
+    assert (
+        result.unknown == [0]
+        and result.name == "unexplained"
+        and result.doubted[0] > result.floor[0]
+    )
     (stated,) = document(result)["unknown"]
     assert "likest to stribeck" in stated["where"]["statement"]
 
@@ -216,15 +262,21 @@ def test_a_coupling_takes_energy_whichever_way_the_other_joint_turns_the_shaft(s
 
         result = found(subject, plant)
         (one,) = result.verdict.chosen
-        assert one.effect == "coupling" and result.design.shapes[one.shape].values["ratio"] == pytest.approx(ratio, rel=0.02)
+        assert one.effect == "coupling" and result.design.shapes[one.shape].values[
+            "ratio"
+        ] == pytest.approx(ratio, rel=0.02)
         told = interval.finding_parameters(result.design, result.verdict, 0)
-        assert told["coulomb"][0] == pytest.approx(0.9, rel=0.05) and told["viscous"][0] == pytest.approx(0.2, rel=0.05)  # the shaft's own
+        assert told["coulomb"][0] == pytest.approx(0.9, rel=0.05) and told["viscous"][
+            0
+        ] == pytest.approx(0.2, rel=0.05)  # the shaft's own
         assert not result.design.shapes[one.shape].plausible(-one.trial.coefficients)
 
 
 def test_a_spring_that_stiffens_is_no_ripple(subject):
     """A stop of rubber, met at one end of the range."""
-    result = found(subject, lambda t, q, dq, tau: on(1, 1.5 * q[:, 1] + 12.0 * np.maximum(q[:, 1] - 0.5, 0.0)))
+    result = found(
+        subject, lambda t, q, dq, tau: on(1, 1.5 * q[:, 1] + 12.0 * np.maximum(q[:, 1] - 0.5, 0.0))
+    )
     assert [(h.effect, h.joint) for h in result.verdict.chosen] == [("spring", 1)]
     q = np.concatenate([one.fine.q[:, 1] for half in result.tracks for one in half])
     grid = np.linspace(q.min(), q.max(), 400)
@@ -259,8 +311,12 @@ def test_a_trusted_prior_shows_what_a_refit_absorbs(subject):
     plant: Plant = lambda t, q, dq, tau: on(1, np.full(len(t), 1.0))  # noqa: E731
     assert not found(subject, plant).verdict.chosen
     result = found(subject, plant, trusted=trusted)
-    assert result.verdict.chosen[0].effect == "torque_offset" and result.verdict.chosen[0].joint == 1
-    assert interval.finding_parameters(result.design, result.verdict, 0)["offset"][0] == pytest.approx(1.0, rel=0.05)
+    assert (
+        result.verdict.chosen[0].effect == "torque_offset" and result.verdict.chosen[0].joint == 1
+    )
+    assert interval.finding_parameters(result.design, result.verdict, 0)["offset"][
+        0
+    ] == pytest.approx(1.0, rel=0.05)
 
 
 def test_the_catalogue_is_the_contracts():
@@ -271,7 +327,11 @@ def test_the_catalogue_is_the_contracts():
 
 
 def test_every_shape_gives_finite_columns_and_named_parameters(subject):
-    result = found(subject, PLANTED["spring"][0], trusted=dict(enumerate(perturbed(subject.parameters, np.random.default_rng(4)).tolist())))
+    result = found(
+        subject,
+        PLANTED["spring"][0],
+        trusted=dict(enumerate(perturbed(subject.parameters, np.random.default_rng(4)).tolist())),
+    )
     seen = {shape.effect for shape in result.design.shapes}
     assert seen >= set(EFFECT_NAMES) - {"contact", "kinematic_error"}
     for shape, place in zip(result.design.shapes, result.design.places, strict=True):
@@ -281,11 +341,27 @@ def test_every_shape_gives_finite_columns_and_named_parameters(subject):
 
 def test_the_document_is_the_contracts(subject):
     stated = json.loads(json.dumps(document(found(subject, PLANTED["stribeck"][0]))))
-    assert stated["schema"] == "excite.diagnosis/1" and stated["verdict"] in ("explained", "partly-explained")
+    assert stated["schema"] == "excite.diagnosis/1" and stated["verdict"] in (
+        "explained",
+        "partly-explained",
+    )
     (one,) = stated["findings"]
-    assert one["effect"] == "stribeck" and one["joint"] == "joint_1" and 0.5 <= one["probability"] <= 1.0
-    assert set(one["parameters"]) == {"amplitude", "velocity"} and one["parameters"]["amplitude"]["unit"] == "N m"
-    assert set(stated["joints"]["joint_1"]) >= {"noise_floor", "noise_floor_method", "rmse_before", "rmse_after", "unexplained_share"}
+    assert (
+        one["effect"] == "stribeck"
+        and one["joint"] == "joint_1"
+        and 0.5 <= one["probability"] <= 1.0
+    )
+    assert (
+        set(one["parameters"]) == {"amplitude", "velocity"}
+        and one["parameters"]["amplitude"]["unit"] == "N m"
+    )
+    assert set(stated["joints"]["joint_1"]) >= {
+        "noise_floor",
+        "noise_floor_method",
+        "rmse_before",
+        "rmse_after",
+        "unexplained_share",
+    }
     assert stated["band_hz"] == 20.0 and stated["considered"]
 
 
@@ -293,28 +369,48 @@ def test_the_command_and_what_it_refuses(subject, tmp_path, capsys):
     train, held_out = recordings_of(subject, PLANTED["asymmetric_viscous"][0])
     first, second = written(train, tmp_path / "a.csv"), written(held_out, tmp_path / "b.csv")
     go = ["diagnose", "two_link", str(first), "-o", str(tmp_path / "out")]
-    assert cli.main([*go, "--validate", str(second)]) == 0
+    assert main_module.main([*go, "--validate", str(second)]) == 0
     assert "asymmetric_viscous" in capsys.readouterr().out
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"diagnosis.json", "model.json", "report.html"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        "diagnosis.json",
+        "model.json",
+        "report.html",
+    }
     (effect,) = json.loads((tmp_path / "out" / "model.json").read_text())["effects"]
     assert effect["effect"] == "asymmetric_viscous"
-    assert cli.main(["predict", str(tmp_path / "out" / "model.json"), str(second), "-o", str(tmp_path / "torque.csv")]) == 0
+    assert (
+        main_module.main(
+            [
+                "predict",
+                str(tmp_path / "out" / "model.json"),
+                str(second),
+                "-o",
+                str(tmp_path / "torque.csv"),
+            ]
+        )
+        == 0
+    )
     predicted = np.loadtxt(tmp_path / "torque.csv", delimiter=",", skiprows=1)[:, 1:]
     slow = signal.butter(4, 12.0, fs=held_out.rate, output="sos")
     left = signal.sosfiltfilt(slow, held_out.tau - predicted, axis=0)[300:-300]
-    assert (np.sqrt(np.mean(left**2, axis=0)) < 0.05).all()  # of white noise of 0.1 N m 0.022 are that slow
+    assert (
+        np.sqrt(np.mean(left**2, axis=0)) < 0.05
+    ).all()  # of white noise of 0.1 N m 0.022 are that slow
     for words, part in (
         ([], "--validate"),
         (["--validate", str(first)], "same motion"),
         (["--validate", str(tmp_path / "no.csv")], "no.csv"),
     ):
-        assert cli.main([*go[:-1], str(tmp_path / "none"), *words]) == 2
+        assert main_module.main([*go[:-1], str(tmp_path / "none"), *words]) == 2
         assert part in capsys.readouterr().err
     assert not (tmp_path / "none").exists()
 
 
 def test_a_recording_too_short_is_refused(subject):
     train, held_out = recordings_of(subject, None)
-    short = dataclasses.replace(held_out.between(0.0, 0.6), sidecar=dataclasses.replace(held_out.sidecar, period=None, periodic=None))
+    short = dataclasses.replace(
+        held_out.between(0.0, 0.6),
+        sidecar=dataclasses.replace(held_out.sidecar, period=None, periodic=None),
+    )
     with pytest.raises(UnusableInput, match=r"short|stretch"):
         diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [short])

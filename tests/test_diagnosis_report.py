@@ -14,13 +14,13 @@ import pytest
 from made import WIDTH, motion, perturbed, recorded, two_links
 from test_report import answer, check_page, section
 
-from excite.diagnose import atlas, diagnosis
-from excite.diagnose.diagnosis import Diagnosis
-from excite.diagnose.document import document
+from excite.diagnosis import diagnosis, residual_atlas
+from excite.diagnosis.diagnosis import Diagnosis
+from excite.diagnosis.diagnosis_file import document
 from excite.recordings import Kind, Recording, Remark
 from excite.report import diagnosis as pages
 from excite.report import diagnosis_page
-from excite.report.atlas_figures import plain, probability
+from excite.report.figures.residual_atlas import plain, probability
 
 QUESTIONS = {
     "missing": "Is anything missing?",
@@ -34,13 +34,15 @@ QUESTIONS = {
 
 
 def drawn(one: Diagnosis, stated: dict[str, Any], remarks: Sequence[Remark] = ()) -> str:
-    return diagnosis_page(one, stated, atlas.look(one), remarks)
+    return diagnosis_page(one, stated, residual_atlas.look(one), remarks)
 
 
 def noisy(one: Recording, seed: int) -> Recording:
     """With noise of its own: what is the same in two recordings can be foreseen."""
     assert one.tau is not None
-    return dataclasses.replace(one, tau=one.tau + 0.1 * np.random.default_rng(10 + seed).normal(size=one.tau.shape))
+    return dataclasses.replace(
+        one, tau=one.tau + 0.1 * np.random.default_rng(10 + seed).normal(size=one.tau.shape)
+    )
 
 
 @cache
@@ -52,10 +54,14 @@ def found(amplitude: float) -> Diagnosis:
     for seed, name in ((1, "train.csv"), (2, "validate.csv")):
         one = noisy(recorded(model, psi, motion(2, seed), 3.0, 0.0), seed)
         dq = np.gradient(one.q, 1.0 / one.rate, axis=0)[:, 1]
-        extra = np.column_stack([0.0 * dq, amplitude * np.exp(-((dq / 0.3) ** 2)) * np.tanh(dq / WIDTH)])
+        extra = np.column_stack(
+            [0.0 * dq, amplitude * np.exp(-((dq / 0.3) ** 2)) * np.tanh(dq / WIDTH)]
+        )
         both.append(dataclasses.replace(one, source=name, tau=one.tau + extra))
     options = diagnosis.Options(names=("stribeck", "drag", "asymmetric_viscous", "delay", "spring"))
-    return diagnosis.diagnose(model.robot, model.parameters, model.base, both[:1], both[1:], options)
+    return diagnosis.diagnose(
+        model.robot, model.parameters, model.base, both[:1], both[1:], options
+    )
 
 
 @cache
@@ -79,14 +85,22 @@ def ringing() -> Diagnosis:
 
 def test_what_no_name_takes_is_drawn_over_what_foresees_it() -> None:
     one = ringing()
-    assert one.unknown == [1] and one.name == "unexplained" and one.fitted[1][1] < 1.6 * one.quiet[1]
+    assert (
+        one.unknown == [1] and one.name == "unexplained" and one.fitted[1][1] < 1.6 * one.quiet[1]
+    )
     stated = document(one)
     (unknown,) = stated["unknown"]
-    assert unknown["joint"] == "joint_2" and unknown["where"]["regime"].startswith("past") and "sharp stop" in unknown["experiment"]
+    assert (
+        unknown["joint"] == "joint_2"
+        and unknown["where"]["regime"].startswith("past")
+        and "sharp stop" in unknown["experiment"]
+    )
     json.loads(json.dumps(stated["unknown"], allow_nan=False))
     text = drawn(one, stated)
     check_page(text)
-    assert "Left without a name" in section(text, "what") and "What is left without a name, over what foresees it" in section(text, "what")
+    assert "Left without a name" in section(
+        text, "what"
+    ) and "What is left without a name, over what foresees it" in section(text, "what")
     assert "joint_2" in answer(text, "what") and unknown["experiment"] in section(text, "next")
 
 
@@ -100,13 +114,21 @@ def test_what_held_out_recordings_refute_is_told() -> None:
 def test_what_the_health_check_did_to_the_recordings_is_told() -> None:
     one = found(0.0)
     assert "the health check had nothing to remark" in answer(page(0.0), "made")
-    text = drawn(one, document(one), remarks=[Remark(Kind.WAVER, "read 0.05 ms off their stamps", repaired=True)])
-    assert "the health check had 1 remark" in answer(text, "made") and "read 0.05 ms off their stamps" in section(text, "made")
+    text = drawn(
+        one,
+        document(one),
+        remarks=[Remark(Kind.WAVER, "read 0.05 ms off their stamps", repaired=True)],
+    )
+    assert "the health check had 1 remark" in answer(
+        text, "made"
+    ) and "read 0.05 ms off their stamps" in section(text, "made")
 
 
 def test_what_is_foreseen_is_no_noise_though_it_never_repeats() -> None:
     one = ringing()
-    loud = dataclasses.replace(one, floor=one.floor * [1.0, 1.5], quiet=one.quiet * [1.0, 1.5])  # as if periods differed by it
+    loud = dataclasses.replace(
+        one, floor=one.floor * [1.0, 1.5], quiet=one.quiet * [1.0, 1.5]
+    )  # as if periods differed by it
     assert loud.unknown == [1]
     (unknown,) = document(loud)["unknown"]
     assert unknown["share"] >= loud.sights[1].share
@@ -133,11 +155,15 @@ def test_it_stands_alone_and_answers_every_question(amplitude: float) -> None:
 def test_a_finding_is_told_with_its_parameters_and_its_picture() -> None:
     text, stated = page(2.0), document(found(2.0))
     first = stated["findings"][0]
-    assert (first["effect"], first["joint"]) == ("stribeck", "joint_2") and first["evidence"]["p_value"] is None
-    looked = document(found(2.0), atlas.look(found(2.0)))["findings"][0]
+    assert (first["effect"], first["joint"]) == ("stribeck", "joint_2") and first["evidence"][
+        "p_value"
+    ] is None
+    looked = document(found(2.0), residual_atlas.look(found(2.0)))["findings"][0]
     assert looked["evidence"]["p_value"] < 0.01
     assert answer(text, "what").startswith("Stribeck at joint_2")
-    assert "amplitude" in section(text, "what") and "95 % interval" in section(text, "what").replace("\u00a0", " ")
+    assert "amplitude" in section(text, "what") and "95 % interval" in section(
+        text, "what"
+    ).replace("\u00a0", " ")
     assert first["experiment"] in section(text, "next")
     assert "joint_2 against speed" in answer(text, "where")
     assert answer(text, "better").startswith("Yes")
@@ -148,7 +174,9 @@ def test_the_interval_of_a_size_ends_at_zero() -> None:
     first = document(found(2.0))["findings"][0]
     told = {"value": 0.1, "std": 0.1, "unit": ""}
     assert ">0 … 0.296<" in pages._finding({**first, "parameters": {"velocity": told}})
-    assert "0 … 0.296" not in pages._finding({**first, "effect": "spring", "parameters": {"stiffness": told}})
+    assert "0 … 0.296" not in pages._finding(
+        {**first, "effect": "spring", "parameters": {"stiffness": told}}
+    )
 
 
 def test_nothing_missing_is_said_and_nothing_else_is_claimed() -> None:

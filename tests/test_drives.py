@@ -11,12 +11,12 @@ from made import EMPTY, halved, nothing, on_one
 from test_diagnose import on, recordings_of
 from test_predicted import fitted_with, stated
 
-from excite.diagnose import diagnosis, equations, hypothesis, search, whole
-from excite.diagnose.catalogue import BY_NAME, electrical
-from excite.diagnose.effect import Shape
-from excite.diagnose.measured import Measured
-from excite.diagnose.track import Track
-from excite.identify.equations import Model
+from excite.diagnosis import diagnosis, equations, hypothesis, search, whole
+from excite.diagnosis.measured import Measured
+from excite.effects import BY_NAME, electrical
+from excite.effects.effect import Shape
+from excite.effects.track import Track
+from excite.identification.regression import Model
 
 Array = np.ndarray
 
@@ -26,7 +26,12 @@ def calm(subject: Model) -> Track:
     """Of a robot with nothing missing."""
     train, validate = recordings_of(subject, None)
     return diagnosis.diagnose(
-        subject.robot, subject.parameters, subject.base, [train], [validate], diagnosis.Options(names=("drag",))
+        subject.robot,
+        subject.parameters,
+        subject.base,
+        [train],
+        [validate],
+        diagnosis.Options(names=("drag",)),
     ).tracks[0][0]
 
 
@@ -51,7 +56,10 @@ def test_a_drive_that_loses_torque_is_told_by_what_was_measured(subject):
     train, validate = recordings_of(subject, saturated)
     done = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [validate])
     (finding,) = done.verdict.findings
-    assert (finding.main.effect, finding.main.joint) == ("torque_saturation", 0) and not done.unknown
+    assert (finding.main.effect, finding.main.joint) == (
+        "torque_saturation",
+        0,
+    ) and not done.unknown
     shape = done.design.shapes[finding.main.shape]
     assert done.verdict.together is not None
     loss = shape.parameters(done.verdict.together.coefficients)["loss"]
@@ -59,7 +67,9 @@ def test_a_drive_that_loses_torque_is_told_by_what_was_measured(subject):
     assert loss == pytest.approx(0.15 * (largest / LOSS["largest"]) ** 2, rel=0.15)
     noisy = equations.shapes(done.tracks, False, np.full(2, 0.1 * largest), ["torque_saturation"])
     calm = equations.shapes(done.tracks, False, np.full(2, 1e-4 * largest), ["torque_saturation"])
-    assert any("measured" in s.values for s in calm) and not any("measured" in s.values for s in noisy)
+    assert any("measured" in s.values for s in calm) and not any(
+        "measured" in s.values for s in noisy
+    )
 
 
 def test_a_measured_loss_is_predicted_from_what_is_predicted(subject):
@@ -70,7 +80,10 @@ def test_a_measured_loss_is_predicted_from_what_is_predicted(subject):
     recorded_as = whole.predict(fitted_with(subject, (lossy,)), along)[1]
     expected = drawn(torque[:, 0], 0.15)
     inner = slice(100, -100)
-    assert np.abs(recorded_as[inner, 0] - expected[inner]).max() < 0.05 * np.abs(expected - torque[:, 0]).max()
+    assert (
+        np.abs(recorded_as[inner, 0] - expected[inner]).max()
+        < 0.05 * np.abs(expected - torque[:, 0]).max()
+    )
     assert np.array_equal(recorded_as[:, 1], torque[:, 1])
     most = electrical.overdrawn(0.9, LOSS, np.array([-1e3, 0.0, 1e3]))  # more than it can make
     assert np.isfinite(most).all() and most[2] == -most[0] and most[1] == 0.0
@@ -91,7 +104,10 @@ def test_a_drive_whose_torque_levels_off_is_told(subject):
     train, validate = recordings_of(subject, levelled)
     done = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [validate])
     (finding,) = done.verdict.findings
-    assert (finding.main.effect, finding.main.joint) == ("torque_saturation", 0) and not done.unknown
+    assert (finding.main.effect, finding.main.joint) == (
+        "torque_saturation",
+        0,
+    ) and not done.unknown
     shape, together = done.design.shapes[finding.main.shape], done.verdict.together
     assert "level" in shape.values and together is not None
     largest = max(float(np.abs(one.torque[:, 0]).max()) for one in (train, validate))
@@ -99,7 +115,11 @@ def test_a_drive_whose_torque_levels_off_is_told(subject):
     assert shape.parameters(together.coefficients)["loss"] == pytest.approx(loss, rel=0.1)
     x = np.linspace(-largest, largest, 101)
     made = x - together.coefficients[0] * electrical._missing(shape.values, x)
-    np.testing.assert_allclose(electrical.overdrawn(float(together.coefficients[0]), shape.values, made), x, atol=0.02 * largest)
+    np.testing.assert_allclose(
+        electrical.overdrawn(float(together.coefficients[0]), shape.values, made),
+        x,
+        atol=0.02 * largest,
+    )
 
 
 @pytest.mark.parametrize("bend", [1.0, 2.0])
@@ -109,8 +129,14 @@ def test_of_its_usual_torque_a_drive_loses_little(calm, bend, rests):
     drawn, speed = calm.drawn.copy(), calm.fine.dq.copy()
     if rests:
         drawn[: 2 * len(drawn) // 3], speed[: 2 * len(speed) // 3] = 1e-3, 0.0
-    track = types.SimpleNamespace(n=2, drawn=drawn, motor=drawn, fine=types.SimpleNamespace(dq=speed))
-    shapes = [s for s in BY_NAME["torque_saturation"].shapes([track]) if s.joint == 0 and s.values.get("bend") == bend]
+    track = types.SimpleNamespace(
+        n=2, drawn=drawn, motor=drawn, fine=types.SimpleNamespace(dq=speed)
+    )
+    shapes = [
+        s
+        for s in BY_NAME["torque_saturation"].shapes([track])
+        if s.joint == 0 and s.values.get("bend") == bend
+    ]
     usual = float(np.median(np.abs(drawn[len(drawn) * 2 // 3 if rests else 0 :, 0])))
     assert len(shapes) == 6
     for shape in shapes:
@@ -126,7 +152,16 @@ def test_noise_in_a_column_of_measured_torque_is_no_saturation():
 
     def found(slope: float) -> list[bool]:
         shape = Shape("torque_saturation", 0, nothing, noisy=lambda c: abs(float(c[0])) * slope)
-        one = search.design((halves[0], halves[1]), [shape], lambda _: on_one(*((x**3 / 2.7**2 / 0.018)[:, None] for x in measured)))
-        return [h.shows for h in hypothesis.ranked(dataclasses.replace(one, measured=Measured(noise=np.ones(1))))]
+        one = search.design(
+            (halves[0], halves[1]),
+            [shape],
+            lambda _: on_one(*((x**3 / 2.7**2 / 0.018)[:, None] for x in measured)),
+        )
+        return [
+            h.shows
+            for h in hypothesis.ranked(
+                dataclasses.replace(one, measured=Measured(noise=np.ones(1)))
+            )
+        ]
 
     assert found(0.0) == [True] and found(3.0 * (1.7 / 2.7) ** 2) == [False]

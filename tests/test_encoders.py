@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from made import motion, perturbed, recorded
 
-from excite.diagnose import atlas, diagnosis, encoders
-from excite.diagnose.diagnosis import Options
-from excite.diagnose.document import document
-from excite.diagnosing import _text
-from excite.identify.equations import Model
+from excite.cli.diagnose import _text
+from excite.diagnosis import diagnosis, gear_encoders, residual_atlas
+from excite.diagnosis.diagnosis import Options
+from excite.diagnosis.diagnosis_file import document
+from excite.identification.regression import Model
 from excite.recordings import Recording
 from excite.report import diagnosis_page
 
@@ -42,7 +42,9 @@ def both(subject: Model, *, linked: bool = True, stiff: bool = False) -> list[Re
 
 def found(subject: Model, pair: list[Recording]) -> diagnosis.Diagnosis:
     options = Options(names=("stribeck",))
-    return diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [pair[0]], [pair[1]], options)
+    return diagnosis.diagnose(
+        subject.robot, subject.parameters, subject.base, [pair[0]], [pair[1]], options
+    )
 
 
 def test_a_gear_is_told_from_a_clock_and_an_encoder_off_its_centre(subject):
@@ -69,7 +71,7 @@ def test_without_a_second_encoder_nothing_is_said(subject):
     pair = both(subject, linked=False)
     result = found(subject, pair)
     assert result.gears == () and document(result)["encoders"] == {}
-    assert encoders.gears(result.tracks, ([pair[0]], [pair[1]])) == ()
+    assert gear_encoders.gears(result.tracks, ([pair[0]], [pair[1]])) == ()
 
 
 def test_it_is_told_in_every_place(subject):
@@ -78,6 +80,11 @@ def test_it_is_told_in_every_place(subject):
     result = found(subject, pair)
     stated = document(result)
     (name,) = stated["encoders"]
-    assert name == subject.robot.joints[0] and stated["encoders"][name]["stiffness"]["unit"] == "N m/rad"
+    assert (
+        name == subject.robot.joints[0]
+        and stated["encoders"][name]["stiffness"]["unit"] == "N m/rad"
+    )
     assert f"two encoders at {name}: stiffness" in _text(stated, [])
-    assert "What do the two encoders say?" in diagnosis_page(result, stated, atlas.look(result))
+    assert "What do the two encoders say?" in diagnosis_page(
+        result, stated, residual_atlas.look(result)
+    )

@@ -8,13 +8,14 @@ from conftest import loaded, off, random_urdf, slope
 from hypothesis import given
 from hypothesis import strategies as st
 
-from excite import design, dynamics
-from excite.criteria import Criterion
-from excite.evaluate import Evaluator, Rows
-from excite.limits import resolve
-from excite.problem import Box, Options
-from excite.robot import load
-from excite.start import at_rest
+from excite.designer import optimize
+from excite.designer.criteria import Criterion
+from excite.designer.evaluator import Evaluator, Rows
+from excite.designer.initial_guess import at_rest
+from excite.designer.problem import Box, Options
+from excite.robot import dynamics
+from excite.robot.limits import resolve
+from excite.robot.robot import load
 
 BOX = Box("tip", (-0.5, -0.1, -0.7), (0.8, 0.1, 0.6))
 STEP = 2e-5  # in variables of size 1: small against the width of the smooth Coulomb column
@@ -24,11 +25,20 @@ KINDS = ("position", "velocity", "acceleration", "jerk", "torque", "braking", "b
 @cache
 def evaluator(name: str = "two_link", **changes: object) -> Evaluator:
     if name == "mimic":
-        robot = loaded(random_urdf(np.random.default_rng(1), 4, kinds=("revolute", "prismatic"), mimics={2: (0, -1.7, 0.3)}))
+        robot = loaded(
+            random_urdf(
+                np.random.default_rng(1),
+                4,
+                kinds=("revolute", "prismatic"),
+                mimics={2: (0, -1.7, 0.3)},
+            )
+        )
     else:
-        robot = load(name, joints=("fr3_joint1", "fr3_joint2", "fr3_joint4") if name == "fr3" else None)
+        robot = load(
+            name, joints=("fr3_joint1", "fr3_joint2", "fr3_joint4") if name == "fr3" else None
+        )
     options = Options(period=2.0, harmonics=3, samples=24, **changes)  # type: ignore[arg-type]
-    return Evaluator(design.prepare(robot, resolve(robot), options).problem)
+    return Evaluator(optimize.prepare(robot, resolve(robot), options).problem)
 
 
 def point(e: Evaluator, seed: int = 0, size: float = 0.4) -> np.ndarray:
@@ -71,7 +81,7 @@ def test_objective_with_given_information_has_its_own_gradient():
     robot = load("two_link")
     options = Options(period=2.0, harmonics=3, samples=24)
     root = np.random.default_rng(0).normal(size=(28, 28))
-    e = Evaluator(design.prepare(robot, resolve(robot), options, 1e3 * root @ root.T).problem)
+    e = Evaluator(optimize.prepare(robot, resolve(robot), options, 1e3 * root @ root.T).problem)
     x, d = point(e), direction(e)
     measured = slope(lambda h: np.array(e.objective(x + h * d, 4.0)[0]), STEP)
     gradient = e.objective(x, 4.0)[1]
@@ -99,7 +109,9 @@ def test_a_returned_gradient_is_not_overwritten_by_the_next():
 
 def rows_of(e: Evaluator, kind: str, x: np.ndarray) -> Rows:
     """Every finite row of one kind."""
-    return e.rows(np.concatenate([(np.isfinite(v) & (k == kind)).ravel() for k, v in e.table(x).items()]))
+    return e.rows(
+        np.concatenate([(np.isfinite(v) & (k == kind)).ravel() for k, v in e.table(x).items()])
+    )
 
 
 @pytest.mark.parametrize("free", [None, (1.0, 4.0)])
@@ -108,7 +120,11 @@ def rows_of(e: Evaluator, kind: str, x: np.ndarray) -> Rows:
 def test_row_gradients_are_the_derivatives(kind, uncertainty, free):
     frames = (BOX, Box("link_2", BOX.lower, BOX.upper))
     given_options = {"free_period": free, "uncertainty": uncertainty}
-    e = evaluator("fr3", **given_options) if kind == "braking" else evaluator("two_link", boxes=frames, **given_options)
+    e = (
+        evaluator("fr3", **given_options)
+        if kind == "braking"
+        else evaluator("two_link", boxes=frames, **given_options)
+    )
     x = point(e)
     rows = rows_of(e, kind, x)
     jacobian = e.row_gradients(x, rows)
@@ -128,7 +144,14 @@ def test_row_gradients_of_a_mimic_robot_are_the_derivatives(kind):
 
 
 def test_fr3_has_every_kind_of_row_that_its_limits_state():
-    assert evaluator("fr3").kinds == ("position", "velocity", "acceleration", "jerk", "torque", "braking")
+    assert evaluator("fr3").kinds == (
+        "position",
+        "velocity",
+        "acceleration",
+        "jerk",
+        "torque",
+        "braking",
+    )
 
 
 def test_kinematic_rows_are_each_quantity_over_its_limit():
@@ -139,7 +162,9 @@ def test_kinematic_rows_are_each_quantity_over_its_limit():
     table = e.table(x)
     assert np.allclose(table["position"][0], (motion.at(t) - middle) / half)
     for order, kind in enumerate(("velocity", "acceleration", "jerk"), start=1):
-        assert np.allclose(table[kind], [s * motion.at(t, order) / getattr(p.limits, kind) for s in (1, -1)])
+        assert np.allclose(
+            table[kind], [s * motion.at(t, order) / getattr(p.limits, kind) for s in (1, -1)]
+        )
 
 
 def test_braking_rows_are_one_where_the_speed_is_the_stated_function_of_position():
@@ -156,7 +181,10 @@ def test_box_rows_are_one_on_the_boxs_faces():
     x, box = point(e), e.problem.boxes[0]
     q = e.problem.fourier(x).at(e.problem.fourier(x).grid(24))
     reach = dynamics.positions(e.problem.robot, "tip", q)
-    assert np.allclose(e.table(x)["box0"][0], (reach - np.add(box.lower, box.upper) / 2) / (np.subtract(box.upper, box.lower) / 2))
+    assert np.allclose(
+        e.table(x)["box0"][0],
+        (reach - np.add(box.lower, box.upper) / 2) / (np.subtract(box.upper, box.lower) / 2),
+    )
 
 
 def test_held_poses_have_the_rows_of_a_motion_that_stays():
@@ -171,7 +199,9 @@ def test_selected_rows_are_those_above_the_threshold():
     x = point(e)
     rows = e.rows(e.select(x, 0.5))
     values = e.row_values(x, rows)
-    assert (values > 0.5).all() and len(rows) == sum(int((v > 0.5).sum()) for v in e.table(x).values())
+    assert (values > 0.5).all() and len(rows) == sum(
+        int((v > 0.5).sum()) for v in e.table(x).values()
+    )
     assert e.worst(x) == values.max()
 
 
@@ -195,7 +225,9 @@ def test_no_robot_in_the_ball_exceeds_the_uncertain_torque(name):
     ways = np.random.default_rng(0).normal(size=(3000, p.parameters.count))
     ways /= np.linalg.norm(ways, axis=1)[:, None]
     torques = np.einsum("tip,sp->tis", Y, p.parameters.nominal + 0.3 * ways @ p.parameters.scale.T)
-    assert (torques.max(axis=2) <= bound[0] + 1e-9).all() and (-torques.min(axis=2) <= bound[1] + 1e-9).all()
+    assert (torques.max(axis=2) <= bound[0] + 1e-9).all() and (
+        -torques.min(axis=2) <= bound[1] + 1e-9
+    ).all()
 
 
 @pytest.mark.parametrize("name", ["two_link", "ur10e", "mimic"])
@@ -207,7 +239,9 @@ def test_some_robot_in_the_ball_attains_the_uncertain_torque(name):
     inverse = p.parameters.scale @ p.parameters.scale.T
     worst = 0.3 * Y @ inverse / np.sqrt(np.einsum("tip,pq,tiq->ti", Y, inverse, Y))[..., None]
     G0 = np.linalg.inv(p.parameters.scale).T @ np.linalg.inv(p.parameters.scale)
-    assert np.allclose(np.einsum("tip,pq,tiq->ti", worst, G0, worst), 0.3**2, rtol=1e-6)  # it lies on the ball
+    assert np.allclose(
+        np.einsum("tip,pq,tiq->ti", worst, G0, worst), 0.3**2, rtol=1e-6
+    )  # it lies on the ball
     for sign, side in ((1.0, 0), (-1.0, 1)):
         attained = sign * np.einsum("tip,tip->ti", Y, p.parameters.nominal + sign * worst)
         assert off(e.table(x)["torque"][side] * p.limits.torque, attained) < 1e-9
@@ -217,5 +251,12 @@ def test_the_checks_band_is_the_optimisers():
     e = evaluator("ur10e", uncertainty=0.3)
     p, x = e.problem, point(e)
     motion = p.fourier(x)
-    nominal, width = dynamics.band(dynamics.regressor(p.robot, p.parameters, motion.samples(motion.grid(24))), p.parameters, 0.3)
-    assert off(e.table(x)["torque"] * p.limits.torque, np.stack([nominal + width, width - nominal])) < 1e-9
+    nominal, width = dynamics.band(
+        dynamics.regressor(p.robot, p.parameters, motion.samples(motion.grid(24))),
+        p.parameters,
+        0.3,
+    )
+    assert (
+        off(e.table(x)["torque"] * p.limits.torque, np.stack([nominal + width, width - nominal]))
+        < 1e-9
+    )

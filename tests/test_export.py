@@ -12,18 +12,21 @@ import pytest
 import ruckig
 import yaml
 
-from excite import export
-from excite.artefact import Trajectory
+from excite import exporters
 from excite.errors import UnusableInput
-from excite.export import ros2, table, universal_robots, vendor
-from excite.limits import Limits
-from excite.motion import Motion, Profile, Segment
-from excite.trajectory import Fourier, Samples
+from excite.exporters import csv_json, ros2, urscript, vendor_table
+from excite.robot.limits import Limits
+from excite.robot.samples import Samples
+from excite.trajectory.fourier import Fourier
+from excite.trajectory.rest_to_rest import Motion, Profile, Segment
+from excite.trajectory.trajectory_file import Trajectory
 
 GOLDEN = Path(__file__).parent / "golden"
 NEAR = {"rtol": 0.0, "atol": 1e-9}
 ACCURATE = {"csv", "json", "ros2-joint-trajectory", "ros2-follow-joint-trajectory", "urscript"}
-JOINTS = {name: (profile.joints or (6,))[-1] for name, profile in vendor.profiles().items()} | {"urscript": 6}
+JOINTS = {
+    name: (profile.joints or (6,))[-1] for name, profile in vendor_table.profiles().items()
+} | {"urscript": 6}
 
 
 def planned(begin: np.ndarray, end: np.ndarray) -> tuple[Profile, float]:
@@ -32,7 +35,11 @@ def planned(begin: np.ndarray, end: np.ndarray) -> tuple[Profile, float]:
     request = ruckig.InputParameter(n)
     request.current_position, request.current_velocity, request.current_acceleration = begin
     request.target_position, request.target_velocity, request.target_acceleration = end
-    request.max_velocity, request.max_acceleration, request.max_jerk = [2.0] * n, [5.0] * n, [50.0] * n
+    request.max_velocity, request.max_acceleration, request.max_jerk = (
+        [2.0] * n,
+        [5.0] * n,
+        [50.0] * n,
+    )
     found = ruckig.Trajectory(n)
     assert ruckig.Ruckig(n).calculate(request, found) == ruckig.Result.Working
     rows = []
@@ -47,7 +54,14 @@ def wrapped(motion: Motion, forced: bool = False) -> Trajectory:
     sources = {q: ("urdf",) * n for q in ("position", "velocity", "acceleration", "jerk", "torque")}
     limits = Limits(motion.joints, np.column_stack([-9.0 * every, 9.0 * every]), 5.0 * every, 50.0 * every, 5e3 * every, 90.0 * every,
                     (None,) * n, sources)  # fmt: skip
-    robot = {"name": "tiny", "source": "tiny.urdf", "sha256": "0" * 64, "locked": {}, "payload": None, "gravity": [0.0, 0.0, -9.81]}
+    robot = {
+        "name": "tiny",
+        "source": "tiny.urdf",
+        "sha256": "0" * 64,
+        "locked": {},
+        "payload": None,
+        "gravity": [0.0, 0.0, -9.81],
+    }
     scores = {"a": 1.0, "d": 2.0, "e": 0.5, "cond": 4.0}
     part = {"geometric": scores, "plain": scores, "cond_regressor": 2.0}
     return Trajectory(
@@ -59,12 +73,20 @@ def wrapped(motion: Motion, forced: bool = False) -> Trajectory:
 def made(n: int, forced: bool = False) -> Trajectory:
     """Approach, ramp-in, two periods of three harmonics, ramp-out, return of n joints; seeded by n."""
     rng = np.random.default_rng(n)
-    fourier = Fourier(rng.normal(0.0, 0.3, (n, 3)), rng.normal(0.0, 0.3, (n, 3)), rng.normal(0.0, 0.5, n), 4.0)
+    fourier = Fourier(
+        rng.normal(0.0, 0.3, (n, 3)), rng.normal(0.0, 0.3, (n, 3)), rng.normal(0.0, 0.5, n), 4.0
+    )
     home, ready = np.zeros((3, n)), np.zeros((3, n))
     ready[0] = fourier.offset + 0.3
     border = np.vstack([fourier.at(np.zeros(1), order) for order in range(3)])
     segments: list[Segment] = []
-    legs = [("approach", home, ready), ("ramp_in", ready, border), None, ("ramp_out", border, ready), ("return", ready, home)]
+    legs = [
+        ("approach", home, ready),
+        ("ramp_in", ready, border),
+        None,
+        ("ramp_out", border, ready),
+        ("return", ready, home),
+    ]
     for leg in legs:
         now = segments[-1].end if segments else 0.0
         if leg is None:
@@ -72,7 +94,9 @@ def made(n: int, forced: bool = False) -> Trajectory:
         else:
             profile, duration = planned(leg[1], leg[2])
             segments.append(Segment(leg[0], now, now + duration, profile))
-    return wrapped(Motion(tuple(f"joint_{i + 1}" for i in range(n)), fourier, 2, tuple(segments)), forced)
+    return wrapped(
+        Motion(tuple(f"joint_{i + 1}" for i in range(n)), fourier, 2, tuple(segments)), forced
+    )
 
 
 def tiny(n: int) -> Trajectory:
@@ -84,7 +108,11 @@ def tiny(n: int) -> Trajectory:
     top = start + 2e-4
     back = Profile(top, still, still, (tuple((d, -j) for d, j in half),) * n)
     fourier = Fourier(np.zeros((n, 1)), np.zeros((n, 1)), top, 0.02)
-    parts = (Segment("ramp_in", 0.0, 0.04, out), Segment("fourier", 0.04, 0.06), Segment("ramp_out", 0.06, 0.1, back))
+    parts = (
+        Segment("ramp_in", 0.0, 0.04, out),
+        Segment("fourier", 0.04, 0.06),
+        Segment("ramp_out", 0.06, 0.1, back),
+    )
     return wrapped(Motion(joints, fourier, 1, parts))
 
 
@@ -105,15 +133,15 @@ def test_the_helper_joins_its_parts() -> None:
 
 
 @pytest.mark.parametrize("speed", [1.0, 0.1])
-@pytest.mark.parametrize("name", list(export.FORMATS))
+@pytest.mark.parametrize("name", list(exporters.FORMATS))
 def test_round_trip(name: str, speed: float, tmp_path: Path) -> None:
     trajectory, path = fitting(name), tmp_path / "file"
     if name == "json" and speed != 1.0:
         with pytest.raises(UnusableInput, match=r"--speed 0\.1 would void"):
-            export.write(trajectory, name, path, speed=speed)
+            exporters.write(trajectory, name, path, speed=speed)
         return
-    assert export.write(trajectory, name, path, speed=speed, tau=torque) == path
-    t, q, *rest = export.read(name, path)
+    assert exporters.write(trajectory, name, path, speed=speed, tau=torque) == path
+    t, q, *rest = exporters.read(name, path)
     motion = trajectory.motion.slowed(speed)
     assert t[0] == 0.0
     assert (np.diff(t) > 0.0).all()
@@ -127,18 +155,24 @@ def test_round_trip(name: str, speed: float, tmp_path: Path) -> None:
     np.testing.assert_allclose(q, trajectory.motion.at(t * speed), **NEAR)
 
 
-@pytest.mark.parametrize("name", [name for name in export.FORMATS if name not in ACCURATE])
+@pytest.mark.parametrize("name", [name for name in exporters.FORMATS if name not in ACCURATE])
 def test_position_tables_start_and_end_at_rest(name: str, tmp_path: Path) -> None:
-    t, q = export.read(name, export.write(fitting(name), name, tmp_path / "file"))
+    t, q = exporters.read(name, exporters.write(fitting(name), name, tmp_path / "file"))
     dt = t[1]
     assert np.abs(np.diff(q, axis=0)[[0, -1]]).max() / dt < 50.0 * dt**2  # jerk 50 from rest
     assert np.abs(np.diff(q, 2, axis=0)).max() / dt**2 < 6.0
 
 
-@pytest.mark.parametrize("name", list(export.FORMATS))
+@pytest.mark.parametrize("name", list(exporters.FORMATS))
 def test_golden(name: str, tmp_path: Path) -> None:
     """Byte for byte. To renew after an intended change: delete the file, run once, look at it, run again."""
-    path = export.write(tiny(JOINTS.get(name, 2)), name, tmp_path / "file", rate=None, tau=lambda s: np.round(s.ddq, 9))
+    path = exporters.write(
+        tiny(JOINTS.get(name, 2)),
+        name,
+        tmp_path / "file",
+        rate=None,
+        tau=lambda s: np.round(s.ddq, 9),
+    )
     golden = GOLDEN / f"export-{name.replace(':', '-')}.txt"
     if not golden.exists():
         golden.write_bytes(path.read_bytes())
@@ -148,23 +182,38 @@ def test_golden(name: str, tmp_path: Path) -> None:
 
 def test_csv_is_the_contract(tmp_path: Path) -> None:
     trajectory = made(2)
-    lines = export.write(trajectory, "csv", tmp_path / "a.csv", tau=torque).read_text().splitlines()
-    assert lines[0] == ",".join(["t", *(f"{q}.joint_{i}" for q in ("q", "dq", "ddq", "tau") for i in (1, 2))])
+    lines = (
+        exporters.write(trajectory, "csv", tmp_path / "a.csv", tau=torque).read_text().splitlines()
+    )
+    assert lines[0] == ",".join(
+        ["t", *(f"{q}.joint_{i}" for q in ("q", "dq", "ddq", "tau") for i in (1, 2))]
+    )
     for line in (lines[1], lines[-1]):
         assert line.split(",")[3:7] == ["0"] * 4
-    t, *_, tau = export.read("csv", tmp_path / "a.csv")
-    np.testing.assert_array_equal(t, [float(f"{v:.12g}") for v in np.arange(len(t)) / trajectory.rate])
+    t, *_, tau = exporters.read("csv", tmp_path / "a.csv")
+    np.testing.assert_array_equal(
+        t, [float(f"{v:.12g}") for v in np.arange(len(t)) / trajectory.rate]
+    )
     np.testing.assert_allclose(tau, torque(trajectory.motion.samples(t)), atol=1e-8)
-    assert table.text(trajectory, torque(trajectory.motion.samples(t))) == (tmp_path / "a.csv").read_text()
-    bare = export.write(trajectory, "csv", tmp_path / "b.csv", rate=30.0).read_text()
+    assert (
+        csv_json.text(trajectory, torque(trajectory.motion.samples(t)))
+        == (tmp_path / "a.csv").read_text()
+    )
+    bare = exporters.write(trajectory, "csv", tmp_path / "b.csv", rate=30.0).read_text()
     assert "tau" not in bare.splitlines()[0]
 
 
 def test_csv_ends_at_rest_where_rounding_ends_the_grid_early(tmp_path: Path) -> None:
-    profile = Profile(np.zeros(1), np.zeros(1), np.zeros(1), (((1.0, 1.0), (2.0, -1.0), (1.0 + 4e-9, 1.0)),))
+    profile = Profile(
+        np.zeros(1), np.zeros(1), np.zeros(1), (((1.0, 1.0), (2.0, -1.0), (1.0 + 4e-9, 1.0)),)
+    )
     fourier = Fourier(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros(1), 1.0)
-    trajectory = wrapped(Motion(("j",), fourier, 0, (Segment("approach", 0.0, 4.0 + 4e-9, profile),)))
-    _, q, dq, ddq = export.read("csv", export.write(trajectory, "csv", tmp_path / "a.csv", rate=10.0))
+    trajectory = wrapped(
+        Motion(("j",), fourier, 0, (Segment("approach", 0.0, 4.0 + 4e-9, profile),))
+    )
+    _, q, dq, ddq = exporters.read(
+        "csv", exporters.write(trajectory, "csv", tmp_path / "a.csv", rate=10.0)
+    )
     assert len(q) == 41
     assert dq[-1] == 0.0
     assert ddq[-1] == 0.0
@@ -172,7 +221,7 @@ def test_csv_ends_at_rest_where_rounding_ends_the_grid_early(tmp_path: Path) -> 
 
 @pytest.mark.parametrize("name", ["ros2-joint-trajectory", "ros2-follow-joint-trajectory"])
 def test_ros2_message(name: str, tmp_path: Path) -> None:
-    text = export.write(made(6), name, tmp_path / "m.yaml").read_text()
+    text = exporters.write(made(6), name, tmp_path / "m.yaml").read_text()
     document = yaml.safe_load(text)
     assert document == json.loads(text)
     if name == "ros2-follow-joint-trajectory":
@@ -194,13 +243,21 @@ def test_ros2_message(name: str, tmp_path: Path) -> None:
 
 def quintic(h: float, s: float, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Position at s of the quintic through two states (3, n) a time h apart."""
-    powers = np.array([[math.perm(k, d) * x ** (k - d) if k >= d else 0.0 for k in range(6)] for x in (0.0, h) for d in range(3)])
+    powers = np.array(
+        [
+            [math.perm(k, d) * x ** (k - d) if k >= d else 0.0 for k in range(6)]
+            for x in (0.0, h)
+            for d in range(3)
+        ]
+    )
     return np.array([s**k for k in range(6)]) @ np.linalg.solve(powers, np.vstack([a, b]))
 
 
 def test_a_controller_that_interpolates_knots_follows_the_periodic_part(tmp_path: Path) -> None:
     trajectory = made(2)
-    t, *columns = ros2.read(export.write(trajectory, "ros2-joint-trajectory", tmp_path / "m.yaml"))
+    t, *columns = ros2.read(
+        exporters.write(trajectory, "ros2-joint-trajectory", tmp_path / "m.yaml")
+    )
     part = trajectory.motion.segment("fourier")
     inside = np.flatnonzero((t > part.start) & (t < part.end - 0.03))
     for i in inside[::20]:
@@ -209,10 +266,13 @@ def test_a_controller_that_interpolates_knots_follows_the_periodic_part(tmp_path
         np.testing.assert_allclose(between, trajectory.motion.at(t[[i]] + 0.01)[0], atol=1e-8)
 
 
-@pytest.mark.parametrize(("name", "wrong"), [("ur-csv", 7), ("urscript", 2), ("franka-csv", 6), ("vendor:abb-egm", 7), ("vendor:xarm", 2)])
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [("ur-csv", 7), ("urscript", 2), ("franka-csv", 6), ("vendor:abb-egm", 7), ("vendor:xarm", 2)],
+)
 def test_wrong_number_of_joints(name: str, wrong: int, tmp_path: Path) -> None:
     with pytest.raises(UnusableInput) as caught:
-        export.write(made(wrong), name, tmp_path / "out")
+        exporters.write(made(wrong), name, tmp_path / "out")
     text = str(caught.value)
     assert "\n" not in text
     for part in (str(tmp_path / "out"), name, "joint_1, joint_2", "--joints"):
@@ -222,29 +282,39 @@ def test_wrong_number_of_joints(name: str, wrong: int, tmp_path: Path) -> None:
 
 def test_unusable_options(tmp_path: Path) -> None:
     path = tmp_path / "out"
-    with pytest.raises(UnusableInput, match=r"there are: csv, json, ros2-joint-trajectory.*vendor:xarm"):
-        export.write(made(2), "dxf", path)
+    with pytest.raises(
+        UnusableInput, match=r"there are: csv, json, ros2-joint-trajectory.*vendor:xarm"
+    ):
+        exporters.write(made(2), "dxf", path)
     with pytest.raises(UnusableInput, match="there are: csv"):
-        export.read("dxf", path)
+        exporters.read("dxf", path)
     for speed in (0.0, -1.0, 1.5, math.nan):
         with pytest.raises(UnusableInput, match="--speed"):
-            export.write(made(2), "csv", path, speed=speed)
+            exporters.write(made(2), "csv", path, speed=speed)
     for rate in (0.0, -1.0, math.inf, math.nan):
         with pytest.raises(UnusableInput, match="--rate"):
-            export.write(made(2), "csv", path, rate=rate)
+            exporters.write(made(2), "csv", path, rate=rate)
     with pytest.raises(UnusableInput, match="is over 5,000,000 rows"):
-        export.write(made(2), "csv", path, rate=1e9)
+        exporters.write(made(2), "csv", path, rate=1e9)
     for name in ("franka-csv", "ur-csv", "urscript"):
         with pytest.raises(UnusableInput, match=r"Hz.*--rate 333"):
-            export.write(fitting(name), name, path, rate=333.0)
+            exporters.write(fitting(name), name, path, rate=333.0)
     assert not list(tmp_path.iterdir())
 
 
 def test_other_rates(tmp_path: Path) -> None:
-    rates = {"ur-csv": 125.0, "urscript": 125.0, "vendor:fanuc-j519": 250.0, "csv": 30.0, "ros2-joint-trajectory": 30.0}
+    rates = {
+        "ur-csv": 125.0,
+        "urscript": 125.0,
+        "vendor:fanuc-j519": 250.0,
+        "csv": 30.0,
+        "ros2-joint-trajectory": 30.0,
+    }
     for name, rate in rates.items():
         trajectory = fitting(name)
-        t, q, *_ = export.read(name, export.write(trajectory, name, tmp_path / "out", rate=rate))
+        t, q, *_ = exporters.read(
+            name, exporters.write(trajectory, name, tmp_path / "out", rate=rate)
+        )
         np.testing.assert_allclose(t, np.arange(len(t)) / rate, atol=1e-9)
         np.testing.assert_allclose(q, trajectory.motion.at(t), atol=3e-9)
 
@@ -254,13 +324,13 @@ def test_a_motion_that_does_not_rest_is_refused(name: str, tmp_path: Path) -> No
     whole = fitting(name).motion
     bare = Motion(whole.joints, whole.fourier, 2, (Segment("fourier", 0.0, 8.0),))
     with pytest.raises(UnusableInput, match=r"joint 'joint_\d' .* at rest"):
-        export.write(wrapped(bare), name, tmp_path / "out")
+        exporters.write(wrapped(bare), name, tmp_path / "out")
 
 
 def test_nothing_half_written(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     with pytest.raises(UnusableInput, match="cannot be written"):
-        export.write(made(7), "franka-csv", tmp_path / "out")
+        exporters.write(made(7), "franka-csv", tmp_path / "out")
     assert [p.name for p in tmp_path.iterdir() if p.name.startswith(".")] == []
 
 
@@ -268,29 +338,29 @@ def test_unreadable_files(tmp_path: Path) -> None:
     broken = tmp_path / "broken"
     for content in (b"", b"\xff\xfe", b"# a\n1,2\n3\n", b"{}", b"[1]", b"def f():\nend\n"):
         broken.write_bytes(content)
-        for name in export.FORMATS:
+        for name in exporters.FORMATS:
             with pytest.raises(UnusableInput, match="broken"):
-                export.read(name, broken)
+                exporters.read(name, broken)
     with pytest.raises(UnusableInput, match="absent"):
-        export.read("csv", tmp_path / "absent")
+        exporters.read("csv", tmp_path / "absent")
 
 
-@pytest.mark.parametrize("name", [name for name in export.FORMATS if name != "csv"])
+@pytest.mark.parametrize("name", [name for name in exporters.FORMATS if name != "csv"])
 def test_forced_and_untried_are_said(name: str, tmp_path: Path) -> None:
     for forced in (True, False):
         trajectory = made(JOINTS.get(name, 2), forced)
-        path = export.write(trajectory, name, tmp_path / "out")
+        path = exporters.write(trajectory, name, tmp_path / "out")
         said = "".join(file.read_text() for file in (path, tmp_path / "out.txt") if file.exists())
         if name == "json":
             assert json.loads(said)["forced"] is forced
         else:
             assert ("FORCED: breaks its limits" in said) is forced
-        if name in vendor.profiles() or name == "urscript":
+        if name in vendor_table.profiles() or name == "urscript":
             assert "never tried on hardware" in said
 
 
 def test_franka_has_seven_bare_columns(tmp_path: Path) -> None:
-    path = export.write(made(7), "franka-csv", tmp_path / "f.csv")
+    path = exporters.write(made(7), "franka-csv", tmp_path / "f.csv")
     assert np.loadtxt(path, delimiter=",").shape[1] == 7
     assert "start [rad]" in (tmp_path / "f.csv.txt").read_text()
 
@@ -299,12 +369,12 @@ def test_franka_has_seven_bare_columns(tmp_path: Path) -> None:
 
 
 def test_profiles_claim_no_hardware() -> None:
-    assert all(not profile.tried_on_hardware for profile in vendor.profiles().values())
+    assert all(not profile.tried_on_hardware for profile in vendor_table.profiles().values())
 
 
 def test_vendor_units_and_reference() -> None:
     q = np.array([[0.1, 0.2, 0.3, 0.4, 0.5, 0.6], [0.2, 0.3, 0.5, 0.4, 0.5, 0.7]])
-    known = vendor.profiles()
+    known = vendor_table.profiles()
     np.testing.assert_allclose(known["vendor:abb-egm"].encode(q), np.degrees(q))
     np.testing.assert_allclose(known["vendor:xarm"].encode(q), q)
     np.testing.assert_allclose(known["ur-csv"].encode(q), q)
@@ -318,7 +388,16 @@ def test_vendor_units_and_reference() -> None:
 
 @pytest.mark.parametrize("relative", [False, True])
 def test_vendor_sign_offset_and_inverse(relative: bool) -> None:
-    profile = vendor.Profile("x", "deg", (100.0,), False, sign=(1, -1), offset=(10, -90), coupling=((2, 1, 0.5),), relative=relative)
+    profile = vendor_table.Profile(
+        "x",
+        "deg",
+        (100.0,),
+        False,
+        sign=(1, -1),
+        offset=(10, -90),
+        coupling=((2, 1, 0.5),),
+        relative=relative,
+    )
     q = np.radians([[1.0, 2.0], [5.0, 7.0]])
     absolute = np.array([[11.0, -92.0 + 5.5], [15.0, -97.0 + 7.5]])
     np.testing.assert_allclose(profile.encode(q), absolute - absolute[0] * relative, atol=1e-12)
@@ -361,10 +440,16 @@ def run(script: str, step: float) -> tuple[list[list[float]], list[object]]:
     return targets, others
 
 
-@pytest.mark.parametrize(("step", "speed", "rate"), [(0.002, 1.0, None), (0.008, 1.0, None), (0.008, 0.1, 125.0)])
-def test_urscript_run_is_the_motion(step: float, speed: float, rate: float | None, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("step", "speed", "rate"), [(0.002, 1.0, None), (0.008, 1.0, None), (0.008, 0.1, 125.0)]
+)
+def test_urscript_run_is_the_motion(
+    step: float, speed: float, rate: float | None, tmp_path: Path
+) -> None:
     trajectory = made(6)
-    script = export.write(trajectory, "urscript", tmp_path / "p.script", speed=speed, rate=rate).read_text()
+    script = exporters.write(
+        trajectory, "urscript", tmp_path / "p.script", speed=speed, rate=rate
+    ).read_text()
     targets, others = run(script, step)
     motion = trajectory.motion.slowed(speed)
     np.testing.assert_allclose(others[0], motion.rest[0], **NEAR)
@@ -376,30 +461,36 @@ def test_urscript_run_is_the_motion(step: float, speed: float, rate: float | Non
 
 def test_urscript_is_small_and_plain(tmp_path: Path) -> None:
     trajectory = made(6)
-    script = export.write(trajectory, "urscript", tmp_path / "p.script").read_text()
-    rows = export.write(trajectory, "ur-csv", tmp_path / "p.csv").read_text()
+    script = exporters.write(trajectory, "urscript", tmp_path / "p.script").read_text()
+    rows = exporters.write(trajectory, "ur-csv", tmp_path / "p.csv").read_text()
     assert len(script) < 40_000 < 5 * len(script) < len(rows)
     assert not re.search(r"\d[eE][-+]?\d", script)
-    assert len(re.findall(r"^\s*(?:def|while)\b", script, re.MULTILINE)) == len(re.findall(r"^\s*end$", script, re.MULTILINE))
+    assert len(re.findall(r"^\s*(?:def|while)\b", script, re.MULTILINE)) == len(
+        re.findall(r"^\s*end$", script, re.MULTILINE)
+    )
 
 
 def test_urscript_replayed_segments(tmp_path: Path) -> None:
     trajectory = made(6)
-    motion = universal_robots.replayed(export.write(trajectory, "urscript", tmp_path / "p.script").read_text())
+    motion = urscript.replayed(
+        exporters.write(trajectory, "urscript", tmp_path / "p.script").read_text()
+    )
     assert [s.kind for s in motion.segments] == [s.kind for s in trajectory.motion.segments]
-    np.testing.assert_allclose(motion.fourier.sine, trajectory.motion.fourier.sine, rtol=1e-14, atol=1e-15)
+    np.testing.assert_allclose(
+        motion.fourier.sine, trajectory.motion.fourier.sine, rtol=1e-14, atol=1e-15
+    )
 
 
 def test_odd_names_break_no_file(tmp_path: Path) -> None:
     trajectory = made(6)
     names = ('a,"b"', "c\nmovej()", "# d", "é", "start [rad]: 1", "rate [Hz]: 1")
     odd = wrapped(Motion(names, trajectory.motion.fourier, 2, trajectory.motion.segments))
-    for name in export.FORMATS:
+    for name in exporters.FORMATS:
         if JOINTS.get(name, 6) != 6:
             continue
         if name == "json":
             with pytest.raises(UnusableInput, match="control character"):
-                export.read(name, export.write(odd, name, tmp_path / "out"))
+                exporters.read(name, exporters.write(odd, name, tmp_path / "out"))
             continue
-        t, q, *_ = export.read(name, export.write(odd, name, tmp_path / "out"))
+        t, q, *_ = exporters.read(name, exporters.write(odd, name, tmp_path / "out"))
         np.testing.assert_allclose(q, trajectory.motion.at(t), **NEAR)

@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from excite.diagnose import foreseen
-from excite.diagnose.foreseen import FORESEEN, SURE
-from excite.diagnose.looks import Rows
+from excite.diagnosis import unmodelled
+from excite.diagnosis.residual_curves import Rows
+from excite.diagnosis.unmodelled import FORESEEN, SURE
 
 RATE, SECONDS = 50.0, 40.0
 COUNT = int(RATE * SECONDS)
@@ -19,9 +19,16 @@ def half(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Position, speed and acceleration of two joints that move by some sines. Shapes (N, 2)."""
     rng = np.random.default_rng(seed)
     t = np.arange(COUNT) / RATE
-    w, phase, size = rng.uniform(0.5, 6.0, (2, 6)), rng.uniform(0.0, 6.3, (2, 6)), rng.uniform(0.1, 0.5, (2, 6))
+    w, phase, size = (
+        rng.uniform(0.5, 6.0, (2, 6)),
+        rng.uniform(0.0, 6.3, (2, 6)),
+        rng.uniform(0.1, 0.5, (2, 6)),
+    )
     angle = t[:, None, None] * w + phase
-    return tuple(np.sum(size * x, axis=2) for x in (np.sin(angle), w * np.cos(angle), -(w**2) * np.sin(angle)))  # type: ignore[return-value]
+    return tuple(
+        np.sum(size * x, axis=2)
+        for x in (np.sin(angle), w * np.cos(angle), -(w**2) * np.sin(angle))
+    )  # type: ignore[return-value]
 
 
 def rows(joints: int = 2, linear: bool = False, size: float = 1.0) -> Rows:
@@ -32,7 +39,9 @@ def rows(joints: int = 2, linear: bool = False, size: float = 1.0) -> Rows:
     load = size * (3.0 * np.sin(q) + 0.5 * ddq)
     none, moves, starts = np.zeros_like(q), np.ones(q.shape, bool), np.array([0, COUNT])
     motor, still = load + 0.5 * size * np.sign(dq), (linear,) * joints
-    return Rows(time, clock, q, dq, ddq, load, motor, none, none, moves, starts, starts, RATE, 20.0, still)
+    return Rows(
+        time, clock, q, dq, ddq, load, motor, none, none, moves, starts, starts, RATE, 20.0, still
+    )
 
 
 def swung(drive: np.ndarray, hertz: float, damping: float) -> np.ndarray:
@@ -55,9 +64,9 @@ def coloured(rng: np.random.Generator) -> np.ndarray:
     return white / white.std()
 
 
-def seen(residual: np.ndarray, made: Rows | None = None) -> foreseen.Sight:
+def seen(residual: np.ndarray, made: Rows | None = None) -> unmodelled.Sight:
     first = np.arange(2 * COUNT) < COUNT
-    return foreseen.seen(made or rows(), (first, ~first), residual, 0)
+    return unmodelled.seen(made or rows(), (first, ~first), residual, 0)
 
 
 def physics(regime: str) -> np.ndarray:
@@ -85,7 +94,9 @@ def test_coloured_noise_is_foreseen_by_nothing():
     assert not any(one.share > FORESEEN for one in sights)
 
 
-@pytest.mark.parametrize("regime", ["position", "place", "position and direction", "speed", "past acceleration", "power"])
+@pytest.mark.parametrize(
+    "regime", ["position", "place", "position and direction", "speed", "past acceleration", "power"]
+)
 def test_physics_without_a_name_is_foreseen_by_what_it_is_made_of(regime):
     found = seen(physics(regime) + coloured(np.random.default_rng(7)))
     assert found.regime == regime
@@ -100,19 +111,27 @@ def test_a_resonance_of_the_load_is_told_by_what_went_before():
 
 def test_the_share_is_that_of_the_physics():
     """As much physics as noise: half is foreseen, less what a finite recording does not tell."""
-    weak, strong = (seen(size * physics("past acceleration") + coloured(np.random.default_rng(3))).share for size in (0.5, 3.0))
+    weak, strong = (
+        seen(size * physics("past acceleration") + coloured(np.random.default_rng(3))).share
+        for size in (0.5, 3.0)
+    )
     assert 0.05 < weak < 0.2 and 0.6 < strong < 0.9
 
 
 def test_what_happens_at_one_half_only_is_not_foreseen():
     first = np.arange(2 * COUNT) < COUNT
-    assert seen(np.where(first, physics("position"), 0.0) + coloured(np.random.default_rng(5))).share < FORESEEN
+    assert (
+        seen(np.where(first, physics("position"), 0.0) + coloured(np.random.default_rng(5))).share
+        < FORESEEN
+    )
 
 
 def test_a_recording_does_not_remember_the_one_before():
     made = rows()
-    past = foreseen.BASES["past acceleration"].features(made, 0)
-    assert not past[COUNT, 1:].any() and not past[0, 1:].any() and past[COUNT + 1, 1] == past[COUNT, 0]
+    past = unmodelled.BASES["past acceleration"].features(made, 0)
+    assert (
+        not past[COUNT, 1:].any() and not past[0, 1:].any() and past[COUNT + 1, 1] == past[COUNT, 0]
+    )
 
 
 def test_a_robot_of_any_strength_is_told_alike():
@@ -121,7 +140,9 @@ def test_a_robot_of_any_strength_is_told_alike():
     for size in (1.0, 1000.0):
         made = rows(size=size)
         residual = made.motor[:, 0] * np.abs(made.motor[:, 1])
-        shares.append(seen(residual / residual.std() + coloured(np.random.default_rng(4)), made).share)
+        shares.append(
+            seen(residual / residual.std() + coloured(np.random.default_rng(4)), made).share
+        )
     assert shares[1] == pytest.approx(shares[0], rel=0.02) and shares[0] > 0.3
 
 
@@ -132,10 +153,14 @@ def test_the_curve_is_over_the_joint_whose_speed_it_is():
 
 
 def test_the_response_to_an_acceleration_rings_as_the_load_does():
-    response = seen(3.0 * physics("past acceleration") + coloured(np.random.default_rng(3))).response
+    response = seen(
+        3.0 * physics("past acceleration") + coloured(np.random.default_rng(3))
+    ).response
     assert response.relative and np.abs(response.y).max() == 1.0
     spectrum = np.abs(np.fft.rfft(response.y, 4096))
-    assert np.fft.rfftfreq(4096, response.x[1] - response.x[0])[np.argmax(spectrum)] == pytest.approx(0.6, abs=0.15)
+    assert np.fft.rfftfreq(4096, response.x[1] - response.x[0])[
+        np.argmax(spectrum)
+    ] == pytest.approx(0.6, abs=0.15)
 
 
 def test_recordings_of_different_rates_remember_alike():
@@ -143,11 +168,25 @@ def test_recordings_of_different_rates_remember_alike():
     made = rows()
     keep = np.r_[0:COUNT, COUNT : 2 * COUNT : 3]
     taken = {
-        name: getattr(made, name)[keep] for name in ("time", "clock", "q", "dq", "ddq", "load", "motor", "distance", "temperature", "moves")
+        name: getattr(made, name)[keep]
+        for name in (
+            "time",
+            "clock",
+            "q",
+            "dq",
+            "ddq",
+            "load",
+            "motor",
+            "distance",
+            "temperature",
+            "moves",
+        )
     }
     thin = dataclasses.replace(made, **taken)
     residual = physics("past acceleration")[keep]
-    sight = foreseen.seen(thin, (np.arange(len(keep)) < COUNT, np.arange(len(keep)) >= COUNT), residual, 0)
+    sight = unmodelled.seen(
+        thin, (np.arange(len(keep)) < COUNT, np.arange(len(keep)) >= COUNT), residual, 0
+    )
     assert sight.regime == "past acceleration" and sight.share > 0.5
 
 
@@ -158,7 +197,12 @@ def test_one_joint_and_one_that_never_moves_are_told_too(linear):
     assert one.share > 0.3 and one.response.over == f"position [{'m' if linear else 'rad'}]"
     made = rows(1, linear)
     still = dataclasses.replace(
-        made, q=0.0 * made.q + 0.3, dq=0.0 * made.dq, ddq=0.0 * made.ddq, load=0.0 * made.load, motor=0.0 * made.motor
+        made,
+        q=0.0 * made.q + 0.3,
+        dq=0.0 * made.dq,
+        ddq=0.0 * made.ddq,
+        load=0.0 * made.load,
+        motor=0.0 * made.motor,
     )
     assert not seen(noise, still).counts and np.isfinite(seen(noise, still).response.y).all()
     assert not seen(0.0 * noise, made).counts

@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from excite.diagnose import foretold, judge, search
-from excite.diagnose.columns import Columns
-from excite.diagnose.effect import Shape
-from excite.diagnose.half import Half, whitened
-from excite.diagnose.track import Track
+from excite.diagnosis import foretold, judge, search
+from excite.diagnosis.columns import Columns
+from excite.diagnosis.half import Half, whitened
+from excite.effects.effect import Shape
+from excite.effects.track import Track
 
 Array = np.ndarray
 ROWS = 300
@@ -22,7 +22,9 @@ def nothing(track: Track, shape: Shape) -> Array:
     raise NotImplementedError
 
 
-def halved(moved: float, spread: float = 1.0, bent: float = 3.0, once: bool = False) -> search.Design:
+def halved(
+    moved: float, spread: float = 1.0, bent: float = 3.0, once: bool = False
+) -> search.Design:
     """A drag at either joint, and an offset that the base model has. At the second joint the drag's column is `moved` more in the other
     half and varies by `spread` in either, and the torque by three times that; in the first half by `bent` times. once: for some of
     the time."""
@@ -33,14 +35,19 @@ def halved(moved: float, spread: float = 1.0, bent: float = 3.0, once: bool = Fa
         left = 3.0 * x + rng.normal(size=(ROWS, 2)) + [0.0, 3.0 * moved * number]
         left[:, 1] += (bent - 3.0) * x[:, 1] * (1 - number)
         base = np.broadcast_to(np.eye(2), (ROWS, 2, 2))
-        halves.append(whitened([base], [left], [EVERY], np.ones(2), (np.zeros((0, 2)), np.zeros(0))))
+        halves.append(
+            whitened([base], [left], [EVERY], np.ones(2), (np.zeros((0, 2)), np.zeros(0)))
+        )
         columns.append([x * [1.0, 0.0], (x + np.array([0.0, moved * number])) * [0.0, 1.0]])
 
     def build(shape: Shape) -> tuple[Columns, Columns]:
         first, second = (Columns.of(own[shape.place][:, :, None]) for own in columns)
         return first, second
 
-    shapes = [Shape("drag", 0, nothing), Shape("drag", 1, nothing, interval=(1.0, 2.0) if once else None)]
+    shapes = [
+        Shape("drag", 0, nothing),
+        Shape("drag", 1, nothing, interval=(1.0, 2.0) if once else None),
+    ]
     return search.design((halves[0], halves[1]), shapes, build)
 
 
@@ -65,13 +72,19 @@ def test_what_only_the_difference_between_halves_shows_and_makes_held_out_torque
     assert [f.main.joint for f in verdict.findings] == [0]
     assert verdict.together is not None and verdict.together.shapes == (0,)
     (refuted,) = verdict.doubted
-    assert refuted.main.joint == 1 and refuted.probability < 0.5 and refuted.evidence["foretold"] > foretold.WORSE
+    assert (
+        refuted.main.joint == 1
+        and refuted.probability < 0.5
+        and refuted.evidence["foretold"] > foretold.WORSE
+    )
     gains = {f.main.joint: f.gain for f in before.findings}
     assert gains[1] > 100.0 and verdict.findings[0].gain == pytest.approx(gains[0], rel=0.05)
 
 
 def test_what_the_first_half_does_not_tell_refutes_nothing(monkeypatch):
-    one = halved(1.0, spread=0.01, bent=-8.0)  # two standard deviations from what the other half has
+    one = halved(
+        1.0, spread=0.01, bent=-8.0
+    )  # two standard deviations from what the other half has
     assert not left_by(one).doubted
     monkeypatch.setattr(foretold, "CHANCE", 0.0)
     assert [f.main.joint for f in left_by(one).doubted] == [1]
@@ -80,7 +93,9 @@ def test_what_the_first_half_does_not_tell_refutes_nothing(monkeypatch):
 def test_a_column_of_nothing_is_no_matter():
     """Of a force, for one, in a direction that no joint feels."""
     one = halved(0.0)
-    wider = search.appended(dataclasses.replace(one, build=lambda _: (NOTHING, NOTHING)), [Shape("contact", 1, nothing)])
+    wider = search.appended(
+        dataclasses.replace(one, build=lambda _: (NOTHING, NOTHING)), [Shape("contact", 1, nothing)]
+    )
     assert not foretold.tested(wider, judge.said(wider, [0, 1, 2]), EVERY, np.ones(2)).doubted
 
 
@@ -107,4 +122,6 @@ def test_residuals_are_those_of_the_first_halfs_fit():
 
 
 def test_a_design_without_findings_has_nothing_to_test():
-    assert foretold.tested(halved(0.0), judge.Verdict((), None, ()), EVERY, np.ones(2)) == judge.Verdict((), None, ())
+    assert foretold.tested(
+        halved(0.0), judge.Verdict((), None, ()), EVERY, np.ones(2)
+    ) == judge.Verdict((), None, ())

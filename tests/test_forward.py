@@ -8,29 +8,38 @@ import pytest
 from conftest import loaded, off, random_urdf, slope, states
 from made import simulated
 
-import excite
-from excite import base, dynamics, limits, parameters, robot
 from excite.errors import UnusableInput
-from excite.identify import consistent, equations, estimators, forward, mechanism, refinement, signals
-from excite.identify.consistent import Prior
-from excite.identify.distance import Distance
-from excite.identify.equations import Model
-from excite.identify.forward import Windows
+from excite.identification import (
+    consistency,
+    estimators,
+    forward_dynamics,
+    regression,
+    segments,
+    simulation_error,
+    simulation_refinement,
+)
+from excite.identification.consistency import Prior
+from excite.identification.inertia_distance import Distance
+from excite.identification.regression import Model
+from excite.identification.simulation_error import Windows
 from excite.recordings import Recording
 from excite.recordings.sidecar import Sidecar
+from excite.robot import base_parameters, dynamics, inertial_parameters, limits, robot
+from excite.robot.robot import locate
 
-FOLDER = Path(excite.__file__).parent
 WIDTH = 0.02
 
 
-def model_of(arm, drive=parameters.DRIVE) -> Model:
-    own = parameters.standard(arm, limits.resolve(arm), drive)
-    return Model(arm, own, base.find(arm, own, limits.resolve(arm)), np.full(arm.n, WIDTH))
+def model_of(arm, drive=inertial_parameters.DRIVE) -> Model:
+    own = inertial_parameters.standard(arm, limits.resolve(arm), drive)
+    return Model(
+        arm, own, base_parameters.find(arm, own, limits.resolve(arm)), np.full(arm.n, WIDTH)
+    )
 
 
 def driven(model: Model, seed: int = 0) -> np.ndarray:
     """Nominal bodies with drives that do something."""
-    rng, psi = np.random.default_rng(seed), consistent.nominal_bodies(model.parameters)
+    rng, psi = np.random.default_rng(seed), consistency.nominal_bodies(model.parameters)
     for kind, size in (("rotor_inertia", 0.5), ("viscous", 0.4), ("coulomb", 1.0), ("offset", 0.3)):
         if kind in model.parameters.drive:
             psi[model.parameters.block(kind)] = size * rng.uniform(0.5, 1.5, model.robot.n)
@@ -38,7 +47,11 @@ def driven(model: Model, seed: int = 0) -> np.ndarray:
 
 
 def mimicking() -> Model:
-    return model_of(loaded(random_urdf(np.random.default_rng(5), 4, mimics={2: (0, 0.7, 0.1)}, kinds=("revolute",))))
+    return model_of(
+        loaded(
+            random_urdf(np.random.default_rng(5), 4, mimics={2: (0, 0.7, 0.1)}, kinds=("revolute",))
+        )
+    )
 
 
 MODELS = {
@@ -65,7 +78,7 @@ def test_forward_dynamics_undoes_inverse_dynamics(model):
     Y = dynamics.regressor(model.robot, model.parameters, motion)
     block = model.parameters.block("coulomb")
     Y[:, range(model.robot.n), range(block.start, block.stop)] = np.tanh(motion.dq / WIDTH)
-    found = mechanism.of(model, psi).acceleration(motion.q, motion.dq, Y @ psi)
+    found = forward_dynamics.of(model, psi).acceleration(motion.q, motion.dq, Y @ psi)
     assert off(found, motion.ddq) < 1e-9
 
 
@@ -76,24 +89,32 @@ def test_rigid_torque_is_that_of_the_regressor(model):
         if kind in model.parameters.drive:
             kept[model.parameters.block(kind)] = 0.0
     expected = dynamics.regressor(model.robot, model.parameters, motion) @ (kept * psi)
-    assert off(mechanism.of(model, psi).rigid(motion), expected) < 1e-9
+    assert off(forward_dynamics.of(model, psi).rigid(motion), expected) < 1e-9
 
 
 def test_derivatives_of_acceleration(model):
     psi, n = driven(model), model.robot.n
     q, v = slow(n)
     torque = states(n, 4, 3).ddq
-    a, slopes = mechanism.of(model, psi).sensitive(q, v, torque)
-    assert off(a, mechanism.of(model, psi).acceleration(q, v, torque)) < 1e-12
-    body, back = mechanism.of(model, psi), np.linalg.pinv(model.base.matrix)
+    a, slopes = forward_dynamics.of(model, psi).sensitive(q, v, torque)
+    assert off(a, forward_dynamics.of(model, psi).acceleration(q, v, torque)) < 1e-12
+    body, back = forward_dynamics.of(model, psi), np.linalg.pinv(model.base.matrix)
     for j in range(n):
         at, size = np.eye(n)[j], 1e-6 * np.abs(slopes[:, :, : 2 * n]).max()
         by_q = slope(lambda h, at=at: body.acceleration(q + h * at, v, torque), 1e-4)
         by_v = slope(lambda h, at=at: body.acceleration(q, v + h * at, torque), 1e-4)
-        assert np.abs(slopes[:, :, j] - by_q).max() < size and np.abs(slopes[:, :, n + j] - by_v).max() < size
+        assert (
+            np.abs(slopes[:, :, j] - by_q).max() < size
+            and np.abs(slopes[:, :, n + j] - by_v).max() < size
+        )
     scale = np.abs(slopes[:, :, 2 * n :]).max()
     for k in range(0, model.base.count, 4):
-        found = slope(lambda h, k=k: mechanism.of(model, psi + h * back[:, k]).acceleration(q, v, torque), 1e-4)
+        found = slope(
+            lambda h, k=k: forward_dynamics.of(model, psi + h * back[:, k]).acceleration(
+                q, v, torque
+            ),
+            1e-4,
+        )
         assert np.abs(slopes[:, :, 2 * n + k] - found).max() < 1e-6 * scale
 
 
@@ -101,33 +122,44 @@ def some_windows(model: Model, count: int = 3) -> Windows:
     n = model.robot.n
     q, v = slow(n, count)
     torque = states(n, count, 4).ddq[:, None] + np.random.default_rng(5).normal(size=(count, 11, n))
-    return Windows(np.concatenate([q, v], axis=1), torque, np.repeat(q[:, None], 3, axis=1), 5, 200.0)
+    return Windows(
+        np.concatenate([q, v], axis=1), torque, np.repeat(q[:, None], 3, axis=1), 5, 200.0
+    )
 
 
 def test_derivatives_of_simulated_positions_are_those_of_the_discrete_map(model):
     psi, n, windows = driven(model), model.robot.n, some_windows(model)
-    body, start = mechanism.of(model, psi), windows.states
-    q, slopes = forward.linearised(body, windows, start)
-    assert off(q, forward.simulated(body, windows, start)) < 1e-13
+    body, start = forward_dynamics.of(model, psi), windows.states
+    q, slopes = simulation_error.linearised(body, windows, start)
+    assert off(q, simulation_error.simulated(body, windows, start)) < 1e-13
     for k in (0, n - 1, n, 2 * n - 1):
         unit = np.eye(2 * n)[k]
-        found = slope(lambda h, unit=unit: forward.simulated(body, windows, start + h * unit), 1e-4)
+        found = slope(
+            lambda h, unit=unit: simulation_error.simulated(body, windows, start + h * unit), 1e-4
+        )
         assert off(slopes[..., k], found) < 1e-6
     back = np.linalg.pinv(model.base.matrix)
     size = np.abs(slopes[..., 2 * n :]).max()
     for k in range(0, model.base.count, 5):
-        found = slope(lambda h, k=k: forward.simulated(mechanism.of(model, psi + h * back[:, k]), windows, start), 1e-4)
+        found = slope(
+            lambda h, k=k: simulation_error.simulated(
+                forward_dynamics.of(model, psi + h * back[:, k]), windows, start
+            ),
+            1e-4,
+        )
         assert np.abs(slopes[..., 2 * n + k] - found).max() < 1e-6 * size
 
 
 def test_friction_is_as_wide_as_a_step_of_integration_needs():
     model = model_of(robot.load("two_link"))
     psi, windows = driven(model), some_windows(model)
-    assert np.array_equal(forward.softened(model, psi, [windows]).widths, model.widths)
-    narrow = mechanism.widened(model, np.full(2, 1e-6))
-    soft = forward.softened(narrow, psi, [windows])
+    assert np.array_equal(simulation_error.softened(model, psi, [windows]).widths, model.widths)
+    narrow = forward_dynamics.widened(model, np.full(2, 1e-6))
+    soft = simulation_error.softened(narrow, psi, [windows])
     assert (soft.widths > 1e-4).all()
-    assert np.isfinite(forward.simulated(mechanism.of(soft, psi), windows, windows.states)).all()
+    assert np.isfinite(
+        simulation_error.simulated(forward_dynamics.of(soft, psi), windows, windows.states)
+    ).all()
 
 
 # -- on a recording ------------------------------------------------------------------------------------------------
@@ -147,26 +179,39 @@ class Known:
 @pytest.fixture(scope="module")
 def known() -> Known:
     pytest.importorskip("mujoco")
-    from excite.plant import laboratory
+    from excite.simulator import experiment
 
-    path = FOLDER / "models/two_link.urdf"
-    session = laboratory.simulate(path, FOLDER.parent / "trajectories/two_link.json", laboratory.Setting(seed=5, noise=1e-3), periods=2)
+    path = locate("two_link")
+    session = experiment.simulate(
+        path,
+        Path(__file__).parents[1] / "trajectories/two_link.json",
+        experiment.Setting(seed=5, noise=1e-3),
+        periods=2,
+    )
     told, arm = session.recording, robot.load("two_link")
-    own = parameters.standard(arm, limits.resolve(arm))
+    own = inertial_parameters.standard(arm, limits.resolve(arm))
     truth = simulated(session.plant, own, limits.resolve(arm))
-    model = Model(arm, own, base.find(arm, own, limits.resolve(arm)), session.plant.drive.width)
+    model = Model(
+        arm, own, base_parameters.find(arm, own, limits.resolve(arm)), session.plant.drive.width
+    )
     sidecar = Sidecar(period=told.period, periodic=told.periodic)
-    pieces = list(signals.pieces([Recording("bench.csv", told.joints, told.t, told.q, tau=told.tau, sidecar=sidecar)]))
-    data = estimators.estimate(equations.build(model, pieces, 20.0))
+    pieces = list(
+        segments.pieces(
+            [Recording("bench.csv", told.joints, told.t, told.q, tau=told.tau, sidecar=sidecar)]
+        )
+    )
+    data = estimators.estimate(regression.build(model, pieces, 20.0))
     prior = Prior(
-        consistent.nominal_bodies(own),
+        consistency.nominal_bodies(own),
         Distance.BREGMAN,
         1.0,
         1e-6 * np.ones(own.count - 10 * own.bodies),
         np.diag(own.scale)[10 * own.bodies :],
     )
-    psi = consistent.maximum_a_posteriori(own, data.root @ model.base.matrix, data.root @ data.theta, prior).psi
-    groups, share = forward.cut(pieces, 20.0, 0.1, 12)
+    psi = consistency.maximum_a_posteriori(
+        own, data.root @ model.base.matrix, data.root @ data.theta, prior
+    ).psi
+    groups, share = simulation_error.cut(pieces, 20.0, 0.1, 12)
     return Known(model, groups, share, data, prior, psi, truth)
 
 
@@ -178,18 +223,25 @@ def test_windows_lie_in_the_recording(known):
 
 
 def test_the_identified_robot_foresees_positions_and_the_nominal_one_does_not(known):
-    found = forward.error(known.model, known.psi, known.prior.nominal, known.groups, known.share)
+    found = simulation_error.error(
+        known.model, known.psi, known.prior.nominal, known.groups, known.share
+    )
     assert (found.fitted[-1] < 2e-3).all() and (found.nominal[-1] > 10.0 * found.fitted[-1]).all()
     assert (np.diff(found.nominal, axis=0) > 0.0).all()
     assert found.windows == 12 and "0.1 s ahead" in found.words
-    true = forward.error(known.model, known.truth, known.prior.nominal, known.groups)
+    true = simulation_error.error(known.model, known.truth, known.prior.nominal, known.groups)
     assert (true.fitted[-1] < 1.1 * found.fitted[-1] + 1e-5).all()
 
 
 def test_refined_parameters_foresee_positions_better_and_stay_where_equation_error_puts_them(known):
-    found = refinement.refine(known.model, known.groups, known.psi, known.data, known.prior)
-    assert all(b <= a for a, b in zip(found.costs, found.costs[1:], strict=False)) and found.costs[-1] < found.costs[0]
-    assert consistent.is_consistent(known.model.parameters, found.psi)
+    found = simulation_refinement.refine(
+        known.model, known.groups, known.psi, known.data, known.prior
+    )
+    assert (
+        all(b <= a for a, b in zip(found.costs, found.costs[1:], strict=False))
+        and found.costs[-1] < found.costs[0]
+    )
+    assert consistency.is_consistent(known.model.parameters, found.psi)
     moved = known.data.root @ known.model.base.matrix @ (found.psi - known.psi)
     assert float(moved @ moved) < 4.0 * len(moved)
 
@@ -200,20 +252,26 @@ def test_from_a_wrong_start_it_finds_the_truth_without_equation_error(known):
     wrong[P.block("coulomb")] *= 0.6
     wrong[:20] *= 1.1
     weak = dataclasses.replace(known.prior, bodies=1e-2)
-    found = refinement.refine(known.model, known.groups, wrong, known.data, weak, anchored=False)
+    found = simulation_refinement.refine(
+        known.model, known.groups, wrong, known.data, weak, anchored=False
+    )
     B = known.model.base.matrix
-    before, after = (np.linalg.norm(known.data.root @ B @ (psi - known.truth)) for psi in (wrong, found.psi))
-    assert after < 0.1 * before and consistent.is_consistent(P, found.psi)
+    before, after = (
+        np.linalg.norm(known.data.root @ B @ (psi - known.truth)) for psi in (wrong, found.psi)
+    )
+    assert after < 0.1 * before and consistency.is_consistent(P, found.psi)
 
 
 def test_a_model_that_loses_the_robot_is_not_refined(known):
     light = known.psi.copy()
     light[:20] *= 1e-4
     light[known.model.parameters.block("rotor_inertia")] *= 1e-4
-    with pytest.raises(UnusableInput, match=r"loses the recorded motion within a window, joint 'joint_[12]' first"):
-        refinement.refine(known.model, known.groups, light, known.data, known.prior)
-    assert forward.cut([], 20.0) == ([], 0.0)
+    with pytest.raises(
+        UnusableInput, match=r"loses the recorded motion within a window, joint 'joint_[12]' first"
+    ):
+        simulation_refinement.refine(known.model, known.groups, light, known.data, known.prior)
+    assert simulation_error.cut([], 20.0) == ([], 0.0)
     with pytest.raises(UnusableInput, match="shorter horizon"):
-        forward.error(known.model, known.psi, known.psi, [])
+        simulation_error.error(known.model, known.psi, known.psi, [])
     with pytest.raises(UnusableInput, match="shorter horizon"):
-        refinement.refine(known.model, [], known.psi, known.data, known.prior)
+        simulation_refinement.refine(known.model, [], known.psi, known.data, known.prior)

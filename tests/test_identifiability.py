@@ -10,13 +10,22 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from excite import artefact, base, dynamics, limits, parameters, robot
-from excite.base import Base
-from excite.identifiability import Identifiability, analyse, analyse_root, information_root, root_of
-from excite.motion import Motion, Segment
-from excite.scenarios import what_would_help
-from excite.trajectory import Fourier, Samples
-from excite.wording import percent, spoken
+from excite.designer.experiment_comparison import what_would_help
+from excite.designer.identifiability import (
+    Identifiability,
+    analyse,
+    analyse_root,
+    information_root,
+    root_of,
+)
+from excite.robot import base_parameters as base_parameters_module
+from excite.robot import dynamics, inertial_parameters, limits, robot
+from excite.robot.base_parameters import Base
+from excite.robot.parameter_names import percent, spoken
+from excite.robot.samples import Samples
+from excite.trajectory import trajectory_file
+from excite.trajectory.fourier import Fourier
+from excite.trajectory.rest_to_rest import Motion, Segment
 
 RNG_SEED = 3
 
@@ -25,8 +34,8 @@ RNG_SEED = 3
 def setup(name: str) -> tuple:
     loaded = robot.load(name)
     table = limits.resolve(loaded)
-    standard = parameters.standard(loaded, table)
-    return loaded, table, standard, base.find(loaded, standard, table)
+    standard = inertial_parameters.standard(loaded, table)
+    return loaded, table, standard, base_parameters_module.find(loaded, standard, table)
 
 
 def motion_of(name: str, count: int = 300, period: float = 5.0) -> tuple[Motion, Samples]:
@@ -34,7 +43,10 @@ def motion_of(name: str, count: int = 300, period: float = 5.0) -> tuple[Motion,
     rng = np.random.default_rng(RNG_SEED)
     speed = np.where(np.isfinite(table.velocity), table.velocity, 1.0)[:, None]
     series = Fourier(
-        0.1 * speed * rng.normal(size=(loaded.n, 4)), 0.1 * speed * rng.normal(size=(loaded.n, 4)), rng.normal(size=loaded.n), period
+        0.1 * speed * rng.normal(size=(loaded.n, 4)),
+        0.1 * speed * rng.normal(size=(loaded.n, 4)),
+        rng.normal(size=loaded.n),
+        period,
     )
     motion = Motion(loaded.joints, series, 2, (Segment("fourier", 0.0, 2.0 * period),))
     return motion, series.samples(series.grid(count))
@@ -58,7 +70,9 @@ def test_eigenvalues_are_those_of_the_generalised_problem() -> None:
     H0 = np.linalg.inv(found.matrix @ inverse_metric @ found.matrix.T)
     expected = scipy.linalg.eigh(gamma.T @ gamma, 0.5 * (H0 + H0.T), eigvals_only=True)[::-1]
     np.testing.assert_allclose(analysis.eigenvalues, expected, rtol=1e-6)
-    assert [d.identifiable for d in analysis.directions] == [bool(1.0 / v <= analysis.threshold) for v in expected]
+    assert [d.identifiable for d in analysis.directions] == [
+        bool(1.0 / v <= analysis.threshold) for v in expected
+    ]
 
 
 @pytest.mark.parametrize("name", ["two_link", "ur10e", "fr3"])
@@ -77,7 +91,9 @@ def test_blocks_give_the_information_of_the_whole() -> None:
     noise = 0.01 * table.torque
     whole = root_of(dynamics.regressor(loaded, standard, samples), noise)
     blocks = information_root(loaded, standard, samples, noise)
-    np.testing.assert_allclose(blocks.T @ blocks, whole.T @ whole, rtol=1e-9, atol=1e-9 * np.abs(whole.T @ whole).max())
+    np.testing.assert_allclose(
+        blocks.T @ blocks, whole.T @ whole, rtol=1e-9, atol=1e-9 * np.abs(whole.T @ whole).max()
+    )
 
 
 @pytest.mark.parametrize("name", ["two_link", "ur10e"])
@@ -89,7 +105,9 @@ def test_nothing_depends_on_the_choice_of_base(name: str) -> None:
     geometric = standard.scale @ np.linalg.qr((other_rows @ standard.scale).T)[0]
     other: Base = dataclasses.replace(found, matrix=other_rows, geometric=geometric)
     again = analyse_root(standard, other, root, 0.01 * table.torque, loaded)
-    np.testing.assert_allclose(again.eigenvalues, analysis.eigenvalues, rtol=1e-6, atol=1e-12 * analysis.eigenvalues[0])
+    np.testing.assert_allclose(
+        again.eigenvalues, analysis.eigenvalues, rtol=1e-6, atol=1e-12 * analysis.eigenvalues[0]
+    )
     for one, two in zip(analysis.links + analysis.joints, again.links + again.joints, strict=True):
         assert one.name == two.name
         assert one.identifiable_share == pytest.approx(two.identifiable_share, abs=1e-6)
@@ -111,7 +129,7 @@ def test_weights_are_shares_of_a_unit_direction() -> None:
 @pytest.mark.parametrize("name", ["two_link", "ur10e", "fr3"])
 def test_named_coordinates_keep_the_metric(name: str) -> None:
     """The coordinates that carry names are whitened too, and δm alone moves only the one called mass."""
-    from excite.identifiability import _named_root, _rotation
+    from excite.designer.identifiability import _named_root, _rotation
 
     standard = setup(name)[2]
     turn = _rotation(standard)
@@ -119,16 +137,27 @@ def test_named_coordinates_keep_the_metric(name: str) -> None:
     total = float(standard.nominal[0 : 10 * standard.bodies : 10].sum())
     for i in range(standard.bodies):
         block = slice(10 * i, 10 * i + 10)
-        phi = parameters.proper_body(standard.nominal[block], total)[0]
+        phi = inertial_parameters.proper_body(standard.nominal[block], total)[0]
         named, whitened = _named_root(phi), standard.scale[block, block]
         expected = whitened @ whitened.T
         np.testing.assert_allclose(named @ named.T, expected, atol=1e-10 * np.abs(expected).max())
         # a body that grows heavier and keeps its centre of mass: δφ ∝ (m, mc, inertia of a point mass at c)
         c = phi[1:4] / phi[0]
         point = np.array(
-            [1.0, *c, c[1] ** 2 + c[2] ** 2, -c[0] * c[1], c[0] ** 2 + c[2] ** 2, -c[0] * c[2], -c[1] * c[2], c[0] ** 2 + c[1] ** 2]
+            [
+                1.0,
+                *c,
+                c[1] ** 2 + c[2] ** 2,
+                -c[0] * c[1],
+                c[0] ** 2 + c[2] ** 2,
+                -c[0] * c[2],
+                -c[1] * c[2],
+                c[0] ** 2 + c[1] ** 2,
+            ]
         )
-        np.testing.assert_allclose(named[:, 0], np.sqrt(2.0) * phi[0] * point, atol=1e-9 * np.abs(named).max())
+        np.testing.assert_allclose(
+            named[:, 0], np.sqrt(2.0) * phi[0] * point, atol=1e-9 * np.abs(named).max()
+        )
 
 
 def test_deviations_are_those_of_repeated_least_squares() -> None:
@@ -142,7 +171,9 @@ def test_deviations_are_those_of_repeated_least_squares() -> None:
     rng = np.random.default_rng(7)
     truth = found.matrix @ standard.nominal
     torque = rows @ truth
-    draws = np.linalg.lstsq(rows, (torque[:, None] + rng.normal(size=(len(torque), 4000))), rcond=None)[0]
+    draws = np.linalg.lstsq(
+        rows, (torque[:, None] + rng.normal(size=(len(torque), 4000))), rcond=None
+    )[0]
     measured = draws.std(axis=1)
     predicted = np.array([b.std for b in analysis.base_parameters])
     np.testing.assert_allclose(predicted, measured, rtol=0.06)  # five sigmas of 1/√(2·4000)
@@ -153,7 +184,9 @@ def test_a_joint_that_rests_is_not_seen_and_said_so() -> None:
     loaded, table, standard, found = setup("two_link")
     samples = motion_of("two_link")[1]
     still = np.array([1.0, 0.0])
-    frozen = Samples(samples.q * still + 0.3 * (1.0 - still), samples.dq * still, samples.ddq * still)
+    frozen = Samples(
+        samples.q * still + 0.3 * (1.0 - still), samples.dq * still, samples.ddq * still
+    )
     noise = 0.01 * table.torque
     root = information_root(loaded, standard, frozen, noise)
     analysis = analyse_root(standard, found, root, noise, loaded)
@@ -164,8 +197,10 @@ def test_a_joint_that_rests_is_not_seen_and_said_so() -> None:
     stds = {b.name: b.std for b in analysis.base_parameters}
     assert np.isinf(stds["Fv2"]) and np.isinf(stds["Fc2"])
     assert np.isfinite(stds["Fv1"])
-    text = artefact.dumps(analysis.document())
-    document = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is not strict JSON"))
+    text = trajectory_file.dumps(analysis.document())
+    document = json.loads(
+        text, parse_constant=lambda name: pytest.fail(f"{name} is not strict JSON")
+    )
     assert document["directions"][-1]["variance"] is None
     assert {b["name"]: b["std"] for b in document["base_parameters"]}["Fv2"] is None
     json.dumps(analysis.document(), allow_nan=False)
@@ -175,8 +210,20 @@ def test_document_is_the_contracts() -> None:
     analysis, _ = result("ur10e")
     document = json.loads(json.dumps(analysis.document(), allow_nan=False))
     assert document["schema"] == "excite.identifiability/1"
-    assert {"threshold", "eigenvalues", "directions", "base_parameters", "links", "torque_noise"} <= set(document)
-    assert len(document["eigenvalues"]) == len(document["directions"]) == len(document["base_parameters"]) == 58
+    assert {
+        "threshold",
+        "eigenvalues",
+        "directions",
+        "base_parameters",
+        "links",
+        "torque_noise",
+    } <= set(document)
+    assert (
+        len(document["eigenvalues"])
+        == len(document["directions"])
+        == len(document["base_parameters"])
+        == 58
+    )
     assert set(document["directions"][0]) == {"variance", "identifiable", "words", "weights"}
     assert set(document["base_parameters"][0]) == {"name", "expression", "nominal", "std"}
     loaded = setup("ur10e")[0]
@@ -194,7 +241,9 @@ def test_a_looser_threshold_shows_more() -> None:
     _, root = result("ur10e")
     counts, shares = [], []
     for threshold in (1e-4, 1e-2, 1e12):
-        analysis = analyse_root(standard, found, root, 0.01 * table.torque, loaded, threshold=threshold)
+        analysis = analyse_root(
+            standard, found, root, 0.01 * table.torque, loaded, threshold=threshold
+        )
         counts.append(analysis.identifiable)
         shares.append([s.identifiable_share for s in analysis.links])
     assert counts == sorted(counts) and counts[-1] == found.count
@@ -207,7 +256,9 @@ def test_words_name_links_and_joints() -> None:
     loaded = setup("ur10e")[0]
     for direction in analysis.directions:
         assert any(name in direction.words for name in (*loaded.links, *loaded.joints))
-        assert ("seen to ±" in direction.words and not direction.words.startswith("not")) == direction.identifiable
+        assert (
+            "seen to ±" in direction.words and not direction.words.startswith("not")
+        ) == direction.identifiable
     assert percent(0.0234) == "2.3 %" and percent(3.4) == "340 %"
     standard = setup("ur10e")[2]
     assert spoken("mcx3", standard) == "m·c along x of forearm_link"
@@ -218,23 +269,33 @@ def test_twice_the_time_and_twice_the_speed() -> None:
     loaded, table, standard, found = setup("two_link")
     motion, _ = motion_of("two_link")
     noise = 0.01 * table.torque
-    now, time, speed = what_would_help(loaded, standard, found, table, motion, noise=noise, rate=100.0)
+    now, time, speed = what_would_help(
+        loaded, standard, found, table, motion, noise=noise, rate=100.0
+    )
     np.testing.assert_allclose(time.eigenvalues, 2.0 * now.eigenvalues, rtol=1e-9)
     assert (now.name, time.name, speed.name) == ("now", "time", "speed") and not time.broken
     # the same number of samples of the faster series, counted directly
     fast = motion.fourier.slowed(2.0)
     count = round(100.0 * motion.duration)
     t = np.arange(count) * (motion.duration / count)
-    direct = analyse_root(standard, found, information_root(loaded, standard, fast.samples(t), noise), noise, loaded)
+    direct = analyse_root(
+        standard, found, information_root(loaded, standard, fast.samples(t), noise), noise, loaded
+    )
     np.testing.assert_allclose(speed.eigenvalues, direct.eigenvalues, rtol=0.02)
     peak = np.abs(fast.at(fast.grid(300), 1)).max(axis=0) / table.velocity
     assert any(b.limit == "velocity" for b in speed.broken) == bool(peak.max() > 1.0)
     # a limit derived for the ramps does not bind the excitation; a stated one does
     low = dataclasses.replace(table, acceleration=np.full(2, 0.1))
-    derived = dataclasses.replace(low, sources={**table.sources, "acceleration": ("derived", "derived")})
+    derived = dataclasses.replace(
+        low, sources={**table.sources, "acceleration": ("derived", "derived")}
+    )
     for limited, expected in ((low, True), (derived, False)):
-        broken = what_would_help(loaded, standard, found, limited, motion, noise=noise, rate=100.0)[2].broken
+        broken = what_would_help(loaded, standard, found, limited, motion, noise=noise, rate=100.0)[
+            2
+        ].broken
         assert any(b.limit == "acceleration" for b in broken) == expected
     slow = dataclasses.replace(table, velocity=0.5 * np.abs(fast.at(fast.grid(300), 1)).max(axis=0))
-    broken = what_would_help(loaded, standard, found, slow, motion, noise=noise, rate=100.0)[2].broken
+    broken = what_would_help(loaded, standard, found, slow, motion, noise=noise, rate=100.0)[
+        2
+    ].broken
     assert next(b for b in broken if b.limit == "velocity").factor == pytest.approx(2.0)

@@ -13,14 +13,17 @@ import pinocchio as pin
 import pytest
 from test_report import answer, check_page, section
 
-from excite import base, cli, limits, parameters, recordings, robot
-from excite.identify import confidence
-from excite.identify.identification import Identification, Options, identify
+from excite import recordings
+from excite.cli import main
+from excite.identification import confidence
+from excite.identification.identification import Identification, Options, identify
 from excite.recordings import Kind, Recording, Remark, Sidecar
-from excite.report import fit_figures, identification_page, noise
-from excite.report.ellipsoid_figures import Body
+from excite.report import identification_page, noise
+from excite.report.figures import torque_fit
+from excite.report.figures.inertia_ellipsoids import Body
 from excite.report.identification import command
 from excite.report.page import number
+from excite.robot import base_parameters, inertial_parameters, limits, robot
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "recordings"
 QUESTIONS = {
@@ -39,7 +42,9 @@ def recorded(name: str, seed: int) -> Recording:
     """Three periods of a two-link arm whose second link is 0.4 kg heavier than its URDF, by Pinocchio alone."""
     loaded = robot.load("two_link")
     model = loaded.model.copy()
-    model.inertias[2] = pin.Inertia(model.inertias[2].mass + 0.4, model.inertias[2].lever, model.inertias[2].inertia)
+    model.inertias[2] = pin.Inertia(
+        model.inertias[2].mass + 0.4, model.inertias[2].lever, model.inertias[2].inertia
+    )
     data, rng = model.createData(), np.random.default_rng(seed)
     t = np.arange(int(PERIOD * PERIODS * RATE)) / RATE
     angle = 2.0 * np.pi / PERIOD * np.arange(1, 5)[:, None] * t
@@ -50,18 +55,31 @@ def recorded(name: str, seed: int) -> Recording:
     ddq = -0.6 * ((a * omega**2) @ np.sin(angle) + (b * omega**2) @ np.cos(angle)).T
     torque = np.array([pin.rnea(model, data, *row) for row in zip(q, dq, ddq, strict=True)])
     torque += 0.3 * dq + 0.5 * np.tanh(dq / 0.005) + rng.normal(scale=(0.3, 0.1), size=torque.shape)
-    return Recording(name, loaded.joints, t, q, tau=torque, sidecar=Sidecar(period=PERIOD, periodic=(0.0, PERIOD * PERIODS)))
+    return Recording(
+        name,
+        loaded.joints,
+        t,
+        q,
+        tau=torque,
+        sidecar=Sidecar(period=PERIOD, periodic=(0.0, PERIOD * PERIODS)),
+    )
 
 
 @cache
 def found(*, held_out: bool = True, periodic: bool = True) -> Identification:
     loaded = robot.load("two_link")
     table = limits.resolve(loaded)
-    standard = parameters.standard(loaded, table)
+    standard = inertial_parameters.standard(loaded, table)
     first, second = recorded("first.csv", 1), recorded("second.csv", 2)
     if not periodic:
         first, second = (dataclasses.replace(r, sidecar=Sidecar()) for r in (first, second))
-    return identify(loaded, standard, base.find(loaded, standard, table), [first], [second] if held_out else [])
+    return identify(
+        loaded,
+        standard,
+        base_parameters.find(loaded, standard, table),
+        [first],
+        [second] if held_out else [],
+    )
 
 
 REMARKS = (
@@ -72,7 +90,9 @@ REMARKS = (
 
 @cache
 def page_of(*, held_out: bool = True, periodic: bool = True) -> str:
-    return identification_page(found(held_out=held_out, periodic=periodic), REMARKS, stated={"asked by": "a test"})
+    return identification_page(
+        found(held_out=held_out, periodic=periodic), REMARKS, stated={"asked by": "a test"}
+    )
 
 
 @pytest.mark.parametrize(("held_out", "periodic"), [(True, True), (False, True), (True, False)])
@@ -97,9 +117,14 @@ def test_errors_are_those_of_the_identification() -> None:
     rows = re.findall(r"<tr><td>(joint_\d)</td>(.*?)</tr>", text)
     held_out = rows[:2]
     for k, (joint, cells) in enumerate(held_out):
-        values = [re.sub(r"<[^>]*>", "", cell) for cell in re.findall(r"<td[^>]*>(.*?)</td>", cells)]
+        values = [
+            re.sub(r"<[^>]*>", "", cell) for cell in re.findall(r"<td[^>]*>(.*?)</td>", cells)
+        ]
         assert joint == prediction_joints()[k]
-        assert values[1:4] == [number(v[k], 3) for v in (prediction.error("nominal"), prediction.error(), prediction.floor)]
+        assert values[1:4] == [
+            number(v[k], 3)
+            for v in (prediction.error("nominal"), prediction.error(), prediction.floor)
+        ]
         assert values[4] == f"{prediction.error()[k] / prediction.floor[k]:.2f}"
     assert answer(page_of(), "prediction").startswith("Yes, down to the noise")
 
@@ -113,9 +138,13 @@ def test_base_parameters_are_those_of_the_identification() -> None:
     half = confidence.half_widths(one.data, np.eye(one.model.base.count))
     now = one.model.base.matrix @ one.psi
     for k, place in enumerate(one.model.base.independent):
-        row = re.search(rf"<tr><td><code>{one.model.parameters.names[place]}</code></td>(.*?)</tr>", text)
+        row = re.search(
+            rf"<tr><td><code>{one.model.parameters.names[place]}</code></td>(.*?)</tr>", text
+        )
         assert row
-        values = [re.sub(r"<[^>]*>", "", cell) for cell in re.findall(r"<td[^>]*>(.*?)</td>", row[1])]
+        values = [
+            re.sub(r"<[^>]*>", "", cell) for cell in re.findall(r"<td[^>]*>(.*?)</td>", row[1])
+        ]
         assert values[2:5] == [number(one.data.theta[k]), number(half[k], 2), number(now[k])]
 
 
@@ -134,12 +163,16 @@ def test_a_recording_that_was_fitted_is_not_held_out() -> None:
 
 def test_without_periods_no_floor_is_claimed() -> None:
     text = section(page_of(periodic=False), "prediction")
-    assert "no noise floor is known" in text and "noise floors" not in answer(page_of(periodic=False), "prediction")
+    assert "no noise floor is known" in text and "noise floors" not in answer(
+        page_of(periodic=False), "prediction"
+    )
 
 
 def test_a_joint_predicted_worse_than_by_nothing_is_named_in_red() -> None:
     one = found(periodic=False)
-    bad = dataclasses.replace(one.validations[0], fitted=one.validations[0].fitted * np.array([1.0, -3.0]))
+    bad = dataclasses.replace(
+        one.validations[0], fitted=one.validations[0].fitted * np.array([1.0, -3.0])
+    )
     page = identification_page(dataclasses.replace(one, validations=(bad,)))
     assert answer(page, "prediction").startswith("Not for joint_2, where predicting no torque")
     assert 'class="answer bad"' in section(page, "prediction")
@@ -147,7 +180,9 @@ def test_a_joint_predicted_worse_than_by_nothing_is_named_in_red() -> None:
 
 def test_remarks_and_stated_facts_are_told() -> None:
     text = section(page_of(), "made")
-    assert "a gap of &lt;12&gt; rows &amp; more" in text and "1 to 1.12" in text and "a test" in text
+    assert (
+        "a gap of &lt;12&gt; rows &amp; more" in text and "1 to 1.12" in text and "a test" in text
+    )
     assert "the health check had 2 remarks" in answer(page_of(), "made")
 
 
@@ -156,30 +191,47 @@ def test_the_data_decide_what_they_show_and_the_prior_the_rest() -> None:
     one = found()
     own = np.diag(one.model.parameters.scale)[10 * one.model.parameters.bodies :]
     prior = dataclasses.replace(one.prior, bodies=50.0, drives=np.full_like(own, 50.0), scales=own)
-    alike = dataclasses.replace(one, prior=prior, metric=one.model.parameters, metric_base=one.model.base)
-    values = np.linalg.svd(one.data.root @ one.model.base.matrix @ one.model.base.geometric, compute_uv=False) ** 2
+    alike = dataclasses.replace(
+        one, prior=prior, metric=one.model.parameters, metric_base=one.model.base
+    )
+    values = (
+        np.linalg.svd(
+            one.data.root @ one.model.base.matrix @ one.model.base.geometric, compute_uv=False
+        )
+        ** 2
+    )
     assert np.allclose(alike.decided(), values / (values + 100.0), rtol=1e-6)
 
 
 def test_the_next_command_is_one_that_the_command_line_takes() -> None:
     words = shlex.split(command(found()))
-    arguments = cli.parser().parse_args(words[1:])
+    arguments = main.parser().parse_args(words[1:])
     assert words[:2] == ["excite", "design"] and arguments.robot == "two_link"
     assert arguments.given == ["first.csv"] and arguments.validation
 
 
 def test_the_next_command_repeats_how_the_robot_was_loaded() -> None:
     payload = robot.Payload("link_2", 0.5, (0.1, 0.0, 0.02))
-    other = robot.load("two_link", joints=("joint_2",), lock={"joint_1": 0.25}, payload=payload, gravity=(0.0, 0.0, -1.62))
+    other = robot.load(
+        "two_link",
+        joints=("joint_2",),
+        lock={"joint_1": 0.25},
+        payload=payload,
+        gravity=(0.0, 0.0, -1.62),
+    )
     one = dataclasses.replace(found(), model=dataclasses.replace(found().model, robot=other))
-    arguments = cli.parser().parse_args(shlex.split(command(one))[1:])
+    arguments = main.parser().parse_args(shlex.split(command(one))[1:])
     assert arguments.joints == "joint_2" and arguments.lock == ["joint_1=0.25"]
-    assert arguments.gravity == "0,0,-1.62" and arguments.payload.startswith("link_2:0.5,0.1,0,0.02")
+    assert arguments.gravity == "0,0,-1.62" and arguments.payload.startswith(
+        "link_2:0.5,0.1,0,0.02"
+    )
 
 
 def test_an_ellipsoid_has_the_mass_and_inertia_of_its_body() -> None:
     a, b, c, centre = 0.3, 0.2, 0.1, np.array([0.1, -0.2, 0.3])
-    phi = pin.Inertia(2.0, centre, 0.4 * np.diag([b**2 + c**2, a**2 + c**2, a**2 + b**2])).toDynamicParameters()
+    phi = pin.Inertia(
+        2.0, centre, 0.4 * np.diag([b**2 + c**2, a**2 + c**2, a**2 + b**2])
+    ).toDynamicParameters()
     body = Body(phi)
     assert np.allclose(body.half_axes, [a, b, c]) and np.allclose(body.centre, centre)
     outline = body.outline((0, 2)) - centre[[0, 2]]
@@ -200,23 +252,44 @@ def test_long_recordings_are_drawn_around_their_largest_error() -> None:
     torque = np.sin(t)[:, None]
     left = np.where(np.abs(t - 200.0) < 0.5, 0.4, 0.0)[:, None]
     one = dataclasses.replace(
-        found().validations[0], time=t, measured=torque, nominal=torque, fitted=torque - left, floor=None, starts=(0, 1000)
+        found().validations[0],
+        time=t,
+        measured=torque,
+        nominal=torque,
+        fitted=torque - left,
+        floor=None,
+        starts=(0, 1000),
     )
-    start, end = fit_figures.window(one)
-    assert end - start == pytest.approx(fit_figures.EXCERPT) and start < 199.5 and end > 200.5
+    start, end = torque_fit.window(one)
+    assert end - start == pytest.approx(torque_fit.EXCERPT) and start < 199.5 and end > 200.5
 
 
 def test_one_sliding_joint() -> None:
     folder = REAL / "emps"
     if not folder.is_dir():
-        pytest.skip(f"no real recordings at {folder}; see its README in the project's shared folder")
+        pytest.skip(
+            f"no real recordings at {folder}; see its README in the project's shared folder"
+        )
     loaded = robot.load(str(folder / "emps.urdf"))
     table = limits.resolve(loaded)
-    standard = parameters.standard(loaded, table)
-    train, pulses = (recordings.read(folder / f"{name}.csv", loaded) for name in ("train", "validate_pulses"))
-    one = identify(loaded, standard, base.find(loaded, standard, table), [train], [pulses], Options(band=25.0))
+    standard = inertial_parameters.standard(loaded, table)
+    train, pulses = (
+        recordings.read(folder / f"{name}.csv", loaded) for name in ("train", "validate_pulses")
+    )
+    one = identify(
+        loaded,
+        standard,
+        base_parameters.find(loaded, standard, table),
+        [train],
+        [pulses],
+        Options(band=25.0),
+    )
     page = identification_page(one, train.remarks)
     check_page(page)
-    assert answer(page, "prediction").startswith("Yes: on validate_pulses.csv the error is 4.6 % of the RMS torque")
+    assert answer(page, "prediction").startswith(
+        "Yes: on validate_pulses.csv the error is 4.6 % of the RMS torque"
+    )
     assert "[N s/m]" in page and "[N m]" not in section(page, "parameters")
-    assert "1 body" not in answer(page, "bodies") and "Nothing in particular" in answer(page, "next")
+    assert "1 body" not in answer(page, "bodies") and "Nothing in particular" in answer(
+        page, "next"
+    )

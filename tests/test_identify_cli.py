@@ -11,8 +11,10 @@ import pytest
 from conftest import states, text_of
 from made import motion, perturbed, recorded, two_links, written
 
-from excite import cli, dynamics, limits, parameters, robot, workflow
-from excite.identify import consistent, model
+from excite.cli import main as main_module
+from excite.designer import pipeline
+from excite.identification import consistency, identified_model
+from excite.robot import dynamics, inertial_parameters, limits, robot
 
 
 @pytest.fixture(scope="module")
@@ -23,12 +25,23 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     psi = perturbed(subject.parameters, np.random.default_rng(4))
     for name, seed in (("train", 2), ("other", 5)):
         written(recorded(subject, psi, motion(2, seed), 3, 0.2), folder / f"{name}.csv")
-    assert run("identify", "two_link", folder / "train.csv", "--validate", folder / "other.csv", "-o", folder / "out") == 0
+    assert (
+        run(
+            "identify",
+            "two_link",
+            folder / "train.csv",
+            "--validate",
+            folder / "other.csv",
+            "-o",
+            folder / "out",
+        )
+        == 0
+    )
     return folder
 
 
 def run(*words: object) -> int:
-    return cli.main([str(word) for word in words])
+    return main_module.main([str(word) for word in words])
 
 
 def told(capsys: pytest.CaptureFixture[str], *words: object) -> str:
@@ -42,20 +55,47 @@ def told(capsys: pytest.CaptureFixture[str], *words: object) -> str:
 
 def test_the_files_are_written_and_the_json_says_what_they_say(folder, capsys):
     capsys.readouterr()
-    assert run("identify", "two_link", folder / "train.csv", "--validate", folder / "other.csv", "-o", folder / "again", "--json") == 0
+    assert (
+        run(
+            "identify",
+            "two_link",
+            folder / "train.csv",
+            "--validate",
+            folder / "other.csv",
+            "-o",
+            folder / "again",
+            "--json",
+        )
+        == 0
+    )
     document = json.loads(capsys.readouterr().out)
     stored = json.loads((folder / "again" / "model.json").read_text())
-    assert document["schema"] == stored["schema"] == "excite.model/1" and document["base_parameters"] == stored["base_parameters"]
-    assert {Path(name).name for name in document["files"]} == {"model.json", "identified.urdf", "report.html"}
+    assert (
+        document["schema"] == stored["schema"] == "excite.model/1"
+        and document["base_parameters"] == stored["base_parameters"]
+    )
+    assert {Path(name).name for name in document["files"]} == {
+        "model.json",
+        "identified.urdf",
+        "report.html",
+    }
     errors = stored["validation"][0]["joints"]
-    assert all(row["rmse"] < 0.5 * row["rmse_nominal"] and row["noise_floor"] > 0 for row in errors.values())
+    assert all(
+        row["rmse"] < 0.5 * row["rmse_nominal"] and row["noise_floor"] > 0
+        for row in errors.values()
+    )
     for parameter in stored["base_parameters"]:
         if parameter["interval"] is not None:
             assert parameter["interval"][0] < parameter["data"] < parameter["interval"][1]
 
 
 def test_a_prediction_has_the_recordings_own_times(folder):
-    assert run("predict", folder / "out" / "model.json", folder / "other.csv", "-o", folder / "tau.csv") == 0
+    assert (
+        run(
+            "predict", folder / "out" / "model.json", folder / "other.csv", "-o", folder / "tau.csv"
+        )
+        == 0
+    )
     predicted = np.genfromtxt(folder / "tau.csv", delimiter=",", names=True, deletechars="")
     measured = np.genfromtxt(folder / "other.csv", delimiter=",", names=True, deletechars="")
     assert np.allclose(predicted["t"], measured["t"])
@@ -66,57 +106,116 @@ def test_a_prediction_has_the_recordings_own_times(folder):
 
 
 def test_the_identified_urdf_gives_the_same_torque(folder):
-    fitted = model.read(folder / "out" / "model.json")
+    fitted = identified_model.read(folder / "out" / "model.json")
     again = robot.load(str(folder / "out" / "identified.urdf"))
-    standard = parameters.standard(again, limits.resolve(again))
+    standard = inertial_parameters.standard(again, limits.resolve(again))
     samples = states(2)
     assert np.allclose(standard.nominal, fitted.psi, rtol=1e-9, atol=1e-12)
     assert np.allclose(
-        dynamics.regressor(again, standard, samples) @ standard.nominal, dynamics.regressor(again, standard, samples) @ fitted.psi
+        dynamics.regressor(again, standard, samples) @ standard.nominal,
+        dynamics.regressor(again, standard, samples) @ fitted.psi,
     )
 
 
 def test_locked_joints_meshes_and_comments_survive(tmp_path):
     """A locked joint becomes fixed where it was locked, and what hangs on it belongs to the body before it."""
-    from excite.identify.description import identified
+    from excite.identification.urdf_export import identified
 
     machine = robot.load("ur10e", lock={"wrist_2_joint": 0.7, "wrist_3_joint": -0.3})
     table = limits.resolve(machine)
-    standard = parameters.standard(machine, table)
+    standard = inertial_parameters.standard(machine, table)
     psi = perturbed(standard, np.random.default_rng(1))
     path = tmp_path / "identified.urdf"
     path.write_text(identified(machine, standard, psi, np.full(machine.n, 0.003)))
     assert path.read_text().count("<!--") == text_of("ur10e").count("<!--")
     again = robot.load(str(path))
     assert again.joints == machine.joints
-    own = parameters.standard(again, limits.resolve(again))
+    own = inertial_parameters.standard(again, limits.resolve(again))
     samples = states(machine.n)
-    before, after = dynamics.regressor(machine, standard, samples) @ psi, dynamics.regressor(again, own, samples) @ own.nominal
+    before, after = (
+        dynamics.regressor(machine, standard, samples) @ psi,
+        dynamics.regressor(again, own, samples) @ own.nominal,
+    )
     assert np.allclose(before, after, rtol=1e-9, atol=1e-9)
 
 
 def test_a_prior_and_bounds_are_kept(folder):
     bounds = folder / "bounds.toml"
     bounds.write_text("[links.link_2]\nmass = [2.2, 2.4]\n")
-    assert run("identify", "two_link", folder / "train.csv", "--bounds", bounds, "-o", folder / "bounded") == 0
-    assert 2.2 <= model.read(folder / "bounded" / "model.json").psi[10] <= 2.4
+    assert (
+        run(
+            "identify",
+            "two_link",
+            folder / "train.csv",
+            "--bounds",
+            bounds,
+            "-o",
+            folder / "bounded",
+        )
+        == 0
+    )
+    assert 2.2 <= identified_model.read(folder / "bounded" / "model.json").psi[10] <= 2.4
     prior = folder / "prior.json"
-    prior.write_text(json.dumps({"schema": "excite.prior/1", "trust_prior": True, "joints": {"joint_1": {"coulomb": 1.25}}}))
-    assert run("identify", "two_link", folder / "train.csv", "--prior", prior, "-o", folder / "trusted") == 0
-    fitted = model.read(folder / "trusted" / "model.json")
+    prior.write_text(
+        json.dumps(
+            {
+                "schema": "excite.prior/1",
+                "trust_prior": True,
+                "joints": {"joint_1": {"coulomb": 1.25}},
+            }
+        )
+    )
+    assert (
+        run(
+            "identify", "two_link", folder / "train.csv", "--prior", prior, "-o", folder / "trusted"
+        )
+        == 0
+    )
+    fitted = identified_model.read(folder / "trusted" / "model.json")
     machine = robot.load("two_link")
-    standard = parameters.standard(machine, limits.resolve(machine))
-    assert np.allclose(fitted.psi[:20], consistent.nominal_bodies(standard)[:20], rtol=1e-3, atol=1e-4)
+    standard = inertial_parameters.standard(machine, limits.resolve(machine))
+    assert np.allclose(
+        fitted.psi[:20], consistency.nominal_bodies(standard)[:20], rtol=1e-3, atol=1e-4
+    )
     assert fitted.psi[standard.block("coulomb")][0] == pytest.approx(1.25, rel=1e-3)
-    assert run("identify", "two_link", folder / "train.csv", "--prior", folder / "out" / "model.json", "-o", folder / "same") == 0
+    assert (
+        run(
+            "identify",
+            "two_link",
+            folder / "train.csv",
+            "--prior",
+            folder / "out" / "model.json",
+            "-o",
+            folder / "same",
+        )
+        == 0
+    )
 
 
 def test_a_model_of_other_parameters_or_of_another_robot_is_no_prior(folder, capsys, tmp_path):
-    assert run("identify", "two_link", folder / "train.csv", "--without", "offset", "-o", tmp_path / "less") == 0
+    assert (
+        run(
+            "identify",
+            "two_link",
+            folder / "train.csv",
+            "--without",
+            "offset",
+            "-o",
+            tmp_path / "less",
+        )
+        == 0
+    )
     words = ("identify", "two_link", folder / "train.csv", "-o", tmp_path / "out", "--prior")
-    assert "wanted are rotor_inertia, viscous, coulomb, offset; identify with" in told(capsys, *words, tmp_path / "less" / "model.json")
+    assert "wanted are rotor_inertia, viscous, coulomb, offset; identify with" in told(
+        capsys, *words, tmp_path / "less" / "model.json"
+    )
     longer = json.loads((folder / "out" / "model.json").read_text())
-    moved = re.sub(r'(<joint name="joint_2".*?<origin xyz=")[^"]*', r"\g<1>0.7 0 0", longer["urdf"], flags=re.DOTALL)
+    moved = re.sub(
+        r'(<joint name="joint_2".*?<origin xyz=")[^"]*',
+        r"\g<1>0.7 0 0",
+        longer["urdf"],
+        flags=re.DOTALL,
+    )
     assert moved != longer["urdf"]
     (tmp_path / "longer.json").write_text(json.dumps({**longer, "urdf": moved}))
     assert "is a model of another robot" in told(capsys, *words, tmp_path / "longer.json")
@@ -124,13 +223,28 @@ def test_a_model_of_other_parameters_or_of_another_robot_is_no_prior(folder, cap
 
 def test_a_recording_that_is_fitted_is_none_to_judge_by(folder, capsys, tmp_path):
     train = folder / "train.csv"
-    assert "is the same motion as" in told(capsys, "identify", "two_link", train, "--validate", train, "-o", tmp_path / "out")
+    assert "is the same motion as" in told(
+        capsys, "identify", "two_link", train, "--validate", train, "-o", tmp_path / "out"
+    )
 
 
 @pytest.mark.parametrize("estimator", ["ols", "full", "huber"])
 def test_every_estimator_runs(folder, estimator):
     out = folder / estimator
-    assert run("identify", "two_link", folder / "train.csv", "--estimator", estimator, "--distance", "riemannian", "-o", out) == 0
+    assert (
+        run(
+            "identify",
+            "two_link",
+            folder / "train.csv",
+            "--estimator",
+            estimator,
+            "--distance",
+            "riemannian",
+            "-o",
+            out,
+        )
+        == 0
+    )
     assert json.loads((out / "model.json").read_text())["method"] == estimator
 
 
@@ -138,7 +252,9 @@ def test_a_refined_model_is_checked_where_it_started(folder):
     """What the refinement moved no longer minimises what the conic solver minimises."""
     pytest.importorskip("cvxpy")
     out = folder / "refined"
-    assert run("identify", "two_link", folder / "train.csv", "--refine", "--check-lmi", "-o", out) == 0
+    assert (
+        run("identify", "two_link", folder / "train.csv", "--refine", "--check-lmi", "-o", out) == 0
+    )
     assert json.loads((out / "model.json").read_text())["lmi"]["agrees"]
 
 
@@ -146,10 +262,13 @@ def test_what_a_recording_left_open_is_designed_for(folder, capsys, tmp_path, mo
     """The command of the report. What earlier recordings showed the new motion need not show again; the one to judge by shows it all."""
     quick = ("--starts", "1", "--iterations", "15", "--harmonics", "3", "--samples", "60")
     given = ("--given", folder / "train.csv")
-    assert run("design", "two_link", *quick, *given, "--validation", "--json", "-o", tmp_path / "next") == 0
+    assert (
+        run("design", "two_link", *quick, *given, "--validation", "--json", "-o", tmp_path / "next")
+        == 0
+    )
     values = json.loads(capsys.readouterr().out)["validation"]["criterion"]
     assert values["second"] < 2.0 * values["first"]
-    monkeypatch.setattr(workflow, "SINGULAR", 0.1)
+    monkeypatch.setattr(pipeline, "SINGULAR", 0.1)
     assert run("design", "two_link", *quick, "-o", tmp_path / "alone") == 1
     assert "does not show all" in capsys.readouterr().err
     assert run("design", "two_link", *quick, *given, "-o", tmp_path / "more") == 0
@@ -170,7 +289,13 @@ def test_bad_input_is_one_line_that_names_the_remedy(folder, capsys, tmp_path):
         (*go, "--bounds", folder / "absent.toml"): "absent.toml",
         ("predict", folder / "train.json", train, "-o", tmp_path / "x.csv"): "excite.model/1",
         ("predict", folder / "absent.json", train, "-o", tmp_path / "x.csv"): "absent.json",
-        ("predict", folder / "out" / "model.json", folder / "train.json", "-o", tmp_path / "x.csv"): "no recording but JSON",
+        (
+            "predict",
+            folder / "out" / "model.json",
+            folder / "train.json",
+            "-o",
+            tmp_path / "x.csv",
+        ): "no recording but JSON",
     }
     for words, part in cases.items():
         assert part in told(capsys, *words), words
@@ -181,8 +306,14 @@ def test_bad_input_is_one_line_that_names_the_remedy(folder, capsys, tmp_path):
     ("text", "part"),
     [
         ("[links.nobody]\nmass = [1, 2]\n", "no moving link 'nobody'"),
-        ("[links.link_2]\nmass = [3, 2]\n", "links.link_2.mass: the lower bound 3 is not below the upper bound 2"),
-        ("[links.link_2]\ncentre = [1, 2, 3]\n", "links.link_2.centre: should hold 2 values, not 3"),
+        (
+            "[links.link_2]\nmass = [3, 2]\n",
+            "links.link_2.mass: the lower bound 3 is not below the upper bound 2",
+        ),
+        (
+            "[links.link_2]\ncentre = [1, 2, 3]\n",
+            "links.link_2.centre: should hold 2 values, not 3",
+        ),
         ("links", "cannot be read as bounds"),
         ("[links.link_2]\ncenter = [[0, 0, 0], [1, 1, 1]]\n", "unknown key 'center'"),
         ("[joints.joint_1]\nmass = [1, 2]\n", "has the unknown key 'joints'; it may have links"),
@@ -192,7 +323,16 @@ def test_bad_input_is_one_line_that_names_the_remedy(folder, capsys, tmp_path):
 def test_bad_bounds(folder, capsys, tmp_path, text, part):
     path = tmp_path / "bounds.toml"
     path.write_text(text)
-    assert part in told(capsys, "identify", "two_link", folder / "train.csv", "--bounds", path, "-o", tmp_path / "out")
+    assert part in told(
+        capsys,
+        "identify",
+        "two_link",
+        folder / "train.csv",
+        "--bounds",
+        path,
+        "-o",
+        tmp_path / "out",
+    )
 
 
 @pytest.mark.parametrize(
@@ -203,15 +343,30 @@ def test_bad_bounds(folder, capsys, tmp_path, text, part):
         ({"joints": {"elbow": {}}}, "no joint 'elbow'"),
         ({"joints": None}, "joints: null should be a table"),
         ({"joints": {"joint_1": 0.3}}, "joints.joint_1: 0.3 should be a table"),
-        ({"joints": {"joint_1": {"backlash": 1}}}, "joints.joint_1: has the unknown key 'backlash'"),
-        ({"joints": {"joint_1": {"coulomb": "much"}}}, "joints.joint_1.coulomb: 'much' should be a number"),
+        (
+            {"joints": {"joint_1": {"backlash": 1}}},
+            "joints.joint_1: has the unknown key 'backlash'",
+        ),
+        (
+            {"joints": {"joint_1": {"coulomb": "much"}}},
+            "joints.joint_1.coulomb: 'much' should be a number",
+        ),
         ({"joint": {"joint_1": {"coulomb": 1.25}}}, "has the unknown key 'joint'"),
     ],
 )
 def test_bad_priors(folder, capsys, tmp_path, stated, part):
     path = tmp_path / "prior.json"
     path.write_text(json.dumps({"schema": "excite.prior/1", "trust_prior": True, **stated}))
-    assert part in told(capsys, "identify", "two_link", folder / "train.csv", "--prior", path, "-o", tmp_path / "out")
+    assert part in told(
+        capsys,
+        "identify",
+        "two_link",
+        folder / "train.csv",
+        "--prior",
+        path,
+        "-o",
+        tmp_path / "out",
+    )
 
 
 def test_a_recording_shorter_than_the_band_takes_is_refused(folder, capsys, tmp_path):

@@ -7,56 +7,71 @@ import numpy as np
 import pytest
 from made import simulated
 
-import excite
-from excite import base, limits, parameters, robot
 from excite.errors import UnusableInput
-from excite.identify import consistent, endogeneity, equations, estimators, instruments, signals
-from excite.identify.consistent import Prior
-from excite.identify.distance import Distance
-from excite.identify.equations import Model
-from excite.identify.estimators import Method
-from excite.identify.instruments import Kind
+from excite.identification import (
+    consistency,
+    estimators,
+    hausman_test,
+    instruments,
+    regression,
+    segments,
+)
+from excite.identification.consistency import Prior
+from excite.identification.estimators import Method
+from excite.identification.inertia_distance import Distance
+from excite.identification.instruments import Kind
+from excite.identification.regression import Model
 from excite.recordings import Recording
 from excite.recordings.sidecar import Sidecar
+from excite.robot import base_parameters, inertial_parameters, limits, robot
+from excite.robot.robot import locate
 
 HERTZ = 20.0
-FOLDER = Path(excite.__file__).parent
 
 
 @dataclasses.dataclass(frozen=True)
 class Bench:
     model: Model
     recording: Recording
-    rows: equations.Equations
+    rows: regression.Equations
     truth: np.ndarray  # θ
     psi: np.ndarray  # by least squares
 
 
 def bench(encoder: float, step: float) -> Bench:
     pytest.importorskip("mujoco")
-    from excite.plant import laboratory
-    from excite.plant.drive import Control
+    from excite.simulator import experiment
+    from excite.simulator.actuator import Control
 
-    setting = laboratory.Setting(seed=3, encoder=encoder, control=Control(step=step))
-    session = laboratory.simulate(FOLDER / "models/two_link.urdf", FOLDER.parent / "trajectories/two_link.json", setting, periods=2)
+    setting = experiment.Setting(seed=3, encoder=encoder, control=Control(step=step))
+    session = experiment.simulate(
+        locate("two_link"),
+        Path(__file__).parents[1] / "trajectories/two_link.json",
+        setting,
+        periods=2,
+    )
     told = session.recording
     arm = robot.load("two_link")
     table = limits.resolve(arm)
-    own = parameters.standard(arm, table)
+    own = inertial_parameters.standard(arm, table)
     true = simulated(session.plant, own, table)
-    model = Model(arm, own, base.find(arm, own, table), session.plant.drive.width)
+    model = Model(arm, own, base_parameters.find(arm, own, table), session.plant.drive.width)
     sidecar = Sidecar(period=told.period, periodic=told.periodic)
-    recording = Recording("bench.csv", told.joints, told.t, told.q, tau=told.tau, qref=told.qref, sidecar=sidecar)
-    rows = equations.build(model, signals.pieces([recording]), HERTZ)
+    recording = Recording(
+        "bench.csv", told.joints, told.t, told.q, tau=told.tau, qref=told.qref, sidecar=sidecar
+    )
+    rows = regression.build(model, segments.pieces([recording]), HERTZ)
     data = estimators.estimate(rows)
     prior = Prior(
-        consistent.nominal_bodies(own),
+        consistency.nominal_bodies(own),
         Distance.PULLBACK,
         1.0,
         1e-3 * np.ones(own.count - 10 * own.bodies),
         np.diag(own.scale)[10 * own.bodies :],
     )
-    psi = consistent.maximum_a_posteriori(own, data.root @ model.base.matrix, data.root @ data.theta, prior).psi
+    psi = consistency.maximum_a_posteriori(
+        own, data.root @ model.base.matrix, data.root @ data.theta, prior
+    ).psi
     return Bench(model, recording, rows, model.base.matrix @ true, psi)
 
 
@@ -75,7 +90,9 @@ def test_the_model_under_the_controller_found_moves_more_like_the_robot_than_the
     assert found.kind is Kind.AUXILIARY and "auxiliary" in found.words
     assert (found.strayed < 0.6 * found.behind).all()
     assert (found.law.explained > 0.999).all()
-    assert np.abs(found.law.forward[0] - 0.8).max() < 0.06  # of the plant's controller: Control.forward
+    assert (
+        np.abs(found.law.forward[0] - 0.8).max() < 0.06
+    )  # of the plant's controller: Control.forward
     assert (found.law.gains >= 0.0).all() and (found.law.gains[:2] > 0.0).all()
 
 
@@ -83,7 +100,7 @@ def test_instruments_pass_the_filter_and_the_periods_of_the_equations(quiet):
     same = dataclasses.replace(quiet.recording, qref=quiet.recording.q)
     found = instruments.build(quiet.model, [same], HERTZ, quiet.psi, Kind.REFERENCE)
     assert np.array_equal(found.rows, quiet.rows.regressor)
-    single = equations.build(quiet.model, signals.pieces([same], average=False), HERTZ)
+    single = regression.build(quiet.model, segments.pieces([same], average=False), HERTZ)
     found = instruments.build(quiet.model, [same], HERTZ, quiet.psi, Kind.REFERENCE, average=False)
     assert np.array_equal(found.rows, single.regressor)
 
@@ -93,8 +110,13 @@ def test_the_regressor_as_its_own_instrument_is_least_squares(quiet):
     iv = estimators.estimate(quiet.rows, Method.IV, instruments=quiet.rows.regressor)
     assert np.allclose(iv.theta, ls.theta, rtol=1e-7)
     assert np.allclose(iv.covariance, ls.covariance, rtol=1e-5)
-    test = endogeneity.durbin_wu_hausman(ls, iv, quiet.rows, quiet.rows.regressor)
-    assert test.freedom == 0 and test.p == 1.0 and not test.needed and test.strength == pytest.approx(1.0)
+    test = hausman_test.durbin_wu_hausman(ls, iv, quiet.rows, quiet.rows.regressor)
+    assert (
+        test.freedom == 0
+        and test.p == 1.0
+        and not test.needed
+        and test.strength == pytest.approx(1.0)
+    )
 
 
 def test_directions_that_the_recording_hides_stay_open(quiet):
@@ -114,12 +136,16 @@ def test_an_estimator_by_instruments_needs_some(quiet):
 
 def test_a_recording_without_reference_is_named(quiet):
     bare = dataclasses.replace(quiet.recording, qref=None)
-    with pytest.raises(UnusableInput, match=r"bench\.csv: joint 'joint_1' has no commanded position.*qref\.joint_1"):
+    with pytest.raises(
+        UnusableInput, match=r"bench\.csv: joint 'joint_1' has no commanded position.*qref\.joint_1"
+    ):
         instruments.build(quiet.model, [bare], HERTZ, quiet.psi)
     torn = quiet.recording.qref.copy()
     torn[5, 1] = np.nan
     with pytest.raises(UnusableInput, match="joint 'joint_2' has rows without"):
-        instruments.build(quiet.model, [dataclasses.replace(quiet.recording, qref=torn)], HERTZ, quiet.psi)
+        instruments.build(
+            quiet.model, [dataclasses.replace(quiet.recording, qref=torn)], HERTZ, quiet.psi
+        )
 
 
 def test_a_model_that_loses_the_reference_is_no_silent_substitute(quiet):
@@ -142,7 +168,7 @@ def test_p_values_are_uniform_where_positions_have_no_noise(quiet, colour):
         torque = quiet.rows.predicted(quiet.truth) + noise * [0.2, 0.1]
         rows = dataclasses.replace(quiet.rows, torque=torque, periods=(0,), repeats=(None,))
         ls, iv = estimators.estimate(rows), estimators.estimate(rows, Method.IV, instruments=Z)
-        test = endogeneity.durbin_wu_hausman(ls, iv, rows, Z)
+        test = hausman_test.durbin_wu_hausman(ls, iv, rows, Z)
         assert test.freedom >= 1
         found.append(test.p)
     assert np.mean(np.array(found) < 0.05) < 0.15
@@ -152,8 +178,11 @@ def test_p_values_are_uniform_where_positions_have_no_noise(quiet, colour):
 @pytest.mark.parametrize("kind", list(Kind))
 def test_coarse_encoders_are_noticed_and_their_bias_removed(coarse, kind):
     Z = instruments.build(coarse.model, [coarse.recording], HERTZ, coarse.psi, kind).rows
-    ls, iv = estimators.estimate(coarse.rows), estimators.estimate(coarse.rows, Method.IV, instruments=Z)
-    test = endogeneity.durbin_wu_hausman(ls, iv, coarse.rows, Z)
+    ls, iv = (
+        estimators.estimate(coarse.rows),
+        estimators.estimate(coarse.rows, Method.IV, instruments=Z),
+    )
+    test = hausman_test.durbin_wu_hausman(ls, iv, coarse.rows, Z)
     assert test.p < 1e-6 and test.needed and "take instruments" in test.words
     names = coarse.model.base.expressions
     inertias = [k for k, name in enumerate(names) if name.startswith(("Iyy", "mcx"))]

@@ -9,12 +9,12 @@ import pytest
 from scipy import signal
 from test_diagnose import PLANTED, found, on, recordings_of, slips
 
-from excite.diagnose import diagnosis, interval, late, search, whole
-from excite.diagnose.catalogue import BY_NAME
-from excite.diagnose.diagnosis import Diagnosis
-from excite.diagnose.effect import Delay
-from excite.identify.band import Band, Grid
-from excite.identify.equations import Model
+from excite.diagnosis import diagnosis, interval, late, search, whole
+from excite.diagnosis.diagnosis import Diagnosis
+from excite.effects import BY_NAME
+from excite.effects.effect import Delay
+from excite.identification.lowpass import Band, Grid
+from excite.identification.regression import Model
 from excite.recordings import Recording
 
 Array = np.ndarray
@@ -32,7 +32,9 @@ def test_a_signal_below_the_band_comes_later_by_what_is_asked(periodic):
     wave = lambda t: np.sin(2.0 * np.pi * 3.0 * t) + 0.3 * np.cos(2.0 * np.pi * 11.25 * t + 1.0)  # noqa: E731
     moved = band.low(wave(t), Grid.RECORDED, late=seconds)
     kept = slice(band.margin, len(t) - band.margin)
-    np.testing.assert_allclose(moved[kept], wave(t - seconds)[kept], atol=1e-9 if periodic else 2e-3)
+    np.testing.assert_allclose(
+        moved[kept], wave(t - seconds)[kept], atol=1e-9 if periodic else 2e-3
+    )
 
 
 @pytest.mark.parametrize("periodic", [True, False])
@@ -42,18 +44,25 @@ def test_a_signal_below_the_band_passes_a_filter_of_first_order(periodic):
     wave = lambda f, late: np.sin(2.0 * np.pi * f * t - late)  # noqa: E731
     passed = band.low(wave(3.0, 0.0) + 0.3 * wave(11.25, 0.0), Grid.RECORDED, lag=lag)
     angles = [2.0 * np.pi * f * lag for f in (3.0, 11.25)]
-    expected = sum(size * wave(f, np.arctan(a)) / np.hypot(1.0, a) for size, f, a in zip((1.0, 0.3), (3.0, 11.25), angles, strict=True))
+    expected = sum(
+        size * wave(f, np.arctan(a)) / np.hypot(1.0, a)
+        for size, f, a in zip((1.0, 0.3), (3.0, 11.25), angles, strict=True)
+    )
     kept = slice(band.margin, len(t) - band.margin)
     np.testing.assert_allclose(passed[kept], expected[kept], atol=1e-9 if periodic else 3e-3)
 
 
 def test_what_is_late_at_one_joint_is_in_time_at_others(nothing):
     one, seconds = nothing.tracks[0][0], 0.011
-    every = dataclasses.replace(one, to=Grid.RECORDED, kept=slice(0, len(one.piece)), time=one.clock)
+    every = dataclasses.replace(
+        one, to=Grid.RECORDED, kept=slice(0, len(one.piece)), time=one.clock
+    )
     shapes = list(BY_NAME["elasticity"].shapes([one]))
     shape = next(s for s in shapes if s.joint == 0)
     now, then = shape.columns(every), shape.late(Delay(seconds), 0).columns(every)
-    moved = np.column_stack([np.interp(one.clock - seconds, one.clock, column) for column in now[:, 0].T])
+    moved = np.column_stack(
+        [np.interp(one.clock - seconds, one.clock, column) for column in now[:, 0].T]
+    )
     inner = slice(500, -500)
     np.testing.assert_allclose(then[inner, 0], moved[inner], atol=2e-3 * np.abs(now[:, 0]).max())
     np.testing.assert_array_equal(then[:, 1], now[:, 1])
@@ -73,7 +82,11 @@ def test_what_is_turned_stays_as_late(nothing):
     then = shape.late(Delay(0.004), 1)
     assert then.knob is not None
     kin = [knob.at(knob.value) for knob in then.kin()]
-    for other in (then.knob.at(1.3 * then.knob.value), *kin, *(own.late(Delay(0.004), None) for own in kin)):
+    for other in (
+        then.knob.at(1.3 * then.knob.value),
+        *kin,
+        *(own.late(Delay(0.004), None) for own in kin),
+    ):
         assert other.values["late"] == 0.004
     assert kin and {other.values["springs"] for other in kin} == {3.0, 5.0}
 
@@ -89,20 +102,35 @@ def filtered(one: Recording, lag: float) -> Recording:
     """A recording whose torque has passed a filter of first order, as controllers log it, with the noise of a sensor that does not."""
     keep = np.exp(-1.0 / (one.rate * lag))
     tau, start = one.torque, keep * one.torque[:1]
-    return dataclasses.replace(one, tau=np.asarray(signal.lfilter([1.0 - keep], [1.0, -keep], tau, axis=0, zi=start)[0]))
+    return dataclasses.replace(
+        one, tau=np.asarray(signal.lfilter([1.0 - keep], [1.0, -keep], tau, axis=0, zi=start)[0])
+    )
 
 
 @pytest.mark.parametrize("effect", [None, "stribeck"])
 def test_torque_that_was_filtered_is_told_as_that_and_hides_nothing(subject, effect):
-    train, held_out = (filtered(one, 0.015) for one in recordings_of(subject, None if effect is None else PLANTED[effect][0]))
-    result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [held_out])
+    train, held_out = (
+        filtered(one, 0.015)
+        for one in recordings_of(subject, None if effect is None else PLANTED[effect][0])
+    )
+    result = diagnosis.diagnose(
+        subject.robot, subject.parameters, subject.base, [train], [held_out]
+    )
     named = [(f.main.effect, f.main.joint) for f in result.verdict.findings]
-    assert named == [("delay", None), *([(effect, PLANTED[effect][1])] if effect else [])] and not result.unknown
+    assert (
+        named == [("delay", None), *([(effect, PLANTED[effect][1])] if effect else [])]
+        and not result.unknown
+    )
     value, std = interval.finding_parameters(result.design, result.verdict, 0)["seconds"]
     keep = np.exp(-1.0 / (500.0 * 0.015))
-    assert abs(value - keep / (1.0 - keep) / 500.0) < 2.0 * std and std < 0.003  # of steps, not of the continuous filter
+    assert (
+        abs(value - keep / (1.0 - keep) / 500.0) < 2.0 * std and std < 0.003
+    )  # of steps, not of the continuous filter
     assert (result.after < 1.6 * result.expected).all()
-    again = [whole.restored(whole.entry(part, subject.robot), subject.robot, "model.json") for part in result.parts]
+    again = [
+        whole.restored(whole.entry(part, subject.robot), subject.robot, "model.json")
+        for part in result.parts
+    ]
     along = result.tracks[1][0]
     np.testing.assert_allclose(whole.torque(again, along), whole.torque(result.parts, along))
 
@@ -114,18 +142,31 @@ def test_torque_that_was_filtered_is_told_as_that_and_hides_nothing(subject, eff
         ("hysteresis", 0.015, lambda t, q, dq, tau: on(1, 4.0 * slips(q[:, 1], np.array([0.02])))),
     ],
 )
-def test_an_effect_that_comes_late_with_all_the_rest_is_named_beside_the_delay(subject, effect, seconds, plant):
+def test_an_effect_that_comes_late_with_all_the_rest_is_named_beside_the_delay(
+    subject, effect, seconds, plant
+):
     train, held_out = (delayed(one, seconds, 1) for one in recordings_of(subject, plant))
-    result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [held_out])
+    result = diagnosis.diagnose(
+        subject.robot, subject.parameters, subject.base, [train], [held_out]
+    )
     named = [(f.main.effect, f.main.joint) for f in result.verdict.findings[:2]]
     assert set(named) == {(effect, 1), ("delay", 1)} and not result.unknown
-    value, std = interval.finding_parameters(result.design, result.verdict, named.index(("delay", 1)))["seconds"]
+    value, std = interval.finding_parameters(
+        result.design, result.verdict, named.index(("delay", 1))
+    )["seconds"]
     assert abs(value - seconds) < 2.0 * std < 0.3 * seconds
     assert (result.after < 1.6 * result.expected).all()
     together = result.verdict.together
     assert together is not None
-    ways = [s.values["late"] for s in (result.design.shapes[i] for i in together.shapes) if s.effect != "delay"]
-    again = [whole.restored(whole.entry(part, subject.robot), subject.robot, "model.json") for part in result.parts]
+    ways = [
+        s.values["late"]
+        for s in (result.design.shapes[i] for i in together.shapes)
+        if s.effect != "delay"
+    ]
+    again = [
+        whole.restored(whole.entry(part, subject.robot), subject.robot, "model.json")
+        for part in result.parts
+    ]
     along = result.tracks[1][0]
     np.testing.assert_allclose(whole.torque(again, along), whole.torque(result.parts, along))
     assert ways and ways == pytest.approx([value] * len(ways), rel=0.15)
@@ -140,7 +181,9 @@ def test_what_is_in_time_stays_so(subject):
 def test_a_delay_that_friction_s_memory_bends_to_is_tried(nothing):
     """Only where that leaves something, and no delay was found."""
     one = nothing.design
-    hysteresis = next(i for i, shape in enumerate(one.shapes) if shape.effect == "hysteresis" and shape.joint == 1)
+    hysteresis = next(
+        i for i, shape in enumerate(one.shapes) if shape.effect == "hysteresis" and shape.joint == 1
+    )
     told = late._hidden(one, search.trial(one, [hysteresis]))
     assert late._worth(told, {0, 1}) == {1: Delay(late.USUAL)}
     assert late._worth(told, {0}) == {} == late._hidden(one, search.trial(one, []))

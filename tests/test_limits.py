@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from excite.errors import ExciteWarning, MissingLimit, UnusableInput
-from excite.limits import QUANTITIES, Limits, from_document, resolve
-from excite.robot import load
+from excite.robot.limits import QUANTITIES, Limits, from_document, resolve
+from excite.robot.robot import load
 from excite.schemas import quantities
 from excite.schemas.limits import StatedLimits
 
@@ -48,7 +48,11 @@ def stated(limits: Limits) -> StatedLimits:
 
 def test_urdf_limits_are_taken_and_their_source_told():
     limits = of(LIMIT)
-    assert (limits.position.tolist(), limits.velocity[0], limits.torque[0]) == ([[-2.0, 2.5]], 3.0, 40.0)
+    assert (limits.position.tolist(), limits.velocity[0], limits.torque[0]) == (
+        [[-2.0, 2.5]],
+        3.0,
+        40.0,
+    )
     assert [limits.sources[q][0] for q in QUANTITIES] == ["urdf", "urdf", "", "", "urdf"]
 
 
@@ -73,7 +77,9 @@ def test_acceleration_and_jerk_bind_only_where_given():
     ],
 )
 def test_a_missing_limit_names_joint_quantity_and_the_place_to_set_it(inside, quantity):
-    with pytest.raises(MissingLimit, match=rf"'swing' has no usable {quantity} limit; set it .* --limits FILE") as caught:
+    with pytest.raises(
+        MissingLimit, match=rf"'swing' has no usable {quantity} limit; set it .* --limits FILE"
+    ) as caught:
         of(inside)
     assert (caught.value.joint, caught.value.quantity) == ("swing", quantity)
 
@@ -102,11 +108,20 @@ def test_toml_overrides_only_what_it_states(tmp_path):
 def test_moveit_yaml_overrides_what_it_switches_on(tmp_path):
     limits = of(LIMIT, written(tmp_path, MOVEIT, "joint_limits.yaml"))
     assert limits.position.tolist() == [[-1.0, 1.5]]
-    assert (limits.velocity[0], limits.acceleration[0], limits.jerk[0], limits.torque[0]) == (1.25, 7.0, np.inf, 33.0)
+    assert (limits.velocity[0], limits.acceleration[0], limits.jerk[0], limits.torque[0]) == (
+        1.25,
+        7.0,
+        np.inf,
+        33.0,
+    )
 
 
 def test_moveit_yaml_of_a_bigger_robot_warns_of_joints_it_ignores(tmp_path):
-    file = written(tmp_path, MOVEIT + "  finger: {has_velocity_limits: true, max_velocity: 1.0}\n", "joint_limits.yaml")
+    file = written(
+        tmp_path,
+        MOVEIT + "  finger: {has_velocity_limits: true, max_velocity: 1.0}\n",
+        "joint_limits.yaml",
+    )
     with pytest.warns(ExciteWarning, match="'finger' .* ignored"):
         of(LIMIT, file)
 
@@ -115,15 +130,27 @@ def test_moveit_yaml_of_a_bigger_robot_warns_of_joints_it_ignores(tmp_path):
     ("text", "part"),
     [
         ("[joints.knee]\nvelocity = 1\n", "no joint 'knee' in .* there are: swing"),
-        ("[joints.swing]\nspeed = 1\n", "joints.swing: has the unknown key 'speed'; it may have position, velocity"),
+        (
+            "[joints.swing]\nspeed = 1\n",
+            "joints.swing: has the unknown key 'speed'; it may have position, velocity",
+        ),
         ("[joints.swing]\nvelocity = 0\n", "joints.swing.velocity: 0 should be from 1e-09 to"),
         ("[joints.swing]\nvelocity = -1\n", "joints.swing.velocity: -1 should be from"),
         ("[joints.swing]\nvelocity = nan\n", "joints.swing.velocity: the number is not finite"),
-        ("[joints.swing]\nvelocity = [1, 2]\n", "joints.swing.velocity: a list of 2 should be a number"),
+        (
+            "[joints.swing]\nvelocity = [1, 2]\n",
+            "joints.swing.velocity: a list of 2 should be a number",
+        ),
         ("[joints.swing]\nvelocity = 'fast'\n", "joints.swing.velocity: 'fast' should be a number"),
         ("[joints.swing]\nposition = 2\n", "joints.swing.position: 2 should be a list"),
-        ("[joints.swing]\nposition = [1, nan]\n", r"joints.swing.position\[1\]: the number is not finite"),
-        ("[joints.swing]\nposition = [2, 1]\n", "joints.swing.position: the lower bound 2 is not below the upper bound 1; swap"),
+        (
+            "[joints.swing]\nposition = [1, nan]\n",
+            r"joints.swing.position\[1\]: the number is not finite",
+        ),
+        (
+            "[joints.swing]\nposition = [2, 1]\n",
+            "joints.swing.position: the lower bound 2 is not below the upper bound 1; swap",
+        ),
         ("[joints.swing]\nbraking = {offset = 1}\n", "joints.swing.braking: has no 'rate'"),
         ("velocity = 1\n", "has the unknown key 'velocity'; it may have joints, margin"),
         ("", "no .joints.<name>. tables; write one per joint"),
@@ -145,12 +172,24 @@ def test_a_toml_that_contradicts_itself_is_refused_with_the_joint(text, part, tm
         ("{}", "has no 'joint_limits'"),
         ("", "null should be a table"),
         ("joint_limits: {swing: 3}\n", "joint_limits.swing: 3 should be a table"),
-        (MOVEIT.replace("    max_velocity: 1.25\n", ""), "joint_limits.swing: has no 'max_velocity', but has_velocity_limits is true"),
-        (MOVEIT.replace("max_velocity", "max_velocty"), "joint_limits.swing: has the unknown key 'max_velocty'"),
+        (
+            MOVEIT.replace("    max_velocity: 1.25\n", ""),
+            "joint_limits.swing: has no 'max_velocity', but has_velocity_limits is true",
+        ),
+        (
+            MOVEIT.replace("max_velocity", "max_velocty"),
+            "joint_limits.swing: has the unknown key 'max_velocty'",
+        ),
         (MOVEIT.replace("1.25", "&v 1.25").replace("7.0", "*v"), "the alias .v is not read"),
         (MOVEIT + "    max_effort: 1.0\n", "the key 'max_effort' occurs twice"),
-        (MOVEIT.replace("min_position: -1.0", "min_position: 2.0"), "joint_limits.swing.position: the lower bound 2 is not below"),
-        (MOVEIT.replace("max_velocity: 1.25", "max_velocity: -1.25"), "joint_limits.swing.max_velocity: -1.25 should be from"),
+        (
+            MOVEIT.replace("min_position: -1.0", "min_position: 2.0"),
+            "joint_limits.swing.position: the lower bound 2 is not below",
+        ),
+        (
+            MOVEIT.replace("max_velocity: 1.25", "max_velocity: -1.25"),
+            "joint_limits.swing.max_velocity: -1.25 should be from",
+        ),
     ],
 )
 def test_a_yaml_that_contradicts_itself_is_refused_with_the_joint(text, part, tmp_path):
@@ -195,7 +234,9 @@ def test_an_absent_limit_is_absent_in_the_document():
 def test_scaling_leaves_positions_alone(factor):
     limits = resolve(load("two_link"))
     scaled = limits.scaled(velocity=factor)
-    assert np.allclose(scaled.velocity, factor * limits.velocity) and np.array_equal(scaled.position, limits.position)
+    assert np.allclose(scaled.velocity, factor * limits.velocity) and np.array_equal(
+        scaled.position, limits.position
+    )
 
 
 @pytest.mark.parametrize(
@@ -232,5 +273,9 @@ def test_a_mimic_joint_keeps_its_own_limits():
 
 
 def test_a_yaml_may_say_degrees(tmp_path):
-    text = "joint_limits:\n  swing:\n    has_velocity_limits: true\n    max_velocity: !degrees 180.0\n"
-    assert of(LIMIT, written(tmp_path, text, "joint_limits.yaml")).velocity[0] == pytest.approx(np.pi)
+    text = (
+        "joint_limits:\n  swing:\n    has_velocity_limits: true\n    max_velocity: !degrees 180.0\n"
+    )
+    assert of(LIMIT, written(tmp_path, text, "joint_limits.yaml")).velocity[0] == pytest.approx(
+        np.pi
+    )

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from conftest import states
 
-from excite import base, dynamics, limits, parameters, robot
 from excite.errors import UnusableInput
-from excite.identify import consistent, lmi
-from excite.identify.consistent import Bounds, Prior
-from excite.identify.distance import Distance, pseudo
+from excite.identification import consistency, lmi_check
+from excite.identification.consistency import Bounds, Prior
+from excite.identification.inertia_distance import Distance, pseudo
+from excite.robot import base_parameters, dynamics, inertial_parameters, limits, robot
 
 CONVEX = (Distance.BREGMAN, Distance.PULLBACK, Distance.EUCLIDEAN)
 
@@ -18,16 +18,16 @@ CONVEX = (Distance.BREGMAN, Distance.PULLBACK, Distance.EUCLIDEAN)
 @pytest.fixture(autouse=True)
 def fine(monkeypatch):
     """The barrier's cost below what is compared."""
-    monkeypatch.setattr(consistent, "WEIGHTS", (*consistent.WEIGHTS, 1e-5, 1e-6))
+    monkeypatch.setattr(consistency, "WEIGHTS", (*consistency.WEIGHTS, 1e-5, 1e-6))
 
 
 def problem(name: str, noise: float, seed: int = 0, count: int = 60):
     """Rows of equations of a robot whose parameters are 10 % off, and of its base parameters the triangle."""
     arm = robot.load(name)
-    own = parameters.standard(arm, limits.resolve(arm))
-    basis = base.find(arm, own, limits.resolve(arm))
+    own = inertial_parameters.standard(arm, limits.resolve(arm))
+    basis = base_parameters.find(arm, own, limits.resolve(arm))
     rng = np.random.default_rng(seed)
-    nominal = consistent.nominal_bodies(own)
+    nominal = consistency.nominal_bodies(own)
     truth = nominal * (1.0 + 0.1 * rng.normal(size=own.count))
     for kind in ("viscous", "coulomb"):
         truth[own.block(kind)] = 0.5
@@ -40,7 +40,13 @@ def problem(name: str, noise: float, seed: int = 0, count: int = 60):
 
 
 def prior(own, nominal, distance, weight=1.0):
-    return Prior(nominal, distance, weight, 0.1 * np.ones(own.count - 10 * own.bodies), np.diag(own.scale)[10 * own.bodies :])
+    return Prior(
+        nominal,
+        distance,
+        weight,
+        0.1 * np.ones(own.count - 10 * own.bodies),
+        np.diag(own.scale)[10 * own.bodies :],
+    )
 
 
 @pytest.mark.parametrize("distance", CONVEX, ids=lambda d: d.value)
@@ -49,9 +55,13 @@ def test_both_solvers_find_the_same_estimate(name, distance):
     pytest.importorskip("cvxpy")
     own, root, target, nominal = problem(name, 0.5)
     wanted = prior(own, nominal, distance)
-    found = consistent.maximum_a_posteriori(own, root, target, wanted)
-    check = lmi.check(own, root, target, wanted, found)
-    assert check.agrees and abs(check.gap) < 1e-4 and check.objective <= check.own + 1e-6 * abs(check.own)
+    found = consistency.maximum_a_posteriori(own, root, target, wanted)
+    check = lmi_check.check(own, root, target, wanted, found)
+    assert (
+        check.agrees
+        and abs(check.gap) < 1e-4
+        and check.objective <= check.own + 1e-6 * abs(check.own)
+    )
 
 
 @pytest.mark.parametrize("distance", CONVEX, ids=lambda d: d.value)
@@ -60,31 +70,37 @@ def test_also_where_bounds_bind(name, distance):
     pytest.importorskip("cvxpy")
     own, root, target, nominal = problem(name, 0.5, seed=3)
     wanted = prior(own, nominal, distance)
-    free = consistent.maximum_a_posteriori(own, root, target, wanted)
-    link, mass, centre = own.links[-1], float(free.psi[10 * own.bodies - 10]), free.psi[10 * own.bodies - 9 : 10 * own.bodies - 6]
+    free = consistency.maximum_a_posteriori(own, root, target, wanted)
+    link, mass, centre = (
+        own.links[-1],
+        float(free.psi[10 * own.bodies - 10]),
+        free.psi[10 * own.bodies - 9 : 10 * own.bodies - 6],
+    )
     box = np.stack([centre / mass + 0.01, centre / mass + 0.05])
     bounds = Bounds(mass={link: (1.05 * mass, 2.0 * mass)}, centre={link: box})
-    found = consistent.maximum_a_posteriori(own, root, target, wanted, bounds)
-    check = lmi.check(own, root, target, wanted, found, bounds)
+    found = consistency.maximum_a_posteriori(own, root, target, wanted, bounds)
+    check = lmi_check.check(own, root, target, wanted, found, bounds)
     assert check.agrees and abs(check.gap) < 1e-4
-    assert check.objective > consistent.objective(own, root, target, wanted, free.psi) + 1e-3
+    assert check.objective > consistency.objective(own, root, target, wanted, free.psi) + 1e-3
     assert check.psi[10 * own.bodies - 10] >= 1.05 * mass * (1 - 1e-6)
 
 
 def test_the_barrier_costs_no_more_than_it_may(monkeypatch):
     pytest.importorskip("cvxpy")
-    monkeypatch.setattr(consistent, "WEIGHTS", consistent.WEIGHTS[:-2])
+    monkeypatch.setattr(consistency, "WEIGHTS", consistency.WEIGHTS[:-2])
     own, root, target, nominal = problem("panda", 0.5)
     wanted = prior(own, nominal, Distance.BREGMAN)
-    assert lmi.check(own, root, target, wanted, consistent.maximum_a_posteriori(own, root, target, wanted)).agrees
+    assert lmi_check.check(
+        own, root, target, wanted, consistency.maximum_a_posteriori(own, root, target, wanted)
+    ).agrees
 
 
 def test_a_body_on_the_edge_of_what_bodies_are():
     pytest.importorskip("cvxpy")
     own, root, target, nominal = problem("two_link", 5.0, seed=1, count=8)
     wanted = prior(own, nominal, Distance.EUCLIDEAN, 1e-6)
-    found = consistent.maximum_a_posteriori(own, root, target, wanted)
-    check = lmi.check(own, root, target, wanted, found)
+    found = consistency.maximum_a_posteriori(own, root, target, wanted)
+    check = lmi_check.check(own, root, target, wanted, found)
     assert check.agrees and abs(check.gap) < 1e-4
     values = np.linalg.eigvalsh(pseudo(check.psi[: 10 * own.bodies].reshape(-1, 10)))
     assert values.min() < 1e-6 * values.max()
@@ -94,17 +110,23 @@ def test_one_line_says_what_to_install(monkeypatch):
     own, root, target, nominal = problem("two_link", 0.5)
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(UnusableInput, match=r"pip install 'excite\[lmi\]'"):
-        lmi.solve(own, root, target, prior(own, nominal, Distance.PULLBACK))
+        lmi_check.solve(own, root, target, prior(own, nominal, Distance.PULLBACK))
 
 
 def test_no_inequalities_for_the_riemannian_distance():
     own, root, target, nominal = problem("two_link", 0.5)
     with pytest.raises(UnusableInput, match="not convex"):
-        lmi.solve(own, root, target, prior(own, nominal, Distance.RIEMANNIAN))
+        lmi_check.solve(own, root, target, prior(own, nominal, Distance.RIEMANNIAN))
 
 
 def test_bounds_that_leave_nothing():
     pytest.importorskip("cvxpy")
     own, root, target, nominal = problem("two_link", 0.5)
     with pytest.raises(UnusableInput, match="widen"):
-        lmi.solve(own, root, target, prior(own, nominal, Distance.PULLBACK), Bounds(mass={own.links[0]: (2.0, 1.0)}))
+        lmi_check.solve(
+            own,
+            root,
+            target,
+            prior(own, nominal, Distance.PULLBACK),
+            Bounds(mass={own.links[0]: (2.0, 1.0)}),
+        )

@@ -9,16 +9,18 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from excite.plant.drive import Drive
-from excite.plant.effect import Effect
-from excite.plant.effects import FAMILIES, KINDS
-from excite.plant.effects.kind import Site, sign
-from excite.plant.law import Instant, Law
+from excite.simulator.actuator import Drive
+from excite.simulator.effect_instance import Effect
+from excite.simulator.effects import FAMILIES, KINDS
+from excite.simulator.effects.effect_type import Site, sign
+from excite.simulator.physical_effect import Instant, Law
 from excite.trial.score import mark, whole
 
 Array = np.ndarray
 ONE = np.ones(1)
-DRIVE = Drive(inertia=0.4 * ONE, viscous=0.5 * ONE, coulomb=1.5 * ONE, width=4e-3 * ONE, offset=0.2 * ONE)
+DRIVE = Drive(
+    inertia=0.4 * ONE, viscous=0.5 * ONE, coulomb=1.5 * ONE, width=4e-3 * ONE, offset=0.2 * ONE
+)
 SITE = Site(1, 0, 0, 60.0 * ONE, 3.0 * ONE, DRIVE, "a", "link")
 USUAL = {
     "stribeck": {"amplitude": 1.1, "velocity": 0.07},
@@ -45,13 +47,20 @@ def entry(name: str, family: str, **own: float) -> dict[str, object]:
 def meant(name: str, family: str, **own: float) -> Mapping[str, float]:
     """What an answer is compared with."""
     case = {"truth": {"drive": {"viscous": {"a": 0.5}}}}
-    return {key: one["value"] for key, one in whole(entry(name, family, **own), case)["parameters"].items()}
+    return {
+        key: one["value"]
+        for key, one in whole(entry(name, family, **own), case)["parameters"].items()
+    }
 
 
-def torque(it: Law, q: Array | float = 0.0, v: Array | float = 1.0, t: Array | float = 0.0) -> Array:
+def torque(
+    it: Law, q: Array | float = 0.0, v: Array | float = 1.0, t: Array | float = 0.0
+) -> Array:
     """At the joint, without acceleration or load."""
     t, q, v = np.broadcast_arrays(t, q, v)
-    out = it.torque(Instant(t, q[..., None], v[..., None], 0.0 * q[..., None], 0.0 * q[..., None]), np.empty(0))
+    out = it.torque(
+        Instant(t, q[..., None], v[..., None], 0.0 * q[..., None], 0.0 * q[..., None]), np.empty(0)
+    )
     assert out is not None
     return np.asarray(out[..., 0])
 
@@ -77,21 +86,32 @@ def test_stribeck_friction_has_fallen_to_1_over_e_at_its_velocity(family, veloci
 @pytest.mark.parametrize("family", FAMILIES)
 @pytest.mark.parametrize("phase", [0.0, 0.6, -2.5, np.pi])
 def test_position_friction_varies_by_its_amplitude_to_either_side(family, phase):
-    found = torque(law("position_friction", family, phase=phase), q=np.linspace(0.0, np.pi, 20001)) / sign(1.0)
-    assert 0.5 * np.ptp(found) == pytest.approx(meant("position_friction", family, phase=phase)["amplitude"], rel=1e-4)
+    found = torque(
+        law("position_friction", family, phase=phase), q=np.linspace(0.0, np.pi, 20001)
+    ) / sign(1.0)
+    assert 0.5 * np.ptp(found) == pytest.approx(
+        meant("position_friction", family, phase=phase)["amplitude"], rel=1e-4
+    )
 
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_ripple_has_its_amplitude_at_its_order(family):
     # a hundred turns: as many of the second mesh are whole
-    q, told = np.linspace(0.0, 200.0 * np.pi, 400000, endpoint=False), meant("torque_ripple", family)
-    assert wave(torque(law("torque_ripple", family), q=q), told["order"] * q) == pytest.approx(told["amplitude"])
+    q, told = (
+        np.linspace(0.0, 200.0 * np.pi, 400000, endpoint=False),
+        meant("torque_ripple", family),
+    )
+    assert wave(torque(law("torque_ripple", family), q=q), told["order"] * q) == pytest.approx(
+        told["amplitude"]
+    )
 
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_an_encoder_errs_by_its_amplitude_at_its_order(family):
     q, told = np.linspace(0.0, 2.0 * np.pi, 20000, endpoint=False), meant("encoder_error", family)
-    assert wave(law("encoder_error", family).seen(q[:, None])[:, 0] - q, told["order"] * q) == pytest.approx(told["amplitude"])
+    assert wave(
+        law("encoder_error", family).seen(q[:, None])[:, 0] - q, told["order"] * q
+    ) == pytest.approx(told["amplitude"])
 
 
 def test_friction_that_warms_is_there_but_for_1_over_e_after_its_time_constant():
@@ -104,7 +124,10 @@ def test_friction_that_warms_is_there_but_for_1_over_e_after_its_time_constant()
 def test_friction_that_heats_itself_has_no_one_change():
     """The law's own is that of viscous friction at a steady speed; at crawl it is half of it, at rest nothing warms at all."""
     it, warm = law("thermal_drift", "scored"), np.ones(1)
-    share = [it.torque(Instant(0.0, 0.0 * ONE, v * ONE, 0.0 * ONE, 0.0 * ONE), warm)[0] / (0.5 * v + 1.5) for v in (0.1, 1.2, 1e5)]
+    share = [
+        it.torque(Instant(0.0, 0.0 * ONE, v * ONE, 0.0 * ONE, 0.0 * ONE), warm)[0] / (0.5 * v + 1.5)
+        for v in (0.1, 1.2, 1e5)
+    ]
     assert share == pytest.approx([-0.206, -0.257, -0.4], abs=1e-3)
     assert set(meant("thermal_drift", "scored")) == {"time_constant"}
 
@@ -128,7 +151,10 @@ def test_hysteresis_is_as_stiff_at_rest_and_as_large_at_last_as_it_says(family):
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_delay_shifts_a_ramp_by_itself(family):
     t = np.linspace(0.0, 1.0, 5)
-    np.testing.assert_allclose(law("delay", family).told(lambda at: at[:, None], t)[:, 0], t - meant("delay", family)["seconds"])
+    np.testing.assert_allclose(
+        law("delay", family).told(lambda at: at[:, None], t)[:, 0],
+        t - meant("delay", family)["seconds"],
+    )
 
 
 # -- by the key ----------------------------------------------------------------------------------------------------
@@ -159,14 +185,21 @@ def test_viscous_friction_by_direction_is_all_of_it_and_a_loss_elsewhere_is_none
 
 
 def answered(name: str, **numbers: float) -> dict[str, object]:
-    found = {key: {"value": value, "std": 0.1 * value, "unit": ""} for key, value in numbers.items()}
+    found = {
+        key: {"value": value, "std": 0.1 * value, "unit": ""} for key, value in numbers.items()
+    }
     one = {"effect": name, "joint": "a", "probability": 0.9, "equivalents": [], "parameters": found}
     return {"seconds": 1.0, "answer": {"findings": [one], "unknown": [], "joints": {}}}
 
 
 def key_of(effect: Mapping[str, object]) -> dict[str, object]:
     spec = {"sort": "single", "trap": "none", "trusted": False}
-    return {"spec": spec, "joints": ["a"], "effects": [effect], "held_out": {"before": [3.0], "oracle": [1.0], "noise": [1.0]}}
+    return {
+        "spec": spec,
+        "joints": ["a"],
+        "effects": [effect],
+        "held_out": {"before": [3.0], "oracle": [1.0], "noise": [1.0]},
+    }
 
 
 def test_a_mark_compares_with_what_is_meant():
@@ -176,7 +209,11 @@ def test_a_mark_compares_with_what_is_meant():
 
 
 def test_coefficients_of_two_laws_are_not_compared():
-    drag = {**entry("delay", "scored"), "effect": "drag", "parameters": {"coefficient": {"value": 2.0, "unit": "N m s²/rad²"}}}
+    drag = {
+        **entry("delay", "scored"),
+        "effect": "drag",
+        "parameters": {"coefficient": {"value": 2.0, "unit": "N m s²/rad²"}},
+    }
     other = mark(key_of(drag), answered("nonlinear_viscous", coefficient=2.0, exponent=1.9))
     assert other.joint and not other.errors
     assert mark(key_of(drag), answered("drag", coefficient=2.0)).errors

@@ -13,7 +13,7 @@ import pinocchio as pin
 import pytest
 from conftest import BUILTIN, text_of
 
-from excite.robot import locate
+from excite.robot.robot import locate
 
 coal = pytest.importorskip("coal")
 
@@ -46,7 +46,11 @@ FOLDED = {
 }
 
 # Next but one links that stay within millimetres of each other however the arm is bent.
-UR_NEAR = {("base_link", "upper_arm_link"), ("forearm_link", "wrist_2_link"), ("wrist_1_link", "wrist_3_link")}
+UR_NEAR = {
+    ("base_link", "upper_arm_link"),
+    ("forearm_link", "wrist_2_link"),
+    ("wrist_1_link", "wrist_3_link"),
+}
 NEAR = {
     "fr3": {("fr3_link5", "fr3_link7")},
     "panda": {("panda_link5", "panda_link7")},
@@ -79,7 +83,9 @@ class Shapes:
         """Least distance [m] of each pair of links; negative where they overlap."""
         pin.computeDistances(self.model, self.data, self.geometry, self.found, np.array(q, float))
         out: dict[tuple[str, str], float] = defaultdict(lambda: np.inf)
-        for pair, result in zip(self.geometry.collisionPairs, self.found.distanceResults, strict=True):
+        for pair, result in zip(
+            self.geometry.collisionPairs, self.found.distanceResults, strict=True
+        ):
             key = self.link(pair.first), self.link(pair.second)
             out[key] = min(out[key], result.min_distance)
         return out
@@ -94,7 +100,9 @@ def named(request: pytest.FixtureRequest) -> tuple[str, Shapes]:
 def test_every_link_with_mass_and_the_base_have_shape(name):
     links = ElementTree.fromstring(text_of(name)).findall("link")
     bare = [link.get("name") for link in links if link.find("collision") is None]
-    assert [link for link in links if link.find("inertial") is not None and link.get("name") in bare] == []
+    assert [
+        link for link in links if link.find("inertial") is not None and link.get("name") in bare
+    ] == []
     assert links[0].get("name") not in bare
 
 
@@ -107,28 +115,37 @@ def test_shapes_of_a_link_have_names_of_their_own(name):
 
 def test_shapes_are_capsules_and_spheres(named):
     kinds = {type(shape.geometry) for shape in named[1].geometry.geometryObjects}
-    assert kinds <= {coal.Capsule, coal.Sphere}  # a cylinder's flat face would mean that a name is misspelt
+    assert kinds <= {
+        coal.Capsule,
+        coal.Sphere,
+    }  # a cylinder's flat face would mean that a name is misspelt
 
 
 def test_home_poses_are_clear(named):
     name, shapes = named
     for q in HOME[name]:
         distances = shapes.distances(q)
-        assert {pair: d for pair, d in distances.items() if d < CLEAR and pair not in NEAR[name]} == {}
+        assert {
+            pair: d for pair, d in distances.items() if d < CLEAR and pair not in NEAR[name]
+        } == {}
         assert all(distances[pair] > 0.0 for pair in NEAR[name])
 
 
 def test_folded_poses_collide(named):
     name, shapes = named
     q, first, second = FOLDED[name]
-    assert np.all(shapes.model.lowerPositionLimit <= q) and np.all(q <= shapes.model.upperPositionLimit)
+    assert np.all(shapes.model.lowerPositionLimit <= q) and np.all(
+        q <= shapes.model.upperPositionLimit
+    )
     assert shapes.distances(q)[first, second] < 0.0
 
 
 def test_no_pair_of_links_collides_in_every_pose(named):
     _, shapes = named
     rng = np.random.default_rng(0)
-    poses = rng.uniform(shapes.model.lowerPositionLimit, shapes.model.upperPositionLimit, (100, shapes.model.nq))
+    poses = rng.uniform(
+        shapes.model.lowerPositionLimit, shapes.model.upperPositionLimit, (100, shapes.model.nq)
+    )
     found = [shapes.distances(q) for q in poses]
     assert min(max(each[pair] for each in found) for pair in found[0]) > 0.0
 
@@ -164,5 +181,9 @@ def test_pandas_capsules_cover_its_meshes():
     shapes = Shapes("panda")
     for number in range(8):
         points = vertices(folder / f"link{number}.stl")
-        covers = [shape for at, shape in enumerate(shapes.geometry.geometryObjects) if shapes.link(at) == f"panda_link{number}"]
+        covers = [
+            shape
+            for at, shape in enumerate(shapes.geometry.geometryObjects)
+            if shapes.link(at) == f"panda_link{number}"
+        ]
         assert np.min([outside(shape, points) for shape in covers], axis=0).max() < 0.005

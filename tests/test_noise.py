@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from made import PERIOD, motion, perturbed, recorded, torque
 
-from excite.diagnose import noise, track
-from excite.identify import identification, signals
-from excite.identify.equations import Model
+from excite.diagnosis import noise
+from excite.effects import track
+from excite.identification import identification, segments
+from excite.identification.regression import Model
 from excite.recordings import Recording
-from excite.trajectory import Fourier
+from excite.trajectory.fourier import Fourier
 
 Array = np.ndarray
 
@@ -24,16 +25,29 @@ def measured(subject: Model, change: float = 0.0, step: float = 0.0) -> tuple[Ar
     q = recording.q + change * np.random.default_rng(7).normal(size=recording.q.shape)
     recording = dataclasses.replace(recording, q=np.round(q / step) * step if step else q)
     done = identification.identify(
-        subject.robot, subject.parameters, subject.base, [recording], [recording], identification.Options(band=20.0), lambda _: None
+        subject.robot,
+        subject.parameters,
+        subject.base,
+        [recording],
+        [recording],
+        identification.Options(band=20.0),
+        lambda _: None,
     )
     theta = subject.base.matrix @ done.psi
     body = track.body(subject.robot, subject.parameters, done.psi)
-    tracks = track.tracks(done.model, body, theta, list(signals.pieces([recording], average=False)), 20.0)
+    tracks = track.tracks(
+        done.model, body, theta, list(segments.pieces([recording], average=False)), 20.0
+    )
     left = np.concatenate([t.torque - t.gamma @ theta for t in tracks])
-    return noise.measured(done, (tracks, tracks), [recording]).floor, np.sqrt(np.mean(left**2, axis=0))
+    return noise.measured(done, (tracks, tracks), [recording]).floor, np.sqrt(
+        np.mean(left**2, axis=0)
+    )
 
 
-@pytest.mark.parametrize(("change", "step", "low", "high"), [(0.0, 0.0, 0.85, 1.15), (2e-5, 0.0, 0.85, 1.15), (0.0, 1e-4, 0.6, 1.7)])
+@pytest.mark.parametrize(
+    ("change", "step", "low", "high"),
+    [(0.0, 0.0, 0.85, 1.15), (2e-5, 0.0, 0.85, 1.15), (0.0, 1e-4, 0.6, 1.7)],
+)
 def test_the_floor_is_what_a_right_model_leaves_whatever_is_noisy(subject, change, step, low, high):
     floor, left = measured(subject, change, step)
     assert (low < left / floor).all() and (left / floor < high).all(), left / floor
@@ -43,9 +57,13 @@ def test_a_period_is_found_where_nobody_states_it(subject):
     psi = perturbed(subject.parameters, np.random.default_rng(4))
     stated = recorded(subject, psi, motion(2, 1), 3.0, 0.1)
     assert stated.sidecar.period is not None
-    silent = dataclasses.replace(stated, sidecar=dataclasses.replace(stated.sidecar, period=None, periodic=None))
+    silent = dataclasses.replace(
+        stated, sidecar=dataclasses.replace(stated.sidecar, period=None, periodic=None)
+    )
     found_period = noise._period(silent)
-    assert found_period is not None and found_period[0] == pytest.approx(stated.sidecar.period, abs=2e-3)
+    assert found_period is not None and found_period[0] == pytest.approx(
+        stated.sidecar.period, abs=2e-3
+    )
     once = recorded(subject, psi, motion(2, 1, 9.0), 1.0, 0.1, period=None, periodic=None)
     assert noise._period(once) is None
 
@@ -64,22 +82,48 @@ def test_a_clock_that_wavers_is_louder_where_momentum_is_more(subject, by, most)
     """A recording that repeats, and a faster one that does not: what a right model leaves of both is foretold."""
     psi, other = perturbed(subject.parameters, np.random.default_rng(4)), motion(2, 2)
     slow = wavering(subject, psi, motion(2, 1), 4.0, by)
-    fast = wavering(subject, psi, dataclasses.replace(other, sine=2.0 * other.sine, cosine=2.0 * other.cosine), 3.0, by)
-    fast = dataclasses.replace(fast, sidecar=dataclasses.replace(fast.sidecar, periodic=(0.0, PERIOD)))  # hardly repeats
+    fast = wavering(
+        subject,
+        psi,
+        dataclasses.replace(other, sine=2.0 * other.sine, cosine=2.0 * other.cosine),
+        3.0,
+        by,
+    )
+    fast = dataclasses.replace(
+        fast, sidecar=dataclasses.replace(fast.sidecar, periodic=(0.0, PERIOD))
+    )  # hardly repeats
     options = identification.Options(band=20.0)
-    done = identification.identify(subject.robot, subject.parameters, subject.base, [slow], [fast], options, lambda _: None)
+    done = identification.identify(
+        subject.robot, subject.parameters, subject.base, [slow], [fast], options, lambda _: None
+    )
     theta, body = subject.base.matrix @ psi, track.body(subject.robot, subject.parameters, psi)
-    halves = [track.tracks(done.model, body, theta, list(signals.pieces([one], average=False)), 20.0) for one in (slow, fast)]
+    halves = [
+        track.tracks(done.model, body, theta, list(segments.pieces([one], average=False)), 20.0)
+        for one in (slow, fast)
+    ]
     found = noise.measured(done, halves, [slow, fast])
-    level = np.mean(np.concatenate([t.left for half in halves for t in half]) ** 2, axis=0) / found.floor**2
+    level = (
+        np.mean(np.concatenate([t.left for half in halves for t in half]) ** 2, axis=0)
+        / found.floor**2
+    )
     assert (level > 2.0).all() == (by > 0.0)  # the floor is the slow one's
     loud, (low, high) = 1.0 + found.clock / found.floor**2, found.bounds
-    assert (0.85 * low < level).all() and (level < 1.2 * loud).all() and (loud < most).all(), (level, loud)
+    assert (0.85 * low < level).all() and (level < 1.2 * loud).all() and (loud < most).all(), (
+        level,
+        loud,
+    )
     assert high == pytest.approx(np.minimum(loud, 1.0 + noise.DOUBTFUL), rel=1e-3)
 
 
 def test_noise_lies_between_none_and_twice_of_what_encoders_make():
-    told = noise.Noise(np.array([1.0, 2.0]), "periods", np.array([0.0, 2.0]), np.array([0.6, 0.0]), (), (np.zeros((1, 2)),) * 2)
+    told = noise.Noise(
+        np.array([1.0, 2.0]),
+        "periods",
+        np.array([0.0, 2.0]),
+        np.array([0.6, 0.0]),
+        (),
+        (np.zeros((1, 2)),) * 2,
+    )
     low, high = told.bounds
     assert low == pytest.approx([0.64, 1.0])
     assert high == pytest.approx([1.36, 1.5])

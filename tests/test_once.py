@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 from made import motion, perturbed, recorded
 
-from excite.diagnose import belief, diagnosis, once
-from excite.diagnose.diagnosis import Diagnosis
-from excite.diagnose.document import document
-from excite.diagnose.judge import Verdict
-from excite.identify.equations import Model
+from excite.diagnosis import belief, diagnosis, once
+from excite.diagnosis.diagnosis import Diagnosis
+from excite.diagnosis.diagnosis_file import document
+from excite.diagnosis.judge import Verdict
+from excite.identification.regression import Model
 
 Array = np.ndarray
 
@@ -21,12 +21,24 @@ def struck(subject: Model, again: float) -> Diagnosis:
     pair = []
     for seed in (2, 5):
         fourier = motion(2, seed)
-        one = recorded(subject, perturbed(subject.parameters, np.random.default_rng(4)), fourier, 2, 0.0)
+        one = recorded(
+            subject, perturbed(subject.parameters, np.random.default_rng(4)), fourier, 2, 0.0
+        )
         turns, within = np.divmod(one.t, fourier.period)
         u = (within / fourier.period - 0.4) / 0.05
-        push = 3.0 * np.where((u > 0.0) & (u < 1.0), np.sin(np.pi * np.clip(u, 0.0, 1.0)), 0.0) * np.where(turns == 0, 1.0, again)
+        push = (
+            3.0
+            * np.where((u > 0.0) & (u < 1.0), np.sin(np.pi * np.clip(u, 0.0, 1.0)), 0.0)
+            * np.where(turns == 0, 1.0, again)
+        )
         noise = 0.1 * np.random.default_rng(seed).normal(size=one.q.shape)
-        pair.append(dataclasses.replace(one, tau=one.torque + noise + np.column_stack([push, 0.0 * push]), source=f"{seed}.csv"))
+        pair.append(
+            dataclasses.replace(
+                one,
+                tau=one.torque + noise + np.column_stack([push, 0.0 * push]),
+                source=f"{seed}.csv",
+            )
+        )
     return diagnosis.diagnose(subject.robot, subject.parameters, subject.base, pair[:1], pair[1:])
 
 
@@ -47,12 +59,22 @@ def test_a_touch_that_lasts_for_longer_than_a_period_is_not_what_comes_again(sub
     for seed in (2, 5):
         fourier = motion(2, seed)
         fourier = dataclasses.replace(fourier, period=fourier.period / 2.6)
-        one = recorded(subject, perturbed(subject.parameters, np.random.default_rng(4)), fourier, 20, 0.0)
+        one = recorded(
+            subject, perturbed(subject.parameters, np.random.default_rng(4)), fourier, 20, 0.0
+        )
         push = 3.0 * ((one.t > 5.0) & (one.t < 5.0 + 3.0 * fourier.period) & (seed == 2))
         noise = 0.1 * np.random.default_rng(seed).normal(size=one.q.shape)
-        pair.append(dataclasses.replace(one, tau=one.torque + noise + np.column_stack([push, 0.0 * push]), source=f"{seed}.csv"))
+        pair.append(
+            dataclasses.replace(
+                one,
+                tau=one.torque + noise + np.column_stack([push, 0.0 * push]),
+                source=f"{seed}.csv",
+            )
+        )
     options = diagnosis.Options(names=("contact", "hysteresis", "load_friction"))
-    result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, pair[:1], pair[1:], options)
+    result = diagnosis.diagnose(
+        subject.robot, subject.parameters, subject.base, pair[:1], pair[1:], options
+    )
     assert {f.main.effect for f in result.verdict.findings} == {"contact"}
 
 
@@ -69,13 +91,21 @@ def test_several_names_at_a_joint_that_are_likelier_not_all_right_are_told_as_su
     (first, *_) = result.verdict.findings
 
     def sure(*chances: float) -> Verdict:
-        return dataclasses.replace(result.verdict, findings=tuple(dataclasses.replace(first, probability=p) for p in chances))
+        return dataclasses.replace(
+            result.verdict,
+            findings=tuple(dataclasses.replace(first, probability=p) for p in chances),
+        )
 
     for chances, unsure in (((0.6,), False), ((0.9, 0.6), False), ((0.6, 0.7), True)):
         verdict: Verdict = sure(*chances)
-        assert belief.unsure(verdict, 2).tolist() == [j == first.main.joint and unsure for j in range(2)]
+        assert belief.unsure(verdict, 2).tolist() == [
+            j == first.main.joint and unsure for j in range(2)
+        ]
     sight = next(iter(struck(subject, 1.0).sights.values()))
     doubtful = dataclasses.replace(result, verdict=sure(0.6, 0.7), sights={0: sight, 1: sight})
     assert first.main.joint in doubtful.unknown
-    stated = [one["where"]["statement"] for one in document(dataclasses.replace(doubtful, refitted=None))["unknown"]]
+    stated = [
+        one["where"]["statement"]
+        for one in document(dataclasses.replace(doubtful, refitted=None))["unknown"]
+    ]
     assert any("likelier not all right" in text for text in stated)

@@ -9,19 +9,24 @@ import pytest
 from conftest import QUICK, seeds, slope
 from hypothesis import given
 
-from excite import design, overlap
-from excite.evaluate import Evaluator
-from excite.limits import resolve
-from excite.overlap import MOST, Gauge, apart
-from excite.robot import load
-from excite.trajectory import Fourier
+from excite.designer import motion_overlap, optimize
+from excite.designer.evaluator import Evaluator
+from excite.designer.motion_overlap import MOST, Gauge, apart
+from excite.robot.limits import resolve
+from excite.robot.robot import load
+from excite.trajectory.fourier import Fourier
 
 GAUGE = Gauge(np.array([True, False, True]), np.array([np.pi, 0.4, 1.2]), np.array([2.0, 0.5, 3.0]))
 
 
 def motion(rng: np.random.Generator, n: int = 3, harmonics: int = 3) -> Fourier:
     size = GAUGE.speed[:n, None] / 2.0
-    return Fourier(size * rng.normal(size=(n, harmonics)), size * rng.normal(size=(n, harmonics)), 0.5 * rng.normal(size=n), 4.0)
+    return Fourier(
+        size * rng.normal(size=(n, harmonics)),
+        size * rng.normal(size=(n, harmonics)),
+        0.5 * rng.normal(size=n),
+        4.0,
+    )
 
 
 def between(first: Fourier, second: Fourier, count: int = MOST) -> float:
@@ -43,8 +48,15 @@ def test_slopes_are_the_derivatives(rng):
     for count in (20, 3 * MOST):  # compared as they are, and thinned
         q, dq, by_q, by_dq = rng.normal(size=(4, count, 3))
         _, slope_q, slope_dq = first.overlap(q, dq)
-        measured = slope(lambda h, q=q, dq=dq, v=by_q, w=by_dq: np.array(first.overlap(q + h * v, dq + h * w)[0]), 1e-3)
-        assert np.sum(slope_q * by_q) + np.sum(slope_dq * by_dq) == pytest.approx(float(measured), rel=1e-6, abs=1e-9)
+        measured = slope(
+            lambda h, q=q, dq=dq, v=by_q, w=by_dq: np.array(
+                first.overlap(q + h * v, dq + h * w)[0]
+            ),
+            1e-3,
+        )
+        assert np.sum(slope_q * by_q) + np.sum(slope_dq * by_dq) == pytest.approx(
+            float(measured), rel=1e-6, abs=1e-9
+        )
 
 
 @given(seeds)
@@ -55,7 +67,9 @@ def test_phase_repeats_and_sampling_do_not_matter(rng):
     assert between(first, second, 7 * MOST) == pytest.approx(value, abs=2e-3)
     zero = np.zeros_like(second.sine)  # the same motion, told as two periods in one
     twice = [np.stack([zero, c], axis=2).reshape(len(c), -1) for c in (second.sine, second.cosine)]
-    assert between(first, Fourier(*twice, second.offset, 2.0 * second.period)) == pytest.approx(value, abs=5e-3)
+    assert between(first, Fourier(*twice, second.offset, 2.0 * second.period)) == pytest.approx(
+        value, abs=5e-3
+    )
 
 
 @given(seeds)
@@ -68,7 +82,9 @@ def test_the_way_round_does_not_matter(rng):
 
 def test_a_whole_turn_away_is_the_same_place_but_not_for_a_slide():
     first = motion(np.random.default_rng(0))
-    turned, slid = (replace(first, offset=first.offset + 2.0 * np.pi * np.eye(3)[j]) for j in (0, 1))
+    turned, slid = (
+        replace(first, offset=first.offset + 2.0 * np.pi * np.eye(3)[j]) for j in (0, 1)
+    )
     assert between(first, turned) == pytest.approx(1.0, abs=1e-9)
     assert between(first, slid) < 0.9
 
@@ -78,8 +94,13 @@ def test_units_of_a_joint_do_not_matter():
     first, second = motion(rng), motion(rng)
     unit = np.array([1.0, 1000.0, 1.0])
     other = Gauge(GAUGE.turns, GAUGE.reach * unit, GAUGE.speed * unit)
-    scaled = [Fourier(m.sine * unit[:, None], m.cosine * unit[:, None], m.offset * unit, m.period) for m in (first, second)]
-    assert overlap.overlap(other, *scaled) == pytest.approx(overlap.overlap(GAUGE, first, second), abs=1e-9)
+    scaled = [
+        Fourier(m.sine * unit[:, None], m.cosine * unit[:, None], m.offset * unit, m.period)
+        for m in (first, second)
+    ]
+    assert motion_overlap.overlap(other, *scaled) == pytest.approx(
+        motion_overlap.overlap(GAUGE, first, second), abs=1e-9
+    )
 
 
 def test_motions_that_never_meet_do_not_overlap():
@@ -96,7 +117,9 @@ def test_the_objective_pays_for_it_with_the_right_gradient(free):
     options = replace(QUICK, samples=24, free_period=free)
     first = Fourier(np.full((2, 3), 0.5), np.full((2, 3), -0.3), np.array([-0.5, 0.2]), 2.0)
     kept = apart(Gauge.of(robot, limits), first)
-    plain, priced = (Evaluator(design.prepare(robot, limits, options, apart=a).problem) for a in (None, kept))
+    plain, priced = (
+        Evaluator(optimize.prepare(robot, limits, options, apart=a).problem) for a in (None, kept)
+    )
     rng = np.random.default_rng(0)
     x, d = 0.4 * rng.normal(size=plain.problem.size), rng.normal(size=plain.problem.size)
     if free is not None:
@@ -104,7 +127,9 @@ def test_the_objective_pays_for_it_with_the_right_gradient(free):
     motion = plain.problem.fourier(x)
     t = motion.grid(24)
     price = kept.weight * kept.overlap(motion.at(t), motion.at(t, 1))[0]
-    assert priced.objective(x, 1.0)[0] == pytest.approx(plain.objective(x, 1.0)[0] + price, rel=1e-9)
+    assert priced.objective(x, 1.0)[0] == pytest.approx(
+        plain.objective(x, 1.0)[0] + price, rel=1e-9
+    )
     gradient = priced.objective(x, 1.0)[1]
     measured = slope(lambda h: np.array(priced.objective(x + h * d, 1.0)[0]), 2e-5)
     assert abs(gradient @ d - measured) < 1e-6 * np.linalg.norm(gradient) * np.linalg.norm(d)

@@ -4,16 +4,37 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import scipy.linalg
-from conftest import BUILTIN, LIMIT, document, joint, link, loaded, off, pendulum, random_body, random_urdf, raw_torque, seeds, states
+from conftest import (
+    BUILTIN,
+    LIMIT,
+    document,
+    joint,
+    link,
+    loaded,
+    off,
+    pendulum,
+    random_body,
+    random_urdf,
+    raw_torque,
+    seeds,
+    states,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 
-from excite import parameters
-from excite.dynamics import regressor
 from excite.errors import ExciteWarning, UnusableInput
-from excite.limits import resolve
-from excite.parameters import COULOMB_WIDTH, DRIVE, inverse_root, metric, proper_body, pseudo_inertia
-from excite.robot import load
+from excite.robot import inertial_parameters
+from excite.robot.dynamics import regressor
+from excite.robot.inertial_parameters import (
+    COULOMB_WIDTH,
+    DRIVE,
+    inverse_root,
+    metric,
+    proper_body,
+    pseudo_inertia,
+)
+from excite.robot.limits import resolve
+from excite.robot.robot import load
 
 STEP = 1e-3
 
@@ -22,7 +43,18 @@ def body(mass, com, moments):
     """Ten parameters of any numbers, sensible or not; moments about the centre of mass."""
     com = np.array(com, float)
     tensor = np.diag(moments) + mass * (com @ com * np.eye(3) - np.outer(com, com))
-    return np.array([mass, *(mass * com), tensor[0, 0], tensor[0, 1], tensor[1, 1], tensor[0, 2], tensor[1, 2], tensor[2, 2]])
+    return np.array(
+        [
+            mass,
+            *(mass * com),
+            tensor[0, 0],
+            tensor[0, 1],
+            tensor[1, 1],
+            tensor[0, 2],
+            tensor[1, 2],
+            tensor[2, 2],
+        ]
+    )
 
 
 def smallest(phi):
@@ -35,7 +67,12 @@ def smallest(phi):
 @given(seeds)
 def test_pseudo_inertia_is_pinocchios(rng):
     phi = random_body(rng)
-    assert np.allclose(pseudo_inertia(phi), pin.PseudoInertia.FromDynamicParameters(phi).toMatrix(), rtol=0, atol=1e-13)
+    assert np.allclose(
+        pseudo_inertia(phi),
+        pin.PseudoInertia.FromDynamicParameters(phi).toMatrix(),
+        rtol=0,
+        atol=1e-13,
+    )
 
 
 @given(seeds)
@@ -58,7 +95,12 @@ def test_inverse_root_inverts_the_metric(rng):
 
 def bregman(first, second):
     """Log-det divergence (METHOD, eq. 17)."""
-    return np.linalg.slogdet(second)[1] - np.linalg.slogdet(first)[1] + np.trace(np.linalg.solve(second, first)) - 4.0
+    return (
+        np.linalg.slogdet(second)[1]
+        - np.linalg.slogdet(first)[1]
+        + np.trace(np.linalg.solve(second, first))
+        - 4.0
+    )
 
 
 def affine(first, second):
@@ -71,22 +113,41 @@ def affine(first, second):
 def test_metric_is_the_second_order_of_the_distances(distance, rng):
     phi = random_body(rng)
     direction = inverse_root(phi) @ rng.normal(size=10)  # of like length in every direction
-    ahead, behind = (distance(pseudo_inertia(phi + s * STEP * direction), pseudo_inertia(phi)) for s in (1, -1))
-    assert np.isclose((ahead + behind) / (2 * STEP**2), direction @ metric(phi) @ direction, rtol=1e-3)
+    ahead, behind = (
+        distance(pseudo_inertia(phi + s * STEP * direction), pseudo_inertia(phi)) for s in (1, -1)
+    )
+    assert np.isclose(
+        (ahead + behind) / (2 * STEP**2), direction @ metric(phi) @ direction, rtol=1e-3
+    )
 
 
 @given(seeds)
 def test_metric_does_not_depend_on_the_links_frame(rng):
     phi, change = random_body(rng), 0.1 * random_body(rng)
     placement = pin.SE3(pin.exp3(rng.normal(size=3)), rng.normal(size=3))
-    matrix = np.block([[placement.rotation, placement.translation[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]])
+    matrix = np.block(
+        [[placement.rotation, placement.translation[:, None]], [np.zeros((1, 3)), np.ones((1, 1))]]
+    )
     moved = [from_pseudo(matrix @ pseudo_inertia(x) @ matrix.T) for x in (phi, change)]
-    assert np.isclose(moved[1] @ metric(moved[0]) @ moved[1], change @ metric(phi) @ change, rtol=1e-6)
+    assert np.isclose(
+        moved[1] @ metric(moved[0]) @ moved[1], change @ metric(phi) @ change, rtol=1e-6
+    )
 
 
 def from_pseudo(P):
     tensor = np.trace(P[:3, :3]) * np.eye(3) - P[:3, :3]
-    return np.array([P[3, 3], *P[:3, 3], tensor[0, 0], tensor[0, 1], tensor[1, 1], tensor[0, 2], tensor[1, 2], tensor[2, 2]])
+    return np.array(
+        [
+            P[3, 3],
+            *P[:3, 3],
+            tensor[0, 0],
+            tensor[0, 1],
+            tensor[1, 1],
+            tensor[0, 2],
+            tensor[1, 2],
+            tensor[2, 2],
+        ]
+    )
 
 
 # -- nominal values ------------------------------------------------------------------------------------------------
@@ -95,30 +156,37 @@ def from_pseudo(P):
 @pytest.mark.parametrize("name", BUILTIN)
 def test_nominal_torque_is_pinocchios_and_friction(name):
     robot = load(name)
-    standard, motion = parameters.standard(robot, resolve(robot)), states(robot.n)
+    standard, motion = inertial_parameters.standard(robot, resolve(robot)), states(robot.n)
     data = robot.model.createData()
-    expected = np.array([pin.rnea(robot.model, data, *state) for state in zip(motion.q, motion.dq, motion.ddq, strict=True)])
+    expected = np.array(
+        [
+            pin.rnea(robot.model, data, *state)
+            for state in zip(motion.q, motion.dq, motion.ddq, strict=True)
+        ]
+    )
     for j, entry in enumerate(robot.entries):
-        expected[:, j] += entry.viscous * motion.dq[:, j] + entry.coulomb * np.tanh(motion.dq[:, j] / COULOMB_WIDTH)
+        expected[:, j] += entry.viscous * motion.dq[:, j] + entry.coulomb * np.tanh(
+            motion.dq[:, j] / COULOMB_WIDTH
+        )
     assert off(regressor(robot, standard, motion) @ standard.nominal, expected) < 1e-12
 
 
 def test_friction_of_the_urdf_is_nominal_and_its_own_scale():
     robot = loaded(pendulum(LIMIT + '<dynamics damping="0.7" friction="1.3"/>'))
-    standard = parameters.standard(robot, resolve(robot))
+    standard = inertial_parameters.standard(robot, resolve(robot))
     assert standard.nominal[10:].tolist() == [0.0, 0.7, 1.3, 0.0]
     assert standard.scale.diagonal()[11:13].tolist() == [0.7, 1.3]
 
 
 def test_friction_without_a_nominal_value_gets_the_stated_scale():
     robot = loaded(pendulum())  # torque 40 N m, velocity 3 rad/s
-    scale = parameters.standard(robot, resolve(robot), DRIVE).scale.diagonal()[11:]
+    scale = inertial_parameters.standard(robot, resolve(robot), DRIVE).scale.diagonal()[11:]
     assert np.allclose(scale, [0.02 * 40 / 3, 0.02 * 40, 0.02 * 40], rtol=1e-14)
 
 
 def test_rotor_inertia_scales_with_the_joints_inertia():
     robot = loaded(pendulum())  # 2 kg at 0.3 m and 0.02 kg m² about its centre
-    scale = parameters.standard(robot, resolve(robot), ("rotor_inertia",)).scale[10, 10]
+    scale = inertial_parameters.standard(robot, resolve(robot), ("rotor_inertia",)).scale[10, 10]
     assert np.isclose(scale, 0.05 * (2 * 0.3**2 + 0.02), rtol=1e-12)
 
 
@@ -128,12 +196,16 @@ def test_rotor_inertia_scale_is_a_mean_over_poses():
     data, rng = robot.model.createData(), np.random.default_rng(0)
     poses = rng.uniform(limits.position[:, 0], limits.position[:, 1], (4000, 4))
     mean = np.mean([np.diag(pin.crba(robot.model, data, q)) for q in poses], axis=0)
-    assert np.allclose(parameters.standard(robot, limits, ("rotor_inertia",)).scale.diagonal()[40:], 0.05 * mean, rtol=0.1)
+    assert np.allclose(
+        inertial_parameters.standard(robot, limits, ("rotor_inertia",)).scale.diagonal()[40:],
+        0.05 * mean,
+        rtol=0.1,
+    )
 
 
 def test_scale_is_block_diagonal_with_each_bodys_inverse_root():
     robot = load("two_link")
-    scale = parameters.standard(robot, resolve(robot), ()).scale
+    scale = inertial_parameters.standard(robot, resolve(robot), ()).scale
     blocks = [inverse_root(robot.model.inertias[i].toDynamicParameters()) for i in (1, 2)]
     assert np.array_equal(scale, scipy.linalg.block_diag(*blocks))
 
@@ -141,24 +213,35 @@ def test_scale_is_block_diagonal_with_each_bodys_inverse_root():
 @given(st.sets(st.sampled_from(DRIVE)))
 def test_layout_names_each_parameter_once_in_one_order(drive):
     robot = load("two_link")
-    standard = parameters.standard(robot, resolve(robot), drive)
+    standard = inertial_parameters.standard(robot, resolve(robot), drive)
     assert standard.drive == tuple(kind for kind in DRIVE if kind in drive)
-    assert len(set(standard.names)) == standard.count == 20 + 2 * len(drive) == len(standard.owners()) == len(standard.nominal)
+    assert (
+        len(set(standard.names))
+        == standard.count
+        == 20 + 2 * len(drive)
+        == len(standard.owners())
+        == len(standard.nominal)
+    )
 
 
 @pytest.mark.parametrize("kind", DRIVE)
 def test_drive_column_acts_on_its_own_joint_only(kind):
     robot, motion = load("two_link"), states(2)
-    standard = parameters.standard(robot, resolve(robot), (kind,))
+    standard = inertial_parameters.standard(robot, resolve(robot), (kind,))
     columns = regressor(robot, standard, motion)[:, :, 20:]
-    expected = {"rotor_inertia": motion.ddq, "viscous": motion.dq, "coulomb": np.sign(motion.dq), "offset": np.ones_like(motion.q)}[kind]
+    expected = {
+        "rotor_inertia": motion.ddq,
+        "viscous": motion.dq,
+        "coulomb": np.sign(motion.dq),
+        "offset": np.ones_like(motion.q),
+    }[kind]
     assert np.allclose(columns, np.einsum("ti,ij->tij", expected, np.eye(2)), atol=1e-12)
 
 
 def test_an_unknown_drive_parameter_is_refused():
     robot = load("two_link")
     with pytest.raises(UnusableInput, match="no joint parameter 'magic'; there are: rotor_inertia"):
-        parameters.standard(robot, resolve(robot), ("magic",))
+        inertial_parameters.standard(robot, resolve(robot), ("magic",))
 
 
 # -- bodies that are no bodies -------------------------------------------------------------------------------------
@@ -208,9 +291,18 @@ def test_a_proper_body_is_left_alone(rng):
 )
 def test_a_warning_names_the_link_that_was_repaired(sick):
     tail = [link("tip", 0.5), joint("twist", "hand", "tip", axis=(0, 0, 1))]
-    robot = loaded(document(link("base"), link("arm", 2.0), sick, joint("swing", "base", "arm"), joint("bend", "arm", "hand"), *tail))
+    robot = loaded(
+        document(
+            link("base"),
+            link("arm", 2.0),
+            sick,
+            joint("swing", "base", "arm"),
+            joint("bend", "arm", "hand"),
+            *tail,
+        )
+    )
     with pytest.warns(ExciteWarning, match=r"no proper body in link\(s\) hand ") as caught:
-        standard = parameters.standard(robot, resolve(robot))
+        standard = inertial_parameters.standard(robot, resolve(robot))
     assert len(caught) == 1 and standard.repaired == ("hand",)
     assert np.linalg.matrix_rank(standard.scale[10:20, 10:20]) == 10
 
@@ -219,13 +311,19 @@ def test_a_repair_does_not_change_the_nominal_torque():
     text = pendulum(body=link("arm", 2.0, (0.3, 0, 0), np.diag([0.0, 0.1, 0.1])))
     robot, motion = loaded(text), states(1)
     with pytest.warns(ExciteWarning, match="arm"):
-        standard = parameters.standard(robot, resolve(robot), ())
-    assert off(regressor(robot, standard, motion) @ standard.nominal, raw_torque(text, ("swing",), motion)) < 1e-12
+        standard = inertial_parameters.standard(robot, resolve(robot), ())
+    assert (
+        off(
+            regressor(robot, standard, motion) @ standard.nominal,
+            raw_torque(text, ("swing",), motion),
+        )
+        < 1e-12
+    )
 
 
 def test_a_robot_without_any_mass_but_with_inertia_still_has_a_metric():
     arm = '<link name="arm"><inertial><mass value="0"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
     machine = loaded(pendulum(body=arm))
     with pytest.warns(ExciteWarning, match="arm"):
-        found = parameters.standard(machine, resolve(machine))
+        found = inertial_parameters.standard(machine, resolve(machine))
     assert np.isfinite(found.scale).all()

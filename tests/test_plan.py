@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from conftest import BUILTIN, loaded, pendulum
 
-from excite import design, plan, robot, workflow
-from excite.criteria import Criterion
+from excite.designer import optimize, pipeline, time_budget
+from excite.designer.criteria import Criterion
+from excite.designer.problem import Options
+from excite.designer.time_budget import HIGHEST, TOLERANCE, Candidate, Plan, Wish
 from excite.errors import UnusableInput
-from excite.limits import Limits, resolve
-from excite.plan import HIGHEST, TOLERANCE, Candidate, Plan, Wish
-from excite.problem import Options
+from excite.robot import robot
+from excite.robot.limits import Limits, resolve
 
 SHORT = Options(iterations=15, jobs=1)
 
@@ -47,7 +48,7 @@ def bounds(position=(-1.0, 1.0), velocity=2.0, acceleration=np.inf, n=1) -> Limi
     ids=str,
 )
 def test_a_sweep_is_the_sinusoid_that_its_limits_just_allow(changes, swept):
-    assert plan.sweeps(bounds(**changes)) == pytest.approx([swept])
+    assert time_budget.sweeps(bounds(**changes)) == pytest.approx([swept])
 
 
 @pytest.mark.parametrize("name", BUILTIN)
@@ -55,25 +56,38 @@ def test_a_sweep_is_the_sinusoid_that_its_limits_just_allow(changes, swept):
 def test_the_rule_gives_whole_samples_and_no_fast_harmonic(name, rate):
     found = resolve(robot.load(name))
     for harmonics in (3, 5, 12):
-        period = plan.period(found, harmonics, rate)
-        design.whole_samples(period, rate)
+        period = time_budget.period(found, harmonics, rate)
+        optimize.whole_samples(period, rate)
         assert harmonics / period <= HIGHEST + 1e-9
-        assert period <= plan.LONGEST
+        assert period <= time_budget.LONGEST
 
 
 def test_the_rule_on_the_built_in_robots():
     """As in the README's table."""
-    found = {name: plan.period(resolve(robot.load(name))) for name in BUILTIN}
-    assert found == {"fr3": 4.0, "iiwa14": 8.8, "panda": 7.0, "two_link": 5.2, "tx40": 4.0, "ur10e": 6.2, "ur5e": 6.2}
+    found = {name: time_budget.period(resolve(robot.load(name))) for name in BUILTIN}
+    assert found == {
+        "fr3": 4.0,
+        "iiwa14": 8.8,
+        "panda": 7.0,
+        "two_link": 5.2,
+        "tx40": 4.0,
+        "ur10e": 6.2,
+        "ur5e": 6.2,
+    }
 
 
 def test_slow_joints_get_at_most_the_longest_period():
-    assert plan.period(bounds(velocity=0.01)) == plan.LONGEST
+    assert time_budget.period(bounds(velocity=0.01)) == time_budget.LONGEST
 
 
 def test_the_rule_beats_ten_seconds_per_sample(two_link, table):
     fill = Wish().fill(SHORT, table)
-    ruled, ten = (design.solve(design.prepare(two_link, table, replace(fill, period=p))).attempts[0].objective for p in (fill.period, 10.0))
+    ruled, ten = (
+        optimize.solve(optimize.prepare(two_link, table, replace(fill, period=p)))
+        .attempts[0]
+        .objective
+        for p in (fill.period, 10.0)
+    )
     assert ruled < ten - 0.3
 
 
@@ -87,62 +101,89 @@ def test_what_is_given_is_kept(table):
 
 def test_a_joint_without_position_limits_has_a_period():
     machine = loaded(pendulum('<limit velocity="3" effort="40"/>', "continuous"))
-    assert plan.period(resolve(machine)) == pytest.approx(2.0 * np.pi**2 / 3.0, abs=0.1)
+    assert time_budget.period(resolve(machine)) == pytest.approx(2.0 * np.pi**2 / 3.0, abs=0.1)
 
 
 # -- the budget ----------------------------------------------------------------------------------------------------
 
 
 def planned(two_link, table, budget=16.0, wish=Wish(), options=SHORT, **more) -> Plan:  # noqa: B008
-    return plan.budgeted(two_link, table, options, wish, budget, **more)
+    return time_budget.budgeted(two_link, table, options, wish, budget, **more)
 
 
 def test_candidates_fill_the_time_and_the_simplest_good_one_is_chosen(two_link, table):
     found = planned(two_link, table)
     assert len(found.candidates) >= 3
     for c in found.candidates:
-        assert 0.8 * 16.0 < c.robot_time <= 16.0 and c.repeats >= 2 and c.harmonics / c.period <= HIGHEST + 1e-9
+        assert (
+            0.8 * 16.0 < c.robot_time <= 16.0
+            and c.repeats >= 2
+            and c.harmonics / c.period <= HIGHEST + 1e-9
+        )
         assert c.robot_time > c.repeats * c.period
     least = min(c.deviation for c in found.candidates)
     assert found.best.deviation <= (1.0 + TOLERANCE) * least
-    assert all(c.effort >= found.best.effort for c in found.candidates if c.deviation <= (1.0 + TOLERANCE) * least)
+    assert all(
+        c.effort >= found.best.effort
+        for c in found.candidates
+        if c.deviation <= (1.0 + TOLERANCE) * least
+    )
 
 
 def test_one_seed_gives_one_plan_on_any_number_of_processes(two_link, table):
-    one, two = (planned(two_link, table, options=replace(SHORT, jobs=jobs)).facts() for jobs in (1, 2))
+    one, two = (
+        planned(two_link, table, options=replace(SHORT, jobs=jobs)).facts() for jobs in (1, 2)
+    )
     assert one == two and "seconds" not in one["candidates"][0]
 
 
 @pytest.mark.parametrize(
-    "wish", [Wish(period=4.0), Wish(harmonics=4), Wish(samples=60), Wish(periods=3), Wish(period=3.0, harmonics=3, samples=40, periods=2)]
+    "wish",
+    [
+        Wish(period=4.0),
+        Wish(harmonics=4),
+        Wish(samples=60),
+        Wish(periods=3),
+        Wish(period=3.0, harmonics=3, samples=40, periods=2),
+    ],
 )
 def test_what_is_given_is_respected_and_only_the_rest_chosen(two_link, table, wish):
     for c in planned(two_link, table, wish=wish).candidates:
-        for name, value in (("period", c.period), ("harmonics", c.harmonics), ("samples", c.samples), ("periods", c.repeats)):
+        for name, value in (
+            ("period", c.period),
+            ("harmonics", c.harmonics),
+            ("samples", c.samples),
+            ("periods", c.repeats),
+        ):
             assert getattr(wish, name) in (None, value)
         assert c.samples > 2 * c.harmonics
 
 
 def test_information_already_there_counts_per_sample(two_link, table):
-    setting = design.prepare(two_link, table, SHORT)
+    setting = optimize.prepare(two_link, table, SHORT)
     root = setting.problem.parameters.scale / 1e3
     there = 1e9 * np.linalg.inv(root @ root.T)
     wish = Wish(harmonics=3)
-    assert max(c.deviation for c in planned(two_link, table, wish=wish, given=there).candidates) < 0.5 * min(
-        c.deviation for c in planned(two_link, table, wish=wish).candidates
-    )
+    assert max(
+        c.deviation for c in planned(two_link, table, wish=wish, given=there).candidates
+    ) < 0.5 * min(c.deviation for c in planned(two_link, table, wish=wish).candidates)
 
 
 @pytest.mark.parametrize("criterion", list(Criterion))
 def test_deviations_are_of_one_kind(two_link, table, criterion):
     """Twice the samples of a motion halve its variance; a condition number does not know how many there are."""
-    base = design.prepare(two_link, table, SHORT).base
-    once, twice = (plan._deviation(criterion, 2.0, base, count) for count in (100.0, 200.0))
-    assert once / twice == pytest.approx(1.0 if criterion in (Criterion.COND, Criterion.COND_REGRESSOR) else np.sqrt(2.0))
+    base = optimize.prepare(two_link, table, SHORT).base
+    once, twice = (time_budget._deviation(criterion, 2.0, base, count) for count in (100.0, 200.0))
+    assert once / twice == pytest.approx(
+        1.0 if criterion in (Criterion.COND, Criterion.COND_REGRESSOR) else np.sqrt(2.0)
+    )
 
 
 def test_time_that_is_too_short_is_refused_with_the_least_that_is_not(two_link, table):
-    with pytest.raises(UnusableInput, match=r"--time 3 is too short: 2 periods of 2.4 s with ramps .* at least --time") as caught:
+    with pytest.raises(
+        UnusableInput,
+        match=r"--time 3 is too short: 2 periods of 2.4 s with ramps .* at least --time",
+    ) as caught:
         planned(two_link, table, 3.0)
     least = float(str(caught.value).rsplit(" ", 1)[1])
     assert planned(two_link, table, least).best.robot_time <= least
@@ -161,7 +202,9 @@ def test_time_that_is_too_short_is_refused_with_the_least_that_is_not(two_link, 
         (12.0, Wish(period=0.0), SHORT, "--period 0"),
     ],
 )
-def test_a_budget_that_contradicts_the_rest_is_refused(two_link, table, budget, wish, options, words):
+def test_a_budget_that_contradicts_the_rest_is_refused(
+    two_link, table, budget, wish, options, words
+):
     with pytest.raises(UnusableInput, match=words):
         planned(two_link, table, budget, wish, options)
 
@@ -169,7 +212,9 @@ def test_a_budget_that_contradicts_the_rest_is_refused(two_link, table, budget, 
 def test_a_start_pose_costs_time(two_link, table):
     pose = np.array([-1.5, 0.3])
     found = planned(two_link, table, start=pose, wish=Wish(harmonics=3))
-    delivery = plan.deliver(found, SHORT, lambda options: workflow.run(two_link, table, options, start=pose))
+    delivery = time_budget.deliver(
+        found, SHORT, lambda options: pipeline.run(two_link, table, options, start=pose)
+    )
     assert delivery.trajectory.motion.duration <= 16.0
     assert max(c.repeats * c.period for c in found.candidates) < 15.0
 
@@ -189,34 +234,46 @@ class Robotic:
 
     def __call__(self, options: Options) -> SimpleNamespace:
         self.asked.append((options.period, options.periods))
-        motion = SimpleNamespace(duration=(options.period * options.periods + self.ramps) / self.speed)
-        return SimpleNamespace(trajectory=SimpleNamespace(motion=motion, design={"speed": self.speed}))
+        motion = SimpleNamespace(
+            duration=(options.period * options.periods + self.ramps) / self.speed
+        )
+        return SimpleNamespace(
+            trajectory=SimpleNamespace(motion=motion, design={"speed": self.speed})
+        )
 
 
 def test_longer_ramps_than_foreseen_shorten_the_period():
     run = Robotic(2.5)
-    plan.deliver(Plan(11.0, Wish(), (candidate(3.0, 3),), 0), Options(), run)
+    time_budget.deliver(Plan(11.0, Wish(), (candidate(3.0, 3),), 0), Options(), run)
     assert run.asked == [(3.0, 3), (2.8, 3)]
 
 
 def test_or_take_a_repeat_where_the_period_is_given():
     run = Robotic(2.5)
-    plan.deliver(Plan(11.0, Wish(period=3.0), (candidate(3.0, 3),), 0), Options(), run)
+    time_budget.deliver(Plan(11.0, Wish(period=3.0), (candidate(3.0, 3),), 0), Options(), run)
     assert run.asked == [(3.0, 3), (3.0, 2)]
 
 
 def test_and_are_refused_where_nothing_may_give_way():
-    with pytest.raises(UnusableInput, match=r"the motion takes 11\.5 s; give at least --time 11\.5"):
-        plan.deliver(Plan(11.0, Wish(period=3.0, periods=3), (candidate(3.0, 3),), 0), Options(), Robotic(2.5))
+    with pytest.raises(
+        UnusableInput, match=r"the motion takes 11\.5 s; give at least --time 11\.5"
+    ):
+        time_budget.deliver(
+            Plan(11.0, Wish(period=3.0, periods=3), (candidate(3.0, 3),), 0),
+            Options(),
+            Robotic(2.5),
+        )
 
 
 def test_time_is_that_of_full_speed():
     run = Robotic(1.0, speed=0.1)
-    plan.deliver(Plan(11.0, Wish(), (candidate(3.0, 3),), 0), Options(), run)
+    time_budget.deliver(Plan(11.0, Wish(), (candidate(3.0, 3),), 0), Options(), run)
     assert run.asked == [(3.0, 3)]
 
 
 def test_a_planned_motion_keeps_its_time(two_link, table):
     found = planned(two_link, table, 12.0, Wish(harmonics=3))
-    delivery = plan.deliver(found, SHORT, lambda options: workflow.run(two_link, table, options))
+    delivery = time_budget.deliver(
+        found, SHORT, lambda options: pipeline.run(two_link, table, options)
+    )
     assert delivery.trajectory.motion.duration <= 12.0 and delivery.certificate.ok

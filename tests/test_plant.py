@@ -14,19 +14,23 @@ from scipy import signal
 pytest.importorskip("mujoco")
 
 from excite.errors import UnusableInput
-from excite.plant import arm as arms
-from excite.plant import effect as effects
-from excite.plant import laboratory, reference, regressor, severity
-from excite.plant import tree as trees
-from excite.plant.drive import Control
-from excite.plant.effects import CATALOGUE, FAMILIES, KINDS
-from excite.plant.laboratory import Setting
-from excite.plant.law import Law, Spring
-from excite.plant.record import ten
-from excite.plant.reference import Reference
-from excite.plant.wrong import deformed
+from excite.robot.robot import locate
+from excite.simulator import effect_instance as effects
+from excite.simulator import experiment, reference_trajectory, regressor, severity
+from excite.simulator import mujoco_dynamics as arms
+from excite.simulator import urdf_tree as trees
+from excite.simulator.actuator import Control
+from excite.simulator.effects import CATALOGUE, FAMILIES, KINDS
+from excite.simulator.experiment import Setting
+from excite.simulator.model_error import deformed
+from excite.simulator.physical_effect import Law, Spring
+from excite.simulator.recording_file import ten
+from excite.simulator.reference_trajectory import Reference
 
-MODELS, TRAJECTORIES = Path(arms.__file__).parents[1] / "models", Path(__file__).parents[1] / "trajectories"
+MODELS, TRAJECTORIES = (
+    locate("two_link").parent,
+    Path(__file__).parents[1] / "trajectories",
+)
 
 
 def urdf(name: str) -> Path:
@@ -37,22 +41,30 @@ def swing(seconds: float = 2.0, seed: int = 0, n: int = 2) -> Reference:
     """A quick motion of two_link, or of n joints like it."""
     rng = np.random.default_rng(seed)
     sine, cosine = 1.2 * rng.standard_normal((2, n, 3))
-    return reference.blended(trees.read(urdf("two_link")).joints, sine, cosine, np.array([-1.4, 0.6]), seconds - 0.6, 1, 0.3)
+    return reference_trajectory.blended(
+        trees.read(urdf("two_link")).joints,
+        sine,
+        cosine,
+        np.array([-1.4, 0.6]),
+        seconds - 0.6,
+        1,
+        0.3,
+    )
 
 
 @pytest.fixture(scope="module")
 def bench():
     motion, setting = swing(), Setting(seed=3)
-    plant = laboratory.robot(urdf("two_link"), motion, setting)
-    return plant, motion, setting, laboratory.session(plant, motion, setting)
+    plant = experiment.robot(urdf("two_link"), motion, setting)
+    return plant, motion, setting, experiment.session(plant, motion, setting)
 
 
 @pytest.fixture(scope="module")
 def quick():
     """The same, shorter and in coarser steps: enough to see whether two runs are equal."""
     motion, setting = swing(1.2), Setting(seed=3)
-    plant = replace(laboratory.robot(urdf("two_link"), motion, setting), step=2e-3)
-    return plant, motion, setting, laboratory.session(plant, motion, setting)
+    plant = replace(experiment.robot(urdf("two_link"), motion, setting), step=2e-3)
+    return plant, motion, setting, experiment.session(plant, motion, setting)
 
 
 def hidden(plant, text: str):
@@ -67,7 +79,11 @@ def test_base_physics_agrees_with_pinocchio(name):
     rng = np.random.default_rng(1)
     tree = deformed(trees.read(urdf(name)), 0.05, rng)
     arm = arms.build(tree, tree.joints)
-    q, v, a = rng.uniform(-2, 2, (20, arm.n)), rng.normal(size=(20, arm.n)), 5 * rng.normal(size=(20, arm.n))
+    q, v, a = (
+        rng.uniform(-2, 2, (20, arm.n)),
+        rng.normal(size=(20, arm.n)),
+        5 * rng.normal(size=(20, arm.n)),
+    )
     model = pin.buildModelFromXML(tree.text)
     data = model.createData()
     assert tuple(model.names[1:]) == arm.joints
@@ -108,8 +124,14 @@ def test_regressor_times_parameters_is_the_torque(name):
     arm = arms.build(tree, tree.joints)
     q, v, a = rng.normal(size=(3, 15, arm.n))
     y = regressor.bodies(arm, q, v, a)
-    moving = [str(arm.model.body(b).name) for b in range(1, arm.model.nbody) if arm.model.body_weldid[b] != 0]
-    np.testing.assert_allclose(y @ np.concatenate([ten(tree, link) for link in moving]), arm.inverse(q, v, a), atol=1e-9)
+    moving = [
+        str(arm.model.body(b).name)
+        for b in range(1, arm.model.nbody)
+        if arm.model.body_weldid[b] != 0
+    ]
+    np.testing.assert_allclose(
+        y @ np.concatenate([ten(tree, link) for link in moving]), arm.inverse(q, v, a), atol=1e-9
+    )
 
 
 def test_wrong_bodies_are_bodies_and_differ_by_what_is_stated():
@@ -120,7 +142,9 @@ def test_wrong_bodies_are_bodies_and_differ_by_what_is_stated():
         assert np.linalg.eigvalsh(other.body(link)).min() > 0.0
         masses.append(other.body(link)[3, 3] / tree.body(link)[3, 3] - 1.0)
     assert 0.01 < np.std(masses) < 0.12
-    assert deformed(tree, 0.0, np.random.default_rng(0)).body("forearm_link") == pytest.approx(tree.body("forearm_link"), rel=1e-12)
+    assert deformed(tree, 0.0, np.random.default_rng(0)).body("forearm_link") == pytest.approx(
+        tree.body("forearm_link"), rel=1e-12
+    )
 
 
 # -- the loop ------------------------------------------------------------------------------------------------------
@@ -143,16 +167,28 @@ def test_work_is_energy_plus_loss(bench):
     q, v, _ = session.run.motors(t)
     arm, drive = plant.arm(), plant.drive
     energy = arm.energy(q, v) + 0.5 * np.square(v) @ drive.inertia
-    work = np.concatenate([[0.0], np.cumsum(np.diff(t) * 0.5 * ((p := (session.run.torque(t) * v).sum(axis=1))[1:] + p[:-1]))])
-    loss = np.concatenate([[0.0], np.cumsum(np.diff(t) * 0.5 * ((p := (drive.friction(v) * v).sum(axis=1))[1:] + p[:-1]))])
+    work = np.concatenate(
+        [
+            [0.0],
+            np.cumsum(
+                np.diff(t) * 0.5 * ((p := (session.run.torque(t) * v).sum(axis=1))[1:] + p[:-1])
+            ),
+        ]
+    )
+    loss = np.concatenate(
+        [
+            [0.0],
+            np.cumsum(np.diff(t) * 0.5 * ((p := (drive.friction(v) * v).sum(axis=1))[1:] + p[:-1])),
+        ]
+    )
     assert np.ptp(energy) > 1.0
     assert np.abs(work - loss - (energy - energy[0])).max() < 1e-3 * np.ptp(energy)
 
 
 def test_two_masses_without_drive_keep_their_energy(bench):
     """Let a wound-up elastic joint swing with no friction, no controller and no damping: only the scheme's own loss is left."""
-    from excite.plant.effects.transmission import Hardening
-    from excite.plant.loop import Loop
+    from excite.simulator.closed_loop import Loop
+    from excite.simulator.effects.transmission import Hardening
 
     plant, *_ = bench
     zero = np.zeros(2)
@@ -160,7 +196,15 @@ def test_two_masses_without_drive_keep_their_energy(bench):
     law = Hardening(effects.site(plant, "joint_2"), 500.0)
     law.__dict__["damping"] = 0.0
     off = Control(position=0.0, speed=0.0, integral=0.0, forward=0.0)
-    loop = Loop(arms.build(plant.tree, plant.joints, gravity=(0.0, 0.0, 0.0)), drive, off, (law,), None, plant.limit, 1e-3)
+    loop = Loop(
+        arms.build(plant.tree, plant.joints, gravity=(0.0, 0.0, 0.0)),
+        drive,
+        off,
+        (law,),
+        None,
+        plant.limit,
+        1e-3,
+    )
     loop._begin(np.array([0.3, 0.5]))
     loop.u, loop.theta[1] = zero, loop.theta[1] + 0.05
     energies = []
@@ -199,7 +243,12 @@ def test_a_spring_passes_on_what_its_law_says(bench):
     run, t = chosen.run(motion), np.linspace(0.6, motion.duration - 0.6, 400)
     law, load = run.plant.laws[0].spring(), run.instant(t).load[:, 1]
     link, motor = run.links(t), run.motors(t)
-    pulled = [law.pull(d, rate)[0] for d, rate in zip(motor[0][:, 1] - link[0][:, 1], motor[1][:, 1] - link[1][:, 1], strict=True)]
+    pulled = [
+        law.pull(d, rate)[0]
+        for d, rate in zip(
+            motor[0][:, 1] - link[0][:, 1], motor[1][:, 1] - link[1][:, 1], strict=True
+        )
+    ]
     assert np.sqrt(np.mean(np.square(pulled - load))) < 0.08 * np.std(load)
 
 
@@ -211,7 +260,9 @@ def test_a_link_stays_in_its_play(bench):
     wind = run.motors(t)[0][:, 1] - run.links(t)[0][:, 1]
     law, load = run.plant.laws[0].spring(), run.instant(t).load[:, 1]
     carried = [law.pull(d, 0.0)[0] for d in wind]
-    assert np.abs(wind).max() < 0.5e-3 + 1e-3  # the play, and how far teeth give way to twice the joint's largest torque
+    assert (
+        np.abs(wind).max() < 0.5e-3 + 1e-3
+    )  # the play, and how far teeth give way to twice the joint's largest torque
     assert np.ptp(wind) > 0.9e-3  # both flanks carry
     assert np.sqrt(np.mean(np.square(carried - load))) < 0.1 * np.std(load)
 
@@ -265,7 +316,7 @@ def test_an_effect_of_size_zero_changes_nothing_and_one_of_its_usual_size_does(q
     extra = ",start=0.3,end=0.9" if name == "contact" else ""
     for family in FAMILIES:
         effect = effects.parse(f"{name}:{place}:form={family}{extra}", plant)
-        nothing = laboratory.session(effects.hide(plant, (effect.sized(0.0),)), motion, setting)
+        nothing = experiment.session(effects.hide(plant, (effect.sized(0.0),)), motion, setting)
         assert nothing.recording.csv() == csv
         run = effects.hide(plant, (effect,)).run(motion)
         told = run.told(bare.recording.t)
@@ -280,7 +331,10 @@ def test_a_wrong_length_is_of_the_joint_before_it(quick):
     effect = effects.parse("kinematic_error:joint_1:angle=0,length=0.01", plant)
     altered = effect.law(plant).alter(plant.tree)
     for name, apart in (("joint_1", 0.0), ("joint_2", 0.01)):
-        at = [np.array(str(tree.joint(name).find("origin").get("xyz")).split(), float) for tree in (altered, plant.tree)]
+        at = [
+            np.array(str(tree.joint(name).find("origin").get("xyz")).split(), float)
+            for tree in (altered, plant.tree)
+        ]
         assert np.linalg.norm(at[0] - at[1]) == pytest.approx(apart)
 
 
@@ -288,20 +342,36 @@ def test_forms_of_the_two_families_differ(bench):
     plant, motion, *_ = bench
     t = np.linspace(0.6, motion.duration - 0.6, 200)
     x = plant.run(motion).instant(t)
-    for name in ("stribeck", "drag", "load_friction", "spring", "torque_ripple", "position_friction"):
-        one, other = (effects.parse(f"{name}:joint_2:form={family}", plant).law(plant).torque(x, np.zeros((200, 0))) for family in FAMILIES)
+    for name in (
+        "stribeck",
+        "drag",
+        "load_friction",
+        "spring",
+        "torque_ripple",
+        "position_friction",
+    ):
+        one, other = (
+            effects.parse(f"{name}:joint_2:form={family}", plant)
+            .law(plant)
+            .torque(x, np.zeros((200, 0)))
+            for family in FAMILIES
+        )
         assert np.std(one - other) > 0.03 * np.std(one)
 
 
 @pytest.mark.parametrize("form", FAMILIES)
 def test_hysteresis_remembers_and_dissipates(bench, form):
     plant, *_ = bench
-    law = effects.parse(f"hysteresis:joint_2:amplitude=1,stiffness=500,form={form}", plant).law(plant)
+    law = effects.parse(f"hysteresis:joint_2:amplitude=1,stiffness=500,form={form}", plant).law(
+        plant
+    )
     t = np.arange(4000) * 1e-3
     q, v = 0.02 * np.sin(2 * np.pi * t), 0.02 * 2 * np.pi * np.cos(2 * np.pi * t)
     z, torque = np.zeros(law.memory), []
     for speed in v:
-        x = laboratory.plants.Instant(np.asarray(0.0), np.zeros(2), np.array([0.0, speed]), np.zeros(2), np.zeros(2))
+        x = experiment.plants.Instant(
+            np.asarray(0.0), np.zeros(2), np.array([0.0, speed]), np.zeros(2), np.zeros(2)
+        )
         z = law.advance(x, z, 1e-3)
         torque.append(law.torque(x, z)[1])
     torque = np.array(torque)
@@ -312,7 +382,7 @@ def test_hysteresis_remembers_and_dissipates(bench, form):
 
 def test_severity_is_zero_for_what_a_refit_absorbs_and_scales(bench):
     plant, motion, setting, bare = bench
-    chain = laboratory.chain(plant, setting)
+    chain = experiment.chain(plant, setting)
     assert severity.of(bare.run, plant, motion, chain).value < 1e-6
     run = hidden(plant, "payload:joint_2:mass=1").run(motion)
     assert severity.of(run, plant, motion, chain, trusted=True).value > 3.0
@@ -324,7 +394,7 @@ def test_severity_is_zero_for_what_a_refit_absorbs_and_scales(bench):
 
 def test_no_severity_goes_beyond_what_physics_allows(bench):
     plant, motion, setting, _ = bench
-    chain = laboratory.chain(plant, setting)
+    chain = experiment.chain(plant, setting)
     viscous, coulomb = (float(getattr(plant.drive, kind)[1]) for kind in ("viscous", "coulomb"))
     for text, key, most in (
         ("thermal_drift:joint_2:change=-0.5", "change", 0.9),

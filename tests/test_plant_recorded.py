@@ -13,43 +13,51 @@ pytest.importorskip("mujoco")
 from test_plant import TRAJECTORIES, swing, urdf
 
 from excite.errors import UnusableInput
-from excite.plant import laboratory, reference
-from excite.plant import tree as trees
-from excite.plant.chain import Chain, coloured
-from excite.plant.laboratory import Setting
-from excite.plant.reference import Reference
+from excite.simulator import experiment, reference_trajectory
+from excite.simulator import urdf_tree as trees
+from excite.simulator.experiment import Setting
+from excite.simulator.measurement import Chain, coloured
+from excite.simulator.reference_trajectory import Reference
 
 
 @pytest.fixture(scope="module")
 def bench():
     motion, setting = swing(), Setting(seed=3)
-    plant = laboratory.robot(urdf("two_link"), motion, setting)
-    return plant, motion, setting, laboratory.session(plant, motion, setting)
+    plant = experiment.robot(urdf("two_link"), motion, setting)
+    return plant, motion, setting, experiment.session(plant, motion, setting)
 
 
 @pytest.mark.parametrize("name", ["two_link", "ur10e"])
 def test_a_trajectory_is_replayed_as_designed(name):
-    from excite import artefact
+    from excite.trajectory import trajectory_file
 
     path = TRAJECTORIES / f"{name}.json"
-    designed, replayed = artefact.read(path).motion, reference.read(path)
+    designed, replayed = trajectory_file.read(path).motion, reference_trajectory.read(path)
     t = np.linspace(0.0, designed.duration, 777)
     for order, values in enumerate(replayed.at(t)[:2]):
         np.testing.assert_allclose(values, designed.at(t, order), atol=1e-9)
-    more = reference.read(path, designed.periods + 1)
+    more = reference_trajectory.read(path, designed.periods + 1)
     assert more.duration == pytest.approx(designed.duration + designed.fourier.period)
     assert np.abs(np.diff(more.at(np.linspace(0, more.duration, 5000))[0], axis=0)).max() < 0.05
 
 
 def test_the_body_a_trajectory_was_designed_with_is_carried():
-    stated = {"link": "link_2", "mass": 1.5, "centre": [0.1, 0.0, 0.05], "inertia": [0.01, 0.001, 0.02, 0.0, 0.0, 0.015]}
+    stated = {
+        "link": "link_2",
+        "mass": 1.5,
+        "centre": [0.1, 0.0, 0.05],
+        "inertia": [0.01, 0.001, 0.02, 0.0, 0.0, 0.015],
+    }
     tree = trees.read(urdf("two_link"))
     name = tree.child("joint_2")
     motion = replace(swing(), robot={"payload": {**stated, "link": name}})
-    plant = laboratory.robot(urdf("two_link"), motion, Setting(model_error=0.0))
-    from excite.robot import Payload, load
+    plant = experiment.robot(urdf("two_link"), motion, Setting(model_error=0.0))
+    from excite.robot.robot import Payload, load
 
-    model = load("two_link", payload=Payload(name, 1.5, (0.1, 0.0, 0.05), (0.01, 0.001, 0.02, 0.0, 0.0, 0.015))).model
+    model = load(
+        "two_link",
+        payload=Payload(name, 1.5, (0.1, 0.0, 0.05), (0.01, 0.001, 0.02, 0.0, 0.0, 0.015)),
+    ).model
     q, v, a = np.random.default_rng(0).normal(size=(3, 5, 2))
     expected = [pin.rnea(model, model.createData(), *row) for row in zip(q, v, a, strict=True)]
     np.testing.assert_allclose(plant.arm().inverse(q, v, a), expected, atol=1e-10)
@@ -59,7 +67,13 @@ def test_what_the_plant_cannot_read_is_refused(tmp_path):
     from tests.conftest import document, joint, link
 
     mimic = tmp_path / "mimic.urdf"
-    parts = (link("b"), link("x", 1.0), link("y", 1.0), joint("j", "b", "x"), joint("k", "x", "y", inside='<mimic joint="j"/>'))
+    parts = (
+        link("b"),
+        link("x", 1.0),
+        link("y", 1.0),
+        joint("j", "b", "x"),
+        joint("k", "x", "y", inside='<mimic joint="j"/>'),
+    )
     mimic.write_text(document(*parts))
     with pytest.raises(UnusableInput, match="'k' is a mimic"):
         trees.read(mimic)
@@ -67,7 +81,12 @@ def test_what_the_plant_cannot_read_is_refused(tmp_path):
     with pytest.raises(UnusableInput, match="not <robot>"):
         trees.read(tmp_path / "no.urdf")
     with pytest.raises(UnusableInput, match="no velocity or torque limit"):
-        trees.Tree("text", trees.ElementTree.fromstring(document(link("b"), link("x", 1.0), joint("j", "b", "x", inside="")))).limits("j")
+        trees.Tree(
+            "text",
+            trees.ElementTree.fromstring(
+                document(link("b"), link("x", 1.0), joint("j", "b", "x", inside=""))
+            ),
+        ).limits("j")
 
 
 def test_noise_has_its_size_and_colour():
@@ -83,16 +102,21 @@ def test_noise_has_its_size_and_colour():
 
 def test_the_chain_quantises_and_jitters(bench):
     plant, motion, setting, bare = bench
-    coarse = laboratory.session(plant, motion, replace(setting, encoder=1e-3), run=bare.run)
+    coarse = experiment.session(plant, motion, replace(setting, encoder=1e-3), run=bare.run)
     assert np.abs(coarse.recording.q / 1e-3 - np.round(coarse.recording.q / 1e-3)).max() < 1e-6
-    late = laboratory.session(plant, motion, replace(setting, jitter=1e-3), run=bare.run)
-    assert (late.recording.t == bare.recording.t).all() and 1e-4 < np.abs(late.recording.q - bare.recording.q).max() < 2e-2
+    late = experiment.session(plant, motion, replace(setting, jitter=1e-3), run=bare.run)
+    assert (late.recording.t == bare.recording.t).all() and 1e-4 < np.abs(
+        late.recording.q - bare.recording.q
+    ).max() < 2e-2
     assert len(bare.recording.csv().splitlines()[1]) == len(bare.recording.csv().splitlines()[-1])
 
 
 def test_one_seed_gives_one_recording():
     motion, setting = swing(1.5), Setting(seed=11)
-    first, second = (laboratory.session(laboratory.robot(urdf("two_link"), motion, setting), motion, setting) for _ in range(2))
+    first, second = (
+        experiment.session(experiment.robot(urdf("two_link"), motion, setting), motion, setting)
+        for _ in range(2)
+    )
     assert first.recording.csv() == second.recording.csv() and first.truth == second.truth
     assert first.truth["seed"] == 11
 
@@ -102,8 +126,11 @@ def test_noise_of_another_motion_is_another_and_of_the_same_motion_the_same():
     setting = Setting(seed=11, noise=0.01)
 
     def noise(motion: Reference) -> np.ndarray:
-        plant = laboratory.robot(urdf("two_link"), motion, setting)
-        silent, loud = (laboratory.session(plant, motion, replace(setting, noise=level)) for level in (0.0, 0.01))
+        plant = experiment.robot(urdf("two_link"), motion, setting)
+        silent, loud = (
+            experiment.session(plant, motion, replace(setting, noise=level))
+            for level in (0.0, 0.01)
+        )
         return loud.recording.tau - silent.recording.tau
 
     first, again, other = noise(swing(1.5)), noise(swing(1.5)), noise(swing(1.5, seed=1))

@@ -10,10 +10,11 @@ import pytest
 from made import WIDTH, perturbed
 from test_diagnose import PLANTED, found, recordings_of
 
-from excite.diagnose import track, whole
+from excite.diagnosis import whole
+from excite.effects import track
 from excite.errors import UnusableInput
-from excite.identify.equations import Model
-from excite.identify.model import FittedModel
+from excite.identification.identified_model import FittedModel
+from excite.identification.regression import Model
 from excite.schemas.document_file import DocumentFile
 from excite.schemas.effects import EffectDocument
 
@@ -35,19 +36,36 @@ def test_what_was_found_is_predicted_and_gone_from_the_recording(subject):
     apart = one.band.low(bare.torque - clean.torque, track.Grid.KEPT)[one.kept]
     hidden = one.band.low(validate.torque - clean.torque, track.Grid.KEPT)[one.kept]
     assert np.sqrt(np.mean(apart**2)) < 0.25 * np.sqrt(np.mean(hidden**2))
-    again = [whole.restored(validated(whole.entry(part, subject.robot)), subject.robot) for part in result.parts]
+    again = [
+        whole.restored(validated(whole.entry(part, subject.robot)), subject.robot)
+        for part in result.parts
+    ]
     np.testing.assert_allclose(whole.torque(again, one), whole.torque(result.parts, one))
     before, after = result.ahead
-    assert before is not None and after is not None and after.fitted[-1].sum() < before.fitted[-1].sum()
+    assert (
+        before is not None
+        and after is not None
+        and after.fitted[-1].sum() < before.fitted[-1].sum()
+    )
 
 
 def fitted_with(subject: Model, effects: tuple[dict[str, Any], ...]) -> FittedModel:
     documents = tuple(validated(effect) for effect in effects)
     psi = perturbed(subject.parameters, np.random.default_rng(4))
-    return FittedModel("model.json", subject.robot, subject.parameters.drive, psi, np.full(2, WIDTH), 20.0, documents)
+    return FittedModel(
+        "model.json",
+        subject.robot,
+        subject.parameters.drive,
+        psi,
+        np.full(2, WIDTH),
+        20.0,
+        documents,
+    )
 
 
-def stated(effect: str, joint: str | None, values: dict[str, float], *coefficients: float) -> dict[str, Any]:
+def stated(
+    effect: str, joint: str | None, values: dict[str, float], *coefficients: float
+) -> dict[str, Any]:
     return {
         "effect": effect,
         "joint": joint,
@@ -75,9 +93,18 @@ def test_a_measured_delay_is_predicted_from_what_is_predicted(subject, seconds):
 @pytest.mark.parametrize(
     ("effect", "problem"),
     [
-        (stated("backlash", "joint_1", {"width": 1e-3}, 1.0), "values: 'backlash' should have width, hold, not width"),
-        ({key: v for key, v in stated("drag", "joint_1", {}, 1.0).items() if key != "time"}, "has no 'time'"),
-        (stated("drag", "joint_1", {}, 1.0, 2.0), "coefficients: 'drag' should have 1 of them, not 2"),
+        (
+            stated("backlash", "joint_1", {"width": 1e-3}, 1.0),
+            "values: 'backlash' should have width, hold, not width",
+        ),
+        (
+            {key: v for key, v in stated("drag", "joint_1", {}, 1.0).items() if key != "time"},
+            "has no 'time'",
+        ),
+        (
+            stated("drag", "joint_1", {}, 1.0, 2.0),
+            "coefficients: 'drag' should have 1 of them, not 2",
+        ),
         (stated("slack", "joint_1", {}, 1.0), "effect: this version has no effect 'slack'"),
     ],
 )

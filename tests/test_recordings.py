@@ -16,48 +16,72 @@ from written import JOINTS, Array, kinds, motion, refused, repaired, write
 
 from excite import recordings
 from excite.errors import UnusableInput
-from excite.limits import resolve
-from excite.recordings import Kind, parse
-from excite.robot import load
+from excite.recordings import Kind, csv_parse
+from excite.robot.limits import resolve
+from excite.robot.robot import load
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "recordings"
 # -- formats -------------------------------------------------------------------------------------------------------
 
 
 @given(seed=st.integers(0, 10**6), separator=st.sampled_from([",", ";", "\t", " ", ", "]))
-def test_a_csv_comes_back_whatever_its_separator_and_order(two_link, tmp_path_factory, seed, separator):
+def test_a_csv_comes_back_whatever_its_separator_and_order(
+    two_link, tmp_path_factory, seed, separator
+):
     rng = np.random.default_rng(seed)
     columns = motion() | {"flag.mode": np.ones(400)}
-    path = write(tmp_path_factory.mktemp("csv") / "r.csv", columns, separator, list(rng.permutation(list(columns))))
+    path = write(
+        tmp_path_factory.mktemp("csv") / "r.csv",
+        columns,
+        separator,
+        list(rng.permutation(list(columns))),
+    )
     found = recordings.read(path, two_link)
     for name, values in (("q", found.q), ("dq", found.dq), ("tau", found.tau)):
         assert (values == np.column_stack([columns[f"{name}.{joint}"] for joint in JOINTS])).all()
     assert (found.t == columns["t"]).all() and (found.own_times == found.t).all()
-    assert found.current is None and found.qref is None and found.joints == JOINTS and not found.remarks
-    assert found.rate == pytest.approx(100.0) and len(found) == 400 and (found.torque == found.tau).all()
+    assert (
+        found.current is None
+        and found.qref is None
+        and found.joints == JOINTS
+        and not found.remarks
+    )
+    assert (
+        found.rate == pytest.approx(100.0)
+        and len(found) == 400
+        and (found.torque == found.tau).all()
+    )
 
 
 def test_a_csv_of_a_spreadsheet(two_link, tmp_path):
     """Byte order mark, quoted names, CRLF, semicolons, decimal commas, no newline at the end, text in a column nobody reads."""
     columns = motion()
     rows = ["\ufeff" + ";".join(f'"{name}"' for name in [*columns, "state"])]
-    rows += [";".join([*(repr(float(v[k])).replace(".", ",") for v in columns.values()), "run"]) for k in range(400)]
+    rows += [
+        ";".join([*(repr(float(v[k])).replace(".", ",") for v in columns.values()), "run"])
+        for k in range(400)
+    ]
     path = tmp_path / "r.csv"
     path.write_bytes("\r\n".join(rows).encode())
     assert (recordings.read(path, two_link).q[:, 0] == columns["q.joint_1"]).all()
 
 
-@given(seed=st.integers(0, 10**6), noise=st.binary(min_size=1, max_size=3), at=st.integers(0, 10**6))
+@given(
+    seed=st.integers(0, 10**6), noise=st.binary(min_size=1, max_size=3), at=st.integers(0, 10**6)
+)
 def test_fast_and_tolerant_parsing_agree_or_refuse(seed, noise, at):
     rng = np.random.default_rng(seed)
     table = rng.normal(size=(20, 3)) * 10.0 ** rng.integers(-12, 12, (20, 3))
     text = "\n".join(",".join(repr(float(v)) for v in row) for row in table).encode() + b"\n"
-    assert parse.plain(text, 3) and (parse.rows(text, ",", 3, [2, 0]) == table[:, [2, 0]]).all()
+    assert (
+        csv_parse.plain(text, 3)
+        and (csv_parse.rows(text, ",", 3, [2, 0]) == table[:, [2, 0]]).all()
+    )
     at %= len(text)
     damaged = text[:at] + noise + text[at + 1 :]
-    if parse.plain(damaged, 3):
-        slow = parse._tolerant(damaged, 3, [0, 1, 2])
-        assert np.array_equal(parse.rows(damaged, ",", 3, [0, 1, 2]), slow)
+    if csv_parse.plain(damaged, 3):
+        slow = csv_parse._tolerant(damaged, 3, [0, 1, 2])
+        assert np.array_equal(csv_parse.rows(damaged, ",", 3, [0, 1, 2]), slow)
 
 
 @pytest.mark.parametrize("cell", ["2024-01-02", "1.2.3", "0x10", "1_0", "1e5.0", "2x", "1-2"])
@@ -80,15 +104,28 @@ def test_archives(two_link, tmp_path, compress, form):
         arrays = {"t": columns["t"], "joints": np.array(["other", *order])}
         for name in ("q", "dq", "tau"):
             value = np.column_stack([np.zeros(400), *(columns[f"{name}.{j}"] for j in order)])
-            arrays[name] = np.asfortranarray(value) if form == "by column" else value.astype(np.float64)
+            arrays[name] = (
+                np.asfortranarray(value) if form == "by column" else value.astype(np.float64)
+            )
     (np.savez_compressed if compress else np.savez)(tmp_path / "r.npz", **arrays)
     found = recordings.read(tmp_path / "r.npz", two_link)
-    assert found.tau is not None and (found.q[:, 1] == columns["q.joint_2"]).all() and (found.tau[:, 0] == columns["tau.joint_1"]).all()
+    assert (
+        found.tau is not None
+        and (found.q[:, 1] == columns["q.joint_2"]).all()
+        and (found.tau[:, 0] == columns["tau.joint_1"]).all()
+    )
 
 
 def rtde(rows: int = 300) -> dict[str, Array]:
     t = 1000.0 + np.arange(rows) / 500.0
-    fields = ("target_q", "actual_q", "actual_qd", "actual_current", "target_moment", "joint_temperatures")
+    fields = (
+        "target_q",
+        "actual_q",
+        "actual_qd",
+        "actual_current",
+        "target_moment",
+        "joint_temperatures",
+    )
     phase = np.outer(t, np.linspace(1.0, 2.0, 6))
     values = {"actual_q": np.sin(phase), "actual_qd": np.linspace(1.0, 2.0, 6) * np.cos(phase)}
     columns = {"timestamp": t}
@@ -105,13 +142,21 @@ def test_recordings_of_ur_rtde(tmp_path, separator):
     path = write(tmp_path / "r.csv", columns, separator)
     found = recordings.read(path, robot)
     assert found.joints == robot.joints and found.tau is None
-    for value, field in ((found.q, "actual_q"), (found.current, "actual_current"), (found.qref, "target_q")):
+    for value, field in (
+        (found.q, "actual_q"),
+        (found.current, "actual_current"),
+        (found.qref, "target_q"),
+    ):
         assert value is not None and (value[:, 5] == columns[f"{field}_5"]).all()
     assert found.temperature is not None and found.dq is not None
-    with pytest.raises(UnusableInput, match=f"joint '{robot.joints[0]}' has a current but no drive gain"):
+    with pytest.raises(
+        UnusableInput, match=f"joint '{robot.joints[0]}' has a current but no drive gain"
+    ):
         _ = found.torque
     gains = {name: 10.0 + i for i, name in enumerate(robot.joints)}
-    (tmp_path / "r.json").write_text(json.dumps({"schema": "excite.recording/1", "drive_gain": gains}))
+    (tmp_path / "r.json").write_text(
+        json.dumps({"schema": "excite.recording/1", "drive_gain": gains})
+    )
     assert (recordings.read(path, robot).torque[:, 2] == 12.0 * columns["actual_current_2"]).all()
 
 
@@ -123,7 +168,13 @@ def test_rtde_repeats_a_state_where_the_recorder_is_faster_than_the_robot(tmp_pa
 
 def test_rtde_has_no_names_to_leave_joints_out_by(tmp_path):
     robot = load("ur5e", joints=("elbow_joint", "wrist_1_joint"))
-    refused(write(tmp_path / "r.csv", rtde()), robot, "6 joints", "2 of the robot move", "rename the columns")
+    refused(
+        write(tmp_path / "r.csv", rtde()),
+        robot,
+        "6 joints",
+        "2 of the robot move",
+        "rename the columns",
+    )
     columns = rtde()
     del columns["actual_q_4"]
     columns["actual_q_6"] = columns["actual_q_5"]
@@ -134,10 +185,16 @@ def test_torque_of_some_joints_and_current_of_others(two_link, tmp_path):
     columns = motion()
     columns["i.joint_2"] = columns.pop("tau.joint_2")
     path = write(tmp_path / "r.csv", columns)
-    (tmp_path / "r.json").write_text('{"schema": "excite.recording/1", "drive_gain": {"joint_2": -2.5}, "period": 2, "motor_side": true}')
+    (tmp_path / "r.json").write_text(
+        '{"schema": "excite.recording/1", "drive_gain": {"joint_2": -2.5}, "period": 2, "motor_side": true}'
+    )
     found = recordings.read(path, two_link)
-    assert (found.torque == np.column_stack([columns["tau.joint_1"], -2.5 * columns["i.joint_2"]])).all()
-    assert found.sidecar.period == 2.0 and found.sidecar.motor_side and found.sidecar.periodic is None
+    assert (
+        found.torque == np.column_stack([columns["tau.joint_1"], -2.5 * columns["i.joint_2"]])
+    ).all()
+    assert (
+        found.sidecar.period == 2.0 and found.sidecar.motor_side and found.sidecar.periodic is None
+    )
     del columns["i.joint_2"]
     with pytest.raises(UnusableInput, match=r"joint 'joint_2' has no torque; record tau\.joint_2"):
         _ = recordings.read(write(path, columns), two_link).torque
@@ -154,7 +211,12 @@ def test_files_that_are_no_recordings(two_link, tmp_path):
         ("other.csv", b"time,angle\n0,1\n", "'time', 'angle'"),
         ("header.csv", b"t,q.joint_1,q.joint_2\n", "has no rows"),
         ("one.csv", b"t,q.joint_1,q.joint_2\n0,1,2\n", "has 1 rows"),
-        ("short.csv", b"t,q.joint_1,q.joint_2\n" + b"".join(b"%f,0,%f\n" % (k / 100, k / 100) for k in range(9)), "9 usable rows"),
+        (
+            "short.csv",
+            b"t,q.joint_1,q.joint_2\n"
+            + b"".join(b"%f,0,%f\n" % (k / 100, k / 100) for k in range(9)),
+            "9 usable rows",
+        ),
         ("ragged.csv", b"t,q.joint_1,q.joint_2\n0,1,2\n1,2\n", "row 3: 2 cells instead of 3"),
         ("word.csv", b"t,q.joint_1,q.joint_2\n0,1,2\n1,2,off\n", "row 3"),
         ("broken.npz", b"PK no", "no readable .npz"),
@@ -169,7 +231,14 @@ def test_files_that_are_no_recordings(two_link, tmp_path):
 def test_a_missing_joint_comes_with_what_is_like_it(two_link, tmp_path):
     columns = motion()
     columns["q.joint2"] = columns.pop("q.joint_2")
-    refused(write(tmp_path / "r.csv", columns), two_link, "no column 'q.joint_2'", "(similar:", "'q.joint2'", "--joints")
+    refused(
+        write(tmp_path / "r.csv", columns),
+        two_link,
+        "no column 'q.joint_2'",
+        "(similar:",
+        "'q.joint2'",
+        "--joints",
+    )
     path = tmp_path / "s.csv"
     path.write_text("t,q.joint_1,q.joint_1\n0,0,0\n")
     refused(path, two_link, "'q.joint_1' stands twice")
@@ -198,9 +267,18 @@ def test_archives_that_do_not_fit(two_link, tmp_path):
         ("{}", '"schema": "excite.recording/1"'),
         ('{"schema": "excite.recording/2"}', "excite.recording/1"),
         ('{"schema": "excite.recording/1", "drive_gain": 3}', "drive_gain"),
-        ('{"schema": "excite.recording/1", "drive_gain": {"joint_1": 0}}', "drive_gain.joint_1: 0 should be"),
-        ('{"schema": "excite.recording/1", "drive_gain": {"nobody": 1}}', "drive_gain: 'nobody' is no joint of two_link"),
-        ('{"schema": "excite.recording/1", "period": 4, "periodic": [0, 1]}', "periodic: a window of 1 s is much shorter"),
+        (
+            '{"schema": "excite.recording/1", "drive_gain": {"joint_1": 0}}',
+            "drive_gain.joint_1: 0 should be",
+        ),
+        (
+            '{"schema": "excite.recording/1", "drive_gain": {"nobody": 1}}',
+            "drive_gain: 'nobody' is no joint of two_link",
+        ),
+        (
+            '{"schema": "excite.recording/1", "period": 4, "periodic": [0, 1]}',
+            "periodic: a window of 1 s is much shorter",
+        ),
         ('{"schema": "excite.recording/1", "period": -1}', "period"),
         ('{"schema": "excite.recording/1", "periodic": [3, 1]}', "start < end"),
         ('{"schema": "excite.recording/1", "motor_side": 1}', "motor_side"),
@@ -221,7 +299,11 @@ def test_a_trajectory_beside_its_csv_is_no_sidecar_and_unknown_keys_are_told(two
     assert recordings.read(path, two_link).sidecar == recordings.Sidecar()
     (tmp_path / "r.json").write_text('{"schema": "excite.recording/1", "gains": 3}')
     found = recordings.read(path, two_link)
-    assert kinds(found) == [Kind.SKIPPED] and "'gains'" in found.remarks[0].text and not found.remarks[0].repaired
+    assert (
+        kinds(found) == [Kind.SKIPPED]
+        and "'gains'" in found.remarks[0].text
+        and not found.remarks[0].repaired
+    )
 
 
 # -- units ---------------------------------------------------------------------------------------------------------
@@ -233,7 +315,14 @@ def test_degrees(two_link, tmp_path, damage, stated):
         damage.columns[f"q.{name}"] = np.rad2deg(damage.columns[f"q.{name}"])
         damage.columns[f"dq.{name}"] = np.rad2deg(damage.columns[f"dq.{name}"])
     path = write(tmp_path / "r.csv", damage.columns)
-    refused(path, two_link, "joint 'joint_1'", "degrees", "convert them to rad", limits=resolve(two_link) if stated else None)
+    refused(
+        path,
+        two_link,
+        "joint 'joint_1'",
+        "degrees",
+        "convert them to rad",
+        limits=resolve(two_link) if stated else None,
+    )
 
 
 def test_limits_tightened_for_a_design_say_nothing_of_units(two_link, tmp_path, damage):
@@ -249,7 +338,9 @@ def test_mixed_units_and_counts(two_link, tmp_path, damage):
         columns[f"dq.{name}"] = np.rad2deg(columns[f"dq.{name}"])
     refused(write(tmp_path / "r.csv", columns), two_link, "dq is in degrees/s")
     columns = damage.columns | {"q.joint_1": damage.columns["q.joint_1"] * 1e5}
-    refused(write(tmp_path / "r.csv", columns), two_link, "joint 'joint_1' reaches 5e+04", "encoder")
+    refused(
+        write(tmp_path / "r.csv", columns), two_link, "joint 'joint_1' reaches 5e+04", "encoder"
+    )
     columns = damage.columns | {"dq.joint_2": -2.0 * damage.columns["dq.joint_2"]}
     found = recordings.read(write(tmp_path / "r.csv", columns), two_link)
     assert kinds(found) == [Kind.INCONSISTENT] and "-0.5 times dq" in found.remarks[0].text
@@ -259,8 +350,15 @@ def test_reach_of_joints_without_limits_and_of_sliding_ones(tmp_path):
     columns = {"t": np.arange(100) / 100.0, "q.swing": np.linspace(0.0, 100.0, 100)}
     path = write(tmp_path / "r.csv", columns)
     assert not recordings.read(path, loaded(pendulum(kind="continuous"))).remarks
-    refused(path, loaded(pendulum(inside='<limit velocity="3" effort="40"/>')), "beyond 12.57 rad", "degrees")
-    slide = loaded(document(link("base"), link("arm", 2.0), joint("swing", "base", "arm", "prismatic")))
+    refused(
+        path,
+        loaded(pendulum(inside='<limit velocity="3" effort="40"/>')),
+        "beyond 12.57 rad",
+        "degrees",
+    )
+    slide = loaded(
+        document(link("base"), link("arm", 2.0), joint("swing", "base", "arm", "prismatic"))
+    )
     refused(path, slide, "beyond 2.5 m", "in mm")
 
 
@@ -279,7 +377,9 @@ def test_channels_that_look_wrong_are_remarked_and_left(two_link, tmp_path):
     assert "'joint_2'" in rounded.text and "'joint_1'" not in rounded.text
     assert "clipped at 2" in clipped.text and clipped.joint == "joint_1"
     assert "multiples of 0.002 rad" in coarse.text and coarse.joint == "joint_2"
-    assert (frozen.start, frozen.end) == pytest.approx((3.0, 3.39)) and frozen.document()["time"] == [frozen.start, frozen.end]
+    assert (frozen.start, frozen.end) == pytest.approx((3.0, 3.39)) and frozen.document()[
+        "time"
+    ] == [frozen.start, frozen.end]
     assert found.tau is not None and (found.tau[:, 1] == columns["tau.joint_2"]).all()
 
 
@@ -289,7 +389,11 @@ def test_joints_that_stand_still_freeze_or_leave_their_limits(two_link, tmp_path
     columns["q.joint_2"][100:150] = columns["q.joint_2"][100]
     columns["q.joint_2"] += 3.0
     found = recordings.read(write(tmp_path / "r.csv", columns), two_link)
-    assert {(r.kind, r.joint) for r in found.remarks} >= {(Kind.STILL, "joint_1"), (Kind.FROZEN, "joint_2"), (Kind.OUTSIDE, "joint_2")}
+    assert {(r.kind, r.joint) for r in found.remarks} >= {
+        (Kind.STILL, "joint_1"),
+        (Kind.FROZEN, "joint_2"),
+        (Kind.OUTSIDE, "joint_2"),
+    }
 
 
 # -- real ones -----------------------------------------------------------------------------------------------------
@@ -306,11 +410,15 @@ def test_joints_that_stand_still_freeze_or_leave_their_limits(two_link, tmp_path
 )
 def test_real_recordings(folder, urdf, rate, expected):
     if not (REAL / folder).is_dir():
-        pytest.skip(f"no real recordings at {REAL / folder}; see its README in the project's shared folder")
+        pytest.skip(
+            f"no real recordings at {REAL / folder}; see its README in the project's shared folder"
+        )
     robot = load(str(REAL / folder / f"{urdf}.urdf"))
     for path in sorted((REAL / folder).glob("*.csv")):
         found, _ = repaired(path, robot)
-        assert found.rate == pytest.approx(rate, rel=1e-3) and expected <= set(kinds(found)) <= expected | {Kind.GAP}
+        assert found.rate == pytest.approx(rate, rel=1e-3) and expected <= set(
+            kinds(found)
+        ) <= expected | {Kind.GAP}
         assert np.isfinite(found.torque).all() and len(found.samples()) > 0.99 * len(found)
         assert (found.qlink is not None) == (folder == "kuka_kr300")
         if found.qlink is not None:

@@ -33,7 +33,9 @@ TAU = np.column_stack([np.cos(5.0 * T), np.sin(7.0 * T)])
 def message(t: float, names: Sequence[str], *values: Array, stamped: bool = True):
     types = STORE.types
     nanoseconds = START + round(t * 1e9) if stamped else 0
-    stamp = types["builtin_interfaces/msg/Time"](sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+    stamp = types["builtin_interfaces/msg/Time"](
+        sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9
+    )
     arrays = [np.asarray(v, float) for v in (*values, *([[]] * (3 - len(values))))]
     header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
     return types["sensor_msgs/msg/JointState"](header, list(names), *arrays)
@@ -43,7 +45,15 @@ def arm(stamped: bool = True):
     """Messages of the arm, the order of whose joints changes, with a joint that the robot hasn't."""
     for k, t in enumerate(T):
         order = [1, 0] if k % 3 else [0, 1]
-        yield t, message(t, [*(JOINTS[i] for i in order), "finger"], *(np.append(v[k, order], 9.0) for v in (Q, DQ, TAU)), stamped=stamped)
+        yield (
+            t,
+            message(
+                t,
+                [*(JOINTS[i] for i in order), "finger"],
+                *(np.append(v[k, order], 9.0) for v in (Q, DQ, TAU)),
+                stamped=stamped,
+            ),
+        )
 
 
 def write(path: Path, topics: dict, storage: StoragePlugin = StoragePlugin.SQLITE3) -> Path:
@@ -54,25 +64,42 @@ def write(path: Path, topics: dict, storage: StoragePlugin = StoragePlugin.SQLIT
             connection = writer.add_connection(topic, kind, typestore=STORE)
             rows += [(t, connection, m) for t, m in messages]
         for t, connection, m in sorted(rows, key=lambda row: row[0]):
-            writer.write(connection, START + 5_000_000 + round(t * 1e9), STORE.serialize_cdr(m, kind))
+            writer.write(
+                connection, START + 5_000_000 + round(t * 1e9), STORE.serialize_cdr(m, kind)
+            )
     return path
 
 
 @pytest.mark.parametrize("form", ["folder", "mcap folder", "mcap", "db3"])
 def test_bags_come_back_by_name(two_link, tmp_path, form):
-    path = write(tmp_path / "bag", {"/joint_states": arm()}, StoragePlugin.MCAP if "mcap" in form else StoragePlugin.SQLITE3)
+    path = write(
+        tmp_path / "bag",
+        {"/joint_states": arm()},
+        StoragePlugin.MCAP if "mcap" in form else StoragePlugin.SQLITE3,
+    )
     if "folder" not in form:
         path = next(path.glob(f"*.{form}"))
     found = recordings.read(path, two_link)
-    assert np.allclose(found.t, T, atol=1e-9) and (found.q == Q).all() and (found.dq == DQ).all() and (found.torque == TAU).all()
-    assert [r.kind for r in found.remarks] == [Kind.UNIT] and "effort is taken to be in N m" in found.remarks[0].text
+    assert (
+        np.allclose(found.t, T, atol=1e-9)
+        and (found.q == Q).all()
+        and (found.dq == DQ).all()
+        and (found.torque == TAU).all()
+    )
+    assert [r.kind for r in found.remarks] == [
+        Kind.UNIT
+    ] and "effort is taken to be in N m" in found.remarks[0].text
     blocks = list(recordings.stream(path, two_link, rows=256, overlap=10))
     assert np.array_equal(np.concatenate([b.q[b.run_in :] for b in blocks]), Q)
 
 
 def test_effort_may_be_current(two_link, tmp_path):
     path = write(tmp_path / "bag", {"/joint_states": arm()})
-    sidecar = {"schema": "excite.recording/1", "effort": "current", "drive_gain": {"joint_1": 2.0, "joint_2": 3.0}}
+    sidecar = {
+        "schema": "excite.recording/1",
+        "effort": "current",
+        "drive_gain": {"joint_1": 2.0, "joint_2": 3.0},
+    }
     (tmp_path / "bag.json").write_text(json.dumps(sidecar))
     found = recordings.read(path, two_link)
     assert found.tau is None and (found.torque == TAU * [2.0, 3.0]).all() and not found.remarks
@@ -97,7 +124,10 @@ def test_the_topic_that_fits(two_link, tmp_path):
     path = write(tmp_path / "one", {"/gripper": other, "/arm": arm()})
     assert (recordings.read(path, two_link).q == Q).all()
     path = write(tmp_path / "two", {"/copy": arm(), "/arm": arm()})
-    with pytest.raises(UnusableInput, match=r"several topics with all of joint_1, joint_2 among '/arm', '/copy'; .*two\.json"):
+    with pytest.raises(
+        UnusableInput,
+        match=r"several topics with all of joint_1, joint_2 among '/arm', '/copy'; .*two\.json",
+    ):
         recordings.read(path, two_link)
     (tmp_path / "two.json").write_text('{"schema": "excite.recording/1", "topic": "/copy"}')
     assert (recordings.read(path, two_link).q == Q).all()
@@ -110,19 +140,31 @@ def test_the_topic_that_fits(two_link, tmp_path):
 
 
 def test_bags_without_the_joints(two_link, tmp_path):
-    path = write(tmp_path / "bag", {"/joint_states": [(t, message(t, ["joint_1", "joint2"], [0.1, 0.2])) for t in T]})
-    with pytest.raises(UnusableInput, match=r"joint 'joint_2' is missing \(similar: .*'joint2'.*--joints"):
+    path = write(
+        tmp_path / "bag",
+        {"/joint_states": [(t, message(t, ["joint_1", "joint2"], [0.1, 0.2])) for t in T]},
+    )
+    with pytest.raises(
+        UnusableInput, match=r"joint 'joint_2' is missing \(similar: .*'joint2'.*--joints"
+    ):
         recordings.read(path, two_link)
     path = write(tmp_path / "nothing", {})
-    with pytest.raises(UnusableInput, match=r"no topic of sensor_msgs/msg/JointState|cannot be read as a bag"):
+    with pytest.raises(
+        UnusableInput, match=r"no topic of sensor_msgs/msg/JointState|cannot be read as a bag"
+    ):
         recordings.read(path, two_link)
-    path = write(tmp_path / "odd", {"/joint_states": [(t, message(t, JOINTS, [0.1, 0.2], [1.0])) for t in T]})
+    path = write(
+        tmp_path / "odd", {"/joint_states": [(t, message(t, JOINTS, [0.1, 0.2], [1.0])) for t in T]}
+    )
     with pytest.raises(UnusableInput, match="1 values of velocity for 2 joints"):
         recordings.read(path, two_link)
 
 
 def test_positions_alone_and_arrays_that_come_and_go(two_link, tmp_path):
-    path = write(tmp_path / "bag", {"/joint_states": [(t, message(t, JOINTS, q)) for t, q in zip(T, Q, strict=True)]})
+    path = write(
+        tmp_path / "bag",
+        {"/joint_states": [(t, message(t, JOINTS, q)) for t, q in zip(T, Q, strict=True)]},
+    )
     found = recordings.read(path, two_link)
     assert found.dq is None and found.tau is None and not found.remarks
     rows = [(t, message(t, JOINTS, Q[k], DQ[k] if k != 50 else [])) for k, t in enumerate(T)]
@@ -134,12 +176,17 @@ def test_positions_alone_and_arrays_that_come_and_go(two_link, tmp_path):
 
 def test_broken_bags(two_link, tmp_path):
     (tmp_path / "folder").mkdir()
-    for path, word in ((tmp_path / "folder", "without metadata.yaml"), (tmp_path / "r.mcap", "cannot be read as a bag")):
+    for path, word in (
+        (tmp_path / "folder", "without metadata.yaml"),
+        (tmp_path / "r.mcap", "cannot be read as a bag"),
+    ):
         if path.suffix:
             path.write_bytes(b"\x89MCAP0\r\n" + bytes(40))
         with pytest.raises(UnusableInput, match=word):
             recordings.read(path, two_link)
-    whole = next(write(tmp_path / "bag", {"/joint_states": arm()}, StoragePlugin.MCAP).glob("*.mcap")).read_bytes()
+    whole = next(
+        write(tmp_path / "bag", {"/joint_states": arm()}, StoragePlugin.MCAP).glob("*.mcap")
+    ).read_bytes()
     for size in (9, 60, len(whole) // 2):
         (tmp_path / "r.mcap").write_bytes(whole[:size])
         with pytest.raises(UnusableInput, match="cannot be read as a bag"):
@@ -168,4 +215,6 @@ def test_bags_of_ros_1(two_link, tmp_path):
             state = types[kind](header, list(JOINTS), Q[k], DQ[k], np.empty(0))
             writer.write(connection, now, store.serialize_ros1(state, kind))
     found = recordings.read(tmp_path / "r.bag", two_link)
-    assert (found.q == Q).all() and (found.dq == DQ).all() and found.tau is None and not found.remarks
+    assert (
+        (found.q == Q).all() and (found.dq == DQ).all() and found.tau is None and not found.remarks
+    )

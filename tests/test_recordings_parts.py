@@ -17,17 +17,30 @@ from excite.recordings import Kind
 
 
 def test_between(two_link, tmp_path, damage):
-    found, _ = damage.rows(np.setdiff1d(np.arange(400), np.arange(200, 230))).read(tmp_path, two_link)
+    found, _ = damage.rows(np.setdiff1d(np.arange(400), np.arange(200, 230))).read(
+        tmp_path, two_link
+    )
     part = found.between(0.5, 1.0)
-    assert len(part) == 51 and (part.t[0], part.t[-1]) == (0.5, 1.0) and not part.remarks and (part.own_times == part.t).all()
-    assert part.tau is not None and part.tau.shape == (51, 2) and kinds(found.between(1.0, 3.0)) == [Kind.GAP]
+    assert (
+        len(part) == 51
+        and (part.t[0], part.t[-1]) == (0.5, 1.0)
+        and not part.remarks
+        and (part.own_times == part.t).all()
+    )
+    assert (
+        part.tau is not None
+        and part.tau.shape == (51, 2)
+        and kinds(found.between(1.0, 3.0)) == [Kind.GAP]
+    )
     with pytest.raises(UnusableInput, match="no rows from 9 to 10 s"):
         found.between(9.0, 10.0)
     with pytest.raises(UnusableInput, match="16 rows without a gap"):
         found.between(0.0, 0.1).samples()
 
 
-@given(seed=st.integers(0, 10**6), rows=st.integers(256, 700), overlap=st.sampled_from([0, 1, 50, 300]))
+@given(
+    seed=st.integers(0, 10**6), rows=st.integers(256, 700), overlap=st.sampled_from([0, 1, 50, 300])
+)
 def test_a_stream_is_the_whole_in_blocks(two_link, tmp_path_factory, seed, rows, overlap):
     """Late rows, repeats, short and long lacks, gaps: repaired across the blocks' borders as in the whole."""
     rng = np.random.default_rng(seed)
@@ -37,8 +50,14 @@ def test_a_stream_is_the_whole_in_blocks(two_link, tmp_path_factory, seed, rows,
     columns["tau.joint_2"][start : start + 30] = np.nan
     which = np.argsort(np.arange(2000) + rng.uniform(0.0, 20.0, 2000))
     which = np.insert(which, rng.integers(0, 2000, 5), which[rng.integers(0, 2000)])
-    path = write(tmp_path_factory.mktemp("r") / "r.csv", Damage(columns).rows(np.unique(which, return_index=False)).columns)
-    late = write(path.with_name("late.csv"), Damage(columns).rows(np.argsort(np.arange(2000) + rng.uniform(0.0, 20.0, 2000))).columns)
+    path = write(
+        tmp_path_factory.mktemp("r") / "r.csv",
+        Damage(columns).rows(np.unique(which, return_index=False)).columns,
+    )
+    late = write(
+        path.with_name("late.csv"),
+        Damage(columns).rows(np.argsort(np.arange(2000) + rng.uniform(0.0, 20.0, 2000))).columns,
+    )
     for file in (path, late):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", ExciteWarning)
@@ -47,10 +66,19 @@ def test_a_stream_is_the_whole_in_blocks(two_link, tmp_path_factory, seed, rows,
         assert blocks[0].run_in == 0
         assert np.array_equal(np.concatenate([b.t[b.run_in :] for b in blocks]), whole.t)
         for name in ("q", "dq", "tau"):
-            assert np.array_equal(np.concatenate([getattr(b, name)[b.run_in :] for b in blocks]), getattr(whole, name), equal_nan=True)
+            assert np.array_equal(
+                np.concatenate([getattr(b, name)[b.run_in :] for b in blocks]),
+                getattr(whole, name),
+                equal_nan=True,
+            )
         for before, after in pairwise(blocks):
-            assert after.run_in <= overlap and (overlap == 0 or after.run_in >= min(overlap, len(before)) - 31)
-            assert np.array_equal(after.q[: after.run_in], np.concatenate([b.q[b.run_in :] for b in blocks])[_before(blocks, after)])
+            assert after.run_in <= overlap and (
+                overlap == 0 or after.run_in >= min(overlap, len(before)) - 31
+            )
+            assert np.array_equal(
+                after.q[: after.run_in],
+                np.concatenate([b.q[b.run_in :] for b in blocks])[_before(blocks, after)],
+            )
 
 
 def _before(blocks: list[recordings.Recording], block: recordings.Recording) -> slice:
@@ -73,7 +101,10 @@ def test_a_stream_resamples_on_one_grid_and_warns_once(two_link, tmp_path):
     assert len(caught) == 1 and len(blocks) == 6
     t = np.concatenate([b.t[b.run_in :] for b in blocks])
     assert np.ptp(np.diff(t)) < 1e-9 and len(t) >= 2998
-    assert np.abs(np.concatenate([b.q[b.run_in :, 0] for b in blocks]) - np.sin(2.0 * t))[5:-5].max() < 1e-8
+    assert (
+        np.abs(np.concatenate([b.q[b.run_in :, 0] for b in blocks]) - np.sin(2.0 * t))[5:-5].max()
+        < 1e-8
+    )
     assert np.allclose(blocks[2].t[: blocks[2].run_in], blocks[1].t[-blocks[2].run_in :])
 
 

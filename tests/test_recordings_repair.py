@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from written import Damage, kinds, motion, refused, repaired, write
 
-from excite.identify import signals
+from excite.identification import segments as segments_module
 from excite.recordings import Kind
 
 # -- time ----------------------------------------------------------------------------------------------------------
@@ -43,9 +43,13 @@ def test_how_coarse_an_encoder_is_outlives_another_grid(two_link, tmp_path, dama
     del damage.columns["dq.joint_1"], damage.columns["dq.joint_2"]
     damage.columns["t"] = t
     found, _ = damage.read(tmp_path, two_link)
-    assert np.abs(found.q[:, 1] / step - np.round(found.q[:, 1] / step)).max() > 0.2  # interpolated: no steps to be seen
+    assert (
+        np.abs(found.q[:, 1] / step - np.round(found.q[:, 1] / step)).max() > 0.2
+    )  # interpolated: no steps to be seen
     assert found.encoder == pytest.approx([0.0, step / np.sqrt(12.0)])
-    assert next(signals.pieces([found])).band(5.0).encoder == pytest.approx(step / np.sqrt(12.0))
+    assert next(segments_module.pieces([found])).band(5.0).encoder == pytest.approx(
+        step / np.sqrt(12.0)
+    )
 
 
 def test_few_missing_rows_are_filled_and_more_split(two_link, tmp_path, damage):
@@ -56,7 +60,9 @@ def test_few_missing_rows_are_filled_and_more_split(two_link, tmp_path, damage):
     parts = list(found.segments())
     assert [len(part) for part in parts] == [200, 170] and parts[1].t[0] == pytest.approx(2.3)
     assert np.abs(found.q[50:54, 0] - damage.columns["q.joint_1"][50:54]).max() < 1e-6
-    assert len(found.samples()) == 370 and [len(part) for part in found.segments(shortest=180)] == [200]
+    assert len(found.samples()) == 370 and [len(part) for part in found.segments(shortest=180)] == [
+        200
+    ]
 
 
 def test_rows_without_a_time_are_dropped(two_link, tmp_path, damage):
@@ -69,24 +75,39 @@ def test_rows_without_a_time_are_dropped(two_link, tmp_path, damage):
 
 def test_a_clock_that_starts_again(two_link, tmp_path, damage):
     refused(
-        write(tmp_path / "r.csv", damage.rows(np.r_[0:400, 0:400]).columns), two_link, "time goes back from 3.99 to 0 s", "its own file"
+        write(tmp_path / "r.csv", damage.rows(np.r_[0:400, 0:400]).columns),
+        two_link,
+        "time goes back from 3.99 to 0 s",
+        "its own file",
     )
 
 
 def test_a_clock_too_coarse(two_link, tmp_path, damage):
     damage.columns["t"] = np.floor(damage.columns["t"] * 20.0) / 20.0
-    refused(write(tmp_path / "r.csv", damage.columns), two_link, "320 of 400 rows repeat the time", "more digits")
+    refused(
+        write(tmp_path / "r.csv", damage.columns),
+        two_link,
+        "320 of 400 rows repeat the time",
+        "more digits",
+    )
 
 
 def test_stamps_in_bunches(two_link, tmp_path, damage):
     damage.columns["t"] = np.floor(np.arange(400) / 10) * 0.1 + (np.arange(400) % 10) * 1e-4
-    refused(write(tmp_path / "r.csv", damage.columns), two_link, "39 of 399 time steps", "time of measurement")
+    refused(
+        write(tmp_path / "r.csv", damage.columns),
+        two_link,
+        "39 of 399 time steps",
+        "time of measurement",
+    )
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms"), (1e6, "µs"), (1e9, "ns")])
 def test_time_in_other_units(two_link, tmp_path, damage, factor, unit):
     damage.columns["t"] = damage.columns["t"] * factor
-    refused(write(tmp_path / "r.csv", damage.columns), two_link, f"is time in {unit}", f"{factor:g}")
+    refused(
+        write(tmp_path / "r.csv", damage.columns), two_link, f"is time in {unit}", f"{factor:g}"
+    )
 
 
 def test_fast_milliseconds_are_betrayed_by_the_velocities(two_link, tmp_path):
@@ -104,22 +125,38 @@ def test_few_missing_numbers_are_interpolated_and_more_dropped(two_link, tmp_pat
     damage.columns["dq.joint_1"][300:320] = np.nan
     found, texts = damage.read(tmp_path, two_link)
     assert kinds(found) == [Kind.MISSING] * 3 + [Kind.GAP]
-    assert "5 missing values of q, 5 interpolated" in texts[0] and "20 in longer runs left out" in texts[1] and "dropped" in texts[2]
+    assert (
+        "5 missing values of q, 5 interpolated" in texts[0]
+        and "20 in longer runs left out" in texts[1]
+        and "dropped" in texts[2]
+    )
     assert len(found) == 380 and np.isfinite(found.q).all() and np.isfinite(found.torque).all()
-    assert found.dq is not None and np.isnan(found.dq[:, 0]).sum() == 20 and np.isfinite(found.dq[:, 1]).all()
+    assert (
+        found.dq is not None
+        and np.isnan(found.dq[:, 0]).sum() == 20
+        and np.isfinite(found.dq[:, 1]).all()
+    )
     assert np.abs(found.q[100:105, 0] - motion()["q.joint_1"][100:105]).max() < 2e-3
 
 
-def test_temperatures_are_known_between_their_samples_whatever_is_missing_there(two_link, tmp_path, damage):
+def test_temperatures_are_known_between_their_samples_whatever_is_missing_there(
+    two_link, tmp_path, damage
+):
     """A sensor is read twice a second; a gap splits the recording, and one piece has no sample of its own."""
     warm = np.full(400, np.nan)
     warm[::50] = 30.0 + 0.02 * np.arange(0, 400, 50)
     damage.columns["temp.joint_1"] = warm
     kept = np.setdiff1d(np.arange(400), np.r_[70:95, 130:160])
     found, texts = damage.rows(kept).read(tmp_path, two_link)
-    assert set(kinds(found)) == {Kind.GAP} and not any("values of temperature" in text for text in texts)
+    assert set(kinds(found)) == {Kind.GAP} and not any(
+        "values of temperature" in text for text in texts
+    )
     assert found.temperature is not None and np.isnan(found.temperature[:, 1]).all()
-    np.testing.assert_allclose(found.temperature[:, 0], np.interp(found.t, damage.columns["t"][::50], warm[::50]), atol=0.02)
+    np.testing.assert_allclose(
+        found.temperature[:, 0],
+        np.interp(found.t, damage.columns["t"][::50], warm[::50]),
+        atol=0.02,
+    )
     assert [np.isfinite(part.temperature[:, 0]).all() for part in found.segments()] == [True] * 3
 
 
@@ -141,4 +178,9 @@ def test_mostly_missing_numbers(two_link, tmp_path, damage):
     damage.columns["tau.joint_1"][:100] = 1.0
     refused(write(tmp_path / "r.csv", damage.columns), two_link, "joint 'joint_1': 75 % of tau")
     damage.columns["q.joint_2"][:] = np.nan
-    refused(write(tmp_path / "r.csv", damage.columns), two_link, "joint 'joint_2': 100 % of q", "--joints")
+    refused(
+        write(tmp_path / "r.csv", damage.columns),
+        two_link,
+        "joint 'joint_2': 100 % of q",
+        "--joints",
+    )

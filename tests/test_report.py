@@ -11,16 +11,30 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from excite import artefact, base, criteria, dynamics, identifiability, limits, parameters, ramps, robot
-from excite.artefact import Trajectory
-from excite.checks import Subject
+from excite.designer import criteria, identifiability, ramps
+from excite.designer.constraint_margins import Subject
 from excite.report import DesignRecord, design_page, identifiability_page
-from excite.report.figures import thin
+from excite.report.figures.drawing import thin
+from excite.report.figures.small_multiples import ticks
 from excite.report.page import number
-from excite.report.panels import ticks
-from excite.trajectory import Fourier
+from excite.robot import base_parameters, dynamics, inertial_parameters, limits, robot
+from excite.trajectory import trajectory_file
+from excite.trajectory.fourier import Fourier
+from excite.trajectory.trajectory_file import Trajectory
 
-SECTIONS = ("limits", "torque", "collision", "spectrum", "parts", "parameters", "more", "path", "history", "criteria", "made")
+SECTIONS = (
+    "limits",
+    "torque",
+    "collision",
+    "spectrum",
+    "parts",
+    "parameters",
+    "more",
+    "path",
+    "history",
+    "criteria",
+    "made",
+)
 
 
 def chain(joints: int) -> str:
@@ -32,9 +46,7 @@ def chain(joints: int) -> str:
     for k in range(1, joints + 1):
         kind = "prismatic" if k == 3 else "revolute"
         axis = ("0 0 1", "0 1 0", "1 0 0")[k % 3]
-        text += (
-            f'<link name="link_{k}">{inertial}</link><joint name="joint_{k}" type="{kind}"><origin xyz="0 0 0.1"/><parent link="{parent}"/>'
-        )
+        text += f'<link name="link_{k}">{inertial}</link><joint name="joint_{k}" type="{kind}"><origin xyz="0 0 0.1"/><parent link="{parent}"/>'
         text += f'<child link="link_{k}"/><axis xyz="{axis}"/><limit lower="-1.5" upper="1.5" velocity="3" effort="200"/></joint>'
         parent = f"link_{k}"
     return text + "</robot>"
@@ -44,37 +56,65 @@ def chain(joints: int) -> str:
 def parts(source: str) -> tuple:
     loaded = robot.load(source)
     table = limits.resolve(loaded)
-    standard = parameters.standard(loaded, table)
-    found = base.find(loaded, standard, table)
+    standard = inertial_parameters.standard(loaded, table)
+    found = base_parameters.find(loaded, standard, table)
     rng = np.random.default_rng(0)
-    offset = 0.2 * rng.normal(size=loaded.n) + (np.array([0.0, -1.2, 0.8, 0.0, 0.5, 0.0]) if loaded.n == 6 else 0.0)
-    series = Fourier(0.15 * rng.normal(size=(loaded.n, 4)), 0.15 * rng.normal(size=(loaded.n, 4)), offset, 5.0)
+    offset = 0.2 * rng.normal(size=loaded.n) + (
+        np.array([0.0, -1.2, 0.8, 0.0, 0.5, 0.0]) if loaded.n == 6 else 0.0
+    )
+    series = Fourier(
+        0.15 * rng.normal(size=(loaded.n, 4)), 0.15 * rng.normal(size=(loaded.n, 4)), offset, 5.0
+    )
     stated = ramps.with_derived(table, series)
     motion = ramps.rest_to_rest(Subject(loaded, stated, standard, 0.05), series, 2, 100.0)
     noise = 0.01 * table.torque
     scores = {
         name: criteria.score(dynamics.regressor(loaded, standard, samples), found, noise)
-        for name, samples in (("optimum", series.samples(series.grid(100))), ("exported", motion.samples(motion.grid(50.0))))
+        for name, samples in (
+            ("optimum", series.samples(series.grid(100))),
+            ("exported", motion.samples(motion.grid(50.0))),
+        )
     }
     margins = [
-        {"limit": kind, "joint": joint, "time": 1.0 + 0.1 * k, "value": 1.0 + 0.1 * k, "bound": 3.0, "margin": 0.6 - 0.03 * k}
+        {
+            "limit": kind,
+            "joint": joint,
+            "time": 1.0 + 0.1 * k,
+            "value": 1.0 + 0.1 * k,
+            "bound": 3.0,
+            "margin": 0.6 - 0.03 * k,
+        }
         for k, joint in enumerate(loaded.joints)
         for kind in ("position", "velocity", "torque")
     ]
     trajectory = Trajectory(
-        robot={"name": loaded.name, "source": loaded.source, "sha256": loaded.sha256, **loaded.options},
+        robot={
+            "name": loaded.name,
+            "source": loaded.source,
+            "sha256": loaded.sha256,
+            **loaded.options,
+        },
         motion=motion,
         rate=100.0,
         limits=stated,
         noise=noise,
-        design={"criterion": "a", "plain": False, "uncertainty": 0.05, "samples": 100, "starts": 2, "boxes": []},
+        design={
+            "criterion": "a",
+            "plain": False,
+            "uncertainty": 0.05,
+            "samples": 100,
+            "starts": 2,
+            "boxes": [],
+        },
         criteria=scores,
         margins=margins,
         collision="collision not checked",
         seed=7,
-        versions=artefact.versions(),
+        versions=trajectory_file.versions(),
     )
-    root = identifiability.information_root(loaded, standard, motion.samples(motion.grid(100.0)), noise)
+    root = identifiability.information_root(
+        loaded, standard, motion.samples(motion.grid(100.0)), noise
+    )
     analysis = identifiability.analyse_root(standard, found, root, noise, loaded)
     return trajectory, loaded, standard, found, analysis
 
@@ -92,7 +132,10 @@ def record() -> DesignRecord:
         for k in range(3)
     ]
     return DesignRecord(
-        starts=starts, chosen=0, timing={"build": 0.1, "first_feasible": 0.2, "solve": 2.0, "total": 3.0}, notes=("One remark.",)
+        starts=starts,
+        chosen=0,
+        timing={"build": 0.1, "first_feasible": 0.2, "solve": 2.0, "total": 3.0},
+        notes=("One remark.",),
     )
 
 
@@ -114,7 +157,12 @@ def answer(page: str, key: str) -> str:
 
 
 def check_page(page: str) -> None:
-    assert "http" not in page and "<script" not in page and "src=" not in page and "@import" not in page
+    assert (
+        "http" not in page
+        and "<script" not in page
+        and "src=" not in page
+        and "@import" not in page
+    )
     assert all(target.startswith("#") for target in re.findall(r'href="([^"]*)"', page))
     assert not re.search(r"url\((?!#)", page)
     pictures = re.findall(r"<svg.*?</svg>", page, flags=re.S)
@@ -128,7 +176,9 @@ def check_page(page: str) -> None:
     assert targets <= set(ids)
     for word in ("nan", "None", "inf", "{", "np.float"):
         body = re.sub(r"<style.*?</style>", "", page, flags=re.S)
-        assert not re.search(rf"(?<![A-Za-z]){re.escape(word)}(?![A-Za-z])", re.sub(r"<[^>]*>", " ", body)), word
+        assert not re.search(
+            rf"(?<![A-Za-z]){re.escape(word)}(?![A-Za-z])", re.sub(r"<[^>]*>", " ", body)
+        ), word
 
 
 def test_design_report_stands_alone_and_answers_every_question() -> None:
@@ -147,19 +197,36 @@ def test_design_report_stands_alone_and_answers_every_question() -> None:
 def test_answers_are_computed_from_the_data() -> None:
     page = page_of()
     trajectory, loaded, _, found, analysis = parts("ur10e")
-    assert answer(page, "limits").startswith("Yes; closest is the position of wrist_3_joint at 1.50 s")
-    assert answer(page, "spectrum").startswith(f"{analysis.identifiable} of {found.count} directions")
+    assert answer(page, "limits").startswith(
+        "Yes; closest is the position of wrist_3_joint at 1.50 s"
+    )
+    assert answer(page, "spectrum").startswith(
+        f"{analysis.identifiable} of {found.count} directions"
+    )
     joints = dynamics.band(
-        dynamics.regressor(loaded, parts("ur10e")[2], trajectory.motion.samples(np.linspace(0, trajectory.motion.duration, 2000))),
+        dynamics.regressor(
+            loaded,
+            parts("ur10e")[2],
+            trajectory.motion.samples(np.linspace(0, trajectory.motion.duration, 2000)),
+        ),
         parts("ur10e")[2],
         0.05,
     )
     ratio = (np.abs(joints[0]) + joints[1]).max(axis=0) / trajectory.limits.torque
     assert loaded.joints[int(np.argmax(ratio))] in answer(page, "torque")
     assert f"{100 * ratio.max():.0f} %" in answer(page, "torque")
-    assert "number 0" in answer(page, "history") and "1 of 3 starts end within 5 %" in answer(page, "history")
+    assert "number 0" in answer(page, "history") and "1 of 3 starts end within 5 %" in answer(
+        page, "history"
+    )
     assert "seed 7" in answer(page, "made")
-    for text in (loaded.sha256, "ur10e.toml", "derived", "1\u00a0% of each torque limit", "Collision not checked", "One remark."):
+    for text in (
+        loaded.sha256,
+        "ur10e.toml",
+        "derived",
+        "1\u00a0% of each torque limit",
+        "Collision not checked",
+        "One remark.",
+    ):
         assert text in page, text
     for joint in (*loaded.joints, *loaded.links):
         assert joint in page
@@ -167,8 +234,20 @@ def test_answers_are_computed_from_the_data() -> None:
 
 def test_a_broken_limit_is_shouted() -> None:
     trajectory, *rest = parts("ur10e")
-    margins = [*trajectory.margins, {"limit": "jerk", "joint": "elbow_joint", "time": 0.5, "value": 130.0, "bound": 100.0, "margin": -0.3}]
-    page = design_page(dataclasses.replace(trajectory, margins=margins, forced=True), *rest, record())
+    margins = [
+        *trajectory.margins,
+        {
+            "limit": "jerk",
+            "joint": "elbow_joint",
+            "time": 0.5,
+            "value": 130.0,
+            "bound": 100.0,
+            "margin": -0.3,
+        },
+    ]
+    page = design_page(
+        dataclasses.replace(trajectory, margins=margins, forced=True), *rest, record()
+    )
     assert "FAILED" in page and "Do not run this motion" in page
     assert answer(page, "limits").startswith("No: 1 limit broken, worst the jerk of elbow_joint")
     assert "FAILED" not in page_of()
@@ -190,7 +269,12 @@ def test_room_is_worked_out_where_a_file_does_not_state_it() -> None:
 def test_texts_cannot_become_markup() -> None:
     trajectory, loaded, *rest = parts("ur10e")
     nasty = "<script>alert('x')</script> & \"quotes\""
-    page = design_page(trajectory, dataclasses.replace(loaded, name=nasty), *rest, dataclasses.replace(record(), notes=(nasty,)))
+    page = design_page(
+        trajectory,
+        dataclasses.replace(loaded, name=nasty),
+        *rest,
+        dataclasses.replace(record(), notes=(nasty,)),
+    )
     assert "<script" not in page
     assert "&lt;script&gt;" in page
 
@@ -201,7 +285,9 @@ def test_many_joints_and_sliding_ones(tmp_path: Path) -> None:
     page = design_page(*parts(str(path)), DesignRecord([]))
     check_page(page)
     assert section(page, "limits").count("<svg") == 4
-    assert "joint_3 (m)" in page and "joint_3 [N]" in page and "No history" in answer(page, "history")
+    assert (
+        "joint_3 (m)" in page and "joint_3 [N]" in page and "No history" in answer(page, "history")
+    )
 
 
 def test_directions_that_nothing_excites_do_not_break_the_report() -> None:
@@ -211,9 +297,18 @@ def test_directions_that_nothing_excites_do_not_break_the_report() -> None:
     unseen = identifiability.analyse_root(standard, found, root, trajectory.noise, loaded)
     assert any(np.isinf(d.variance) for d in unseen.directions)
     check_page(identifiability_page(loaded, standard, found, unseen, "a motion"))
-    nothing = {"optimum": {"geometric": {"a": None, "d": None}}, "exported": {"geometric": {"a": None, "d": None}}}
+    nothing = {
+        "optimum": {"geometric": {"a": None, "d": None}},
+        "exported": {"geometric": {"a": None, "d": None}},
+    }
     page = design_page(
-        dataclasses.replace(trajectory, criteria=nothing, margins=[]), loaded, standard, found, unseen, DesignRecord([]), cases=()
+        dataclasses.replace(trajectory, criteria=nothing, margins=[]),
+        loaded,
+        standard,
+        found,
+        unseen,
+        DesignRecord([]),
+        cases=(),
     )
     check_page(page)
     assert "Limits: not checked" in page and analysis.identifiable > 0
@@ -234,19 +329,35 @@ def pair(source: str, independent: bool = True, overlap: float = 0.3, criterion:
     moved = Fourier(1.2 * series.sine, series.cosine, series.offset + 0.5, series.period)
     likeness = {"overlap": overlap, "torque_correlation": dict.fromkeys(trajectory.joints, 0.45)}
     other = {**likeness, "overlap": 0.6} if independent else None
-    facts = {**likeness, "independent": other, "criterion": {"first": 100.0, "second": 104.0}, "width": 0.25, "weight": 0.5}
+    facts = {
+        **likeness,
+        "independent": other,
+        "criterion": {"first": 100.0, "second": 104.0},
+        "width": 0.25,
+        "weight": 0.5,
+    }
     design = {**trajectory.design, "criterion": criterion, "validation": facts}
-    second = dataclasses.replace(trajectory, motion=dataclasses.replace(trajectory.motion, fourier=moved))
-    return design_page(dataclasses.replace(trajectory, design=design), *rest, record(), second=second)
+    second = dataclasses.replace(
+        trajectory, motion=dataclasses.replace(trajectory.motion, fourier=moved)
+    )
+    return design_page(
+        dataclasses.replace(trajectory, design=design), *rest, record(), second=second
+    )
 
 
 def test_a_validation_motion_is_compared() -> None:
     page = pair("ur10e")
     check_page(page)
     text = answer(page, "validation")
-    assert text.startswith("Yes: the motions overlap by 0.30") and "comes to 0.60" in text and text.endswith("is 4 % worse.")
+    assert (
+        text.startswith("Yes: the motions overlap by 0.30")
+        and "comes to 0.60" in text
+        and text.endswith("is 4 % worse.")
+    )
     drawn = section(page, "validation")
-    assert drawn.count("stroke-linejoin") == 12 and all(joint in drawn for joint in parts("ur10e")[1].joints)
+    assert drawn.count("stroke-linejoin") == 12 and all(
+        joint in drawn for joint in parts("ur10e")[1].joints
+    )
     assert answer(pair("two_link", overlap=0.9), "validation").startswith("Only in part")
     assert answer(pair("two_link", criterion="d"), "validation").endswith("is 4 better.")
     alone = pair("two_link", independent=False)
@@ -265,14 +376,31 @@ def test_a_validation_motion_of_many_joints(tmp_path: Path) -> None:
 def test_a_plan_shows_what_was_tried() -> None:
     trajectory, *rest = parts("two_link")
     tried = [
-        {"period": t, "harmonics": k, "samples": 20 * k, "repeats": r, "robot_time": r * t + 1.0, "value": 30.0, "deviation": d}
+        {
+            "period": t,
+            "harmonics": k,
+            "samples": 20 * k,
+            "repeats": r,
+            "robot_time": r * t + 1.0,
+            "value": 30.0,
+            "deviation": d,
+        }
         for t, k, r, d in ((4.0, 5, 6, 1.2), (8.0, 10, 3, 1.0), (8.0, 6, 3, 1.03))
     ]
-    for chosen, words in ((2, "6 harmonics they predict within 3.0 % of the least"), (1, "10 harmonics they predict the least")):
+    for chosen, words in (
+        (2, "6 harmonics they predict within 3.0 % of the least"),
+        (1, "10 harmonics they predict the least"),
+    ):
         plan = {"budget": 25.0, "tolerance": 0.05, "candidates": tried, "chosen": chosen}
-        page = design_page(dataclasses.replace(trajectory, design={**trajectory.design, "plan": plan}), *rest, record())
+        page = design_page(
+            dataclasses.replace(trajectory, design={**trajectory.design, "plan": plan}),
+            *rest,
+            record(),
+        )
         check_page(page)
-        assert answer(page, "plan").startswith("Into 25 s fit 3 periods of 8 s") and words in answer(page, "plan")
+        assert answer(page, "plan").startswith(
+            "Into 25 s fit 3 periods of 8 s"
+        ) and words in answer(page, "plan")
         assert "<svg" in section(page, "plan") and "+20.0" in section(page, "plan")
 
 
@@ -290,7 +418,9 @@ def test_thinning_keeps_extremes() -> None:
     assert np.all(np.diff(few_t) > 0.0) and few_t[0] == 0.0 and few_t[-1] == 10.0
 
 
-@pytest.mark.parametrize(("low", "high"), [(-9.0, 9.0), (0.0, 21.1), (-1e-6, 3e-6), (5.1, 5.3), (-4000.0, 12.0)])
+@pytest.mark.parametrize(
+    ("low", "high"), [(-9.0, 9.0), (0.0, 21.1), (-1e-6, 3e-6), (5.1, 5.3), (-4000.0, 12.0)]
+)
 def test_ticks_are_few_and_inside(low: float, high: float) -> None:
     found = ticks(low, high, 3)
     assert 3 <= len(found) <= 9 and low - 1e-9 <= found[0] and found[-1] <= high * (1 + 1e-9)

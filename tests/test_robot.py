@@ -24,19 +24,19 @@ from conftest import (
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from excite import parameters
-from excite.dynamics import regressor
 from excite.errors import ExciteWarning, UnusableInput
-from excite.limits import resolve
-from excite.robot import Payload, Robot, builtin_names, load
-from excite.trajectory import Samples
-from excite.urdf import JointEntry
+from excite.robot import inertial_parameters
+from excite.robot.dynamics import regressor
+from excite.robot.limits import resolve
+from excite.robot.robot import Payload, Robot, builtin_names, load
+from excite.robot.samples import Samples
+from excite.robot.urdf import JointEntry
 
 INERTIAL: tuple[str, ...] = ()
 
 
 def torque(robot: Robot, motion: Samples) -> np.ndarray:
-    standard = parameters.standard(robot, resolve(robot), INERTIAL)
+    standard = inertial_parameters.standard(robot, resolve(robot), INERTIAL)
     return regressor(robot, standard, motion) @ standard.nominal
 
 
@@ -103,7 +103,9 @@ def test_mimic_torque_is_the_virtual_work_of_all_its_joints(rng):
         j2 = -1.7 * j0 + 0.3 * constant
         return np.column_stack([j0, j1, j2, 0.5 * j2 - 0.4 * constant, j4])
 
-    free = raw_torque(text, everyone, Samples(follow(motion.q, 1), follow(motion.dq, 0), follow(motion.ddq, 0)))
+    free = raw_torque(
+        text, everyone, Samples(follow(motion.q, 1), follow(motion.dq, 0), follow(motion.ddq, 0))
+    )
     virtual = [follow(unit[None, :], 0)[0] for unit in np.eye(3)]
     assert off(torque(robot, motion), free @ np.array(virtual).T) < 1e-12
 
@@ -118,7 +120,9 @@ def test_mimic_model_balances_power(rng):
     def energy(t):
         q, dq = motion.q + t * motion.dq + t**2 / 2 * motion.ddq, motion.dq + t * motion.ddq
         x = robot.expand(q)[0]
-        return pin.computeKineticEnergy(model, data, x, (dq @ robot.spread.T)[0]) + pin.computePotentialEnergy(model, data, x)
+        return pin.computeKineticEnergy(
+            model, data, x, (dq @ robot.spread.T)[0]
+        ) + pin.computePotentialEnergy(model, data, x)
 
     h = 1e-4
     rate = (8 * (energy(h) - energy(-h)) - energy(2 * h) + energy(-2 * h)) / (12 * h)
@@ -138,22 +142,37 @@ def test_locking_the_master_locks_its_mimic_where_it_belongs():
     zero = np.zeros_like(held)
     dq, ddq = zero.copy(), zero.copy()
     dq[:, 1], ddq[:, 1] = motion.dq[:, 0], motion.ddq[:, 0]
-    assert off(torque(robot, motion), raw_torque(text, ("j0", "j1", "j2"), Samples(held, dq, ddq))[:, 1:2]) < 1e-12
+    assert (
+        off(
+            torque(robot, motion),
+            raw_torque(text, ("j0", "j1", "j2"), Samples(held, dq, ddq))[:, 1:2],
+        )
+        < 1e-12
+    )
 
 
 def test_fixed_links_keep_their_mass():
-    parts = [link("base"), link("arm", 2.0), link("tool", 0.7), joint("swing", "base", "arm"), joint("mount", "arm", "tool", "fixed")]
+    parts = [
+        link("base"),
+        link("arm", 2.0),
+        link("tool", 0.7),
+        joint("swing", "base", "arm"),
+        joint("mount", "arm", "tool", "fixed"),
+    ]
     assert np.isclose(loaded(document(*parts)).model.inertias[1].mass, 2.7)
 
 
 # -- locking, payload, gravity -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("choice", [{"lock": {"joint_2": 1.1}}, {"joints": ["joint_1"], "lock": {"joint_2": 1.1}}])
+@pytest.mark.parametrize(
+    "choice", [{"lock": {"joint_2": 1.1}}, {"joints": ["joint_1"], "lock": {"joint_2": 1.1}}]
+)
 def test_locked_joint_holds_its_masses_at_its_angle(choice):
     robot, motion = load("two_link", **choice), states(1)
     both = [
-        np.column_stack([column, np.full(len(column), held)]) for column, held in ((motion.q, 1.1), (motion.dq, 0.0), (motion.ddq, 0.0))
+        np.column_stack([column, np.full(len(column), held)])
+        for column, held in ((motion.q, 1.1), (motion.dq, 0.0), (motion.ddq, 0.0))
     ]
     expected = raw_torque(text_of("two_link"), ("joint_1", "joint_2"), Samples(*both))[:, :1]
     assert off(torque(robot, motion), expected) < 1e-12
@@ -181,16 +200,32 @@ def test_order_of_joints_is_the_models_whatever_was_asked():
 def test_payload_is_a_body_in_the_urdf(rng):
     mass, centre, tensor = rng.uniform(0.5, 3), rng.uniform(-0.2, 0.2, 3), random_tensor(rng)
     text = random_urdf(rng, 3)
-    with_body = text.replace("</robot>", link("load", mass, tuple(centre), tensor) + joint("weld", "tool", "load", "fixed") + "</robot>")
-    load_at = Payload("tool", mass, tuple(centre), (tensor[0, 0], tensor[0, 1], tensor[1, 1], tensor[0, 2], tensor[1, 2], tensor[2, 2]))
+    with_body = text.replace(
+        "</robot>",
+        link("load", mass, tuple(centre), tensor)
+        + joint("weld", "tool", "load", "fixed")
+        + "</robot>",
+    )
+    load_at = Payload(
+        "tool",
+        mass,
+        tuple(centre),
+        (tensor[0, 0], tensor[0, 1], tensor[1, 1], tensor[0, 2], tensor[1, 2], tensor[2, 2]),
+    )
     motion = states(3)
-    assert off(torque(loaded(text, payload=load_at), motion), torque(loaded(with_body), motion)) < 1e-12
+    assert (
+        off(torque(loaded(text, payload=load_at), motion), torque(loaded(with_body), motion))
+        < 1e-12
+    )
 
 
 def test_gravity_points_where_it_is_told():
     motion, pull = states(2), (3.0, -2.0, 8.0)
     robot = load("two_link", gravity=pull)
-    assert off(torque(robot, motion), raw_torque(text_of("two_link"), robot.joints, motion, pull)) < 1e-12
+    assert (
+        off(torque(robot, motion), raw_torque(text_of("two_link"), robot.joints, motion, pull))
+        < 1e-12
+    )
 
 
 def test_fingerprint_is_the_files(tmp_path: Path):
@@ -215,18 +250,52 @@ BROKEN = {
     "nothing moves": (pendulum(kind="fixed"), "no movable joint", "needs at least one"),
     "no links": (document(), "thing.urdf", ""),
     "no mass": (pendulum(body='<link name="arm"/>'), "'swing' moves no mass", "<inertial>"),
-    "nan mass": (pendulum().replace('mass value="2.0"', 'mass value="nan"'), "'arm'", "not finite; correct"),
-    "inf limit": (pendulum(inside='<limit effort="inf"/>'), "'swing', effort", "not finite; correct"),
+    "nan mass": (
+        pendulum().replace('mass value="2.0"', 'mass value="nan"'),
+        "'arm'",
+        "not finite; correct",
+    ),
+    "inf limit": (
+        pendulum(inside='<limit effort="inf"/>'),
+        "'swing', effort",
+        "not finite; correct",
+    ),
     "word": (pendulum(inside='<limit effort="strong"/>'), "'swing', effort", "'strong'"),
     "two numbers": (pendulum().replace('xyz="0.3 0.0 0.0"', 'xyz="0.3 0.0"'), "'arm'", "3 number"),
     "zero axis": (pendulum(axis=(0, 0, 0)), "'swing'", "axis is zero"),
-    "unknown link": (document(link("base"), ARM, joint("swing", "base", "leg")), "'swing'", "add the <link>"),
-    "two roots": (document(link("base"), ARM, link("island", 1.0), joint("swing", "base", "arm")), "thing.urdf", "check its joints"),
-    "loop": (document(link("base"), ARM, joint("a", "base", "arm"), joint("b", "arm", "base")), "thing.urdf", "check its joints"),
-    "nameless link": (pendulum().replace('<link name="arm">', "<link>"), "<link> has no attribute 'name'", "add it"),
-    "only a mimic": (pendulum(inside=LIMIT + '<mimic joint="swing"/>'), "no movable joint", "needs at least one"),
+    "unknown link": (
+        document(link("base"), ARM, joint("swing", "base", "leg")),
+        "'swing'",
+        "add the <link>",
+    ),
+    "two roots": (
+        document(link("base"), ARM, link("island", 1.0), joint("swing", "base", "arm")),
+        "thing.urdf",
+        "check its joints",
+    ),
+    "loop": (
+        document(link("base"), ARM, joint("a", "base", "arm"), joint("b", "arm", "base")),
+        "thing.urdf",
+        "check its joints",
+    ),
+    "nameless link": (
+        pendulum().replace('<link name="arm">', "<link>"),
+        "<link> has no attribute 'name'",
+        "add it",
+    ),
+    "only a mimic": (
+        pendulum(inside=LIMIT + '<mimic joint="swing"/>'),
+        "no movable joint",
+        "needs at least one",
+    ),
     "mimics a stranger": (
-        document(link("base"), ARM, link("leg", 1.0), joint("a", "base", "arm"), joint("b", "arm", "leg", inside='<mimic joint="ghost"/>')),
+        document(
+            link("base"),
+            ARM,
+            link("leg", 1.0),
+            joint("a", "base", "arm"),
+            joint("b", "arm", "leg", inside='<mimic joint="ghost"/>'),
+        ),
         "'ghost'",
         "correct its <mimic>",
     ),
@@ -264,7 +333,10 @@ def test_unusable_urdf_says_why_in_one_line_with_its_name(case, tmp_path: Path):
         ({"joints": ["knee"]}, "no joint 'knee'; there are: swing"),
         ({"lock": {"knee": 0.0}}, "no joint 'knee'; there are: swing"),
         ({"lock": {"swing": 0.0}}, "every joint is locked; leave at least one"),
-        ({"lock": {"swing": 0.0}, "joints": ["swing"]}, "'swing' is both in --joints and in --lock; drop one"),
+        (
+            {"lock": {"swing": 0.0}, "joints": ["swing"]},
+            "'swing' is both in --joints and in --lock; drop one",
+        ),
         ({"lock": {"swing": np.nan}}, "--lock swing=nan is not finite"),
         ({"payload": Payload("claw", 1.0)}, "no link 'claw'"),
         ({"payload": Payload("arm", -1.0)}, "positive mass"),
@@ -313,7 +385,9 @@ def test_any_text_at_all_is_refused_not_crashed(text):
 
 
 def test_a_comment_does_not_make_a_xacro():
-    assert loaded(pendulum().replace("</robot>", '<!-- <xacro:include filename="${x}"/> --></robot>')).joints == ("swing",)
+    assert loaded(
+        pendulum().replace("</robot>", '<!-- <xacro:include filename="${x}"/> --></robot>')
+    ).joints == ("swing",)
 
 
 @pytest.mark.parametrize(("tag", "name"), [("joint", "swing"), ("link", "arm")])
@@ -331,7 +405,18 @@ def test_a_payload_whose_inertia_is_no_bodys_is_refused():
 
 
 def test_a_sliding_joint_has_units_of_its_own():
-    slide, hinge = (JointEntry("a", kind, "arm", None, None, None, 0.0, 0.0, None) for kind in ("prismatic", "revolute"))
-    units = {"N m": "N", "rad/s": "m/s", "N m s/rad": "N s/m", "N m/rad": "N/m", "kg m²": "kg", "N m (s/rad)^k": "N (s/m)^k", "s": "s"}
+    slide, hinge = (
+        JointEntry("a", kind, "arm", None, None, None, 0.0, 0.0, None)
+        for kind in ("prismatic", "revolute")
+    )
+    units = {
+        "N m": "N",
+        "rad/s": "m/s",
+        "N m s/rad": "N s/m",
+        "N m/rad": "N/m",
+        "kg m²": "kg",
+        "N m (s/rad)^k": "N (s/m)^k",
+        "s": "s",
+    }
     assert {unit: slide.unit(unit) for unit in units} == units
     assert {hinge.unit(unit) for unit in units} == set(units)

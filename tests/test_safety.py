@@ -15,35 +15,49 @@ import pytest
 from conftest import document, joint, link
 from shared_inputs import INPUTS, needs_inputs
 
-from excite import artefact, cli, limits, verify, workflow
-from excite.collision import scene
-from excite.limits import resolve
-from excite.problem import Options
-from excite.robot import load
+from excite.cli import main as main_module
+from excite.collision import scene_file
+from excite.designer import certificate, pipeline
+from excite.designer.problem import Options
+from excite.robot.limits import resolve
+from excite.robot.robot import load, locate
+from excite.trajectory import trajectory_file
 
 FAST = ("--starts", "1", "--iterations", "40", "--period", "4")
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
-    code = cli.main([str(a) for a in arguments])
+    code = main_module.main([str(a) for a in arguments])
     out, err = capsys.readouterr()
     return code, out, err
 
 
 def octahedron(path: Path, size: float, lift: float = 0.0) -> None:
-    corners = "".join(f"v {x} {y} {z + lift}\n" for x, y, z in size * np.vstack([np.eye(3), -np.eye(3)]))
-    path.write_text(corners + "".join(f"f {f}\n" for f in ("1 2 3", "2 4 3", "4 5 3", "5 1 3", "2 1 6", "4 2 6", "5 4 6", "1 5 6")))
+    corners = "".join(
+        f"v {x} {y} {z + lift}\n" for x, y, z in size * np.vstack([np.eye(3), -np.eye(3)])
+    )
+    path.write_text(
+        corners
+        + "".join(
+            f"f {f}\n"
+            for f in ("1 2 3", "2 4 3", "4 5 3", "5 1 3", "2 1 6", "4 2 6", "5 4 6", "1 5 6")
+        )
+    )
 
 
 # -- shared inputs ---------------------------------------------------------------------------------------------------
 
 
 @needs_inputs
-@pytest.mark.parametrize("name", ["spike", "spike_criteria_kept", "five_times_speed", "t_lim_neg", "limits_raised"])
+@pytest.mark.parametrize(
+    "name", ["spike", "spike_criteria_kept", "five_times_speed", "t_lim_neg", "limits_raised"]
+)
 def test_a_file_that_breaks_its_limits_gets_no_certificate(capsys, name, tmp_path):
     code, out, err = run(capsys, "verify", INPUTS / f"{name}.json")
     assert code in (1, 2) and "limits: certified" not in out + err
-    code, _, _ = run(capsys, "export", INPUTS / f"{name}.json", "--format", "csv", "-o", tmp_path / "x.csv")
+    code, _, _ = run(
+        capsys, "export", INPUTS / f"{name}.json", "--format", "csv", "-o", tmp_path / "x.csv"
+    )
     assert code in (1, 2) and not list(tmp_path.iterdir())
 
 
@@ -56,9 +70,13 @@ def test_a_file_without_a_cell_has_no_certificate_of_clearance(capsys, name, tmp
     assert found["collision"].startswith("collision not checked") and "9999 mm" not in out
     _, out, _ = run(capsys, "verify", INPUTS / f"{name}.json")
     assert out.index("not checked") < out.index("certified")
-    code, out, _ = run(capsys, "export", INPUTS / f"{name}.json", "--format", "csv", "-o", tmp_path / "x.csv")
+    code, out, _ = run(
+        capsys, "export", INPUTS / f"{name}.json", "--format", "csv", "-o", tmp_path / "x.csv"
+    )
     assert code == 0 and "clearance: not checked" in out and "limits: certified" in out
-    code, _, _ = run(capsys, "export", INPUTS / f"{name}.json", "--format", "json", "-o", tmp_path / "x.json")
+    code, _, _ = run(
+        capsys, "export", INPUTS / f"{name}.json", "--format", "json", "-o", tmp_path / "x.json"
+    )
     assert "9999 mm" not in (tmp_path / "x.json").read_text()
 
 
@@ -72,12 +90,31 @@ def test_a_negative_margin_is_refused(capsys):
 def test_a_cell_that_changed_after_the_design_fails(capsys, tmp_path):
     shutil.copy(INPUTS / "s_mesh.toml", tmp_path)
     shutil.copy(INPUTS / "m.stl", tmp_path / "wall.stl")
-    code, _, err = run(capsys, "design", "two_link", "-o", tmp_path / "o", "--scene", tmp_path / "s_mesh.toml", *FAST)
+    code, _, err = run(
+        capsys,
+        "design",
+        "two_link",
+        "-o",
+        tmp_path / "o",
+        "--scene",
+        tmp_path / "s_mesh.toml",
+        *FAST,
+    )
     assert code == 0, err
-    (tmp_path / "wall.stl").write_bytes((tmp_path / "wall.stl").read_bytes().replace(b"0.", b"1.", 1) + b"\n")
+    (tmp_path / "wall.stl").write_bytes(
+        (tmp_path / "wall.stl").read_bytes().replace(b"0.", b"1.", 1) + b"\n"
+    )
     code, out, _ = run(capsys, "verify", tmp_path / "o" / "trajectory.json")
     assert code == 1 and "clearance: failed" in out and "wall.stl" in out
-    code, _, err = run(capsys, "export", tmp_path / "o" / "trajectory.json", "--format", "csv", "-o", tmp_path / "x.csv")
+    code, _, err = run(
+        capsys,
+        "export",
+        tmp_path / "o" / "trajectory.json",
+        "--format",
+        "csv",
+        "-o",
+        tmp_path / "x.csv",
+    )
     assert code == 1 and "wall.stl" in err and not (tmp_path / "x.csv").exists()
 
 
@@ -88,10 +125,14 @@ def test_a_cell_that_changed_after_the_design_fails(capsys, tmp_path):
 def designed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A design with a limits file of its own and a scene."""
     folder = tmp_path_factory.mktemp("designed")
-    (folder / "mine.toml").write_text("[joints.joint_1]\nvelocity = 2.0\n[margin]\nvelocity = 0.1\n")
-    (folder / "cell.toml").write_text('[[sphere]]\nname = "ball"\nradius = 0.1\nposition = [1.5, 0, 0.5]\n')
+    (folder / "mine.toml").write_text(
+        "[joints.joint_1]\nvelocity = 2.0\n[margin]\nvelocity = 0.1\n"
+    )
+    (folder / "cell.toml").write_text(
+        '[[sphere]]\nname = "ball"\nradius = 0.1\nposition = [1.5, 0, 0.5]\n'
+    )
     options = ("--limits", str(folder / "mine.toml"), "--scene", str(folder / "cell.toml"))
-    assert cli.main(["design", "two_link", "-o", str(folder / "o"), *options, *FAST]) == 0
+    assert main_module.main(["design", "two_link", "-o", str(folder / "o"), *options, *FAST]) == 0
     return folder
 
 
@@ -109,7 +150,11 @@ def test_a_limits_file_that_changed_fails(capsys, designed, tmp_path):
     assert code == 0 and "clearance: certified" in out and "limits: certified" in out
     (here / "mine.toml").write_text("[joints.joint_1]\nvelocity = 1.0\n")
     code, out, _ = run(capsys, "verify", here / "o" / "trajectory.json")
-    assert code == 1 and "the velocity limit of 'joint_1' is 2 in the file, but 1 by" in out and "mine.toml" in out
+    assert (
+        code == 1
+        and "the velocity limit of 'joint_1' is 2 in the file, but 1 by" in out
+        and "mine.toml" in out
+    )
 
 
 def test_a_limits_file_that_moved_is_asked_for(capsys, designed, tmp_path):
@@ -117,7 +162,9 @@ def test_a_limits_file_that_moved_is_asked_for(capsys, designed, tmp_path):
     (here / "mine.toml").rename(here / "moved.toml")
     code, out, err = run(capsys, "verify", here / "o" / "trajectory.json")
     assert code == 2 and "--limits FILE" in err and not out
-    code, _, _ = run(capsys, "verify", here / "o" / "trajectory.json", "--limits", here / "moved.toml")
+    code, _, _ = run(
+        capsys, "verify", here / "o" / "trajectory.json", "--limits", here / "moved.toml"
+    )
     assert code == 0
 
 
@@ -135,7 +182,9 @@ def test_a_scene_that_changed_fails(capsys, designed, tmp_path):
 def test_shapes_of_the_robot_taken_out_of_the_file_fail(capsys, designed, tmp_path):
     path = copied(designed, tmp_path) / "o" / "trajectory.json"
     stated = json.loads(path.read_text())
-    stated["design"]["cell"]["shapes"] = [s for s in stated["design"]["cell"]["shapes"] if s["name"] != "link_2"]
+    stated["design"]["cell"]["shapes"] = [
+        s for s in stated["design"]["cell"]["shapes"] if s["name"] != "link_2"
+    ]
     path.write_text(json.dumps(stated))
     code, out, _ = run(capsys, "verify", path)
     assert code == 1 and "'link_2' has another number of shapes" in out
@@ -145,8 +194,13 @@ def test_shapes_of_the_robot_taken_out_of_the_file_fail(capsys, designed, tmp_pa
 
 
 def test_margins_are_kept_by_kind_and_stated(designed):
-    trajectory = artefact.read(designed / "o" / "trajectory.json")
-    assert trajectory.design["margin"] == {"velocity": 0.1, "acceleration": 0.02, "jerk": 0.02, "torque": 0.02}
+    trajectory = trajectory_file.read(designed / "o" / "trajectory.json")
+    assert trajectory.design["margin"] == {
+        "velocity": 0.1,
+        "acceleration": 0.02,
+        "jerk": 0.02,
+        "torque": 0.02,
+    }
     motion = trajectory.motion
     speed = np.abs(motion.at(np.linspace(0.0, motion.duration, 20_001), 1)).max(axis=0)
     assert (speed <= 0.9 * trajectory.limits.velocity + 1e-9).all()
@@ -156,7 +210,9 @@ def test_margins_are_kept_by_kind_and_stated(designed):
 def test_a_margin_costs_and_none_is_allowed(two_link):
     free = Options(period=4.0, samples=60, starts=1, iterations=60)
     values = [
-        workflow.run(two_link, resolve(two_link, margin=share), free).trajectory.criteria["optimum"]["geometric"]["a"]
+        pipeline.run(two_link, resolve(two_link, margin=share), free).trajectory.criteria[
+            "optimum"
+        ]["geometric"]["a"]
         for share in (0.0, 0.3)
     ]
     assert values[1] > 1.05 * values[0]
@@ -168,16 +224,24 @@ def test_a_margin_that_is_no_share_is_refused(capsys, text, tmp_path):
     assert code == 2 and "--margin" in err and not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("table", ["velocity = 1.0", "velocity = -0.1", 'velocity = "much"', "speed = 0.1"])
+@pytest.mark.parametrize(
+    "table", ["velocity = 1.0", "velocity = -0.1", 'velocity = "much"', "speed = 0.1"]
+)
 def test_a_margin_table_that_makes_no_sense_is_refused(capsys, table, tmp_path):
     (tmp_path / "m.toml").write_text(f"[joints.joint_1]\nvelocity = 2.0\n[margin]\n{table}\n")
-    code, _, err = run(capsys, "design", "two_link", "-o", tmp_path / "o", "--limits", tmp_path / "m.toml")
+    code, _, err = run(
+        capsys, "design", "two_link", "-o", tmp_path / "o", "--limits", tmp_path / "m.toml"
+    )
     assert code == 2 and "margin" in err and "m.toml" in err
 
 
 def test_no_percentage_is_a_negative_zero():
-    assert {verify.percent(share) for share in (0.0, -0.0, 1e-12, -1e-10)} == {"0 %"}
-    assert verify.percent(-0.004) == "-0.4 %" and verify.percent(0.02) == "2.0 %" and verify.percent(3.3) == "330 %"
+    assert {certificate.percent(share) for share in (0.0, -0.0, 1e-12, -1e-10)} == {"0 %"}
+    assert (
+        certificate.percent(-0.004) == "-0.4 %"
+        and certificate.percent(0.02) == "2.0 %"
+        and certificate.percent(3.3) == "330 %"
+    )
 
 
 # -- the cell --------------------------------------------------------------------------------------------------------
@@ -194,7 +258,9 @@ def arm(mesh: str, lift: float = 0.0) -> str:
     inside = '<limit lower="-2" upper="2" velocity="3" effort="40"/>'
     shape = '<collision><origin xyz="0 0 {z}"/><geometry>{solid}</geometry></collision></link>'
     base = ARM[0].replace("</link>", shape.format(z=lift, solid=f'<mesh filename="{mesh}"/>'))
-    post = ARM[1].replace("</link>", shape.format(z=0.1, solid='<cylinder radius="0.04" length="0.1"/>'))
+    post = ARM[1].replace(
+        "</link>", shape.format(z=0.1, solid='<cylinder radius="0.04" length="0.1"/>')
+    )
     tip = ARM[2].replace("</link>", shape.format(z=0.3, solid='<sphere radius="0.05"/>'))
     first = joint("a", "base", "post", axis=(0, 0, 1), inside=inside)
     second = joint("b", "post", "arm", axis=(0, 1, 0), inside=inside, xyz=(0, 0, 0.3))
@@ -202,11 +268,13 @@ def arm(mesh: str, lift: float = 0.0) -> str:
 
 
 @pytest.mark.parametrize(("lift", "floor"), [(0.2, 0.0), (0.1, 0.0), (0.05, -0.05), (-0.3, -0.4)])
-def test_the_floor_is_the_mounting_plane_or_the_exact_lowest_point_of_the_base(tmp_path, lift, floor):
+def test_the_floor_is_the_mounting_plane_or_the_exact_lowest_point_of_the_base(
+    tmp_path, lift, floor
+):
     octahedron(tmp_path / "base.obj", 0.1)
     (tmp_path / "arm.urdf").write_text(arm("base.obj", lift))
     robot = load(str(tmp_path / "arm.urdf"))
-    cell = scene.cell(robot, resolve(robot), scene.Scene())
+    cell = scene_file.cell(robot, resolve(robot), scene_file.Scene())
     assert cell.floor == pytest.approx(floor, abs=1e-7)  # meshes have single precision
 
 
@@ -215,14 +283,19 @@ def test_the_height_of_the_floor_is_printed_and_shown(capsys, tmp_path):
     (tmp_path / "arm.urdf").write_text(arm("base.obj", 0.05))
     code, out, err = run(capsys, "design", tmp_path / "arm.urdf", "-o", tmp_path / "o", *FAST)
     assert code == 0, err
-    assert "floor at z = -0.05 m" in out and "floor at z = -0.05 m" in (tmp_path / "o" / "report.html").read_text()
+    assert (
+        "floor at z = -0.05 m" in out
+        and "floor at z = -0.05 m" in (tmp_path / "o" / "report.html").read_text()
+    )
 
 
 @pytest.mark.parametrize("name", ["ur10e", "panda"])
 def test_no_link_comes_below_its_clearance_over_the_mounting_plane(name):
     """By Pinocchio's own geometry of the URDF: lowest corner of each shape's bounding box over the whole motion."""
-    trajectory = artefact.read(Path(__file__).resolve().parents[1] / "trajectories" / f"{name}.json")
-    path = Path(limits.__file__).parent / "models" / f"{name}.urdf"
+    trajectory = trajectory_file.read(
+        Path(__file__).resolve().parents[1] / "trajectories" / f"{name}.json"
+    )
+    path = locate(name)
     model = pin.buildModelFromUrdf(str(path))
     geometry = pin.buildGeomFromUrdf(model, str(path), pin.COLLISION)
     data, placed = model.createData(), geometry.createData()
@@ -235,7 +308,15 @@ def test_no_link_comes_below_its_clearance_over_the_mounting_plane(name):
             if one.parentJoint > 0:
                 at = coal.Transform3s(placement.rotation, placement.translation)
                 lowest = min(
-                    lowest, coal.distance(one.geometry, at, ground, coal.Transform3s(), coal.DistanceRequest(), coal.DistanceResult())
+                    lowest,
+                    coal.distance(
+                        one.geometry,
+                        at,
+                        ground,
+                        coal.Transform3s(),
+                        coal.DistanceRequest(),
+                        coal.DistanceResult(),
+                    ),
                 )
     assert lowest >= trajectory.design["cell"]["margin"] - 1e-6
 
@@ -243,9 +324,16 @@ def test_no_link_comes_below_its_clearance_over_the_mounting_plane(name):
 def test_a_missing_mesh_is_refused_unless_nothing_is_checked(capsys, tmp_path):
     (tmp_path / "arm.urdf").write_text(arm("package://gone/base.obj"))
     code, _, err = run(capsys, "design", tmp_path / "arm.urdf", "-o", tmp_path / "o", *FAST)
-    assert code == 2 and "package://gone/base.obj" in err and "--no-collision" in err and "'base'" in err
+    assert (
+        code == 2
+        and "package://gone/base.obj" in err
+        and "--no-collision" in err
+        and "'base'" in err
+    )
     assert not (tmp_path / "o").exists()
-    code, out, err = run(capsys, "design", tmp_path / "arm.urdf", "-o", tmp_path / "o", "--no-collision", *FAST)
+    code, out, err = run(
+        capsys, "design", tmp_path / "arm.urdf", "-o", tmp_path / "o", "--no-collision", *FAST
+    )
     assert code == 0, err
     assert "clearance: not checked" in out and out.index("not checked") < out.index("certified")
     for command in (("verify",), ("export", "--format", "csv", "-o", str(tmp_path / "x.csv"))):
@@ -257,13 +345,15 @@ def test_a_link_that_turns_just_above_the_floor_does_not_stand_in_the_way(tmp_pa
     """Its distance is the same in every pose, so no motion can keep it."""
     octahedron(tmp_path / "base.obj", 0.02, 0.02)
     (tmp_path / "arm.urdf").write_text(
-        arm("base.obj").replace('<origin xyz="0 0 0.1"/><geometry><cyl', '<origin xyz="0 0 0.055"/><geometry><cyl')
+        arm("base.obj").replace(
+            '<origin xyz="0 0 0.1"/><geometry><cyl', '<origin xyz="0 0 0.055"/><geometry><cyl'
+        )
     )
     robot = load(str(tmp_path / "arm.urdf"))
-    cell = scene.cell(robot, resolve(robot), scene.Scene())
-    assert cell.floor == 0.0 and [(one.first, one.second) for one in cell.excepted if "floor" in (one.first, one.second)] == [
-        ("post", "floor")
-    ]
+    cell = scene_file.cell(robot, resolve(robot), scene_file.Scene())
+    assert cell.floor == 0.0 and [
+        (one.first, one.second) for one in cell.excepted if "floor" in (one.first, one.second)
+    ] == [("post", "floor")]
 
 
 # -- slower is not safer ---------------------------------------------------------------------------------------------
@@ -272,16 +362,16 @@ def test_a_link_that_turns_just_above_the_floor_does_not_stand_in_the_way(tmp_pa
 def test_a_slower_run_that_asks_for_more_torque_is_not_exported(capsys, two_link, tmp_path):
     """Where inertia carries the arm, less speed leaves gravity to the actuator."""
     table = resolve(two_link)
-    found = workflow.run(two_link, table, Options(period=4.0, samples=60, starts=1, iterations=60))
-    slow = verify.limit_margins(
+    found = pipeline.run(two_link, table, Options(period=4.0, samples=60, starts=1, iterations=60))
+    slow = certificate.limit_margins(
         dataclasses.replace(found.trajectory, motion=found.trajectory.motion.slowed(0.05)),
-        verify.subject_of(found.trajectory, two_link, table),
+        certificate.subject_of(found.trajectory, two_link, table),
     )
     still = {m.joint: abs(m.value) for m in slow if m.limit == "torque"}
     weak = table.scaled(torque=np.array([still[j] * 0.99 for j in two_link.joints]) / table.torque)
-    broken = verify.broken_when_slowed(found.trajectory, two_link, weak, 0.05)
+    broken = certificate.broken_when_slowed(found.trajectory, two_link, weak, 0.05)
     assert broken is not None and broken.limit == "torque"
-    assert verify.broken_when_slowed(found.trajectory, two_link, table, 0.05) is None
+    assert certificate.broken_when_slowed(found.trajectory, two_link, table, 0.05) is None
 
 
 def test_the_environment_is_not_needed(capsys, designed, monkeypatch):

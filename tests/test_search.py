@@ -11,17 +11,19 @@ import pytest
 import scipy.optimize
 from conftest import QUICK
 
-from excite import cluster, design, limits, solver, starts, subproblem
-from excite.criteria import Criterion
+from excite.designer import cluster, multistart, qp_subproblem, sqp
+from excite.designer import optimize as optimize_module
+from excite.designer.criteria import Criterion
+from excite.designer.evaluator import Evaluator
 from excite.errors import UnusableInput
-from excite.evaluate import Evaluator
-from excite.robot import load
+from excite.robot import limits
+from excite.robot.robot import load
 
 
 @pytest.fixture(scope="module")
 def problem():
     robot = load("two_link")
-    return design.prepare(robot, limits.resolve(robot), QUICK).problem
+    return optimize_module.prepare(robot, limits.resolve(robot), QUICK).problem
 
 
 # -- one step ------------------------------------------------------------------------------------------------------
@@ -44,7 +46,7 @@ def program(seed: int, size: int = 12, rows: int = 90) -> tuple[np.ndarray, ...]
 @pytest.mark.parametrize("seed", range(5))
 def test_a_step_solves_its_quadratic_program(seed):
     B, g, J, room, lower, upper = program(seed)
-    step, multipliers = subproblem.solve(B, g, J, room, lower, upper)
+    step, multipliers = qp_subproblem.solve(B, g, J, room, lower, upper)
     other = scipy.optimize.minimize(
         lambda d: g @ d + 0.5 * d @ B @ d,
         np.zeros(len(g)),
@@ -63,15 +65,19 @@ def test_a_step_solves_its_quadratic_program(seed):
 
 
 def test_rows_far_from_their_limit_join_when_a_step_would_break_them():
-    J, room = np.eye(2), np.array([10.0 * subproblem.TIGHT, 5.0])
-    step, multipliers = subproblem.solve(np.eye(2), np.array([-3.0, -1.0]), J, room, np.full(2, -9.0), np.full(2, 9.0))
+    J, room = np.eye(2), np.array([10.0 * qp_subproblem.TIGHT, 5.0])
+    step, multipliers = qp_subproblem.solve(
+        np.eye(2), np.array([-3.0, -1.0]), J, room, np.full(2, -9.0), np.full(2, 9.0)
+    )
     assert step == pytest.approx([room[0], 1.0])
     assert multipliers == pytest.approx([3.0 - room[0], 0.0], abs=1e-6)
 
 
 def test_rows_that_no_step_can_mend_leave_a_step_within_the_region():
     J, room = np.array([[1.0], [-1.0]]), np.array([-0.5, -0.5])
-    step, _ = subproblem.solve(np.eye(1), np.array([1.0]), J, room, np.full(1, -0.1), np.full(1, 0.1))
+    step, _ = qp_subproblem.solve(
+        np.eye(1), np.array([1.0]), J, room, np.full(1, -0.1), np.full(1, 0.1)
+    )
     assert abs(step[0]) <= 0.1 + 1e-6
 
 
@@ -83,10 +89,10 @@ def test_a_search_put_aside_and_resumed_ends_where_it_would_have(problem, criter
     built = replace(problem, options=replace(problem.options, criterion=criterion, iterations=80))
     x = np.full(built.size, 0.05)
     x[:: built.options.harmonics] = 0.1
-    whole = solver.advance(Evaluator(built), solver.begin(x), solver.History())
-    state = solver.begin(x)
+    whole = sqp.advance(Evaluator(built), sqp.begin(x), sqp.History())
+    state = sqp.begin(x)
     for _ in range(100):
-        state = solver.advance(Evaluator(built), state, solver.History(), 7)
+        state = sqp.advance(Evaluator(built), state, sqp.History(), 7)
         if state.done:
             break
     assert state.done and whole.done
@@ -96,8 +102,8 @@ def test_a_search_put_aside_and_resumed_ends_where_it_would_have(problem, criter
 
 def test_the_budget_of_iterations_holds_over_all_stages(problem):
     built = replace(problem, options=replace(problem.options, criterion=Criterion.E, iterations=9))
-    history = solver.History()
-    state = solver.advance(Evaluator(built), solver.begin(np.full(built.size, 0.05)), history)
+    history = sqp.History()
+    state = sqp.advance(Evaluator(built), sqp.begin(np.full(built.size, 0.05)), history)
     assert state.done and state.iterations == len(history.time) == 9
 
 
@@ -106,14 +112,14 @@ def test_the_budget_of_iterations_holds_over_all_stages(problem):
 
 @pytest.fixture
 def quick_rounds(monkeypatch):
-    monkeypatch.setattr(starts, "ROUNDS", (4, 8))
-    monkeypatch.setattr(starts, "MANY", 6)
+    monkeypatch.setattr(multistart, "ROUNDS", (4, 8))
+    monkeypatch.setattr(multistart, "MANY", 6)
 
 
 def test_the_worse_half_stops_early_and_says_so(problem, quick_rounds):
     told: list[str] = []
     built = replace(problem, options=replace(problem.options, starts=8, jobs=1, iterations=40))
-    found = starts.run(built, 0.0, range(8), told.append)
+    found = multistart.run(built, 0.0, range(8), told.append)
     assert sorted(a.number for a in found) == list(range(8))
     assert [a.objective for a in found] == sorted(a.objective for a in found)
     used = sorted(a.state.iterations for a in found if a.stopped)
@@ -126,19 +132,20 @@ def test_the_worse_half_stops_early_and_says_so(problem, quick_rounds):
 
 def test_what_finishes_is_what_it_would_have_been_alone(problem, quick_rounds):
     built = replace(problem, options=replace(problem.options, starts=8, jobs=1, iterations=40))
-    best = next(a for a in starts.run(built, 0.0, range(8)) if not a.stopped)
-    (alone,) = starts.run(built, 0.0, [best.number])
+    best = next(a for a in multistart.run(built, 0.0, range(8)) if not a.stopped)
+    (alone,) = multistart.run(built, 0.0, [best.number])
     assert np.array_equal(alone.motion.sine, best.motion.sine) and alone.objective == best.objective
 
 
 def test_few_starts_all_run_to_their_end(problem):
     built = replace(problem, options=replace(problem.options, jobs=1, iterations=40))
-    assert not any(a.stopped for a in starts.run(built, 0.0, range(starts.MANY - 1)))
+    assert not any(a.stopped for a in multistart.run(built, 0.0, range(multistart.MANY - 1)))
 
 
 def same(one: list, other: list) -> bool:
     return [a.number for a in one] == [a.number for a in other] and all(
-        np.array_equal(a.motion.sine, b.motion.sine) and a.state.iterations == b.state.iterations for a, b in zip(one, other, strict=True)
+        np.array_equal(a.motion.sine, b.motion.sine) and a.state.iterations == b.state.iterations
+        for a, b in zip(one, other, strict=True)
     )
 
 
@@ -146,9 +153,11 @@ def same(one: list, other: list) -> bool:
 def test_the_back_end_changes_no_bit(problem, quick_rounds, name):
     built = replace(problem, options=replace(problem.options, jobs=2, iterations=12))
     with cluster.backend(name):
-        spread = starts.run(built, 0.0, range(6))
+        spread = multistart.run(built, 0.0, range(6))
     with joblib.parallel_config(n_jobs=1):
-        alone = starts.run(replace(built, options=replace(built.options, jobs=1)), 0.0, range(6))
+        alone = multistart.run(
+            replace(built, options=replace(built.options, jobs=1)), 0.0, range(6)
+        )
     assert same(spread, alone)
 
 
@@ -159,15 +168,23 @@ def test_a_local_dask_cluster_changes_no_bit(problem):
 
     built = replace(problem, options=replace(problem.options, jobs=-1, iterations=6))
     with (
-        LocalCluster(n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None) as local,
+        LocalCluster(
+            n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None
+        ) as local,
         Client(local),
         cluster.backend("dask", local.scheduler_address),
     ):
-        spread = starts.run(built, 0.0, range(4))
-    assert same(spread, starts.run(replace(built, options=replace(built.options, jobs=1)), 0.0, range(4)))
+        spread = multistart.run(built, 0.0, range(4))
+    assert same(
+        spread,
+        multistart.run(replace(built, options=replace(built.options, jobs=1)), 0.0, range(4)),
+    )
 
 
-@pytest.mark.parametrize(("name", "address", "words"), [("loky", "tcp://x:1", "no cluster"), ("ray", "ray://nowhere:1", "Ray")])
+@pytest.mark.parametrize(
+    ("name", "address", "words"),
+    [("loky", "tcp://x:1", "no cluster"), ("ray", "ray://nowhere:1", "Ray")],
+)
 def test_a_cluster_that_is_not_there_is_one_line(name, address, words):
     with pytest.raises(UnusableInput, match=words) as caught, cluster.backend(name, address):
         pass
@@ -180,25 +197,29 @@ def test_a_cluster_that_is_not_there_is_one_line(name, address, words):
 @pytest.mark.parametrize("name", ["two_link", "panda"])
 def test_support_and_blocks_change_nothing_but_the_cost(name):
     robot = load(name)
-    built = design.prepare(robot, limits.resolve(robot), QUICK).problem
+    built = optimize_module.prepare(robot, limits.resolve(robot), QUICK).problem
     evaluator, x = Evaluator(built), np.random.default_rng(0).normal(size=built.size)
     Y = evaluator._regressor_at(evaluator._at(x)).copy()
     sparse, dense = built.weighting, replace(built.weighting, support=None)
     assert sparse.support is not None
     slope = np.eye(sparse.columns.shape[1])
-    assert np.allclose(sparse.rows(Y), dense.rows(Y), rtol=1e-12, atol=1e-12 * np.abs(dense.rows(Y)).max())
+    assert np.allclose(
+        sparse.rows(Y), dense.rows(Y), rtol=1e-12, atol=1e-12 * np.abs(dense.rows(Y)).max()
+    )
     seen = np.zeros(Y.shape, bool)
     for j, columns in enumerate(sparse.support):
         seen[:, j, columns] = True
     assert not Y[~seen].any()
-    assert np.allclose(sparse.seed(Y, slope)[seen], dense.seed(Y, slope)[seen], rtol=1e-9, atol=1e-12)
+    assert np.allclose(
+        sparse.seed(Y, slope)[seen], dense.seed(Y, slope)[seen], rtol=1e-9, atol=1e-12
+    )
     flat = Y.reshape(-1, Y.shape[2])
     whole = np.einsum("rp,pq,rq->r", flat, built.parameters.scale @ built.parameters.scale.T, flat)
     assert np.allclose(built.parameters.norms(flat), whole, rtol=1e-9)
 
 
 def test_both_ways_to_the_spectrum_agree(monkeypatch):
-    from excite import criteria
+    from excite.designer import criteria
 
     rng = np.random.default_rng(0)
     rows = rng.normal(size=(80, 6)) * np.geomspace(1.0, 30.0, 6)
@@ -213,5 +234,5 @@ def test_both_ways_to_the_spectrum_agree(monkeypatch):
 
 def test_every_criterion_has_stages_that_sharpen():
     for criterion in Criterion:
-        sharpness = solver.stages(criterion)
+        sharpness = sqp.stages(criterion)
         assert all(a < b for a, b in itertools.pairwise(sharpness))

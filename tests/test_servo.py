@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from excite import base, limits, parameters, recordings, robot
-from excite.diagnose import diagnosis, document
+from excite import recordings
+from excite.diagnosis import diagnosis, diagnosis_file
 from excite.errors import ExciteWarning
+from excite.robot import base_parameters, inertial_parameters, limits, robot
 
 Array = np.ndarray
 MASS, LENGTH, ARMATURE, GRAVITY = 1.0, 0.15, 0.026, 9.81
@@ -31,7 +32,11 @@ URDF = f"""<robot name="servo"><link name="base"/><link name="arm"><inertial><or
 def rubs(motor: float, load: float, speed: float) -> float:
     """The most that friction can hold [N m]."""
     slow = np.exp(-((abs(speed) / 1.75) ** 1.14))
-    return float(abs(0.198 * motor - 0.022 * load) + slow * (0.122 + abs(0.199 * motor - 0.087 * load)) + 0.051 * abs(speed))
+    return float(
+        abs(0.198 * motor - 0.022 * load)
+        + slow * (0.122 + abs(0.199 * motor - 0.087 * load))
+        + 0.051 * abs(speed)
+    )
 
 
 def swung(goal: Array, gain: float) -> tuple[Array, Array]:
@@ -42,7 +47,11 @@ def swung(goal: Array, gain: float) -> tuple[Array, Array]:
         motor = GAIN * float(np.clip(gain * (wanted - q), -15.0, 15.0)) - FEEDBACK * speed
         load = -MASS * GRAVITY * LENGTH * np.sin(q)
         most = rubs(motor, load, speed)
-        speed += (motor + load + float(np.clip(-inertia / STEP * speed - motor - load, -most, most))) * STEP / inertia
+        speed += (
+            (motor + load + float(np.clip(-inertia / STEP * speed - motor - load, -most, most)))
+            * STEP
+            / inertia
+        )
         q += speed * STEP
         out[:, k] = q, motor
     return out[0], out[1]
@@ -51,7 +60,9 @@ def swung(goal: Array, gain: float) -> tuple[Array, Array]:
 def recorded(folder: Path, name: str, goal: Array, gain: float, rng: np.random.Generator) -> Path:
     t = np.arange(0.0, SECONDS, 1.0 / RATE)
     q, motor = (np.interp(t, np.arange(len(goal)) * STEP, x) for x in swung(goal, gain))
-    table = np.column_stack([t, np.round(q / ENCODER) * ENCODER, motor + 0.02 * rng.normal(size=len(t))])
+    table = np.column_stack(
+        [t, np.round(q / ENCODER) * ENCODER, motor + 0.02 * rng.normal(size=len(t))]
+    )
     path = folder / f"{name}.csv"
     np.savetxt(path, table, delimiter=",", header="t,q.servo,tau.servo", comments="")
     return path
@@ -65,14 +76,24 @@ def test_a_gear_that_rubs_more_under_load_is_named_though_it_sticks(tmp_path: Pa
     (tmp_path / "servo.urdf").write_text(URDF, encoding="utf-8")
     machine = robot.load(str(tmp_path / "servo.urdf"))
     table = limits.resolve(machine)
-    standard = parameters.standard(machine, table)
+    standard = inertial_parameters.standard(machine, table)
     paths = [
-        [recorded(tmp_path, f"{name}{gain:g}", goal, gain, rng) for (name, goal), gain in zip(group, (10.0, 20.0), strict=True)]
+        [
+            recorded(tmp_path, f"{name}{gain:g}", goal, gain, rng)
+            for (name, goal), gain in zip(group, (10.0, 20.0), strict=True)
+        ]
         for group in ((("chirp", chirp), ("ramp", ramp)), (("waves", waves), ("back", -ramp)))
     ]
     train, held_out = ([recordings.read(path, machine, table) for path in group] for group in paths)
-    found = diagnosis.diagnose(machine, standard, base.find(machine, standard, table), train, held_out)
-    stated = document.document(found)
-    assert stated["findings"][0]["effect"] == "load_friction" and stated["findings"][0]["joint"] == "servo"
-    assert 0.15 < stated["findings"][0]["parameters"]["mu"]["value"] < 0.6  # 0.22 in fast motion, half as much again in slow
+    found = diagnosis.diagnose(
+        machine, standard, base_parameters.find(machine, standard, table), train, held_out
+    )
+    stated = diagnosis_file.document(found)
+    assert (
+        stated["findings"][0]["effect"] == "load_friction"
+        and stated["findings"][0]["joint"] == "servo"
+    )
+    assert (
+        0.15 < stated["findings"][0]["parameters"]["mu"]["value"] < 0.6
+    )  # 0.22 in fast motion, half as much again in slow
     assert found.after[0] < 0.65 * found.before[0]

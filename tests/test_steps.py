@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from excite.diagnose.catalogue import BY_NAME
-from excite.diagnose.catalogue.friction import TOLD
-from excite.diagnose.effect import Shape
-from excite.diagnose.track import Track
+from excite.effects import BY_NAME
+from excite.effects.effect import Shape
+from excite.effects.friction import TOLD
+from excite.effects.track import Track
 
 Array = np.ndarray
 
@@ -24,9 +24,17 @@ class Turning:
 
     def __init__(self, step: float, turns: float) -> None:
         t = np.arange(0.0, 20.0, 0.004)
-        speed, most = np.column_stack([np.sin(t), 0.25 * np.sin(t), np.ones_like(t)]), np.array([turns, turns, 0.0])
+        speed, most = (
+            np.column_stack([np.sin(t), 0.25 * np.sin(t), np.ones_like(t)]),
+            np.array([turns, turns, 0.0]),
+        )
         hastens = np.column_stack([np.cos(t), 0.25 * np.cos(t), np.zeros_like(t)])
-        self.n, self.steps, self.torque, self.widths = 3, np.full(3, step), np.ones((len(t), 3)), np.full(3, 0.004)
+        self.n, self.steps, self.torque, self.widths = (
+            3,
+            np.full(3, step),
+            np.ones((len(t), 3)),
+            np.full(3, 0.004),
+        )
         self.fine = types.SimpleNamespace(dq=turns * speed, ddq=most * hastens)
         self.body = types.SimpleNamespace(drive=lambda kind: np.ones(3))
         self.stays: Array = vars(Track)["stays"].found(self)
@@ -54,14 +62,26 @@ def test_no_delay_is_told_that_an_encoder_hides(bits, turns):
     delays = [shape for shape in shapes("delay", [track, track]) if "measured" in shape.values]
     assert {shape.joint for shape in delays} == {None, 0, 1, 2}
     for shape in delays:
-        told = {part: shape.plausible(np.array([part * hidden])) for part in (0.09, 0.11, 0.29, -0.11, -0.29, -0.31)}
-        assert told == {0.09: False, 0.11: True, 0.29: True, -0.11: False, -0.29: False, -0.31: True}
+        told = {
+            part: shape.plausible(np.array([part * hidden]))
+            for part in (0.09, 0.11, 0.29, -0.11, -0.29, -0.31)
+        }
+        assert told == {
+            0.09: False,
+            0.11: True,
+            0.29: True,
+            -0.11: False,
+            -0.29: False,
+            -0.31: True,
+        }
 
 
 @pytest.mark.parametrize("effect", ["delay", "stribeck", "nonlinear_viscous"])
 def test_fine_encoders_hide_nothing(effect):
     small = np.array([1e-5])
-    assert all(s.plausible(small) for s in shapes(effect, [Turning(0.0, 3.0)]) if "seconds" not in s.values)
+    assert all(
+        s.plausible(small) for s in shapes(effect, [Turning(0.0, 3.0)]) if "seconds" not in s.values
+    )
 
 
 @given(**STEPS)
@@ -73,7 +93,9 @@ def test_friction_that_changes_at_speeds_which_an_encoder_does_not_tell_has_no_n
         for shape in shapes("stribeck", [track]):
             assert shape.knob is not None
             if least[shape.place] > 0.0:  # the joint turns back
-                assert shape.knob.at(factor * least[shape.place]).plausible(np.array([0.1])) == (factor > 1.0)
+                assert shape.knob.at(factor * least[shape.place]).plausible(np.array([0.1])) == (
+                    factor > 1.0
+                )
         for shape in shapes("nonlinear_viscous", [track]):
             assert shape.knob is not None
             if 0.0 < factor * least[shape.place] < fastest[shape.place]:

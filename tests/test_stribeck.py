@@ -11,11 +11,12 @@ from made import WIDTH, motion, nothing, perturbed, recorded
 from scipy.interpolate import CubicSpline
 from test_diagnose import on
 
-from excite.diagnose import diagnosis, interval, whole
-from excite.diagnose.catalogue import BY_NAME
-from excite.diagnose.effect import Delay, Knobs, Shape
+from excite.diagnosis import diagnosis, interval, whole
+from excite.effects import BY_NAME
+from excite.effects.effect import Delay, Knobs, Shape
 from excite.recordings import Recording
-from excite.trajectory import Fourier, Samples
+from excite.robot.samples import Samples
+from excite.trajectory.fourier import Fourier
 
 Array = np.ndarray
 HEIGHT, VELOCITY, CREEP = 1.5, 0.12, 0.15
@@ -31,7 +32,9 @@ class Creeping(Fourier):
         slowed = CubicSpline(pace, speed**3 / (speed**2 + CREEP**2), bc_type="periodic")
         gone, within = slowed.antiderivative(), np.mod(t, self.period)
         drift = gone(self.period) / self.period
-        return Samples(gone(within) - within[:, None] * drift, slowed(within) - drift, slowed(within, 1))
+        return Samples(
+            gone(within) - within[:, None] * drift, slowed(within) - drift, slowed(within, 1)
+        )
 
 
 def creeping(subject, law) -> list[Recording]:
@@ -41,7 +44,13 @@ def creeping(subject, law) -> list[Recording]:
         slow = Creeping(plain.sine, plain.cosine, plain.offset, plain.period)
         one = recorded(subject, psi, slow, 4, 0.0)
         noise = 0.02 * np.random.default_rng(seed).normal(size=one.q.shape)
-        out.append(dataclasses.replace(one, tau=one.tau + on(0, law(slow.samples(one.t).dq[:, 0])) + noise, source=f"{seed}.csv"))
+        out.append(
+            dataclasses.replace(
+                one,
+                tau=one.tau + on(0, law(slow.samples(one.t).dq[:, 0])) + noise,
+                source=f"{seed}.csv",
+            )
+        )
     return out
 
 
@@ -55,15 +64,24 @@ LAWS = {
 @pytest.mark.parametrize("law", list(LAWS))
 def test_a_joint_that_creeps_as_it_turns_back_tells_how_high_stribecks_curve_is(subject, law):
     """The base fit, which knows nothing of it, takes friction's step for five times as sharp as it is, and half of the curve with it."""
-    train, held_out = creeping(subject, lambda v: HEIGHT * np.tanh(v / WIDTH) * LAWS[law](np.abs(v) / VELOCITY))
-    result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [held_out])
+    train, held_out = creeping(
+        subject, lambda v: HEIGHT * np.tanh(v / WIDTH) * LAWS[law](np.abs(v) / VELOCITY)
+    )
+    result = diagnosis.diagnose(
+        subject.robot, subject.parameters, subject.base, [train], [held_out]
+    )
     assert [(f.main.effect, f.main.joint) for f in result.verdict.findings] == [("stribeck", 0)]
     assert result.identified.model.widths[0] < 0.3 * WIDTH
     told = interval.finding_parameters(result.design, result.verdict, 0)
     assert told["amplitude"][0] == pytest.approx(HEIGHT, rel=0.05)
     assert told["velocity"][0] == pytest.approx(VELOCITY, rel=0.05)
-    again = [whole.restored(whole.entry(part, subject.robot), subject.robot, "model.json") for part in result.parts]
-    np.testing.assert_allclose(whole.torque(again, result.tracks[1][0]), whole.torque(result.parts, result.tracks[1][0]))
+    again = [
+        whole.restored(whole.entry(part, subject.robot), subject.robot, "model.json")
+        for part in result.parts
+    ]
+    np.testing.assert_allclose(
+        whole.torque(again, result.tracks[1][0]), whole.torque(result.parts, result.tracks[1][0])
+    )
 
 
 def test_values_that_make_up_for_each_other_are_turned_together():
@@ -84,19 +102,33 @@ def test_values_that_make_up_for_each_other_are_turned_together():
     bounded, _ = Knobs({"a": (2.0, 1.0, 4.0), "b": (1.0, 0.1, 4.0)}, shape).best(gain, -1e9)
     assert bounded.values["a"] == pytest.approx(1.0, abs=0.02)
     where = shape({"a": 2.0, "b": 1.0})
-    assert Knobs({"a": (2.0, 0.1, 4.0), "b": (1.0, 0.1, 4.0)}, shape).best(gain, 1.0) == (where, 1.0)
+    assert Knobs({"a": (2.0, 0.1, 4.0), "b": (1.0, 0.1, 4.0)}, shape).best(gain, 1.0) == (
+        where,
+        1.0,
+    )
 
 
 def test_stribecks_curve_turned_is_as_late_and_has_no_width_that_an_encoder_hides(subject):
     train, held_out = creeping(subject, lambda v: 0.0 * v)
-    tracks = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [held_out]).tracks[0]
+    tracks = diagnosis.diagnose(
+        subject.robot, subject.parameters, subject.base, [train], [held_out]
+    ).tracks[0]
     first = next(s for s in BY_NAME["stribeck"].shapes(tracks))
     assert [set(near.here.values) for near in first.kin()] == [
         {"velocity", "exponent", "width", "usual"},
         {"velocity", "exponent", "width", "usual", "rational"},
     ]
     late = first.late(Delay(0.004), 0)
-    assert all(near.here.values["late"] == 0.004 and near.here.knob.at(0.1).values["late"] == 0.004 for near in late.kin())
-    coarse = [dataclasses.replace(t, piece=dataclasses.replace(t.piece, encoder=np.full(2, 1e-3))) for t in tracks]
+    assert all(
+        near.here.values["late"] == 0.004 and near.here.knob.at(0.1).values["late"] == 0.004
+        for near in late.kin()
+    )
+    coarse = [
+        dataclasses.replace(t, piece=dataclasses.replace(t.piece, encoder=np.full(2, 1e-3)))
+        for t in tracks
+    ]
     hidden = next(s for s in BY_NAME["stribeck"].shapes(coarse))
-    assert [set(near.here.values) for near in hidden.kin()] == [{"velocity", "exponent"}, {"velocity", "exponent", "rational"}]
+    assert [set(near.here.values) for near in hidden.kin()] == [
+        {"velocity", "exponent"},
+        {"velocity", "exponent", "rational"},
+    ]

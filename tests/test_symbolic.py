@@ -9,19 +9,20 @@ from conftest import BUILTIN, loaded, off, random_urdf, seeds, slope, states, te
 from hypothesis import given
 from hypothesis import strategies as st
 
-from excite import dynamics, parameters, symbolic
+from excite.designer import casadi_model
 from excite.errors import UnusableInput
-from excite.limits import resolve
-from excite.parameters import COULOMB_WIDTH, Parameters
-from excite.robot import Robot, load
-from excite.trajectory import Samples
+from excite.robot import dynamics, inertial_parameters
+from excite.robot.inertial_parameters import COULOMB_WIDTH, Parameters
+from excite.robot.limits import resolve
+from excite.robot.robot import Robot, load
+from excite.robot.samples import Samples
 
 MIMICS = {2: (0, -1.7, 0.3)}
 STEP = 0.02 * COULOMB_WIDTH
 
 
 def layout(robot: Robot) -> Parameters:
-    return parameters.standard(robot, resolve(robot))
+    return inertial_parameters.standard(robot, resolve(robot))
 
 
 def near_standstill(n: int) -> Samples:
@@ -31,29 +32,52 @@ def near_standstill(n: int) -> Samples:
 
 
 def symbolic_regressor(robot: Robot, standard: Parameters, motion: Samples) -> np.ndarray:
-    function = symbolic.functions(robot, standard).regressor
-    return np.array([np.asarray(function(*state)).T for state in zip(motion.q, motion.dq, motion.ddq, strict=True)])
+    function = casadi_model.functions(robot, standard).regressor
+    return np.array(
+        [
+            np.asarray(function(*state)).T
+            for state in zip(motion.q, motion.dq, motion.ddq, strict=True)
+        ]
+    )
 
 
 @pytest.mark.parametrize("name", BUILTIN)
 def test_regressor_of_a_builtin_model_is_pinocchios(name):
     robot = load(name)
     standard, motion = layout(robot), states(robot.n)
-    assert off(symbolic_regressor(robot, standard, motion), dynamics.regressor(robot, standard, motion)) < 1e-12
+    assert (
+        off(
+            symbolic_regressor(robot, standard, motion), dynamics.regressor(robot, standard, motion)
+        )
+        < 1e-12
+    )
 
 
-@given(seeds, st.booleans(), st.sampled_from([None, MIMICS]), st.sampled_from([(0, 0, -9.81), (1.0, -2.0, 7.0)]))
+@given(
+    seeds,
+    st.booleans(),
+    st.sampled_from([None, MIMICS]),
+    st.sampled_from([(0, 0, -9.81), (1.0, -2.0, 7.0)]),
+)
 def test_regressor_of_any_robot_is_pinocchios(rng, tidy, mimics, gravity):
     robot = loaded(random_urdf(rng, 4, tidy=tidy, mimics=mimics), gravity=gravity)
     standard = layout(robot)
     for motion in (states(robot.n), near_standstill(robot.n)):
-        assert off(symbolic_regressor(robot, standard, motion), dynamics.regressor(robot, standard, motion)) < 1e-12
+        assert (
+            off(
+                symbolic_regressor(robot, standard, motion),
+                dynamics.regressor(robot, standard, motion),
+            )
+            < 1e-12
+        )
 
 
 # -- gradients, against differences of Pinocchio's regressor -------------------------------------------------------
 
 
-def differences(robot: Robot, standard: Parameters, motion: Samples, scalar: Callable[[np.ndarray], float]) -> np.ndarray:
+def differences(
+    robot: Robot, standard: Parameters, motion: Samples, scalar: Callable[[np.ndarray], float]
+) -> np.ndarray:
     """Gradient of a function of Y by q, dq and ddq at each sample. Shape (N, 3n)."""
     out = np.empty((len(motion), 3 * robot.n))
     for t in range(len(motion)):
@@ -64,7 +88,9 @@ def differences(robot: Robot, standard: Parameters, motion: Samples, scalar: Cal
             return scalar(dynamics.regressor(robot, standard, parts)[0])
 
         for i, unit in enumerate(np.eye(len(state))):
-            out[t, i] = slope(lambda h, unit=unit, state=state, value=value: value(state + h * unit), STEP)
+            out[t, i] = slope(
+                lambda h, unit=unit, state=state, value=value: value(state + h * unit), STEP
+            )
     return out
 
 
@@ -72,7 +98,11 @@ ROBOTS = ["two_link", "tx40", "mimic"]
 
 
 def chosen(name: str) -> Robot:
-    return loaded(random_urdf(np.random.default_rng(1), 4, mimics=MIMICS)) if name == "mimic" else load(name)
+    return (
+        loaded(random_urdf(np.random.default_rng(1), 4, mimics=MIMICS))
+        if name == "mimic"
+        else load(name)
+    )
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -80,11 +110,17 @@ def test_adjoint_is_the_gradient(name):
     robot = chosen(name)
     standard, motion = layout(robot), near_standstill(robot.n)
     seed = np.random.default_rng(2).normal(size=(robot.n, standard.count))
-    adjoint = symbolic.functions(robot, standard).adjoint
+    adjoint = casadi_model.functions(robot, standard).adjoint
     found = [
-        np.concatenate([np.asarray(g).ravel() for g in adjoint(*s, seed.T)]) for s in zip(motion.q, motion.dq, motion.ddq, strict=True)
+        np.concatenate([np.asarray(g).ravel() for g in adjoint(*s, seed.T)])
+        for s in zip(motion.q, motion.dq, motion.ddq, strict=True)
     ]
-    assert off(np.array(found), differences(robot, standard, motion, lambda Y: float(np.sum(seed * Y)))) < 1e-8
+    assert (
+        off(
+            np.array(found), differences(robot, standard, motion, lambda Y: float(np.sum(seed * Y)))
+        )
+        < 1e-8
+    )
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -92,13 +128,19 @@ def test_row_gradients_are_the_gradients_of_each_torque(name):
     robot = chosen(name)
     standard, motion = layout(robot), near_standstill(robot.n)
     weight = np.random.default_rng(2).normal(size=standard.count)
-    row = symbolic.functions(robot, standard).row
+    row = casadi_model.functions(robot, standard).row
     for j, pick in enumerate(np.eye(robot.n)):
         found = [
             np.concatenate([np.asarray(g).ravel() for g in row(*s, weight, pick)])
             for s in zip(motion.q, motion.dq, motion.ddq, strict=True)
         ]
-        assert off(np.array(found), differences(robot, standard, motion, lambda Y, j=j: float(Y[j] @ weight))) < 1e-8
+        assert (
+            off(
+                np.array(found),
+                differences(robot, standard, motion, lambda Y, j=j: float(Y[j] @ weight)),
+            )
+            < 1e-8
+        )
 
 
 # -- frames --------------------------------------------------------------------------------------------------------
@@ -113,30 +155,48 @@ def reached(text: str, frame: str, joints: tuple[str, ...], q: np.ndarray) -> np
     return pin.updateFramePlacement(model, data, model.getFrameId(frame)).translation
 
 
-@pytest.mark.parametrize(("name", "frame"), [("two_link", "tip"), ("ur10e", "tool0"), ("panda", "panda_link4"), ("tree", "tool")])
+@pytest.mark.parametrize(
+    ("name", "frame"),
+    [("two_link", "tip"), ("ur10e", "tool0"), ("panda", "panda_link4"), ("tree", "tool")],
+)
 def test_frame_position_is_pinocchios(name, frame):
-    text = random_urdf(np.random.default_rng(4), 5, kinds=("revolute", "prismatic")) if name == "tree" else text_of(name)
+    text = (
+        random_urdf(np.random.default_rng(4), 5, kinds=("revolute", "prismatic"))
+        if name == "tree"
+        else text_of(name)
+    )
     robot = loaded(text)
-    function = symbolic.position(robot, frame)
+    function = casadi_model.position(robot, frame)
     for q in states(robot.n).q:
-        assert np.allclose(np.asarray(function(q)[0]).ravel(), reached(text, frame, robot.joints, q), atol=1e-12)
+        assert np.allclose(
+            np.asarray(function(q)[0]).ravel(), reached(text, frame, robot.joints, q), atol=1e-12
+        )
 
 
 def test_frame_jacobian_is_the_derivative():
     robot = load("ur10e")
-    function, q = symbolic.position(robot, "tool0"), states(6).q[0]
+    function, q = casadi_model.position(robot, "tool0"), states(6).q[0]
     found = np.asarray(function(q)[1])
-    measured = [slope(lambda h, e=e: dynamics.positions(robot, "tool0", (q + h * e)[None])[0], 1e-2) for e in np.eye(6)]
+    measured = [
+        slope(lambda h, e=e: dynamics.positions(robot, "tool0", (q + h * e)[None])[0], 1e-2)
+        for e in np.eye(6)
+    ]
     assert off(found, np.array(measured).T) < 1e-8
 
 
 def test_frame_of_a_mimic_robot_follows_it():
     robot = chosen("mimic")
     q = states(robot.n).q
-    function = symbolic.position(robot, "tool")
-    assert off(np.array([np.asarray(function(x)[0]).ravel() for x in q]), dynamics.positions(robot, "tool", q)) < 1e-12
+    function = casadi_model.position(robot, "tool")
+    assert (
+        off(
+            np.array([np.asarray(function(x)[0]).ravel() for x in q]),
+            dynamics.positions(robot, "tool", q),
+        )
+        < 1e-12
+    )
 
 
 def test_an_unknown_frame_is_refused():
     with pytest.raises(UnusableInput, match="no frame 'claw'"):
-        symbolic.position(load("two_link"), "claw")
+        casadi_model.position(load("two_link"), "claw")

@@ -11,13 +11,13 @@ from scipy import integrate
 from test_diagnose import found, on, recordings_of
 from test_predicted import fitted_with, stated
 
-from excite.diagnose import diagnosis, interval, whole
-from excite.diagnose.catalogue import BY_NAME, thermal
-from excite.diagnose.document import document
-from excite.diagnose.effect import Shape
-from excite.diagnose.track import Grid, Track
+from excite.diagnosis import diagnosis, interval, whole
+from excite.diagnosis.diagnosis_file import document
+from excite.effects import BY_NAME, thermal
+from excite.effects.effect import Shape
+from excite.effects.track import Grid, Track
 from excite.errors import UnusableInput
-from excite.identify.equations import Model
+from excite.identification.regression import Model
 from excite.recordings import Recording
 
 Array = np.ndarray
@@ -30,12 +30,18 @@ DAYS = (24.0, 30.0), (38.0, 33.0)
 def days(subject: Model, dry: bool) -> list[Recording]:
     """Two recordings, the second warmer; only the first joint has a sensor. dry: Coulomb friction changes as viscous friction does."""
     psi = perturbed(subject.parameters, np.random.default_rng(4))
-    coulomb, viscous = (float(psi[subject.parameters.block(kind)][0]) for kind in ("coulomb", "viscous"))
+    coulomb, viscous = (
+        float(psi[subject.parameters.block(kind)][0]) for kind in ("coulomb", "viscous")
+    )
     out = []
     for one, (start, end) in zip(recordings_of(subject, None), DAYS, strict=True):
         degrees = start + (end - start) * (one.t - one.t[0]) / (one.t[-1] - one.t[0])
         speed = np.gradient(one.q[:, 0], one.t)
-        changed = PER_DEGREE * (degrees - DAYS[0][0]) * (viscous * speed + dry * coulomb * np.tanh(speed / WIDTH))
+        changed = (
+            PER_DEGREE
+            * (degrees - DAYS[0][0])
+            * (viscous * speed + dry * coulomb * np.tanh(speed / WIDTH))
+        )
         warm = np.column_stack([degrees, np.full(len(degrees), np.nan)])
         out.append(dataclasses.replace(one, tau=one.torque + on(0, changed), temperature=warm))
     return out
@@ -44,8 +50,12 @@ def days(subject: Model, dry: bool) -> list[Recording]:
 @pytest.mark.parametrize("dry", [True, False])
 def test_friction_by_temperature_is_named_and_foretells_another_day(subject, dry):
     train, held_out = days(subject, dry)
-    result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [held_out])
-    assert [(h.effect, h.joint) for h in result.verdict.chosen] == [("thermal_drift", 0)] and not result.unknown
+    result = diagnosis.diagnose(
+        subject.robot, subject.parameters, subject.base, [train], [held_out]
+    )
+    assert [(h.effect, h.joint) for h in result.verdict.chosen] == [
+        ("thermal_drift", 0)
+    ] and not result.unknown
     assert result.after[0] < 1.3 * result.floor[0] and result.before[0] > 1.5 * result.floor[0]
     told = document(result)["findings"][0]
     assert told["where"]["statement"] == "joint 'joint_1': friction changes with temperature"
@@ -59,14 +69,19 @@ def test_friction_by_temperature_is_named_and_foretells_another_day(subject, dry
 
 def test_without_temperatures_the_other_day_has_no_such_name(subject):
     train, held_out = (dataclasses.replace(one, temperature=None) for one in days(subject, True))
-    result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [train], [held_out])
+    result = diagnosis.diagnose(
+        subject.robot, subject.parameters, subject.base, [train], [held_out]
+    )
     assert all("reference" not in shape.values for shape in result.design.shapes)
     assert result.after[0] > 1.3 * result.floor[0]
 
 
 def test_a_prediction_needs_the_temperature_that_friction_depends_on(subject):
     values = {"reference": 30.0, "coulomb": 1.5, "viscous": 0.8}
-    model, warm = fitted_with(subject, (stated("thermal_drift", "joint_1", values, PER_DEGREE),)), days(subject, True)[1]
+    model, warm = (
+        fitted_with(subject, (stated("thermal_drift", "joint_1", values, PER_DEGREE),)),
+        days(subject, True)[1],
+    )
     bare = whole.predict(fitted_with(subject, ()), warm)[1]
     assert np.abs(whole.predict(model, warm)[1] - bare).max() > 0.05
     with pytest.raises(UnusableInput, match=r"5\.csv: has no temp\.joint_1"):
@@ -76,7 +91,9 @@ def test_a_prediction_needs_the_temperature_that_friction_depends_on(subject):
 def test_a_joint_that_its_own_friction_heats_cools_where_it_slows_down(subject):
     """T ϑ̇ = p/p̄ − ϑ over motions that begin and end at rest: by run time alone the time constant would be another."""
     psi = perturbed(subject.parameters, np.random.default_rng(4))
-    coulomb, viscous = (float(psi[subject.parameters.block(kind)][0]) for kind in ("coulomb", "viscous"))
+    coulomb, viscous = (
+        float(psi[subject.parameters.block(kind)][0]) for kind in ("coulomb", "viscous")
+    )
     constant, change, recordings, powers = 4.0, -0.5, [], []
     for one in recordings_of(subject, None):
         speed = np.gradient(one.q[:, 0], one.t)
@@ -86,19 +103,29 @@ def test_a_joint_that_its_own_friction_heats_cools_where_it_slows_down(subject):
     made = []
     for one, friction, power in recordings:
         warm = integrate.solve_ivp(
-            lambda t, x, one=one, power=power: (np.interp(t, one.t, power) / np.mean(powers) - x) / constant,
+            lambda t, x, one=one, power=power: (
+                (np.interp(t, one.t, power) / np.mean(powers) - x) / constant
+            ),
             (one.t[0], one.t[-1]),
             [0.0],
             t_eval=one.t,
             max_step=0.05,
         ).y[0]
         made.append(dataclasses.replace(one, tau=one.torque + on(0, change * warm * friction)))
-    result = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, [made[0]], [made[1]])
+    result = diagnosis.diagnose(
+        subject.robot, subject.parameters, subject.base, [made[0]], [made[1]]
+    )
     (named,) = result.verdict.chosen
-    assert (named.effect, named.joint) == ("thermal_drift", 0) and "power" in result.design.shapes[named.shape].values
-    assert document(result)["findings"][0]["where"]["statement"].endswith("its own power heats the joint")
+    assert (named.effect, named.joint) == ("thermal_drift", 0) and "power" in result.design.shapes[
+        named.shape
+    ].values
+    assert document(result)["findings"][0]["where"]["statement"].endswith(
+        "its own power heats the joint"
+    )
     told = interval.finding_parameters(result.design, result.verdict, 0)
-    assert told["time_constant"][0] == pytest.approx(constant, rel=0.1) and told["change"][0] == pytest.approx(change, rel=0.1)
+    assert told["time_constant"][0] == pytest.approx(constant, rel=0.1) and told["change"][
+        0
+    ] == pytest.approx(change, rel=0.1)
     assert result.after[0] < 1.3 * result.floor[0]
 
 
@@ -128,13 +155,22 @@ def test_friction_of_a_heated_joint_never_falls_far_below_nothing(subject, const
 def test_a_gap_in_a_recording_makes_no_joint_cold(subject, power):
     track, shape = heated(subject, 6.0)
     if not power:
-        shape = dataclasses.replace(shape, values={k: v for k, v in shape.values.items() if k != "power"})
+        shape = dataclasses.replace(
+            shape, values={k: v for k, v in shape.values.items() if k != "power"}
+        )
     half, start = len(track.piece) // 2, track.piece.start
     later = dataclasses.replace(
-        track.piece, q=track.piece.q[half:], torque=track.piece.torque[half:], start=float(track.clock[half]), began=start
+        track.piece,
+        q=track.piece.q[half:],
+        torque=track.piece.torque[half:],
+        start=float(track.clock[half]),
+        began=start,
     )
     whole_way, after = (
-        thermal._changed(dataclasses.replace(track, piece=piece, to=Grid.RECORDED, kept=slice(0, len(piece))), shape)[:, 0, 0]
+        thermal._changed(
+            dataclasses.replace(track, piece=piece, to=Grid.RECORDED, kept=slice(0, len(piece))),
+            shape,
+        )[:, 0, 0]
         for piece in (track.piece, later)
     )
     inside = slice(200, -200)  # off the ends, which a filter feels

@@ -4,7 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from excite import artefact, robot, verify
+from excite.designer import certificate as certificate_module
+from excite.robot import robot
+from excite.trajectory import trajectory_file
 
 FOLDER = Path(__file__).resolve().parent.parent / "trajectories"
 
@@ -15,8 +17,8 @@ def test_every_built_in_robot_has_one():
 
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.json")), ids=lambda p: p.stem)
 def test_it_keeps_its_certificate(path):
-    trajectory = artefact.read(path)
-    certificate = verify.of_file(trajectory, trajectory.load_robot())
+    trajectory = trajectory_file.read(path)
+    certificate = certificate_module.of_file(trajectory, trajectory.load_robot())
     assert certificate.ok, (certificate.worst(), certificate.faults)
-    assert certificate.clearance is verify.Verdict.CERTIFIED
+    assert certificate.clearance is certificate_module.Verdict.CERTIFIED
     assert not trajectory.forced

@@ -10,17 +10,19 @@ from conftest import off, slope
 from hypothesis import given
 from hypothesis import strategies as st
 
+from excite.designer.ramps import reverse
 from excite.errors import UnusableInput
-from excite.motion import Motion, Profile, Segment, read_segments, segment_document
-from excite.ramps import reverse
 from excite.schemas import quantities
 from excite.schemas.trajectory import SegmentDocument
-from excite.trajectory import Fourier, oversampling_bound
+from excite.trajectory.fourier import Fourier, oversampling_bound
+from excite.trajectory.rest_to_rest import Motion, Profile, Segment, read_segments, segment_document
 
 
 def series(seed: int, n: int = 3, harmonics: int = 4, period: float = 3.0) -> Fourier:
     rng = np.random.default_rng(seed)
-    return Fourier(rng.normal(size=(n, harmonics)), rng.normal(size=(n, harmonics)), rng.normal(size=n), period)
+    return Fourier(
+        rng.normal(size=(n, harmonics)), rng.normal(size=(n, harmonics)), rng.normal(size=n), period
+    )
 
 
 def times(seed: int, count: int = 7) -> np.ndarray:
@@ -36,7 +38,11 @@ drawn = st.integers(0, 10**4)
 def test_position_is_the_series_of_METHOD(seed):
     f, t = series(seed), times(seed)
     k = np.arange(1, 5) * 2 * np.pi / 3.0
-    terms = [f.sine[:, i] / k[i] * np.sin(k[i] * t[:, None]) - f.cosine[:, i] / k[i] * np.cos(k[i] * t[:, None]) for i in range(4)]
+    terms = [
+        f.sine[:, i] / k[i] * np.sin(k[i] * t[:, None])
+        - f.cosine[:, i] / k[i] * np.cos(k[i] * t[:, None])
+        for i in range(4)
+    ]
     assert np.allclose(f.at(t), f.offset + sum(terms), atol=1e-12)
 
 
@@ -67,7 +73,10 @@ def test_slowed_motion_takes_the_same_path(seed, speed, order):
 def test_samples_are_the_three_first_orders():
     f, t = series(0), times(0)
     samples = f.samples(t)
-    assert all(np.array_equal(part, f.at(t, order)) for order, part in enumerate((samples.q, samples.dq, samples.ddq)))
+    assert all(
+        np.array_equal(part, f.at(t, order))
+        for order, part in enumerate((samples.q, samples.dq, samples.ddq))
+    )
 
 
 def test_grid_covers_one_period_without_its_end():
@@ -81,14 +90,19 @@ def test_grid_covers_one_period_without_its_end():
 def test_no_motion_exceeds_the_grid_by_more_than_the_bound(seed, harmonics, more, order):
     f = series(seed, harmonics=harmonics)
     count = 2 * harmonics + more
-    swing = [np.abs(f.at(f.grid(n), order) - (f.offset if order == 0 else 0.0)).max(axis=0) for n in (count, 4001)]
+    swing = [
+        np.abs(f.at(f.grid(n), order) - (f.offset if order == 0 else 0.0)).max(axis=0)
+        for n in (count, 4001)
+    ]
     assert (swing[1] <= oversampling_bound(count, harmonics) * swing[0] * (1 + 1e-12)).all()
 
 
 @pytest.mark.parametrize("degree", [1, 3, 5])
 def test_some_motion_attains_the_bound(degree):
     count = 4 * degree
-    wave = Fourier(np.eye(degree)[-1:], np.zeros((1, degree)), np.zeros(1), 1.0).shifted(0.5 / count)
+    wave = Fourier(np.eye(degree)[-1:], np.zeros((1, degree)), np.zeros(1), 1.0).shifted(
+        0.5 / count
+    )
     on_grid = np.abs(wave.at(wave.grid(count), 1)).max()
     assert np.isclose(oversampling_bound(count, degree) * on_grid, 1.0, rtol=1e-12)
 
@@ -103,7 +117,11 @@ def test_a_grid_that_is_too_coarse_proves_nothing():
 def profile(seed: int) -> Profile:
     rng = np.random.default_rng(seed)
     pieces = tuple(
-        tuple((float(d), float(j)) for d, j in zip(rng.uniform(0.05, 0.4, k), rng.normal(size=k) * 9, strict=True)) for k in (3, 5)
+        tuple(
+            (float(d), float(j))
+            for d, j in zip(rng.uniform(0.05, 0.4, k), rng.normal(size=k) * 9, strict=True)
+        )
+        for k in (3, 5)
     )
     return Profile(*(rng.normal(size=2) for _ in range(3)), pieces)
 
@@ -126,7 +144,10 @@ def test_profile_is_continuous_at_its_knots(seed, order):
 
 def test_profile_starts_in_its_state():
     p = profile(0)
-    assert all(np.array_equal(p.at(np.zeros(1), order)[0], state) for order, state in enumerate((p.position, p.velocity, p.acceleration)))
+    assert all(
+        np.array_equal(p.at(np.zeros(1), order)[0], state)
+        for order, state in enumerate((p.position, p.velocity, p.acceleration))
+    )
 
 
 @given(drawn)
@@ -134,14 +155,22 @@ def test_reversed_profile_runs_backwards(seed):
     p, duration = profile(seed), 2.5
     t = np.linspace(0, duration, 9)
     for order in range(3):
-        assert np.allclose(reverse(p, duration).at(t, order), (-1) ** order * p.at(duration - t, order), atol=1e-9)
+        assert np.allclose(
+            reverse(p, duration).at(t, order), (-1) ** order * p.at(duration - t, order), atol=1e-9
+        )
 
 
 # -- whole motions -------------------------------------------------------------------------------------------------
 
 
 def test_motion_goes_from_approach_to_return(delivery):
-    assert [s.kind for s in delivery.trajectory.motion.segments] == ["approach", "ramp_in", "fourier", "ramp_out", "return"]
+    assert [s.kind for s in delivery.trajectory.motion.segments] == [
+        "approach",
+        "ramp_in",
+        "fourier",
+        "ramp_out",
+        "return",
+    ]
 
 
 def test_motion_begins_and_ends_where_it_was_told(delivery):
@@ -151,7 +180,11 @@ def test_motion_begins_and_ends_where_it_was_told(delivery):
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_first_and_last_row_are_exactly_at_rest(delivery, braked, order):
-    for motion in (delivery.trajectory.motion, braked.trajectory.motion, delivery.trajectory.motion.slowed(0.3)):
+    for motion in (
+        delivery.trajectory.motion,
+        braked.trajectory.motion,
+        delivery.trajectory.motion.slowed(0.3),
+    ):
         for rate in (100.0, 125.0, 1000.0, 333.0):
             assert not motion.at(motion.grid(rate)[[0, -1]], order).any()
 
@@ -159,7 +192,10 @@ def test_first_and_last_row_are_exactly_at_rest(delivery, braked, order):
 def test_motion_rests_before_and_after(delivery):
     motion = delivery.trajectory.motion
     outside = np.array([-1.0, motion.duration + 1.0])
-    assert np.array_equal(motion.at(outside), np.array(motion.rest)) and not motion.at(outside, 1).any()
+    assert (
+        np.array_equal(motion.at(outside), np.array(motion.rest))
+        and not motion.at(outside, 1).any()
+    )
 
 
 def test_motion_is_continuous_to_its_acceleration(delivery, braked):
@@ -167,7 +203,9 @@ def test_motion_is_continuous_to_its_acceleration(delivery, braked):
         fine = np.linspace(0, motion.duration, 60001)
         for order in range(3):
             step = np.abs(np.diff(motion.at(fine, order), axis=0))
-            assert (step <= 1.01 * fine[1] * np.abs(motion.at(fine, order + 1)).max(axis=0) + 1e-7).all()
+            assert (
+                step <= 1.01 * fine[1] * np.abs(motion.at(fine, order + 1)).max(axis=0) + 1e-7
+            ).all()
 
 
 def test_periods_of_the_fourier_part_are_alike(delivery):
@@ -192,7 +230,11 @@ def test_grid_ends_at_or_after_the_motion(delivery):
 
 def test_segments_survive_json_exactly(delivery):
     motion = delivery.trajectory.motion
-    document = msgspec.convert(json.loads(json.dumps(segment_document(motion))), list[SegmentDocument], dec_hook=quantities.converted)
+    document = msgspec.convert(
+        json.loads(json.dumps(segment_document(motion))),
+        list[SegmentDocument],
+        dec_hook=quantities.converted,
+    )
     segments = read_segments(document, motion.joints)
     again = dataclasses.replace(motion, segments=segments)
     t = motion.grid(1000.0)

@@ -9,14 +9,16 @@ import numpy as np
 import pytest
 from conftest import off
 
-from excite import base, dynamics, overlap, parameters, validation, workflow
-from excite.limits import Limits
-from excite.motion import Motion
-from excite.problem import Options
-from excite.robot import Robot
-from excite.trajectory import Fourier, Samples
-from excite.validation import Validation, torque_correlation
-from excite.workflow import Delivery
+from excite.designer import motion_overlap, pipeline, validation_trajectory
+from excite.designer.pipeline import Delivery
+from excite.designer.problem import Options
+from excite.designer.validation_trajectory import Validation, torque_correlation
+from excite.robot import base_parameters, dynamics, inertial_parameters
+from excite.robot.limits import Limits
+from excite.robot.robot import Robot
+from excite.robot.samples import Samples
+from excite.trajectory.fourier import Fourier
+from excite.trajectory.rest_to_rest import Motion
 
 OPTIONS = Options(period=5.2, starts=2, iterations=80, jobs=1)
 RATE = 50.0
@@ -24,12 +26,14 @@ RATE = 50.0
 
 @pytest.fixture(scope="module")
 def first(two_link: Robot, table: Limits) -> Delivery:
-    return workflow.run(two_link, table, OPTIONS)
+    return pipeline.run(two_link, table, OPTIONS)
 
 
 @pytest.fixture(scope="module")
 def second(two_link: Robot, table: Limits, first: Delivery) -> Validation:
-    return validation.second(first, two_link, lambda apart: workflow.run(two_link, table, OPTIONS, apart=apart))
+    return validation_trajectory.second(
+        first, two_link, lambda apart: pipeline.run(two_link, table, OPTIONS, apart=apart)
+    )
 
 
 # -- what it is ----------------------------------------------------------------------------------------------------
@@ -40,20 +44,24 @@ def test_it_is_certified_asks_for_the_same_and_goes_elsewhere(first, second):
     assert second.values[1] < 1.5 * second.values[0]
     assert second.independent is not None
     assert second.alike.overlap < second.independent.overlap
-    gauge = overlap.Gauge.of(first.design.setting.problem.robot, first.trajectory.limits)
-    assert second.alike.overlap == pytest.approx(overlap.overlap(gauge, first.design.motion, second.delivery.design.motion))
+    gauge = motion_overlap.Gauge.of(first.design.setting.problem.robot, first.trajectory.limits)
+    assert second.alike.overlap == pytest.approx(
+        motion_overlap.overlap(gauge, first.design.motion, second.delivery.design.motion)
+    )
 
 
 def test_one_seed_gives_one_second_motion_from_starts_of_its_own(two_link, table, first, second):
-    again = validation.second(first, two_link, lambda apart: workflow.run(two_link, table, OPTIONS, apart=apart))
+    again = validation_trajectory.second(
+        first, two_link, lambda apart: pipeline.run(two_link, table, OPTIONS, apart=apart)
+    )
     assert np.array_equal(again.delivery.design.motion.sine, second.delivery.design.motion.sine)
     assert {a.number for a in second.delivery.design.attempts} == {2, 3}
 
 
 def test_without_another_start_nothing_is_compared(two_link, table):
     options = replace(OPTIONS, starts=1, iterations=5)
-    run = partial(workflow.run, two_link, table, options)
-    alone = validation.second(run(), two_link, lambda apart: run(apart=apart))
+    run = partial(pipeline.run, two_link, table, options)
+    alone = validation_trajectory.second(run(), two_link, lambda apart: run(apart=apart))
     assert alone.independent is None and alone.facts()["independent"] is None
     assert "another start" not in alone.words()
 
@@ -65,21 +73,28 @@ def test_both_files_say_what_they_are_to_each_other(first, second):
     assert set(second.facts()["torque_correlation"]) == set(first.trajectory.joints)
 
 
-def test_torque_correlation_is_one_for_the_same_motion_later_and_less_for_another(two_link, first, second):
+def test_torque_correlation_is_one_for_the_same_motion_later_and_less_for_another(
+    two_link, first, second
+):
     standard, motion = first.design.setting.problem.parameters, first.design.motion
-    assert torque_correlation(two_link, standard, motion, motion.shifted(motion.period / 8.0)) == pytest.approx(1.0, abs=1e-6)
+    assert torque_correlation(
+        two_link, standard, motion, motion.shifted(motion.period / 8.0)
+    ) == pytest.approx(1.0, abs=1e-6)
     other = torque_correlation(two_link, standard, motion, second.delivery.design.motion)
     assert ((other > 0.0) & (other < 0.98)).all()
-    assert off(torque_correlation(two_link, standard, second.delivery.design.motion, motion), other) < 1e-9
+    assert (
+        off(torque_correlation(two_link, standard, second.delivery.design.motion, motion), other)
+        < 1e-9
+    )
 
 
 def test_it_is_the_price_that_drives_them_apart(two_link, table, first):
-    gauge = overlap.Gauge.of(two_link, table)
+    gauge = motion_overlap.Gauge.of(two_link, table)
     found: list[Fourier] = []
     for weight in (0.0, 4.0):
-        kept = replace(overlap.apart(gauge, first.design.motion), weight=weight)
-        found.append(workflow.run(two_link, table, OPTIONS, apart=kept).design.motion)
-    values = [overlap.overlap(gauge, first.design.motion, motion) for motion in found]
+        kept = replace(motion_overlap.apart(gauge, first.design.motion), weight=weight)
+        found.append(pipeline.run(two_link, table, OPTIONS, apart=kept).design.motion)
+    values = [motion_overlap.overlap(gauge, first.design.motion, motion) for motion in found]
     assert values[1] < 0.8 * values[0]
 
 
@@ -91,17 +106,21 @@ class Lab:
 
     def __init__(self, robot: Robot, limits: Limits, rng: np.random.Generator) -> None:
         self.robot, self.rng = robot, rng
-        self.standard = parameters.standard(robot, limits)
-        self.base = base.find(robot, self.standard, limits)
+        self.standard = inertial_parameters.standard(robot, limits)
+        self.base = base_parameters.find(robot, self.standard, limits)
         self.noise = 0.01 * limits.torque
         direction = rng.normal(size=self.standard.count)
-        self.truth = self.standard.nominal + 0.3 * self.standard.scale @ direction / np.linalg.norm(direction)
+        self.truth = self.standard.nominal + 0.3 * self.standard.scale @ direction / np.linalg.norm(
+            direction
+        )
 
     def record(self, motion: Motion, effect: float, phase: float) -> tuple[np.ndarray, np.ndarray]:
         """Rows and torque, both over the noise. effect: of friction that depends on position, in noises."""
         samples: Samples = motion.samples(motion.grid(RATE))
         Y = dynamics.regressor(self.robot, self.standard, samples)
-        torque = Y @ self.truth / self.noise + effect * np.sin(samples.q + phase) * np.tanh(samples.dq / 0.02)
+        torque = Y @ self.truth / self.noise + effect * np.sin(samples.q + phase) * np.tanh(
+            samples.dq / 0.02
+        )
         rows = (Y / self.noise[:, None]).reshape(-1, Y.shape[2]) @ self.base.geometric
         return rows, (torque + self.rng.normal(size=torque.shape)).ravel()
 
@@ -120,7 +139,9 @@ class Lab:
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_a_right_model_predicts_the_second_motion_to_the_noise(two_link, table, first, second, seed):
+def test_a_right_model_predicts_the_second_motion_to_the_noise(
+    two_link, table, first, second, seed
+):
     lab = Lab(two_link, table, np.random.default_rng(seed))
     own, held_out = lab.errors(first.trajectory.motion, [second.delivery.trajectory.motion], 0.0)
     assert own == pytest.approx(1.0, abs=0.05)
@@ -128,7 +149,9 @@ def test_a_right_model_predicts_the_second_motion_to_the_noise(two_link, table, 
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_an_effect_that_the_model_lacks_shows_on_the_second_motion_and_hides_in_a_repeat(two_link, table, first, second, seed):
+def test_an_effect_that_the_model_lacks_shows_on_the_second_motion_and_hides_in_a_repeat(
+    two_link, table, first, second, seed
+):
     lab = Lab(two_link, table, np.random.default_rng(seed))
     motion = first.trajectory.motion
     own, repeat, held_out = lab.errors(motion, [motion, second.delivery.trajectory.motion], 5.0)

@@ -11,15 +11,18 @@ import numpy as np
 import pytest
 from conftest import LIMIT, QUICK, loaded, pendulum
 
-from excite import artefact, checks, dynamics, parameters, ramps, verify, workflow
-from excite.artefact import Trajectory
+from excite.designer import certificate as certificate_module
+from excite.designer import constraint_margins, pipeline, ramps
+from excite.designer.certificate import Certificate
+from excite.designer.pipeline import Delivery
+from excite.designer.problem import Box
 from excite.errors import UnusableInput
-from excite.limits import Limits, resolve
-from excite.problem import Box
-from excite.robot import Payload, load
-from excite.trajectory import Fourier, oversampling_bound
-from excite.verify import Certificate
-from excite.workflow import Delivery
+from excite.robot import dynamics, inertial_parameters
+from excite.robot.limits import Limits, resolve
+from excite.robot.robot import Payload, load, locate
+from excite.trajectory import trajectory_file
+from excite.trajectory.fourier import Fourier, oversampling_bound
+from excite.trajectory.trajectory_file import Trajectory
 
 ORDERS = {"position": 0, "velocity": 1, "acceleration": 2, "jerk": 3}
 
@@ -30,12 +33,13 @@ def any_delivery(request: pytest.FixtureRequest) -> Delivery:
 
 
 def reread(document: dict) -> Trajectory:
-    return artefact.parse(json.loads(artefact.dumps(document)), Path("trajectory.json"))
+    content = json.loads(trajectory_file.dumps(document))
+    return trajectory_file.parse(content, Path("trajectory.json"))
 
 
 def certificate(document: dict) -> Certificate:
     trajectory = reread(document)
-    return verify.of_file(trajectory, trajectory.load_robot())
+    return certificate_module.of_file(trajectory, trajectory.load_robot())
 
 
 # -- what is right stays right -------------------------------------------------------------------------------------
@@ -43,20 +47,42 @@ def certificate(document: dict) -> Certificate:
 
 def test_a_certified_motion_stays_ok_after_its_file(any_delivery, tmp_path: Path):
     path = tmp_path / "trajectory.json"
-    path.write_text(artefact.dumps(any_delivery.trajectory.document()), encoding="utf-8")
-    again = artefact.read(path)
-    found = verify.of_file(again, again.load_robot())
+    path.write_text(trajectory_file.dumps(any_delivery.trajectory.document()), encoding="utf-8")
+    again = trajectory_file.read(path)
+    found = certificate_module.of_file(again, again.load_robot())
     assert found.ok and [m.document() for m in found.margins] == again.margins
 
 
 def test_a_file_reads_back_exactly(any_delivery):
     stated = any_delivery.trajectory.document()
-    assert artefact.dumps(reread(stated).document()) == artefact.dumps(stated)
+    assert trajectory_file.dumps(reread(stated).document()) == trajectory_file.dumps(stated)
 
 
 def test_the_file_holds_what_the_contract_names(delivery):
-    keys = {"schema", "robot", "joints", "base_frequency", "harmonics", "period", "periods", "sine", "cosine", "offset", "segments", "rate"}
-    keys |= {"limits", "torque_noise", "criterion", "criteria", "margins", "collision", "seed", "versions"}
+    keys = {
+        "schema",
+        "robot",
+        "joints",
+        "base_frequency",
+        "harmonics",
+        "period",
+        "periods",
+        "sine",
+        "cosine",
+        "offset",
+        "segments",
+        "rate",
+    }
+    keys |= {
+        "limits",
+        "torque_noise",
+        "criterion",
+        "criteria",
+        "margins",
+        "collision",
+        "seed",
+        "versions",
+    }
     document = delivery.trajectory.document()
     assert keys <= set(document) and {"name", "source", "sha256"} <= set(document["robot"])
     assert set(document["criteria"]) == {"optimum", "exported"}
@@ -64,20 +90,26 @@ def test_the_file_holds_what_the_contract_names(delivery):
 
 def test_derived_limits_are_marked_so(two_link, table):
     bare = replace(table, jerk=np.full(2, np.inf), sources={**table.sources, "jerk": ("", "")})
-    limits = workflow.run(two_link, bare, replace(QUICK, iterations=3)).trajectory.document()["limits"]
+    limits = pipeline.run(two_link, bare, replace(QUICK, iterations=3)).trajectory.document()[
+        "limits"
+    ]
     assert {entry["source"] for entry in limits["jerk"].values()} == {"derived"}
     assert {entry["source"] for entry in limits["torque"].values()} == {"two_link.toml"}
 
 
 def test_a_slowed_motion_is_certified_too(two_link, table):
-    assert workflow.run(two_link, table, replace(QUICK, iterations=3), speed=0.5).certificate.ok
+    assert pipeline.run(two_link, table, replace(QUICK, iterations=3), speed=0.5).certificate.ok
 
 
 def test_a_robot_is_loaded_again_as_it_was_designed_for(table):
     held = load("two_link", payload=Payload("tip", 0.4, (0.0, 0.0, 0.1)), gravity=(0.0, 0.0, -5.0))
-    trajectory = reread(workflow.run(held, table, replace(QUICK, iterations=3)).trajectory.document())
+    trajectory = reread(
+        pipeline.run(held, table, replace(QUICK, iterations=3)).trajectory.document()
+    )
     again = trajectory.load_robot()
-    assert again.model.inertias[2] == held.model.inertias[2] and np.array_equal(again.model.gravity.linear, [0, 0, -5])
+    assert again.model.inertias[2] == held.model.inertias[2] and np.array_equal(
+        again.model.gravity.linear, [0, 0, -5]
+    )
 
 
 # -- tampering is caught -------------------------------------------------------------------------------------------
@@ -134,7 +166,7 @@ TAMPERED = {
 
 
 def tampered(delivery: Delivery, how: Callable[[dict], None]) -> Certificate:
-    document = copy.deepcopy(json.loads(artefact.dumps(delivery.trajectory.document())))
+    document = copy.deepcopy(json.loads(trajectory_file.dumps(delivery.trajectory.document())))
     how(document)
     return certificate(document)
 
@@ -164,7 +196,9 @@ def test_a_limit_that_differs_from_its_source_is_a_fault(delivery, quantity, fac
         d["limits"][quantity]["joint_2"]["value"] *= factor
 
     found = tampered(delivery, tamper)
-    assert not found.ok and any(f"the {quantity} limit of 'joint_2'" in fault for fault in found.faults)
+    assert not found.ok and any(
+        f"the {quantity} limit of 'joint_2'" in fault for fault in found.faults
+    )
 
 
 @pytest.mark.parametrize("quantity", ["position", "velocity", "jerk", "torque"])
@@ -174,14 +208,16 @@ def test_a_limit_below_what_is_reached_is_broken(delivery, quantity):
     reached = {m.joint: abs(m.value) for m in delivery.certificate.margins if m.limit == quantity}
     size = 0.99 * np.array([reached[joint] for joint in robot.joints])
     lowered = {quantity: np.column_stack([-size, size]) if quantity == "position" else size}
-    found = verify.verify(trajectory, robot, replace(resolve(robot), **lowered))
-    assert not found.ok and found.limits is verify.Verdict.FAILED
+    found = certificate_module.verify(trajectory, robot, replace(resolve(robot), **lowered))
+    assert not found.ok and found.limits is certificate_module.Verdict.FAILED
     assert {m.limit for m in found.margins if m.room < 0} == {quantity}
 
 
 def test_a_removed_limit_is_not_a_pass(braked):
     def tamper(d):
-        d["limits"]["braking"] = {j: {**entry, "offset": 0.0} for j, entry in d["limits"]["braking"].items()}
+        d["limits"]["braking"] = {
+            j: {**entry, "offset": 0.0} for j, entry in d["limits"]["braking"].items()
+        }
 
     found = tampered(braked, tamper)
     assert not found.ok and any("braking limit" in fault for fault in found.faults)
@@ -192,20 +228,26 @@ def test_a_promised_margin_is_held_to(delivery):
         d["design"]["margin"]["velocity"] = 0.5
 
     found = tampered(delivery, tamper)
-    assert not found.ok and found.worst().limit == "velocity" and "should stay free" in found.reason()
+    assert (
+        not found.ok and found.worst().limit == "velocity" and "should stay free" in found.reason()
+    )
 
 
 def test_a_design_keeps_its_margin(delivery):
     kept = {m.limit: m.room for m in reversed(delivery.certificate.margins)}
     assert all(kept[kind] >= 0.02 - 1e-9 for kind in ("velocity", "acceleration", "jerk", "torque"))
-    assert "-0" not in " ".join(verify.percent(share) for share in (-0.0, -1e-12, 1e-12))
+    assert "-0" not in " ".join(
+        certificate_module.percent(share) for share in (-0.0, -1e-12, 1e-12)
+    )
 
 
 def spike(d: dict, joint: str, length: float, jerk: float) -> None:
     """Insert four pieces of opposite jerk into a ramp, after which the joint is where it would have been, at its speed."""
     pieces = d["segments"][0]["profile"]["pieces"][joint]
     whole = pieces[0][0]
-    pieces[:1] = [[length, jerk], [2.0 * length, -jerk], [length, jerk]] * 2 + [[whole - 8.0 * length, pieces[0][1]]]
+    pieces[:1] = [[length, jerk], [2.0 * length, -jerk], [length, jerk]] * 2 + [
+        [whole - 8.0 * length, pieces[0][1]]
+    ]
 
 
 @pytest.mark.parametrize("length", [1e-3, 1e-4, 1e-6])
@@ -218,7 +260,7 @@ def test_a_spike_between_two_samples_is_found(delivery, length):
 
 def test_another_urdf_is_refused(delivery, tmp_path: Path):
     other = tmp_path / "two_link.urdf"
-    other.write_text(Path(workflow.__file__).with_name("models").joinpath("two_link.urdf").read_text() + "\n")
+    other.write_text(locate("two_link").read_text() + "\n")
     with pytest.raises(UnusableInput, match=r"sha256 differs.* --robot"):
         delivery.trajectory.load_robot(str(other))
 
@@ -229,19 +271,22 @@ def test_another_urdf_is_refused(delivery, tmp_path: Path):
         (lambda d: d.pop("sine"), "has no 'sine'"),
         (lambda d: d["sine"].pop(), "sine: should hold 2 rows, one a joint, not 1"),
         (lambda d: d["offset"].__setitem__(0, None), r"offset\[0\]: null should be a number"),
-        (lambda d: d.update(base_frequency=1.0), "base_frequency: 1 rad/s is not 2π over the period of 2 s"),
+        (
+            lambda d: d.update(base_frequency=1.0),
+            "base_frequency: 1 rad/s is not 2π over the period of 2 s",
+        ),
         (lambda d: d.update(schema="excite.trajectory/9"), "its schema is 'excite.trajectory/9'"),
         (lambda d: d["torque_noise"].clear(), "torque_noise: has no entry for the joint 'joint_1'"),
         (gap, "start: .* is not where ramp_out ends"),
     ],
 )
 def test_a_broken_file_is_unusable_input(delivery, change, part, tmp_path: Path):
-    document = json.loads(artefact.dumps(delivery.trajectory.document()))
+    document = json.loads(trajectory_file.dumps(delivery.trajectory.document()))
     change(document)
     path = tmp_path / "trajectory.json"
     path.write_text(json.dumps(document))
     with pytest.raises(UnusableInput, match=part) as caught:
-        artefact.read(path)
+        trajectory_file.read(path)
     assert str(path) in str(caught.value)
 
 
@@ -250,7 +295,7 @@ def test_a_file_that_is_no_trajectory_is_unusable_input(text, tmp_path: Path):
     path = tmp_path / "trajectory.json"
     path.write_text(text)
     with pytest.raises(UnusableInput, match=r"give the trajectory.json"):
-        artefact.read(path)
+        trajectory_file.read(path)
 
 
 # -- what the certificate claims holds between its samples ----------------------------------------------------------
@@ -267,10 +312,12 @@ def dense_room(delivery: Delivery, per_step: int = 100) -> dict[tuple[str, str],
         part = motion.fourier if segment.profile is None else segment.profile
         t = np.linspace(0, length, int(length / step))
         for kind, order in ORDERS.items():
-            derived = [source == "derived" and segment.profile is None for source in limits.sources[kind]]
+            derived = [
+                source == "derived" and segment.profile is None for source in limits.sources[kind]
+            ]
             _note(out, kind, robot.joints, part.at(t, order), getattr(limits, kind), derived)
         coarse = t[:: max(1, len(t) // 4000)]
-        samples = verify.Samples(*(part.at(coarse, order) for order in range(3)))
+        samples = certificate_module.Samples(*(part.at(coarse, order) for order in range(3)))
         Y = dynamics.regressor(robot, problem.parameters, samples)
         nominal, width = dynamics.band(Y, problem.parameters, problem.options.uncertainty)
         for values in (nominal + width, nominal - width):
@@ -278,9 +325,18 @@ def dense_room(delivery: Delivery, per_step: int = 100) -> dict[tuple[str, str],
     return out
 
 
-def _note(out: dict, kind: str, names: tuple[str, ...], values: np.ndarray, bound: np.ndarray, skip: list[bool]) -> None:
+def _note(
+    out: dict,
+    kind: str,
+    names: tuple[str, ...],
+    values: np.ndarray,
+    bound: np.ndarray,
+    skip: list[bool],
+) -> None:
     lower, upper = bound.T if kind == "position" else (-bound, bound)
-    room = np.minimum(upper - values.max(axis=0), values.min(axis=0) - lower) / (0.5 * (upper - lower))
+    room = np.minimum(upper - values.max(axis=0), values.min(axis=0) - lower) / (
+        0.5 * (upper - lower)
+    )
     for name, r, skipped in zip(names, room, skip, strict=True):
         if not skipped:
             out[kind, name] = min(out.get((kind, name), np.inf), float(r))
@@ -288,21 +344,31 @@ def _note(out: dict, kind: str, names: tuple[str, ...], values: np.ndarray, boun
 
 def test_every_margin_bounds_a_hundred_times_denser_sampling(any_delivery):
     dense = dense_room(any_delivery)
-    claimed = {(m.limit, m.joint): m.room for m in any_delivery.certificate.margins if (m.limit, m.joint) in dense}
+    claimed = {
+        (m.limit, m.joint): m.room
+        for m in any_delivery.certificate.margins
+        if (m.limit, m.joint) in dense
+    }
     assert set(claimed) == set(dense)
     assert all(claimed[key] <= dense[key] + 1e-12 for key in dense)
 
 
 def test_margins_are_not_much_smaller_than_the_truth(any_delivery):
     dense = dense_room(any_delivery, 10)
-    assert all(m.room > dense[m.limit, m.joint] - 0.1 for m in any_delivery.certificate.margins if (m.limit, m.joint) in dense)
+    assert all(
+        m.room > dense[m.limit, m.joint] - 0.1
+        for m in any_delivery.certificate.margins
+        if (m.limit, m.joint) in dense
+    )
 
 
 def test_a_margins_value_is_reached_at_its_time(any_delivery):
     motion = any_delivery.trajectory.motion
     for m in any_delivery.certificate.margins:
         if m.limit in ("position", "velocity", "acceleration"):
-            near = motion.at(m.time + np.array([-1e-3, 0.0, 1e-3]), ORDERS[m.limit])[:, motion.joints.index(m.joint)]
+            near = motion.at(m.time + np.array([-1e-3, 0.0, 1e-3]), ORDERS[m.limit])[
+                :, motion.joints.index(m.joint)
+            ]
             half = abs(m.bound) if m.limit != "position" else 1.0
             assert np.abs(near - m.value).min() < 0.02 * half, m
 
@@ -312,7 +378,9 @@ def test_excess_bounds_smooth_and_kinked_functions_between_samples(seed):
     rng = np.random.default_rng(seed)
 
     def smooth(t):
-        return np.sum([a * np.sin(w * t + p) for a, w, p in zip(rng_a, rng_w, rng_p, strict=True)], axis=0)
+        return np.sum(
+            [a * np.sin(w * t + p) for a, w, p in zip(rng_a, rng_w, rng_p, strict=True)], axis=0
+        )
 
     rng_a, rng_w, rng_p = rng.normal(size=4), rng.uniform(0.5, 12, 4), rng.uniform(0, 6, 4)
     coarse, kink = np.linspace(0, 2, 201), rng.uniform(0.3, 1.7)
@@ -320,10 +388,10 @@ def test_excess_bounds_smooth_and_kinked_functions_between_samples(seed):
     blocks = np.repeat(np.arange(3), 67)  # differences across the ends of blocks say nothing
     for function in (smooth, lambda t: 3 * np.abs(t - kink)):
         ends = np.concatenate([function(coarse[blocks == k]) for k in range(3)])[:, None]
-        apart = np.concatenate([checks.excess(ends[blocks == k]) for k in range(3)])
-        assert np.array_equal(checks.excess(ends, blocks), apart)
+        apart = np.concatenate([constraint_margins.excess(ends[blocks == k]) for k in range(3)])
+        assert np.array_equal(constraint_margins.excess(ends, blocks), apart)
         values, between = function(coarse), function(fine).reshape(-1)
-        more = checks.excess(values[:, None])[:, 0]
+        more = constraint_margins.excess(values[:, None])[:, 0]
         cell = np.minimum((fine / coarse[1]).astype(int), 199)
         highest = np.maximum((values + more)[cell], (values + more)[cell + 1])
         lowest = np.minimum((values - more)[cell], (values - more)[cell + 1])
@@ -334,22 +402,30 @@ def test_torque_that_may_break_its_limit_between_samples_fails(delivery, monkeyp
     trajectory = delivery.trajectory
     robot = trajectory.load_robot()
     with monkeypatch.context() as without:
-        without.setattr(checks, "excess", lambda values, blocks=None: np.zeros_like(values))
-        sampled = {m.joint: abs(m.value) for m in verify.of_file(trajectory, robot).margins if m.limit == "torque"}
+        without.setattr(
+            constraint_margins, "excess", lambda values, blocks=None: np.zeros_like(values)
+        )
+        sampled = {
+            m.joint: abs(m.value)
+            for m in certificate_module.of_file(trajectory, robot).margins
+            if m.limit == "torque"
+        }
     just_above = np.array([sampled[joint] * (1 + 1e-9) for joint in trajectory.joints])
-    found = verify.verify(trajectory, robot, replace(resolve(robot), torque=just_above))
+    found = certificate_module.verify(trajectory, robot, replace(resolve(robot), torque=just_above))
     assert {m.limit for m in found.margins if m.room < 0} == {"torque"}
 
 
 @pytest.mark.parametrize("side", [0, 1])
 def test_braking_is_used_up_where_the_speed_is_the_stated_function_of_position(braked, side):
     trajectory = braked.trajectory
-    subject = verify.subject_of(trajectory, trajectory.load_robot(), trajectory.limits)
+    subject = certificate_module.subject_of(trajectory, trajectory.load_robot(), trajectory.limits)
     sign, brakes = (-1.0, 1.0)[side], trajectory.limits.braking
     q = np.tile([b.stop[side] - sign * 0.3 for b in brakes], (3, 1))
     dq = np.tile([sign * (-b.offset + np.sqrt(0.3 * b.rate)) for b in brakes], (3, 1))
-    demand = checks.braking(subject, verify.Samples(q, dq, 0 * q))
-    assert np.allclose((demand.low, demand.high)[side], (demand.lower, demand.upper)[side], rtol=1e-12)
+    demand = constraint_margins.braking(subject, certificate_module.Samples(q, dq, 0 * q))
+    assert np.allclose(
+        (demand.low, demand.high)[side], (demand.lower, demand.upper)[side], rtol=1e-12
+    )
 
 
 # -- ramps -----------------------------------------------------------------------------------------------------------
@@ -365,10 +441,12 @@ def test_profiles_extremes_are_ruckigs_own(two_link, table, monkeypatch):
         return profile
 
     monkeypatch.setattr(ramps, "_profile", noted)
-    workflow.run(two_link, table, replace(QUICK, iterations=10), start=np.array([-1.5, 0.3]))
+    pipeline.run(two_link, table, replace(QUICK, iterations=10), start=np.array([-1.5, 0.3]))
     assert pairs
     for profile, duration, extrema in pairs:
-        t = np.union1d(np.linspace(0, duration, 20001), profile.knots()[profile.knots() <= duration])
+        t = np.union1d(
+            np.linspace(0, duration, 20001), profile.knots()[profile.knots() <= duration]
+        )
         q = profile.at(t)
         assert np.allclose(q.max(axis=0), [e.max for e in extrema], atol=1e-6)
         assert np.allclose(q.min(axis=0), [e.min for e in extrema], atol=1e-6)
@@ -384,37 +462,55 @@ def test_certificate_covers_ruckigs_extremes(two_link, table, monkeypatch):
         return profile
 
     monkeypatch.setattr(ramps, "_profile", noted)
-    trajectory = workflow.run(two_link, table, replace(QUICK, iterations=10), start=np.array([-1.5, 0.3])).trajectory
-    subject = verify.subject_of(trajectory, two_link, trajectory.limits)
-    used = [s for s in trajectory.motion.segments if s.profile is not None and id(s.profile) in reached]
+    trajectory = pipeline.run(
+        two_link, table, replace(QUICK, iterations=10), start=np.array([-1.5, 0.3])
+    ).trajectory
+    subject = certificate_module.subject_of(trajectory, two_link, trajectory.limits)
+    used = [
+        s for s in trajectory.motion.segments if s.profile is not None and id(s.profile) in reached
+    ]
     assert used
     for segment in used:
-        demand = next(d for _, d in verify._demands(subject, trajectory, segment) if d.limit == "position")
+        demand = next(
+            d
+            for _, d in certificate_module._demands(subject, trajectory, segment)
+            if d.limit == "position"
+        )
         lowest, highest = np.array(reached[id(segment.profile)][1]).T
-        assert (demand.high.max(axis=0) >= highest - 1e-12).all() and (demand.low.min(axis=0) <= lowest + 1e-12).all()
+        assert (demand.high.max(axis=0) >= highest - 1e-12).all() and (
+            demand.low.min(axis=0) <= lowest + 1e-12
+        ).all()
 
 
 def test_jerk_limits_beyond_ruckigs_numbers_are_met_by_less_jerk():
     """A limits file may say "none that matters" by a huge number."""
     panda = load("panda")
     loose = replace(resolve(panda), jerk=np.full(panda.n, 1e9))
-    found = workflow.run(panda, loose, replace(QUICK, period=6.0, samples=60, iterations=5))
+    found = pipeline.run(panda, loose, replace(QUICK, period=6.0, samples=60, iterations=5))
     profiles = [s.profile for s in found.trajectory.motion.segments if s.profile is not None]
-    steepest = np.max([[max(abs(jerk) for _, jerk in pieces) for pieces in profile.pieces] for profile in profiles], axis=0)
+    steepest = np.max(
+        [
+            [max(abs(jerk) for _, jerk in pieces) for pieces in profile.pieces]
+            for profile in profiles
+        ],
+        axis=0,
+    )
     assert found.certificate.ok and (steepest <= ramps.STEEPEST * loose.acceleration).all()
 
 
 def test_ramps_keep_limits_that_ruckig_does_not_know(two_link, table):
     low = Box("tip", (-1.0, -0.1, -1.0), (1.0, 0.1, 0.2))
-    found = workflow.run(two_link, table, replace(QUICK, boxes=(low,)), start=np.array([-1.5, 0.3]))
+    found = pipeline.run(two_link, table, replace(QUICK, boxes=(low,)), start=np.array([-1.5, 0.3]))
     motion = found.trajectory.motion
-    heights = dynamics.positions(two_link, "tip", motion.at(np.linspace(0, motion.duration, 4001)))[:, 2]
+    heights = dynamics.positions(two_link, "tip", motion.at(np.linspace(0, motion.duration, 4001)))[
+        :, 2
+    ]
     assert found.certificate.ok and heights.max() <= 0.2
 
 
 def test_derived_limits_do_not_bind_the_periodic_part(two_link, table):
     bare = replace(table, acceleration=np.full(2, np.inf), jerk=np.full(2, np.inf))
-    found = workflow.run(two_link, bare, replace(QUICK, iterations=10))
+    found = pipeline.run(two_link, bare, replace(QUICK, iterations=10))
     derived: Limits = ramps.with_derived(bare, found.design.motion)
     motion = found.design.motion
     t = motion.grid(2000)
@@ -428,11 +524,11 @@ def test_the_oversampling_of_the_certificate_is_exact_enough():
 def test_friction_at_reversals_costs_no_phantom_torque():
     """The jump of Coulomb friction between two samples is bounded by its sides, not taken for curvature."""
     machine = loaded(pendulum(LIMIT + '<dynamics friction="8" damping="0.1"/>'))
-    standard = parameters.standard(machine, resolve(machine))
-    subject = checks.Subject(machine, resolve(machine), standard)
+    standard = inertial_parameters.standard(machine, resolve(machine))
+    subject = constraint_margins.Subject(machine, resolve(machine), standard)
     motion = Fourier(np.array([[0.5]]), np.array([[0.2]]), np.array([0.3]), 4.0)
     coarse, dense = (motion.samples(motion.grid(n)) for n in (400, 200_000))
-    bound = float(checks.torque(subject, coarse).high.max())
+    bound = float(constraint_margins.torque(subject, coarse).high.max())
     true = float((dynamics.regressor(machine, standard, dense) @ standard.nominal).max())
     assert true <= bound <= 1.02 * true
 
@@ -442,7 +538,10 @@ def test_a_robot_with_a_locked_mimic_pair_is_found_again():
     pair = "".join(
         f'<link name="{child}">{body}</link><joint name="{name}" type="revolute"><parent link="arm"/><child link="{child}"/>'
         f'<limit lower="-1" upper="1" velocity="1" effort="1"/>{mimic}</joint>'
-        for name, child, mimic in (("grip", "finger", ""), ("follow", "thumb", '<mimic joint="grip"/>'))
+        for name, child, mimic in (
+            ("grip", "finger", ""),
+            ("follow", "thumb", '<mimic joint="grip"/>'),
+        )
     )
     machine = loaded(pendulum().replace("</robot>", pair + "</robot>"), lock={"grip": 0.3})
     assert machine.joints == ("swing",)

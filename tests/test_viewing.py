@@ -7,28 +7,47 @@ import coal
 import pytest
 from test_cli import refused, run
 
-from excite import viewing
-from excite.collision import scene
-from excite.collision.scene import Scene
-from excite.collision.shape import Kind, Shape
-from excite.limits import resolve
-from excite.robot import load
+from excite.cli import view
+from excite.collision import scene_file
+from excite.collision.geometry import Kind, Shape
+from excite.collision.scene_file import Scene
+from excite.robot.limits import resolve
+from excite.robot.robot import load
 
 MOTION = Path(__file__).parent.parent / "trajectories" / "two_link.json"
-KINDS = {Kind.SPHERE: (0.1,), Kind.CAPSULE: (0.1, 0.2), Kind.CYLINDER: (0.1, 0.2), Kind.BOX: (0.1, 0.2, 0.3)}
+KINDS = {
+    Kind.SPHERE: (0.1,),
+    Kind.CAPSULE: (0.1, 0.2),
+    Kind.CYLINDER: (0.1, 0.2),
+    Kind.BOX: (0.1, 0.2, 0.3),
+}
 
 
 def test_every_kind_is_drawn():
     robot = load("two_link")
-    around = tuple(Shape(kind.value, kind, size, (2.0, 0.0, float(k))) for k, (kind, size) in enumerate(KINDS.items()))
-    cell = scene.cell(robot, resolve(robot), Scene(around))
-    drawn = viewing.geometry(cell).geometryObjects
+    around = tuple(
+        Shape(kind.value, kind, size, (2.0, 0.0, float(k)))
+        for k, (kind, size) in enumerate(KINDS.items())
+    )
+    cell = scene_file.cell(robot, resolve(robot), Scene(around))
+    drawn = view.geometry(cell).geometryObjects
     assert all(isinstance(one.geometry, coal.Sphere | coal.Cylinder | coal.Box) for one in drawn)
-    assert {one.name.split("_")[0] for one in drawn} >= {"base", "link", "floor", *(kind.value for kind in KINDS)}
+    assert {one.name.split("_")[0] for one in drawn} >= {
+        "base",
+        "link",
+        "floor",
+        *(kind.value for kind in KINDS),
+    }
 
 
 def test_a_motion_is_played(capsys):
     pytest.importorskip("viser", reason="the extra [view] is not installed")
-    code, out, err = run(capsys, "view", MOTION, "--once", "--speed", "4", "--port", "8917", "--json")
-    assert code == 0 and "http://localhost:8917" in err and "collision checked" in json.loads(out)["collision"]
+    code, out, err = run(
+        capsys, "view", MOTION, "--once", "--speed", "4", "--port", "8917", "--json"
+    )
+    assert (
+        code == 0
+        and "http://localhost:8917" in err
+        and "collision checked" in json.loads(out)["collision"]
+    )
     assert "--speed" in refused(capsys, "view", MOTION, "--speed", "9")

@@ -16,9 +16,9 @@ from scipy import integrate
 from scipy.interpolate import CubicSpline
 from test_diagnose import found
 
-from excite.diagnose import interval
-from excite.diagnose.catalogue import BY_NAME, memory, windup
-from excite.diagnose.track import Grid
+from excite.diagnosis import interval
+from excite.effects import BY_NAME, gear_dynamics, hysteresis
+from excite.effects.track import Grid
 
 Array = np.ndarray
 
@@ -29,7 +29,7 @@ def test_wind_up_is_that_of_the_differential_equation():
     t = np.arange(500) * dt
     force, inertia = np.sin(9.0 * t) + 0.4 * np.sin(31.0 * t), 0.5 + 0.1 * np.sin(2.0 * t)
     stiffness, damping = 400.0 + 30.0 * np.cos(3.0 * t), 1.5 + np.sin(5.0 * t)
-    place, speed = windup.oscillator(force, inertia, stiffness, damping, dt, start)
+    place, speed = gear_dynamics.oscillator(force, inertia, stiffness, damping, dt, start)
 
     def slope(at: float, state: Array) -> Array:
         f, m, k, d = (np.interp(at, t, x) for x in (force, inertia, stiffness, damping))
@@ -43,7 +43,7 @@ def test_wind_up_is_that_of_the_differential_equation():
 def step_by_step(push: Array, dt: float, half: float, omega: float) -> Array:
     x, v, places = half if push[0] > 0.0 else -half, 0.0, []
     for a in push.tolist():
-        v += (a - omega**2 * x - 2.0 * windup.OIL * omega * v) * dt
+        v += (a - omega**2 * x - 2.0 * gear_dynamics.OIL * omega * v) * dt
         x += v * dt
         if abs(x) > half:
             x, v = float(np.copysign(half, x)), 0.0
@@ -51,22 +51,35 @@ def step_by_step(push: Array, dt: float, half: float, omega: float) -> Array:
     return np.array(places)
 
 
-@given(st.integers(0, 2**31), st.sampled_from([0.0, 1.5, 6.0, 20.0]), st.floats(1e-5, 3e-3), st.sampled_from([1, 1500]))
+@given(
+    st.integers(0, 2**31),
+    st.sampled_from([0.0, 1.5, 6.0, 20.0]),
+    st.floats(1e-5, 3e-3),
+    st.sampled_from([1, 1500]),
+)
 def test_a_link_goes_from_flank_to_flank_as_it_does_step_by_step(seed, hold, half, count):
     dt, omega = 4e-3, 2.0 * np.pi * hold
     t, rng = dt * np.arange(count), np.random.default_rng(seed)
-    push = sum(a * np.sin(w * t + p) for a, w, p in rng.uniform([0.0, 0.5, 0.0], [8.0, 30.0, 6.0], (4, 3)))
-    assert windup.between_flanks(push, dt, half, omega) == pytest.approx(step_by_step(push, dt, half, omega), abs=1e-5 * half)
+    push = sum(
+        a * np.sin(w * t + p) for a, w, p in rng.uniform([0.0, 0.5, 0.0], [8.0, 30.0, 6.0], (4, 3))
+    )
+    assert gear_dynamics.between_flanks(push, dt, half, omega) == pytest.approx(
+        step_by_step(push, dt, half, omega), abs=1e-5 * half
+    )
 
 
 @pytest.mark.parametrize("dt", [1e-3, 2.5e-2])
 def test_a_link_in_its_play_goes_on_for_minutes_and_where_samples_hardly_follow_it(dt):
     t, omega = dt * np.arange(100_000), 2.0 * np.pi * (0.0 if dt < 1e-2 else 20.0)
     push = 30.0 + 45.0 * np.sin(3.0 * t)
-    assert windup.between_flanks(push, dt, 5e-5, omega) == pytest.approx(step_by_step(push, dt, 5e-5, omega), abs=1e-9)
+    assert gear_dynamics.between_flanks(push, dt, 5e-5, omega) == pytest.approx(
+        step_by_step(push, dt, 5e-5, omega), abs=1e-9
+    )
 
 
-def swung(bodies: pin.Model, stiffness: float, damping: float, t: Array, q: Array, still: bool) -> tuple[Array, Array]:
+def swung(
+    bodies: pin.Model, stiffness: float, damping: float, t: Array, q: Array, still: bool
+) -> tuple[Array, Array]:
     """Wind-up of the second of two links on a spring behind its motor, by rnea where the link is, and what both joints feel of it.
 
     still: whether it hung still when its motor began; else it came along.
@@ -77,21 +90,34 @@ def swung(bodies: pin.Model, stiffness: float, damping: float, t: Array, q: Arra
     mass = float(pin.crba(bodies, data, zero)[1, 1])  # the last link's own, in any pose
 
     def slope(at: float, state: Array) -> Array:
-        load = pin.rnea(bodies, data, place(at) - e * state[0], speed(at) - e * state[1], haste(at))[1]
+        load = pin.rnea(
+            bodies, data, place(at) - e * state[0], speed(at) - e * state[1], haste(at)
+        )[1]
         return np.array([state[1], (load - stiffness * state[0] - damping * state[1]) / mass])
 
     began = (zero, zero) if still else (speed(t[0]), haste(t[0]))
-    start = [pin.rnea(bodies, data, q[0], *began)[1] / stiffness, float(speed(t[0])[1]) if still else 0.0]
+    start = [
+        pin.rnea(bodies, data, q[0], *began)[1] / stiffness,
+        float(speed(t[0])[1]) if still else 0.0,
+    ]
     lag = integrate.solve_ivp(slope, (t[0], t[-1]), start, t_eval=t, rtol=1e-7, atol=1e-10).y.T
     felt = np.empty_like(q)
     for k, state in enumerate(lag):
-        link = pin.rnea(bodies, data, q[k] - e * state[0], speed(t[k]) - e * state[1], haste(t[k]) - e * slope(t[k], state)[1])
+        link = pin.rnea(
+            bodies,
+            data,
+            q[k] - e * state[0],
+            speed(t[k]) - e * state[1],
+            haste(t[k]) - e * slope(t[k], state)[1],
+        )
         felt[k] = link - pin.rnea(bodies, data, q[k], speed(t[k]), haste(t[k]))
     return lag[:, 0], felt
 
 
 @pytest.mark.parametrize("stiffness", [50.0, 60.0, 72.0])
-def test_a_link_on_a_spring_that_is_hardly_damped_is_found_between_any_that_are_tried(subject, stiffness):
+def test_a_link_on_a_spring_that_is_hardly_damped_is_found_between_any_that_are_tried(
+    subject, stiffness
+):
     bodies = bodied(subject, perturbed(subject.parameters, np.random.default_rng(4)))
     result = found(subject, lambda t, q, dq, tau: swung(bodies, stiffness, 0.05, t, q, False)[1])
     assert [(h.effect, h.joint) for h in result.verdict.chosen] == [("elasticity", 1)]
@@ -105,12 +131,25 @@ def test_a_spring_that_swings_beyond_the_band_is_told_where_its_coefficient_is_o
     """A softer one with a lesser coefficient looks the same where what shakes the link is near its resonance."""
     calm = found(subject, None).tracks[0][0]
     t, q = calm.clock, calm.piece.q
-    shaken = dataclasses.replace(calm, piece=dataclasses.replace(calm.piece, q=q + 0.002 * np.sin(2.0 * np.pi * 11.0 * t)[:, None]))
+    shaken = dataclasses.replace(
+        calm,
+        piece=dataclasses.replace(
+            calm.piece, q=q + 0.002 * np.sin(2.0 * np.pi * 11.0 * t)[:, None]
+        ),
+    )
     for track, least in ((calm, 0.0), (shaken, 0.02)):
-        knob = next(s for s in BY_NAME["elasticity"].shapes([track]) if s.joint == 1 and not s.values["rests"]).knob
-        stiffness = float(windup.mass(track, 1).mean()) * (2.0 * np.pi * 1.3 * track.band.hertz) ** 2
+        knob = next(
+            s
+            for s in BY_NAME["elasticity"].shapes([track])
+            if s.joint == 1 and not s.values["rests"]
+        ).knob
+        stiffness = (
+            float(gear_dynamics.mass(track, 1).mean()) * (2.0 * np.pi * 1.3 * track.band.hertz) ** 2
+        )
         true, other = knob.at(stiffness), knob.at(over * stiffness)
-        (c,) = np.linalg.lstsq(other.columns(track).reshape(-1, 1), true.columns(track).ravel(), rcond=None)[0]
+        (c,) = np.linalg.lstsq(
+            other.columns(track).reshape(-1, 1), true.columns(track).ravel(), rcond=None
+        )[0]
         assert other.parameters(np.array([c]))["stiffness"] == pytest.approx(stiffness, rel=0.005)
         assert other.plausible(np.array([c]))
         assert abs(over / c - 1.0) >= least  # as it would be without inertia
@@ -119,13 +158,17 @@ def test_a_spring_that_swings_beyond_the_band_is_told_where_its_coefficient_is_o
 @pytest.mark.parametrize("rests", [False, True])
 def test_a_link_winds_up_from_where_it_was_when_its_motor_began(subject, rests):
     track = found(subject, None).tracks[1][0]
-    assert windup.launched(track, 1)  # slowly: its link may hang still or come along
+    assert gear_dynamics.launched(track, 1)  # slowly: its link may hang still or come along
     t, K, ratio = np.arange(len(track.coarse)) / track.band.rate_of(Grid.COARSE), 60.0, 0.02
-    damping = 2.0 * ratio * float(np.sqrt(K * windup.mass(track, 1).mean()))
+    damping = 2.0 * ratio * float(np.sqrt(K * gear_dynamics.mass(track, 1).mean()))
     exact = swung(track.body.model, K, damping, t, track.coarse.q, rests)[0]
-    told, other = (windup.wound(track, 1, K, ratio, which) for which in (rests, not rests))
+    told, other = (gear_dynamics.wound(track, 1, K, ratio, which) for which in (rests, not rests))
     second = slice(0, 120)
-    assert np.abs(told - exact)[second].max() < 0.03 * np.abs(exact).max() < np.abs(other - exact)[second].max()
+    assert (
+        np.abs(told - exact)[second].max()
+        < 0.03 * np.abs(exact).max()
+        < np.abs(other - exact)[second].max()
+    )
 
 
 def test_play_whose_load_never_turns_is_none(subject):
@@ -147,6 +190,11 @@ def test_friction_with_memory_from_reversal_to_reversal_is_what_it_is_step_by_st
     """Whatever a joint does: it may rest, begin either way, turn at once or step from end to end."""
     q = np.array(places, float)
     slipped = _step_by_step(q, lambda z, step: min(max(z + step / reach, -1.0), 1.0))
-    np.testing.assert_allclose(memory.slipping(q, reach), slipped, atol=1e-12)
-    bent = _step_by_step(q, lambda z, step: np.sign(step) + (z - np.sign(step)) * np.exp(-abs(step) / reach) if step else z)
-    np.testing.assert_allclose(memory.dahl(q, 1.0 / reach), bent, atol=1e-12)
+    np.testing.assert_allclose(hysteresis.slipping(q, reach), slipped, atol=1e-12)
+    bent = _step_by_step(
+        q,
+        lambda z, step: (
+            np.sign(step) + (z - np.sign(step)) * np.exp(-abs(step) / reach) if step else z
+        ),
+    )
+    np.testing.assert_allclose(hysteresis.dahl(q, 1.0 / reach), bent, atol=1e-12)

@@ -29,10 +29,15 @@ def motion(rows: int = 400, rate: float = 100.0) -> dict[str, Array]:
     return columns
 
 
-def write(path: Path, columns: dict[str, Array], separator: str = ",", order: list[str] | None = None) -> Path:
+def write(
+    path: Path, columns: dict[str, Array], separator: str = ",", order: list[str] | None = None
+) -> Path:
     names = order or list(columns)
     lines = [separator.join(names)]
-    lines += [separator.join(repr(float(columns[name][k])) for name in names) for k in range(len(columns[names[0]]))]
+    lines += [
+        separator.join(repr(float(columns[name][k])) for name in names)
+        for k in range(len(columns[names[0]]))
+    ]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
 
@@ -47,7 +52,9 @@ def repaired(path: Path, robot, **options) -> tuple[recordings.Recording, list[s
         warnings.simplefilter("always")
         found = recordings.read(path, robot, **options)
     texts = [str(w.message) for w in caught]
-    assert texts == [f"{path}: {r.text}" for r in found.remarks if r.repaired and r.kind is not Kind.ROUNDED]
+    assert texts == [
+        f"{path}: {r.text}" for r in found.remarks if r.repaired and r.kind is not Kind.ROUNDED
+    ]
     assert all(issubclass(w.category, ExciteWarning) for w in caught)
     return found, texts
 

@@ -1,7 +1,7 @@
 """Recordings of a robot's motion: read from what people have, checked, repaired by stated rules."""
 
 from .block import QUANTITIES
-from .reading import read, stream
+from .read import read, stream
 from .recording import Recording, refuse_same
 from .remark import Kind, Remark
 from .sidecar import Sidecar

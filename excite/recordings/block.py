@@ -26,12 +26,20 @@ class Block:
 
     def rows(self, which: Array | slice) -> Block:
         """The rows that `which` selects."""
-        return Block(self.t[which], {name: value[which] for name, value in self.values.items()}, self.remarks)
+        return Block(
+            self.t[which], {name: value[which] for name, value in self.values.items()}, self.remarks
+        )
 
 
 def joined(blocks: Sequence[Block]) -> Block:
     """Blocks one after the other."""
     if len(blocks) == 1:
         return blocks[0]
-    values = {name: np.concatenate([block.values[name] for block in blocks]) for name in blocks[0].values}
-    return Block(np.concatenate([block.t for block in blocks]), values, tuple(r for block in blocks for r in block.remarks))
+    values = {
+        name: np.concatenate([block.values[name] for block in blocks]) for name in blocks[0].values
+    }
+    return Block(
+        np.concatenate([block.t for block in blocks]),
+        values,
+        tuple(r for block in blocks for r in block.remarks),
+    )

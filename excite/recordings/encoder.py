@@ -27,7 +27,11 @@ def _multiple(steps: Array) -> float:
     least = float(steps.min(initial=np.inf))
     few = steps[steps < 50.0 * least]  # more would show the digits that a file leaves out
     whole = np.round(few / least)
-    return float(np.median(few / whole)) if len(few) > 20 and np.mean(np.abs(few / least - whole) < 0.1) > 0.99 else 0.0
+    return (
+        float(np.median(few / whole))
+        if len(few) > 20 and np.mean(np.abs(few / least - whole) < 0.1) > 0.99
+        else 0.0
+    )
 
 
 def _resolution(steps: Array, samples: int) -> float:

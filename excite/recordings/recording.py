@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..errors import UnusableInput
-from ..trajectory import Samples
+from ..robot.samples import Samples
 from . import encoder
 from .block import QUANTITIES
-from .clock import pieces
 from .remark import Remark
 from .sidecar import Sidecar
+from .time_axis import pieces
 
 Array = np.ndarray
 BAND_HZ = 20.0
@@ -74,7 +74,11 @@ class Recording:
     def repeats(self) -> tuple[float, tuple[float, float]] | None:
         """After how long the motion is stated to repeat, and from when to when: all of the recording, where no window is stated [s]."""
         period = self.sidecar.period
-        return None if period is None else (period, self.sidecar.periodic or (float(self.t[0]), float(self.t[-1])))
+        return (
+            None
+            if period is None
+            else (period, self.sidecar.periodic or (float(self.t[0]), float(self.t[-1])))
+        )
 
     def has(self, quantity: str, joint: str) -> bool:
         """Whether a quantity of a joint was measured at all."""
@@ -94,7 +98,9 @@ class Recording:
             elif self.current is not None and self.has("current", joint):
                 out[:, i] = self.current[:, i] * self._gain(joint)
             else:
-                raise UnusableInput(f"{self.source}: joint '{joint}' has no torque; record tau.{joint}, or i.{joint} with a drive_gain")
+                raise UnusableInput(
+                    f"{self.source}: joint '{joint}' has no torque; record tau.{joint}, or i.{joint} with a drive_gain"
+                )
         return out
 
     def _gain(self, joint: str) -> float:
@@ -107,7 +113,9 @@ class Recording:
 
     def rows(self, which: Array | slice) -> Recording:
         """The rows that `which` selects, with the remarks as they are."""
-        chosen = {name: value[which] for name in QUANTITIES if (value := getattr(self, name)) is not None}
+        chosen = {
+            name: value[which] for name in QUANTITIES if (value := getattr(self, name)) is not None
+        }
         return dataclasses.replace(self, t=self.t[which], **chosen)
 
     def between(self, start: float, end: float) -> Recording:
@@ -117,17 +125,28 @@ class Recording:
         """
         inside = (self.t >= start) & (self.t <= end)
         if not inside.any():
-            raise UnusableInput(f"{self.source}: has no rows from {start:g} to {end:g} s; it runs from {self.t[0]:g} to {self.t[-1]:g} s")
-        remarks = tuple(r for r in self.remarks if r.start is None or r.end is None or (r.start <= end and r.end >= start))
+            raise UnusableInput(
+                f"{self.source}: has no rows from {start:g} to {end:g} s; it runs from {self.t[0]:g} to {self.t[-1]:g} s"
+            )
+        remarks = tuple(
+            r
+            for r in self.remarks
+            if r.start is None or r.end is None or (r.start <= end and r.end >= start)
+        )
         own = self.own_times[(self.own_times >= start) & (self.own_times <= end)]
         repeated = int(inside[: self.run_in].sum())
-        return dataclasses.replace(self.rows(inside), remarks=remarks, own_times=own, run_in=repeated)
+        return dataclasses.replace(
+            self.rows(inside), remarks=remarks, own_times=own, run_in=repeated
+        )
 
     def segments(self, shortest: int = SHORTEST) -> Iterator[Recording]:
         """Pieces without a gap, evenly sampled; those of fewer than `shortest` rows are left out."""
         for piece in pieces(self.t, self.step):
             if piece.stop - piece.start >= shortest:
-                yield dataclasses.replace(self.rows(piece), run_in=min(max(self.run_in - piece.start, 0), piece.stop - piece.start))
+                yield dataclasses.replace(
+                    self.rows(piece),
+                    run_in=min(max(self.run_in - piece.start, 0), piece.stop - piece.start),
+                )
 
     def samples(self, band: float = BAND_HZ) -> Samples:
         """Positions, velocities and accelerations below `band` [Hz]: a zero-phase low-pass, then central differences, piece by piece."""
@@ -136,11 +155,17 @@ class Recording:
         dt = self.step
         slow = band * dt >= 0.45  # sampled too slowly for there to be anything above the band
         filtered = [
-            piece.q if slow else signal.sosfiltfilt(signal.butter(4, band, fs=1.0 / dt, output="sos"), piece.q, axis=0)
+            piece.q
+            if slow
+            else signal.sosfiltfilt(
+                signal.butter(4, band, fs=1.0 / dt, output="sos"), piece.q, axis=0
+            )
             for piece in self.segments()
         ]
         if not filtered:
-            raise UnusableInput(f"{self.source}: has no {SHORTEST} rows without a gap; record again")
+            raise UnusableInput(
+                f"{self.source}: has no {SHORTEST} rows without a gap; record again"
+            )
         dq = [np.gradient(q, dt, axis=0) for q in filtered]
         ddq = [np.gradient(v, dt, axis=0) for v in dq]
         return Samples(np.concatenate(filtered), np.concatenate(dq), np.concatenate(ddq))
@@ -151,4 +176,6 @@ def refuse_same(fitted: Sequence[Recording], held_out: Sequence[Recording]) -> N
     for one in held_out:
         for other in fitted:
             if len(one) == len(other) and np.array_equal(one.q, other.q):
-                raise UnusableInput(f"{one.source}: is the same motion as {other.source}; validate with another recording")
+                raise UnusableInput(
+                    f"{one.source}: is the same motion as {other.source}; validate with another recording"
+                )

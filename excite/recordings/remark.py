@@ -42,4 +42,10 @@ class Remark:
     def document(self) -> dict[str, Any]:
         """For a `--json` document."""
         time = None if self.start is None else [self.start, self.end]
-        return {"kind": self.kind.value, "joint": self.joint, "text": self.text, "time": time, "repaired": self.repaired}
+        return {
+            "kind": self.kind.value,
+            "joint": self.joint,
+            "text": self.text,
+            "time": time,
+            "repaired": self.repaired,
+        }

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..errors import UnusableInput
-from ..robot import Robot
+from ..robot.robot import Robot
 from ..schemas.document_file import DocumentFile
 from ..schemas.recording import SCHEMA, SidecarDocument
 
@@ -48,22 +48,38 @@ def read(recording: Path, robot: Robot) -> Sidecar:
     path = beside(recording)
     if path == recording or not path.is_file():
         return Sidecar()
-    file = DocumentFile(path, "the sidecar of a recording", f"correct it, or move it away from {recording.name}", f"one of {SCHEMA}")
+    file = DocumentFile(
+        path,
+        "the sidecar of a recording",
+        f"correct it, or move it away from {recording.name}",
+        f"one of {SCHEMA}",
+    )
     content = file.json()
     schema = content.get("schema") if isinstance(content, dict) else None
-    if isinstance(schema, str) and schema.startswith("excite.") and not schema.startswith("excite.recording/"):
+    if (
+        isinstance(schema, str)
+        and schema.startswith("excite.")
+        and not schema.startswith("excite.recording/")
+    ):
         return Sidecar()
     if schema != SCHEMA:
-        raise UnusableInput(f'{path}: should hold "schema": "{SCHEMA}" to describe {recording.name}; add it, or move the file away')
+        raise UnusableInput(
+            f'{path}: should hold "schema": "{SCHEMA}" to describe {recording.name}; add it, or move the file away'
+        )
     document = file.converted(content, SidecarDocument)
     joints = {*robot.joints, *robot.mimics, *robot.options["locked"]}  # type: ignore[misc]
     for joint in document.drive_gain:
         if joint not in joints:
-            raise file.error(f"'{joint}' is no joint of {robot.source}, which has {', '.join(robot.joints)}", "drive_gain")
+            raise file.error(
+                f"'{joint}' is no joint of {robot.source}, which has {', '.join(robot.joints)}",
+                "drive_gain",
+            )
     return Sidecar(
         drive_gain={joint: float(gain) for joint, gain in document.drive_gain.items()},
         period=None if document.period is None else float(document.period),
-        periodic=None if document.periodic is None else (float(document.periodic[0]), float(document.periodic[1])),
+        periodic=None
+        if document.periodic is None
+        else (float(document.periodic[0]), float(document.periodic[1])),
         motor_side=document.motor_side,
         effort=document.effort,
         topic=document.topic,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import UnusableInput
-from ..limits import Limits
-from ..robot import Robot
+from ..robot.limits import Limits
+from ..robot.robot import Robot
 from .block import Block
 from .remark import Kind, Remark
 
@@ -64,7 +64,9 @@ def check_positions(source: str, block: Block, robot: Robot, limits: Limits | No
         raise UnusableInput(f"{said}; its positions are in degrees, convert them to rad")
     if not turning[i] and largest[i] / 1000.0 <= SLACK * bounds[i]:
         raise UnusableInput(f"{said}; its positions are in mm, convert them to m")
-    raise UnusableInput(f"{said}; convert its positions from the encoder's unit, or correct the limits")
+    raise UnusableInput(
+        f"{said}; convert its positions from the encoder's unit, or correct the limits"
+    )
 
 
 def check_velocities(source: str, block: Block, robot: Robot) -> list[Remark]:
@@ -87,7 +89,15 @@ def check_velocities(source: str, block: Block, robot: Robot) -> list[Remark]:
         ratio = float(slope @ dq) / power
         for unit, remedy in RATIOS:
             if 1 / 1.2 < ratio / unit < 1.2:
-                raise UnusableInput(f"{source}: joint '{joint}': the slope of q is {ratio:.4g} times dq; {remedy}")
+                raise UnusableInput(
+                    f"{source}: joint '{joint}': the slope of q is {ratio:.4g} times dq; {remedy}"
+                )
         if not 0.8 < ratio < 1.25:
-            remarks.append(Remark(Kind.INCONSISTENT, f"joint '{joint}': the slope of q is {ratio:.4g} times dq", joint))
+            remarks.append(
+                Remark(
+                    Kind.INCONSISTENT,
+                    f"joint '{joint}': the slope of q is {ratio:.4g} times dq",
+                    joint,
+                )
+            )
     return remarks

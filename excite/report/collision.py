@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..artefact import Trajectory
-from ..collision.cell import Cell
-from ..collision.sweep import Near
-from .collision_figures import closest, distances
+from ..collision.continuous_check import Near
+from ..collision.workcell import Cell
+from ..trajectory.trajectory_file import Trajectory
+from .figures.collision import closest, distances
 from .page import Section, escape, figure, folded, paragraph, plural, table
 
 LISTED = 8
@@ -19,7 +19,9 @@ def collision_section(trajectory: Trajectory, cell: Cell | None, near: Sequence[
     answer = f"{text[:1].upper()}{text[1:]}."
     if cell is None:
         advice = "Give the links shapes in the URDF's <collision> elements, and the surroundings with --scene; watch the first run."
-        return Section("collision", "Does it touch anything?", answer, paragraph(advice, "note"), "bad")
+        return Section(
+            "collision", "Does it touch anything?", answer, paragraph(advice, "note"), "bad"
+        )
     body = "".join(
         [
             figure(distances(cell, near, trajectory.motion)) + figure(closest(cell, near[0])) if near else "",
@@ -38,5 +40,13 @@ def collision_section(trajectory: Trajectory, cell: Cell | None, near: Sequence[
 
 
 def _distances(least: str, near: Sequence[Near]) -> str:
-    rows = [(escape(one.names), f"{1e3 * one.proven:.1f}", f"{1e3 * one.pair.margin:.1f}", f"{one.time:.2f}") for one in near]
+    rows = [
+        (
+            escape(one.names),
+            f"{1e3 * one.proven:.1f}",
+            f"{1e3 * one.pair.margin:.1f}",
+            f"{one.time:.2f}",
+        )
+        for one in near
+    ]
     return table(("bodies", f"{least} [mm]", "to keep [mm]", "at [s]"), rows, (1, 2, 3))

@@ -8,28 +8,48 @@ from typing import Any
 
 import numpy as np
 
-from ..artefact import Trajectory, versions
-from ..base import Base
-from ..collision.cell import Cell
-from ..collision.sweep import Near
-from ..dynamics import band, regressor
-from ..identifiability import Identifiability
-from ..parameters import Parameters
-from ..robot import Robot
-from ..scenarios import Scenario, what_would_help
-from ..verify import CLEARANCE
-from . import motion_figures
+from ..collision.continuous_check import Near
+from ..collision.workcell import Cell
+from ..designer.certificate import CLEARANCE
+from ..designer.experiment_comparison import Scenario, what_would_help
+from ..designer.identifiability import Identifiability
+from ..robot.base_parameters import Base
+from ..robot.dynamics import band, regressor
+from ..robot.inertial_parameters import Parameters
+from ..robot.robot import Robot
+from ..trajectory.trajectory_file import Trajectory, versions
 from .collision import collision_section
-from .figures import MANY
+from .figures import trajectory as trajectory_module
+from .figures.drawing import MANY
+from .figures.trajectory import Scene
 from .identifiability import headline, sections
-from .motion_figures import Scene
 from .origin import criteria_section, history_section, made_section
-from .page import Section, banner, cards, escape, figure, folded, meter, number, page, paragraph, plural, table
+from .page import (
+    Section,
+    banner,
+    cards,
+    escape,
+    figure,
+    folded,
+    meter,
+    number,
+    page,
+    paragraph,
+    plural,
+    table,
+)
 from .pair import plan_section, validation_section
 from .record import DesignRecord
 
 _ROUNDING = 1e-9
-_UNITS = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s²", "jerk": "rad/s³", "torque": "N m", "braking": "rad"}
+_UNITS = {
+    "position": "rad",
+    "velocity": "rad/s",
+    "acceleration": "rad/s²",
+    "jerk": "rad/s³",
+    "torque": "N m",
+    "braking": "rad",
+}
 _CLOSEST = 12
 CRITERIA = {
     "a": "A, sum of variances (lower is better)",
@@ -94,7 +114,13 @@ def design_page(
         made_section(trajectory, robot, parameters, record),
     ]
     lede = "An excitation trajectory for identification: what it obeys, what it will show, and how it was found."
-    return page(f"Excitation of {robot.name}", lede, _head(subject), parts, f"excite {versions()['excite']}, seed {trajectory.seed}")
+    return page(
+        f"Excitation of {robot.name}",
+        lede,
+        _head(subject),
+        parts,
+        f"excite {versions()['excite']}, seed {trajectory.seed}",
+    )
 
 
 # -- header --------------------------------------------------------------------------------------------------
@@ -108,16 +134,29 @@ def _head(subject: Design) -> str:
     what = CRITERIA.get(name, name)
     entries = [
         *headline(subject.found, subject.robot, subject.base),
-        (f"{motion.duration:.1f} s", f"from rest to rest, {motion.periods} periods of {motion.fourier.period:g} s"),
+        (
+            f"{motion.duration:.1f} s",
+            f"from rest to rest, {motion.periods} periods of {motion.fourier.period:g} s",
+        ),
         (number(value), f"criterion: {what}, per sample"),
     ]
-    return cards(entries) + _verdict(t) + "".join(banner(text, "warn") for text in warnings_of(subject))
+    return (
+        cards(entries)
+        + _verdict(t)
+        + "".join(banner(text, "warn") for text in warnings_of(subject))
+    )
 
 
-def criterion_value(criteria: Mapping[str, Any], name: str, plain: bool, part: str = "optimum") -> float | None:
+def criterion_value(
+    criteria: Mapping[str, Any], name: str, plain: bool, part: str = "optimum"
+) -> float | None:
     """One number of a trajectory's `criteria`, None where it is absent."""
     entries = criteria.get(part, {})
-    value = entries.get(name) if name == "cond_regressor" else entries.get("plain" if plain else "geometric", {}).get(name)
+    value = (
+        entries.get(name)
+        if name == "cond_regressor"
+        else entries.get("plain" if plain else "geometric", {}).get(name)
+    )
     return None if value is None else float(value)
 
 
@@ -165,7 +204,9 @@ def _clearance_banner(trajectory: Trajectory) -> str:
     if "not checked" in text:
         more = "The motion was not tested against the robot's own body or its surroundings. Watch the first run at low speed."
         return banner(f"Clearance: not checked; {text}. {more}", "warn")
-    short = any(room < -_ROUNDING for room, margin in rooms(trajectory) if margin["limit"] == CLEARANCE)
+    short = any(
+        room < -_ROUNDING for room, margin in rooms(trajectory) if margin["limit"] == CLEARANCE
+    )
     if short or text.startswith("COLLISION"):
         return banner(f"Clearance: FAILED; {text}. Do not run this motion.", "bad")
     return banner(f"Clearance: certified; {text}.", "good")
@@ -175,11 +216,23 @@ def warnings_of(subject: Design) -> list[str]:
     """What a user should know before running the motion."""
     out = list(subject.record.notes)
     if subject.parameters.repaired:
-        out.append(f"No proper body in {', '.join(subject.parameters.repaired)}: the metric uses a substitute for its inertia.")
-    missing = [q for q in ("acceleration", "jerk") if not np.isfinite(getattr(subject.trajectory.limits, q)).all()]
+        out.append(
+            f"No proper body in {', '.join(subject.parameters.repaired)}: the metric uses a substitute for its inertia."
+        )
+    missing = [
+        q
+        for q in ("acceleration", "jerk")
+        if not np.isfinite(getattr(subject.trajectory.limits, q)).all()
+    ]
     if missing:
-        out.append(f"No {' or '.join(missing)} limit is stated for some joints; none was enforced there.")
-    derived = [q for q in ("acceleration", "jerk") if "derived" in subject.trajectory.limits.sources.get(q, ())]
+        out.append(
+            f"No {' or '.join(missing)} limit is stated for some joints; none was enforced there."
+        )
+    derived = [
+        q
+        for q in ("acceleration", "jerk")
+        if "derived" in subject.trajectory.limits.sources.get(q, ())
+    ]
     if derived:
         text = f"The {' and '.join(derived)} limits are derived from the motion, for the ramps only"
         out.append(f"{text}: neither the URDF nor a limits file states any.")
@@ -195,16 +248,27 @@ def limits_section(subject: Design) -> Section:
     every = rooms(trajectory)
     kinematic = [(r, m) for r, m in every if m["limit"] != "torque"]
     answer = _limits_answer(kinematic)
-    body = "".join(figure(svg) for svg in motion_figures.kinematics(subject.scene))
+    body = "".join(figure(svg) for svg in trajectory_module.kinematics(subject.scene))
     head = ("limit", "joint", "at [s]", "value", "bound", "room", "used")
     listing = [_margin_row(room, m, subject.robot) for room, m in every]
-    body += f"<h3>The {min(_CLOSEST, len(listing))} closest margins</h3>" + table(head, listing[:_CLOSEST], (2, 3, 4, 5))
-    if len(listing) > _CLOSEST:
-        body += folded(f"{len(listing) - _CLOSEST} more margins", table(head, listing[_CLOSEST:], (2, 3, 4, 5)))
-    body += paragraph(
-        "Room is the distance to the bound as a share of the half width of the allowed range, at the worst moment of the motion.", "note"
+    body += f"<h3>The {min(_CLOSEST, len(listing))} closest margins</h3>" + table(
+        head, listing[:_CLOSEST], (2, 3, 4, 5)
     )
-    return Section("limits", "Does it stay within its limits?", answer, body, "bad" if answer.startswith("No") else "")
+    if len(listing) > _CLOSEST:
+        body += folded(
+            f"{len(listing) - _CLOSEST} more margins", table(head, listing[_CLOSEST:], (2, 3, 4, 5))
+        )
+    body += paragraph(
+        "Room is the distance to the bound as a share of the half width of the allowed range, at the worst moment of the motion.",
+        "note",
+    )
+    return Section(
+        "limits",
+        "Does it stay within its limits?",
+        answer,
+        body,
+        "bad" if answer.startswith("No") else "",
+    )
 
 
 def _limits_answer(margins: Sequence[tuple[float, Mapping[str, Any]]]) -> str:
@@ -238,26 +302,36 @@ def torque_section(subject: Design) -> Section:
     """(c) Are the drives strong enough, for uncertain parameters too?"""
     trajectory, robot = subject.trajectory, subject.robot
     radius = float(trajectory.design.get("uncertainty", 0.0))
-    t = motion_figures.dense(trajectory.motion, 1000 if robot.n <= MANY else 600)
-    nominal, width = band(regressor(robot, subject.parameters, trajectory.motion.samples(t)), subject.parameters, radius)
+    t = trajectory_module.dense(trajectory.motion, 1000 if robot.n <= MANY else 600)
+    nominal, width = band(
+        regressor(robot, subject.parameters, trajectory.motion.samples(t)),
+        subject.parameters,
+        radius,
+    )
     ratio = (np.abs(nominal) + width).max(axis=0) / trajectory.limits.torque
     worst = int(np.argmax(ratio))
     answer = f"The most loaded drive is {robot.joints[worst]}: up to {100.0 * ratio[worst]:.0f} % of its torque limit"
-    answer += f", for any robot within {number(radius)} of the nominal parameters." if radius else ", for the nominal parameters."
+    answer += (
+        f", for any robot within {number(radius)} of the nominal parameters."
+        if radius
+        else ", for the nominal parameters."
+    )
     note = (
         f"The band holds the torque of every robot within r = {number(radius)} of the nominal parameters in the metric, exactly "
         f"(r = {number(radius)} is a change of one mass by about {100 * radius * np.sqrt(2.0):.0f} %)."
         if radius
         else "No uncertainty of the robot's parameters was asked for."
     )
-    svg = motion_figures.torques(t, nominal, width, subject.scene)
-    return Section("torque", "Are the drives strong enough?", answer, figure(svg) + paragraph(note, "note"))
+    svg = trajectory_module.torques(t, nominal, width, subject.scene)
+    return Section(
+        "torque", "Are the drives strong enough?", answer, figure(svg) + paragraph(note, "note")
+    )
 
 
 def path_section(subject: Design) -> Section:
     """(h) Where in space does it move?"""
-    svg, extent = motion_figures.path(subject.scene)
-    size, single = extent[1] - extent[0], len(motion_figures.branch_ends(subject.robot)) == 1
+    svg, extent = trajectory_module.path(subject.scene)
+    size, single = extent[1] - extent[0], len(trajectory_module.branch_ends(subject.robot)) == 1
     box = " × ".join(f"{length:.2f}" for length in size)
     answer = f"The {'end of the robot stays' if single else 'ends of the robot stay'} in a box of {box} m, "
     answer += f"between {number(float(extent[0, 2]), 3)} and {number(float(extent[1, 2]), 3)} m above the base's origin."

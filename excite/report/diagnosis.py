@@ -8,20 +8,36 @@ from typing import Any
 
 import numpy as np
 
-from ..artefact import versions
-from ..diagnose import atlas
-from ..diagnose.atlas import SIGNIFICANT, Atlas
-from ..diagnose.catalogue import BY_NAME, EFFECTS
-from ..diagnose.diagnosis import QUIET, Diagnosis
-from ..diagnose.isolability import ALIKE, Candidate, isolability
+from ..diagnosis import residual_atlas as atlas
+from ..diagnosis.diagnosis import QUIET, Diagnosis
+from ..diagnosis.isolability import ALIKE, Candidate, isolability
+from ..diagnosis.residual_atlas import SIGNIFICANT, Atlas
+from ..effects import BY_NAME, EFFECTS
 from ..recordings import Remark
-from ..wording import listed, percent, some
-from . import atlas_figures, changes, diagnosis_figures, diagnosis_tables, gears, unnamed
+from ..robot.parameter_names import listed, percent, some
+from ..trajectory.trajectory_file import versions
+from . import changes, diagnosis_tables, gears, unnamed
 from . import remarks as remarked
-from .diagnosis_figures import told
-from .fit_figures import EXCERPT, drawn_points
-from .motion_figures import torque_units
-from .page import Section, banner, bullets, cards, escape, figure, folded, meter, number, page, paragraph, plural, table
+from .figures import diagnosis as diagnosis_module
+from .figures import residual_atlas as atlas_figures
+from .figures.diagnosis import told
+from .figures.torque_fit import EXCERPT, drawn_points
+from .figures.trajectory import torque_units
+from .page import (
+    Section,
+    banner,
+    bullets,
+    cards,
+    escape,
+    figure,
+    folded,
+    meter,
+    number,
+    page,
+    paragraph,
+    plural,
+    table,
+)
 
 Array = np.ndarray
 Stated = Mapping[str, Any]
@@ -45,7 +61,9 @@ _FLOORS = {
 }
 
 
-def diagnosis_page(found: Diagnosis, stated: Stated, looked: Atlas, remarks: Sequence[Remark] = ()) -> str:
+def diagnosis_page(
+    found: Diagnosis, stated: Stated, looked: Atlas, remarks: Sequence[Remark] = ()
+) -> str:
     """The report of `excite diagnose` as HTML.
 
     stated: the document of the diagnosis, `diagnose.document.document`. looked: its atlas, `diagnose.atlas.look`. remarks: what the
@@ -64,17 +82,33 @@ def diagnosis_page(found: Diagnosis, stated: Stated, looked: Atlas, remarks: Seq
     ]
     lede = "What the robot's model leaves out: where it shows, what it is, how large it is, and how we know."
     robot = found.identified.model.robot
-    return page(f"Diagnosis of {robot.name}", lede, _head(found, stated), sections, f"excite {versions()['excite']}")
+    return page(
+        f"Diagnosis of {robot.name}",
+        lede,
+        _head(found, stated),
+        sections,
+        f"excite {versions()['excite']}",
+    )
 
 
 def _head(found: Diagnosis, stated: Stated) -> str:
     text, tone = _VERDICTS[stated["verdict"]]
     if changes.all_that_is(stated):
-        found_all = "The findings explain what is missing from the model" if stated["findings"] else "Nothing is missing from the model"
+        found_all = (
+            "The findings explain what is missing from the model"
+            if stated["findings"]
+            else "Nothing is missing from the model"
+        )
         text, tone = f"{found_all}, but the robot's drives differ between the recordings.", "warn"
     ratio = found.after / found.floor
-    relative = [float(np.max(x / np.maximum(found.torque, 1e-300))) for x in (found.before, found.after)]
-    change = f"{percent(relative[0])} → {percent(relative[1])}" if stated["findings"] else percent(relative[0])
+    relative = [
+        float(np.max(x / np.maximum(found.torque, 1e-300))) for x in (found.before, found.after)
+    ]
+    change = (
+        f"{percent(relative[0])} → {percent(relative[1])}"
+        if stated["findings"]
+        else percent(relative[0])
+    )
     entries = [
         (stated["verdict"], "verdict"),
         (str(len(stated["findings"])), "finding" if len(stated["findings"]) == 1 else "findings"),
@@ -109,8 +143,15 @@ def _missing(found: Diagnosis, stated: Stated) -> Section:
         answer += f"{some(loud)}, the most in {worst}: {ratio} noise floors, {percent(joints[worst]['systematic_share'])} of its power."
     rows = []
     for joint, v in joints.items():
-        ratio_before, ratio_after = v["rmse_before"] / v["noise_floor"], v["rmse_after"] / v["noise_floor"]
-        after = f"{meter(v['unexplained_share'])} {escape(percent(v['unexplained_share']))}" if stated["findings"] else "–"
+        ratio_before, ratio_after = (
+            v["rmse_before"] / v["noise_floor"],
+            v["rmse_after"] / v["noise_floor"],
+        )
+        after = (
+            f"{meter(v['unexplained_share'])} {escape(percent(v['unexplained_share']))}"
+            if stated["findings"]
+            else "–"
+        )
         rows.append(
             (
                 escape(joint),
@@ -120,9 +161,18 @@ def _missing(found: Diagnosis, stated: Stated) -> Section:
                 number(ratio_after, 3) if stated["findings"] else "–",
             )
         )
-    head = ("joint", "systematic share, base model", "noise floors", "unexplained with the findings", "noise floors")
+    head = (
+        "joint",
+        "systematic share, base model",
+        "noise floors",
+        "unexplained with the findings",
+        "noise floors",
+    )
     body = table(head, rows, (2, 4))
-    body += paragraph(f"The noise floor is {_FLOORS.get(found.method, found.method)}. Systematic: 1 − (floor / RMSE)².", "note")
+    body += paragraph(
+        f"The noise floor is {_FLOORS.get(found.method, found.method)}. Systematic: 1 − (floor / RMSE)².",
+        "note",
+    )
     return Section("missing", "Is anything missing?", answer, body, _VERDICTS[stated["verdict"]][1])
 
 
@@ -132,7 +182,10 @@ def _missing(found: Diagnosis, stated: Stated) -> Section:
 def _what(found: Diagnosis, stated: Stated) -> Section:
     findings = stated["findings"]
     if findings:
-        named = [f"{_named(f['effect'], f['joint'])} (probability {number(f['probability'], 2)})" for f in findings]
+        named = [
+            f"{_named(f['effect'], f['joint'])} (probability {number(f['probability'], 2)})"
+            for f in findings
+        ]
         answer = listed(named)
         answer = answer[0].upper() + answer[1:] + "."
     elif changes.all_that_is(stated):
@@ -152,11 +205,17 @@ def _what(found: Diagnosis, stated: Stated) -> Section:
         body += "<h3>Left without a name</h3>"
         body += unnamed.told(found, stated)
     if findings or stated["considered"]:
-        body += "<h3>What else was considered</h3>" + figure(diagnosis_figures.bars(stated))
+        body += "<h3>What else was considered</h3>" + figure(diagnosis_module.bars(stated))
         note = "Blue: asserted. An effect that gains much alone may be another one's shadow: it counts only if it gains beside the others."
         body += paragraph(note, "note")
         body += folded("The same as a table", _considered(stated["considered"]))
-    return Section("what", "What is it?", answer, body, "" if findings else "warn" if stated["unknown"] else "good")
+    return Section(
+        "what",
+        "What is it?",
+        answer,
+        body,
+        "" if findings else "warn" if stated["unknown"] else "good",
+    )
 
 
 def _finding(one: Stated) -> str:
@@ -175,7 +234,9 @@ def _finding(one: Stated) -> str:
         )
         for key, v in one["parameters"].items()
     ]
-    body += table(("parameter", "value", "standard error", "95 % interval", "unit"), rows, (1, 2, 3))
+    body += table(
+        ("parameter", "value", "standard error", "95 % interval", "unit"), rows, (1, 2, 3)
+    )
     facts = [
         f"Probability {number(one['probability'], 2)} that it is this"
         + (
@@ -185,10 +246,14 @@ def _finding(one: Stated) -> str:
         )
     ]
     if "not_shown" in one:
-        facts.append(f"No joint feels its {listed([name.replace('_', ' ') for name in one['not_shown']])} in these recordings.")
+        facts.append(
+            f"No joint feels its {listed([name.replace('_', ' ') for name in one['not_shown']])} in these recordings."
+        )
     time = one["where"]["time"]
     if time is not None:
-        facts.append(f"Only from {number(time[0])} to {number(time[1])} s of {Path(one['where']['recording']).name}.")
+        facts.append(
+            f"Only from {number(time[0])} to {number(time[1])} s of {Path(one['where']['recording']).name}."
+        )
     facts.append(f"What would tell it from others ({listed([told(c) for c in effect.confused])}): {one['experiment']}."
                  if effect.confused else f"What would confirm it: {one['experiment']}.")  # fmt: skip
     return body + bullets(facts)
@@ -196,9 +261,13 @@ def _finding(one: Stated) -> str:
 
 def _refuted(one: Stated) -> str:
     """Of a name that the recordings fitted suggest and those held out speak against."""
-    name, times = _named(one["effect"], one["joint"]), number(float(np.sqrt(one["evidence"]["foretold"])), 2)
+    name, times = (
+        _named(one["effect"], one["joint"]),
+        number(float(np.sqrt(one["evidence"]["foretold"])), 2),
+    )
     return paragraph(
-        f"Refuted: {name}. What is learnt of it from some recordings makes what is left of the others {times} times as large.", "note"
+        f"Refuted: {name}. What is learnt of it from some recordings makes what is left of the others {times} times as large.",
+        "note",
     )
 
 
@@ -221,11 +290,19 @@ def _considered(considered: Sequence[Stated]) -> str:
             number(c["probability"], 2) if c["probability"] else "–",
             number(c["evidence"]["held_out_gain"]),
             number(c["evidence"]["severity"], 3),
-            escape(", ".join(f"{k} {number(v['value'], 3)} {v['unit']}" for k, v in c["parameters"].items())),
+            escape(
+                ", ".join(
+                    f"{k} {number(v['value'], 3)} {v['unit']}" for k, v in c["parameters"].items()
+                )
+            ),
         )
         for c in considered
     ]
-    return table(("effect", "joint", "probability", "held-out gain", "severity", "parameters, alone"), rows, (2, 3, 4))
+    return table(
+        ("effect", "joint", "probability", "held-out gain", "severity", "parameters, alone"),
+        rows,
+        (2, 3, 4),
+    )
 
 
 # -- where -----------------------------------------------------------------------------------------------------------
@@ -235,13 +312,23 @@ def _where(found: Diagnosis, looked: Atlas) -> Section:
     robot, changed = found.identified.model.robot, bool(found.verdict.chosen)
     shown = looked.shown
     if not looked.panels:
-        return Section("where", "Where does it show?", "Nowhere that could be looked at: no joint moves.", "", "warn")
+        return Section(
+            "where",
+            "Where does it show?",
+            "Nowhere that could be looked at: no joint moves.",
+            "",
+            "warn",
+        )
     if shown:
         first = shown[0]
         gone = sum(p.p_after >= SIGNIFICANT for p in shown)
         answer = f"The clearest is {robot.joints[first.joint]} against {first.against}, which shows {percent(first.share_before)} of its "
         answer += f"residual; {plural(len(shown), 'curve')} of {len(looked.panels)} {'is' if len(shown) == 1 else 'are'} not noise"
-        answer += f"; with the findings {gone} of them {'is' if gone == 1 else 'are'}." if changed else "."
+        answer += (
+            f"; with the findings {gone} of them {'is' if gone == 1 else 'are'}."
+            if changed
+            else "."
+        )
     else:
         answer = f"Nowhere: none of {plural(len(looked.panels), 'curve')} of the held-out residual differs from noise."
     body = figure(atlas_figures.overview(looked, robot.joints))
@@ -254,19 +341,30 @@ def _where(found: Diagnosis, looked: Atlas) -> Section:
         "note",
     )
     units = torque_units(robot)
-    loud = sorted({p.joint for p in shown}, key=lambda j: -max(p.score_before for p in shown if p.joint == j))
+    loud = sorted(
+        {p.joint for p in shown}, key=lambda j: -max(p.score_before for p in shown if p.joint == j)
+    )
     rest = [j for j in range(robot.n) if j not in loud and looked.of(j)]
     named = {h.joint for h in found.verdict.chosen if h.joint is not None}
-    first_joints = sorted(loud, key=lambda j: j not in named)[: max(_UNFOLDED, len(named & set(loud)))]
+    first_joints = sorted(loud, key=lambda j: j not in named)[
+        : max(_UNFOLDED, len(named & set(loud)))
+    ]
     pictures = {
         j: f"<h3>{escape(robot.joints[j])}</h3>"
-        + figure(atlas_figures.joint_figure(looked.of(j), robot.joints[j], units[j], float(found.floor[j]), changed=changed))
+        + figure(
+            atlas_figures.joint_figure(
+                looked.of(j), robot.joints[j], units[j], float(found.floor[j]), changed=changed
+            )
+        )
         for j in [*loud, *rest]
     }
     body += "".join(pictures[j] for j in first_joints)
     others = [j for j in pictures if j not in first_joints]
     if others:
-        body += folded("The other joint" if len(others) == 1 else f"The other {len(others)} joints", "".join(pictures[j] for j in others))
+        body += folded(
+            "The other joint" if len(others) == 1 else f"The other {len(others)} joints",
+            "".join(pictures[j] for j in others),
+        )
     return Section("where", "Where does it show?", answer, body)
 
 
@@ -275,19 +373,29 @@ def _where(found: Diagnosis, looked: Atlas) -> Section:
 
 def _better(found: Diagnosis, stated: Stated) -> Section:
     robot, question = found.identified.model.robot, "Does the model with it predict better?"
-    shown = list(diagnosis_figures.predictions(found))
+    shown = list(diagnosis_module.predictions(found))
     points = drawn_points(shown, robot.n)
     gain = 1.0 - found.after / found.before
     best, worst = int(np.argmax(gain)), int(np.argmin(gain))
     if not found.verdict.chosen:
-        answer, tone = "There is nothing to compare: no finding joined the base model, whose error is shown.", ""
+        answer, tone = (
+            "There is nothing to compare: no finding joined the base model, whose error is shown.",
+            "",
+        )
     else:
         answer = f"{'Yes' if gain[best] > 0.02 else 'No'}: held out, {robot.joints[best]}'s RMSE falls by {percent(max(gain[best], 0.0))}, "
         answer += f"to {number(found.after[best], 3)} {torque_units(robot)[best]}"
-        answer += f"; {robot.joints[worst]}'s rises by {percent(-gain[worst])}." if gain[worst] < -0.005 else "; no joint gets worse."
+        answer += (
+            f"; {robot.joints[worst]}'s rises by {percent(-gain[worst])}."
+            if gain[worst] < -0.005
+            else "; no joint gets worse."
+        )
         tone = "good" if gain[best] > 0.02 and gain[worst] >= -0.005 else "warn"
     body = diagnosis_tables.errors(found, stated) + diagnosis_tables.ahead(stated, robot)
-    parts = [f"<h3>{escape(one.source)}</h3>" + figure(diagnosis_figures.traces(one, found, points)) for one in shown]
+    parts = [
+        f"<h3>{escape(one.source)}</h3>" + figure(diagnosis_module.traces(one, found, points))
+        for one in shown
+    ]
     body += "".join(parts[:2])
     if len(parts) > 2:
         body += folded(plural(len(parts) - 2, "more recording"), "".join(parts[2:]))
@@ -312,17 +420,24 @@ def _apart(found: Diagnosis, stated: Stated) -> Section:
 
     tested = {c.effect for c in one.candidates}
     wanted = [e.name for e in EFFECTS if not found.options.names or e.name in found.options.names]
-    absorbed = [n for n in wanted if n not in tested and BY_NAME[n].prior_only and not found.options.trusted]
+    absorbed = [
+        n for n in wanted if n not in tested and BY_NAME[n].prior_only and not found.options.trusted
+    ]
     silent = [n for n in wanted if n not in tested and n not in absorbed]
     if pairs:
         answer = f"{plural(len(pairs), 'pair')} of {len(one.candidates)} effects and joints, above all {said(pairs[0][0])} and "
         answer += f"{said(pairs[0][1])} (canonical correlation {number(pairs[0][2], 2)})."
     else:
-        answer = f"No pair of {len(one.candidates)} effects and joints is more alike than {ALIKE:g}."
+        answer = (
+            f"No pair of {len(one.candidates)} effects and joints is more alike than {ALIKE:g}."
+        )
     body = ""
     if absorbed:
         words = listed([told(n) for n in absorbed])
-        body += banner(f"Refitting the base model takes these up whole; only a trusted prior (--prior) would show them: {words}.", "warn")
+        body += banner(
+            f"Refitting the base model takes these up whole; only a trusted prior (--prior) would show them: {words}.",
+            "warn",
+        )
     if silent:
         body += paragraph(f"This motion says nothing about: {listed([told(n) for n in silent])}.")
     if pairs:
@@ -330,7 +445,8 @@ def _apart(found: Diagnosis, stated: Stated) -> Section:
     named = [h.joint for h in found.verdict.chosen if h.joint is not None]
     order = list(dict.fromkeys([*named, *np.argsort(-found.before / found.floor).tolist()]))
     pictures = [
-        f"<h3>{escape(robot.joints[j])}</h3>" + figure(diagnosis_figures.alike(one, j, robot.joints[j]))
+        f"<h3>{escape(robot.joints[j])}</h3>"
+        + figure(diagnosis_module.alike(one, j, robot.joints[j]))
         for j in order
         if len(one.of(j)) > 1
     ]
@@ -339,7 +455,12 @@ def _apart(found: Diagnosis, stated: Stated) -> Section:
         body += folded(f"The other {plural(len(pictures) - 1, 'joint')}", "".join(pictures[1:]))
     note = "Largest canonical correlation between the torques of two effects, each in the shape that fits best, once the base model is "
     note += "refit: at 1 no data of this motion can tell them apart; it says nothing about whether either is there."
-    return Section("apart", "What cannot be told apart by these recordings?", answer, body + paragraph(note, "note"))
+    return Section(
+        "apart",
+        "What cannot be told apart by these recordings?",
+        answer,
+        body + paragraph(note, "note"),
+    )
 
 
 # -- what next, how --------------------------------------------------------------------------------------------------
@@ -349,17 +470,25 @@ def _next(found: Diagnosis, stated: Stated) -> Section:
     lines = []
     for one in stated["findings"]:
         for name in one["equivalents"]:
-            told_apart = f"To tell {told(one['effect'])} from {told(name)} at {_place(one['joint'])}: "
+            told_apart = (
+                f"To tell {told(one['effect'])} from {told(name)} at {_place(one['joint'])}: "
+            )
             lines.append(told_apart + f"{one['experiment']}; and {BY_NAME[name].experiment}.")
         if not one["equivalents"]:
             lines.append(f"To pin down {_named(one['effect'], one['joint'])}: {one['experiment']}.")
-    lines += [f"For what has no name in {one['joint']}: {one['experiment']}." for one in stated["unknown"]]
+    lines += [
+        f"For what has no name in {one['joint']}: {one['experiment']}." for one in stated["unknown"]
+    ]
     if found.method != "periods":
         lines.append(
             "Repeat the same period a few times in one recording: what differs between periods is noise, and the floor becomes known."
         )
     if lines:
-        answer = "Record " + ("what would decide between the names that are left" if stated["findings"] else "a motion that isolates it")
+        answer = "Record " + (
+            "what would decide between the names that are left"
+            if stated["findings"]
+            else "a motion that isolates it"
+        )
         answer += ", in the order below."
     else:
         answer = "Nothing needs to be recorded for these joints and this band; other speeds, loads or temperatures may show more."
@@ -369,9 +498,7 @@ def _next(found: Diagnosis, stated: Stated) -> Section:
 def _made(found: Diagnosis, looked: Atlas, remarks: Sequence[Remark]) -> Section:
     identified, robot = found.identified, found.identified.model.robot
     sources = [list(dict.fromkeys(t.piece.source for t in half)) for half in found.tracks]
-    answer = (
-        f"{plural(len(found.design.shapes), 'shape')} of {len(EFFECTS)} effects, alone and together, each refit with the base model on "
-    )
+    answer = f"{plural(len(found.design.shapes), 'shape')} of {len(EFFECTS)} effects, alone and together, each refit with the base model on "
     answer += f"{plural(len(sources[0]), 'recording')} and judged on {plural(len(sources[1]), 'other recording')}; "
     answer += f"{remarked.said(remarks)}."
     facts = {
@@ -382,10 +509,16 @@ def _made(found: Diagnosis, looked: Atlas, remarks: Sequence[Remark]) -> Section
         "rows": f"{sum(map(len, found.tracks[0]))} fitted, {sum(map(len, found.tracks[1]))} held out, × {plural(robot.n, 'joint')}",
         "band": f"{number(found.hertz)} Hz",
         "base model": f"{identified.model.base.count} parameters, "
-        + (f"{plural(len(found.options.trusted), 'value')} held fast by --prior" if found.options.trusted else "all refit"),
+        + (
+            f"{plural(len(found.options.trusted), 'value')} held fast by --prior"
+            if found.options.trusted
+            else "all refit"
+        ),
         "noise floor": _FLOORS.get(found.method, found.method),
         "p-values": f"{atlas.DRAWS} nulls by random signs of {looked.blocks} blocks; the largest of {len(looked.panels)} counts",
         "versions": ", ".join(f"{k} {v}" for k, v in versions().items()),
     }
-    body = table(("what", "value"), [(escape(k), escape(v)) for k, v in facts.items()]) + remarked.listed(remarks)
+    body = table(
+        ("what", "value"), [(escape(k), escape(v)) for k, v in facts.items()]
+    ) + remarked.listed(remarks)
     return Section("made", "How was it made?", answer, body)

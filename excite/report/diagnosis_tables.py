@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ..diagnose.diagnosis import Diagnosis
-from ..robot import Robot
-from ..wording import percent
-from .motion_figures import torque_units
+from ..diagnosis.diagnosis import Diagnosis
+from ..robot.parameter_names import percent
+from ..robot.robot import Robot
+from .figures.trajectory import torque_units
 from .page import escape, folded, number, table
 
 Stated = Mapping[str, Any]
@@ -19,17 +19,33 @@ def ahead(stated: Stated, robot: Robot) -> str:
     out = ""
     if stated["simulation"]:
         rows = [
-            (escape(joint), unit, number(v["before"], 3), number(v["after"], 3), escape(percent(v["after"] / max(v["before"], 1e-300))))
+            (
+                escape(joint),
+                unit,
+                number(v["before"], 3),
+                number(v["after"], 3),
+                escape(percent(v["after"] / max(v["before"], 1e-300))),
+            )
             for (joint, v), unit in zip(
-                stated["simulation"]["joints"].items(), ("m" if u == "N" else "rad" for u in torque_units(robot)), strict=True
+                stated["simulation"]["joints"].items(),
+                ("m" if u == "N" else "rad" for u in torque_units(robot)),
+                strict=True,
             )
         ]
         out += f"<h3>Simulated {number(stated['simulation']['seconds'], 2)} s ahead from held-out torque</h3>"
-        out += table(("joint", "unit", "RMS before", "RMS after", "after / before"), rows, (2, 3, 4))
+        out += table(
+            ("joint", "unit", "RMS before", "RMS after", "after / before"), rows, (2, 3, 4)
+        )
     moved = [row for row in stated["parameters"] if row["moved"] > 2.0]
     if moved:
         shown = [
-            (escape(r["name"]), number(r["without"], 4), number(r["with"], 4), number(r["std"], 2), number(r["moved"], 3))
+            (
+                escape(r["name"]),
+                number(r["without"], 4),
+                number(r["with"], 4),
+                number(r["std"], 2),
+                number(r["moved"], 3),
+            )
             for r in moved[:12]
         ]
         more = f" (12 of {len(moved)})" if len(moved) > 12 else ""
@@ -58,5 +74,15 @@ def errors(found: Diagnosis, stated: Stated) -> str:
                 escape(percent(float(moving[k]))),
             )
         )
-    head = ("joint", "unit", "RMSE before", "RMSE after", "noise floor", "after / floor", "relative before", "relative after", "in motion")
+    head = (
+        "joint",
+        "unit",
+        "RMSE before",
+        "RMSE after",
+        "noise floor",
+        "after / floor",
+        "relative before",
+        "relative after",
+        "in motion",
+    )
     return table(head, rows, (2, 3, 4, 5, 6, 7, 8))

@@ -6,22 +6,28 @@ from typing import Any
 
 import numpy as np
 
-from ..identify import confidence, consistent
-from ..identify.identification import Identification
-from ..identify.model import UNITS, base_parameters
-from ..wording import percent, spoken
-from . import ellipsoid_figures, parameter_figures, spectrum_figures
-from .ellipsoid_figures import Body, Change
+from ..identification import confidence, consistency
+from ..identification.identification import Identification
+from ..identification.identified_model import UNITS, base_parameters
+from ..robot.parameter_names import percent, spoken
+from .figures import inertia_ellipsoids, information_spectrum
+from .figures import parameters as parameters_module
+from .figures.inertia_ellipsoids import Body, Change
+from .figures.parameters import Moved
+from .figures.trajectory import is_prismatic
 from .identifiability import bare
-from .motion_figures import is_prismatic
 from .page import Section, bullets, escape, figure, folded, number, paragraph, plural, table
-from .parameter_figures import Moved
 
 Array = np.ndarray
 _SHOWN = 8
 _NOTICED = 0.05
 """Distance of two bodies from which on one speaks of a change: a mass by 7 %."""
-_KINDS = {"rotor_inertia": "rotor inertia", "viscous": "viscous friction", "coulomb": "Coulomb friction", "offset": "offset"}
+_KINDS = {
+    "rotor_inertia": "rotor inertia",
+    "viscous": "viscous friction",
+    "coulomb": "Coulomb friction",
+    "offset": "offset",
+}
 
 
 def parameters_section(found: Identification) -> Section:
@@ -30,8 +36,11 @@ def parameters_section(found: Identification) -> Section:
     entries = base_parameters(found)
     scale = np.sqrt(found.metric.norms(base.matrix))
     edge = 10 * parameters.bodies
-    moved = [_moved(e, s, bool(place < edge)) for e, s, place in zip(entries, scale, base.independent, strict=True)]
-    body = figure(parameter_figures.changes(moved))
+    moved = [
+        _moved(e, s, bool(place < edge))
+        for e, s, place in zip(entries, scale, base.independent, strict=True)
+    ]
+    body = figure(parameters_module.changes(moved))
     body += paragraph(
         "One scale for all: 100 % is what a change by the whole of the robot's own masses, lengths and friction amounts to in that "
         "parameter (the metric's unit); a drive's parameter that the URDF does not state may go from 0 to 100 %. Bars that run out of the "
@@ -41,27 +50,44 @@ def parameters_section(found: Identification) -> Section:
     )
     rows = [_row(e, parameters) for e in entries]
     head = ("name", "named after", "nominal", "by the data", "± (95 %)", "identified", "stands for")
-    body += folded("All base parameters [SI]", table(head, rows, (2, 3, 4, 5)), unfolded=len(rows) <= 14)
+    body += folded(
+        "All base parameters [SI]", table(head, rows, (2, 3, 4, 5)), unfolded=len(rows) <= 14
+    )
     if parameters.drive:
-        body += "<h3>Friction and rotor inertia of each joint: nominal → identified</h3>" + _drives(found)
-    return Section("parameters", "What were the parameters, what are they now?", _parameters_answer(found, entries, moved), body)
+        body += "<h3>Friction and rotor inertia of each joint: nominal → identified</h3>" + _drives(
+            found
+        )
+    return Section(
+        "parameters",
+        "What were the parameters, what are they now?",
+        _parameters_answer(found, entries, moved),
+        body,
+    )
 
 
 def _moved(entry: dict[str, Any], scale: float, body: bool) -> Moved:
     nominal, scale = entry["nominal"], max(float(scale), 1e-300)
     data = None if entry["data"] is None else (entry["data"] - nominal) / scale
-    half = np.inf if entry["interval"] is None else 0.5 * (entry["interval"][1] - entry["interval"][0]) / scale
+    half = (
+        np.inf
+        if entry["interval"] is None
+        else 0.5 * (entry["interval"][1] - entry["interval"][0]) / scale
+    )
     return Moved(entry["name"], data, float(half), (entry["value"] - nominal) / scale, body)
 
 
-def _parameters_answer(found: Identification, entries: list[dict[str, Any]], moved: list[Moved]) -> str:
+def _parameters_answer(
+    found: Identification, entries: list[dict[str, Any]], moved: list[Moved]
+) -> str:
     sure = [k for k, m in enumerate(moved) if m.data is not None and abs(m.data) > m.half]
     answer = f"{len(sure)} of {plural(len(moved), 'base parameter')} differ from the nominal robot beyond their 95 % interval"
     if not sure:
         return answer + "."
     most = max(sure, key=lambda k: (moved[k].body, abs(moved[k].value)))
     name = spoken(entries[most]["name"], found.model.parameters)
-    grouped = "" if entries[most]["expression"] == entries[most]["name"] else " (with what moves with it)"
+    grouped = (
+        "" if entries[most]["expression"] == entries[most]["name"] else " (with what moves with it)"
+    )
     which = "of the bodies' furthest went" if moved[most].body else "furthest went"
     return f"{answer}; {which} {name}{grouped}, from {number(entries[most]['nominal'], 3)} to {number(entries[most]['value'], 3)}."
 
@@ -82,7 +108,9 @@ def _row(entry: dict[str, Any], parameters: Any) -> tuple[str, ...]:
 def _drives(found: Identification) -> str:
     """Drive parameters of every joint with what data and prior together leave open."""
     robot, parameters = found.model.robot, found.model.parameters
-    half = confidence.quantile(found.data.freedom) * np.sqrt(np.maximum(np.diag(found.posterior.covariance), 0.0))
+    half = confidence.quantile(found.data.freedom) * np.sqrt(
+        np.maximum(np.diag(found.posterior.covariance), 0.0)
+    )
     scale = np.diag(found.metric.scale)
     rows = []
     for j, joint in enumerate(robot.joints):
@@ -91,7 +119,9 @@ def _drives(found: Identification) -> str:
             k = parameters.block(kind).start + j
             vague = half[k] > 2.0 * scale[k]
             open_ = '<span class="warn">not shown</span>' if vague else f"± {number(half[k], 2)}"
-            cells.append(f"{number(parameters.nominal[k], 3)} → <b>{number(found.psi[k], 3)}</b> {open_}")
+            cells.append(
+                f"{number(parameters.nominal[k], 3)} → <b>{number(found.psi[k], 3)}</b> {open_}"
+            )
         rows.append(cells)
     sliding = is_prismatic(robot)
     told = robot.entries[0].unit if all(sliding) else str
@@ -113,7 +143,9 @@ def directions_section(found: Identification) -> Section:
     sharp = percent(float(np.sqrt(analysis.threshold)))
     answer = f"The recording identifies {analysis.identifiable} of {plural(count, 'direction')} to ±{sharp} or better; "
     answer += f"of all, the data decided {ours}, the prior {'none' if ours == count else f'the other {count - ours}'}."
-    body = figure(spectrum_figures.spectrum(analysis)) + figure(parameter_figures.decided(shares))
+    body = figure(information_spectrum.spectrum(analysis)) + figure(
+        parameters_module.decided(shares)
+    )
     body += paragraph(
         "Upper plot: variance of independent combinations of parameters by the data alone, scale-free. Lower plot, same order: λ/(λ + 2γ), "
         "how far the identified value lies towards what the data say rather than where the nominal robot is. A weak direction that "
@@ -122,12 +154,24 @@ def directions_section(found: Identification) -> Section:
     )
     weak = [(d, s) for d, s in zip(analysis.directions, shares, strict=True) if not d.identifiable]
     if weak:
-        lines = [f"{bare(d.words)}; decided by the {'data' if s > 0.5 else 'prior'} ({100 * s:.0f} % data)" for d, s in weak[::-1]]
+        lines = [
+            f"{bare(d.words)}; decided by the {'data' if s > 0.5 else 'prior'} ({100 * s:.0f} % data)"
+            for d, s in weak[::-1]
+        ]
         body += "<h3>The worst directions, the worst first</h3>" + bullets(lines[:_SHOWN])
         if len(lines) > _SHOWN:
-            body += folded(f"{len(lines) - _SHOWN} more that are not identified", bullets(lines[_SHOWN:]))
-    body += "<h3>Links and joints</h3>" + figure(spectrum_figures.shares(analysis.links, analysis.joints))
-    return Section("directions", "Which directions did the recording show, which did the prior decide?", answer, body)
+            body += folded(
+                f"{len(lines) - _SHOWN} more that are not identified", bullets(lines[_SHOWN:])
+            )
+    body += "<h3>Links and joints</h3>" + figure(
+        information_spectrum.shares(analysis.links, analysis.joints)
+    )
+    return Section(
+        "directions",
+        "Which directions did the recording show, which did the prior decide?",
+        answer,
+        body,
+    )
 
 
 # -- bodies --------------------------------------------------------------------------------------------------
@@ -136,9 +180,15 @@ def directions_section(found: Identification) -> Section:
 def body_changes(found: Identification) -> list[Change]:
     """Each link's body as the nominal robot has it and as identified."""
     parameters = found.model.parameters
-    before, after = (consistent.bodies_of(parameters, psi) for psi in (consistent.nominal_bodies(parameters), found.psi))
+    before, after = (
+        consistency.bodies_of(parameters, psi)
+        for psi in (consistency.nominal_bodies(parameters), found.psi)
+    )
     shown = {s.name: s.identifiable_share for s in found.analysis.links}
-    return [Change(link, Body(a), Body(b), shown.get(link)) for link, a, b in zip(parameters.links, before, after, strict=True)]
+    return [
+        Change(link, Body(a), Body(b), shown.get(link))
+        for link, a, b in zip(parameters.links, before, after, strict=True)
+    ]
 
 
 def bodies_section(found: Identification) -> Section:
@@ -152,7 +202,11 @@ def bodies_section(found: Identification) -> Section:
     else:
         answer = f"{noticed} of {'1 body' if len(changes) == 1 else f'{len(changes)} bodies'} changed noticeably, {most.link} most: "
         answer += f"{number(most.before.mass, 3)} → {number(most.after.mass, 3)} kg, its centre of mass by {1e3 * most.shift:.0f}\u00a0mm"
-        answer += "." if most.share is None else f"; the recording shows {100.0 * most.share:.0f} % of what torque can tell of it."
+        answer += (
+            "."
+            if most.share is None
+            else f"; the recording shows {100.0 * most.share:.0f} % of what torque can tell of it."
+        )
     rows = [
         (
             escape(c.link),
@@ -173,7 +227,11 @@ def bodies_section(found: Identification) -> Section:
     )
     if found.model.parameters.repaired:
         note += f" No proper body in the URDF: {', '.join(found.model.parameters.repaired)}; a small substitute is drawn as nominal."
-    body = figure(ellipsoid_figures.ellipsoids(changes)) + table(head, rows, (1, 2, 3, 4, 5)) + paragraph(note, "note")
+    body = (
+        figure(inertia_ellipsoids.ellipsoids(changes))
+        + table(head, rows, (1, 2, 3, 4, 5))
+        + paragraph(note, "note")
+    )
     return Section("bodies", "How did each link's body change?", answer, body)
 
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from ..diagnose.diagnosis import Diagnosis
-from ..diagnose.encoders import Gear
-from ..wording import listed, percent
-from .figures import GREY, INK, ORANGE, few_ticks, panels
-from .motion_figures import short, torque_units
+from ..diagnosis.diagnosis import Diagnosis
+from ..diagnosis.gear_encoders import Gear
+from ..robot.parameter_names import listed, percent
+from .figures.drawing import GREY, INK, ORANGE, few_ticks, panels
+from .figures.trajectory import short, torque_units
 from .page import Section, escape, figure, number, paragraph, table
 
 _HEIGHT, _DOTS = 1.9, 1500
@@ -22,12 +22,25 @@ def section(found: Diagnosis, stated: Mapping[str, Any]) -> Iterator[Section]:
     told = stated["encoders"]
     if not told:
         return
-    stiff = [f"{joint} {number(v['stiffness']['value'], 3)} {v['stiffness']['unit']}" for joint, v in told.items() if v["stiffness"]]
+    stiff = [
+        f"{joint} {number(v['stiffness']['value'], 3)} {v['stiffness']['unit']}"
+        for joint, v in told.items()
+        if v["stiffness"]
+    ]
     taken = 1.0 - float(np.median([v["after"] / v["before"] for v in told.values()]))
-    answer = f"Torque winds the gears up: {listed(stiff)}." if stiff else "No gear winds up enough to be seen."
+    answer = (
+        f"Torque winds the gears up: {listed(stiff)}."
+        if stiff
+        else "No gear winds up enough to be seen."
+    )
     answer += f" With play, friction and the time between their readings this takes {percent(taken)} of how they differ, held out."
     rows = [
-        (escape(joint), *(_with(v[k]) for k in ("stiffness", "lost_motion", "read_apart")), number(v["before"], 3), number(v["after"], 3))
+        (
+            escape(joint),
+            *(_with(v[k]) for k in ("stiffness", "lost_motion", "read_apart")),
+            number(v["before"], 3),
+            number(v["after"], 3),
+        )
         for joint, v in told.items()
     ]
     head = ("joint", "stiffness", "lost motion", "read apart by", "RMS difference", "unexplained")
@@ -35,11 +48,20 @@ def section(found: Diagnosis, stated: Mapping[str, Any]) -> Iterator[Section]:
     note += "back, and speed times the time by which the link's encoder is read later. Not stated: a stiffness as good as infinite, a "
     note += "play that is none or where torque keeps its sign. Dots: held out, without friction, that time, and what an encoder off its "
     note += "centre errs by once a turn; orange: stiffness and play."
-    yield Section("gears", "What do the two encoders say?", answer, table(head, rows) + figure(_curves(found)) + paragraph(note, "note"))
+    yield Section(
+        "gears",
+        "What do the two encoders say?",
+        answer,
+        table(head, rows) + figure(_curves(found)) + paragraph(note, "note"),
+    )
 
 
 def _with(value: Mapping[str, Any] | None) -> str:
-    return "–" if value is None else escape(f"{number(value['value'], 3)} ± {number(value['std'], 2)} {value['unit']}")
+    return (
+        "–"
+        if value is None
+        else escape(f"{number(value['value'], 3)} ± {number(value['std'], 2)} {value['unit']}")
+    )
 
 
 def _curves(found: Diagnosis) -> str:
@@ -50,7 +72,12 @@ def _curves(found: Diagnosis) -> str:
     def draw(axes: Any, gear: Gear) -> None:
         _panel(axes, gear)
         linear = units[gear.joint] == "N"
-        axes.set_title(f"{short(robot.joints[gear.joint], 20)} [{'mm' if linear else 'mrad'}]", loc="left", fontweight="bold", pad=3)
+        axes.set_title(
+            f"{short(robot.joints[gear.joint], 20)} [{'mm' if linear else 'mrad'}]",
+            loc="left",
+            fontweight="bold",
+            pad=3,
+        )
         axes.set_xlabel(f"torque that the gear carries [{units[gear.joint]}]")
 
     return panels("Wind-up of the gears between two encoders", found.gears, draw, _HEIGHT)
@@ -60,6 +87,8 @@ def _panel(axes: Any, gear: Gear) -> None:
     load = np.linspace(gear.load.min(), gear.load.max(), 101)
     axes.axhline(0.0, color=GREY, linewidth=0.5)
     shown = slice(None, None, -(-len(gear.load) // _DOTS))
-    axes.plot(gear.load[shown], 1e3 * gear.windup[shown], ".", color=INK, markersize=1.5, alpha=0.35)
+    axes.plot(
+        gear.load[shown], 1e3 * gear.windup[shown], ".", color=INK, markersize=1.5, alpha=0.35
+    )
     axes.plot(load, 1e3 * gear.curve(load), color=ORANGE, linewidth=1.2)
     few_ticks(axes, 5, 4)

@@ -6,18 +6,34 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..artefact import versions
-from ..base import Base
-from ..identifiability import BaseParameter, Direction, Identifiability
-from ..parameters import Parameters
-from ..robot import Robot
-from ..scenarios import Scenario
-from ..wording import percent, spoken
-from . import spectrum_figures as figures
-from .page import Section, bullets, cards, escape, figure, folded, number, page, paragraph, plural, table
+from ..designer.experiment_comparison import Scenario
+from ..designer.identifiability import BaseParameter, Direction, Identifiability
+from ..robot.base_parameters import Base
+from ..robot.inertial_parameters import Parameters
+from ..robot.parameter_names import percent, spoken
+from ..robot.robot import Robot
+from ..trajectory.trajectory_file import versions
+from .figures import information_spectrum as figures
+from .page import (
+    Section,
+    bullets,
+    cards,
+    escape,
+    figure,
+    folded,
+    number,
+    page,
+    paragraph,
+    plural,
+    table,
+)
 
 _SHOWN = 10
-_SCENARIOS = {"now": "as designed", "time": "twice the recording time", "speed": "twice the speed, the same time"}
+_SCENARIOS = {
+    "now": "as designed",
+    "time": "twice the recording time",
+    "speed": "twice the speed, the same time",
+}
 
 
 def spectrum_section(found: Identifiability) -> Section:
@@ -33,14 +49,21 @@ def spectrum_section(found: Identifiability) -> Section:
         f"Below the dashed line (variance {number(found.threshold)}) it counts as identifiable."
     )
     return Section(
-        "spectrum", "How well will the recording show each direction?", answer, figure(figures.spectrum(found)) + paragraph(note, "note")
+        "spectrum",
+        "How well will the recording show each direction?",
+        answer,
+        figure(figures.spectrum(found)) + paragraph(note, "note"),
     )
 
 
 def _known(direction: Direction) -> str:
     if not np.isfinite(direction.variance):
         return "is not excited at all"
-    return "is no better than a guess" if direction.variance >= 1.0 else f"to ±{percent(direction.deviation)}"
+    return (
+        "is no better than a guess"
+        if direction.variance >= 1.0
+        else f"to ±{percent(direction.deviation)}"
+    )
 
 
 def parts_section(found: Identifiability) -> Section:
@@ -50,7 +73,9 @@ def parts_section(found: Identifiability) -> Section:
     if ranked:
         high, low = ranked[0], ranked[-1]
         answer = f"Of the links, {high.name} is shown best ({_share(high.identifiable_share)} of what can be known of it)"
-        answer += f" and {low.name} least ({_share(low.identifiable_share)})." if len(ranked) > 1 else "."
+        answer += (
+            f" and {low.name} least ({_share(low.identifiable_share)})." if len(ranked) > 1 else "."
+        )
     else:
         answer = "No link's inertial parameters can be known from torques of this robot."
     missing = [d for d in found.directions if not d.identifiable]
@@ -61,19 +86,29 @@ def parts_section(found: Identifiability) -> Section:
         "note",
     )
     if missing:
-        body += f"<h3>{escape(_heading(len(missing)))}</h3>" + bullets(bare(d.words) for d in missing[:_SHOWN])
+        body += f"<h3>{escape(_heading(len(missing)))}</h3>" + bullets(
+            bare(d.words) for d in missing[:_SHOWN]
+        )
         if len(missing) > _SHOWN:
-            body += folded(f"{len(missing) - _SHOWN} more that are seen even less", bullets(bare(d.words) for d in missing[_SHOWN:]))
+            body += folded(
+                f"{len(missing) - _SHOWN} more that are seen even less",
+                bullets(bare(d.words) for d in missing[_SHOWN:]),
+            )
     else:
         body += paragraph("Every direction is identifiable.", "good")
     seen = [d.words for d in found.directions if d.identifiable]
     if seen:
-        body += folded(f"{plural(len(seen), 'direction')} that will be seen, the best first", bullets(map(capital, seen)))
+        body += folded(
+            f"{plural(len(seen), 'direction')} that will be seen, the best first",
+            bullets(map(capital, seen)),
+        )
     return Section("parts", "Which links and joints can be identified?", answer, body)
 
 
 def _heading(count: int) -> str:
-    return f"{plural(count, 'direction')} will not be seen" + (", those nearest to it first" if count > 1 else "")
+    return f"{plural(count, 'direction')} will not be seen" + (
+        ", those nearest to it first" if count > 1 else ""
+    )
 
 
 def bare(words: str) -> str:
@@ -107,12 +142,18 @@ def parameters_section(found: Identifiability, parameters: Parameters) -> Sectio
         )
         for b in entries
     ]
-    listing = table(("name", "named after", "nominal", "std", "std/nominal", "stands for"), rows, (2, 3, 4))
+    listing = table(
+        ("name", "named after", "nominal", "std", "std/nominal", "stands for"), rows, (2, 3, 4)
+    )
     note = (
         "Least standard deviation of an unbiased fit (Cramér–Rao) with the stated torque noise, white, independent from sample to sample. "
         "Models that are wrong, filtered noise and friction that the model lacks make the true errors larger."
     )
-    body = figure(figures.deviations(found)) + paragraph(note, "note") + folded("All base parameters", listing, unfolded=len(rows) <= 14)
+    body = (
+        figure(figures.deviations(found))
+        + paragraph(note, "note")
+        + folded("All base parameters", listing, unfolded=len(rows) <= 14)
+    )
     return Section("parameters", "How accurate will the base parameters be?", answer, body)
 
 
@@ -127,15 +168,22 @@ def scenarios_section(cases: Sequence[Scenario], threshold: float) -> Section:
         (
             escape(_SCENARIOS.get(case.name, case.name)),
             f"{case.identifiable} of {len(case.eigenvalues)}",
-            escape(", ".join(f"{b.limit} of {b.joint} ({b.factor:.2g}×)" for b in case.broken) or "none"),
+            escape(
+                ", ".join(f"{b.limit} of {b.joint} ({b.factor:.2g}×)" for b in case.broken)
+                or "none"
+            ),
         )
         for case in cases
     ]
-    body = table(("motion", "identifiable", "limits it would break"), rows, (1,)) + figure(figures.scenarios(cases, threshold))
+    body = table(("motion", "identifiable", "limits it would break"), rows, (1,)) + figure(
+        figures.scenarios(cases, threshold)
+    )
     return Section("more", "What would twice the time or twice the speed buy?", answer, body)
 
 
-def sections(found: Identifiability, parameters: Parameters, cases: Sequence[Scenario]) -> list[Section]:
+def sections(
+    found: Identifiability, parameters: Parameters, cases: Sequence[Scenario]
+) -> list[Section]:
     """All sections on identifiability, in order."""
     out = [spectrum_section(found), parts_section(found), parameters_section(found, parameters)]
     return [*out, scenarios_section(cases, found.threshold)] if cases else out
@@ -153,7 +201,9 @@ def noise_section(found: Identifiability, robot: Robot, stated: Mapping[str, str
     }
     body = table(("", ""), [(escape(k), escape(v)) for k, v in facts.items()])
     rows = [(escape(j), number(v, 3)) for j, v in zip(found.joint_names, found.noise, strict=True)]
-    body += "<h3>Standard deviation of the torque noise</h3>" + table(("joint", "N m (N)"), rows, (1,))
+    body += "<h3>Standard deviation of the torque noise</h3>" + table(
+        ("joint", "N m (N)"), rows, (1,)
+    )
     answer = f"From {robot.name}'s nominal parameters, the motion itself, and an assumed torque noise per joint."
     return Section("made", "How was this computed?", answer, body)
 
@@ -185,4 +235,6 @@ def identifiability_page(
     facts = ({"motion": motion} if motion else {}) | dict(stated or {})
     parts = [*sections(found, parameters, cases), noise_section(found, robot, facts)]
     lede = f"What {motion or 'this motion'} tells about the robot's inertial parameters and drives."
-    return page(f"Identifiability of {robot.name}", lede, head, parts, f"excite {versions()['excite']}")
+    return page(
+        f"Identifiability of {robot.name}", lede, head, parts, f"excite {versions()['excite']}"
+    )

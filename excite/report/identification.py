@@ -7,17 +7,29 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..artefact import versions
-from ..identifiability import Direction
-from ..identify import consistent
-from ..identify.identification import Identification
-from ..parameters import DRIVE
+from ..designer.identifiability import Direction
+from ..identification import consistency
+from ..identification.identification import Identification
 from ..recordings import Remark
-from ..wording import percent
+from ..robot.inertial_parameters import DRIVE
+from ..robot.parameter_names import percent
+from ..trajectory.trajectory_file import versions
 from . import estimates, noise, prediction
 from . import remarks as remarked
 from .identifiability import bare
-from .page import Section, banner, bullets, cards, escape, folded, number, page, paragraph, plural, table
+from .page import (
+    Section,
+    banner,
+    bullets,
+    cards,
+    escape,
+    folded,
+    number,
+    page,
+    paragraph,
+    plural,
+    table,
+)
 
 _GRAVITY = (0.0, 0.0, -9.81)
 _METHODS = {
@@ -35,7 +47,12 @@ _DISTANCES = {
 }
 
 
-def identification_page(found: Identification, remarks: Sequence[Remark] = (), *, stated: Mapping[str, str] | None = None) -> str:
+def identification_page(
+    found: Identification,
+    remarks: Sequence[Remark] = (),
+    *,
+    stated: Mapping[str, str] | None = None,
+) -> str:
     """The report of `excite identify` as HTML.
 
     remarks: what the health check of the recordings found. stated: further facts to show, name -> text.
@@ -51,7 +68,13 @@ def identification_page(found: Identification, remarks: Sequence[Remark] = (), *
         made_section(found, remarks, stated or {}),
     ]
     lede = "From recordings to physically consistent parameters: what they predict, how sure they are, and what is still missing."
-    return page(f"Identification of {robot.name}", lede, _head(found), sections, f"excite {versions()['excite']}")
+    return page(
+        f"Identification of {robot.name}",
+        lede,
+        _head(found),
+        sections,
+        f"excite {versions()['excite']}",
+    )
 
 
 def _head(found: Identification) -> str:
@@ -60,14 +83,29 @@ def _head(found: Identification) -> str:
     entries = [
         (str(robot.n), "moving joint" if robot.n == 1 else "moving joints"),
         (f"{found.analysis.identifiable} of {found.model.base.count}", "directions identified"),
-        (percent(worst), f"error over RMS torque, worst joint, {'held out' if found.validations else 'of the fit'}"),
-        (f"{len(found.equations)} × {robot.n}", f"equations below {number(found.spectra.hertz, 3)}\u00a0Hz"),
-        (f"{number(found.gamma[0], 2)}, {number(found.gamma[1], 2)}", "weight γ of the prior: bodies, drives"),
+        (
+            percent(worst),
+            f"error over RMS torque, worst joint, {'held out' if found.validations else 'of the fit'}",
+        ),
+        (
+            f"{len(found.equations)} × {robot.n}",
+            f"equations below {number(found.spectra.hertz, 3)}\u00a0Hz",
+        ),
+        (
+            f"{number(found.gamma[0], 2)}, {number(found.gamma[1], 2)}",
+            "weight γ of the prior: bodies, drives",
+        ),
     ]
-    if consistent.is_consistent(found.model.parameters, found.psi):
-        verdict = banner("Every link is a body that could be built; friction and rotor inertia are not negative.", "good")
+    if consistency.is_consistent(found.model.parameters, found.psi):
+        verdict = banner(
+            "Every link is a body that could be built; friction and rotor inertia are not negative.",
+            "good",
+        )
     else:
-        verdict = banner("These parameters are NOT physically consistent: do not simulate or control with them.", "bad")
+        verdict = banner(
+            "These parameters are NOT physically consistent: do not simulate or control with them.",
+            "bad",
+        )
     if found.model.parameters.repaired:
         text = f"No proper body in the URDF: {', '.join(found.model.parameters.repaired)}. A small substitute stands for it in the prior."
         verdict += banner(text, "warn")
@@ -109,13 +147,19 @@ def next_section(found: Identification) -> Section:
     if weak:
         what = bare(weak[-1].words).split(";")[0]
         hidden = sum(not np.isfinite(d.variance) for d in weak)
-        answer = f"The {plural(len(weak), 'direction')} not identified yet, above all {uncapital(what)}"
+        answer = (
+            f"The {plural(len(weak), 'direction')} not identified yet, above all {uncapital(what)}"
+        )
         answer += f"; {hidden} of them it does not excite at all." if hidden else "."
     else:
         answer = "Nothing in particular: every direction is identified; another motion is needed only to judge the model by."
-    body = paragraph("The command adds to what is already known and adds a second motion to validate with:")
+    body = paragraph(
+        "The command adds to what is already known and adds a second motion to validate with:"
+    )
     body += f"<p><code>{escape(command(found))}</code></p>"
-    body += paragraph("Give --limits, --torque-noise and --box again if they were given before.", "note")
+    body += paragraph(
+        "Give --limits, --torque-noise and --box again if they were given before.", "note"
+    )
     if weak:
         body += "<h3>Where they lie, most of them first</h3>" + bullets(_whose(found, weak))
     return Section("next", "What should the next trajectory ask for?", answer, body)
@@ -144,7 +188,9 @@ def uncapital(text: str) -> str:
 # -- how -----------------------------------------------------------------------------------------------------
 
 
-def made_section(found: Identification, remarks: Sequence[Remark], stated: Mapping[str, str]) -> Section:
+def made_section(
+    found: Identification, remarks: Sequence[Remark], stated: Mapping[str, str]
+) -> Section:
     """How was it made?"""
     robot, options = found.model.robot, found.options
     answer = f"By {_METHODS[options.method.value]}, then the consistent robot nearest to data and prior at once, "
@@ -156,8 +202,10 @@ def made_section(found: Identification, remarks: Sequence[Remark], stated: Mappi
         "fitted to": ", ".join(one.source for one in found.fits),
         "held out": ", ".join(one.source for one in found.validations) or "nothing",
         "rows": f"{len(found.equations)} × {robot.n} equations in {plural(len(found.equations.starts), 'part')}{_averaged(found)}",
-        "parameters": "inertial" + "".join(f", {kind.replace('_', ' ')}" for kind in found.model.parameters.drive),
-        "band": f"{number(found.spectra.hertz)} Hz" + ("" if options.band is None else ", as asked for"),
+        "parameters": "inertial"
+        + "".join(f", {kind.replace('_', ' ')}" for kind in found.model.parameters.drive),
+        "band": f"{number(found.spectra.hertz)} Hz"
+        + ("" if options.band is None else ", as asked for"),
         "estimator": _METHODS[options.method.value],
         "kind of distance": _DISTANCES[options.distance.value],
         "γ of bodies, of drives": f"{number(found.gamma[0])}, {number(found.gamma[1])} ({_chosen(found)})",
@@ -173,7 +221,10 @@ def made_section(found: Identification, remarks: Sequence[Remark], stated: Mappi
     body += remarked.listed(remarks)
     if found.tried:
         rows = [(number(g, 2), number(error, 4)) for g, error in found.tried]
-        body += folded("Every γ that was tried, with its squared error on blocks left out", table(("γ of bodies", "error"), rows, (0, 1)))
+        body += folded(
+            "Every γ that was tried, with its squared error on blocks left out",
+            table(("γ of bodies", "error"), rows, (0, 1)),
+        )
     return Section("made", "How was it made?", answer, body)
 
 
@@ -186,10 +237,16 @@ def _chosen(found: Identification) -> str:
     if found.options.trusted:
         return f"{plural(len(found.options.trusted), 'value')} held fast by --prior"
     gamma = found.options.gamma
-    return {"evidence": "by evidence", "heldout": "by blocks left out"}[gamma] if isinstance(gamma, str) else "as given"
+    return (
+        {"evidence": "by evidence", "heldout": "by blocks left out"}[gamma]
+        if isinstance(gamma, str)
+        else "as given"
+    )
 
 
 def _bounds(found: Identification) -> str:
     bounds = found.options.bounds
     parts = [f"mass of {link} {low:g} to {high:g} kg" for link, (low, high) in bounds.mass.items()]
-    return ", ".join([*parts, *(f"centre of {link} in its box" for link in bounds.centre)]) or "none"
+    return (
+        ", ".join([*parts, *(f"centre of {link} in its box" for link in bounds.centre)]) or "none"
+    )

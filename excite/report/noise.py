@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..identify.band import TAPER
-from ..identify.identification import Identification
-from ..identify.signals import BAND_HZ
-from ..identify.widths import CANDIDATES
-from ..wording import listed, percent
-from . import noise_figures
-from .motion_figures import is_prismatic, torque_units
-from .noise_figures import INTERVAL, Densities
+from ..identification.friction_width import CANDIDATES
+from ..identification.identification import Identification
+from ..identification.lowpass import TAPER
+from ..identification.segments import BAND_HZ
+from ..robot.parameter_names import listed, percent
+from .figures import noise as noise_module
+from .figures.noise import INTERVAL, Densities
+from .figures.trajectory import is_prismatic, torque_units
 from .page import Section, escape, figure, number, paragraph, table
 
 Array = np.ndarray
@@ -23,7 +23,9 @@ def residual(found: Identification) -> Densities:
     """Density of what the fit leaves, in torque: the weighted residual's with the weights undone. Shape (F, n) [(N m)²/Hz]."""
     colour, scale = found.data.colour, found.data.scale
     kept = colour.frequency <= found.spectra.hertz
-    return Densities(colour.frequency[kept], (colour.density @ (scale**2).T * (2.0 / found.equations.rate))[kept])
+    return Densities(
+        colour.frequency[kept], (colour.density @ (scale**2).T * (2.0 / found.equations.rate))[kept]
+    )
 
 
 def slants(density: Densities) -> Array:
@@ -44,18 +46,42 @@ def section(found: Identification) -> Section:
     coloured = [j for j, s in zip(robot.joints, slant, strict=True) if s > WHITE]
     most = int(np.argmax(slant))
     if coloured:
-        which = "No" if len(coloured) == robot.n else f"Not in {listed(coloured) if len(coloured) <= 3 else f'{len(coloured)} joints'}"
+        which = (
+            "No"
+            if len(coloured) == robot.n
+            else f"Not in {listed(coloured) if len(coloured) <= 3 else f'{len(coloured)} joints'}"
+        )
         answer = f"{which}: in {robot.joints[most]} the residual is {_times(slant[most])} times as strong in one quarter of the band "
         answer += "as in another, which the intervals allow for"
     else:
         answer = f"Yes, within a factor of {max(slant[most], 1.05):.2g} over the band"
     answer += f"; the band ends at {number(spectra.hertz, 3)} Hz, {_band_words(found)}."
-    longest = max(zip(found.equations.stretches(), found.equations.periods, strict=True), key=lambda pair: pair[0].stop - pair[0].start)
+    longest = max(
+        zip(found.equations.stretches(), found.equations.periods, strict=True),
+        key=lambda pair: pair[0].stop - pair[0].start,
+    )
     periods = longest[1]
     noise = Densities(spectra.frequency, spectra.noise / max(periods, 1))
-    words = f"spread of the mean of {periods} periods" if periods else "noise: median torque density at high frequencies"
-    svg = noise_figures.spectra(robot.joints, Densities(spectra.frequency, spectra.torque), noise, left, spectra.hertz, words)
-    clock = noise_figures.clock(robot.joints, found.delay, found.model.widths, (CANDIDATES[0], CANDIDATES[-1]), is_prismatic(robot))
+    words = (
+        f"spread of the mean of {periods} periods"
+        if periods
+        else "noise: median torque density at high frequencies"
+    )
+    svg = noise_module.spectra(
+        robot.joints,
+        Densities(spectra.frequency, spectra.torque),
+        noise,
+        left,
+        spectra.hertz,
+        words,
+    )
+    clock = noise_module.clock(
+        robot.joints,
+        found.delay,
+        found.model.widths,
+        (CANDIDATES[0], CANDIDATES[-1]),
+        is_prismatic(robot),
+    )
     body = (
         figure(svg)
         + paragraph(_note(found), "note")
@@ -85,7 +111,11 @@ def _band_words(found: Identification) -> str:
 def _note(found: Identification) -> str:
     text = "Power density in (N m)²/Hz, beyond the dashed line (grey) nothing was fitted. White noise is a level line. "
     text += "A residual above the noise is physics that the model lacks, or noise that repeats with the motion."
-    untrue = [j for j, same in zip(found.model.robot.joints, found.data.colour.repeated, strict=True) if not same]
+    untrue = [
+        j
+        for j, same in zip(found.model.robot.joints, found.data.colour.repeated, strict=True)
+        if not same
+    ]
     if any(found.equations.periods) and untrue:
         text += f" In {listed(untrue)} the residual is larger than the spread between periods explains: something repeatable is left."
     return text
@@ -101,9 +131,15 @@ def _table(found: Identification, slant: Array, periods: int) -> str:
             f"{number(1e3 * found.delay.seconds[k], 2)} ± {number(1e3 * INTERVAL * found.delay.deviation[k], 2)}",
             number(1e3 * found.model.widths[k], 2) + _edge(float(found.model.widths[k])),
         )
-        for k, (joint, unit) in enumerate(zip(found.model.robot.joints, torque_units(found.model.robot), strict=True))
+        for k, (joint, unit) in enumerate(
+            zip(found.model.robot.joints, torque_units(found.model.robot), strict=True)
+        )
     ]
-    step = "friction's step [mm/s]" if all(is_prismatic(found.model.robot)) else "friction's step [mrad/s]"
+    step = (
+        "friction's step [mm/s]"
+        if all(is_prismatic(found.model.robot))
+        else "friction's step [mrad/s]"
+    )
     left = f"left by the fit (mean of {periods})" if periods else "left by the fit"
     head = ("joint", left, "noise floor", "strongest / weakest quarter", "delay [ms]", step)
     return table(head, rows, (1, 2, 3, 4, 5))
@@ -119,7 +155,9 @@ def _delay_words(found: Identification) -> str:
     mean, deviation = found.delay.common
     common = f"{number(1e3 * mean, 2)} ± {number(1e3 * INTERVAL * deviation, 2)} ms"
     text = f"If all joints share one clock, torque is {common} later than position. "
-    alike = float(np.sum(((found.delay.seconds - mean) / np.maximum(found.delay.deviation, 1e-12)) ** 2))
+    alike = float(
+        np.sum(((found.delay.seconds - mean) / np.maximum(found.delay.deviation, 1e-12)) ** 2)
+    )
     if len(found.delay.seconds) > 1 and alike > 4.0 * len(found.delay.seconds):
         text += "The joints do not agree on it, so it is no delay of the whole clock. "
     moved = "Torque was moved by each joint's delay before the fit."

@@ -7,15 +7,21 @@ from typing import Any
 
 import numpy as np
 
-from ..artefact import Trajectory
-from ..limits import QUANTITIES
-from ..parameters import Parameters
-from ..robot import Robot
-from . import spectrum_figures
+from ..robot.inertial_parameters import Parameters
+from ..robot.limits import QUANTITIES
+from ..robot.robot import Robot
+from ..trajectory.trajectory_file import Trajectory
+from .figures import information_spectrum
 from .page import Section, bullets, escape, figure, folded, number, paragraph, plural, table
 from .record import DesignRecord
 
-_LABELS = {"a": "A: Σ 1/λ", "d": "D: Σ log λ", "e": "E: min λ", "cond": "max λ / min λ", "cond_regressor": "condition of the regressor"}
+_LABELS = {
+    "a": "A: Σ 1/λ",
+    "d": "D: Σ log λ",
+    "e": "E: min λ",
+    "cond": "max λ / min λ",
+    "cond_regressor": "condition of the regressor",
+}
 _HIGHER = ("d", "e")
 _TIMES = {
     "build": "build the problem",
@@ -30,13 +36,19 @@ def history_section(record: DesignRecord) -> Section:
     """(i) How was it found?"""
     starts = record.starts
     if not starts:
-        return Section("history", "How was it found?", "No history of the optimisation was kept.", "")
+        return Section(
+            "history", "How was it found?", "No history of the optimisation was kept.", ""
+        )
     values = np.array([float(s["value"]) for s in starts])
     best = starts[record.chosen]
     near = int(np.sum(values <= values[record.chosen] + 0.05))
     iterations = len(best["time"])
     seconds = float(best["time"][-1]) if iterations else 0.0
-    answer = f"The best of {len(starts)} starts is number {best['seed']}, " if len(starts) > 1 else "The only start was "
+    answer = (
+        f"The best of {len(starts)} starts is number {best['seed']}, "
+        if len(starts) > 1
+        else "The only start was "
+    )
     answer += f"done after {plural(iterations, 'iteration')} at {seconds:.1f} s"
     if len(starts) > 1:
         excess = 100.0 * np.expm1(min(float(values.max() - values[record.chosen]), 20.0))
@@ -46,17 +58,27 @@ def history_section(record: DesignRecord) -> Section:
         answer += f"One more start would beat it with a chance of 1 in {len(starts) + 1}."
     else:
         answer += "; a single start tells nothing about better local optima."
-    rows = [(escape(text), f"{float(record.timing[key]):.2f} s") for key, text in _TIMES.items() if key in record.timing]
-    body = figure(spectrum_figures.history(record)) + (table(("step", "time"), rows, (1,)) if rows else "")
+    rows = [
+        (escape(text), f"{float(record.timing[key]):.2f} s")
+        for key, text in _TIMES.items()
+        if key in record.timing
+    ]
+    body = figure(information_spectrum.history(record)) + (
+        table(("step", "time"), rows, (1,)) if rows else ""
+    )
     infeasible = sum(not s["feasible"] for s in starts)
     if infeasible:
-        body += paragraph(f"{plural(infeasible, 'start')} found no motion inside all limits.", "warn")
+        body += paragraph(
+            f"{plural(infeasible, 'start')} found no motion inside all limits.", "warn"
+        )
     return Section("history", "How was it found?", answer, body)
 
 
 def criteria_section(trajectory: Trajectory) -> Section:
     """(j) What did the ramps and smoothing change?"""
-    optimum, exported = (_flat(trajectory.criteria.get(part, {})) for part in ("optimum", "exported"))
+    optimum, exported = (
+        _flat(trajectory.criteria.get(part, {})) for part in ("optimum", "exported")
+    )
     chosen = _chosen(trajectory)
     rows = []
     for key in optimum:
@@ -80,20 +102,29 @@ def criteria_section(trajectory: Trajectory) -> Section:
     )
     body = table(head, rows, (2, 3, 4)) + paragraph(note, "note")
     return Section(
-        "criteria", "What did ramps and smoothing change?", _smoothing(trajectory, optimum.get(chosen), exported.get(chosen)), body
+        "criteria",
+        "What did ramps and smoothing change?",
+        _smoothing(trajectory, optimum.get(chosen), exported.get(chosen)),
+        body,
     )
 
 
 def _chosen(trajectory: Trajectory) -> str:
     name = str(trajectory.design.get("criterion", "a"))
-    return name if name == "cond_regressor" else f"{'plain' if trajectory.design.get('plain') else 'geometric'}.{name}"
+    return (
+        name
+        if name == "cond_regressor"
+        else f"{'plain' if trajectory.design.get('plain') else 'geometric'}.{name}"
+    )
 
 
 def _flat(entries: Mapping[str, Any]) -> dict[str, float | None]:
     out: dict[str, float | None] = {}
     for key, value in entries.items():
         if isinstance(value, Mapping):
-            out.update({f"{key}.{name}": None if v is None else float(v) for name, v in value.items()})
+            out.update(
+                {f"{key}.{name}": None if v is None else float(v) for name, v in value.items()}
+            )
         else:
             out[key] = None if value is None else float(value)
     return out
@@ -113,18 +144,29 @@ def _smoothing(trajectory: Trajectory, before: float | None, after: float | None
     name = str(trajectory.design.get("criterion", "a"))
     share = f"{100.0 * extra / motion.duration:.0f} % of the time"
     answer = f"The excitation itself is exported exactly; approach, ramps and return add {extra:.1f} s ({share})"
-    if before is None or after is None or not np.isfinite(before) or not np.isfinite(after) or before == 0.0:
+    if (
+        before is None
+        or after is None
+        or not np.isfinite(before)
+        or not np.isfinite(after)
+        or before == 0.0
+    ):
         return answer + "."
     if name == "d":
         worse, size = after < before, f"{abs(after - before):.2g}"
     else:
-        worse, size = (after < before) == (name in _HIGHER), f"{100.0 * abs(after / before - 1.0):.2g} %"
+        worse, size = (
+            (after < before) == (name in _HIGHER),
+            f"{100.0 * abs(after / before - 1.0):.2g} %",
+        )
     if after == before:
         return answer + " and leave the criterion per sample as it is."
     return f"{answer} and make the criterion per sample {size} {'worse' if worse else 'better'}."
 
 
-def made_section(trajectory: Trajectory, robot: Robot, parameters: Parameters, record: DesignRecord) -> Section:
+def made_section(
+    trajectory: Trajectory, robot: Robot, parameters: Parameters, record: DesignRecord
+) -> Section:
     """(k) How was it made?"""
     motion, design = trajectory.motion, trajectory.design
     series = f"{motion.fourier.harmonics} harmonics of {1.0 / motion.fourier.period:.4g} Hz"
@@ -133,16 +175,27 @@ def made_section(trajectory: Trajectory, robot: Robot, parameters: Parameters, r
         "SHA-256 of the URDF": robot.sha256,
         "joints": ", ".join(robot.joints),
         "loaded with": _words({k: v for k, v in robot.options.items() if v}),
-        "parameters": "inertial" + (f" and {', '.join(k.replace('_', ' ') for k in parameters.drive)}" if parameters.drive else " only"),
+        "parameters": "inertial"
+        + (
+            f" and {', '.join(k.replace('_', ' ') for k in parameters.drive)}"
+            if parameters.drive
+            else " only"
+        ),
         "Fourier series": f"{series}, {motion.periods} periods of {motion.fourier.period:g} s",
         "exported at": f"{trajectory.rate:g} Hz",
         "seed": str(trajectory.seed),
         "versions": ", ".join(f"{k} {v}" for k, v in trajectory.versions.items()),
     }
-    facts |= {str(key).replace("_", " "): _words(value) for key, value in design.items() if key not in ("drive", "plan", "validation")}
+    facts |= {
+        str(key).replace("_", " "): _words(value)
+        for key, value in design.items()
+        if key not in ("drive", "plan", "validation")
+    }
     body = table(("what", "value"), [(escape(k), escape(v or "–")) for k, v in facts.items()])
     body += "<h3>Limits, where each came from, and torque noise</h3>" + _limits_table(trajectory)
-    body += paragraph(f"Torque noise: {_noise_source(trajectory)}. It scales every predicted variance.", "note")
+    body += paragraph(
+        f"Torque noise: {_noise_source(trajectory)}. It scales every predicted variance.", "note"
+    )
     if record.notes:
         body += folded("Remarks of the run", bullets(record.notes))
     answer = f"With excite {trajectory.versions.get('excite', '')} and seed {trajectory.seed}; the same options give the same motion again."
@@ -181,7 +234,11 @@ def _limit(value: Any) -> str:
     numbers = np.atleast_1d(value)
     if not np.isfinite(numbers).any():
         return "none"
-    return number(float(numbers[0])) if len(numbers) == 1 else f"{number(float(numbers[0]))} … {number(float(numbers[1]))}"
+    return (
+        number(float(numbers[0]))
+        if len(numbers) == 1
+        else f"{number(float(numbers[0]))} … {number(float(numbers[1]))}"
+    )
 
 
 def _source(text: str) -> str:

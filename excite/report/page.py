@@ -100,7 +100,10 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], numeric: Iterable[
     def line(tag: str, cells: Sequence[str]) -> str:
         return (
             "<tr>"
-            + "".join(f'<{tag} class="n">{c}</{tag}>' if k in right else f"<{tag}>{c}</{tag}>" for k, c in enumerate(cells))
+            + "".join(
+                f'<{tag} class="n">{c}</{tag}>' if k in right else f"<{tag}>{c}</{tag}>"
+                for k, c in enumerate(cells)
+            )
             + "</tr>"
         )
 
@@ -129,7 +132,10 @@ def cards(entries: Iterable[tuple[str, str]]) -> str:
     """Headline figures: (value, what it is)."""
     return (
         '<div class="cards">'
-        + "".join(f'<div class="card"><b>{escape(v)}</b><span>{escape(k)}</span></div>' for v, k in entries)
+        + "".join(
+            f'<div class="card"><b>{escape(v)}</b><span>{escape(k)}</span></div>'
+            for v, k in entries
+        )
         + "</div>"
     )
 

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from ..artefact import Trajectory
-from ..robot import Robot
-from .figures import BLUE, INK, MANY, few_ticks, grid, render
-from .motion_figures import is_prismatic, short
+from ..robot.robot import Robot
+from ..trajectory.trajectory_file import Trajectory
+from .figures.drawing import BLUE, INK, MANY, few_ticks, grid, render
+from .figures.small_multiples import Plane, planes
+from .figures.trajectory import is_prismatic, short
 from .page import Section, escape, figure, number, paragraph, table
-from .panels import Plane, planes
 
 Array = np.ndarray
 _LIKE = 0.7
@@ -23,13 +23,20 @@ def validation_section(first: Trajectory, second: Trajectory, robot: Robot) -> S
     """(i) Is the second motion a different one that asks for the same parameters?"""
     facts = first.design["validation"]
     independent = facts["independent"]
-    value, usual = float(facts["overlap"]), None if independent is None else float(independent["overlap"])
+    value, usual = (
+        float(facts["overlap"]),
+        None if independent is None else float(independent["overlap"]),
+    )
     beside = "" if usual is None else f"; another start of the design comes to {usual:.2f}"
     answer = f"{'Yes' if value <= _LIKE else 'Only in part'}: the motions overlap by {value:.2f} (0 no common ground, 1 the same{beside})"
     answer += f", and the criterion of the second is {_compared(first, facts['criterion'])}."
     head = ("joint", "torque correlation", *(("another start",) if independent else ()))
     rows = [
-        (escape(joint), f"{c:.2f}", *((f"{independent['torque_correlation'][joint]:.2f}",) if independent else ()))
+        (
+            escape(joint),
+            f"{c:.2f}",
+            *((f"{independent['torque_correlation'][joint]:.2f}",) if independent else ()),
+        )
         for joint, c in facts["torque_correlation"].items()
     ]
     note = (
@@ -39,14 +46,26 @@ def validation_section(first: Trajectory, second: Trajectory, robot: Robot) -> S
         "few harmonics half of it and more is chance. Fit the parameters to recordings of the first motion, and judge the model by its "
         "torque on the second, which is in the folder validation."
     )
-    body = figure(_planes(first, second, robot)) + table(head, rows, (1, 2)) + paragraph(note, "note")
-    return Section("validation", "Is the validation motion another one that asks for the same?", answer, body)
+    body = (
+        figure(_planes(first, second, robot)) + table(head, rows, (1, 2)) + paragraph(note, "note")
+    )
+    return Section(
+        "validation", "Is the validation motion another one that asks for the same?", answer, body
+    )
 
 
 def _compared(trajectory: Trajectory, values: Mapping[str, float]) -> str:
-    name, before, after = str(trajectory.design["criterion"]), float(values["first"]), float(values["second"])
+    name, before, after = (
+        str(trajectory.design["criterion"]),
+        float(values["first"]),
+        float(values["second"]),
+    )
     worse = (after < before) == (name in ("d", "e"))
-    size = f"{abs(after - before):.2g}" if name == "d" else f"{100.0 * abs(after / before - 1.0):.2g} %"
+    size = (
+        f"{abs(after - before):.2g}"
+        if name == "d"
+        else f"{100.0 * abs(after / before - 1.0):.2g} %"
+    )
     return f"{size} {'worse' if worse else 'better'}" if after != before else "the same"
 
 
@@ -59,7 +78,9 @@ def _planes(first: Trajectory, second: Trajectory, robot: Robot) -> str:
         curves.append(np.stack([fourier.at(t), fourier.at(t, 1)], axis=-1))
     limits, sliding = first.limits, is_prismatic(robot)
     # a whole turn away is the same place; only joints that may turn so far are shown there
-    free = np.array([not slides for slides in sliding]) & (limits.position[:, 1] - limits.position[:, 0] >= 2.0 * np.pi)
+    free = np.array([not slides for slides in sliding]) & (
+        limits.position[:, 1] - limits.position[:, 0] >= 2.0 * np.pi
+    )
     apart = second.motion.fourier.offset - first.motion.fourier.offset
     curves[1][:, :, 0] -= np.where(free, 2.0 * np.pi * np.rint(apart / (2.0 * np.pi)), 0.0)
     panels = [
@@ -71,8 +92,17 @@ def _planes(first: Trajectory, second: Trajectory, robot: Robot) -> str:
         for j, (joint, slides) in enumerate(zip(robot.joints, sliding, strict=True))
     ]  # fmt: skip
     columns, height = (min(robot.n, 3), 110.0) if robot.n <= MANY else (5, 80.0)
-    axes = f"velocity [rad/s] against position [rad]{', whole turns left out' if free.any() else ''}"
-    return planes("Velocity against position of every joint", panels, ("motion", "validation"), axes, columns=columns, height=height)
+    axes = (
+        f"velocity [rad/s] against position [rad]{', whole turns left out' if free.any() else ''}"
+    )
+    return planes(
+        "Velocity against position of every joint",
+        panels,
+        ("motion", "validation"),
+        axes,
+        columns=columns,
+        height=height,
+    )
 
 
 def plan_section(plan: Mapping[str, Any]) -> Section:
@@ -85,7 +115,15 @@ def plan_section(plan: Mapping[str, Any]) -> Section:
     rank = f"within {above:.1f} % of the" if above > 0.0 else "the"
     answer = f"Into {plan['budget']:g} s fit {chosen['repeats']} periods of {chosen['period']:g} s; with {chosen['harmonics']} harmonics "
     answer += f"they predict {rank} least standard deviation of the {len(candidates)} ways tried."
-    head = ("period [s]", "harmonics", "repeats", "samples", "robot time [s]", "criterion per sample", "standard deviation")
+    head = (
+        "period [s]",
+        "harmonics",
+        "repeats",
+        "samples",
+        "robot time [s]",
+        "criterion per sample",
+        "standard deviation",
+    )
     rows = [
         (
             f"{c['period']:g}",
@@ -103,29 +141,66 @@ def plan_section(plan: Mapping[str, Any]) -> Section:
         f"predict, above the least. The one with the fewest harmonics and samples within {100 * plan['tolerance']:.0f} % was chosen and "
         "optimised to the end."
     )
-    body = figure(_trade_off(candidates, excess, plan)) + table(head, rows, (0, 2, 3, 4, 5, 6)) + paragraph(note, "note")
+    body = (
+        figure(_trade_off(candidates, excess, plan))
+        + table(head, rows, (0, 2, 3, 4, 5, 6))
+        + paragraph(note, "note")
+    )
     return Section("plan", "Why this period and these harmonics?", answer, body)
 
 
-def _trade_off(candidates: list[Mapping[str, Any]], excess: list[float], plan: Mapping[str, Any]) -> str:
+def _trade_off(
+    candidates: list[Mapping[str, Any]], excess: list[float], plan: Mapping[str, Any]
+) -> str:
     """Standard deviation against period; the number at each point is that of harmonics."""
     period, above = np.array([float(c["period"]) for c in candidates]), np.array(excess)
 
     def draw(canvas: Any) -> None:
         axes = grid(canvas, 1, 1, margins=(0.6, 0.2, 0.32, 0.42))[0, 0]
-        axes.plot(period, above, "o", color=BLUE, markersize=4, label="tried, with so many harmonics")
+        axes.plot(
+            period, above, "o", color=BLUE, markersize=4, label="tried, with so many harmonics"
+        )
         for c, x, y in zip(candidates, period, above, strict=True):
-            most = c["harmonics"] == max(other["harmonics"] for other in candidates if other["period"] == c["period"])
-            axes.annotate(f"{c['harmonics']}", (x, y), (7, 1 if most else -7), textcoords="offset points", fontsize=8)
+            most = c["harmonics"] == max(
+                other["harmonics"] for other in candidates if other["period"] == c["period"]
+            )
+            axes.annotate(
+                f"{c['harmonics']}",
+                (x, y),
+                (7, 1 if most else -7),
+                textcoords="offset points",
+                fontsize=8,
+            )
         place = (period[plan["chosen"]], above[plan["chosen"]])
-        axes.plot(*place, "o", markersize=9, markerfacecolor="none", markeredgecolor=INK, linestyle="", label="chosen")
-        axes.axhline(100.0 * plan["tolerance"], color=INK, linewidth=0.8, dashes=(4, 2), label="as good as the least")
+        axes.plot(
+            *place,
+            "o",
+            markersize=9,
+            markerfacecolor="none",
+            markeredgecolor=INK,
+            linestyle="",
+            label="chosen",
+        )
+        axes.axhline(
+            100.0 * plan["tolerance"],
+            color=INK,
+            linewidth=0.8,
+            dashes=(4, 2),
+            label="as good as the least",
+        )
         few_ticks(axes, 8, 5)
         axes.set_xlim(0.0, 1.1 * period.max())
         axes.set_ylim(-0.06 * max(above.max(), 10.0), 1.12 * max(above.max(), 10.0))
         axes.set_xlabel("period [s]")
         axes.set_ylabel("standard deviation above the least [%]")
         handles, labels = axes.get_legend_handles_labels()
-        canvas.legend(handles, labels, loc="upper left", ncols=3, bbox_to_anchor=(0.05, 1.0), borderaxespad=0.2)
+        canvas.legend(
+            handles,
+            labels,
+            loc="upper left",
+            ncols=3,
+            bbox_to_anchor=(0.05, 1.0),
+            borderaxespad=0.2,
+        )
 
     return render("Standard deviation against period and harmonics", 2.6, draw)

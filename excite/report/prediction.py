@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ..identify.identification import Identification, Prediction
-from ..robot import Robot
-from ..wording import percent, some
-from . import fit_figures
-from .fit_figures import EXCERPT, SURE
-from .motion_figures import torque_units
+from ..identification.identification import Identification, Prediction
+from ..robot.parameter_names import percent, some
+from ..robot.robot import Robot
+from .figures import torque_fit
+from .figures.torque_fit import EXCERPT, SURE
+from .figures.trajectory import torque_units
 from .page import Section, banner, escape, figure, folded, number, paragraph, plural, table
 
 Array = np.ndarray
@@ -28,13 +28,26 @@ def section(found: Identification) -> Section:
     """Measured against predicted torque: of the recordings held out, or with a warning of those it was fitted to."""
     robot, held_out = found.model.robot, bool(found.validations)
     shown = found.validations or found.fits
-    points = fit_figures.drawn_points(shown, robot.n)
-    body = "" if held_out else banner("These are the recordings the model was fitted to: a small error here says little.", "warn")
+    points = torque_fit.drawn_points(shown, robot.n)
+    body = (
+        ""
+        if held_out
+        else banner(
+            "These are the recordings the model was fitted to: a small error here says little.",
+            "warn",
+        )
+    )
     fitted = {one.source for one in found.fits}
     cheated = any(one.source in fitted for one in found.validations)
     if cheated:
-        body += banner("A recording that the model was fitted to is among those held out: its error says little.", "warn")
-    parts = [f"<h3>{escape(one.source)}</h3>{_table(one, robot)}{figure(fit_figures.traces(one, robot, points))}" for one in shown]
+        body += banner(
+            "A recording that the model was fitted to is among those held out: its error says little.",
+            "warn",
+        )
+    parts = [
+        f"<h3>{escape(one.source)}</h3>{_table(one, robot)}{figure(torque_fit.traces(one, robot, points))}"
+        for one in shown
+    ]
     body += "".join(parts[:_UNFOLDED])
     if len(parts) > _UNFOLDED:
         body += folded(plural(len(parts) - _UNFOLDED, "more recording"), "".join(parts[_UNFOLDED:]))
@@ -43,15 +56,23 @@ def section(found: Identification) -> Section:
         tables = "".join(f"<h3>{escape(one.source)}</h3>{_table(one, robot)}" for one in found.fits)
         body += folded("The same table for the recordings it was fitted to", tables)
         text, tone = verdict(shown, robot)
-        return Section("prediction", _QUESTION, text, body, "warn" if cheated and tone == "good" else tone)
-    answer = "Not known, for no recording was held out: give one of another motion with --validate. "
+        return Section(
+            "prediction", _QUESTION, text, body, "warn" if cheated and tone == "good" else tone
+        )
+    answer = (
+        "Not known, for no recording was held out: give one of another motion with --validate. "
+    )
     answer += f"The error of the fit {_span(shown, robot)}."
     return Section("prediction", _QUESTION, answer, body, "warn")
 
 
 def verdict(predictions: Sequence[Prediction], robot: Robot) -> tuple[str, str]:
     """The answer in a sentence, and its tone."""
-    where = "on " + (Path(predictions[0].source).name if len(predictions) == 1 else f"{len(predictions)} held-out recordings")
+    where = "on " + (
+        Path(predictions[0].source).name
+        if len(predictions) == 1
+        else f"{len(predictions)} held-out recordings"
+    )
     relative = np.max([one.relative() for one in predictions], axis=0)
     ratios = [one.error() / one.floor for one in predictions if one.floor is not None]
     span = _span(predictions, robot)
@@ -67,10 +88,17 @@ def verdict(predictions: Sequence[Prediction], robot: Robot) -> tuple[str, str]:
     useless = [j for j, r in zip(robot.joints, relative, strict=True) if r >= 1.0]
     poor = [j for j, r in zip(robot.joints, relative, strict=True) if ROUGHLY < r < 1.0]
     if useless:
-        return f"Not for {some(useless)}, where predicting no torque at all would err less; {where} the error {span}.", "bad"
+        return (
+            f"Not for {some(useless)}, where predicting no torque at all would err less; {where} the error {span}.",
+            "bad",
+        )
     if poor:
         return f"Not well for {some(poor)}: {where} the error {span}.", "warn"
-    return (f"Yes: {where} the error {span}.", "good") if relative.max() <= WELL else (f"Roughly: {where} the error {span}.", "")
+    return (
+        (f"Yes: {where} the error {span}.", "good")
+        if relative.max() <= WELL
+        else (f"Roughly: {where} the error {span}.", "")
+    )
 
 
 def _span(predictions: Sequence[Prediction], robot: Robot) -> str:
@@ -91,7 +119,13 @@ def _table(one: Prediction, robot: Robot) -> str:
     for k, (joint, unit) in enumerate(zip(robot.joints, torque_units(robot), strict=True)):
         floor = None if one.floor is None else float(one.floor[k])
         ratio = None if floor is None else after[k] / floor
-        tone = "bad" if after[k] > before[k] or relative[k] >= 1.0 else "good" if ratio is not None and ratio <= WITHIN else ""
+        tone = (
+            "bad"
+            if after[k] > before[k] or relative[k] >= 1.0
+            else "good"
+            if ratio is not None and ratio <= WITHIN
+            else ""
+        )
         rows.append(
             (
                 escape(joint),
@@ -104,7 +138,16 @@ def _table(one: Prediction, robot: Robot) -> str:
                 f'<b class="{tone}">{escape(percent(relative[k]))}</b>',
             )
         )
-    head = ("joint", "unit", "RMSE before", "RMSE after", "noise floor", "after / floor", "relative before", "relative after")
+    head = (
+        "joint",
+        "unit",
+        "RMSE before",
+        "RMSE after",
+        "noise floor",
+        "after / floor",
+        "relative before",
+        "relative after",
+    )
     return table(head, rows, (2, 3, 4, 5, 6, 7))
 
 

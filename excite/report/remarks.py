@@ -10,7 +10,11 @@ from .page import escape, number, plural, table
 
 def said(remarks: Sequence[Remark]) -> str:
     """How much it had to say, as the end of a sentence."""
-    return f"the health check had {plural(len(remarks), 'remark')}" if remarks else "the health check had nothing to remark"
+    return (
+        f"the health check had {plural(len(remarks), 'remark')}"
+        if remarks
+        else "the health check had nothing to remark"
+    )
 
 
 def listed(remarks: Sequence[Remark]) -> str:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..diagnose.diagnosis import Diagnosis
-from ..wording import percent
-from .figures import BLUE, GREY, few_ticks, panels
-from .motion_figures import short, torque_units
+from ..diagnosis.diagnosis import Diagnosis
+from ..robot.parameter_names import percent
+from .figures.drawing import BLUE, GREY, few_ticks, panels
+from .figures.trajectory import short, torque_units
 from .page import bullets, figure, paragraph
 
 _HEIGHT, _MOST = 1.6, 6

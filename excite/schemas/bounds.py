@@ -30,7 +30,9 @@ class LinkBounds(msgspec.Struct, forbid_unknown_fields=True):
 def _interval(key: str, pair: tuple[float, float], narrowest: float) -> None:
     ordered(key, pair)
     if pair[1] - pair[0] < narrowest:
-        raise ValueError(f"{key}: {pair[0]:g} and {pair[1]:g} are nearer than {narrowest:g} to each other; widen the bounds")
+        raise ValueError(
+            f"{key}: {pair[0]:g} and {pair[1]:g} are nearer than {narrowest:g} to each other; widen the bounds"
+        )
 
 
 class BoundsFile(msgspec.Struct, forbid_unknown_fields=True):

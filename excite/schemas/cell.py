@@ -27,7 +27,9 @@ class ShapeDocument(msgspec.Struct):
 
     def __post_init__(self) -> None:
         if len(self.size) != SIZES[self.kind]:
-            raise ValueError(f"the size of a {self.kind} should hold {SIZES[self.kind]} values, not {len(self.size)}")
+            raise ValueError(
+                f"the size of a {self.kind} should hold {SIZES[self.kind]} values, not {len(self.size)}"
+            )
         if self.kind == "mesh" and (self.file is None or self.sha256 is None):
             raise ValueError("a mesh should state its file and the file's sha256")
         if self.kind != "mesh" and self.file is not None:
@@ -37,7 +39,9 @@ class ShapeDocument(msgspec.Struct):
 def check_floor(floor: float | bool | None) -> None:
     """Raise ValueError for a floor that is neither a height nor false. msgspec has no union of a bool with a `Length`."""
     if floor is True or not (floor is None or floor is False or Length.accepted.accepts(floor)):
-        raise ValueError(f"floor: {shown(floor)} should be a height {Length.accepted}, or false for none")
+        raise ValueError(
+            f"floor: {shown(floor)} should be a height {Length.accepted}, or false for none"
+        )
 
 
 class ExceptedDocument(msgspec.Struct):

@@ -71,7 +71,9 @@ class DocumentFile:
 
     def unreadable(self, reason: str) -> UnusableInput:
         """The error of a file that is no document of this kind."""
-        return UnusableInput(f"{self.path}: cannot be read as {self.kind} ({reason}); give {self.origin}")
+        return UnusableInput(
+            f"{self.path}: cannot be read as {self.kind} ({reason}); give {self.origin}"
+        )
 
     def json(self) -> Any:
         """The plain value of a JSON file.
@@ -93,7 +95,9 @@ class DocumentFile:
         """The schema that a document states. Raises UnusableInput unless it is one of `schemas`."""
         stated = document.get("schema") if isinstance(document, dict) else None
         if not isinstance(stated, str) or stated not in schemas:
-            raise UnusableInput(f"{self.path}: its schema is {shown(stated)}, not {schemas[0]!r}; give {self.origin}")
+            raise UnusableInput(
+                f"{self.path}: its schema is {shown(stated)}, not {schemas[0]!r}; give {self.origin}"
+            )
         return stated
 
     def converted(self, document: Any, schema: type[T]) -> T:
@@ -123,7 +127,9 @@ class DocumentFile:
             with self.path.open("rb") as stream:
                 data = stream.read(largest + 1)
         except (OSError, ValueError) as error:  # ValueError: a null byte in the path
-            raise self.unreadable(str(error.strerror if isinstance(error, OSError) else error)) from error
+            raise self.unreadable(
+                str(error.strerror if isinstance(error, OSError) else error)
+            ) from error
         if len(data) > largest:
             raise self.unreadable(f"larger than {largest >> 10} KiB")
         try:
@@ -185,7 +191,10 @@ def _yaml(text: str) -> Any:
     try:
         return yaml.load(text, _yaml_loader())
     except yaml.YAMLError as error:
-        mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None) or "malformed"
+        mark, problem = (
+            getattr(error, "problem_mark", None),
+            getattr(error, "problem", None) or "malformed",
+        )
         where = "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
         raise _Flaw(f"{where}{problem}") from error
     except (ValueError, TypeError, LookupError, AttributeError, ArithmeticError) as error:
@@ -207,11 +216,15 @@ def _yaml_loader() -> Any:
 
         def construct_mapping(self, node: Any, deep: bool = False) -> dict[str, Any]:
             if not isinstance(node, yaml.MappingNode):
-                raise yaml.constructor.ConstructorError(None, None, "a table is needed here", node.start_mark)
+                raise yaml.constructor.ConstructorError(
+                    None, None, "a table is needed here", node.start_mark
+                )
             out: dict[str, Any] = {}
             for key, value in node.value:
                 if not isinstance(key, yaml.ScalarNode):
-                    raise yaml.constructor.ConstructorError(None, None, "a key should be a text", key.start_mark)
+                    raise yaml.constructor.ConstructorError(
+                        None, None, "a key should be a text", key.start_mark
+                    )
                 if key.value in out:
                     raise _Flaw(f"the key {shown(key.value)} occurs twice in one table")
                 out[key.value] = self.construct_object(value, deep=True)
@@ -220,7 +233,9 @@ def _yaml_loader() -> Any:
     def angle(unit: float) -> Callable[[Any, Any], float]:
         return lambda loader, node: unit * float(loader.construct_scalar(node))
 
-    Loader.add_constructor("tag:yaml.org,2002:map", lambda loader, node: loader.construct_mapping(node))
+    Loader.add_constructor(
+        "tag:yaml.org,2002:map", lambda loader, node: loader.construct_mapping(node)
+    )
     Loader.add_constructor("!degrees", angle(math.pi / 180.0))
     Loader.add_constructor("!radians", angle(1.0))
     return Loader
@@ -283,10 +298,24 @@ _WORDS = {
 
 _PROBLEMS: tuple[tuple[str, Callable[[re.Match[str], Any, Any], str]], ...] = (
     (r"Object missing required field `(.*)`", lambda found, value, kind: f"has no '{found[1]}'"),
-    (r"Object contains unknown field `(.*)`", lambda found, value, kind: f"has the unknown key {shown(found[1])}{_alternatives(kind)}"),
-    (r"Invalid enum value .*", lambda found, value, kind: f"{shown(value)} is none of {', '.join(map(str, typing.get_args(kind)))}"),
-    (r"Expected `array` of length (\d+).*", lambda found, value, kind: f"should hold {found[1]} values, not {len(value)}"),
-    (r"Expected `([^`]*)`.*", lambda found, value, kind: f"{shown(value)} should be {_in_words(found[1])}"),
+    (
+        r"Object contains unknown field `(.*)`",
+        lambda found, value, kind: f"has the unknown key {shown(found[1])}{_alternatives(kind)}",
+    ),
+    (
+        r"Invalid enum value .*",
+        lambda found, value, kind: (
+            f"{shown(value)} is none of {', '.join(map(str, typing.get_args(kind)))}"
+        ),
+    ),
+    (
+        r"Expected `array` of length (\d+).*",
+        lambda found, value, kind: f"should hold {found[1]} values, not {len(value)}",
+    ),
+    (
+        r"Expected `([^`]*)`.*",
+        lambda found, value, kind: f"{shown(value)} should be {_in_words(found[1])}",
+    ),
 )
 """Messages of msgspec, and how to say the same by the value and its type."""
 
@@ -301,7 +330,9 @@ def _explained(document: Any, schema: type, message: str) -> tuple[str, str]:
     for pattern, words in _PROBLEMS:
         if found := re.fullmatch(pattern, problem, re.DOTALL):
             return where, words(found, value, _type_at(schema, keys))
-    if found := re.fullmatch(r"(\w+(?:\.\w+|\[\d+\])*): (.*)", problem, re.DOTALL):  # a struct's own check names a key in it
+    if found := re.fullmatch(
+        r"(\w+(?:\.\w+|\[\d+\])*): (.*)", problem, re.DOTALL
+    ):  # a struct's own check names a key in it
         return (f"{where}." if where else "") + found[1], found[2]
     return where, problem
 
@@ -354,7 +385,14 @@ def _type_at(schema: Any, keys: Sequence[Key]) -> Any:
     for key in keys:
         schema = _without_null(schema)
         if isinstance(schema, type) and issubclass(schema, msgspec.Struct):
-            schema = next((field.type for field in msgspec.structs.fields(schema) if field.encode_name == key), None)
+            schema = next(
+                (
+                    field.type
+                    for field in msgspec.structs.fields(schema)
+                    if field.encode_name == key
+                ),
+                None,
+            )
             continue
         arguments = typing.get_args(schema)
         if not arguments:
@@ -369,7 +407,11 @@ def _type_at(schema: Any, keys: Sequence[Key]) -> Any:
 def _without_null(schema: Any) -> Any:
     """The first alternative of a union that is not null; another type as it is."""
     if typing.get_origin(schema) in (typing.Union, types.UnionType):
-        return next(part for part in typing.get_args(schema) if part not in (types.NoneType, msgspec.UnsetType))
+        return next(
+            part
+            for part in typing.get_args(schema)
+            if part not in (types.NoneType, msgspec.UnsetType)
+        )
     return schema
 
 

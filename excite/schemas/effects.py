@@ -81,7 +81,11 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
     "asymmetric_viscous": (EffectForm(),),
     "stribeck": (
         EffectForm(_SETTLED, {"rational": FLAG}),
-        EffectForm({**_SETTLED, "width": FRICTION_SPEED, "usual": FRICTION_SPEED}, {"rational": FLAG}, lambda values: 2),
+        EffectForm(
+            {**_SETTLED, "width": FRICTION_SPEED, "usual": FRICTION_SPEED},
+            {"rational": FLAG},
+            lambda values: 2,
+        ),
     ),
     "nonlinear_viscous": (EffectForm({"exponent": EXPONENT}),),
     "drag": (EffectForm(),),
@@ -98,22 +102,40 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
     "friction": (EffectForm(coefficients=lambda values: 2),),
     "hysteresis": (
         EffectForm({"reach": POSITIVE}),
-        EffectForm({"reach": POSITIVE, "springs": COUNT}, coefficients=lambda values: int(values["springs"])),
+        EffectForm(
+            {"reach": POSITIVE, "springs": COUNT},
+            coefficients=lambda values: int(values["springs"]),
+        ),
     ),
     "thermal_drift": (
-        EffectForm({"time_constant": SECONDS, "coulomb": COULOMB, "viscous": VISCOUS}, {"power": POSITIVE}),
-        EffectForm({"reference": Range(-273.15, 1e4, "°C"), "coulomb": COULOMB, "viscous": VISCOUS}),
+        EffectForm(
+            {"time_constant": SECONDS, "coulomb": COULOMB, "viscous": VISCOUS}, {"power": POSITIVE}
+        ),
+        EffectForm(
+            {"reference": Range(-273.15, 1e4, "°C"), "coulomb": COULOMB, "viscous": VISCOUS}
+        ),
     ),
-    "elasticity": (EffectForm({"stiffness": STIFFNESS, "damping": DAMPING_RATIO, "rests": SWITCH}),),
-    "backlash": (EffectForm({"width": Range(1e-12, 1e2, "rad or m"), "hold": Range(0.0, 1e3, "Hz")}),),
+    "elasticity": (
+        EffectForm({"stiffness": STIFFNESS, "damping": DAMPING_RATIO, "rests": SWITCH}),
+    ),
+    "backlash": (
+        EffectForm({"width": Range(1e-12, 1e2, "rad or m"), "hold": Range(0.0, 1e3, "Hz")}),
+    ),
     "spring": (
-        EffectForm({"form": Range(0.0, 4.0, "1")}, coefficients=lambda values: COLUMNS_OF_FORMS[int(values["form"])]),
+        EffectForm(
+            {"form": Range(0.0, 4.0, "1")},
+            coefficients=lambda values: COLUMNS_OF_FORMS[int(values["form"])],
+        ),
         EffectForm({"order": SPATIAL_FREQUENCY, "about": POSITION}, coefficients=lambda values: 3),
         EffectForm({"bend": POSITION}, coefficients=lambda values: 2),
     ),
     "coupling": (
         EffectForm({"ratio": Range(-1e6, 1e6, "1")}, coefficients=lambda values: 3, other=True),
-        EffectForm({"ratio": Range(-1e6, 1e6, "1"), "light": FLAG}, coefficients=lambda values: 2, other=True),
+        EffectForm(
+            {"ratio": Range(-1e6, 1e6, "1"), "light": FLAG},
+            coefficients=lambda values: 2,
+            other=True,
+        ),
     ),
     "torque_ripple": (EffectForm({"order": SPATIAL_FREQUENCY}, WAVE_MULTIPLES, _waves),),
     "encoder_error": (EffectForm({"order": SPATIAL_FREQUENCY}, WAVE_MULTIPLES, _waves),),
@@ -122,11 +144,20 @@ FORMS: Mapping[str, tuple[EffectForm, ...]] = {
         EffectForm({"seconds": Range(1e-9, 10.0, "s")}, {"lagging": FLAG}, joint=None),
     ),
     "payload": (
-        EffectForm({"link": Range(0.0, 1000.0, "1"), "count": Range(4.0, 10.0, "1")}, coefficients=lambda values: int(values["count"])),
+        EffectForm(
+            {"link": Range(0.0, 1000.0, "1"), "count": Range(4.0, 10.0, "1")},
+            coefficients=lambda values: int(values["count"]),
+        ),
     ),
-    "gravity_tilt": (EffectForm({"large": SWITCH}, coefficients=lambda values: 2 + (values["large"] > 0.0), joint=False),),
+    "gravity_tilt": (
+        EffectForm(
+            {"large": SWITCH}, coefficients=lambda values: 2 + (values["large"] > 0.0), joint=False
+        ),
+    ),
     "rotor_inertia": (EffectForm(),),
-    "kinematic_error": (EffectForm({"angle": SWITCH, "whole": SWITCH}, coefficients=lambda values: 3),),
+    "kinematic_error": (
+        EffectForm({"angle": SWITCH, "whole": SWITCH}, coefficients=lambda values: 3),
+    ),
     "base_compliance": (
         EffectForm(
             {
@@ -169,15 +200,25 @@ class EffectDocument(msgspec.Struct):
         _check_values(self.values, form)
         needed = form.coefficients(self.values)
         if len(self.coefficients) != needed:
-            raise ValueError(f"coefficients: '{self.effect}' should have {needed} of them, not {len(self.coefficients)}")
+            raise ValueError(
+                f"coefficients: '{self.effect}' should have {needed} of them, not {len(self.coefficients)}"
+            )
         if form.joint is not None and form.joint != (self.joint is not None):
-            raise ValueError(f"joint: '{self.effect}' {'needs a joint' if form.joint else 'has no joint'}, not {shown(self.joint)}")
+            raise ValueError(
+                f"joint: '{self.effect}' {'needs a joint' if form.joint else 'has no joint'}, not {shown(self.joint)}"
+            )
         if form.other != (self.other is not None) or (form.other and self.other == self.joint):
-            raise ValueError(f"from: '{self.effect}' {'comes from another joint' if form.other else 'has none'}, not {shown(self.other)}")
+            raise ValueError(
+                f"from: '{self.effect}' {'comes from another joint' if form.other else 'has none'}, not {shown(self.other)}"
+            )
         if form.interval != (self.time is not None):
-            raise ValueError(f"time: '{self.effect}' {'needs an interval' if form.interval else 'has no interval'}, not {shown(self.time)}")
+            raise ValueError(
+                f"time: '{self.effect}' {'needs an interval' if form.interval else 'has no interval'}, not {shown(self.time)}"
+            )
         if self.time is not None and not (self.time[0] < self.time[1] and self.recording):
-            raise ValueError("time: should be [start, end] with start < end, of a recording that is named")
+            raise ValueError(
+                "time: should be [start, end] with start < end, of a recording that is named"
+            )
 
 
 def _form(effect: str, values: Values) -> EffectForm:

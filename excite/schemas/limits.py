@@ -109,7 +109,9 @@ class LimitsFile(msgspec.Struct, forbid_unknown_fields=True):
 
     def __post_init__(self) -> None:
         if not self.joints and self.margin is None:
-            raise ValueError("has no [joints.<name>] tables; write one per joint, e.g. [joints.elbow] velocity = 2.0")
+            raise ValueError(
+                "has no [joints.<name>] tables; write one per joint, e.g. [joints.elbow] velocity = 2.0"
+            )
 
 
 class Mounting(msgspec.Struct, forbid_unknown_fields=True):
@@ -176,4 +178,6 @@ MOVEIT_UNUSED = ("has_deceleration_limits", "max_deceleration", "has_soft_limits
 def ordered(key: str, pair: tuple[float, float]) -> None:
     """Raise ValueError unless the first of two bounds is below the second."""
     if not pair[0] < pair[1]:
-        raise ValueError(f"{key}: the lower bound {pair[0]:g} is not below the upper bound {pair[1]:g}; swap or widen them")
+        raise ValueError(
+            f"{key}: the lower bound {pair[0]:g} is not below the upper bound {pair[1]:g}; swap or widen them"
+        )

@@ -82,9 +82,13 @@ class ModelDocument(msgspec.Struct):
                 if named is not None and named not in self.joints:
                     raise ValueError(f"effects[{i}].{key}: {shown(named)} is none of the joints")
             if effect.values.get("late_joint", 0.0) >= len(self.joints):
-                raise ValueError(f"effects[{i}].values.late_joint: {effect.values['late_joint']:g} is the number of no joint")
+                raise ValueError(
+                    f"effects[{i}].values.late_joint: {effect.values['late_joint']:g} is the number of no joint"
+                )
             if effect.values.get("link", 0.0) >= len(self.links):
-                raise ValueError(f"effects[{i}].values.link: {effect.values['link']:g} is the number of no link")
+                raise ValueError(
+                    f"effects[{i}].values.link: {effect.values['link']:g} is the number of no link"
+                )
 
 
 def _check_parameters(document: ModelDocument) -> None:
@@ -94,10 +98,14 @@ def _check_parameters(document: ModelDocument) -> None:
     edge, n = TEN * len(document.links), len(document.joints)
     count, stated = edge + n * len(document.drive), document.standard_parameters
     if len(stated) != count:
-        raise ValueError(f"standard_parameters: should hold {count} values for these links and joints, not {len(stated)}")
+        raise ValueError(
+            f"standard_parameters: should hold {count} values for these links and joints, not {len(stated)}"
+        )
     accepted = {i: Mass.accepted for i in range(0, edge, TEN)}
     for k, kind in enumerate(document.drive):
         accepted |= dict.fromkeys(range(edge + k * n, edge + (k + 1) * n), DRIVE_RANGES[kind])
     for i, allowed in accepted.items():
         if not allowed.accepts(stated[i].value):
-            raise ValueError(f"standard_parameters[{i}].value: {shown(stated[i].value)} should be {allowed}")
+            raise ValueError(
+                f"standard_parameters[{i}].value: {shown(stated[i].value)} should be {allowed}"
+            )

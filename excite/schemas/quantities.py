@@ -32,10 +32,14 @@ def shown(value: Any) -> str:
         return "a table"
     if isinstance(value, list | tuple):
         return f"a list of {len(value)}"
-    if isinstance(value, int) and value.bit_length() > 100:  # turning it into digits may take long, or be refused
+    if (
+        isinstance(value, int) and value.bit_length() > 100
+    ):  # turning it into digits may take long, or be refused
         return f"an integer of about {int(value.bit_length() * math.log10(2.0)) + 1} digits"
     text = repr(value)
-    printable = "".join(letter if letter.isprintable() else f"\\u{ord(letter):04x}" for letter in text)
+    printable = "".join(
+        letter if letter.isprintable() else f"\\u{ord(letter):04x}" for letter in text
+    )
     return printable if len(printable) <= SHOWN else f"{printable[:SHOWN]}…"
 
 
@@ -226,7 +230,9 @@ class Rate(Quantity):
 class AngularFrequency(Quantity):
     """The base frequency of a Fourier series, 2π over a `Period`."""
 
-    accepted = Range(2.0 * math.pi / Period.accepted.upper, 2.0 * math.pi / Period.accepted.lower, "rad/s")
+    accepted = Range(
+        2.0 * math.pi / Period.accepted.upper, 2.0 * math.pi / Period.accepted.lower, "rad/s"
+    )
 
 
 class Band(Quantity):
@@ -289,7 +295,9 @@ class Sha256(str):
 
 def unprintable(text: str) -> str | None:
     """The first control character or line separator of a text, None where it has none."""
-    return next((letter for letter in text if unicodedata.category(letter) in ("Cc", "Zl", "Zp")), None)
+    return next(
+        (letter for letter in text if unicodedata.category(letter) in ("Cc", "Zl", "Zp")), None
+    )
 
 
 def name_fault(text: str) -> str | None:
@@ -308,7 +316,12 @@ def _text(kind: type, value: str) -> str:
             raise ValueError(fault)
     elif issubclass(kind, FilePath):
         longest = max((len(part.encode()) for part in value.split("/")), default=0)
-        if not value or unprintable(value) is not None or len(value.encode()) > LONGEST_PATH or longest > LONGEST_FILE_NAME:
+        if (
+            not value
+            or unprintable(value) is not None
+            or len(value.encode()) > LONGEST_PATH
+            or longest > LONGEST_FILE_NAME
+        ):
             raise ValueError(f"{shown(value)} is no path of a file")
     elif issubclass(kind, Sha256):
         if re.fullmatch(r"[0-9a-fA-F]{64}", value) is None:

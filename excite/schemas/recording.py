@@ -31,6 +31,10 @@ class SidecarDocument(msgspec.Struct):
             return
         length = self.periodic[1] - self.periodic[0]
         if not length > 0.0:
-            raise ValueError(f"periodic: [{self.periodic[0]:g}, {self.periodic[1]:g}] should be [start, end] with start < end")
+            raise ValueError(
+                f"periodic: [{self.periodic[0]:g}, {self.periodic[1]:g}] should be [start, end] with start < end"
+            )
         if self.period is not None and length < SHORTEST_WINDOW * self.period:
-            raise ValueError(f"periodic: a window of {length:g} s is much shorter than the period, {self.period:g} s")
+            raise ValueError(
+                f"periodic: a window of {length:g} s is much shorter than the period, {self.period:g} s"
+            )

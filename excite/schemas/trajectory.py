@@ -95,7 +95,11 @@ class SegmentDocument(msgspec.Struct):
 
     def __post_init__(self) -> None:
         if (self.profile is None) != (self.kind == "fourier"):
-            raise ValueError("the Fourier part has no profile" if self.kind == "fourier" else f"the {self.kind} has no profile")
+            raise ValueError(
+                "the Fourier part has no profile"
+                if self.kind == "fourier"
+                else f"the {self.kind} has no profile"
+            )
         if self.end < self.start:
             raise ValueError(f"it ends at {self.end:g} s, before it starts at {self.start:g} s")
 
@@ -199,21 +203,27 @@ class TrajectoryDocument(msgspec.Struct):
         if not 0 <= self.seed < 1 << 63:
             raise ValueError(f"seed: {shown(self.seed)} should be a whole number of at least 0")
         if self.segments[-1].end * self.rate > MOST_ROWS:
-            raise ValueError(f"rate: {self.segments[-1].end:.4g} s at {self.rate:g} Hz are more than {MOST_ROWS} rows")
+            raise ValueError(
+                f"rate: {self.segments[-1].end:.4g} s at {self.rate:g} Hz are more than {MOST_ROWS} rows"
+            )
 
 
 def _check_joints(joints: Sequence[str]) -> None:
     if not joints:
         raise ValueError("joints: is empty")
     if len(set(joints)) < len(joints):
-        raise ValueError(f"joints: {shown(next(j for j in joints if joints.count(j) > 1))} is named twice")
+        raise ValueError(
+            f"joints: {shown(next(j for j in joints if joints.count(j) > 1))} is named twice"
+        )
 
 
 def _check_series(document: TrajectoryDocument) -> None:
     """Raise ValueError unless the coefficients fit the joints and harmonics, and the frequency the period."""
     n = len(document.joints)
     if not 1 <= document.harmonics <= MOST_HARMONICS:
-        raise ValueError(f"harmonics: {shown(document.harmonics)} should be from 1 to {MOST_HARMONICS}")
+        raise ValueError(
+            f"harmonics: {shown(document.harmonics)} should be from 1 to {MOST_HARMONICS}"
+        )
     if not 1 <= document.periods <= MOST_PERIODS:
         raise ValueError(f"periods: {shown(document.periods)} should be from 1 to {MOST_PERIODS}")
     for key, rows in (("sine", document.sine), ("cosine", document.cosine)):
@@ -221,11 +231,17 @@ def _check_series(document: TrajectoryDocument) -> None:
             raise ValueError(f"{key}: should hold {n} rows, one a joint, not {len(rows)}")
         for i, row in enumerate(rows):
             if len(row) != document.harmonics:
-                raise ValueError(f"{key}[{i}]: should hold {document.harmonics} numbers, one a harmonic, not {len(row)}")
+                raise ValueError(
+                    f"{key}[{i}]: should hold {document.harmonics} numbers, one a harmonic, not {len(row)}"
+                )
     if len(document.offset) != n:
-        raise ValueError(f"offset: should hold {n} numbers, one a joint, not {len(document.offset)}")
+        raise ValueError(
+            f"offset: should hold {n} numbers, one a joint, not {len(document.offset)}"
+        )
     if abs(document.base_frequency * document.period / (2.0 * math.pi) - 1.0) > FREQUENCY:
-        raise ValueError(f"base_frequency: {document.base_frequency:g} rad/s is not 2π over the period of {document.period:g} s")
+        raise ValueError(
+            f"base_frequency: {document.base_frequency:g} rad/s is not 2π over the period of {document.period:g} s"
+        )
 
 
 def _check_segments(document: TrajectoryDocument) -> None:
@@ -240,11 +256,15 @@ def _check_segments(document: TrajectoryDocument) -> None:
         if ORDER.index(after.kind) < ORDER.index(before.kind):
             raise ValueError(f"segments[{i}].kind: {after.kind} cannot follow {before.kind}")
         if abs(after.start - before.end) > TIMING:
-            raise ValueError(f"segments[{i}].start: {after.start:g} s is not where {before.kind} ends, {before.end:g} s")
+            raise ValueError(
+                f"segments[{i}].start: {after.start:g} s is not where {before.kind} ends, {before.end:g} s"
+            )
     length = segments[parts[0]].end - segments[parts[0]].start
     if abs(length - expected) > TIMING:
         stated = f"{document.periods} periods of {document.period:g} s"
-        raise ValueError(f"segments[{parts[0]}]: lasts {length:g} s, but {stated} last {expected:g} s")
+        raise ValueError(
+            f"segments[{parts[0]}]: lasts {length:g} s, but {stated} last {expected:g} s"
+        )
     for i, segment in enumerate(segments):
         if segment.profile is not None:
             _check_profile(f"segments[{i}].profile", segment.profile, document.joints)
@@ -253,7 +273,9 @@ def _check_segments(document: TrajectoryDocument) -> None:
 def _check_profile(where: str, profile: ProfileDocument, joints: Sequence[str]) -> None:
     for key in ("position", "velocity", "acceleration"):
         if len(getattr(profile, key)) != len(joints):
-            raise ValueError(f"{where}.{key}: should hold {len(joints)} numbers, one a joint, not {len(getattr(profile, key))}")
+            raise ValueError(
+                f"{where}.{key}: should hold {len(joints)} numbers, one a joint, not {len(getattr(profile, key))}"
+            )
     _check_keys(f"{where}.pieces", profile.pieces, joints)
 
 
@@ -264,7 +286,9 @@ def _check_limits(limits: StatedLimits, joints: Sequence[str]) -> None:
         _check_keys(f"limits.{quantity}", getattr(limits, quantity), joints, optional=optional)
 
 
-def _check_keys(where: str, table: dict[str, Any], joints: Collection[str], *, optional: bool = False) -> None:
+def _check_keys(
+    where: str, table: dict[str, Any], joints: Collection[str], *, optional: bool = False
+) -> None:
     """Raise ValueError for a joint that a table does not name, or a name in it that is no joint."""
     for name in table:
         if name not in joints:

@@ -93,7 +93,9 @@ class SettingDocument(msgspec.Struct, forbid_unknown_fields=True):
         if not 0 <= self.seed < 1 << 63:
             raise ValueError(f"seed: {shown(self.seed)} should be a whole number of at least 0")
         if self.colour is not None and not self.colour < 0.5 * self.rate:
-            raise ValueError(f"colour: {self.colour:g} Hz should be below half the rate, {0.5 * self.rate:g} Hz")
+            raise ValueError(
+                f"colour: {self.colour:g} Hz should be below half the rate, {0.5 * self.rate:g} Hz"
+            )
 
 
 class ParameterDocument(msgspec.Struct):

@@ -31,7 +31,9 @@ class Analyst:
 
 def baselines() -> Analyst:
     """The three baselines, in one process."""
-    return Analyst(BASELINES, f"{shlex.quote(sys.executable)} -m excite.trial.baselines {{case}} -o {{out}}")
+    return Analyst(
+        BASELINES, f"{shlex.quote(sys.executable)} -m excite.trial.baselines {{case}} -o {{out}}"
+    )
 
 
 def ask(analyst: Analyst, case: Path, answers: Path) -> float | None:
@@ -59,8 +61,14 @@ def ask(analyst: Analyst, case: Path, answers: Path) -> float | None:
         fault = _run(analyst.command.format(**words), Path(place))
         taken = time.perf_counter() - start
         for name, path in targets.items():
-            found = next((f for f in (out / f"{name}.json", out / "diagnosis.json") if f.exists()), None)
-            document = {"error": fault or "no diagnosis.json"} if found is None or fault else json.loads(found.read_text(encoding="utf-8"))
+            found = next(
+                (f for f in (out / f"{name}.json", out / "diagnosis.json") if f.exists()), None
+            )
+            document = (
+                {"error": fault or "no diagnosis.json"}
+                if found is None or fault
+                else json.loads(found.read_text(encoding="utf-8"))
+            )
             path.parent.mkdir(parents=True, exist_ok=True)
             staged = path.with_suffix(".part")
             staged.write_text(json.dumps({"seconds": taken, "answer": document}), encoding="utf-8")
@@ -70,14 +78,28 @@ def ask(analyst: Analyst, case: Path, answers: Path) -> float | None:
 
 def _run(command: str, place: Path) -> str:
     """Run in a bare environment; returns what went wrong, or nothing."""
-    kept = {key: os.environ[key] for key in ("PATH", "HOME", "LANG", "VIRTUAL_ENV", "PYTHONPATH") if key in os.environ}
+    kept = {
+        key: os.environ[key]
+        for key in ("PATH", "HOME", "LANG", "VIRTUAL_ENV", "PYTHONPATH")
+        if key in os.environ
+    }
     # the commands of this environment, `excite` for one, whether or not it is activated
     kept["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), kept.get("PATH", os.defpath)])
     environment = {**kept, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     try:
         done = subprocess.run(
-            shlex.split(command), cwd=place, env=environment, capture_output=True, text=True, timeout=PATIENCE, check=False
+            shlex.split(command),
+            cwd=place,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE,
+            check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         return str(error)
-    return "" if done.returncode == 0 else (done.stderr.strip().splitlines() or [f"exit {done.returncode}"])[-1]
+    return (
+        ""
+        if done.returncode == 0
+        else (done.stderr.strip().splitlines() or [f"exit {done.returncode}"])[-1]
+    )

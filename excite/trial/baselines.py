@@ -72,7 +72,9 @@ class Chosen:
     rivals: tuple[str, ...]
 
 
-def greedy(problem: Problem, trials: list[Trial], steps: int = STEPS, *, always: bool = False) -> list[Chosen]:
+def greedy(
+    problem: Problem, trials: list[Trial], steps: int = STEPS, *, always: bool = False
+) -> list[Chosen]:
     """Forward selection: at each step the candidate with the best BIC, if it passes a Bonferroni-corrected F-test, or always."""
     basis = problem.basis.reshape(problem.rest[0].size, -1)
     rest, rank = (problem.rest[0] / problem.noise).ravel(), basis.shape[1]
@@ -87,27 +89,41 @@ def greedy(problem: Problem, trials: list[Trial], steps: int = STEPS, *, always:
         for trial in trials:
             fall, m = trial.gain(rest)
             if m and 0.0 < fall < rss:
-                p = float(stats.f.sf((fall / m) / ((rss - fall) / (size - m)), m, size - m)) * len(trials)
-                scores.append((float(size * np.log(rss / (rss - fall)) - m * np.log(size)), p, trial))
+                p = float(stats.f.sf((fall / m) / ((rss - fall) / (size - m)), m, size - m)) * len(
+                    trials
+                )
+                scores.append(
+                    (float(size * np.log(rss / (rss - fall)) - m * np.log(size)), p, trial)
+                )
         if not scores:
             break
         bic, p, best = max(scores, key=lambda entry: entry[0])
         if not always and (bic <= 0.0 or p > LEVEL):
             break
-        near = {t.candidate.name for b, _, t in scores if b > bic - 6.0 and t.candidate.joint == best.candidate.joint}
+        near = {
+            t.candidate.name
+            for b, _, t in scores
+            if b > bic - 6.0 and t.candidate.joint == best.candidate.joint
+        }
         out.append(Chosen(best, bic, tuple(sorted(near - {best.candidate.name}))))
         c = np.zeros((rest.size, best.c.shape[1]))
         c[best.rows] = best.c
         c = c - basis @ (basis.T @ c)
         u, s, _ = linalg.svd(c, full_matrices=False)
         new = u[:, s > 1e-3]
-        basis, rank, rest = np.hstack([basis, new]), rank + new.shape[1], rest - new @ (new.T @ rest)
+        basis, rank, rest = (
+            np.hstack([basis, new]),
+            rank + new.shape[1],
+            rest - new @ (new.T @ rest),
+        )
         for trial in trials:
             trial.learn(new)
     return out
 
 
-def _answer(problem: Problem, chosen: list[Chosen], certainty: float | None = None) -> dict[str, Any]:
+def _answer(
+    problem: Problem, chosen: list[Chosen], certainty: float | None = None
+) -> dict[str, Any]:
     """Refit base and choice together, predict the second recording, and say so in the contract's words."""
     first = np.concatenate([problem.columns[0], *(c.trial.columns[0] for c in chosen)], axis=2)
     second = np.concatenate([problem.columns[1], *(c.trial.columns[1] for c in chosen)], axis=2)
@@ -119,13 +135,23 @@ def _answer(problem: Problem, chosen: list[Chosen], certainty: float | None = No
         parameters = {
             name: {
                 "value": turn(float(solution[at + k])),
-                "std": abs(turn(float(solution[at + k] + spread[at + k])) - turn(float(solution[at + k]))),
+                "std": abs(
+                    turn(float(solution[at + k] + spread[at + k])) - turn(float(solution[at + k]))
+                ),
                 "unit": unit,
             }
             for name, unit, k, turn in c.stated
         } | {name: {"value": value, "std": None, "unit": unit} for name, unit, value in c.fixed}
-        probability = certainty if certainty is not None else float(np.clip(1.0 / (1.0 + np.exp(-0.5 * one.bic)), 0.5, 0.999))
-        where = {"statement": f"{c.name} in {c.joint}", "regime": "", "time": None if c.time is None else list(c.time)}
+        probability = (
+            certainty
+            if certainty is not None
+            else float(np.clip(1.0 / (1.0 + np.exp(-0.5 * one.bic)), 0.5, 0.999))
+        )
+        where = {
+            "statement": f"{c.name} in {c.joint}",
+            "regime": "",
+            "time": None if c.time is None else list(c.time),
+        }
         findings.append(
             {
                 "effect": c.name,
@@ -145,10 +171,14 @@ def _solve(problem: Problem, columns: Array) -> tuple[Array, Array]:
     if not columns.shape[2]:
         return np.zeros(0), np.zeros(0)
     basis, solve = fit.span((columns / problem.noise[:, None]).reshape(-1, columns.shape[2]))
-    return solve @ (basis.T @ (problem.rest[0] / problem.noise).ravel()), np.sqrt(np.square(solve).sum(axis=1))
+    return solve @ (basis.T @ (problem.rest[0] / problem.noise).ravel()), np.sqrt(
+        np.square(solve).sum(axis=1)
+    )
 
 
-def _document(problem: Problem, findings: list[dict[str, Any]], unknown: list[dict[str, Any]], after: Array) -> dict[str, Any]:
+def _document(
+    problem: Problem, findings: list[dict[str, Any]], unknown: list[dict[str, Any]], after: Array
+) -> dict[str, Any]:
     before, left = fit.rmse(problem.rest[1]), fit.rmse(after)
     joints = {
         name: {
@@ -178,20 +208,35 @@ def blackbox(problem: Problem, period: float, rng: np.random.Generator) -> dict[
     Cross-fitted over eight stretches of the period, each left out in all its repeats at once.
     """
     unknown, after = [], problem.rest[1].copy()
-    fold = np.floor(8.0 * np.mod(problem.train.low(problem.train.data.t), period) / period).astype(int)
+    fold = np.floor(8.0 * np.mod(problem.train.low(problem.train.data.t), period) / period).astype(
+        int
+    )
     for j, joint in enumerate(problem.joints):
         first, second = (_state(scene, j) for scene in (problem.train, problem.validate))
         middle, size = first.mean(axis=0), first.std(axis=0) + 1e-12
-        ways, shifts = rng.standard_normal((first.shape[1], FEATURES)) * 0.3, rng.uniform(0.0, 2.0 * np.pi, FEATURES)
+        ways, shifts = (
+            rng.standard_normal((first.shape[1], FEATURES)) * 0.3,
+            rng.uniform(0.0, 2.0 * np.pi, FEATURES),
+        )
         x, held = (np.cos((s - middle) / size @ ways + shifts) for s in (first, second))
         target = problem.rest[0][:, j]
-        costs = sum(_costs(x[fold != k], target[fold != k], x[fold == k], target[fold == k]) for k in range(8))
+        costs = sum(
+            _costs(x[fold != k], target[fold != k], x[fold == k], target[fold == k])
+            for k in range(8)
+        )
         best = int(np.argmin(costs))
         share = 1.0 - float(np.asarray(costs)[best]) / float(np.square(target).sum())
         if share > 0.1:
             after[:, j] -= held @ _ridges(x, target)[:, best]
             where = {"statement": f"repeatable torque in {joint}"}
-            unknown.append({"joint": joint, "where": where, "share": share, "probability": min(0.99, 0.5 + share)})
+            unknown.append(
+                {
+                    "joint": joint,
+                    "where": where,
+                    "share": share,
+                    "probability": min(0.99, 0.5 + share),
+                }
+            )
     return _document(problem, [], unknown, after)
 
 
@@ -205,7 +250,9 @@ def _state(scene: Any, j: int) -> Array:
 def _ridges(x: Array, y: Array) -> Array:
     """Ridge regressions, one per strength. Shape (features, len(RIDGES))."""
     values, vectors = np.linalg.eigh(x.T @ x)
-    return np.asarray(vectors @ ((vectors.T @ (x.T @ y))[:, None] / (values[:, None] + np.array(RIDGES))))
+    return np.asarray(
+        vectors @ ((vectors.T @ (x.T @ y))[:, None] / (values[:, None] + np.array(RIDGES)))
+    )
 
 
 def _costs(x: Array, y: Array, held: Array, out: Array) -> Array:
@@ -233,7 +280,9 @@ def main() -> None:
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     for name, document in answers(arguments.case).items():
-        (arguments.out / f"{name}.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
+        (arguments.out / f"{name}.json").write_text(
+            json.dumps(document, indent=1), encoding="utf-8"
+        )
 
 
 if __name__ == "__main__":

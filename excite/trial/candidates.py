@@ -9,8 +9,8 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..plant import arm as arms
-from ..plant.regressor import bodies
+from ..simulator import mujoco_dynamics as arms
+from ..simulator.regressor import bodies
 from .fit import OUT
 from .scene import Problem, Scene
 
@@ -67,19 +67,50 @@ def _friction(j: int, joint: str) -> Iterator[Candidate]:
             (("velocity", "rad/s", speed),),
         )
     yield Candidate("asymmetric_viscous", joint, j, lambda s: np.abs(v(s))[:, None])
-    yield Candidate("drag", joint, j, lambda s: (v(s) * np.abs(v(s)))[:, None], (("coefficient", "N m s²/rad²", 0, same),))
-    yield Candidate("nonlinear_viscous", joint, j, lambda s: (v(s) ** 3)[:, None], (), (("exponent", "1", 3.0),))
-    yield Candidate("nonlinear_viscous", joint, j, lambda s: (sign(s, j) * np.sqrt(np.abs(v(s))))[:, None], (), (("exponent", "1", 0.5),))
-    yield Candidate("load_friction", joint, j, lambda s: (sign(s, j) * np.abs(_load(s, j)))[:, None], (("mu", "1", 0, same),))
+    yield Candidate(
+        "drag",
+        joint,
+        j,
+        lambda s: (v(s) * np.abs(v(s)))[:, None],
+        (("coefficient", "N m s²/rad²", 0, same),),
+    )
+    yield Candidate(
+        "nonlinear_viscous", joint, j, lambda s: (v(s) ** 3)[:, None], (), (("exponent", "1", 3.0),)
+    )
+    yield Candidate(
+        "nonlinear_viscous",
+        joint,
+        j,
+        lambda s: (sign(s, j) * np.sqrt(np.abs(v(s))))[:, None],
+        (),
+        (("exponent", "1", 0.5),),
+    )
+    yield Candidate(
+        "load_friction",
+        joint,
+        j,
+        lambda s: (sign(s, j) * np.abs(_load(s, j)))[:, None],
+        (("mu", "1", 0, same),),
+    )
     yield Candidate(
         "position_friction",
         joint,
         j,
-        lambda s: sign(s, j)[:, None] * np.column_stack([f(k * s.data.q[:, j]) for k in (1, 2) for f in (np.cos, np.sin)]),
+        lambda s: (
+            sign(s, j)[:, None]
+            * np.column_stack([f(k * s.data.q[:, j]) for k in (1, 2) for f in (np.cos, np.sin)])
+        ),
     )
-    yield Candidate("thermal_drift", joint, j, lambda s: np.exp(-s.data.t / 10.0)[:, None] * np.column_stack([v(s), sign(s, j)]))
+    yield Candidate(
+        "thermal_drift",
+        joint,
+        j,
+        lambda s: np.exp(-s.data.t / 10.0)[:, None] * np.column_stack([v(s), sign(s, j)]),
+    )
     for way in (1e-3, 5e-3):
-        yield Candidate("hysteresis", joint, j, partial(_dahl, j=j, way=way), (("amplitude", "N m", 0, same),))
+        yield Candidate(
+            "hysteresis", joint, j, partial(_dahl, j=j, way=way), (("amplitude", "N m", 0, same),)
+        )
 
 
 def _load(s: Scene, j: int) -> Array:
@@ -96,7 +127,10 @@ def _coupled(s: Scene, i: int) -> Array:
 
 def _waver(s: Scene, j: int, k: int) -> Array:
     """Inertial torque of a wave in the position read."""
-    return np.asarray(s.mass[:, j, None] * np.column_stack([_rate(s, _rate(s, f(k * s.data.q[:, j]))) for f in (np.cos, np.sin)]))
+    return np.asarray(
+        s.mass[:, j, None]
+        * np.column_stack([_rate(s, _rate(s, f(k * s.data.q[:, j]))) for f in (np.cos, np.sin)])
+    )
 
 
 def _dahl(s: Scene, j: int, way: float) -> Array:
@@ -114,7 +148,13 @@ def _rate(s: Scene, x: Array) -> Array:
 
 
 def _drive(j: int, joint: str, problem: Problem) -> Iterator[Candidate]:
-    yield Candidate("delay", joint, j, lambda s: _rate(s, _smooth(s, j))[:, None], (("seconds", "s", 0, lambda c: -c),))
+    yield Candidate(
+        "delay",
+        joint,
+        j,
+        lambda s: _rate(s, _smooth(s, j))[:, None],
+        (("seconds", "s", 0, lambda c: -c),),
+    )
     yield Candidate(
         "elasticity",
         joint,
@@ -126,14 +166,28 @@ def _drive(j: int, joint: str, problem: Problem) -> Iterator[Candidate]:
         "backlash",
         joint,
         j,
-        lambda s: (s.mass[:, j] * _rate(s, _rate(s, np.tanh(_smooth(s, j) / (0.02 * s.limit[j])))))[:, None],
+        lambda s: (s.mass[:, j] * _rate(s, _rate(s, np.tanh(_smooth(s, j) / (0.02 * s.limit[j])))))[
+            :, None
+        ],
         (("width", "rad", 0, lambda c: abs(2.0 * c)),),
     )
-    yield Candidate("torque_saturation", joint, j, lambda s: (_load(s, j) * np.abs(_load(s, j)) / s.limit[j])[:, None])
-    yield Candidate("spring", joint, j, lambda s: np.column_stack([s.data.q[:, j], np.sin(s.data.q[:, j]), np.cos(s.data.q[:, j])]))
+    yield Candidate(
+        "torque_saturation",
+        joint,
+        j,
+        lambda s: (_load(s, j) * np.abs(_load(s, j)) / s.limit[j])[:, None],
+    )
+    yield Candidate(
+        "spring",
+        joint,
+        j,
+        lambda s: np.column_stack([s.data.q[:, j], np.sin(s.data.q[:, j]), np.cos(s.data.q[:, j])]),
+    )
     for i, _ in enumerate(problem.joints):
         if abs(i - j) == 1:
-            yield Candidate("coupling", joint, j, partial(_coupled, i=i), (("viscous", "N m s/rad", 0, same),))
+            yield Candidate(
+                "coupling", joint, j, partial(_coupled, i=i), (("viscous", "N m s/rad", 0, same),)
+            )
     order = _order(problem, j)
     yield Candidate(
         "torque_ripple",
@@ -159,7 +213,9 @@ def _smooth(s: Scene, j: int) -> Array:
     from scipy import signal
 
     rate = 1.0 / float(np.median(np.diff(s.data.t)))
-    return np.asarray(signal.sosfiltfilt(signal.butter(4, 30.0, fs=rate, output="sos"), s.load[:, j]))
+    return np.asarray(
+        signal.sosfiltfilt(signal.butter(4, 30.0, fs=rate, output="sos"), s.load[:, j])
+    )
 
 
 def _order(problem: Problem, j: int) -> float:
@@ -174,8 +230,20 @@ def _order(problem: Problem, j: int) -> float:
 
 
 def _absorbed(j: int, joint: str) -> Iterator[Candidate]:
-    yield Candidate("rotor_inertia", joint, j, lambda s: s.data.a[:, j][:, None], (("inertia", "kg m²", 0, same),))
-    yield Candidate("torque_offset", joint, j, lambda s: np.ones((len(s.data.t), 1)), (("offset", "N m", 0, same),))
+    yield Candidate(
+        "rotor_inertia",
+        joint,
+        j,
+        lambda s: s.data.a[:, j][:, None],
+        (("inertia", "kg m²", 0, same),),
+    )
+    yield Candidate(
+        "torque_offset",
+        joint,
+        j,
+        lambda s: np.ones((len(s.data.t), 1)),
+        (("offset", "N m", 0, same),),
+    )
     yield Candidate(
         "friction",
         joint,
@@ -183,7 +251,13 @@ def _absorbed(j: int, joint: str) -> Iterator[Candidate]:
         lambda s: np.column_stack([sign(s, j), s.data.v[:, j]]),
         (("coulomb", "N m", 0, same), ("viscous", "N m s/rad", 1, same)),
     )
-    yield Candidate("torque_gain", joint, j, lambda s: _load(s, j)[:, None], (("gain", "1", 0, lambda c: 1.0 - c),))
+    yield Candidate(
+        "torque_gain",
+        joint,
+        j,
+        lambda s: _load(s, j)[:, None],
+        (("gain", "1", 0, lambda c: 1.0 - c),),
+    )
 
 
 def _windows(problem: Problem) -> Iterator[Candidate]:
@@ -195,19 +269,34 @@ def _windows(problem: Problem) -> Iterator[Candidate]:
                 u = np.clip((s.data.t - start) / length, 0.0, 1.0)
                 return np.sin(np.pi * u)[:, None, None] * np.eye(n)
 
-            yield Candidate("contact", problem.joints[-1], None, pulse, time=(float(start), float(start) + length))
+            yield Candidate(
+                "contact",
+                problem.joints[-1],
+                None,
+                pulse,
+                time=(float(start), float(start) + length),
+            )
 
 
 def _robot(problem: Problem) -> Iterator[Candidate]:
     arm = problem.train.arm
-    across = [arms.build(arm.tree, arm.joints, gravity=axis) for axis in ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0))]
+    across = [
+        arms.build(arm.tree, arm.joints, gravity=axis)
+        for axis in ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
+    ]
     size = float(np.linalg.norm(arm.model.opt.gravity))
 
     def tilt(s: Scene) -> Array:
         still = np.zeros_like(s.data.q)
         return size * np.stack([one.inverse(s.data.q, still, still) for one in across], axis=2)
 
-    yield Candidate("gravity_tilt", None, None, tilt, (("roll", "rad", 0, lambda c: -c), ("pitch", "rad", 1, same)))
+    yield Candidate(
+        "gravity_tilt",
+        None,
+        None,
+        tilt,
+        (("roll", "rad", 0, lambda c: -c), ("pitch", "rad", 1, same)),
+    )
     for j, joint in enumerate(arm.joints):
         yield Candidate("payload", joint, None, partial(_body, j=j), (("mass", "kg", 0, same),))
         if j:
@@ -226,7 +315,13 @@ def _frame(s: Scene, joint: str) -> Array:
     """Derivatives of the torque by two turns and a shift of the joint's frame."""
     out, h = [], 1e-4
     plain = s.arm.inverse(s.data.q, s.data.v, s.data.a)
-    for turn, shift in (((h, 0.0, 0.0), (0.0,) * 3), ((0.0, h, 0.0), (0.0,) * 3), ((0.0,) * 3, (h, 0.0, 0.0))):
+    for turn, shift in (
+        ((h, 0.0, 0.0), (0.0,) * 3),
+        ((0.0, h, 0.0), (0.0,) * 3),
+        ((0.0,) * 3, (h, 0.0, 0.0)),
+    ):
         tree = s.arm.tree.moved(joint, Rotation.from_rotvec(turn).as_matrix(), np.array(shift))
-        out.append((arms.build(tree, s.arm.joints).inverse(s.data.q, s.data.v, s.data.a) - plain) / h)
+        out.append(
+            (arms.build(tree, s.arm.joints).inverse(s.data.q, s.data.v, s.data.a) - plain) / h
+        )
     return np.stack(out, axis=2)

@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 
 from ..errors import UnusableInput
-from ..plant import effect as effects
-from ..plant import laboratory, record, severity
-from ..plant import tree as trees
-from ..plant.drive import Control, Drive
-from ..plant.effect import Effect
-from ..plant.effects import KINDS
-from ..plant.laboratory import Session, Setting
-from ..plant.plant import Plant
-from ..plant.reference import Reference
+from ..simulator import effect_instance as effects
+from ..simulator import experiment, recording_file, severity
+from ..simulator import urdf_tree as trees
+from ..simulator.actuator import Control, Drive
+from ..simulator.effect_instance import Effect
+from ..simulator.effects import KINDS
+from ..simulator.experiment import Session, Setting
+from ..simulator.reference_trajectory import Reference
+from ..simulator.simulated_robot import Plant
 from . import motion
 from .fit import oracle
 from .plan import Spec
@@ -57,7 +57,9 @@ def setting(spec: Spec) -> Setting:
     """Measurement and controller of a case, with its trap. The true bodies are the URDF's where a prior is trusted."""
     rng = np.random.default_rng([spec.seed, 1])
     control = Control(
-        position=float(rng.uniform(20.0, 40.0)), speed=float(rng.uniform(120.0, 200.0)), forward=float(rng.uniform(0.6, 0.95))
+        position=float(rng.uniform(20.0, 40.0)),
+        speed=float(rng.uniform(120.0, 200.0)),
+        forward=float(rng.uniform(0.6, 0.95)),
     )
     if spec.trap == "changed_gains":
         control = replace(control, position=8.0, speed=60.0, forward=0.3)
@@ -89,14 +91,24 @@ def bench(spec: Spec, models: Path) -> Bench:
 
 def _drawn(spec: Spec, models: Path, least: float) -> Bench:
     """A case, every effect of which shows a severity of `least` by itself."""
-    rng, chosen, path = np.random.default_rng([spec.seed, 2]), setting(spec), models / f"{spec.robot}.urdf"
+    rng, chosen, path = (
+        np.random.default_rng([spec.seed, 2]),
+        setting(spec),
+        models / f"{spec.robot}.urdf",
+    )
     tree = trees.read(path)
-    plant = laboratory.robot(path, _standing(tree.joints), chosen)
+    plant = experiment.robot(path, _standing(tree.joints), chosen)
     # where a prior is trusted, the handed-over URDF is right, to the last digit
     plant = replace(plant, step=STEP, tree=tree if spec.trusted else plant.tree)
     poor = spec.trap == "poor_excitation"
-    states = [np.random.default_rng([spec.seed, 3]), np.random.default_rng([spec.seed, 3]), np.random.default_rng([spec.seed, 4])]
-    short, train, validate = (motion.draw(plant, n, state, poor=poor) for n, state in zip((1, 2, 1), states, strict=True))
+    states = [
+        np.random.default_rng([spec.seed, 3]),
+        np.random.default_rng([spec.seed, 3]),
+        np.random.default_rng([spec.seed, 4]),
+    ]
+    short, train, validate = (
+        motion.draw(plant, n, state, poor=poor) for n, state in zip((1, 2, 1), states, strict=True)
+    )
     hidden: list[tuple[Effect, float]] = []
     for name, level in zip(spec.names, spec.severities, strict=True):
         # of two effects most sit in one joint, where they mask each other
@@ -110,13 +122,20 @@ def _measured(case: Bench, validate: Reference, chosen: Setting) -> Bench:
     for _ in range(4):
         robot = effects.hide(case.plant, tuple(effect for effect, _ in case.hidden))
         try:
-            first = laboratory.session(robot, case.motion, chosen)
-            second = laboratory.session(replace(robot, drive=_later(case)), validate, replace(chosen, seed=chosen.seed + 1))
+            first = experiment.session(robot, case.motion, chosen)
+            second = experiment.session(
+                replace(robot, drive=_later(case)), validate, replace(chosen, seed=chosen.seed + 1)
+            )
         except UnusableInput:
-            case = replace(case, hidden=tuple((effect.sized(0.3), 0.3 * alone) for effect, alone in case.hidden))
+            case = replace(
+                case,
+                hidden=tuple((effect.sized(0.3), 0.3 * alone) for effect, alone in case.hidden),
+            )
             continue
         return replace(case, sessions=(first, second))
-    raise UnusableInput(f"case {case.spec.name}: the controller loses this robot whatever is hidden; plan another seed")
+    raise UnusableInput(
+        f"case {case.spec.name}: the controller loses this robot whatever is hidden; plan another seed"
+    )
 
 
 def _later(case: Bench) -> Drive:
@@ -125,7 +144,9 @@ def _later(case: Bench) -> Drive:
     if case.spec.trap != "another_day":
         return drive
     rng = np.random.default_rng([case.spec.seed, 5])
-    factor = 1.0 + rng.choice((-1.0, 1.0)) * rng.uniform(*CHANGES) * rng.uniform(0.8, 1.2, len(case.plant.joints))
+    factor = 1.0 + rng.choice((-1.0, 1.0)) * rng.uniform(*CHANGES) * rng.uniform(
+        0.8, 1.2, len(case.plant.joints)
+    )
     return replace(drive, viscous=factor * drive.viscous, coulomb=factor * drive.coulomb)
 
 
@@ -139,7 +160,7 @@ def given(case: Bench) -> dict[str, str]:
     out = {"robot.urdf": case.urdf}
     for name, session in zip(("train", "validate"), case.sessions, strict=True):
         out[f"{name}.csv"] = session.recording.csv()
-        out[f"{name}.json"] = record.dumps({**session.recording.sidecar(), "notes": ""})
+        out[f"{name}.json"] = recording_file.dumps({**session.recording.sidecar(), "notes": ""})
     if case.spec.trusted:
         out["prior.json"] = _prior(case.plant)
     return out
@@ -164,7 +185,7 @@ def _effect(
     kind, n, (short, whole) = KINDS[name], len(plant.joints), motions
     first = {"payload": n // 2, "contact": n // 2}.get(name, 0)
     end = max(n - 1, 1) if name == "kinematic_error" else n
-    chain, along = laboratory.chain(plant, chosen), whole if name == "thermal_drift" else short
+    chain, along = experiment.chain(plant, chosen), whole if name == "thermal_drift" else short
     all_late = rng.random() < 0.3
     found: list[tuple[float, Effect, float]] = []
     for draw in range(FURTHER):
@@ -176,7 +197,15 @@ def _effect(
         effect = effects.draw(kind, plant, place, spec.family, rng)
         try:
             sized, _, reached = severity.reach(
-                effect, level, plant, along, chain, trusted=spec.trusted, tolerance=0.5, tries=3, largest=LARGEST
+                effect,
+                level,
+                plant,
+                along,
+                chain,
+                trusted=spec.trusted,
+                tolerance=0.5,
+                tries=3,
+                largest=LARGEST,
             )
         except UnusableInput as error:
             lost = error
@@ -204,20 +233,27 @@ def _prior(plant: Plant) -> str:
         }
         for j, name in enumerate(plant.joints)
     }
-    return record.dumps({"schema": "excite.prior/1", "trust_prior": True, "joints": joints})
+    return recording_file.dumps({"schema": "excite.prior/1", "trust_prior": True, "joints": joints})
 
 
 def key(case: Bench, folder: Path) -> dict[str, Any]:
     """What the analyst must not know; `folder` holds the files it is given. held_out: RMSE of the second recording [N m]."""
     first, second = case.sessions
-    before, after = oracle(folder, (_torque(first, case.plant), _torque(second, replace(case.plant, drive=_later(case)))))
+    before, after = oracle(
+        folder,
+        (_torque(first, case.plant), _torque(second, replace(case.plant, drive=_later(case)))),
+    )
     whole = severity.of(first.run, case.plant, case.motion, first.chain, trusted=case.spec.trusted)
     return {
         "spec": asdict(case.spec),
         "joints": list(case.plant.joints),
         "effects": [{**effect.document(), "severity": alone} for effect, alone in case.hidden],
         "severity": whole.joints.tolist(),
-        "held_out": {"before": before.tolist(), "oracle": after.tolist(), "noise": second.chain.floor(severity.BAND).tolist()},
+        "held_out": {
+            "before": before.tolist(),
+            "oracle": after.tolist(),
+            "noise": second.chain.floor(severity.BAND).tolist(),
+        },
         "truth": first.truth,
     }
 

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 from scipy import linalg, signal
 
-from ..plant import arm as arms
-from ..plant import tree as trees
-from ..plant.arm import Arm
-from ..plant.regressor import bodies, drives
+from ..simulator import mujoco_dynamics as arms
+from ..simulator import urdf_tree as trees
+from ..simulator.mujoco_dynamics import Arm
+from ..simulator.regressor import bodies, drives
 
 Array = np.ndarray
 BAND, MOTION_BAND, RATE, OUT = 20.0, 60.0, 250.0, 50.0
@@ -44,13 +44,19 @@ def read(path: Path) -> Data:
         table = np.loadtxt(stream, delimiter=",")
     joints = tuple(name[2:] for name in header if name.startswith("q."))
     t = table[:, header.index("t")]
-    q, tau = (table[:, [header.index(f"{kind}.{joint}") for joint in joints]] for kind in ("q", "tau"))
+    q, tau = (
+        table[:, [header.index(f"{kind}.{joint}") for joint in joints]] for kind in ("q", "tau")
+    )
     rate = 1.0 / float(np.median(np.diff(t)))
     every = max(1, round(rate / RATE))
     smooth = signal.sosfiltfilt(signal.butter(4, MOTION_BAND, fs=rate, output="sos"), q, axis=0)
     v = np.gradient(smooth, 1.0 / rate, axis=0)
     a = np.gradient(v, 1.0 / rate, axis=0)
-    aliasless = signal.sosfiltfilt(signal.butter(4, 0.4 * rate / every, fs=rate, output="sos"), tau, axis=0) if every > 1 else tau
+    aliasless = (
+        signal.sosfiltfilt(signal.butter(4, 0.4 * rate / every, fs=rate, output="sos"), tau, axis=0)
+        if every > 1
+        else tau
+    )
     return Data(joints, t[::every], smooth[::every], v[::every], a[::every], aliasless[::every])
 
 
@@ -74,7 +80,9 @@ def arm_of(urdf: Path, joints: tuple[str, ...]) -> Arm:
 
 def columns(arm: Arm, data: Data, width: Array) -> Array:
     """The base model's columns at RATE, joints in the arm's order. width: Shape (n,). Shape (N, n, P)."""
-    return np.concatenate([bodies(arm, data.q, data.v, data.a), drives(data.v, data.a, width)], axis=2)
+    return np.concatenate(
+        [bodies(arm, data.q, data.v, data.a), drives(data.v, data.a, width)], axis=2
+    )
 
 
 def ordered(data: Data, joints: tuple[str, ...]) -> Data:
@@ -87,7 +95,16 @@ def best_width(arm: Arm, data: Data, tau: Array) -> Array:
     """For each joint the width that leaves least; every joint tries them at once. tau: in the band. Shape (n,) [rad/s]."""
     same = [np.full(arm.n, width) for width in WIDTHS]
     inertial = low(bodies(arm, data.q, data.v, data.a), data.t)
-    left = [rmse(fit(np.concatenate([inertial, low(drives(data.v, data.a, width), data.t)], axis=2), tau, 1).left()) for width in same]
+    left = [
+        rmse(
+            fit(
+                np.concatenate([inertial, low(drives(data.v, data.a, width), data.t)], axis=2),
+                tau,
+                1,
+            ).left()
+        )
+        for width in same
+    ]
     return np.array(WIDTHS)[np.argmin(np.array(left), axis=0)]
 
 
@@ -135,7 +152,9 @@ def span(y: Array) -> tuple[Array, Array]:
     rank = int((np.abs(np.diag(triangle)) > 1e-8 * abs(triangle[0, 0])).sum())
     solve = np.zeros((y.shape[1], rank))
     chosen = kept[order[:rank]]
-    solve[chosen] = linalg.solve_triangular(triangle[:rank, :rank], np.eye(rank)) / size[chosen, None]
+    solve[chosen] = (
+        linalg.solve_triangular(triangle[:rank, :rank], np.eye(rank)) / size[chosen, None]
+    )
     return q[:, :rank], solve
 
 
@@ -154,7 +173,9 @@ def oracle(folder: Path, hidden: tuple[Hidden, Hidden]) -> tuple[Array, Array]:
     """
     first, second = (read(folder / f"{name}.csv") for name in ("train", "validate"))
     arm, told_order = arm_of(folder / "robot.urdf", first.joints), first.joints
-    known, told = (low(more(data.t), data.t) for more, data in zip(hidden, (first, second), strict=True))
+    known, told = (
+        low(more(data.t), data.t) for more, data in zip(hidden, (first, second), strict=True)
+    )
     order = [told_order.index(name) for name in arm.joints]
     known, told = known[:, order], told[:, order]
     first, second = ordered(first, arm.joints), ordered(second, arm.joints)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..plant.effects import CATALOGUE, OUTSIDERS
+from ..simulator.effects import CATALOGUE, OUTSIDERS
 from .score import NO_ANSWER, NOTHING, UNKNOWN
 
 Array = np.ndarray
@@ -18,7 +18,14 @@ def _svg(width: float, height: float, draw: Callable[[Any], None]) -> str:
     import matplotlib
     from matplotlib.figure import Figure
 
-    with matplotlib.rc_context({"svg.fonttype": "none", "font.size": 7.5, "svg.hashsalt": "trial", "font.family": "DejaVu Sans"}):
+    with matplotlib.rc_context(
+        {
+            "svg.fonttype": "none",
+            "font.size": 7.5,
+            "svg.hashsalt": "trial",
+            "font.family": "DejaVu Sans",
+        }
+    ):
         figure = Figure(figsize=(width, height), layout="constrained")
         draw(figure)
         buffer = io.StringIO()
@@ -69,8 +76,20 @@ def reliability(found: Mapping[str, Mapping[str, Any]]) -> str:
         for axis, (name, calibration) in zip(axes, found.items(), strict=True):
             axis.plot([0.5, 1.0], [0.5, 1.0], color="#9aa4af", linewidth=0.8)
             for row in calibration["bins"]:
-                axis.plot(row["said"], row["was"], "o", color="#2f6fb5", markersize=2.5 + 1.2 * np.sqrt(row["count"]) ** 0.8)
-                axis.annotate(f"{row['count']}", (row["said"], row["was"]), xytext=(5, -9), textcoords="offset points", fontsize=6.5)
+                axis.plot(
+                    row["said"],
+                    row["was"],
+                    "o",
+                    color="#2f6fb5",
+                    markersize=2.5 + 1.2 * np.sqrt(row["count"]) ** 0.8,
+                )
+                axis.annotate(
+                    f"{row['count']}",
+                    (row["said"], row["was"]),
+                    xytext=(5, -9),
+                    textcoords="offset points",
+                    fontsize=6.5,
+                )
             error = calibration["error"]
             axis.set_title(f"{name}{'' if error is None else f', error {error:.2f}'}", loc="left")
             axis.set_xlim(0.48, 1.02)

@@ -9,14 +9,31 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..plant.effects import CATALOGUE, OUTSIDERS
+from ..simulator.effects import CATALOGUE, OUTSIDERS
 
 T = TypeVar("T")
 ROBOTS = ("two_link", "tx40", "ur10e", "panda")
 SEVERITIES = (1.0, 3.0, 10.0, 30.0)
-TRAPS = ("none", "coarse_encoder", "heavy_noise", "coloured_noise", "jitter", "poor_excitation", "changed_gains", "another_day")
+TRAPS = (
+    "none",
+    "coarse_encoder",
+    "heavy_noise",
+    "coloured_noise",
+    "jitter",
+    "poor_excitation",
+    "changed_gains",
+    "another_day",
+)
 """What makes recordings harder than a laboratory's best; on another day friction is another by the second recording."""
-PRIOR_ONLY = ("payload", "gravity_tilt", "rotor_inertia", "torque_offset", "friction", "torque_gain", "kinematic_error")
+PRIOR_ONLY = (
+    "payload",
+    "gravity_tilt",
+    "rotor_inertia",
+    "torque_offset",
+    "friction",
+    "torque_gain",
+    "kinematic_error",
+)
 """What a refit of the base model absorbs (the contract): hidden where the prior is trusted."""
 REFIT = tuple(name for name in CATALOGUE if name not in PRIOR_ONLY)
 CONFUSABLE = (
@@ -68,10 +85,15 @@ class Plan:
         singles = _rounds(REFIT, rng)
         with_prior = _rounds(PRIOR_ONLY, rng)
         pairs, odd = _rounds(CONFUSABLE, rng), _rounds(OUTSIDERS, rng)
-        mixed = _rounds([pair for pair in combinations(REFIT, 2) if set(pair) != {"elasticity", "backlash"}], rng)
+        mixed = _rounds(
+            [pair for pair in combinations(REFIT, 2) if set(pair) != {"elasticity", "backlash"}],
+            rng,
+        )
         levels = _rounds(SEVERITIES, rng)
         traps = {True: _rounds(TRAPS, rng), False: _rounds(TRAPS, rng)}
-        robots = {sort: _rounds(self.robots, rng) for sort in ("null", "single", "pair", "outsider")}
+        robots = {
+            sort: _rounds(self.robots, rng) for sort in ("null", "single", "pair", "outsider")
+        }
         out = []
         for number, (sort, trusted) in enumerate(sorts):
             names: tuple[str, ...] = ()
@@ -85,7 +107,20 @@ class Plan:
             severities = () if not names else (level,) * len(names)
             trap = next(traps[sort == "null"])
             seed = int(rng.integers(2**31))
-            out.append(Spec(number, f"{tags[number]:06x}", next(robots[sort]), sort, trusted, names, severities, trap, self.family, seed))
+            out.append(
+                Spec(
+                    number,
+                    f"{tags[number]:06x}",
+                    next(robots[sort]),
+                    sort,
+                    trusted,
+                    names,
+                    severities,
+                    trap,
+                    self.family,
+                    seed,
+                )
+            )
         return out
 
     def _sorts(self) -> list[tuple[str, bool]]:
@@ -95,7 +130,9 @@ class Plan:
         out = [("null", False)] * (null - round(0.2 * null)) + [("null", True)] * round(0.2 * null)
         prior = round(0.2 * (self.count - null))
         out += [("pair", False)] * pair + [("outsider", False)] * odd
-        return out + [("single", True)] * min(prior, rest) + [("single", False)] * max(rest - prior, 0)
+        return (
+            out + [("single", True)] * min(prior, rest) + [("single", False)] * max(rest - prior, 0)
+        )
 
 
 def _rounds(items: Sequence[T], rng: np.random.Generator) -> Iterator[T]:

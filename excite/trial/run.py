@@ -20,7 +20,7 @@ from .answer import Analyst
 from .plan import Plan, Spec
 from .score import Mark, confusion, mark, score
 
-MODELS = Path(__file__).resolve().parents[1] / "models"
+MODELS = Path(__file__).resolve().parents[1] / "robot" / "models"
 Say = Callable[[str], None]
 BATCH = 24
 
@@ -49,7 +49,11 @@ class Place:
 
     def names(self) -> list[str]:
         """Names of the concealed cases, in the order of their random names."""
-        return sorted(path.name for path in self.cases.iterdir() if path.is_dir() and not path.name.startswith("."))
+        return sorted(
+            path.name
+            for path in self.cases.iterdir()
+            if path.is_dir() and not path.name.startswith(".")
+        )
 
     def log(self, text: str) -> None:
         """A line of the log, with the date: it is only ever appended to."""
@@ -63,11 +67,15 @@ def conceal(place: Place, plan: Plan, jobs: int, say: Say) -> str:
     specs = plan.specs()
     missing = [spec for spec in specs if not (place.cases / spec.name).exists()]
     place.log(f"conceal: {len(missing)} of {len(specs)} cases of family {plan.family}")
-    for number, taken in enumerate(_spread(_conceal_one, ((place, spec) for spec in missing), jobs), start=1):
+    for number, taken in enumerate(
+        _spread(_conceal_one, ((place, spec) for spec in missing), jobs), start=1
+    ):
         say(f"concealed {number} of {len(missing)}, {taken:.1f} s")
     sealed = seal.close(place.key, [spec.name for spec in specs])
     if place.sealed.exists() and place.sealed.read_text(encoding="utf-8").strip() != sealed:
-        raise UnusableInput(f"{place.sealed}: another key was published here before; start a trial in a new folder")
+        raise UnusableInput(
+            f"{place.sealed}: another key was published here before; start a trial in a new folder"
+        )
     place.sealed.write_text(sealed + "\n", encoding="utf-8")
     place.log(f"sealed: {sealed}")
     return sealed
@@ -75,7 +83,9 @@ def conceal(place: Place, plan: Plan, jobs: int, say: Say) -> str:
 
 def _conceal_one(place: Place, spec: Spec) -> float:
     start = time.perf_counter()
-    concealing.write(concealing.bench(spec, MODELS), place.cases / spec.name, place.key / f"{spec.name}.json")
+    concealing.write(
+        concealing.bench(spec, MODELS), place.cases / spec.name, place.key / f"{spec.name}.json"
+    )
     return time.perf_counter() - start
 
 
@@ -83,8 +93,14 @@ def answer(place: Place, analysts: Sequence[Analyst], jobs: int, say: Say) -> No
     """Ask every analyst what it has not answered yet, a process a case. Raises UnusableInput before the key is sealed."""
     if not place.sealed.exists():
         raise UnusableInput(f"{place.root}: its key is not sealed yet; run 'conceal' first")
-    work = [(analyst, place.cases / name, place.answers) for name in place.names() for analyst in analysts]
-    place.log(f"answer: {len(work)} questions to {', '.join(name for analyst in analysts for name in analyst.names)}")
+    work = [
+        (analyst, place.cases / name, place.answers)
+        for name in place.names()
+        for analyst in analysts
+    ]
+    place.log(
+        f"answer: {len(work)} questions to {', '.join(name for analyst in analysts for name in analyst.names)}"
+    )
     for number, taken in enumerate(_spread(answers.ask, work, jobs), start=1):
         if taken is not None:
             say(f"answered {number} of {len(work)}, {taken:.1f} s")
@@ -110,8 +126,13 @@ def marks(place: Place) -> dict[str, list[Mark]]:
         paths = {path.stem: path for path in folder.glob("*.json")}
         lacking = set(cases) - set(paths)
         if lacking:
-            raise UnusableInput(f"{folder}: {len(lacking)} cases are not answered yet, {min(lacking)} for one; run 'answer' again")
-        out[folder.name] = [mark(cases[name], json.loads(paths[name].read_text(encoding="utf-8"))) for name in sorted(cases)]
+            raise UnusableInput(
+                f"{folder}: {len(lacking)} cases are not answered yet, {min(lacking)} for one; run 'answer' again"
+            )
+        out[folder.name] = [
+            mark(cases[name], json.loads(paths[name].read_text(encoding="utf-8")))
+            for name in sorted(cases)
+        ]
     return out
 
 
@@ -133,7 +154,8 @@ def report(place: Place) -> str:
     (place.root / "score.md").write_text(text + "\n", encoding="utf-8")
     (place.root / "confusion.svg").write_text(pictures.confusion(tables), encoding="utf-8")
     (place.root / "reliability.svg").write_text(
-        pictures.reliability({name: of["calibration"] for name, of in scores.items()}), encoding="utf-8"
+        pictures.reliability({name: of["calibration"] for name, of in scores.items()}),
+        encoding="utf-8",
     )
     place.log("scored")
     return text
@@ -167,7 +189,9 @@ def table(scores: dict[str, dict[str, Any]]) -> str:
         cells = (_cell(scores[name]["right_first_by_severity"][bounds]) for name in names)
         lines.append(f"| right name first, severity {bounds} | {' | '.join(cells)} |")
     errors = (scores[name]["calibration"]["error"] for name in names)
-    lines.append(f"| calibration error | {' | '.join('–' if e is None else f'{e:.2f}' for e in errors)} |")
+    lines.append(
+        f"| calibration error | {' | '.join('–' if e is None else f'{e:.2f}' for e in errors)} |"
+    )
     seconds = (scores[name]["seconds"] for name in names)
     lines.append(f"| seconds a case, median | {' | '.join(f'{s:.1f}' for s in seconds)} |")
     return "\n".join(lines)

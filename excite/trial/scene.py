@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ..plant import tree as trees
-from ..plant.arm import Arm
+from ..simulator import urdf_tree as trees
+from ..simulator.mujoco_dynamics import Arm
 from . import fit
 from .fit import Data
 
@@ -61,7 +61,9 @@ def scene(arm: Arm, limit: Array, path: Path) -> Scene:
     """Read a recording."""
     data = fit.ordered(fit.read(path), arm.joints)
     every = 5
-    coarse = np.array([np.diag(arm.terms(q, v)[0]) for q, v in zip(data.q[::every], data.v[::every], strict=True)])
+    coarse = np.array(
+        [np.diag(arm.terms(q, v)[0]) for q, v in zip(data.q[::every], data.v[::every], strict=True)]
+    )
     mass = np.column_stack([np.interp(data.t, data.t[::every], column) for column in coarse.T])
     return Scene(arm, limit, data, mass, data.tau, np.full(arm.n, fit.WIDTHS[1]))
 
@@ -81,23 +83,42 @@ def load(folder: Path) -> Problem:
     y, held = (one.low(all_) for one, all_ in zip((first, second), wide, strict=True))
     tau, other = (one.low(one.data.tau) for one in (first, second))
     base = fit.fit(y, tau)
-    first, second = (replace(one, load=base.predict(all_)) for one, all_ in zip((first, second), wide, strict=True))
+    first, second = (
+        replace(one, load=base.predict(all_))
+        for one, all_ in zip((first, second), wide, strict=True)
+    )
     rest = (tau - base.predict(y), other - base.predict(held))
-    return Problem(first, second, False, base.noise, base.basis.reshape(*tau.shape, -1), rest, (y, held))
+    return Problem(
+        first, second, False, base.noise, base.basis.reshape(*tau.shape, -1), rest, (y, held)
+    )
 
 
 def _trusted(first: Scene, second: Scene, prior: dict[str, Any]) -> Problem:
     arm, known = first.arm, [prior[name] for name in first.arm.joints]
-    inertia, viscous, coulomb, offset = (np.array([k[key] for k in known]) for key in ("rotor_inertia", "viscous", "coulomb", "offset"))
+    inertia, viscous, coulomb, offset = (
+        np.array([k[key] for k in known])
+        for key in ("rotor_inertia", "viscous", "coulomb", "offset")
+    )
 
     def model(one: Scene, width: Array) -> Array:
         d = one.data
-        return arm.inverse(d.q, d.v, d.a) + inertia * d.a + viscous * d.v + coulomb * np.tanh(d.v / width) + offset
+        return (
+            arm.inverse(d.q, d.v, d.a)
+            + inertia * d.a
+            + viscous * d.v
+            + coulomb * np.tanh(d.v / width)
+            + offset
+        )
 
-    tried = [fit.rmse(first.low(first.data.tau - model(first, np.full(arm.n, width)))) for width in fit.WIDTHS]
+    tried = [
+        fit.rmse(first.low(first.data.tau - model(first, np.full(arm.n, width))))
+        for width in fit.WIDTHS
+    ]
     width = np.array(fit.WIDTHS)[np.argmin(np.array(tried), axis=0)]
     scenes = [replace(one, load=model(one, width), width=width) for one in (first, second)]
     rest = [one.low(one.data.tau - one.load) for one in scenes]
     noise = 1.4826 * np.median(np.abs(np.diff(rest[0], axis=0)), axis=0) / np.sqrt(2.0)
     empty = [np.zeros((*x.shape, 0)) for x in rest]
-    return Problem(scenes[0], scenes[1], True, noise, empty[0], (rest[0], rest[1]), (empty[0], empty[1]))
+    return Problem(
+        scenes[0], scenes[1], True, noise, empty[0], (rest[0], rest[1]), (empty[0], empty[1])
+    )

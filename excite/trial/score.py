@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..plant.effects import FAMILIES, KINDS
+from ..simulator.effects import FAMILIES, KINDS
 
 Array = np.ndarray
 BINS = ((0.0, 0.7), (0.7, 2.0), (2.0, 6.0), (6.0, 18.0), (18.0, np.inf))
@@ -68,7 +68,10 @@ def mark(case: Mapping[str, Any], entry: Mapping[str, Any]) -> Mark:
     spec, answer = case["spec"], entry["answer"]
     answered = _readable(answer)
     findings = answer["findings"] if answered else []
-    named = tuple((str(f["effect"]), f.get("joint"), float(f["probability"]), tuple(f.get("equivalents", ()))) for f in findings)
+    named = tuple(
+        (str(f["effect"]), f.get("joint"), float(f["probability"]), tuple(f.get("equivalents", ())))
+        for f in findings
+    )
     truth = tuple(e["effect"] for e in case["effects"])
     known = [e for e in case["effects"] if not e["outsider"]]
     right = [(f, e) for f in findings for e in known if equal(str(f["effect"]), e["effect"])]
@@ -84,7 +87,12 @@ def mark(case: Mapping[str, Any], entry: Mapping[str, Any]) -> Mark:
         unknown=bool(answered and any(map(_physics, answer["unknown"]))),
         joint=joint,
         overlap=_overlap(right),
-        errors=tuple(error for f, e in right if f.get("joint") == e["joint"] for error in _errors(f, whole(e, case))),
+        errors=tuple(
+            error
+            for f, e in right
+            if f.get("joint") == e["joint"]
+            for error in _errors(f, whole(e, case))
+        ),
         gain=_gain(case, answer) if answered and known else None,
         seconds=float(entry["seconds"]),
     )
@@ -92,16 +100,24 @@ def mark(case: Mapping[str, Any], entry: Mapping[str, Any]) -> Mark:
 
 def _physics(unknown: Any) -> bool:
     """Whether an unknown is one: that friction is another on another day is no physics that a model lacks."""
-    return not isinstance(unknown, dict) or (unknown.get("where") or {}).get("regime") != "recording"
+    return (
+        not isinstance(unknown, dict) or (unknown.get("where") or {}).get("regime") != "recording"
+    )
 
 
 def _readable(answer: Any) -> bool:
     """Whether an answer is one: findings with a name and a probability each, unknowns, joints."""
-    if not isinstance(answer, dict) or not all(isinstance(answer.get(key), list) for key in ("findings", "unknown")):
+    if not isinstance(answer, dict) or not all(
+        isinstance(answer.get(key), list) for key in ("findings", "unknown")
+    ):
         return False
-    whole = all(isinstance(f, dict) and isinstance(f.get("effect"), str) for f in answer["findings"])
+    whole = all(
+        isinstance(f, dict) and isinstance(f.get("effect"), str) for f in answer["findings"]
+    )
     return (
-        whole and all(isinstance(f.get("probability"), (int, float)) for f in answer["findings"]) and isinstance(answer.get("joints"), dict)
+        whole
+        and all(isinstance(f.get("probability"), (int, float)) for f in answer["findings"])
+        and isinstance(answer.get("joints"), dict)
     )
 
 
@@ -125,15 +141,29 @@ def whole(effect: Mapping[str, Any], case: Mapping[str, Any]) -> Mapping[str, An
     Viscous friction that differs by direction is all of it, the key states what was added.
     """
     name, family = effect["effect"], effect.get("family", "")
-    own = float(case["truth"]["drive"]["viscous"][effect["joint"]]) if name == "asymmetric_viscous" else 0.0
-    law = {key: float(one["value"]) + own for key, one in {**effect["parameters"], **effect["details"]}.items()}
+    own = (
+        float(case["truth"]["drive"]["viscous"][effect["joint"]])
+        if name == "asymmetric_viscous"
+        else 0.0
+    )
+    law = {
+        key: float(one["value"]) + own
+        for key, one in {**effect["parameters"], **effect["details"]}.items()
+    }
     meaning = KINDS[name].meant.get(family)
     values = law if meaning is None else {**law, **meaning(law)}
-    kept = {key: true for key, true in effect["parameters"].items() if (name, family, key) not in APART}
-    return {**effect, "parameters": {key: {**true, "value": values[key]} for key, true in kept.items()}}
+    kept = {
+        key: true for key, true in effect["parameters"].items() if (name, family, key) not in APART
+    }
+    return {
+        **effect,
+        "parameters": {key: {**true, "value": values[key]} for key, true in kept.items()},
+    }
 
 
-def _errors(finding: Mapping[str, Any], effect: Mapping[str, Any]) -> list[tuple[str, float, bool | None]]:
+def _errors(
+    finding: Mapping[str, Any], effect: Mapping[str, Any]
+) -> list[tuple[str, float, bool | None]]:
     """Relative error of each parameter that both name, and whether value ± 2 std covers the truth.
 
     Nothing where the finding has the other of two equal names: a drag's coefficient and a power law's have different units.
@@ -147,7 +177,13 @@ def _errors(finding: Mapping[str, Any], effect: Mapping[str, Any]) -> list[tuple
             continue
         away = abs(float(said["value"]) - float(true["value"]))
         std = said.get("std")
-        out.append((f"{effect['effect']}.{name}", away / abs(float(true["value"])), None if std is None else away <= 2.0 * float(std)))
+        out.append(
+            (
+                f"{effect['effect']}.{name}",
+                away / abs(float(true["value"])),
+                None if std is None else away <= 2.0 * float(std),
+            )
+        )
     return out
 
 
@@ -182,18 +218,31 @@ def score(marks: Sequence[Mark]) -> dict[str, Any]:
     return {
         "cases": len(marks),
         "false_alarms": _share(not m.silent for m in nulls),
-        "false_alarms_by_trap": {trap: _share(not m.silent for m in nulls if m.trap == trap) for trap in sorted({m.trap for m in nulls})},
+        "false_alarms_by_trap": {
+            trap: _share(not m.silent for m in nulls if m.trap == trap)
+            for trap in sorted({m.trap for m in nulls})
+        },
         "abstained": _share(m.silent or not m.answered for m in hidden),
         "right_first": _share(_right(m) for m in named),
         "right_first_from_3": _share(_right(m) for m in named if m.severity >= BINS[2][0]),
-        "right_first_by_severity": {_words(b): _share(_right(m) for m in named if b[0] <= m.severity < b[1]) for b in BINS},
+        "right_first_by_severity": {
+            _words(b): _share(_right(m) for m in named if b[0] <= m.severity < b[1]) for b in BINS
+        },
         "within_equivalents": _share(_within(m) for m in named),
-        "equivalents": {"value": float(np.mean([len(m.named[0][3]) for m in within])) if within else None, "count": len(within)},
+        "equivalents": {
+            "value": float(np.mean([len(m.named[0][3]) for m in within])) if within else None,
+            "count": len(within),
+        },
         "right_joint": _share(bool(m.joint) for m in named if m.joint is not None),
         "contact_overlap": _mean([m.overlap for m in named if m.overlap is not None]),
-        "parameter_error": {"value": float(np.median(errors)) if errors else None, "count": len(errors)},
+        "parameter_error": {
+            "value": float(np.median(errors)) if errors else None,
+            "count": len(errors),
+        },
         "interval_coverage": _share(covered),
-        "both_of_two": _share(all(any(equal(n[0], t) for n in m.named) for t in m.truth) for m in pairs),
+        "both_of_two": _share(
+            all(any(equal(n[0], t) for n in m.named) for t in m.truth) for m in pairs
+        ),
         "unknown_where_it_is": _share(m.unknown for m in outsiders),
         "right_first_single": _share(_right(m) for m in singles),
         "right_first_trusted": _share(_right(m) for m in singles if m.trusted),
@@ -213,8 +262,15 @@ def _share(flags: Iterable[object]) -> dict[str, Any]:
     if not values:
         return {"value": None, "count": 0}
     n, p, z = len(values), float(np.mean(values)), 1.96
-    middle, half = (p + z * z / (2 * n)) / (1 + z * z / n), z / (1 + z * z / n) * np.sqrt(p * (1 - p) / n + (z / (2 * n)) ** 2)
-    return {"value": p, "count": n, "interval": [max(float(middle - half), 0.0), min(float(middle + half), 1.0)]}
+    middle, half = (
+        (p + z * z / (2 * n)) / (1 + z * z / n),
+        z / (1 + z * z / n) * np.sqrt(p * (1 - p) / n + (z / (2 * n)) ** 2),
+    )
+    return {
+        "value": p,
+        "count": n,
+        "interval": [max(float(middle - half), 0.0), min(float(middle + half), 1.0)],
+    }
 
 
 def _mean(values: Sequence[float]) -> dict[str, Any]:
@@ -226,12 +282,18 @@ def _right(m: Mark) -> bool:
 
 
 def _within(m: Mark) -> bool:
-    return bool(m.named) and any(equal(name, t) for name in (m.named[0][0], *m.named[0][3]) for t in m.truth)
+    return bool(m.named) and any(
+        equal(name, t) for name in (m.named[0][0], *m.named[0][3]) for t in m.truth
+    )
 
 
 def stated(marks: Iterable[Mark]) -> tuple[Array, Array]:
     """Probability of every finding, and whether the truth is its effect or one of its equivalents, in its joint or not."""
-    pairs = [(p, any(equal(n, t) for n in (name, *more) for t in m.truth)) for m in marks for name, _, p, more in m.named]
+    pairs = [
+        (p, any(equal(n, t) for n in (name, *more) for t in m.truth))
+        for m in marks
+        for name, _, p, more in m.named
+    ]
     return np.array([p for p, _ in pairs], float), np.array([r for _, r in pairs], bool)
 
 
@@ -242,9 +304,20 @@ def calibration(marks: Iterable[Mark], bins: int = 5) -> dict[str, Any]:
     for low, high in pairwise(edges):
         here = (probability >= low) & ((probability < high) | (high == 1.0))
         if here.any():
-            rows.append({"said": float(probability[here].mean()), "was": float(right[here].mean()), "count": int(here.sum())})
+            rows.append(
+                {
+                    "said": float(probability[here].mean()),
+                    "was": float(right[here].mean()),
+                    "count": int(here.sum()),
+                }
+            )
     total = sum(row["count"] for row in rows)
-    return {"bins": rows, "error": sum(row["count"] * abs(row["said"] - row["was"]) for row in rows) / total if total else None}
+    return {
+        "bins": rows,
+        "error": sum(row["count"] * abs(row["said"] - row["was"]) for row in rows) / total
+        if total
+        else None,
+    }
 
 
 def confusion(marks: Iterable[Mark]) -> dict[str, dict[str, int]]:

@@ -46,7 +46,9 @@ class Timed(BaseTrajectoryIPOPTProblem):  # type: ignore[misc]
         return super().gradient(X)
 
     def intermediate(self, alg_mod: int, iter_count: int, obj_value: float, *rest: Any) -> Any:
-        self.opt_traj.history.append((time.perf_counter() - self.opt_traj.began, float(obj_value), self.iterate))
+        self.opt_traj.history.append(
+            (time.perf_counter() - self.opt_traj.began, float(obj_value), self.iterate)
+        )
         return super().intermediate(alg_mod, iter_count, obj_value, *rest)
 
     def solve_with_waypoints(self, wps: Any) -> Any:
@@ -66,8 +68,15 @@ class Trajectory(BaseOptimalTrajectory):  # type: ignore[misc]
     def start(self) -> None:
         """Find the base parameters; the clock starts after that."""
         joints = self.robot.model.joints[1:]
-        self.identif_config |= {"active_joints": self.active_joints, "act_Jid": [j.id for j in joints], "act_J": list(joints)}
-        self.identif_config |= {"act_idxq": [j.idx_q for j in joints], "act_idxv": [j.idx_v for j in joints]}
+        self.identif_config |= {
+            "active_joints": self.active_joints,
+            "act_Jid": [j.id for j in joints],
+            "act_J": list(joints),
+        }
+        self.identif_config |= {
+            "act_idxq": [j.idx_q for j in joints],
+            "act_idxv": [j.idx_v for j in joints],
+        }
         self.initialize()
         self.history: list[tuple[float, float, Any]] = []
         self.guess, self.began = 0.0, time.perf_counter()
@@ -82,11 +91,19 @@ def configuration(given: argparse.Namespace, joints: list[str]) -> dict[str, Any
                 "problem": {
                     "include_external_forces": False,
                     "use_joint_torques": True,
-                    "model_components": {"friction": False, "joint_offset": False, "actuator_inertia": False},
+                    "model_components": {
+                        "friction": False,
+                        "joint_offset": False,
+                        "actuator_inertia": False,
+                    },
                 }
             },
             "optimal_trajectory": {
-                "problem": {"soft_lim": 0.0, "max_attempts": 500, "max_iterations": given.iterations},
+                "problem": {
+                    "soft_lim": 0.0,
+                    "max_attempts": 500,
+                    "max_iterations": given.iterations,
+                },
                 "trajectory": {
                     "waypoints": round(given.duration / 2.0) + 1,
                     "frequency": given.rate,
@@ -112,9 +129,13 @@ def solve(given: argparse.Namespace) -> dict[str, Any]:
     """One segment of figaroh's optimiser and what it led to; times count from after its base parameters are found."""
     np.random.seed(given.seed)  # noqa: NPY002 — figaroh draws from the global generator
     with tempfile.TemporaryDirectory() as name:
-        robot = load_robot(str(without_meshes(given.urdf, Path(name))), package_dirs=name, load_by_urdf=True)
+        robot = load_robot(
+            str(without_meshes(given.urdf, Path(name))), package_dirs=name, load_by_urdf=True
+        )
         joints = [str(joint) for joint in robot.model.names[1:]]
-        (Path(name) / "peer.yaml").write_text(yaml.safe_dump(configuration(given, joints)), encoding="utf-8")
+        (Path(name) / "peer.yaml").write_text(
+            yaml.safe_dump(configuration(given, joints)), encoding="utf-8"
+        )
         found = Trajectory(robot, joints, str(Path(name) / "peer.yaml"))
     found.start()
     results = found.solve(stack_reps=1)
@@ -124,12 +145,18 @@ def solve(given: argparse.Namespace) -> dict[str, Any]:
     problem = found.problem
     moved = np.reshape(problem.solution, (problem.n_wps - 1, problem.n_joints))
     waypoints = np.vstack([problem.wp_init, moved]).T
-    _, *dense = found.CB.get_full_config(DENSE * given.rate, problem.tps, waypoints, problem.vel_wps, problem.acc_wps)
+    _, *dense = found.CB.get_full_config(
+        DENSE * given.rate, problem.tps, waypoints, problem.vel_wps, problem.acc_wps
+    )
     return {
         "solved": True,
         "seconds": seconds,
         "guess": found.guess,
-        "value": float(np.linalg.cond(found._stack_base_regressors(*(results[key][-1] for key in ("P_F", "V_F", "A_F"))))),
+        "value": float(
+            np.linalg.cond(
+                found._stack_base_regressors(*(results[key][-1] for key in ("P_F", "V_F", "A_F")))
+            )
+        ),
         "history": [(at, value, problem._is_feasible(x)) for at, value, x in found.history],
         "converged": bool(results["iteration_data"][-1]["converged"]),
         "base": len(found.idx_b),

@@ -1,0 +1,131 @@
+"""The collision shapes that a URDF gives its links, and the pairs that an SRDF disables."""
+
+from __future__ import annotations
+
+import os
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import UnusableInput
+from ..robot.robot import locate
+from .geometry import WORDS, Kind, Shape
+
+
+class MissingMesh(UnusableInput):
+    """A mesh of the robot that is not where its URDF says; `mesh` is what the URDF calls it."""
+
+    def __init__(self, source: str, link: str, mesh: str) -> None:
+        self.mesh = mesh
+        remedy = "say where its package is with --packages DIR or in ROS_PACKAGE_PATH, or design with --no-collision"
+        super().__init__(f"{source}: link '{link}': its mesh {mesh} is not found; {remedy}")
+
+
+def read(source: str, packages: Sequence[str] = ()) -> list[Shape]:
+    """Shapes of all links of a URDF, by its path or a built-in name; none where it states none.
+
+    A <collision_checking> element makes a capsule of the cylinder it names, as in Pinocchio. Raises MissingMesh for a mesh
+    that is not there, UnusableInput for a shape that is none.
+    """
+    path = locate(source)
+    root = ElementTree.parse(path).getroot()
+    out = []
+    for link in root.findall("link"):
+        name = str(link.get("name"))
+        rounded = {capsule.get("name") for capsule in link.findall("collision_checking/capsule")}
+        for collision in link.findall("collision"):
+            geometry = collision.find("geometry")
+            if geometry is None or not len(geometry):
+                raise UnusableInput(
+                    f"{path}: link '{name}': a <collision> has no geometry; add it or remove the element"
+                )
+            out.append(
+                _shape(
+                    path, name, collision, geometry[0], collision.get("name") in rounded, packages
+                )
+            )
+    return out
+
+
+def _shape(
+    path: Path,
+    owner: str,
+    collision: ElementTree.Element,
+    solid: ElementTree.Element,
+    rounded: bool,
+    packages: Sequence[str],
+) -> Shape:
+    known = [kind.value for kind in WORDS]
+    if solid.tag not in known:
+        raise UnusableInput(
+            f"{path}: link '{owner}': a collision shape is a <{solid.tag}>; use {', '.join(known)}"
+        )
+    kind = Kind.CAPSULE if solid.tag == "cylinder" and rounded else Kind(solid.tag)
+    file = None
+    if kind is Kind.MESH:
+        file = str(_find(path, owner, solid.get("filename", ""), packages))
+        size = _numbers(path, owner, solid.get("scale", "1 1 1"), 3)
+    else:
+        count = 3 if kind is Kind.BOX else 1
+        size = tuple(
+            v for word in WORDS[kind] for v in _numbers(path, owner, solid.get(word, ""), count)
+        )
+        if min(size) <= 0.0:
+            raise UnusableInput(
+                f"{path}: link '{owner}': its {solid.tag} has the size {size}; sizes should be positive"
+            )
+    origin = collision.find("origin")
+    place = [
+        _numbers(path, owner, "0 0 0" if origin is None else origin.get(key, "0 0 0"), 3)
+        for key in ("xyz", "rpy")
+    ]
+    return Shape(owner, kind, size, place[0], place[1], owner, file)  # type: ignore[arg-type]
+
+
+def _numbers(path: Path, owner: str, text: str, count: int) -> tuple[float, ...]:
+    try:
+        values = tuple(float(word) for word in text.split())
+    except ValueError:
+        values = ()
+    if len(values) != count or not np.isfinite(values).all():
+        raise UnusableInput(
+            f"{path}: link '{owner}': '{text}' in its <collision> should be {count} finite number(s); correct it"
+        )
+    return values
+
+
+def _find(path: Path, owner: str, name: str, packages: Sequence[str]) -> Path:
+    """A mesh's file. A package is a folder of its name: a place or in one, or a folder that the URDF is in or one beside such.
+
+    Other names are paths from the URDF's folder, or from a place.
+    """
+    places = [*packages, *os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)]
+    if name.startswith("package://"):
+        package, _, rest = name.removeprefix("package://").partition("/")
+        roots = [Path(place) for place in places if place]
+        candidates = [root / package / rest for root in roots] + [
+            root / rest for root in roots if root.name == package
+        ]
+        candidates += [parent / package / rest for parent in path.resolve().parents]
+        candidates += [parent / rest for parent in path.resolve().parents if parent.name == package]
+    else:
+        candidates = [path.resolve().parent / name.removeprefix("file://")]
+        candidates += [Path(place) / name for place in places if place]
+    for candidate in candidates:
+        if candidate.is_file():
+            return candidate
+    raise MissingMesh(str(path), owner, name)
+
+
+def disabled(path: Path) -> tuple[tuple[str, str], ...]:
+    """Pairs of links whose collisions an SRDF disables. Raises UnusableInput for a file that is none."""
+    try:
+        root = ElementTree.parse(path).getroot()
+    except (OSError, ElementTree.ParseError) as error:
+        raise UnusableInput(
+            f"{path}: cannot be read as an SRDF ({error}); give the one that belongs to the URDF"
+        ) from error
+    found = [(entry.get("link1"), entry.get("link2")) for entry in root.iter("disable_collisions")]
+    return tuple((str(one), str(other)) for one, other in found)

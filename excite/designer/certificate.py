@@ -1,0 +1,564 @@
+"""The certificate: limits and clearance of a finished motion, recomputed from its file, the robot's URDF and the cell on disk.
+
+Nothing that the file says about itself is taken for a result. Limits come from where the file says they come from, torques from
+Pinocchio, distances from the shapes and meshes as they are on disk now; the Fourier part is bounded between samples by the
+oversampling bound, ramps at the knots and the extremes of each cubic.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..collision import continuous_check, scene_file
+from ..collision.continuous_check import Near
+from ..collision.workcell import NOT_CHECKED, Cell
+from ..robot import base_parameters, dynamics, inertial_parameters
+from ..robot.limits import DERIVED, QUANTITIES, WITH_MARGIN, Limits, from_sources
+from ..robot.robot import Robot
+from ..robot.samples import Samples
+from ..trajectory.fourier import DENSITY, oversampling_bound
+from ..trajectory.rest_to_rest import Motion, Segment
+from ..trajectory.trajectory_file import Trajectory
+from . import constraint_margins, criteria
+from .constraint_margins import Demand, Subject
+from .problem import Box
+from .ramps import with_derived
+
+Array = np.ndarray
+ROUNDING = 1e-9
+"""Share of a limit by which rounding may exceed it [1]."""
+CELL = "cell"
+CLEARANCE = "clearance"
+LISTED_FAULTS = 3
+"""Faults that a line of the verdict lists; `faults` of the document has all."""
+LISTED_PAIRS = 12
+"""Pairs of bodies that a certificate lists, the nearest to their margin."""
+STEPS_PER_PIECE = 4
+"""Least number of steps over one polynomial piece of a ramp for what has no closed form (torque, frames) [1]."""
+
+
+class Verdict(Enum):
+    """What a certificate says about one of its two parts."""
+
+    CERTIFIED = "certified"
+    FAILED = "failed"
+    NOT_CHECKED = "not checked"
+
+
+@dataclass(frozen=True)
+class Margin:
+    """How near one joint comes to one limit: the worst value with its time [s], and the bound it must not pass.
+
+    room: distance to the bound over the half width of the allowed range; negative where the limit is broken.
+    required: room that the file promises to keep.
+    """
+
+    limit: str
+    joint: str
+    time: float
+    value: float
+    bound: float
+    room: float
+    required: float = 0.0
+
+    @property
+    def spare(self) -> float:
+        """Room beyond what is required; negative where the limit, or the promised margin, is broken."""
+        return self.room - self.required
+
+    def words(self) -> str:
+        """The value reached and the bound, in a sentence."""
+        if self.limit == CLEARANCE:
+            state = f"come within {1e3 * self.value:.1f} mm" if self.value > 0.0 else "collide"
+            return (
+                f"{self.joint} {state} at {self.time:.2f} s, of {1e3 * self.bound:.1f} mm to keep"
+            )
+        text = f"{self.limit} of '{self.joint}' reaches {self.value:.4g} of {self.bound:.4g} at {self.time:.3f} s"
+        return (
+            text
+            if self.room < -ROUNDING or not self.required
+            else f"{text}, where {percent(self.required)} should stay free"
+        )
+
+    def document(self) -> dict[str, Any]:
+        """The margin as `excite verify --json` prints it."""
+        return {
+            "limit": self.limit,
+            "joint": self.joint,
+            "time": self.time,
+            "value": self.value,
+            "bound": self.bound,
+            "margin": self.room,
+        }
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """The result of verification.
+
+    margins: nearest first. criteria: recomputed. faults: sentences about the file itself (a jump, a limit that differs from its source).
+    clearance: verdict on distances, which `collision` explains. near: pairs of bodies with the least distance each, the one nearest to
+    its margin first.
+    """
+
+    margins: tuple[Margin, ...]
+    criteria: Mapping[str, Any]
+    faults: tuple[str, ...]
+    clearance: Verdict = Verdict.NOT_CHECKED
+    collision: str = NOT_CHECKED
+    near: tuple[Near, ...] = ()
+    joints: tuple[str, ...] = ()
+
+    @property
+    def limits(self) -> Verdict:
+        """Verdict on the limits and on the file itself."""
+        kept = all(
+            margin.spare >= -ROUNDING for margin in self.margins if margin.limit != CLEARANCE
+        )
+        return Verdict.CERTIFIED if kept and not self.faults else Verdict.FAILED
+
+    @property
+    def ok(self) -> bool:
+        """Nothing failed; the clearance may be unchecked."""
+        return self.limits is Verdict.CERTIFIED and self.clearance is not Verdict.FAILED
+
+    def worst(self) -> Margin:
+        """The margin with the least room to spare."""
+        return min(self.margins, key=lambda margin: margin.spare)
+
+    def short_of_clearance(self) -> dict[str, float]:
+        """By how much each pair that breaks its clearance misses it [m]."""
+        return {
+            m.joint: m.bound - m.value
+            for m in self.margins
+            if m.limit == CLEARANCE and m.room < -ROUNDING
+        }
+
+    def lines(self) -> tuple[str, str]:
+        """Both verdicts, one line each; the clearance first, so that nothing unchecked follows a certificate."""
+        nearest = min(
+            (m for m in self.margins if m.limit != CLEARANCE), key=lambda margin: margin.spare
+        )
+        detail = f"nearest: {nearest.limit} of {nearest.joint}, {nearest.value:.5g} of {nearest.bound:.5g} at {nearest.time:.3f} s"
+        more = len(self.faults) - LISTED_FAULTS
+        faults = [*self.faults[:LISTED_FAULTS], *([f"and {more} more faults"] if more > 0 else [])]
+        limits = [self.limits.value, *faults, f"{detail} ({percent(nearest.room)} free)"]
+        return (
+            f"clearance: {self.clearance.value}; {self.collision}",
+            f"limits: {'; '.join(limits)}",
+        )
+
+    def reason(self) -> str:
+        """Why the certificate fails, in one sentence."""
+        if self.faults:
+            return self.faults[0]
+        worst = self.worst()
+        return worst.words() if worst.spare < -ROUNDING else self.collision
+
+    def document(self) -> dict[str, Any]:
+        """The certificate as `excite verify --json` prints it."""
+        return {
+            "ok": self.ok,
+            "verdict": {"limits": self.limits.value, "clearance": self.clearance.value},
+            "margins": [margin.document() for margin in self.margins],
+            "criteria": dict(self.criteria),
+            "collision": self.collision,
+            "clearance": [near.document(self.joints) for near in self.near[:LISTED_PAIRS]],
+            "faults": list(self.faults),
+        }
+
+
+def percent(share: float) -> str:
+    """A share as text; what is zero within rounding has no sign."""
+    if abs(share) <= ROUNDING:
+        return "0 %"
+    value = 100.0 * share
+    return (
+        f"{value:.2g} %"
+        if abs(value) < 1.0
+        else f"{value:.1f} %"
+        if abs(value) < 10.0
+        else f"{value:.0f} %"
+    )
+
+
+def verify(
+    trajectory: Trajectory,
+    robot: Robot,
+    limits: Limits,
+    cell: Cell | None = None,
+    *,
+    unchecked: str = NOT_CHECKED,
+    cell_fault: str | None = None,
+) -> Certificate:
+    """Recompute every limit, the distances, the junctions, the rests and the criteria of a trajectory.
+
+    Args:
+        trajectory: The file's content.
+        robot: The robot it was designed for.
+        limits: The limits that hold, from their sources; `limits.of_trajectory` reads them. Those of the file are compared with them.
+        cell: What must not be touched, as it is now; None: distances are not checked.
+        unchecked: Why `cell` is None.
+        cell_fault: Why the cell is not the one that the motion was designed for; the clearance fails.
+
+    Returns:
+        The certificate; nothing is raised for a motion that fails.
+    """
+    truth = with_derived(limits, trajectory.motion.fourier)
+    subject = subject_of(trajectory, robot, truth)
+    margins = limit_margins(trajectory, subject)
+    clearance, collision, near = _clearance(trajectory, cell, unchecked, cell_fault)
+    margins += [_distance_margin(one) for one in near[:LISTED_PAIRS]]
+    scores = score(trajectory, robot, truth, subject.parameters)
+    faults = (
+        *_limit_faults(trajectory.limits, truth),
+        *_motion_faults(trajectory),
+        *_criteria_faults(trajectory, scores),
+    )
+    ordered = tuple(sorted(margins, key=lambda margin: margin.room))
+    return Certificate(ordered, scores, faults, clearance, collision, tuple(near), robot.joints)
+
+
+def subject_of(trajectory: Trajectory, robot: Robot, limits: Limits) -> Subject:
+    """What a trajectory is held against: the robot, its limits, and the uncertainty and boxes that the design promised."""
+    design = trajectory.design
+    standard = inertial_parameters.standard(
+        robot, limits, design.get("drive", inertial_parameters.DRIVE)
+    )
+    boxes = tuple(
+        Box(b["frame"], tuple(b["lower"]), tuple(b["upper"])) for b in design.get("boxes", ())
+    )
+    return Subject(robot, limits, standard, float(design.get("uncertainty", 0.0)), boxes)
+
+
+def score(
+    trajectory: Trajectory, robot: Robot, limits: Limits, standard: inertial_parameters.Parameters
+) -> dict[str, Any]:
+    """All criteria of the Fourier part on the optimiser's grid, and of the motion as exported."""
+    motion = trajectory.motion
+    found = base_parameters.find(robot, standard, limits)
+    samples = int(trajectory.design.get("samples", round(motion.fourier.period * trajectory.rate)))
+    parts = {
+        "optimum": motion.fourier.samples(motion.fourier.grid(samples)),
+        "exported": motion.samples(motion.grid(trajectory.rate)),
+    }
+    return {
+        name: criteria.score(dynamics.regressor(robot, standard, part), found, trajectory.noise)
+        for name, part in parts.items()
+    }
+
+
+def of_file(
+    trajectory: Trajectory,
+    robot: Robot,
+    *,
+    folder: Path | None = None,
+    limits_file: Path | None = None,
+    packages: Sequence[str] = (),
+) -> Certificate:
+    """Verify a trajectory that was read from a file, against its limits' sources and the cell as they are on disk now.
+
+    Args:
+        trajectory: The file's content.
+        robot: The robot of its URDF.
+        folder: The folder that the file is in, where a limits file is looked for too.
+        limits_file: Where the limits file is now; None: where the trajectory says.
+        packages: Further folders of `package://` meshes.
+
+    Raises:
+        UnusableInput: The limits file is not there or cannot be read.
+    """
+    truth = from_sources(robot, trajectory.limits, limits_file, folder)
+    if CELL not in trajectory.design:
+        return verify(
+            trajectory,
+            robot,
+            truth,
+            unchecked=f"{NOT_CHECKED}: the file states no shapes to keep clear of",
+        )
+    cell, fault = scene_file.as_on_disk(robot, truth, trajectory.design[CELL], packages)
+    return verify(trajectory, robot, truth, cell, cell_fault=fault)
+
+
+# -- limits ----------------------------------------------------------------------------------------------------------
+
+
+def limit_margins(trajectory: Trajectory, subject: Subject) -> list[Margin]:
+    """The least margin of every limit of every joint over a motion. subject: with the limits that hold, derived ones included."""
+    margins: dict[tuple[str, str], Margin] = {}
+    for segment in trajectory.motion.segments:
+        for times, demand in _demands(subject, trajectory, segment):
+            for margin in _margins(demand, times, _promised(trajectory, demand.limit)):
+                if segment.profile is None and _is_derived(subject.limits, subject.robot, margin):
+                    continue
+                key = (margin.limit, margin.joint)
+                if key not in margins or margin.room < margins[key].room:
+                    margins[key] = margin
+    return list(margins.values())
+
+
+def broken_when_slowed(
+    trajectory: Trajectory, robot: Robot, limits: Limits, speed: float
+) -> Margin | None:
+    """The limit that the same path breaks most at a share of its speed, None where it keeps all.
+
+    A slower run is not safe by itself: where inertia helps the actuator against gravity, less speed asks for more torque.
+    """
+    slower = replace(trajectory, motion=trajectory.motion.slowed(speed))
+    subject = subject_of(slower, robot, with_derived(limits, slower.motion.fourier))
+    worst = min(limit_margins(slower, subject), key=lambda margin: margin.room)
+    return worst if worst.room < -ROUNDING else None
+
+
+def _promised(trajectory: Trajectory, limit: str) -> float:
+    """Share of a limit that the design promises to keep free."""
+    return (
+        float(trajectory.design.get("margin", {}).get(limit, 0.0)) if limit in WITH_MARGIN else 0.0
+    )
+
+
+def _is_derived(limits: Limits, robot: Robot, margin: Margin) -> bool:
+    """Whether a limit is stated by nobody: then it binds the ramps only."""
+    return (
+        margin.limit in limits.sources
+        and margin.joint in robot.joints
+        and limits.sources[margin.limit][robot.joints.index(margin.joint)] == DERIVED
+    )
+
+
+def _demands(
+    subject: Subject, trajectory: Trajectory, segment: Segment
+) -> Iterator[tuple[Array, Demand]]:
+    """Demands of one segment with the times of their samples [s]."""
+    if segment.profile is None:
+        yield from _fourier_demands(subject, trajectory, segment)
+    else:
+        yield from _ramp_demands(subject, trajectory, segment)
+
+
+def _fourier_demands(
+    subject: Subject, trajectory: Trajectory, segment: Segment
+) -> Iterator[tuple[Array, Demand]]:
+    """One period stands for all; derivatives are bounded between samples by Ehlich and Zeller's factor."""
+    fourier = trajectory.motion.fourier
+    count = DENSITY * max(int(trajectory.design.get("samples", 100)), 8 * fourier.harmonics)
+    t = fourier.grid(count)
+    factor = oversampling_bound(count, fourier.harmonics) - 1.0
+    for order, limit in enumerate(("position", "velocity", "acceleration", "jerk")):
+        values = fourier.at(t, order)
+        swing = values - (fourier.offset if order == 0 else 0.0)
+        more = factor * np.abs(swing).max(axis=0)
+        yield (
+            segment.start + t,
+            constraint_margins.symmetric(limit, subject, values - more, values + more),
+        )
+    closed = np.append(t, fourier.period)  # second differences across the end of the period
+    for demand in constraint_margins.loads(subject, fourier.samples(closed)):
+        yield segment.start + closed, demand
+
+
+def _ramp_demands(
+    subject: Subject, trajectory: Trajectory, segment: Segment
+) -> Iterator[tuple[Array, Demand]]:
+    """Exact for position, velocity, acceleration and jerk; torque and frames are sampled within each piece and bounded between."""
+    profile, length = segment.profile, segment.end - segment.start
+    assert profile is not None
+    times = profile.critical_times(length)
+    for order, limit in enumerate(("position", "velocity", "acceleration")):
+        values = profile.at(times, order)
+        yield segment.start + times, constraint_margins.symmetric(limit, subject, values, values)
+    middle = 0.5 * (times[:-1] + times[1:])
+    jerk = profile.at(middle, 3)
+    yield segment.start + middle, constraint_margins.symmetric("jerk", subject, jerk, jerk)
+    step = min(
+        trajectory.motion.fourier.period / (DENSITY * int(trajectory.design.get("samples", 100))),
+        1.0 / trajectory.rate,
+    )
+    counts = np.maximum(np.ceil(np.diff(times) / step).astype(int), STEPS_PER_PIECE)
+    dense = np.concatenate(
+        [np.linspace(a, b, n + 1) for a, b, n in zip(times[:-1], times[1:], counts, strict=True)]
+    )
+    samples = Samples(*(profile.at(dense, order) for order in range(3)))
+    for demand in constraint_margins.loads(
+        subject, samples, np.repeat(np.arange(len(counts)), counts + 1)
+    ):
+        yield segment.start + dense, demand
+
+
+def _margins(demand: Demand, times: Array, required: float) -> Iterator[Margin]:
+    half = 0.5 * (demand.upper - demand.lower)
+    for j, name in enumerate(demand.names):
+        if not np.isfinite(half[j]):
+            continue
+        above, below = int(np.argmax(demand.high[:, j])), int(np.argmin(demand.low[:, j]))
+        up = float((demand.upper[j] - demand.high[above, j]) / half[j])
+        down = float((demand.low[below, j] - demand.lower[j]) / half[j])
+        if up <= down:
+            yield Margin(
+                demand.limit,
+                name,
+                float(times[above]),
+                float(demand.high[above, j]),
+                float(demand.upper[j]),
+                up,
+                required,
+            )
+        else:
+            yield Margin(
+                demand.limit,
+                name,
+                float(times[below]),
+                float(demand.low[below, j]),
+                float(demand.lower[j]),
+                down,
+                required,
+            )
+
+
+def _limit_faults(stated: Limits, truth: Limits) -> Iterator[str]:
+    """Limits of the file that differ from their source."""
+    for quantity in QUANTITIES:
+        for i, joint in enumerate(truth.joints):
+            said, right = getattr(stated, quantity)[i], getattr(truth, quantity)[i]
+            if not np.allclose(said, right, rtol=ROUNDING, atol=0.0):
+                source = truth.sources[quantity][i] or "its source"
+                yield f"the {quantity} limit of '{joint}' is {_limit_words(said)} in the file, but {_limit_words(right)} by {source}"
+    for joint, said, right in zip(truth.joints, stated.braking, truth.braking, strict=True):
+        if said != right:
+            yield f"the braking limit of '{joint}' in the file is not that of its source"
+
+
+def _limit_words(value: Array) -> str:
+    numbers = np.atleast_1d(value)
+    if not np.isfinite(numbers).all():
+        return "absent"
+    return " to ".join(f"{number:g}" for number in numbers)
+
+
+# -- clearance -------------------------------------------------------------------------------------------------------
+
+
+def _clearance(
+    trajectory: Trajectory, cell: Cell | None, unchecked: str, fault: str | None
+) -> tuple[Verdict, str, list[Near]]:
+    """Verdict on the distances, a sentence about them, and the least distance of each pair."""
+    if fault is not None:
+        return Verdict.FAILED, fault, []
+    if cell is None:
+        return Verdict.NOT_CHECKED, unchecked, []
+    inside = continuous_check.contained(cell, trajectory.motion.at(np.zeros(1))[0])
+    if inside is not None:
+        return Verdict.FAILED, f"COLLISION: {cell.names(inside)}, one begins inside the other", []
+    near = continuous_check.along(cell, trajectory.motion)
+    context = "".join(f"; {note}" for note in (cell.floor_words(), *cell.notes))
+    if not near:
+        return Verdict.CERTIFIED, f"collision checked: nothing can meet{context}", []
+    worst = min(near, key=lambda one: one.proven)
+    if worst.proven <= 0.0:
+        return Verdict.FAILED, f"COLLISION: {worst.names} at {worst.time:.2f} s{context}", near
+    kept = all(_distance_margin(one).room >= -ROUNDING for one in near)
+    wide = [one for one in near if one.pair.margin >= cell.margin]
+    parts = (
+        [f"never less than {_distance_words(min(wide, key=lambda one: one.proven))}"]
+        if wide
+        else []
+    )
+    close = [one for one in near if one.pair.margin < cell.margin]
+    parts += (
+        [f"neighbours {_distance_words(min(close, key=lambda one: one.proven))}"] if close else []
+    )
+    return (
+        Verdict.CERTIFIED if kept else Verdict.FAILED,
+        f"collision checked: {'; '.join(parts)}{context}",
+        near,
+    )
+
+
+def _distance_words(near: Near) -> str:
+    return f"{1e3 * near.proven:.1f} mm, {near.names} at {near.time:.2f} s"
+
+
+def _distance_margin(near: Near) -> Margin:
+    bound = near.pair.margin
+    return Margin(
+        CLEARANCE, near.names, near.time, near.proven, bound, near.proven / max(bound, 1e-6) - 1.0
+    )
+
+
+# -- the motion itself -----------------------------------------------------------------------------------------------
+
+
+def _motion_faults(trajectory: Trajectory) -> Iterator[str]:
+    """Sentences about what makes a motion no motion from rest to rest with whole periods."""
+    motion, joints = trajectory.motion, trajectory.joints
+    samples = motion.fourier.period * trajectory.rate
+    if abs(samples - round(samples)) > 1e-6:
+        yield f"the period {motion.fourier.period:g} s is no whole number of samples at {trajectory.rate:g} Hz"
+    if motion.periods < 2:
+        yield f"{motion.periods} period(s): noise can be told from physics only when the motion repeats"
+    periodic = motion.segment("fourier")
+    if abs(periodic.end - periodic.start - motion.periods * motion.fourier.period) > 1e-9 * max(
+        1.0, periodic.end
+    ):
+        yield f"the periodic part lasts {periodic.end - periodic.start:g} s, not {motion.periods} periods of {motion.fourier.period:g} s"
+    for before, after in zip(motion.segments, motion.segments[1:], strict=False):
+        if abs(before.end - after.start) > 1e-9:
+            yield f"{before.kind} ends at {before.end:g} s but {after.kind} starts at {after.start:g} s"
+        for order, name in enumerate(("position", "velocity", "acceleration")):
+            jump = np.abs(_end(motion, before, order) - _begin(motion, after, order))
+            j = int(np.argmax(jump))
+            if jump[j] > 1e-7:
+                yield f"{name} of {joints[j]} jumps by {jump[j]:.2g} from {before.kind} to {after.kind}"
+    for edge, segment in (("start", motion.segments[0]), ("end", motion.segments[-1])):
+        read = _begin if edge == "start" else _end
+        for order in (1, 2):
+            speed = np.abs(read(motion, segment, order))
+            if speed.max() > 1e-7:
+                yield f"{joints[int(np.argmax(speed))]} is not at rest at the {edge}"
+
+
+def _begin(motion: Motion, segment: Segment, order: int) -> Array:
+    zero = np.zeros(1)
+    out: Array = (
+        motion.fourier.at(zero, order)
+        if segment.profile is None
+        else segment.profile.at(zero, order)
+    )[0]
+    return out
+
+
+def _end(motion: Motion, segment: Segment, order: int) -> Array:
+    at = np.array([segment.end - segment.start])
+    out: Array = (
+        motion.fourier.at(at, order) if segment.profile is None else segment.profile.at(at, order)
+    )[0]
+    return out
+
+
+def _criteria_faults(trajectory: Trajectory, found: Mapping[str, Any]) -> Iterator[str]:
+    """Criteria that the file states and that come out otherwise; a criterion that is missing is a fault too."""
+    for part, entries in found.items():
+        stated = dict(_flat(trajectory.criteria.get(part, {})))
+        for name, again in _flat(entries):
+            if name not in stated:
+                yield f"criterion {part}.{name} is missing in the file"
+                continue
+            value = stated[name]
+            if value is None or again is None or not np.isfinite(again):
+                continue
+            if abs(again - value) > 1e-5 * max(abs(value), 1e-300):
+                yield f"criterion {part}.{name} is {again:.8g}, the file says {value:.8g}"
+
+
+def _flat(entries: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, float | None]]:
+    for key, value in entries.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield prefix + key, value

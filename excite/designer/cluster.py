@@ -1,0 +1,77 @@
+"""Where many tasks run: processes of this machine, or a cluster through joblib's Dask and Ray back ends."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import joblib
+
+from ..errors import UnusableInput
+
+BACKENDS = ("multiprocessing", "loky", "dask", "ray")
+
+
+def default() -> str:
+    """Forked processes start in milliseconds where they are safe, joblib's own take a second."""
+    return "multiprocessing" if sys.platform == "linux" else "loky"
+
+
+@contextmanager
+def backend(name: str | None, address: str | None = None) -> Iterator[None]:
+    """Send joblib's tasks to a back end, for as long as the context lasts.
+
+    address: of a running cluster (Dask: tcp://host:8786, Ray: ray://host:10001); None makes one of this machine.
+    Raises UnusableInput when the back end's package is missing or the cluster does not answer.
+    """
+    chosen = name or ("dask" if address else default())
+    if address and chosen not in ("dask", "ray"):
+        raise UnusableInput(
+            f"--cluster {address}: --backend {chosen} has no cluster; use --backend dask or --backend ray"
+        )
+    if chosen == "dask":
+        with _dask(address), joblib.parallel_config("dask"):
+            yield
+    elif chosen == "ray":
+        _ray(address)
+        with joblib.parallel_config("ray"):
+            yield
+    else:
+        with joblib.parallel_config(chosen):
+            yield
+
+
+def _dask(address: str | None) -> Any:
+    try:
+        from dask.distributed import Client
+    except ImportError as error:
+        raise UnusableInput(
+            "--backend dask: Dask is not installed; pip install excite[dask]"
+        ) from error
+    try:
+        if address is None:
+            return Client(threads_per_worker=1, dashboard_address=None)
+        return Client(address, timeout=10)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise UnusableInput(
+            f"--cluster {address}: no Dask scheduler answers there ({error}); start one with: dask scheduler"
+        ) from error
+
+
+def _ray(address: str | None) -> None:
+    try:
+        import ray
+        from ray.util.joblib import register_ray
+    except ImportError as error:
+        raise UnusableInput(
+            "--backend ray: Ray is not installed; pip install excite[ray]"
+        ) from error
+    try:
+        ray.init(address=address, ignore_reinit_error=True)
+    except (ConnectionError, ValueError) as error:
+        raise UnusableInput(
+            f"--cluster {address}: no Ray cluster answers there ({error})"
+        ) from error
+    register_ray()

@@ -1,0 +1,356 @@
+"""Values and exact derivatives of a design problem: one regressor pass, BLAS, one reverse sweep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..collision.clearance_constraint import Look
+from ..robot.inertial_parameters import Parameters
+from . import casadi_model, criteria
+from .casadi_batch import Mapped, Padded
+from .problem import Problem
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Constraint rows g ≤ 1, each a quantity over its limit: kind, sample, joint (or axis, or pair of bodies), sign.
+
+    kind indexes `Evaluator.kinds`; all four arrays have the same shape (m,).
+    """
+
+    kind: Array
+    sample: Array
+    joint: Array
+    sign: Array
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+
+@dataclass
+class _Point:
+    """What was computed at one x; filled as it is asked for."""
+
+    x: Array
+    motion: tuple[Array, Array, Array, Array]
+    Y: Array | None = None
+    table: dict[str, Array] = field(default_factory=dict)
+    spread: tuple[Array, Array] | None = None
+    look: Look | None = None
+
+
+class Evaluator:
+    """Evaluates one problem at one x after another; the last point is remembered.
+
+    kinds: names of the groups of rows this problem has, in the order `Rows.kind` counts them.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self.bases = problem.bases()
+        functions, count = problem.functions, problem.options.samples
+        self._regressor = Mapped(functions.regressor, count, functions.library)
+        self._adjoint = Mapped(functions.adjoint, count, functions.library)
+        self._row = Padded(functions.row, functions.library)
+        self._frames = [casadi_model.position(problem.robot, box.frame) for box in problem.boxes]
+        # Coulomb friction jumps between two samples wherever a joint turns round, so here it always counts against the
+        # drive: its torque leaves the nominal one and comes off the limit.
+        friction = problem.parameters.coulomb()
+        self._torque_bound = np.maximum(
+            problem.limits.torque - friction, 1e-3 * problem.limits.torque
+        )
+        self._nominal = _without_coulomb(problem.parameters)
+        self._inverse_metric = problem.parameters.scale @ problem.parameters.scale.T
+        self._point: _Point | None = None
+        self.kinds = self._kinds()
+
+    def _kinds(self) -> tuple[str, ...]:
+        limits = self.problem.limits
+        kinds = [
+            k
+            for k in ("position", "velocity", "acceleration", "jerk", "torque")
+            if np.isfinite(getattr(limits, k)).any()
+        ]
+        kinds += ["braking"] * any(b is not None for b in limits.braking)
+        kinds += ["clearance"] * (self.problem.clearance is not None)
+        return (*kinds, *(f"box{i}" for i in range(len(self._frames))))
+
+    # -- motion and information ------------------------------------------------------------------------------
+
+    def _stretch(self, x: Array, order: int) -> float:
+        """Factor on a and b columns when the period differs from the nominal one: derivatives scale by T^(1-order)."""
+        return float((self.problem.period(x) / self.problem.options.period) ** (1 - order))
+
+    def _basis(self, x: Array, order: int) -> Array:
+        stretch = self._stretch(x, order)
+        if stretch == 1.0:
+            return self.bases[order]
+        out = self.bases[order] * stretch
+        out[:, -1] = self.bases[order][:, -1]
+        return out
+
+    def _at(self, x: Array) -> _Point:
+        if self._point is None or not np.array_equal(self._point.x, x):
+            p = self.problem
+            table = x[: p.scale.size].reshape(p.scale.shape) * p.scale
+            q, dq, ddq, dddq = (self._basis(x, order) @ table.T for order in range(4))
+            self._point = _Point(x.copy(), (q, dq, ddq, dddq))
+        return self._point
+
+    def _regressor_at(self, point: _Point) -> Array:
+        if point.Y is None:
+            q = point.motion[0]
+            point.Y = self._regressor(*point.motion[:3])[0].reshape(*q.shape, -1)
+        return point.Y
+
+    def objective(self, x: Array, sharpness: float) -> tuple[float, Array]:
+        """The smooth criterion to minimise and its exact gradient. Shapes (), (size,)."""
+        point, problem = self._at(x), self.problem
+        Y, weights = self._regressor_at(point), problem.weighting
+        rows = weights.rows(Y)
+        stacked = rows if problem.given is None else np.vstack([rows, problem.given])
+        value, slope = criteria.smooth(problem.options.criterion, stacked, sharpness)
+        gradients = self._adjoint(*point.motion[:3], weights.seed(Y, slope))
+        if problem.apart is not None:
+            overlap, by_q, by_dq = problem.apart.overlap(*point.motion[:2])
+            price = problem.apart.weight
+            value += price * overlap
+            gradients = [gradients[0] + price * by_q, gradients[1] + price * by_dq, *gradients[2:]]
+        return value, self._pull_back(x, point, gradients)
+
+    def _pull_back(self, x: Array, point: _Point, gradients: list[Array]) -> Array:
+        p = self.problem
+        table = np.zeros(p.scale.shape)
+        for order, gradient in enumerate(gradients):
+            table += gradient.T @ self._basis(x, order)
+        out: Array = (table * p.scale).ravel()
+        if p.options.free_period is not None:
+            slope = sum(
+                float(np.sum(g * self._period_slope(x, point, order)))
+                for order, g in enumerate(gradients)
+            )
+            out = np.append(out, slope)
+        return out
+
+    def _period_slope(self, x: Array, point: _Point, order: int) -> Array:
+        """Derivative of the order-th motion array with respect to the last variable, T over its nominal value."""
+        p = self.problem
+        array = point.motion[order]
+        if order == 0:
+            array = array - x[: p.scale.size].reshape(p.scale.shape)[:, -1] * p.scale[:, -1]
+        return (1 - order) * array / x[-1]
+
+    # -- constraint rows -------------------------------------------------------------------------------------
+
+    def table(self, x: Array) -> dict[str, Array]:
+        """Every row's value, by kind. Shape (2, N, n): sign + then −; boxes (2, N, 3); clearance (1, N, pairs). Satisfied where ≤ 1."""
+        point = self._at(x)
+        if not point.table:
+            for kind in self.kinds:
+                point.table[kind] = self._values(point, kind)
+        return point.table
+
+    def hold(self, poses: Array) -> dict[str, Array]:
+        """The table of row values with each sample standing still at a pose of its own. `poses`: Shape (N, n)."""
+        self._point = None  # its regressor lives in memory that this call overwrites
+        still = np.zeros_like(poses)
+        point = _Point(np.empty(0), (poses, still, still, still))
+        return {kind: self._values(point, kind) for kind in self.kinds}
+
+    def _values(self, point: _Point, kind: str) -> Array:
+        limits = self.problem.limits
+        q, dq, ddq, dddq = point.motion
+        if kind == "position":
+            return _centred(q, limits.position[:, 0], limits.position[:, 1])
+        if kind in ("velocity", "acceleration", "jerk"):
+            ratio = {"velocity": dq, "acceleration": ddq, "jerk": dddq}[kind] / getattr(
+                limits, kind
+            )
+            return np.stack([ratio, -ratio])
+        if kind == "torque":
+            nominal, width = self._band(point)
+            return np.stack([nominal + width, width - nominal]) / self._torque_bound
+        if kind == "braking":
+            return np.stack([self._braking(q, dq, sign)[0] for sign in (1.0, -1.0)])
+        if kind == "clearance":
+            return self._look(point).values()[None]
+        index = int(kind[3:])
+        box = self.problem.boxes[index]
+        centre = np.asarray(self._frames[index].map(len(q))(q.T)[0]).T
+        return _centred(centre, np.array(box.lower), np.array(box.upper))
+
+    def _band(self, point: _Point) -> tuple[Array, Array]:
+        if point.spread is None:
+            p = self.problem
+            Y = self._regressor_at(point)
+            nominal = Y @ self._nominal
+            width = np.zeros_like(nominal)
+            if p.options.uncertainty:
+                width = np.sqrt(p.parameters.norms(Y.reshape(-1, Y.shape[2])) + 1e-18).reshape(
+                    nominal.shape
+                )
+            point.spread = nominal, width
+        return point.spread[0], self.problem.options.uncertainty * point.spread[1]
+
+    def _look(self, point: _Point) -> Look:
+        assert self.problem.clearance is not None
+        if point.look is None:
+            point.look = self.problem.clearance.at(point.motion[0])
+        return point.look
+
+    def _braking(self, q: Array, dq: Array, sign: float) -> tuple[Array, Array, Array]:
+        """Row value and slopes by q and dq of  (s q̇ + c)₊²/rate + s q ≤ s stop, per half range."""
+        value, by_q, by_dq = np.full_like(q, -np.inf), np.zeros_like(q), np.zeros_like(q)
+        for j, brake in enumerate(self.problem.limits.braking):
+            if brake is None:
+                continue
+            middle, half = 0.5 * sum(brake.stop), 0.5 * (brake.stop[1] - brake.stop[0])
+            over = np.maximum(sign * dq[:, j] + brake.offset, 0.0)
+            value[:, j] = (over**2 / brake.rate + sign * (q[:, j] - middle)) / half
+            by_q[:, j], by_dq[:, j] = sign / half, 2.0 * sign * over / brake.rate / half
+        return value, by_q, by_dq
+
+    def worst(self, x: Array) -> float:
+        """The largest row value anywhere; ≤ 1 means feasible on the grid."""
+        return max(float(values.max()) for values in self.table(x).values())
+
+    def select(self, x: Array, threshold: float) -> Array:
+        """Which of all rows exceed `threshold` at x: a flat mask in the order of `kinds`."""
+        return np.concatenate([(values > threshold).ravel() for values in self.table(x).values()])
+
+    def rows(self, mask: Array) -> Rows:
+        """The rows that a flat mask names."""
+        kinds, samples, joints, signs, start = [], [], [], [], 0
+        for number, kind in enumerate(self.kinds):
+            shape = self._shape(kind)
+            size = int(np.prod(shape))
+            sign, sample, joint = np.unravel_index(
+                np.flatnonzero(mask[start : start + size]), shape
+            )
+            start += size
+            kinds.append(np.full(len(sign), number))
+            samples.append(sample)
+            joints.append(joint)
+            signs.append(1.0 - 2.0 * sign)
+        return Rows(*(np.concatenate(part) for part in (kinds, samples, joints, signs)))
+
+    def _shape(self, kind: str) -> tuple[int, int, int]:
+        p = self.problem
+        if p.clearance is not None and kind == "clearance":
+            return 1, p.options.samples, len(p.clearance)
+        return 2, p.options.samples, 3 if kind.startswith("box") else p.robot.n
+
+    def row_values(self, x: Array, rows: Rows) -> Array:
+        """Values of selected rows. Shape (m,)."""
+        table = self.table(x)
+        out = np.empty(len(rows))
+        for number, kind in enumerate(self.kinds):
+            at = rows.kind == number
+            out[at] = table[kind][(rows.sign[at] < 0).astype(int), rows.sample[at], rows.joint[at]]
+        return out
+
+    def row_gradients(self, x: Array, rows: Rows) -> Array:
+        """Exact Jacobian of selected rows. Shape (m, size)."""
+        point, p = self._at(x), self.problem
+        n, width = p.scale.shape
+        out = np.zeros((len(rows), n, width))
+        period = np.zeros(len(rows))
+        for number, kind in enumerate(self.kinds):
+            at = np.flatnonzero(rows.kind == number)
+            if len(at) == 0:
+                continue
+            sample, joint, sign = rows.sample[at], rows.joint[at], rows.sign[at]
+            for order, slope in self._slopes(point, kind, sample, joint, sign):
+                # slope: derivative of each row by the joints' order-th motion, shape (m, n) or for one joint (m,)
+                factor = self._basis(x, order)[sample]
+                if slope.ndim == 1:
+                    out[at, joint] += slope[:, None] * factor
+                else:
+                    out[at] += slope[:, :, None] * factor[:, None, :]
+                if p.options.free_period is not None:
+                    change = self._period_slope(x, point, order)[sample]
+                    period[at] += (
+                        slope * change[np.arange(len(at)), joint]
+                        if slope.ndim == 1
+                        else np.sum(slope * change, axis=1)
+                    )
+        jacobian: Array = (out * p.scale).reshape(len(rows), p.scale.size)
+        return (
+            np.column_stack([jacobian, period]) if p.options.free_period is not None else jacobian
+        )
+
+    def _slopes(
+        self, point: _Point, kind: str, sample: Array, joint: Array, sign: Array
+    ) -> list[tuple[int, Array]]:
+        limits = self.problem.limits
+        if kind == "position":
+            half = 0.5 * (limits.position[:, 1] - limits.position[:, 0])
+            return [(0, sign / half[joint])]
+        if kind in ("velocity", "acceleration", "jerk"):
+            return [
+                (
+                    ("velocity", "acceleration", "jerk").index(kind) + 1,
+                    sign / getattr(limits, kind)[joint],
+                )
+            ]
+        if kind == "torque":
+            return self._torque_slopes(point, sample, joint, sign)
+        if kind == "braking":
+            both = [self._braking(point.motion[0], point.motion[1], s) for s in (1.0, -1.0)]
+            pick = (sign < 0).astype(int)
+            return [
+                (order, np.stack([b[order + 1] for b in both])[pick, sample, joint])
+                for order in (0, 1)
+            ]
+        if kind == "clearance":
+            return [(0, self._look(point).slopes(sample, joint))]
+        index = int(kind[3:])
+        box = self.problem.boxes[index]
+        half = 0.5 * (np.array(box.upper) - np.array(box.lower))
+        jacobian = np.asarray(self._frames[index].map(len(sample))(point.motion[0][sample].T)[1])
+        blocks = jacobian.reshape(3, len(sample), -1)[joint, np.arange(len(sample))]
+        return [(0, (sign / half[joint])[:, None] * blocks)]
+
+    def _torque_slopes(
+        self, point: _Point, sample: Array, joint: Array, sign: Array
+    ) -> list[tuple[int, Array]]:
+        """d(±Y_jψ₀ + r|Y_j|_G⁻¹) = dY_j · (±ψ₀ + r G₀⁻¹Y_jᵀ/|Y_j|): one weighted reverse sweep a row."""
+        p = self.problem
+        n, radius = p.robot.n, p.options.uncertainty
+        q, dq, ddq, _ = point.motion
+        Y = self._regressor_at(point)[sample, joint]
+        weight = sign[:, None] * self._nominal
+        if radius:
+            self._band(point)
+            assert point.spread is not None
+            weight = (
+                weight
+                + radius * (Y @ self._inverse_metric) / point.spread[1][sample, joint][:, None]
+            )
+        pick = np.zeros((len(sample), n))
+        pick[np.arange(len(sample)), joint] = 1.0 / self._torque_bound[joint]
+        return list(enumerate(self._row(q[sample], dq[sample], ddq[sample], weight, pick)))
+
+
+def _without_coulomb(parameters: Parameters) -> Array:
+    nominal = parameters.nominal.copy()
+    if "coulomb" in parameters.drive:
+        nominal[parameters.block("coulomb")] = 0.0
+    return nominal
+
+
+def _centred(values: Array, lower: Array, upper: Array) -> Array:
+    """Signed distance from the middle of a range over its half width; unbounded ranges give −inf."""
+    bounded = np.isfinite(lower) & np.isfinite(upper)
+    middle = np.where(
+        bounded, 0.5 * (np.where(bounded, lower, 0.0) + np.where(bounded, upper, 0.0)), 0.0
+    )
+    half = np.where(
+        bounded, 0.5 * (np.where(bounded, upper, 0.0) - np.where(bounded, lower, 0.0)), 1.0
+    )
+    ratio = (values - middle) / half
+    return np.where(bounded, np.stack([ratio, -ratio]), -np.inf)

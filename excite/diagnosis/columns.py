@@ -1,0 +1,109 @@
+"""Columns of torque, most of which act on one joint: kept joint by joint, without the zeros elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Columns over the rows of a recording set: sample by sample, joint by joint.
+
+    which: of each joint, the columns that it feels, in rising order. Shapes (k_j,). values: these at its rows. Shapes (N, k_j).
+    count: of all columns, K.
+    """
+
+    which: tuple[Array, ...]
+    values: tuple[Array, ...]
+    count: int
+
+    @classmethod
+    def none(cls, samples: int, joints: int) -> Columns:
+        """No column yet."""
+        return cls((np.zeros(0, int),) * joints, (np.zeros((samples, 0)),) * joints, 0)
+
+    @classmethod
+    def of(cls, torque: Array) -> Columns:
+        """Of torque as it is. Shape (N, n, k)."""
+        _, n, k = torque.shape
+        felt = [np.arange(k if torque[:, j].any() else 0) for j in range(n)]
+        return cls(
+            tuple(felt),
+            tuple(np.ascontiguousarray(torque[:, j, own]) for j, own in enumerate(felt)),
+            k,
+        )
+
+    @property
+    def joints(self) -> int:
+        return len(self.which)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that they take."""
+        return sum(x.nbytes for x in self.values)
+
+    def beside(self, others: Sequence[Columns]) -> Columns:
+        """These, then all of others."""
+        every = (self, *others)
+        starts = np.cumsum([0, *(one.count for one in every)])
+        which = tuple(
+            np.concatenate([one.which[j] + s for one, s in zip(every, starts, strict=False)])
+            for j in range(self.joints)
+        )
+        values = tuple(np.hstack([one.values[j] for one in every]) for j in range(self.joints))
+        return Columns(which, values, int(starts[-1]))
+
+    def picked(self, places: Array) -> Columns:
+        """Some columns, in the order of `places`. Shape (k,)."""
+        to = np.full(self.count, -1)
+        to[places] = np.arange(len(places))
+        which, values = list[Array](), list[Array]()
+        for own, x in zip(self.which, self.values, strict=True):
+            there = np.flatnonzero(to[own] >= 0)
+            there = there[np.argsort(to[own[there]])]
+            which.append(to[own[there]])
+            values.append(x[:, there])
+        return Columns(tuple(which), tuple(values), len(places))
+
+    def scaled(self, factor: Array) -> Columns:
+        """Torque times a factor of each joint. Shape (n,)."""
+        return Columns(
+            self.which,
+            tuple(x * f for x, f in zip(self.values, factor.tolist(), strict=True)),
+            self.count,
+        )
+
+    def full(self) -> Array:
+        """With the zeros. Shape (N n, K)."""
+        out = np.zeros((len(self.values[0]), self.joints, self.count))
+        for j, (own, x) in enumerate(zip(self.which, self.values, strict=True)):
+            out[:, j, own] = x
+        return out.reshape(len(out) * self.joints, self.count)
+
+    def along(self, x: Array) -> Array:
+        """Cᵀ x. Shapes (N n, k) -> (K, k)."""
+        out, rows = np.zeros((self.count, x.shape[1])), x.reshape(-1, self.joints, x.shape[1])
+        for j, (own, values) in enumerate(zip(self.which, self.values, strict=True)):
+            if len(own):
+                out[own] += values.T @ rows[:, j]
+        return out
+
+    def squares(self) -> Array:
+        """Sum of each column's squares. Shape (K,)."""
+        out = np.zeros(self.count)
+        for own, values in zip(self.which, self.values, strict=True):
+            out[own] += np.einsum("nk,nk->k", values, values)
+        return out
+
+    def products(self, other: Columns) -> Array:
+        """Cᵀ D. Shape (K, K′)."""
+        out = np.zeros((self.count, other.count))
+        for own, x, its, y in zip(self.which, self.values, other.which, other.values, strict=True):
+            if len(own) and len(its):
+                out[np.ix_(own, its)] += x.T @ y
+        return out

@@ -1,0 +1,213 @@
+"""The course of a search: from the equations of two halves to names, over a scale that sharpens as more is found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+from ..effects import EFFECTS, track
+from ..effects.track import Track
+from ..identification.identification import Identification
+from . import equations, foretold, judge, late, noise, once, search, session_changes
+from .judge import Verdict
+from .noise import Noise
+from .search import Design
+from .session_changes import Halves
+
+Array = np.ndarray
+Progress = Callable[[str], None]
+MISFIT = {"periods": 0.1, "differences": 0.3}
+"""Share of the residual taken for a form that is not quite the catalogue's, by how the noise is known."""
+AGAIN, COARSE = 2, 0.7
+"""Times that all is looked at again over what is left, and from which share of its scale on that is not worth it."""
+
+CLEAR = 0.3
+"""Of what is left with drives that are the same in all recordings, what others must leave, to be told before anything is taken for late."""
+
+
+@dataclass(frozen=True)
+class Course:
+    """What a search came to. scale: that torque is told over. Shape (n,) [N m]. differing: whether drives differ between recordings, so
+    that each after the first has its own."""
+
+    one: Design
+    verdict: Verdict
+    noisy: Noise
+    scale: Array
+    differing: bool = False
+
+    @property
+    def shapes(self) -> tuple[int, ...]:
+        """Of what was found."""
+        return () if self.verdict.together is None else self.verdict.together.shapes
+
+    @property
+    def left(self) -> Array:
+        """Mean square over what a right model would leave, of all recordings. Shape (n,)."""
+        return search.level(self.one, self.shapes) * (self.scale / self.noisy.quiet) ** 2
+
+    @property
+    def later(self) -> Array:
+        """What is left of the held-out torque, over the scale. Shape (N, n)."""
+        return foretold.residuals(self.one, self.verdict.together, np.ones(len(self.scale)))[1]
+
+    def explained(self, moves: Array) -> bool:
+        """Whether no joint's torque is left louder than noise, of all recordings or of those held out. moves: rows of these that count."""
+        most = 1.0 + session_changes.EXCESS
+        return bool(
+            (self.left < most).all()
+            and (search.mean_square(self.later, moves) < most * self._expected).all()
+        )
+
+    def otherwise(
+        self, other: Callable[[], Design], scale: Array, every: Sequence[Track], moves: Array
+    ) -> bool:
+        """Whether what is left of all recordings, or of those held out, says that drives differ. other: makes the design where they do,
+        over a scale."""
+        if session_changes.differs(
+            self.one, self.shapes, every, (self.noisy.quiet / self.scale) ** 2
+        ):
+            return True
+        left, by = self.later, self.scale / scale
+        return session_changes.differs_later(
+            left, foretold.levelled(other(), left * by) / by, moves, self._expected
+        )
+
+    @property
+    def _expected(self) -> Array:
+        """Mean square over the scale that a right model would leave of the held-out torque. Shape (n,)."""
+        return np.asarray(
+            (self.noisy.quiet / self.scale) ** 2
+            + foretold.reach(self.one, np.ones(len(self.scale))) ** 2
+        )
+
+
+def run(
+    identified: Identification,
+    halves: Halves,
+    noisy: Noise,
+    trusted: Mapping[int, float],
+    names: Collection[str],
+    progress: Progress,
+) -> Course:
+    """Search with drives that are the same in all recordings, or where that leaves what others would take, with drives of their own, if
+    these are sure then. Laws come first: over speed they may look like other drives where each recording has a speed of its own.
+
+    trusted, names: see `diagnosis.Options`.
+    """
+    every, scale = (
+        [*halves[0], *halves[1]],
+        _scale(noisy, np.sqrt(np.mean(identified.data.residual**2, axis=0))),
+    )
+    listed = equations.shapes(halves, bool(trusted), noisy.floor, names)
+    build = equations.builder(halves, scale, listed)
+
+    def bare(differing: Halves | None) -> Design:
+        first, second = (
+            equations.half(half, identified, trusted, scale, differing) for half in halves
+        )
+        return search.bare((first, second), build)
+
+    @cache
+    def with_own_drives() -> Course | None:
+        progress("drives may differ between the recordings: beside drives of their own")
+        found = replace(
+            _followed(_begun(search.filled(bare(halves), listed), noisy, scale), every),
+            differing=True,
+        )
+        return (
+            found
+            if any(
+                change.sure for change in session_changes.changes(found.one, found.shapes, halves)
+            )
+            else None
+        )
+
+    def differs(found: Course) -> bool:
+        return not (at_first or found.explained(moves)) and found.otherwise(
+            lambda: bare(halves), scale, every, moves
+        )
+
+    one, moves = search.filled(bare(None), listed), np.concatenate([t.moves for t in halves[1]])
+    at_first = session_changes.differs_at_first(one, every, (noisy.quiet / scale) ** 2)
+    if at_first and (other := with_own_drives()) is not None:
+        return other
+    progress(f"{len(listed)} shapes of {len(EFFECTS)} effects, alone and together")
+    begun = _begun(one, noisy, scale)
+    if (
+        differs(begun)
+        and (other := with_own_drives()) is not None
+        and float(other.left.sum()) < CLEAR * float(begun.left.sum())
+    ):
+        return other  # whatever is late, it is not that
+    found = _followed(begun, every)
+    if not differs(found) or (other := with_own_drives()) is None:
+        return found
+    return found if float(other.left.sum()) > float(found.left.sum()) else other
+
+
+def _begun(one: Design, noisy: Noise, scale: Array) -> Course:
+    """What is found first over a coarse scale, then over what that leaves."""
+    one, verdict = judge.judged(_warned(one, noisy, scale))
+    one, verdict, scale = _sharper(one, verdict, noisy, scale)
+    return Course(one, verdict, noisy, scale)
+
+
+def _followed(begun: Course, every: Sequence[Track]) -> Course:
+    """The same with all late that a delay delays, and over noise without what touched the robot once."""
+    noisy = begun.noisy
+    one, verdict, scale = _sharper(*late.followed(begun.one, begun.verdict), noisy, begun.scale)
+    for _ in range(AGAIN):
+        if verdict.together is None or all(
+            one.shapes[i].interval is None for i in verdict.together.shapes
+        ):
+            break
+        left = search.remaining(one, verdict.together.shapes) * scale
+        noisy = noise.repeated(noisy, every, track.split(left, every))
+        one, verdict, scale = _sharper(one, verdict, noisy, scale)
+    return Course(one, once.kept(one, verdict, every, noisy.periods), noisy, scale)
+
+
+def _scale(noisy: Noise, left: Array) -> Array:
+    """Noise, and a share of an RMS residual for a form that is not quite the catalogue's. Shape (n,) [N m]."""
+    return np.asarray(np.sqrt(noisy.floor**2 + (MISFIT[noisy.method] * left) ** 2))
+
+
+def _warned(one: Design, noisy: Noise, scale: Array) -> Design:
+    """The design that knows what the encoders' steps feign, and samples that are too rare."""
+    steps, sharpened = (
+        [((a / scale).ravel(), (b / scale).ravel()) for a, b in own]
+        for own in (noisy.feigned, [noisy.sharpened])
+    )
+    stepped = float(np.mean((noisy.steps / noisy.floor) ** 2))
+    return judge.warned(
+        one,
+        steps,
+        sharpened[0],
+        stepped,
+        (noisy.floor / scale) ** 2 if noisy.method == "periods" else None,
+    )
+
+
+def _sharper(
+    one: Design, verdict: Verdict, noisy: Noise, scale: Array
+) -> tuple[Design, Verdict, Array]:
+    """Looked at again over the scale that is left with what was found: a slight effect beside a strong one drowns in the first."""
+    for _ in range(AGAIN):
+        if verdict.together is None:
+            break
+        finer = np.minimum(_scale(noisy, rms(one, verdict.together.shapes, scale)), scale)
+        if (finer > COARSE * scale).all():
+            break
+        one = _warned(search.rescaled(one, scale / finer), noisy, finer)
+        one, verdict = judge.judged(one, verdict.together.shapes)
+        scale = finer
+    return one, verdict, scale
+
+
+def rms(one: Design, shapes: Sequence[int], scale: Array) -> Array:
+    """RMS of what is left of all recordings when base and shapes are fitted to them. Shape (n,) [N m]."""
+    return np.asarray(np.sqrt(search.level(one, shapes)) * scale)

@@ -1,0 +1,153 @@
+"""A diagnosis's equations: both halves of the recordings beside the base model, and the columns of the catalogue on them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+
+import numpy as np
+
+from ..effects import BY_NAME, EFFECTS
+from ..effects.effect import Shape
+from ..effects.track import Track
+from ..identification import consistency
+from ..identification.identification import Identification
+from . import search, session_changes
+from .columns import Columns
+from .half import Half, whitened
+from .session_changes import Halves
+
+Array = np.ndarray
+ROOM = 400_000_000
+"""For columns that are kept [bytes]."""
+
+
+def kept(psi: Array, trusted: Mapping[int, float]) -> Array:
+    """Parameters with what is trusted as it was told: a fit to data that have more in them would bend it."""
+    out = psi.copy()
+    for place, value in trusted.items():
+        out[place] = value
+    return out
+
+
+def half(
+    tracks: list[Track],
+    identified: Identification,
+    trusted: Mapping[int, float],
+    scale: Array,
+    differing: Halves | None = None,
+) -> Half:
+    """Base columns and what they explain: all parameters, or beside a trusted prior those that it leaves free.
+
+    differing: both halves, where drives differ between their recordings (`between`).
+    """
+    base, parameters = identified.model.base, identified.model.parameters
+    places = np.arange(base.count)
+    if trusted:
+        drives = 10 * parameters.bodies
+        places = np.array(
+            [
+                k
+                for k, place in enumerate(base.independent)
+                if place >= drives and int(place) not in trusted
+            ],
+            int,
+        )
+    columns, torque = [], []
+    for one in tracks:
+        slopes = np.zeros((len(one), one.n, one.n))
+        slopes[:, range(one.n), range(one.n)] = one.slopes
+        own = [session_changes.columns(one, differing)] if differing else []
+        columns.append(np.concatenate([one.gamma[:, :, places], *own, slopes], axis=2))
+        torque.append(one.left if trusted else one.torque)
+    rows, right = _known(identified, trusted, columns[0].shape[2])
+    if differing:
+        std = session_changes.known([*differing[0], *differing[1]])
+        changes = np.zeros((len(std), rows.shape[1]))
+        changes[:, len(places) : len(places) + len(std)] = np.diag(1.0 / std)
+        rows, right = np.vstack([rows, changes]), np.concatenate([right, np.zeros(len(std))])
+    return whitened(columns, torque, [one.moves for one in tracks], scale, (rows, right))
+
+
+def _known(
+    identified: Identification, trusted: Mapping[int, float], width: int
+) -> tuple[Array, Array]:
+    """What is known of the base parameters beforehand, as rows: a short recording alone would not predict another."""
+    n = identified.model.robot.n
+    slopes = np.hstack(
+        [np.zeros((n, width - n)), np.eye(n)]
+    )  # friction's width is known within a factor e: what is linear is no further
+    if trusted:
+        return slopes, np.zeros(n)
+    base, prior = identified.model.base, identified.prior
+    spread = (
+        base.matrix
+        @ consistency.inverse(consistency.metric_matrix(identified.model.parameters, prior))
+        @ base.matrix.T
+    )
+    values, vectors = np.linalg.eigh(consistency.inverse(spread))
+    root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    rows = np.zeros((base.count, width))
+    rows[:, : base.count] = root
+    return np.vstack([rows, slopes]), np.concatenate(
+        [root @ (base.matrix @ prior.nominal), np.zeros(n)]
+    )
+
+
+def shapes(
+    halves: Sequence[list[Track]], trusted: bool, floor: Array, names: Collection[str] = ()
+) -> list[Shape]:
+    """Every shape of the effects that are looked for, where noise is not too loud for it. floor: of the noise. Shape (n,) [N m]."""
+    every = [*halves[0], *halves[1]]
+    wanted = [
+        effect
+        for effect in EFFECTS
+        if (trusted or not effect.prior_only) and effect.name in (names or BY_NAME)
+    ]
+    grain = floor / np.maximum(
+        np.sqrt(np.mean(np.concatenate([one.torque for one in every]) ** 2, axis=0)), 1e-300
+    )
+    every_shape = (shape for effect in wanted for shape in effect.shapes(every))
+    return [
+        shape for shape in every_shape if shape.joint is None or grain[shape.joint] <= shape.grain
+    ]
+
+
+def builder(
+    halves: Sequence[list[Track]], scale: Array, listed: Sequence[Shape] = ()
+) -> search.Build:
+    """Columns of a shape on both halves, over the scale. listed: shapes that will be asked for again, beside what was found or other
+    drives; theirs are kept, as far as there is room."""
+    again, made, room = (
+        {search.key(shape) for shape in listed},
+        dict[tuple[object, ...], tuple[Columns, Columns] | None](),
+        ROOM,
+    )
+
+    def build(shape: Shape) -> tuple[Columns, Columns] | None:
+        nonlocal room
+        key = search.key(shape)
+        if key in made:
+            return made[key]
+        out = make(shape)
+        size = 0 if out is None else sum(own.nbytes for own in out)
+        if key in again and size <= room:
+            made[key], room = out, room - size
+        return out
+
+    def make(shape: Shape) -> tuple[Columns, Columns] | None:
+        first, second = (
+            Columns.of(
+                np.concatenate(
+                    [shape.columns(one) * one.moves[:, :, None] / scale[:, None] for one in own]
+                )
+            )
+            for own in halves
+        )
+        every = [*first.values, *second.values]
+        if not all(np.isfinite(x).all() for x in every) or not any(
+            np.abs(x).max(initial=0.0) > 1e-9 for x in every
+        ):
+            return None
+        return first, second
+
+    return build

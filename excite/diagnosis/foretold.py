@@ -1,0 +1,128 @@
+"""What one recording foretells of another: the second half's torque by what the first half teaches, and findings that make it worse."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from . import hypothesis, judge, search
+from .judge import Finding, Verdict
+from .search import Design, Trial
+
+Array = np.ndarray
+WORSE, SHOWN = 1.05, 0.1
+"""Held-out mean square with a finding over that without, from which it is refuted; unless the halves, each by itself, show so much of its
+gain: a law whose columns are nearly alike in the first is foretold badly though it is right."""
+CHANCE = 9.0
+"""Times the variance that coefficients bring which the first half does not tell, that is forgiven: three standard deviations, as noise has
+colour, and a law that is not quite right is told worse than noise lets it."""
+BELIEVED = 0.12
+"""Probability of a finding that is refuted."""
+
+
+def residuals(one: Design, together: Trial | None, scale: Array) -> tuple[Array, Array]:
+    """Torque of the second half that the base model fitted to the first leaves, and with some shapes. Shapes (N, n) [N m]."""
+    before = one.across.reshape(-1, len(scale)) * scale
+    if together is None:
+        return before, before
+    which = one.which(together.shapes)
+    # what happened once, in one recording, is known from it alone
+    known = (one.split(together.shapes, c) for c in (together.coefficients, together.halves[0]))
+    own = [
+        c if one.shapes[i].interval is not None else first
+        for i, c, first in zip(together.shapes, *known, strict=True)
+    ]
+    added = one.carried(which) @ np.concatenate(own)
+    return before, before - added.reshape(before.shape) * scale
+
+
+def reach(one: Design, scale: Array) -> Array:
+    """RMS by which the held-out torque is off because the first half does not tell the base parameters better. Shape (n,) [N m].
+
+    Drives of the second half's own (`between`) are not among them.
+    """
+    first, second = one.halves
+    gamma, covariance = second.gamma[second.rows] * ~_own(one), first.inverse @ first.inverse.T
+    variance = np.sum((gamma @ covariance) * gamma, axis=1)
+    return np.asarray(
+        np.sqrt(np.mean(np.maximum(variance, 0.0).reshape(-1, len(scale)), axis=0)) * scale
+    )
+
+
+def tested(one: Design, verdict: Verdict, moves: Array, noise: Array) -> Verdict:
+    """The verdict without what the held-out torque speaks against, one finding after the other, the worst first.
+
+    moves: rows of the second half that are judged, Shape (N, n). noise: mean square over the scale, Shape (n,).
+    """
+    while verdict.findings:
+        ratios = [_ratios(one, verdict, finding, moves, noise) for finding in verdict.findings]
+        worst = max(range(len(ratios)), key=lambda number: ratios[number])
+        if ratios[worst][0] <= WORSE:
+            break
+        refuted = replace(
+            verdict.findings[worst], probability=BELIEVED, evidence={"foretold": ratios[worst][1]}
+        )
+        verdict = judge.refused(one, verdict, [refuted])
+    return verdict
+
+
+def _ratios(
+    one: Design, verdict: Verdict, finding: Finding, moves: Array, noise: Array
+) -> tuple[float, float]:
+    """Held-out mean square over noise, where a finding acts: with all findings over that without this one, or without any, whichever is
+    more; less what may be chance, and as it is. 0 of what happened once, not to be foretold, and of what a half shows by itself."""
+    together = verdict.together
+    assert together is not None
+    rest = search.trial(one, judge.without(together.shapes, finding.parts))
+    if together.seen - rest.seen > SHOWN * finding.gain or any(
+        one.shapes[part.shape].interval is not None for part in finding.parts
+    ):
+        return 0.0, 0.0
+    acts, unit = hypothesis.acting(one, together, finding.main.shape), np.ones(len(noise))
+    bare, with_all = (levelled(one, left) for left in residuals(one, together, unit))
+    without = levelled(one, residuals(one, rest, unit)[1]) if rest.shapes else bare
+    spent = [
+        float(np.sum((search.mean_square(left, moves) / noise)[acts]))
+        for left in (with_all, without, bare)
+    ]
+    unsure, others = _unsure(one, together, moves), _unsure(one, rest, moves)
+    chance = [float(np.sum((x / noise)[acts])) for x in (np.maximum(unsure - others, 0.0), unsure)]
+    beyond = [
+        (spent[0] - CHANCE * by_chance) / max(than, 1e-300)
+        for by_chance, than in zip(chance, spent[1:], strict=True)
+    ]
+    return max(beyond), spent[0] / max(min(spent[1:]), 1e-300)
+
+
+def levelled(one: Design, left: Array) -> Array:
+    """What is left of the second half's torque without what drives of its own may take (`between`): no finding makes that better or worse.
+    As it is, where drives are the same in all recordings. Shape (N, n)."""
+    own, second = _own(one), one.halves[1]
+    if not own.any():
+        return left
+    columns, known = second.gamma[second.rows][:, own], second.gamma[~second.rows][:, own]
+    taken = columns @ np.linalg.solve(
+        columns.T @ columns + known.T @ known, columns.T @ left.ravel()
+    )
+    return np.asarray(left - taken.reshape(left.shape))
+
+
+def _own(one: Design) -> Array:
+    """Base columns that only the second half's recordings have. Shape (p,)."""
+    first, second = one.halves
+    return ~first.gamma[first.rows].any(axis=0) & second.gamma[second.rows].any(axis=0)
+
+
+def _unsure(one: Design, found: Trial, moves: Array) -> Array:
+    """Mean square by which the second half's torque is off because the first half does not tell coefficients better. Shape (n,)."""
+    which = one.which(
+        [i for i in found.shapes if one.shapes[i].interval is None]
+    )  # what happened once is known from where it did
+    root = one.usual[which]  # in units of what is usual, where a column of nothing is no matter
+    precision = one.grams[0].matrix[np.ix_(which, which)] * np.outer(root, root) + np.eye(
+        len(which)
+    )
+    carried = one.carried(which) * root
+    variance = np.sum((carried @ np.linalg.inv(precision)) * carried, axis=1)
+    return search.mean_square(np.sqrt(np.maximum(variance, 0.0)).reshape(moves.shape), moves)

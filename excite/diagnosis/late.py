@@ -1,0 +1,214 @@
+"""What is recorded late is late as a whole: beside a delay, what else is found at its joint comes as late as the base model does.
+
+τ(t) = [Y ψ + Σ effects](t − d), or all of it through a filter of first order. Where only the base model is taken to be late, whatever bends
+to them says how late the effects are; so, once a delay is among what was found, everything at its joint is looked for anew, delayed by what
+predicts best.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+
+import numpy as np
+
+from ..effects.effect import Delay, Shape
+from . import judge, search
+from .contest import CLEARLY
+from .judge import Verdict
+from .search import Design, Trial
+
+LEAST, SETTLED, PASSES = 5e-4, 0.05, 2
+"""Of a delay, from which it is one [s]; how far off it was, over itself, to be looked at again; and how often that is."""
+FURTHEST, TRIED = 3.0, 5
+"""How many times as long, or as short, a delay may be as it was told at first; and how many between are tried."""
+USUAL = 0.01
+"""Of a delay that is not known at all [s]."""
+Delays = dict[int | None, Delay]
+
+
+def followed(one: Design, verdict: Verdict, again: bool = False) -> tuple[Design, Verdict]:
+    """The design and the verdict with all late that a delay delays, where that predicts better. again: what could be one was looked at
+    before, beside nearly the same base."""
+    if verdict.together is None:
+        return one, verdict
+    together, loud = verdict.together, _loud(one, verdict.together)
+    told, tuned = (
+        _worth(_delays(one, together) or ({} if again else _hidden(one, together)), loud),
+        list[Shape](),
+    )
+    if told:
+        told, tuned = _timed(one, together, told, again)
+    for _ in range(PASSES):
+        if not told:
+            break
+        later, found = judge.judged(*_later(one, together, told, loud, tuned))
+        if found.together is None or found.together.gain <= together.gain:
+            break
+        now = _delays(later, found.together)
+        if not set(told) <= set(now):
+            break
+        one, verdict, together, loud, tuned = (
+            later,
+            found,
+            found.together,
+            _loud(later, found.together),
+            [],
+        )
+        off = {
+            j: abs(now[j].seconds - d.seconds) > SETTLED * d.seconds or now[j].lagging != d.lagging
+            for j, d in told.items()
+        }
+        told = _worth({joint: now[joint] for joint, still in off.items() if still}, loud)
+    return one, verdict
+
+
+def renewed(one: Design, together: Trial, shapes: Iterable[Shape]) -> list[Shape]:
+    """Shapes made anew, as late as those that were fitted."""
+    late = [values for i in together.shapes if "late" in (values := one.shapes[i].values)]
+    told = {
+        int(v["late_joint"]) if "late_joint" in v else None: Delay(v["late"], "lagging" in v)
+        for v in late
+    }
+    return _like(shapes, told)
+
+
+def _delays(one: Design, together: Trial) -> Delays:
+    """Delays that were found beside something that they delay [s]."""
+    chosen = [one.shapes[i] for i in together.shapes]
+    fitted = zip(chosen, one.split(together.shapes, together.coefficients), strict=True)
+    found = {
+        s.joint: Delay(s.values.get("seconds", float(c[0])), "lagging" in s.values)
+        for s, c in fitted
+        if s.effect == "delay"
+    }
+    return {
+        joint: d
+        for joint, d in found.items()
+        if d.seconds > LEAST and any(_follows(shape, joint) for shape in chosen)
+    }
+
+
+def _hidden(one: Design, together: Trial) -> Delays:
+    """Delays that may be behind friction's memory: its springs bend to the most of one [s]."""
+    bent = {one.shapes[i].joint for i in together.shapes if one.shapes[i].effect == "hysteresis"}
+    return dict.fromkeys(
+        bent & {shape.joint for shape in one.listed if shape.effect == "delay"}, Delay(USUAL)
+    )
+
+
+def _loud(one: Design, together: Trial) -> set[int]:
+    """Joints where more is left than noise, or may be."""
+    left, noise = search.level(one, together.shapes), one.measured.noise
+    return {
+        int(j)
+        for j in np.flatnonzero(left > 0.0 if noise is None else left > (1.0 + CLEARLY) * noise)
+    }
+
+
+def _worth(told: Delays, loud: set[int]) -> Delays:
+    """Delays of what is loud."""
+    return {joint: d for joint, d in told.items() if joint in loud or (joint is None and loud)}
+
+
+def _follows(shape: Shape, joint: int | None) -> bool:
+    """Whether what a shape adds comes as late as a joint's torque, or all: not a delay, nor what is made of torque that is late already."""
+    return (
+        shape.effect != "delay"
+        and not shape.values.get("measured")
+        and (joint is None or shape.joint == joint)
+    )
+
+
+def _moved(shape: Shape, told: Delays) -> Shape | None:
+    """A shape as late as it comes; itself, where that is in time. None of a delay told by the slope of all that was measured, or of what is
+    no longer in time."""
+    if shape.effect == "delay" and shape.joint in told and "seconds" not in shape.values:
+        return None
+    for joint, delay in told.items():
+        if _follows(shape, joint):
+            return shape.late(delay, joint)
+    return shape
+
+
+def _like(shapes: Iterable[Shape], told: Delays) -> list[Shape]:
+    """All shapes as late as they come."""
+    return [moved for shape in shapes if (moved := _moved(shape, told)) is not None]
+
+
+def _timed(one: Design, together: Trial, told: Delays, nearly: bool) -> tuple[Delays, list[Shape]]:
+    """Each delay where what was found predicts best, all of it as late, by a clock or a filter: turned as well for the best of a few, of
+    those next to it where it is `nearly` right, then as it is. And what was found, turned so."""
+    from scipy.optimize import minimize_scalar  # slow to import
+
+    bare, out, chosen = search.only(one, ()), dict(told), [one.shapes[i] for i in together.shapes]
+
+    def fitted(delays: Delays, sweeps: int) -> tuple[Design, Trial]:
+        others = [shape for shape in chosen if shape.effect != "delay" or shape.joint not in delays]
+        fixed = [
+            dataclasses.replace(_by(one.listed, joint, d), knob=None) for joint, d in delays.items()
+        ]
+        design = search.appended(bare, [*_like(others, delays), *fixed])
+        finer, turned = search.refined(design, range(len(design.shapes)), sweeps)
+        return finer, search.trial(finer, turned)
+
+    for joint, d in told.items():
+        tries = np.linspace(-1.0, 1.0, TRIED)
+        ways = [
+            Delay(float(d.seconds * FURTHEST**x), lagging)
+            for x in (tries[1:-1] if nearly else tries)
+            for lagging in (False, True)
+        ]
+        tried = [(*fitted({**out, joint: way}, 1), way) for way in ways]
+        finer, best, about = max(tried, key=lambda own: own[1].gain)
+        chosen = [finer.shapes[i] for i in best.shapes]
+        step, middle = 2.0 / (TRIED - 1) * np.log(FURTHEST), np.log(about.seconds)
+
+        def cost(x: float, joint: int | None = joint, about: Delay = about) -> float:
+            return -fitted({**out, joint: about._replace(seconds=float(np.exp(x)))}, 0)[1].gain
+
+        best_x = minimize_scalar(cost, bounds=(middle - step, middle + step), method="bounded").x
+        out[joint] = about._replace(seconds=float(np.exp(best_x)))
+    return out, _like(
+        (shape for shape in chosen if shape.effect != "delay" or shape.joint not in out), out
+    )
+
+
+def _later(
+    one: Design, together: Trial, told: Delays, loud: set[int], tuned: list[Shape]
+) -> tuple[Design, list[int]]:
+    """The design with what comes late, where something is left or was found; and what to begin with: the delays, and what was found and
+    tuned with them, or where it was not, what was found elsewhere."""
+    where = {
+        *loud,
+        *(one.shapes[i].joint for i in together.shapes if one.shapes[i].effect != "delay"),
+    }
+
+    def moved(shape: Shape) -> Shape | None:
+        return _moved(shape, told) if shape.effect == "delay" or shape.joint in where else shape
+
+    listed = [late for shape in one.listed if (late := moved(shape)) is not None]
+    now = [moved(shape) for shape in one.shapes]
+    kept = [k for k, shape in enumerate(one.shapes) if now[k] is shape]
+    first = [*(_by(listed, joint, delay) for joint, delay in told.items()), *tuned]
+    behind = [own for own in now if own is not None and "late" in own.values]
+    wider = search.relaid(one, kept, behind, first, listed)
+    there = [
+        kept.index(i)
+        for i in together.shapes
+        if i in kept and one.shapes[i].effect != "delay" and not tuned
+    ]
+    return wider, [*range(len(wider.shapes) - len(first), len(wider.shapes)), *there]
+
+
+def _by(listed: Iterable[Shape], joint: int | None, delay: Delay) -> Shape:
+    """The delay of a joint, or of all, by so much."""
+    alike = (
+        s
+        for s in listed
+        if s.effect == "delay" and s.joint == joint and ("lagging" in s.values) == delay.lagging
+    )
+    knob = next(shape.knob for shape in alike if shape.knob is not None)
+    return dataclasses.replace(knob, low=0.5 * delay.seconds, high=2.0 * delay.seconds).at(
+        delay.seconds
+    )

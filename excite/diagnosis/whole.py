@@ -1,0 +1,147 @@
+"""The base model with what was found: its torque along a recording, recordings without it, and its place in `model.json`."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..effects import BY_NAME, track
+from ..effects.effect import Shape
+from ..effects.track import Track
+from ..identification.identified_model import FittedModel
+from ..identification.lowpass import Grid
+from ..identification.segments import Piece
+from ..recordings import Recording
+from ..robot.robot import Robot
+from ..schemas.effects import EffectDocument
+from .search import Design, Trial
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Part:
+    """A fitted shape. coefficients: Shape (k,)."""
+
+    shape: Shape
+    coefficients: Array
+
+
+def parts(one: Design, together: Trial | None) -> tuple[Part, ...]:
+    """The shapes of a fit, each with its own coefficients."""
+    if together is None:
+        return ()
+    split = one.split(together.shapes, together.coefficients)
+    return tuple(Part(one.shapes[i], c) for i, c in zip(together.shapes, split, strict=True))
+
+
+def torque(found: Sequence[Part], along: Track) -> Array:
+    """What was found adds, below the band, at every sample of a track's piece. Shape (M, n) [N m]."""
+    piece = along.piece
+    every = dataclasses.replace(
+        along,
+        to=Grid.RECORDED,
+        kept=slice(0, len(piece)),
+        time=piece.start + np.arange(len(piece)) / piece.rate,
+    )
+    out = np.zeros(piece.q.shape)
+    for part in found:
+        out += part.shape.columns(every) @ part.coefficients
+    return out
+
+
+def removed(found: Sequence[Part], recording: Recording, tracks: Sequence[Track]) -> Recording:
+    """A recording whose torque is without what was found, where there are tracks of it."""
+    tau = recording.torque.copy()
+    for one in tracks:
+        if one.piece.source == recording.source:
+            first = int(np.argmin(np.abs(recording.t - one.piece.start)))
+            tau[first : first + len(one.piece)] -= torque(found, one)
+    return dataclasses.replace(recording, tau=tau)
+
+
+# -- in model.json ---------------------------------------------------------------------------------------------------
+
+
+def entry(part: Part, robot: Robot) -> dict[str, Any]:
+    """An element of the model's "effects"."""
+    shape = part.shape
+    return {
+        "effect": shape.effect,
+        "joint": None if shape.joint is None else robot.joints[shape.joint],
+        "from": None if shape.other is None else robot.joints[shape.other],
+        "values": dict(shape.values),
+        "coefficients": part.coefficients.tolist(),
+        "time": None if shape.interval is None else list(shape.interval),
+        "recording": shape.source or None,
+    }
+
+
+def restored(stated: EffectDocument, robot: Robot) -> Part:
+    """The fitted shape of a validated effect of `model.json`."""
+    joint, other = (
+        None if name is None else robot.joints.index(name) for name in (stated.joint, stated.other)
+    )
+    interval = None if stated.time is None else (float(stated.time[0]), float(stated.time[1]))
+    values = {key: float(value) for key, value in stated.values.items()}
+    shape = Shape(
+        stated.effect,
+        joint,
+        BY_NAME[stated.effect].add,
+        values,
+        other,
+        interval,
+        stated.recording or "",
+    )
+    return Part(shape, np.array(stated.coefficients, float))
+
+
+def predict(fitted: FittedModel, recording: Recording) -> tuple[Array, Array]:
+    """Torque along a recording at its own times, effects included: (times, torque). Shapes (N,) [s], (N, n) [N m]."""
+    found = [restored(stated, fitted.robot) for stated in fitted.effects]
+    if not found:
+        return fitted.predict(recording)
+    body = track.body(fitted.robot, fitted.layout, fitted.psi)
+    own, late = (
+        [part for part in found if (part.shape.values.get("measured", 0.0) > 0.0) is last]
+        for last in (False, True)
+    )
+    late.sort(
+        key=lambda part: list(BY_NAME).index(part.shape.effect)
+    )  # a drive's loss before a clock's delay, as the catalogue has them
+    nothing = np.zeros((0, fitted.robot.n))
+
+    def beyond(stretch: Recording) -> Array:
+        still, warmth = np.zeros(stretch.q.shape), stretch.temperature
+        whole = (recording.source, float(stretch.t[0]), stretch.rate, stretch.q, still)
+        piece = Piece(
+            *whole, encoder=recording.encoder, temperature=warmth, began=float(recording.t[0])
+        )
+        band = piece.band(min(fitted.hertz, 0.45 * piece.rate))
+        empty = nothing[:, :, None]
+        along = Track(
+            piece,
+            band,
+            body,
+            fitted.widths,
+            np.zeros(0),
+            nothing,
+            empty,
+            nothing,
+            slice(0),
+            np.zeros(0),
+        )
+        added = torque(own, along)
+        for part in late:
+            recorded = BY_NAME[part.shape.effect].recorded
+            assert recorded is not None  # a shape of measured torque has one
+            added += band.low(
+                recorded(along, part.shape, part.coefficients, along.motor + added), Grid.RECORDED
+            )
+        return added
+
+    return fitted.predict(recording, beyond)

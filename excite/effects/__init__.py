@@ -1,0 +1,34 @@
+"""The effects that can be named, a file a family; adding one takes an `Effect` in a file's EFFECTS."""
+
+from __future__ import annotations
+
+from . import (
+    electrical,
+    environment,
+    friction,
+    hysteresis,
+    load,
+    ripple,
+    sensing,
+    thermal,
+    transmission,
+)
+from .effect import Effect
+
+EFFECTS: tuple[Effect, ...] = (
+    *friction.EFFECTS,
+    *hysteresis.EFFECTS,
+    *thermal.EFFECTS,
+    *transmission.EFFECTS,
+    *ripple.EFFECTS,
+    *load.EFFECTS,
+    *electrical.EFFECTS,
+    *sensing.EFFECTS,
+    *environment.EFFECTS,
+)
+BY_NAME = {effect.name: effect for effect in EFFECTS}
+
+
+def confused(name: str, other: str) -> bool:
+    """Whether either effect is taken for the other."""
+    return name in BY_NAME[other].confused or other in BY_NAME[name].confused

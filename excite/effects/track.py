@@ -1,0 +1,353 @@
+"""Recordings as a diagnosis sees them: motion, measured torque and what the base model makes of them, on one band."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar, cast
+
+import numpy as np
+import pinocchio as pin
+
+from ..identification.lowpass import WIDER, Band, Grid, friction_speed
+from ..identification.regression import Model, filtered
+from ..identification.segments import Piece
+from ..recordings.missing_values import runs
+from ..robot.inertial_parameters import Parameters
+from ..robot.robot import Robot
+from ..robot.samples import Samples
+from .base_dynamics import Afloat, afloat
+
+Array = np.ndarray
+T = TypeVar("T")
+STILL, LOOSE = 0.01, 0.02
+"""Of a joint's largest speed, below which it stands; and of its range, by how much it must have moved since it rested: until then friction
+is whatever held it."""
+REST, BLURRED, COUNTS = 0.06, 0.2, 50.0
+"""For how long a joint stands until that is rest [s]; and where an encoder hides how fast it turns back: so many of its steps, at the
+least, should lie in the way that a joint can have gone meanwhile."""
+MOVING = 0.3
+"""Of its time, what a joint must move at the least, lest it be judged where it stands too: there is little else."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """The rigid robot that the base fit found. model: Pinocchio's, with its inertias. psi: ψ̂. Shape (P,)."""
+
+    robot: Robot
+    parameters: Parameters
+    model: pin.Model
+    psi: Array
+
+    def drive(self, kind: str) -> Array:
+        """A drive parameter of every joint, 0 where the base model has none. Shape (n,)."""
+        if kind not in self.parameters.drive:
+            return np.zeros(self.robot.n)
+        return np.asarray(self.psi[self.parameters.block(kind)])
+
+
+def body(robot: Robot, parameters: Parameters, psi: Array) -> Body:
+    """The robot with bodies ψ."""
+    model = robot.model.copy()
+    for i in range(parameters.bodies):
+        model.inertias[i + 1] = pin.Inertia.FromDynamicParameters(psi[10 * i : 10 * i + 10])
+    return Body(robot, parameters, model, psi)
+
+
+class remembered(Generic[T]):
+    """A property that is found once for a track and for all that see it later."""
+
+    def __init__(self, found: Callable[[Track], T]) -> None:
+        self.found, self.__doc__ = found, found.__doc__
+
+    def __get__(self, track: Track, owner: type[Track]) -> T:
+        name = self.found.__name__
+        if name not in track.known:
+            track.known[name] = self.found(track)
+        return cast(T, track.known[name])
+
+
+@dataclass(frozen=True)
+class Track:
+    """One stretch of a recording. torque: measured, below the band, at the kept rows. Shape (N, n). gamma: Γ there. Shape (N, n, p).
+
+    theta: θ̂ of the base fit. to: where its rows lie. behind: by which what acts on it is recorded later, and the lag of the filter that it
+    has passed [s]. slopes: of torque by the log of friction's width. Shape (N, n). time: of the kept rows [s]. piece: as recorded. body:
+    the base fit. known: what is `remembered`.
+    """
+
+    piece: Piece
+    band: Band
+    body: Body
+    widths: Array
+    theta: Array
+    torque: Array
+    gamma: Array
+    slopes: Array
+    kept: slice
+    time: Array
+    to: Grid = Grid.KEPT
+    behind: tuple[float, float] = (0.0, 0.0)
+    known: dict[str, object] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def n(self) -> int:
+        return int(self.torque.shape[1])
+
+    def late(self, seconds: float, lagging: bool = False) -> Track:
+        """The same with all that is remembered, as seen by what is recorded later; or, lagging, through a filter of first order."""
+        out = copy.copy(self)
+        object.__setattr__(out, "behind", (0.0, seconds) if lagging else (seconds, 0.0))
+        return out
+
+    @remembered
+    def left(self) -> Array:
+        """Torque that the base fit leaves. Shape (N, n)."""
+        return self.torque - self.gamma @ self.theta
+
+    @remembered
+    def fine(self) -> Samples:
+        """Motion at every sample of the recording. Shapes (M, n)."""
+        position = self.band.transformed(self.piece.q)
+        speed = friction_speed(self.piece.q, self.band, position)
+        return Samples(
+            position.low(Grid.RECORDED, 0, WIDER), speed, position.low(Grid.RECORDED, 2, WIDER)
+        )
+
+    def sign(self, joint: int) -> Array:
+        """The smooth sign of a joint's speed that the base model's Coulomb friction has, at every sample. Shape (M,)."""
+        return np.asarray(np.tanh(self.fine.dq[:, joint] / self.widths[joint]))
+
+    @property
+    def temperature(self) -> Array:
+        """Of every joint, at every sample; NaN where a joint's was not recorded. Shape (M, n) [°C]."""
+        told = self.piece.temperature
+        return np.full((len(self.piece), self.n), np.nan) if told is None else told
+
+    @remembered
+    def moves(self) -> Array:
+        """Kept rows at which a joint moves, friction known but for its law: at rest it can be anything that sticks. Shape (N, n)."""
+        rows = np.rint((self.time - self.piece.start) * self.piece.rate).astype(int)
+        out = np.empty((len(self), self.n), bool)
+        for j in range(self.n):
+            speed, steps = self.fine.dq[:, j], COUNTS * float(self.steps.max())
+            rest = REST if STILL * float(np.abs(speed).max()) * REST > steps else BLURRED
+            moving = _moving(self.fine.q[:, j], speed, self.piece.rate, rest)[rows]
+            out[:, j] = moving if moving.mean() > MOVING else True
+        return out
+
+    @remembered
+    def stays(self) -> Array:
+        """How long each joint stays within a step Δ of its encoder where it turns back, √(2 Δ/|q̈|); ∞ where it does not. Shape (n,) [s]."""
+        out = np.full(self.n, np.inf)
+        for j, step in enumerate(self.steps):
+            turns = np.flatnonzero(np.diff(np.sign(self.fine.dq[:, j])))
+            if len(turns):
+                out[j] = np.sqrt(
+                    2.0 * step / max(float(np.median(np.abs(self.fine.ddq[turns, j]))), 1e-9)
+                )
+        return out
+
+    @property
+    def steps(self) -> Array:
+        """Δ of each encoder. Shape (n,) [rad or m]."""
+        return np.asarray(np.sqrt(12.0) * self.piece.encoder)
+
+    @remembered
+    def coarse(self) -> Samples:
+        """Motion where rigid-body dynamics are evaluated. Shapes (C, n)."""
+        position = self.band.transformed(self.piece.q)
+        return Samples(*(position.low(Grid.COARSE, order, WIDER) for order in range(3)))
+
+    @remembered
+    def clock(self) -> Array:
+        """Times of every sample [s]. Shape (M,)."""
+        return self.piece.start + np.arange(len(self.piece)) / self.piece.rate
+
+    @property
+    def elapsed(self) -> Array:
+        """For how long the recording has been going on, at every sample. Shape (M,) [s]."""
+        return self.clock - (self.piece.start if self.piece.began is None else self.piece.began)
+
+    def reduce(self, x: Array, of: Grid = Grid.RECORDED) -> Array:
+        """Below the band, at the kept rows, as late as it comes. Shapes (M or C, …) -> (N, …)."""
+        if self.to is Grid.RECORDED and of is Grid.COARSE:
+            x = self.upsampled(x.reshape(len(x), -1)).reshape(-1, *x.shape[1:])
+        late, lag = self.behind
+        return self.band.low(
+            x, self.to, of=Grid.RECORDED if self.to is Grid.RECORDED else of, late=late, lag=lag
+        )[self.kept]
+
+    def upsampled(self, x: Array) -> Array:
+        """From the coarse grid to every sample. Shapes (C, k) -> (M, k)."""
+        t = np.arange(len(x)) / self.band.rate_of(Grid.COARSE)
+        fine = np.arange(len(self.piece)) / self.piece.rate
+        return np.column_stack([np.interp(fine, t, column) for column in x.T])
+
+    @remembered
+    def rigid(self) -> Array:
+        """Torque of the rigid bodies alone, without drives, at the coarse samples. Shape (C, n)."""
+        return self._inverse(self.coarse.q, self.coarse.dq, self.coarse.ddq)
+
+    @remembered
+    def held(self) -> Array:
+        """Torque of the rigid bodies where they begin, at rest. Shape (n,)."""
+        q = self.coarse.q[:1]
+        return np.asarray(self._inverse(q, np.zeros_like(q), np.zeros_like(q))[0])
+
+    @remembered
+    def transmitted(self) -> Array:
+        """What the gear carries: the rigid bodies' torque at every sample. Shape (M, n)."""
+        return self.upsampled(self.rigid)
+
+    @remembered
+    def motor(self) -> Array:
+        """What the base model says the drive makes: rigid, rotor, friction, offset, at every sample. Shape (M, n)."""
+        s, drive = self.fine, self.body.drive
+        friction = drive("viscous") * s.dq + drive("coulomb") * np.tanh(s.dq / self.widths)
+        return self.transmitted + drive("rotor_inertia") * s.ddq + friction + drive("offset")
+
+    @remembered
+    def drawn(self) -> Array:
+        """What the drive was measured to make, below the band: with all that the base model lacks, and noise. Shape (M, n)."""
+        return self.band.low(self.piece.torque, Grid.RECORDED)
+
+    def _inverse(self, q: Array, dq: Array, ddq: Array) -> Array:
+        robot, data = self.body.robot, self.body.model.createData()
+        Q, V, A = robot.expand(q), dq @ robot.spread.T, ddq @ robot.spread.T
+        out = np.array(
+            [pin.rnea(self.body.model, data, *state) for state in zip(Q, V, A, strict=True)]
+        )
+        return out @ robot.spread
+
+    @remembered
+    def derivatives(self) -> tuple[Array, Array, Array]:
+        """∂τ/∂q, ∂τ/∂q̇ and M of the rigid bodies at the coarse samples. Three arrays of shape (C, n, n)."""
+        robot, model = self.body.robot, self.body.model
+        data, s = model.createData(), self.coarse
+        out = np.empty((3, len(s), robot.n, robot.n))
+        for t, (q, v, a) in enumerate(
+            zip(robot.expand(s.q), s.dq @ robot.spread.T, s.ddq @ robot.spread.T, strict=True)
+        ):
+            by_q, by_v, mass = pin.computeRNEADerivatives(model, data, q, v, a)
+            full = np.triu(mass) + np.triu(mass, 1).T
+            for k, matrix in enumerate((by_q, by_v, full)):
+                out[k, t] = robot.spread.T @ matrix @ robot.spread
+        return out[0], out[1], out[2]
+
+    @remembered
+    def gravity(self) -> Array:
+        """Torque of a unit acceleration of the base against x, y and z: −∂τ/∂g. Shape (C, n, 3)."""
+        robot = self.body.robot
+        out = np.empty((len(self.coarse), robot.n, 3))
+        q, rest = self.coarse.q, np.zeros_like(self.coarse.q)
+        for axis in range(3):
+            model = self.body.model.copy()
+            model.gravity.linear = -np.eye(3)[axis]
+            data = model.createData()
+            torque = [
+                pin.rnea(model, data, one, still, still)
+                for one, still in zip(robot.expand(q), rest @ robot.spread.T, strict=True)
+            ]
+            out[:, :, axis] = np.array(torque) @ robot.spread
+        return out
+
+    @remembered
+    def leaning(self) -> Array:
+        """Torque of a base turned by a radian about x, y, z, to first order: it sees gravity turned back, δg = g × φ. Shape (C, n, 3)."""
+        return np.asarray(-self.gravity @ pin.skew(self.body.model.gravity.linear))
+
+    @remembered
+    def afloat(self) -> Afloat:
+        """What a base that gives way would do, at the coarse samples."""
+        return afloat(self.body.robot, self.body.model, self.coarse)
+
+    @remembered
+    def stood(self) -> Array:
+        """Mass and moments of inertia of the whole robot about the base's axes with all joints at zero, and above zero: the same of every
+        recording of a robot. Shape (6,)."""
+        still = np.zeros((1, self.n))
+        stretched = afloat(self.body.robot, self.body.model, Samples(still, still, still))
+        return np.maximum(np.diag(stretched.mass[0, :6]), 1e-9)
+
+    @remembered
+    def levers(self) -> Array:
+        """How a force on the centre of each link acts on the joints, base frame, at the coarse samples. Shape (C, n links, 3, n)."""
+        robot, model = self.body.robot, self.body.model
+        data, held = (
+            model.createData(),
+            [int(np.flatnonzero(column)[0]) + 1 for column in robot.spread.T],
+        )
+        # column v of the Jacobian of joint i: the joint of v carries i
+        carried = np.zeros((robot.n, model.nv))
+        for k, joint in enumerate(held):
+            carried[k, [model.joints[int(i)].idx_v for i in model.supports[joint] if i > 0]] = 1.0
+        jacobians, centres = (
+            np.empty((len(self.coarse), 6, model.nv)),
+            np.empty((len(self.coarse), robot.n, 3)),
+        )
+        for t, q in enumerate(robot.expand(self.coarse.q)):
+            jacobians[t] = np.reshape(pin.computeJointJacobians(model, data, q), (6, -1))
+            centres[t] = [data.oMi[joint].act(model.inertias[joint].lever) for joint in held]
+        turning = np.cross(
+            jacobians[:, None, 3:], centres[:, :, :, None], axisa=2, axisb=2, axisc=2
+        )
+        return np.asarray((jacobians[:, None, :3] + turning) * carried[:, None] @ robot.spread)
+
+
+def _moving(q: Array, dq: Array, rate: float, rest: float) -> Array:
+    """Samples at which a joint moves: not at rest, nor within a little of where it rested. rest: how long it stands until that is [s].
+    Shapes (M,)."""
+    out, far = np.ones(len(q), bool), LOOSE * float(np.ptp(q))
+    still = np.abs(dq) < STILL * np.abs(dq).max()
+    for start, end in runs(still).tolist():
+        if end - start > rest * rate:
+            away = np.abs(q[end:] - q[end - 1]) > far
+            out[start : end + int(np.argmax(away)) if away.any() else len(q)] = False
+    return out
+
+
+def stroke(stretches: Sequence[Track], joint: int) -> tuple[float, float]:
+    """Ends of where a joint was [rad or m]."""
+    places = [one.fine.q[:, joint] for one in stretches]
+    return min(float(q.min()) for q in places), max(float(q.max()) for q in places)
+
+
+def split(rows: Array, stretches: Sequence[Track]) -> list[Array]:
+    """Rows of several stretches, one after the other, by stretch."""
+    return np.split(rows, np.cumsum([len(one) for one in stretches])[:-1])
+
+
+def tracks(
+    model: Model, fitted: Body, theta: Array, pieces: Sequence[Piece], hertz: float
+) -> list[Track]:
+    """Every stretch that is long enough for the band."""
+    out = []
+    for piece in pieces:
+        band = piece.band(hertz)
+        step, margin = band.steps(Grid.KEPT), band.margin
+        kept = slice(margin // step, -(-(len(piece) - margin) // step))
+        if len(piece) <= 2 * margin + 8 * step:
+            continue
+        gamma, slopes, _ = filtered(model, piece.q, band)
+        torque = band.low(piece.torque, Grid.KEPT)
+        time = piece.start + np.arange(len(torque)) * step / piece.rate
+        out.append(
+            Track(
+                piece,
+                band,
+                fitted,
+                model.widths,
+                theta,
+                torque[kept],
+                gamma[kept],
+                slopes[kept],
+                kept,
+                time[kept],
+            )
+        )
+    return out

@@ -1,0 +1,215 @@
+"""A URScript program that replays a motion from its formulas, not from a table.
+
+A table of 20 s at 500 Hz has 60,000 numbers, more than controllers are known to load. The program holds what the
+trajectory holds instead: per ramp the state at its beginning and pieces of constant jerk, for the periodic part
+the coefficients of the series; every control cycle it computes one set point and hands it to servoj, which takes one cycle.
+Time is counted in cycles, so speed scaling stretches the motion and leaves its path. The program first moves to the start pose
+with movej, slowly and blind to obstacles, and holds the last pose for HOLD before stopj, for servoj lags behind.
+To run it, send the file to port 30002 of the controller.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import UnusableInput
+from ..trajectory.fourier import Fourier
+from ..trajectory.rest_to_rest import Motion, Profile, Segment
+from .file_format import Array, Columns, Job, Written, fixed, notes, require_joints, require_rest
+
+STEP_RATES = (500.0, 250.0, 125.0)
+LOOKAHEAD, GAIN = 0.1, 300
+HOLD = 0.5
+"""Time at the last pose before the program ends [s]."""
+JOINTS = range(6)
+
+_FUNCTIONS = f"""\
+  def follow(target):
+    servoj(target, t=dt, lookahead_time={LOOKAHEAD}, gain={GAIN})
+    tick = tick + 1
+  end
+  def enter(start, position, velocity, acceleration):
+    origin = start
+    pos = position
+    vel = velocity
+    acc = acceleration
+  end
+  def piece(duration, jerk):
+    local s = tick * dt - origin
+    while s < duration:
+      follow([{", ".join(f"pos[{i}] + s * (vel[{i}] + s * (acc[{i}] / 2.0 + s * jerk[{i}] / 6.0))" for i in JOINTS)}])
+      s = tick * dt - origin
+    end
+    local i = 0
+    while i < 6:
+      pos[i] = pos[i] + duration * (vel[i] + duration * (acc[i] / 2.0 + duration * jerk[i] / 6.0))
+      vel[i] = vel[i] + duration * (acc[i] + duration * jerk[i] / 2.0)
+      acc[i] = acc[i] + duration * jerk[i]
+      i = i + 1
+    end
+    origin = origin + duration
+  end
+"""
+
+
+def _vector(values: Iterable[float]) -> str:
+    return "[" + ", ".join(fixed(v, None) for v in values) + "]"
+
+
+def _pieces(profile: Profile, length: float) -> Iterator[tuple[float, Array]]:
+    """Durations and jerks (n,) of all joints together, from the start of a segment to its end."""
+    knots = np.unique(np.append(profile.knots(), length))
+    knots = knots[knots <= length]
+    for begin, end in pairwise(knots.tolist()):
+        if end - begin > 1e-15:
+            yield end - begin, profile.at(np.array([(begin + end) / 2]), 3)[0]
+
+
+def _series(fourier: Fourier) -> Iterator[str]:
+    """The function that follows the periodic part: position amplitudes, one line a joint."""
+    orders = range(1, fourier.harmonics + 1)
+    k = fourier.omega * np.arange(1, fourier.harmonics + 1)
+    sine, cosine = fourier.sine / k, -fourier.cosine / k
+    names = [*(f"s{o}" for o in orders), *(f"c{o}" for o in orders), *(f"q{i}" for i in JOINTS)]
+    yield "  def series(start, end_time):"
+    yield "    local x = 0.0"
+    yield from (f"    local {name} = 0.0" for name in names)
+    yield "    while tick * dt < end_time:"
+    yield f"      x = {fixed(fourier.omega, None)} * (tick * dt - start)"
+    for o in orders:
+        yield f"      s{o} = sin({o} * x)"
+        yield f"      c{o} = cos({o} * x)"
+    for i in JOINTS:
+        terms = [
+            f"({fixed(sine[i, o - 1], None)}) * s{o} + ({fixed(cosine[i, o - 1], None)}) * c{o}"
+            for o in orders
+        ]
+        yield f"      q{i} = {' + '.join([f'({fixed(fourier.offset[i], None)})', *terms])}"
+    yield f"      follow([{', '.join(f'q{i}' for i in JOINTS)}])"
+    yield "    end"
+    yield "  end"
+
+
+def _run(motion: Motion) -> Iterator[str]:
+    for segment in motion.segments:
+        yield f"  # {segment.kind}"
+        if segment.profile is None:
+            yield f"  series({fixed(segment.start, None)}, {fixed(segment.end, None)})"
+            continue
+        p = segment.profile
+        yield f"  enter({fixed(segment.start, None)}, {_vector(p.position)}, {_vector(p.velocity)}, {_vector(p.acceleration)})"
+        for duration, jerk in _pieces(p, segment.end - segment.start):
+            yield f"  piece({fixed(duration, None)}, {_vector(jerk)})"
+
+
+def write(job: Job) -> Written:
+    """The program. Its step is the controller's own unless a rate is asked for (500, 250 or 125 Hz)."""
+    require_joints(job, (6,))
+    require_rest(job)
+    if job.rate is not None and job.rate not in STEP_RATES:
+        raise UnusableInput(
+            f"{job.path}: format 'urscript' steps at 500, 250 or 125 Hz; leave --rate {job.rate:g} out to take the controller's own"
+        )
+    motion, step = job.motion, "get_steptime()" if job.rate is None else fixed(1.0 / job.rate, None)
+    begin, end = motion.rest
+    lines = [
+        *(
+            f"# {line}"
+            for line in notes(
+                job, ["begins with a movej to its start pose that looks out for nothing"], False
+            )
+        ),
+        "def excite_motion():",
+        f"  global dt = {step}",
+        "  global tick = 1",
+        "  global origin = 0.0",
+        *(f"  global {name} = {_vector(np.zeros(6))}" for name in ("pos", "vel", "acc")),
+        _FUNCTIONS.rstrip("\n"),
+        *_series(motion.fourier),
+        f"  movej({_vector(begin)}, a=0.5, v=0.2)",
+        *_run(motion),
+        "  # hold",
+        f"  while tick * dt < {fixed(motion.duration + HOLD, None)}:",
+        f"    follow({_vector(end)})",
+        "  end",
+        "  stopj(2.0)",
+        "end",
+    ]
+    return Written("\n".join(lines) + "\n")
+
+
+_NUMBER = re.compile(r"-?\d+\.?\d*(?:[eE][-+]?\d+)?")
+
+
+def _numbers(text: str) -> list[float]:
+    return [float(found) for found in _NUMBER.findall(text)]
+
+
+def replayed(text: str) -> Motion:
+    """The motion that a program of `write` makes, rebuilt from the numbers in it. Raises ValueError where they are missing."""
+    lines = [line.strip() for line in text.splitlines()]
+    omega = [
+        _numbers(line.partition("*")[0])[0]
+        for line in lines
+        if line.startswith("x = ") and "tick" in line
+    ]
+    rows = [_coefficients(line) for line in lines if re.match(r"q\d = ", line)]
+    if len(omega) != 1 or len(rows) != 6:
+        raise ValueError("it is no program that excite wrote")
+    table = np.array(rows)
+    k = omega[0] * np.arange(1, table.shape[1] // 2 + 1)
+    fourier = Fourier(table[:, 1::2] * k, -table[:, 2::2] * k, table[:, 0], 2.0 * np.pi / omega[0])
+    segments: list[Segment] = []
+    kind = ""
+    for line in lines:
+        if line.startswith("# "):
+            kind = line[2:]
+        elif line.startswith("series("):
+            start, end = _numbers(line)
+            segments.append(Segment(kind, start, end))
+        elif line.startswith("enter("):
+            start, *state = _numbers(line)
+            segments.append(Segment(kind, start, start, Profile(*_thirds(state), ((),) * 6)))
+        elif line.startswith("piece("):
+            segments[-1] = _extended(segments[-1], *_numbers(line))
+    return Motion(tuple(f"joint {i}" for i in JOINTS), fourier, 1, tuple(segments))
+
+
+def _thirds(state: list[float]) -> tuple[Array, Array, Array]:
+    position, velocity, acceleration = np.array(state).reshape(3, 6)
+    return position, velocity, acceleration
+
+
+def _coefficients(line: str) -> list[float]:
+    return [float(found) for found in re.findall(r"\(([^)]*)\)", line)]
+
+
+def _extended(segment: Segment, duration: float, *jerk: float) -> Segment:
+    if segment.profile is None:
+        raise ValueError("a piece stands before the state it starts from")
+    p = segment.profile
+    pieces = tuple((*before, (duration, j)) for before, j in zip(p.pieces, jerk, strict=True))
+    return Segment(
+        segment.kind,
+        segment.start,
+        segment.end + duration,
+        Profile(p.position, p.velocity, p.acceleration, pieces),
+    )
+
+
+def read(path: Path) -> Columns:
+    """Times, positions, velocities, accelerations of a program's motion at its step, 2 ms where that is the controller's own.
+
+    Shapes (N,), (N, 6). Raises ValueError for a program that `write` did not write.
+    """
+    text = path.read_text(encoding="utf-8")
+    motion = replayed(text)
+    step = re.search(r"global dt = ([\d.]+)$", text, re.MULTILINE)
+    t = motion.grid(1.0 / float(step[1]) if step else STEP_RATES[0])
+    samples = motion.samples(t)
+    return t, samples.q, samples.dq, samples.ddq

@@ -1,0 +1,63 @@
+"""CSV: the contract's and Universal Robots' (ur_rtde's commas, UR's own client's blanks), block by block."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from ..errors import UnusableInput
+from ..robot.robot import Robot
+from . import csv_parse
+from .block import Block
+from .column_names import layout
+
+CHUNK = 1 << 23
+"""Bytes parsed at once."""
+SEPARATORS = (",", ";", "\t", " ")
+
+
+def blocks(path: Path, robot: Robot) -> Iterator[Block]:
+    """Blocks of a CSV whose first row names the columns, separated by commas, semicolons, tabs or blanks.
+
+    Raises UnusableInput for a header without the robot's columns and for a cell that is no number, by row and column.
+    """
+    with path.open("rb") as stream:
+        separator, header = _header(path, stream.readline())
+        places = layout(str(path), header, robot)
+        columns = [header.index(name) for name in places.names]
+        row, rest = 2, b""
+        while chunk := stream.read(CHUNK):
+            text, newline, rest = (rest + chunk).rpartition(b"\n")
+            if newline:
+                yield places.block(_parsed(path, text + newline, separator, header, columns, row))
+                row += text.count(b"\n") + 1
+        if rest.strip():
+            yield places.block(_parsed(path, rest, separator, header, columns, row))
+
+
+def _header(path: Path, line: bytes) -> tuple[str, list[str]]:
+    try:
+        text = line.decode("utf-8-sig").strip().lstrip("#").strip()
+    except UnicodeDecodeError as error:
+        raise UnusableInput(
+            f"{path}: is no text; give a CSV with a header t,q.<joint>,…, an .npz, a rosbag2 folder or an .mcap"
+        ) from error
+    separator = next((s for s in SEPARATORS if s in text), ",")
+    cells = text.split() if separator == " " else next(csv.reader([text], delimiter=separator), [])
+    return separator, [cell.strip().strip('"') for cell in cells]
+
+
+def _parsed(
+    path: Path, text: bytes, separator: str, header: list[str], columns: list[int], row: int
+) -> csv_parse.Array:
+    try:
+        return csv_parse.rows(text, separator, len(header), columns)
+    except ValueError as error:
+        found = re.search(r"^(.*?)[ ;]*at row (\d+), column (\d+)", str(error))
+        where = f"row {row + int(found[2])}" if found else f"after row {row - 1}"
+        reason = found[1] if found else str(error)
+        raise UnusableInput(
+            f"{path}: {where}: {reason}; each row should hold {len(header)} numbers, empty where none was measured"
+        ) from error

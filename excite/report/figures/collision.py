@@ -1,0 +1,131 @@
+"""Bodies in space, seen from three sides, and their distances over time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ...collision.continuous_check import Near
+from ...collision.distance_query import Body
+from ...collision.geometry import Kind, Shape
+from ...collision.workcell import Cell
+from ...trajectory.rest_to_rest import Motion
+from .drawing import BLUE, GREY, INK, RED, few_ticks, grid, render
+from .small_multiples import Panel, small_multiples
+
+Array = np.ndarray
+VIEWS = (((0, 2), "side (x–z)"), ((1, 2), "front (y–z)"), ((0, 1), "top (x–y)"))
+ROUND = np.linspace(0.0, 2.0 * np.pi, 25)[:-1]
+SHOWN = 6
+TIMES = 500
+
+
+def distances(cell: Cell, near: Sequence[Near], motion: Motion) -> str:
+    """Distance of the nearest pairs over time, with what they have to keep [mm]."""
+    t = np.linspace(0.0, motion.duration, TIMES)
+    shown, probe = near[:SHOWN], cell.probe()
+    numbers = [cell.pairs.index(one.pair) for one in shown]
+    values = 1e3 * np.array([[probe.to(q).distance(k) for k in numbers] for q in motion.at(t)])
+    panels = [
+        Panel(f"{one.names} [mm]", t, values[:, i], (1e3 * one.pair.margin, np.inf))
+        for i, one in enumerate(shown)
+    ]
+    return small_multiples(
+        "Distance of the nearest pairs of bodies over time", panels, motion, columns=2, height=80.0
+    )
+
+
+def closest(cell: Cell, near: Near) -> str:
+    """The robot among its surroundings at the moment when a pair is nearest."""
+    pair = {near.pair.first, near.pair.second}
+
+    def draw(figure: Any) -> None:
+        panels = grid(figure, 1, 3, margins=(0.5, 0.1, 0.45, 0.45), gaps=(0.55, 0.0))
+        middle, reach = _frame(cell, near.pose)
+        for axes, (view, name) in zip(panels.flat, VIEWS, strict=True):
+            for number, body in enumerate(cell.bodies):
+                color = RED if number in pair else GREY if body.around else BLUE
+                fill(
+                    axes,
+                    outlines(cell, body, near.pose, view),
+                    color,
+                    0.55 if number in pair else 0.3,
+                )
+            window(axes, middle, reach, view, name)
+
+    return render(f"The moment when {near.names} are nearest, seen from three sides", 3.9, draw)
+
+
+def window(axes: Any, middle: Array, reach: float, view: tuple[int, int], name: str) -> None:
+    """A view's extent and labels."""
+    a, b = view
+    axes.set_xlim(middle[a] - reach, middle[a] + reach)
+    axes.set_ylim(middle[b] - reach, middle[b] + reach)
+    axes.set_aspect("equal")
+    few_ticks(axes, 5, 5)
+    axes.set_title(name, loc="left")
+    axes.set_xlabel(f"{'xyz'[a]} [m]")
+    axes.set_ylabel(f"{'xyz'[b]} [m]", labelpad=1)
+
+
+def fill(axes: Any, polygons: Iterator[Array], color: str, alpha: float) -> None:
+    """Draw filled outlines."""
+    for polygon in polygons:
+        axes.fill(
+            polygon[:, 0],
+            polygon[:, 1],
+            facecolor=color,
+            edgecolor=INK,
+            alpha=alpha,
+            linewidth=0.4,
+            zorder=1,
+        )
+
+
+def outlines(cell: Cell, body: Body, q: Array, view: tuple[int, int]) -> Iterator[Array]:
+    """Outlines of a body's shapes, as convex polygons in a view. Shape (m, 2) each [m]."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    data = cell.robot.model.createData()
+    pin.forwardKinematics(cell.robot.model, data, cell.robot.expand(q))
+    for one, placement in zip(body.shapes, body.placements, strict=True):
+        if one.kind is Kind.FLOOR:
+            if 2 in view:
+                height = float(placement.translation[2])
+                yield np.array(
+                    [[-50.0, height], [50.0, height], [50.0, height - 50.0], [-50.0, height - 50.0]]
+                )
+            continue
+        at = data.oMi[body.joint] * placement
+        points = (_points(one) @ at.rotation.T + at.translation)[:, view]
+        if one.kind in (Kind.SPHERE, Kind.CAPSULE):
+            ring = one.size[0] * np.column_stack([np.cos(ROUND), np.sin(ROUND)])
+            points = (points[:, None] + ring).reshape(-1, 2)
+        try:
+            yield points[ConvexHull(points).vertices]
+        except QhullError:  # seen edge on
+            yield points
+
+
+def _points(one: Shape) -> Array:
+    if one.kind is Kind.SPHERE:
+        return np.zeros((1, 3))
+    if one.kind is Kind.CAPSULE:
+        return np.array([[0.0, 0.0, -0.5 * one.size[1]], [0.0, 0.0, 0.5 * one.size[1]]])
+    return one.triangles().reshape(-1, 3)
+
+
+def _frame(cell: Cell, q: Array) -> tuple[Array, float]:
+    """Middle and half width of a cube around the robot's own bodies. Shapes (n,) -> (3,), ()."""
+    own = [body for body in cell.bodies if not body.around]
+    side, top = (
+        np.vstack([p for body in own for p in outlines(cell, body, q, view)])
+        for view in ((0, 2), (0, 1))
+    )
+    low, high = (
+        np.array([pick(side[:, 0]), pick(top[:, 1]), pick(side[:, 1])]) for pick in (np.min, np.max)
+    )
+    return 0.5 * (low + high), 0.55 * float((high - low).max()) + 0.05

@@ -1,0 +1,157 @@
+"""What the torque signals are made of over frequency, and how the clock and the friction's steps lie in time and speed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...identification.torque_delay import Delay
+from .drawing import (
+    BLUE,
+    GREY,
+    INK,
+    MANY,
+    ORANGE,
+    RED,
+    SOFT,
+    few_log,
+    few_ticks,
+    grid,
+    render,
+    thin,
+)
+from .trajectory import short
+
+Array = np.ndarray
+INTERVAL = 1.96
+"""Standard errors on either side that hold 95 %."""
+_POINTS = 160
+
+
+@dataclass(frozen=True)
+class Densities:
+    """Power densities of one kind. frequency: Shape (F,) [Hz]. power: Shape (F, n) [(N m)²/Hz]."""
+
+    frequency: Array
+    power: Array
+
+
+def spectra(
+    joints: Sequence[str],
+    torque: Densities,
+    noise: Densities,
+    residual: Densities,
+    hertz: float,
+    words: str,
+) -> str:
+    """Torque, its noise and the residual of every joint over frequency. hertz: the band. words: what `noise` is."""
+    columns = 1 if len(joints) == 1 else 2 if len(joints) <= 4 else 3 if len(joints) <= MANY else 5
+    rows = -(-len(joints) // columns)
+    far = min(4.0 * hertz, float(torque.frequency[-1]))
+
+    def draw(figure: Any) -> None:
+        cells = grid(figure, rows, columns, margins=(0.55, 0.1, 0.5, 0.42), gaps=(0.5, 0.45))
+        for k in range(rows * columns):
+            axes = cells[divmod(k, columns)]
+            if k >= len(joints):
+                axes.set_visible(False)
+                continue
+            _joint(axes, k, torque, noise, residual, far)
+            axes.axvspan(hertz, far, color="#f3f5f7", linewidth=0.0, zorder=0)
+            axes.axvline(hertz, color=INK, linewidth=0.9, dashes=(4, 2))
+            axes.set_title(short(joints[k]), loc="left", fontweight="bold", pad=3)
+            if k + columns >= len(joints):
+                axes.set_xlabel("frequency [Hz]")
+        handles, labels = cells[0, 0].get_legend_handles_labels()
+        named = {"noise": words}
+        texts = [named.get(label, label) for label in labels]
+        figure.legend(
+            handles,
+            texts,
+            loc="upper right",
+            ncols=3,
+            bbox_to_anchor=(0.995, 1.0),
+            borderaxespad=0.0,
+        )
+
+    return render(
+        "Power density of torque, noise and residual of every joint",
+        0.9 + rows * 1.5 + (rows - 1) * 0.2,
+        draw,
+    )
+
+
+def _joint(
+    axes: Any, k: int, torque: Densities, noise: Densities, residual: Densities, far: float
+) -> None:
+    axes.set_yscale("log")
+    for kind, color, width, label in (
+        (torque, INK, 0.9, "torque"), (noise, GREY, 0.9, "noise"), (residual, ORANGE, 1.1, "residual of the fit"),
+    ):  # fmt: skip
+        kept = (kind.frequency <= far) & (kind.power[:, k] > 0.0)
+        if kept.any():
+            axes.plot(
+                *thin(kind.frequency[kept], kind.power[kept, k], _POINTS),
+                color=color,
+                linewidth=width,
+                label=label,
+            )
+    few_log(axes)
+    axes.set_xlim(0.0, far)
+
+
+def clock(
+    joints: Sequence[str],
+    delay: Delay,
+    widths: Array,
+    edges: tuple[float, float],
+    prismatic: Sequence[bool],
+) -> str:
+    """Delay of each joint with its error bar; the width of its Coulomb friction's step. edges: of the widths that were tried."""
+    names, places = [short(j, 22) for j in joints], np.arange(len(joints))
+    unit = "mm/s" if all(prismatic) else "mrad/s" if not any(prismatic) else "mrad/s or mm/s"
+    cut = np.isclose(widths, edges[0]) | np.isclose(widths, edges[1])
+    bars = {"fmt": "o", "color": BLUE, "markersize": 3.5, "capsize": 2, "linewidth": 1.0}
+
+    def draw(figure: Any) -> None:
+        width, height = figure.get_size_inches()
+        size = height - 0.75
+        left = figure.add_axes((1.5 / width, 0.45 / height, 3.9 / width, size / height))
+        left.axvline(0.0, color=INK, linewidth=0.8)
+        left.errorbar(1e3 * delay.seconds, places, xerr=1e3 * INTERVAL * delay.deviation, **bars)
+        few_ticks(left, 6, 4)
+        left.set_xlabel("torque later than position by [ms], 95 % interval")
+        left.set_title("Delay", loc="left", fontweight="bold")
+        left.set_yticks(places, names, fontsize=7, color=INK)
+        right = figure.add_axes((6.1 / width, 0.45 / height, 4.3 / width, size / height))
+        right.set_xscale("log")
+        right.axvspan(1e3 * edges[0], 1e3 * edges[1], color="#f3f5f7", linewidth=0.0, zorder=0)
+        right.plot(1e3 * widths[~cut], places[~cut], "o", color=BLUE, markersize=3.5)
+        right.plot(
+            1e3 * widths[cut], places[cut], "o", color=RED, markerfacecolor="white", markersize=4.5
+        )
+        ticks = [
+            v
+            for v in (0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
+            if 0.7e3 * edges[0] <= v <= 1.4e3 * edges[1]
+        ]
+        right.set_xticks(ticks, [f"{v:g}" for v in ticks])
+        right.minorticks_off()
+        right.grid(visible=True, color="#eef1f4", linewidth=0.5)
+        right.set_axisbelow(True)
+        right.set_xlim(0.7e3 * edges[0], 1.4e3 * edges[1])
+        right.set_xlabel(
+            f"width of Coulomb friction's step [{unit}]; hollow: at an end of what was tried",
+            color=SOFT,
+        )
+        right.set_title("Step of Coulomb friction", loc="left", fontweight="bold")
+        right.set_yticks(places, [""] * len(places))
+        for axes in (left, right):
+            axes.set_ylim(len(places) - 0.5, -0.5)
+
+    return render(
+        "Delay and width of Coulomb friction of every joint", 0.95 + 0.2 * max(2, len(joints)), draw
+    )

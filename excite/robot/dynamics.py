@@ -1,0 +1,58 @@
+"""Rigid-body dynamics by Pinocchio: the oracle that certifies, independent of what the optimiser differentiates."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from .inertial_parameters import COULOMB_WIDTH, Parameters
+from .robot import Robot
+from .samples import Samples
+
+Array = np.ndarray
+
+
+def regressor(robot: Robot, parameters: Parameters, motion: Samples) -> Array:
+    """Y with τ = Y ψ at every sample (eq. 9). Shape (N, n, P) [N m per unit of ψ]."""
+    model, data = robot.model, robot.model.createData()
+    q, dq, ddq = robot.expand(motion.q), motion.dq @ robot.spread.T, motion.ddq @ robot.spread.T
+    inertial = np.empty((len(motion), model.nv, 10 * parameters.bodies))
+    for t in range(len(motion)):
+        inertial[t] = pin.computeJointTorqueRegressor(model, data, q[t], dq[t], ddq[t])
+    out = np.zeros((len(motion), robot.n, parameters.count))
+    simple = model.nv == robot.n
+    out[:, :, : inertial.shape[2]] = (
+        inertial if simple else np.einsum("vi,tvp->tip", robot.spread, inertial)
+    )
+    columns = {
+        "rotor_inertia": motion.ddq,
+        "viscous": motion.dq,
+        "coulomb": np.tanh(motion.dq / COULOMB_WIDTH),
+        "offset": np.ones_like(motion.q),
+    }
+    rows, start = np.arange(robot.n), inertial.shape[2]
+    for kind in parameters.drive:
+        out[:, rows, start + rows] = columns[kind]
+        start += robot.n
+    return out
+
+
+def positions(robot: Robot, frame: str, q: Array) -> Array:
+    """Origin of a frame in the base frame. Shapes (N, n) -> (N, 3) [m]."""
+    model, data, index = robot.model, robot.model.createData(), robot.frame(frame)
+    out = np.empty((len(q), 3))
+    for t, configuration in enumerate(robot.expand(q)):
+        pin.forwardKinematics(model, data, configuration)
+        out[t] = pin.updateFramePlacement(model, data, index).translation
+    return out
+
+
+def band(Y: Array, parameters: Parameters, radius: float) -> tuple[Array, Array]:
+    """Nominal torque Yψ₀ and its half-width r √(Y G₀⁻¹ Yᵀ) over the ball of radius r in the metric. Shapes (N, n)."""
+    nominal = Y @ parameters.nominal
+    width = (
+        radius * np.sqrt(np.einsum("tip,tip->ti", Z := Y @ parameters.scale, Z))
+        if radius
+        else np.zeros_like(nominal)
+    )
+    return nominal, width

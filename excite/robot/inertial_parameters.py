@@ -1,0 +1,250 @@
+"""Standard parameters ψ of a robot: their order, names, nominal values and natural metric.
+
+ψ = [φ₁ … φ_nv, rotor inertia, viscous, Coulomb, offset], φᵢ = [m, m·cx, m·cy, m·cz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz]
+in Pinocchio's order at the joint frame; the blocks after the inertial ones hold one number per moving joint.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from ..errors import ExciteWarning, UnusableInput
+from .limits import Limits
+from .robot import Robot
+
+Array = np.ndarray
+INERTIAL = ("m", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+DRIVE = ("rotor_inertia", "viscous", "coulomb", "offset")
+DRIVE_SYMBOLS = {"rotor_inertia": "Ia", "viscous": "Fv", "coulomb": "Fc", "offset": "tau0"}
+COULOMB_WIDTH = 0.005
+"""Width v of the smooth Coulomb column tanh(q̇/v) [rad/s or m/s]."""
+
+# The stated rule of `proper_body` for bodies that are no bodies.
+SINGULAR = 1e-6
+FLOOR = 1e-3
+MASS_SHARE = 1e-2
+BALL_RADIUS = 0.05
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """The standard parameters that a design considers.
+
+    drive: which of DRIVE are included, in that order.
+    names: P names such as "m3", "mcx3", "Izz3", "Ia3", "Fc3"; the number is the joint's place, from 1.
+    nominal: ψ₀ as the URDF states it. Shape (P,).
+    scale: G₀^{-1/2}, block diagonal. Shape (P, P): δψ = scale · (unit vector) has length 1 in the metric.
+    repaired: names of links whose nominal inertia was no body and entered the metric by the stated rule.
+    """
+
+    drive: tuple[str, ...]
+    names: tuple[str, ...]
+    nominal: Array
+    scale: Array
+    links: tuple[str, ...]
+    joints: tuple[str, ...]
+    repaired: tuple[str, ...]
+
+    @property
+    def count(self) -> int:
+        """P, the number of standard parameters."""
+        return len(self.names)
+
+    @property
+    def bodies(self) -> int:
+        """Number of bodies with ten inertial parameters each."""
+        return len(self.links)
+
+    def norms(self, rows: Array) -> Array:
+        """y G₀⁻¹ yᵀ of each row y, block by block. Shapes (m, P) -> (m,)."""
+        edge = 10 * self.bodies
+        blocks = np.stack([self.scale[i : i + 10, i : i + 10] for i in range(0, edge, 10)])
+        bodies = np.swapaxes(rows[:, :edge].reshape(len(rows), self.bodies, 10), 0, 1) @ blocks
+        drive = rows[:, edge:] * np.diag(self.scale)[edge:]
+        return np.einsum("bri,bri->r", bodies, bodies) + np.einsum("ri,ri->r", drive, drive)
+
+    def coulomb(self) -> Array:
+        """Nominal Coulomb friction per joint [N m]; 0 where the model has none. Shape (n,)."""
+        return (
+            self.nominal[self.block("coulomb")]
+            if "coulomb" in self.drive
+            else np.zeros(len(self.joints))
+        )
+
+    def block(self, kind: str) -> slice:
+        """Where a kind of joint parameter stands in ψ."""
+        n = len(self.joints)
+        start = 10 * self.bodies + n * self.drive.index(kind)
+        return slice(start, start + n)
+
+    def owners(self) -> tuple[str, ...]:
+        """For each parameter the link (inertial) or joint (drive) it belongs to."""
+        inertial = [link for link in self.links for _ in INERTIAL]
+        return tuple(inertial + [joint for _ in self.drive for joint in self.joints])
+
+
+def pseudo_inertia(phi: Array) -> Array:
+    """P(φ) = [[S, h], [hᵀ, m]], S = ½ tr(I)·1 − I (Lee, Wensing & Park, eq. 15). Shapes (10,) -> (4, 4)."""
+    tensor = np.array(
+        [[phi[4], phi[5], phi[7]], [phi[5], phi[6], phi[8]], [phi[7], phi[8], phi[9]]]
+    )
+    out = np.empty((4, 4))
+    out[:3, :3] = 0.5 * np.trace(tensor) * np.eye(3) - tensor
+    out[:3, 3] = out[3, :3] = phi[1:4]
+    out[3, 3] = phi[0]
+    return out
+
+
+_UNITS = np.array([pseudo_inertia(unit) for unit in np.eye(10)])
+
+
+def metric(phi: Array) -> Array:
+    """g_ij = ½ tr(P⁻¹ Eᵢ P⁻¹ Eⱼ), the affine-invariant metric at φ (eq. 18). Shape (10, 10)."""
+    scaled = np.linalg.solve(pseudo_inertia(phi), _UNITS)
+    return 0.5 * np.einsum("iab,jba->ij", scaled, scaled)
+
+
+def inverse_root(phi: Array) -> Array:
+    """R with R Rᵀ = g(φ)⁻¹, through a factor of P that stays accurate where g is stiff. Shape (10, 10).
+
+    P = C Cᵀ; δP = C E Cᵀ with E symmetric has length² ½ tr(E²), so an orthonormal basis of such E is one of the tangent.
+    """
+    factor = np.linalg.cholesky(pseudo_inertia(phi))
+    columns = []
+    for i in range(4):
+        for j in range(i + 1):
+            unit = np.zeros((4, 4))
+            unit[i, j] = unit[j, i] = np.sqrt(2.0) if i == j else 1.0
+            change = factor @ unit @ factor.T
+            second, first, mass = change[:3, :3], change[:3, 3], change[3, 3]
+            tensor = np.trace(second) * np.eye(3) - second
+            xx, yy, zz = np.diag(tensor)
+            columns.append([mass, *first, xx, tensor[0, 1], yy, tensor[0, 2], tensor[1, 2], zz])
+    return np.array(columns).T
+
+
+def proper_body(phi: Array, robot_mass: float) -> tuple[Array, bool]:
+    """A physically consistent body at φ, and whether it had to be changed to become one.
+
+    Rule: a mass below 1e-6 of the robot's becomes 1 % of it, at the joint's origin; a body with next to no second
+    moment becomes a uniform ball of 5 cm radius; a principal second moment about the centre of mass that is below 1e-6
+    of the largest one rises to 1e-3 of it.
+    """
+    mass, centre, second = phi[0], np.zeros(3), np.zeros((3, 3))
+    if mass < 1e-6 * robot_mass:
+        mass = MASS_SHARE * robot_mass
+    else:
+        centre = phi[1:4] / mass
+        second = pseudo_inertia(phi)[:3, :3] - mass * np.outer(centre, centre)
+    values, vectors = np.linalg.eigh(second)
+    ball = 0.2 * mass * BALL_RADIUS**2
+    if values[-1] < 1e-4 * ball:
+        second = ball * np.eye(3)
+    elif values[0] < SINGULAR * values[-1]:
+        second = (vectors * np.maximum(values, FLOOR * values[-1])) @ vectors.T
+    else:
+        return phi, False
+    second = second + mass * np.outer(centre, centre)
+    tensor = np.trace(second) * np.eye(3) - second
+    moments = [tensor[0, 0], tensor[0, 1], tensor[1, 1], tensor[0, 2], tensor[1, 2], tensor[2, 2]]
+    return np.array([mass, *(mass * centre), *moments]), True
+
+
+def standard(robot: Robot, limits: Limits, drive: Iterable[str] = DRIVE) -> Parameters:
+    """Lay out the standard parameters of `robot`; `drive` names the joint parameters to include.
+
+    Scales of drive parameters: the nominal value, or where that is 0: Coulomb and offset
+    0.02 τ_max, viscous 0.02 τ_max/v_max, rotor inertia 5 % of the joint's mean mass-matrix diagonal.
+    """
+    wanted = tuple(drive)
+    unknown = set(wanted) - set(DRIVE)
+    if unknown:
+        raise UnusableInput(f"no joint parameter '{min(unknown)}'; there are: {', '.join(DRIVE)}")
+    kinds = tuple(kind for kind in DRIVE if kind in wanted)
+    model, n = robot.model, robot.n
+    bodies = [model.inertias[i].toDynamicParameters() for i in range(1, model.njoints)]
+    robot_mass = (
+        float(sum(max(phi[0], 0.0) for phi in bodies)) or 1.0
+    )  # [kg], where nothing has a mass
+    proper = [proper_body(phi, robot_mass) for phi in bodies]
+    roots = [inverse_root(phi) for phi, _ in proper]
+    repaired = [link for link, (_, changed) in zip(robot.links, proper, strict=True) if changed]
+    if repaired:
+        text = f"{robot.source}: no proper body in link(s) {', '.join(repaired)} (massless or singular inertia); the metric uses a substitute"
+        warnings.warn(text, ExciteWarning, stacklevel=2)
+    nominal, scale = _drive_values(robot, limits, [phi for phi, _ in proper])
+    size = 10 * len(bodies)
+    matrix = np.zeros((size + n * len(kinds),) * 2)
+    for i, root in enumerate(roots):
+        matrix[10 * i : 10 * i + 10, 10 * i : 10 * i + 10] = root
+    tail = [scale[kind] for kind in kinds]
+    matrix[range(size, len(matrix)), range(size, len(matrix))] = np.concatenate([*tail, []])
+    names = [f"{symbol}{i}" for i in range(1, len(bodies) + 1) for symbol in INERTIAL]
+    names += [f"{DRIVE_SYMBOLS[kind]}{j}" for kind in kinds for j in range(1, n + 1)]
+    return Parameters(
+        drive=kinds,
+        names=tuple(names),
+        nominal=np.concatenate([*bodies, *[nominal[kind] for kind in kinds]]),
+        scale=matrix,
+        links=robot.links,
+        joints=robot.joints,
+        repaired=tuple(repaired),
+    )
+
+
+def _drive_values(
+    robot: Robot, limits: Limits, bodies: list[Array]
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    nominal = {
+        "rotor_inertia": np.array([entry.rotor_inertia for entry in robot.entries]),
+        "viscous": np.array([entry.viscous for entry in robot.entries]),
+        "coulomb": np.array([entry.coulomb for entry in robot.entries]),
+        "offset": np.array([entry.offset for entry in robot.entries]),
+    }
+    fallback = {
+        "rotor_inertia": 0.05 * mean_inertia(robot, limits, bodies),
+        "viscous": 0.02 * limits.torque / limits.velocity,
+        "coulomb": 0.02 * limits.torque,
+        "offset": 0.02 * limits.torque,
+    }
+    known = {
+        kind: (nominal[kind] > 0.0) & (kind != "offset") for kind in DRIVE
+    }  # an offset is signed
+    return nominal, {kind: np.where(known[kind], nominal[kind], fallback[kind]) for kind in DRIVE}
+
+
+def mean_inertia(robot: Robot, limits: Limits, bodies: list[Array]) -> Array:
+    """Mean diagonal of the mass matrix over poses spread evenly in the joint ranges. Shape (n,) [kg m²]."""
+    model = robot.model.copy()
+    for i, phi in enumerate(bodies, start=1):
+        model.inertias[i] = pin.Inertia.FromDynamicParameters(phi)
+    data = model.createData()
+    total = np.zeros(robot.n)
+    poses = spread_poses(limits, 64)
+    for q in robot.expand(poses):
+        upper = np.triu(pin.crba(model, data, q))
+        mass = upper + np.triu(upper, 1).T
+        total += np.einsum("vi,vw,wi->i", robot.spread, mass, robot.spread)
+    return total / len(poses)
+
+
+def ranges(limits: Limits) -> Array:
+    """Position limits, half a turn each way where there are none. Shape (n, 2) [rad or m]."""
+    return np.where(np.isfinite(limits.position), limits.position, [-np.pi, np.pi])
+
+
+def spread_poses(limits: Limits, count: int) -> Array:
+    """Poses that fill the joint ranges evenly (a Kronecker sequence, no randomness). Shape (count, n)."""
+    n = len(limits.joints)
+    lower, upper = ranges(limits).T
+    root = 2.0
+    for _ in range(60):  # the generalised golden ratio: x^(n+1) = x + 1
+        root = (1.0 + root) ** (1.0 / (n + 1))
+    steps = root ** -np.arange(1.0, n + 1)
+    fractions = (0.5 + np.outer(np.arange(count), steps)) % 1.0
+    return lower + fractions * (upper - lower)

@@ -1,0 +1,323 @@
+"""The robot: a Pinocchio model whose coordinates are the joints to be moved, one number each."""
+
+from __future__ import annotations
+
+import hashlib
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from ..errors import ExciteWarning, UnusableInput
+from . import urdf
+
+Array = np.ndarray
+GRAVITY = (0.0, 0.0, -9.81)
+
+
+@dataclass(frozen=True)
+class Payload:
+    """A body rigidly attached to a link; centre of mass and inertia (about it) in the link's frame.
+
+    mass: [kg]. centre: Shape (3,) [m]. inertia: Shape (3, 3) [kg m²].
+    """
+
+    link: str
+    mass: float
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    inertia: tuple[float, float, float, float, float, float] = (0.0,) * 6  # xx, xy, yy, xz, yz, zz
+
+
+@dataclass(frozen=True)
+class Follower:
+    """A mimic joint that moves with a moving joint: q = multiplier q_master + offset."""
+
+    entry: urdf.JointEntry
+    master: str
+    multiplier: float
+    offset: float
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A robot as designed for, identified and verified: n moving joints, all else locked.
+
+    model: Pinocchio model with nq = nv ≥ n (a mimic joint is a coordinate of its own there).
+    joints: names of the n moving joints, in the model's order.
+    spread, shift: q_model = spread q + shift; τ = spreadᵀ τ_model. Shapes (nv, n), (nv,).
+    entries: what the URDF says of each moving joint. followers: the mimic joints that move with them.
+    mimics: names of all mimic joints, moving or not.
+    links: name of the link that each of the model's nv joints moves.
+    options: how it was loaded (locked joints, payload, gravity), enough to load it again.
+    """
+
+    name: str
+    source: str
+    sha256: str
+    model: pin.Model
+    joints: tuple[str, ...]
+    spread: Array
+    shift: Array
+    entries: tuple[urdf.JointEntry, ...]
+    links: tuple[str, ...]
+    followers: tuple[Follower, ...] = ()
+    mimics: tuple[str, ...] = ()
+    options: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def n(self) -> int:
+        """Number of moving joints."""
+        return len(self.joints)
+
+    def index(self, joint: str) -> int:
+        """Position of a moving joint's name; UnusableInput lists the names there are."""
+        if joint not in self.joints:
+            raise UnusableInput(
+                f"{self.source}: no moving joint '{joint}'; there are: {', '.join(self.joints)}"
+            )
+        return self.joints.index(joint)
+
+    def expand(self, q: Array) -> Array:
+        """Coordinates of the Pinocchio model for joint positions. Shapes (…, n) -> (…, nv) [rad or m]."""
+        return q @ self.spread.T + self.shift
+
+    def axes(self) -> list[Array]:
+        """Unit motion subspace of each model joint, (linear, angular), joint frame. nv arrays of shape (6,)."""
+        data = self.model.createData()
+        home, moved = np.zeros(self.model.nv), np.ones(self.model.nv)
+        pin.forwardKinematics(self.model, data, home)
+        before = [data.liMi[i].copy() for i in range(1, self.model.njoints)]
+        pin.forwardKinematics(self.model, data, moved)
+        return [pin.log6(a.actInv(data.liMi[i])).vector for i, a in enumerate(before, start=1)]
+
+    def frame(self, name: str) -> int:
+        """Index of a link's frame, else a joint's; UnusableInput names the ones nearest in spelling."""
+        if self.model.existFrame(name, pin.FrameType.BODY):  # a joint may have the same name
+            return int(self.model.getFrameId(name, pin.FrameType.BODY))
+        if not self.model.existFrame(name):
+            from difflib import get_close_matches
+
+            known = [frame.name for frame in self.model.frames]
+            near = get_close_matches(name, known, 3) or known[-3:]
+            raise UnusableInput(
+                f"{self.source}: no frame '{name}'; did you mean {', '.join(near)}?"
+            )
+        return int(self.model.getFrameId(name))
+
+
+def builtin_names() -> tuple[str, ...]:
+    """Names of the models that come with the package."""
+    folder = resources.files("excite.robot") / "models"
+    return tuple(sorted(item.name[:-5] for item in folder.iterdir() if item.name.endswith(".urdf")))
+
+
+def locate(source: str) -> Path:
+    """Path of a URDF: `source` itself, or the built-in model of that name."""
+    if source in builtin_names():
+        return Path(str(resources.files("excite.robot") / "models" / f"{source}.urdf"))
+    path = Path(source)
+    if not path.exists() and path.suffix == "" and "/" not in source:
+        raise UnusableInput(
+            f"{source}: neither a file nor a built-in model ({', '.join(builtin_names())})"
+        )
+    return path
+
+
+def load(
+    source: str,
+    *,
+    joints: Sequence[str] | None = None,
+    lock: Mapping[str, float] | None = None,
+    payload: Payload | None = None,
+    gravity: Sequence[float] = GRAVITY,
+) -> Robot:
+    """Load a robot from a URDF path or a built-in name.
+
+    joints: The joints that move (all that are not mimics, when None); the others are locked.
+    lock: Positions [rad or m] of locked joints; a joint named here doesn't move. Elsewhere 0, moved inside its limits.
+    payload: A body added to a link before anything else is computed.
+    gravity: Shape (3,) [m/s²], base frame.
+    Raises UnusableInput for a file that cannot be used, an unknown joint or a joint that moves no mass.
+    """
+    path = locate(source)
+    document = urdf.read(path)
+    full = _parse(document)
+    lock = dict(lock or {})
+    moving = _moving(document, full, joints, lock)
+    kept, multipliers = _followers(document, moving)
+    reference = _rest_positions(document, full, lock, moving)
+    frozen = [full.getJointId(name) for name in full.names[1:] if name not in kept]
+    model = pin.buildReducedModel(full, frozen, reference) if frozen else full
+    model.gravity.linear = np.asarray(gravity, float)
+    if payload is not None:
+        _attach(model, document.source, payload)
+    order = [name for name in model.names[1:] if name in moving]
+    spread, shift = np.zeros((model.nv, len(order))), np.zeros(model.nv)
+    for row, name in enumerate(model.names[1:]):
+        master, multiplier, offset = multipliers[name]
+        spread[row, order.index(master)], shift[row] = multiplier, offset
+    robot = Robot(
+        name=source if source in builtin_names() else document.name,
+        source=document.source if source not in builtin_names() else source,
+        sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
+        model=model,
+        joints=tuple(order),
+        spread=_frozen(spread),
+        shift=_frozen(shift),
+        entries=tuple(document.joints[name] for name in order),
+        mimics=tuple(name for name, entry in document.joints.items() if entry.mimic is not None),
+        followers=tuple(
+            Follower(document.joints[name], *multipliers[name])
+            for name in model.names[1:]
+            if name not in moving
+        ),
+        links=tuple(document.joints[name].child for name in model.names[1:]),
+        options={
+            "locked": {
+                str(n): float(reference[full.joints[full.getJointId(n)].idx_q])
+                for n in full.names[1:]
+                if n not in kept and document.joints[n].mimic is None
+            },
+            "payload": None if payload is None else vars(payload) | {},
+            "gravity": [float(g) for g in gravity],
+        },
+    )
+    _require_mass(robot)
+    return robot
+
+
+def _frozen(array: Array) -> Array:
+    array.setflags(write=False)
+    return array
+
+
+def _parse(document: urdf.Urdf) -> pin.Model:
+    try:
+        return pin.buildModelFromXML(document.text)
+    except (ValueError, RuntimeError) as error:
+        reason = str(error).strip().splitlines()[0] if str(error).strip() else "no kinematic tree"
+        raise UnusableInput(
+            f"{document.source}: is no kinematic tree ({reason}); check its joints and links"
+        ) from error
+
+
+def _moving(
+    document: urdf.Urdf, full: pin.Model, joints: Sequence[str] | None, lock: dict[str, float]
+) -> set[str]:
+    free = [name for name in full.names[1:] if document.joints[name].mimic is None]
+    if not free:
+        raise UnusableInput(
+            f"{document.source}: has no movable joint; excite needs at least one revolute or prismatic joint"
+        )
+    wanted = list(joints) if joints is not None else [name for name in free if name not in lock]
+    for name in [*wanted, *lock]:
+        if name not in document.joints:
+            raise UnusableInput(
+                f"{document.source}: no joint '{name}'; there are: {', '.join(free)}"
+            )
+        mimic = document.joints[name].mimic
+        if mimic is not None:
+            raise UnusableInput(
+                f"{document.source}: joint '{name}' mimics '{mimic[0]}'; name that one instead"
+            )
+    both = set(wanted) & set(lock)
+    if both:
+        raise UnusableInput(
+            f"{document.source}: joint '{min(both)}' is both in --joints and in --lock; drop one"
+        )
+    for name, value in lock.items():
+        if not np.isfinite(value):
+            raise UnusableInput(
+                f"{document.source}: --lock {name}={value} is not finite; give a position"
+            )
+    if not wanted:
+        raise UnusableInput(f"{document.source}: every joint is locked; leave at least one to move")
+    return set(wanted)
+
+
+def _resolve(document: urdf.Urdf, name: str) -> tuple[str, float, float]:
+    """Master joint, multiplier and offset of a joint, through chains of mimics."""
+    first, multiplier, offset, seen = name, 1.0, 0.0, {name}
+    while (mimic := document.joints[name].mimic) is not None:
+        name, factor, constant = mimic
+        if name in seen or name not in document.joints:
+            raise UnusableInput(
+                f"{document.source}: mimic joint '{first}' follows '{name}', no real joint; correct its <mimic>"
+            )
+        seen.add(name)
+        offset, multiplier = offset + multiplier * constant, multiplier * factor
+    return name, multiplier, offset
+
+
+def _followers(
+    document: urdf.Urdf, moving: set[str]
+) -> tuple[set[str], dict[str, tuple[str, float, float]]]:
+    resolved = {name: _resolve(document, name) for name in document.joints}
+    return {name for name, (master, _, _) in resolved.items() if master in moving}, resolved
+
+
+def _rest_positions(
+    document: urdf.Urdf, full: pin.Model, lock: dict[str, float], moving: set[str]
+) -> Array:
+    rest = np.zeros(full.nq)
+    for name in full.names[1:]:
+        master, multiplier, offset = _resolve(document, name)
+        lower, upper = document.joints[master].position or (-np.inf, np.inf)
+        value = lock.get(master, float(np.clip(0.0, lower, upper)))
+        if master not in moving and not lower <= value <= upper:
+            warnings.warn(
+                f"joint '{master}' is locked at {value:g}, outside its limits [{lower:g}, {upper:g}]",
+                ExciteWarning,
+                stacklevel=3,
+            )
+        rest[full.joints[full.getJointId(name)].idx_q] = multiplier * value + offset
+    return rest
+
+
+def _attach(model: pin.Model, source: str, payload: Payload) -> None:
+    numbers = np.array([payload.mass, *payload.centre, *payload.inertia], float)
+    if not np.isfinite(numbers).all() or payload.mass <= 0.0:
+        raise UnusableInput(
+            f"{source}: --payload at '{payload.link}' needs a positive mass and finite numbers"
+        )
+    if not model.existFrame(payload.link):
+        raise UnusableInput(
+            f"{source}: --payload names no link '{payload.link}'; name a link of the URDF"
+        )
+    frame = model.frames[model.getFrameId(payload.link)]
+    if frame.parentJoint == 0:
+        raise UnusableInput(
+            f"{source}: --payload link '{payload.link}' does not move; name a moving link"
+        )
+    xx, xy, yy, xz, yz, zz = payload.inertia
+    tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    moments = np.linalg.eigvalsh(tensor)
+    if moments[0] < 0.0 or moments[2] > moments[0] + moments[1] + 1e-12:
+        raise UnusableInput(
+            f"{source}: --payload at '{payload.link}': no body has that inertia about its centre; check the signs"
+        )
+    body = pin.Inertia(payload.mass, np.array(payload.centre, float), tensor)
+    model.appendBodyToJoint(frame.parentJoint, body, frame.placement)
+
+
+def _require_mass(robot: Robot) -> None:
+    """A joint whose whole subtree has no inertia about it makes the dynamics singular."""
+    model = robot.model
+    for column, joint in enumerate(robot.joints):
+        carried = [
+            i
+            for row in np.flatnonzero(robot.spread[:, column])
+            for i in model.subtrees[int(row) + 1]
+        ]
+        moments = [
+            float(model.inertias[i].mass) + float(np.trace(model.inertias[i].inertia))
+            for i in carried
+        ]
+        if not any(moment > 0.0 for moment in moments):
+            raise UnusableInput(
+                f"{robot.source}: joint '{joint}' moves no mass; give its links an <inertial> or lock it with --lock {joint}=0"
+            )

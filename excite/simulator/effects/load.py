@@ -1,0 +1,183 @@
+"""What the robot carries and what pulls at it: bodies, springs, rotors, forces from outside, where down is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ...errors import UnusableInput
+from ..actuator import Drive
+from ..physical_effect import Instant, Law
+from ..urdf_tree import Tree
+from .effect_type import Kind, Quantity, Site, curve, put
+
+Array = np.ndarray
+Values = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Body(Law):
+    """A body more in a link. radii: of gyration about its centre, along the link's axes [m]."""
+
+    link: str
+    mass: float
+    centre: tuple[float, float, float]
+    radii: tuple[float, float, float]
+
+    def alter(self, tree: Tree) -> Tree:
+        if self.mass == 0.0:
+            return tree
+        point = np.array([*self.centre, 1.0])
+        more = self.mass * np.outer(point, point)
+        more[:3, :3] += self.mass * np.diag(np.square(self.radii))
+        return tree.with_body(self.link, tree.body(self.link) + more)
+
+
+def _body(site: Site, p: Values, radii: tuple[float, float, float]) -> Law:
+    return Body(site.link, p["mass"], (p["com_x"], p["com_y"], p["com_z"]), radii)
+
+
+@dataclass(frozen=True)
+class Tilt(Law):
+    """A base that is not level: gravity turned by roll, then pitch, and `less` weaker (1)."""
+
+    roll: float
+    pitch: float
+    less: float = 0.0
+
+    def gravity(self, vector: Array) -> Array:
+        turn = Rotation.from_euler("xy", [self.roll, self.pitch])
+        return (
+            np.asarray(turn.inv().apply(vector)) * (1.0 - self.less)
+            if self.roll or self.pitch
+            else vector
+        )
+
+
+@dataclass(frozen=True)
+class Frame(Law):
+    """What a joint's link carries sits elsewhere on it: the frames of the joints after it, turned and shifted as they see it."""
+
+    joint: str
+    turn: Array
+    shift: Array
+
+    def alter(self, tree: Tree) -> Tree:
+        if not self.turn.any() and not self.shift.any():
+            return tree
+        after = tree.after(self.joint)
+        if not after:
+            raise UnusableInput(
+                f"{tree.source}: joint '{self.joint}' carries no further joint; name one that does"
+            )
+        for name in after:
+            tree = tree.moved(name, Rotation.from_rotvec(self.turn).as_matrix(), self.shift)
+        return tree
+
+
+def _frame(site: Site, p: Values, axis: Array, way: Array) -> Law:
+    return Frame(site.joint, p["angle"] * axis, p["length"] * way)
+
+
+@dataclass(frozen=True)
+class Rotor(Law):
+    """J (1 + w cos q) v̇: a rotor seen through a gear whose ratio wavers by w, or not at all."""
+
+    site: Site
+    inertia: float
+    waver: float
+
+    def drives(self, drive: Drive) -> Drive:
+        more = np.zeros(self.site.n)
+        more[self.site.j] = self.inertia
+        return replace(drive, inertia=drive.inertia + more)
+
+    def torque(self, x: Instant, z: Array) -> Array:
+        j = self.site.j
+        return put(self.site.n, j, self.waver * self.inertia * np.cos(x.q[..., j]) * x.a[..., j])
+
+
+def offset(site: Site, p: Values) -> Law:
+    """τ₀."""
+    return curve(site, lambda x: p["offset"] + 0.0 * x.v)
+
+
+def offset_wandering(site: Site, p: Values) -> Law:
+    """τ₀ (1 + 0.1 sin(2πt/17 s)): a bridge that warms up."""
+    return curve(
+        site, lambda x: p["offset"] * (1.0 + 0.1 * np.sin(2.0 * np.pi * x.t / 17.0)) + 0.0 * x.v
+    )
+
+
+def spring_softening(site: Site, p: Values) -> Law:
+    """k q₁ tanh((q − q₀)/q₁), q₁ = 0.8 rad: a spring that gives way."""
+    return curve(site, lambda x: p["stiffness"] * 0.8 * np.tanh((x.q - p["centre"]) / 0.8))
+
+
+def spring_cable(site: Site, p: Values) -> Law:
+    """k d log(1 + e^{(q−q₀)/d}), d = 0.3 rad: a dress pack that is slack on one side."""
+    return curve(
+        site, lambda x: p["stiffness"] * 0.3 * np.logaddexp(0.0, (x.q - p["centre"]) / 0.3)
+    )
+
+
+KINDS = (
+    Kind(
+        "payload",
+        (
+            Quantity("mass", "kg", 0.3, 3.0),
+            Quantity("com_x", "m", -0.05, 0.05, power=0.0),
+            Quantity("com_y", "m", -0.05, 0.05, power=0.0),
+            Quantity("com_z", "m", 0.02, 0.12, power=0.0),
+        ),
+        {
+            "tuning": lambda site, p: _body(site, p, (0.03,) * 3),
+            "scored": lambda site, p: _body(site, p, (0.08, 0.03, 0.05)),
+        },
+    ),
+    Kind(
+        "gravity_tilt",
+        (Quantity("roll", "rad", -0.035, 0.035), Quantity("pitch", "rad", -0.035, 0.035)),
+        {
+            "tuning": lambda site, p: Tilt(p["roll"], p["pitch"]),
+            "scored": lambda site, p: Tilt(p["roll"], p["pitch"], 1e-3),
+        },
+        place="robot",
+    ),
+    Kind(
+        "kinematic_error",
+        (Quantity("angle", "rad", 2e-4, 3.5e-3), Quantity("length", "m", 1e-4, 2e-3)),
+        {
+            "tuning": lambda site, p: _frame(
+                site, p, np.array([1.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])
+            ),
+            "scored": lambda site, p: _frame(
+                site, p, np.array([0.6, 0.8, 0.0]), np.array([0.0, 0.8, 0.6])
+            ),
+        },
+    ),
+    Kind(
+        "rotor_inertia",
+        (Quantity("inertia", "kg m²", 0.1, 0.5, "inertia"),),
+        {
+            "tuning": lambda site, p: Rotor(site, p["inertia"], 0.0),
+            "scored": lambda site, p: Rotor(site, p["inertia"], 0.1),
+        },
+    ),
+    Kind(
+        "torque_offset",
+        (Quantity("offset", "N m", 0.003, 0.02, "torque"),),
+        {"tuning": offset, "scored": offset_wandering},
+    ),
+    Kind(
+        "spring",
+        (
+            Quantity("stiffness", "N m/rad", 0.01, 0.1, "torque"),
+            Quantity("centre", "rad", -0.8, 0.8, power=0.0, stated=False),
+        ),
+        {"tuning": spring_softening, "scored": spring_cable},
+    ),
+)

@@ -1,0 +1,148 @@
+"""Physics that no name of the contract takes: the right answer is `unknown`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..physical_effect import Instant, Law
+from .effect_type import Kind, Quantity, Site, angle, curve, put
+
+Array = np.ndarray
+Values = Mapping[str, float]
+
+
+def tooth_defect(site: Site, p: Values) -> Law:
+    """A bump wherever a broken tooth meshes under load of one sign: A e^{−(Δ/w)²} at five angles in no order."""
+    places = (
+        np.modf(np.arange(1, 6) * (np.sqrt(5.0) - 1.0) / 2.0 + p["phase"] / (2 * np.pi))[0] * 4.0
+        - 2.0
+    )
+    top = 0.02 * site.torque[site.j]
+
+    def law(x: Instant) -> Array:
+        away = (x.q[..., None] - places) / p["breadth"]
+        return (
+            p["amplitude"]
+            * np.exp(-np.square(away)).sum(axis=-1)
+            * 0.5
+            * (1.0 + np.tanh(x.load / top))
+        )
+
+    return curve(site, law)
+
+
+@dataclass(frozen=True)
+class Slosh(Law):
+    """A liquid in the link: an oscillator z̈ + 2ζω ż + ω² z = −v̇ whose reaction I ω² z + 2ζωI ż loads the joint."""
+
+    site: Site
+    inertia: float
+    frequency: float
+    damping: float
+    memory = 2
+
+    def advance(self, x: Instant, z: Array, dt: float) -> Array:
+        w = 2.0 * np.pi * self.frequency
+        rate = (z[..., 1] - dt * (x.a[..., self.site.j] + w * w * z[..., 0])) / (
+            1.0 + dt * (2.0 * self.damping * w + dt * w * w)
+        )
+        return np.stack(np.broadcast_arrays(z[..., 0] + dt * rate, rate), axis=-1)
+
+    def torque(self, x: Instant, z: Array) -> Array:
+        w = 2.0 * np.pi * self.frequency
+        return put(
+            self.site.n,
+            self.site.j,
+            -self.inertia * (w * w * z[..., 0] + 2.0 * self.damping * w * z[..., 1]),
+        )
+
+
+@dataclass(frozen=True)
+class Snag(Law):
+    """A cable that catches when the joint passes one angle and lets go at another: A s, s → 1 or 0 within 30 ms."""
+
+    site: Site
+    amplitude: float
+    catch: float
+    release: float
+    memory = 2
+
+    def advance(self, x: Instant, z: Array, dt: float) -> Array:
+        q = x.q[..., self.site.j]
+        caught = np.where(q > self.catch, 1.0, np.where(q < self.release, 0.0, z[..., 1]))
+        held = z[..., 0] + (caught - z[..., 0]) * (1.0 - np.exp(-dt / 0.03))
+        return np.stack(np.broadcast_arrays(held, caught), axis=-1)
+
+    def torque(self, x: Instant, z: Array) -> Array:
+        return put(self.site.n, self.site.j, self.amplitude * z[..., 0])
+
+
+@dataclass(frozen=True)
+class Sag(Law):
+    """A supply whose voltage sags under the power of all drives: what joint j is told to give, it gives less of.
+
+    τ_told = τ (1 + λ P/P₀) with P = Σ|τ v| smoothed by its own size; here by the torque of all joints, Σ|τ|/τ_max, squared.
+    """
+
+    site: Site
+    loss: float
+
+    def told(self, torque: Callable[[Array], Array], t: Array) -> Array:
+        out = torque(t)
+        others = np.delete(np.abs(out) / self.site.torque, self.site.j, axis=1).sum(axis=1)
+        told = out.copy()
+        told[:, self.site.j] *= 1.0 + self.loss * np.square(others)
+        return told
+
+
+def _snag(site: Site, p: Values) -> Law:
+    return Snag(site, p["amplitude"], p["middle"] + p["gap"], p["middle"] - p["gap"])
+
+
+KINDS = (
+    Kind(
+        "tooth_defect",
+        (
+            Quantity("amplitude", "N m", 0.01, 0.05, "torque"),
+            Quantity("breadth", "rad", 0.02, 0.06, power=0.0),
+            angle(),
+        ),
+        {"tuning": tooth_defect, "scored": tooth_defect},
+        outsider=True,
+    ),
+    Kind(
+        "sloshing",
+        (
+            Quantity("inertia", "kg m²", 0.1, 0.5, "inertia"),
+            Quantity("frequency", "Hz", 1.0, 3.0, power=0.0),
+            Quantity("damping", "1", 0.01, 0.05, power=0.0),
+        ),
+        {
+            "tuning": lambda site, p: Slosh(site, p["inertia"], p["frequency"], p["damping"]),
+            "scored": lambda site, p: Slosh(site, p["inertia"], p["frequency"], p["damping"]),
+        },
+        outsider=True,
+    ),
+    Kind(
+        "cable_snag",
+        (
+            Quantity("amplitude", "N m", 0.01, 0.05, "torque"),
+            Quantity("middle", "rad", -0.3, 0.3, power=0.0),
+            Quantity("gap", "rad", 0.1, 0.3, power=0.0),
+        ),
+        {"tuning": _snag, "scored": _snag},
+        outsider=True,
+    ),
+    Kind(
+        "supply_sag",
+        (Quantity("loss", "1", 0.05, 0.3, most=0.7),),
+        {
+            "tuning": lambda site, p: Sag(site, p["loss"]),
+            "scored": lambda site, p: Sag(site, p["loss"]),
+        },
+        outsider=True,
+    ),
+)

@@ -1,0 +1,167 @@
+"""What lies between motor and link: springs that wind up, teeth with play, ripple of the mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from math import exp, log1p
+
+import numpy as np
+from scipy.special import jv
+
+from ..physical_effect import Instant, Law, Spring
+from .effect_type import Kind, Quantity, Site, angle, curve
+
+Array = np.ndarray
+Values = Mapping[str, float]
+SKEW = 0.4
+"""Of a loaded mesh's wave: sin(θ + m sin θ)."""
+DAMPING = 0.04
+"""Damping ratio of a joint's own wind-up."""
+
+
+@dataclass(frozen=True)
+class Wound(Law):
+    """A joint in two masses. stiffness: at rest [N m/rad]; the sub-classes say how the torque grows with wind-up."""
+
+    site: Site
+    stiffness: float
+    width: float = 0.0
+
+    @cached_property
+    def damping(self) -> float:
+        """Damping of the wind-up on the motor alone [N m s/rad]."""
+        return 2.0 * DAMPING * float(np.sqrt(self.stiffness * self.site.drive.inertia[self.site.j]))
+
+    def spring(self) -> Spring:
+        return Spring(self.site.j, self.pull)
+
+    def pull(self, d: float, rate: float) -> tuple[float, float, float]:
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Hardening(Wound):
+    """K δ (1 + (δ/δ₀)²), δ₀ where K δ₀ is twice the torque limit (catalogues: K δ)."""
+
+    def pull(self, d: float, rate: float) -> tuple[float, float, float]:
+        much = (d * self.stiffness / (2.0 * float(self.site.torque[self.site.j]))) ** 2
+        return (
+            self.stiffness * d * (1.0 + much) + self.damping * rate,
+            self.stiffness * (1.0 + 3.0 * much),
+            self.damping,
+        )
+
+
+@dataclass(frozen=True)
+class StrainWave(Wound):
+    """Two slopes as makers of strain-wave gears state them: 0.7 K for small torques, 1.3 K for large, smooth at a tenth of the limit."""
+
+    @cached_property
+    def scale(self) -> float:
+        """Wind-up between the slopes [rad]."""
+        return 0.1 * float(self.site.torque[self.site.j]) / self.stiffness
+
+    def pull(self, d: float, rate: float) -> tuple[float, float, float]:
+        scale = self.scale
+        bend = abs(d) / scale
+        torque = self.stiffness * (
+            0.7 * d + 0.6 * (abs(d) - scale * log1p(bend)) * (1.0 if d > 0.0 else -1.0)
+        )
+        slope = self.stiffness * (0.7 + 0.6 * bend / (1.0 + bend))
+        return torque + self.damping * rate, slope, self.damping
+
+
+@dataclass(frozen=True)
+class DeadZone(Wound):
+    """No torque within ±w/2, a stiff spring beyond, which damps only in contact."""
+
+    def pull(self, d: float, rate: float) -> tuple[float, float, float]:
+        half = 0.5 * self.width
+        beyond = d - half if d > half else d + half if d < -half else 0.0
+        # a gear in its play still has its oil: the slope never vanishes
+        slope = self.stiffness if beyond != 0.0 else 1e-3 * self.stiffness
+        damp = self.damping if beyond != 0.0 else 0.05 * self.damping
+        free = 1e-3 * self.stiffness * (d - beyond)
+        return self.stiffness * beyond + free + damp * rate, slope, damp
+
+
+@dataclass(frozen=True)
+class Hertz(Wound):
+    """Play with soft edges: the flank engages as ½(√(x² + w₀²) + x)-like softplus over a tenth of the width."""
+
+    def pull(self, d: float, rate: float) -> tuple[float, float, float]:
+        half, soft = 0.5 * self.width, 0.1 * self.width
+        torque, slope = 1e-3 * self.stiffness * d, 1e-3 * self.stiffness
+        for side in (1.0, -1.0):
+            x = (side * d - half) / soft
+            torque += side * self.stiffness * soft * (x if x > 30.0 else log1p(exp(max(x, -60.0))))
+            slope += self.stiffness / (1.0 + exp(-min(max(x, -60.0), 60.0)))
+        damp = self.damping * slope / self.stiffness
+        return torque + damp * rate, slope, damp
+
+
+def _gear(site: Site) -> float:
+    """A stiff gear for a joint whose play is the matter: 0.5 mrad at the torque limit [N m/rad]."""
+    return float(site.torque[site.j]) / 5e-4
+
+
+def ripple_pair(site: Site, p: Values) -> Law:
+    """A (cos(Nq + φ) + 0.6 cos(1.37 Nq + 2φ)): two meshes in no whole ratio."""
+    order, phase = p["order"], p["phase"]
+    return curve(
+        site,
+        lambda x: (
+            p["amplitude"]
+            * (np.cos(order * x.q + phase) + 0.6 * np.cos(1.37 * order * x.q + 2 * phase))
+        ),
+    )
+
+
+def ripple_loaded(site: Site, p: Values) -> Law:
+    """A (1 + ½ τ/τ_max) times a skewed wave, sin(θ + 0.4 sin θ), θ = Nq + φ."""
+    order, phase, top = p["order"], p["phase"], site.torque[site.j]
+
+    def law(x: Instant) -> Array:
+        turn = order * x.q + phase
+        return p["amplitude"] * (1.0 + 0.5 * x.load / top) * np.sin(turn + SKEW * np.sin(turn))
+
+    return curve(site, law)
+
+
+def _fundamental(p: Values) -> Values:
+    """The wave of the order named, without load: sin(θ + m sin θ) = Σ Jₖ(m) sin (k + 1)θ over all whole k (Jacobi-Anger)."""
+    return {"amplitude": float(jv(0, SKEW) - jv(2, SKEW)) * p["amplitude"]}
+
+
+KINDS = (
+    Kind(
+        "elasticity",
+        (Quantity("stiffness", "N m/rad", 50.0, 400.0, "torque", power=-1.0),),
+        {
+            "tuning": lambda site, p: Hardening(site, p["stiffness"]),
+            "scored": lambda site, p: StrainWave(site, p["stiffness"]),
+        },
+        vanishes=True,
+    ),
+    Kind(
+        "backlash",
+        (Quantity("width", "rad", 1e-4, 3e-3),),
+        {
+            "tuning": lambda site, p: DeadZone(site, _gear(site), p["width"]),
+            "scored": lambda site, p: Hertz(site, _gear(site), p["width"]),
+        },
+        vanishes=True,
+    ),
+    Kind(
+        "torque_ripple",
+        (
+            Quantity("order", "1/turn", 6.0, 60.0, power=0.0),
+            Quantity("amplitude", "N m", 0.005, 0.05, "torque"),
+            angle(),
+        ),
+        {"tuning": ripple_pair, "scored": ripple_loaded},
+        meant={"scored": _fundamental},
+    ),
+)

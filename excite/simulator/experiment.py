@@ -1,0 +1,134 @@
+"""One call from a URDF and a trajectory to a recording and its truth; every draw comes from one seed, noise from the motion too."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from . import recording_file as records
+from . import reference_trajectory as references
+from . import simulated_robot as plants
+from . import urdf_tree as trees
+from .actuator import Control
+from .measurement import Chain
+from .model_error import deformed
+from .physical_effect import Law
+from .recording_file import Recording
+from .reference_trajectory import Reference
+from .simulated_robot import Plant, Run
+from .urdf_tree import Tree
+
+TOLD_BY = 64
+"""Points of a motion that tell it from another."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How a robot is made and measured.
+
+    seed: of everything. rate [Hz]. noise: torque's standard deviation over the torque limit; colour: corner of its low-pass [Hz].
+    jitter [s]. encoder [rad]. model_error: how far the true bodies are from the URDF's, about (1). control: the controller.
+    """
+
+    seed: int = 0
+    rate: float = 500.0
+    noise: float = 0.005
+    colour: float | None = None
+    jitter: float = 0.0
+    encoder: float = 2e-6
+    model_error: float = 0.05
+    control: Control = field(default_factory=Control)
+
+    @classmethod
+    def stated(cls, document: Mapping[str, Any]) -> Setting:
+        """As a truth states it."""
+        return cls(**{**document, "control": Control(**document["control"])})
+
+    def generators(self) -> list[np.random.Generator]:
+        """Independent ones for bodies, drives, measurement (see `measuring`) and effects."""
+        return np.random.default_rng(self.seed).spawn(4)
+
+    def measuring(self, reference: Reference) -> np.random.Generator:
+        """For the noise of a motion: that of another motion is another, as no two recordings share theirs."""
+        joints = reference.at(np.linspace(0.0, reference.duration, TOLD_BY))[0]
+        told = zlib.crc32((np.round(joints, 6) + 0.0).tobytes())
+        return np.random.default_rng([told, *self.generators()[2].integers(2**32, size=2).tolist()])
+
+
+@dataclass(frozen=True)
+class Session:
+    """A robot on the bench. run: the motion made. recording: what was measured. truth: what nobody there is told."""
+
+    plant: Plant
+    chain: Chain
+    run: Run
+    recording: Recording
+    truth: dict[str, Any]
+
+
+def robot(urdf: Path, reference: Reference, setting: Setting, laws: Sequence[Law] = ()) -> Plant:
+    """The true robot behind a URDF that is a few per cent wrong."""
+    bodies, drives, *_ = setting.generators()
+    true = deformed(_carrying(trees.read(urdf), reference), setting.model_error, bodies)
+    return plants.draw(true, reference, drives, control=setting.control, laws=laws)
+
+
+def _carrying(tree: Tree, reference: Reference) -> Tree:
+    """The tree with the body that the trajectory was designed with."""
+    stated = reference.robot.get("payload")
+    if stated is None:
+        return tree
+    xx, xy, yy, xz, yz, zz = (float(v) for v in stated["inertia"])
+    tensor, point = (
+        np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]),
+        np.array([*stated["centre"], 1.0], float),
+    )
+    more = float(stated["mass"]) * np.outer(point, point)
+    more[:3, :3] += 0.5 * np.trace(tensor) * np.eye(3) - tensor
+    return tree.with_body(str(stated["link"]), tree.body(str(stated["link"])) + more)
+
+
+def chain(plant: Plant, setting: Setting) -> Chain:
+    """The measurement chain, sized by the torque limits."""
+    return Chain(
+        setting.rate,
+        setting.noise * plant.limit,
+        setting.colour,
+        setting.encoder,
+        plant.limit / 2048.0,
+        setting.jitter,
+    )
+
+
+def session(
+    plant: Plant,
+    reference: Reference,
+    setting: Setting,
+    facts: dict[str, Any] | None = None,
+    run: Run | None = None,
+) -> Session:
+    """Run a robot along a reference and measure it; `facts` enter the truth first, `run` is one already made."""
+    made = plant.run(reference) if run is None else run
+    measured = chain(plant, setting)
+    recording = records.record(made, reference, measured, setting.measuring(reference))
+    own = {"seed": setting.seed, "setting": asdict(setting)}
+    return Session(
+        plant, measured, made, recording, records.truth(plant, measured, {**(facts or {}), **own})
+    )
+
+
+def simulate(
+    urdf: Path,
+    trajectory: Path,
+    setting: Setting = Setting(),
+    periods: int | None = None,
+    laws: Sequence[Law] = (),
+) -> Session:
+    """A recording of a robot that follows `trajectory.json`, its bodies and drives drawn from the setting's seed."""
+    reference = references.read(trajectory, periods)
+    return session(robot(urdf, reference, setting, laws), reference, setting)

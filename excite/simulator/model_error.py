@@ -1,0 +1,30 @@
+"""The URDF that a laboratory has is a few per cent off: bodies deformed as bodies can be, never impossible ones."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .urdf_tree import Tree
+
+Array = np.ndarray
+
+
+def deformed(tree: Tree, size: float, rng: np.random.Generator) -> Tree:
+    """A tree whose bodies differ by about `size` (0.05: 5 %).
+
+    P → (1 + ε) A P Aᵀ with A near 1: an affine map of the body's points and another density, so P stays a pseudo-inertia
+    (Lee, Wensing & Park, eq. 15) whatever the numbers.
+    """
+    for link in tree.links:
+        pseudo = tree.body(link)
+        mass = pseudo[3, 3]
+        if mass <= 0.0:
+            continue
+        length = float(np.sqrt(max(np.trace(pseudo[:3, :3]), 0.0) / mass))
+        map_ = np.eye(4)
+        map_[:3, :3] += size * rng.standard_normal((3, 3)) / np.sqrt(3.0)
+        map_[:3, 3] = size * length * rng.standard_normal(3)
+        tree = tree.with_body(
+            link, float(np.exp(size * rng.standard_normal())) * map_ @ pseudo @ map_.T
+        )
+    return tree

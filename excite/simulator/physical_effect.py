@@ -1,0 +1,90 @@
+"""What a hidden effect may do to a robot: the one interface of all effects, each method of which does nothing by default."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from .actuator import Drive
+from .mujoco_dynamics import Arm
+from .urdf_tree import Tree
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Instant:
+    """The joints at one time or at many. Arrays of shape (…, n); t: Shape (…).
+
+    q, v, a: of the motor's shaft, divided by the gear ratio [rad, rad/s, rad/s²]. load: torque passed on to the link [N m].
+    """
+
+    t: Array
+    q: Array
+    v: Array
+    a: Array
+    load: Array
+
+
+@dataclass(frozen=True)
+class Spring:
+    """What an elastic joint passes on: f(δ, δ̇) of its wind-up δ = θ − q. pull: floats to (torque, ∂/∂δ, ∂/∂δ̇)."""
+
+    joint: int
+    pull: Callable[[float, float], tuple[float, float, float]]
+
+
+@dataclass(frozen=True)
+class Suspension:
+    """Springs and dampers under the base's own coordinates. Shapes (k,) [N m/rad, N m s/rad]."""
+
+    stiffness: Array
+    damping: Array
+
+
+class Law:
+    """Hidden physics of a robot. Torques are what the drive must give in addition, Shape (…, n) [N m]."""
+
+    memory: int = 0
+
+    def alter(self, tree: Tree) -> Tree:
+        """Other bodies or frames."""
+        return tree
+
+    def gravity(self, vector: Array) -> Array:
+        """Gravity in the base's frame. Shape (3,) [m/s²]."""
+        return vector
+
+    def drives(self, drive: Drive) -> Drive:
+        """Other drives."""
+        return drive
+
+    def bound(self, arm: Arm) -> Law:
+        """The same law, knowing the arm it acts on."""
+        return self
+
+    def suspension(self) -> Suspension | None:
+        """What carries the coordinates that `alter` put under the base."""
+        return None
+
+    def spring(self) -> Spring | None:
+        """What lies between a motor and its link instead of a rigid gear."""
+        return None
+
+    def advance(self, x: Instant, z: Array, dt: float) -> Array:
+        """Memory after dt [s] at the motion x. Shape (…, memory)."""
+        return z
+
+    def torque(self, x: Instant, z: Array) -> Array | None:
+        """Additional torque, or None."""
+        return None
+
+    def seen(self, q: Array) -> Array:
+        """Position that the motor's encoder tells. Shapes (…, n)."""
+        return q
+
+    def told(self, torque: Callable[[Array], Array], t: Array) -> Array:
+        """Torque that the robot tells at times t, where torque(t) is the true one. Shape (N, n)."""
+        return torque(t)

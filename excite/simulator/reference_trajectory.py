@@ -1,0 +1,156 @@
+"""What the controller is asked to follow: a finite Fourier series between ramps of piecewise constant jerk, or a blend of one's own."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import UnusableInput
+
+Array = np.ndarray
+SCHEMA = "excite.trajectory/1"
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Commanded motion. at: times of shape (N,) [s] to position, velocity, acceleration, each of shape (N, n).
+
+    periodic: [start, end] of the part that repeats with `period` [s]. robot: what the file says of the robot.
+    """
+
+    joints: tuple[str, ...]
+    at: Callable[[Array], tuple[Array, Array, Array]]
+    duration: float
+    period: float
+    periodic: tuple[float, float]
+    robot: Mapping[str, Any]
+
+
+def read(path: Path, periods: int | None = None) -> Reference:
+    """Read `trajectory.json`, with its Fourier part repeated `periods` times instead of as stated. Raises UnusableInput."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise UnusableInput(
+            f"{path}: cannot be read as a trajectory ({error}); give the trajectory.json of 'excite design'"
+        ) from error
+    if not isinstance(document, dict) or document.get("schema") != SCHEMA:
+        raise UnusableInput(
+            f"{path}: is not of schema {SCHEMA!r}; give the trajectory.json of 'excite design'"
+        )
+    if periods is not None and periods < 1:
+        raise UnusableInput(f"--periods {periods}: should be at least 1")
+    try:
+        return _reference(document, periods)
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise UnusableInput(
+            f"{path}: is incomplete or malformed ({type(error).__name__}: {error}); design it again"
+        ) from error
+
+
+def _reference(document: Mapping[str, Any], periods: int | None) -> Reference:
+    joints = tuple(str(j) for j in document["joints"])
+    period, extra = float(document["period"]), 0.0
+    if periods is not None:
+        extra = (periods - int(document["periods"])) * period
+    sine, cosine, offset = (np.array(document[key], float) for key in ("sine", "cosine", "offset"))
+    wave = fourier(sine, cosine, offset, period)
+    parts: list[tuple[float, float, Callable[[Array], tuple[Array, Array, Array]]]] = []
+    shift, window = 0.0, (0.0, 0.0)
+    for segment in document["segments"]:
+        start, end = float(segment["start"]) + shift, float(segment["end"]) + shift
+        if segment["kind"] == "fourier":
+            shift, end = extra, end + extra
+            window = (start, end)
+            parts.append((start, end, wave))
+        else:
+            parts.append((start, end, _ramp(segment["profile"], joints)))
+
+    def at(t: Array) -> tuple[Array, Array, Array]:
+        out = tuple(np.empty((len(t), len(joints))) for _ in range(3))
+        inside = np.clip(t, parts[0][0], parts[-1][1])
+        for start, end, part in parts:
+            here = (inside >= start - 1e-12) & (inside <= end)
+            for whole, piece in zip(out, part(inside[here] - start), strict=True):
+                whole[here] = piece
+        still = (t < parts[0][0]) | (t > parts[-1][1])
+        out[1][still], out[2][still] = 0.0, 0.0
+        return out[0], out[1], out[2]
+
+    return Reference(joints, at, parts[-1][1], period, window, document["robot"])
+
+
+def fourier(
+    sine: Array, cosine: Array, offset: Array, period: float
+) -> Callable[[Array], tuple[Array, Array, Array]]:
+    """q = q₀ + Σ a/(ωk) sin ωkt − b/(ωk) cos ωkt. Shapes (n, K), (n, K), (n,)."""
+    k = 2.0 * np.pi / period * np.arange(1, sine.shape[1] + 1)
+
+    def at(t: Array) -> tuple[Array, Array, Array]:
+        s, c = np.sin(np.multiply.outer(t, k)), np.cos(np.multiply.outer(t, k))
+        return (
+            offset + (s / k) @ sine.T - (c / k) @ cosine.T,
+            c @ sine.T + s @ cosine.T,
+            (c * k) @ cosine.T - (s * k) @ sine.T,
+        )
+
+    return at
+
+
+def _ramp(
+    profile: Mapping[str, Any], joints: tuple[str, ...]
+) -> Callable[[Array], tuple[Array, Array, Array]]:
+    first = np.array([profile[key] for key in ("position", "velocity", "acceleration")], float)
+
+    def at(t: Array) -> tuple[Array, Array, Array]:
+        out = tuple(np.empty((len(t), len(joints))) for _ in range(3))
+        for j, joint in enumerate(joints):
+            q, v, a = first[:, j]
+            knots, states = [0.0], [(q, v, a, 0.0)]
+            for duration, jerk in profile["pieces"][joint]:
+                states[-1] = (q, v, a, jerk)
+                q += duration * (v + duration * (a / 2 + duration * jerk / 6))
+                v += duration * (a + duration * jerk / 2)
+                a += duration * jerk
+                knots.append(knots[-1] + duration)
+                states.append((q, v, a, 0.0))
+            index = np.clip(np.searchsorted(knots, t, side="right") - 1, 0, len(knots) - 1)
+            s = t - np.array(knots)[index]
+            q0, v0, a0, j0 = np.array(states)[index].T
+            out[0][:, j] = q0 + s * (v0 + s * (a0 / 2 + s * j0 / 6))
+            out[1][:, j] = v0 + s * (a0 + s * j0 / 2)
+            out[2][:, j] = a0 + s * j0
+        return out[0], out[1], out[2]
+
+    return at
+
+
+def blended(
+    joints: tuple[str, ...],
+    sine: Array,
+    cosine: Array,
+    offset: Array,
+    period: float,
+    periods: int,
+    ramp: float,
+) -> Reference:
+    """A Fourier motion between smooth ramps of `ramp` seconds from and to the pose at its middle; all such references last equally long."""
+    wave, end = fourier(sine, cosine, offset, period), 2 * ramp + periods * period
+
+    def at(t: Array) -> tuple[Array, Array, Array]:
+        q, v, a = wave(np.asarray(t) - ramp)
+        u = np.clip(np.minimum(t, end - t) / ramp, 0.0, 1.0)
+        sign = np.where(t < end / 2, 1.0, -1.0) / ramp
+        # x⁴(35 − 84x + 70x² − 20x³): three derivatives vanish at both ends
+        w = u**4 * (35 - 84 * u + 70 * u**2 - 20 * u**3)
+        dw = sign * 140 * u**3 * (1 - u) ** 3
+        ddw = sign**2 * 420 * u**2 * (1 - u) ** 2 * (1 - 2 * u)
+        w, dw, ddw, away = w[:, None], dw[:, None], ddw[:, None], q - offset
+        return offset + w * away, w * v + dw * away, w * a + 2 * dw * v + ddw * away
+
+    return Reference(joints, at, end, period, (ramp, end - ramp), {})

@@ -1,0 +1,180 @@
+"""A robot with all its physics: it moves, and along that motion its drives give exactly the torque that the motion needs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import BSpline, make_interp_spline
+
+from ..errors import UnusableInput
+from . import mujoco_dynamics as arms
+from .actuator import Control, Drive
+from .closed_loop import Loop, Trace
+from .mujoco_dynamics import Arm
+from .physical_effect import Instant, Law, Spring
+from .reference_trajectory import Reference
+from .urdf_tree import Tree
+
+Array = np.ndarray
+SPRUNG = 5e-4
+"""Longest step where a joint winds up or has play [s]: a motor between its teeth carries a fraction of the inertia that its controller is
+tuned for, and rattles in a loop of two milliseconds; a link that teeth catch swings at hundreds of Hz."""
+
+
+@dataclass(frozen=True)
+class Plant:
+    """tree: the true bodies, without effects. limit: torque limits, Shape (n,) [N m]. laws: the hidden effects. step: of the loop [s]."""
+
+    tree: Tree
+    joints: tuple[str, ...]
+    lock: dict[str, float]
+    gravity: tuple[float, ...]
+    limit: Array
+    drive: Drive
+    control: Control
+    laws: tuple[Law, ...] = ()
+    step: float = 1e-3
+
+    @property
+    def springs(self) -> list[Spring]:
+        """What lies between motors and links."""
+        return [spring for law in self.laws if (spring := law.spring()) is not None]
+
+    def without(self) -> Plant:
+        """The same robot with nothing hidden."""
+        return replace(self, laws=())
+
+    def arm(self) -> Arm:
+        """The rigid bodies as the effects leave them; a base that moves has its coordinates before the joints."""
+        tree, gravity = self.tree, np.array(self.gravity)
+        for law in self.laws:
+            tree, gravity = law.alter(tree), law.gravity(gravity)
+        extra = tuple(name for name in tree.joints if name not in self.tree.joints)
+        return arms.build(tree, extra + self.joints, self.lock, tuple(gravity))
+
+    def run(self, reference: Reference) -> Run:
+        """Close the loop on a reference."""
+        self._require_room()
+        arm, drive = self.arm(), self.drive
+        for law in self.laws:
+            drive = law.drives(drive)
+        bound = replace(self, drive=drive, laws=tuple(law.bound(arm) for law in self.laws))
+        carried = [s for law in bound.laws if (s := law.suspension()) is not None]
+        step = min(self.step, SPRUNG) if bound.springs else self.step
+        trace = Loop(
+            arm, drive, self.control, bound.laws, carried[0] if carried else None, self.limit, step
+        ).run(reference)
+        if not np.isfinite(trace.q).all():
+            raise UnusableInput(
+                f"{self.tree.source}: the controller loses this robot; make the hidden effects smaller"
+            )
+        return Run(bound, arm, trace)
+
+    def _require_room(self) -> None:
+        """A base moves on one set of springs, a joint winds up in one."""
+        if sum(type(law).suspension is not Law.suspension for law in self.laws) > 1:
+            raise UnusableInput(
+                f"{self.tree.source}: more than one effect moves the base; leave one --effect base_compliance"
+            )
+        wound = [spring.joint for spring in self.springs]
+        for j in set(wound):
+            if wound.count(j) > 1:
+                raise UnusableInput(
+                    f"{self.tree.source}: joint '{self.joints[j]}' has more than one spring; give it elasticity or backlash, not both"
+                )
+
+
+class Run:
+    """A finished motion, smooth between the steps of the loop: positions are splines of the fifth order, so that accelerations are smooth
+    and a link that is knocked back and forth between two steps stays where it was (integrals of speeds drift).
+
+    Torques are recomputed along it, not taken from the controller: what is recorded is consistent to machine precision.
+    """
+
+    def __init__(self, plant: Plant, arm: Arm, trace: Trace) -> None:
+        self.plant, self.arm, self.trace = plant, arm, trace
+        self.end = float(trace.t[-1])
+        self._links, self._motors = (_differentiated(trace.t, x) for x in (trace.q, trace.theta))
+
+    def links(self, t: Array) -> tuple[Array, Array, Array]:
+        """Position, velocity, acceleration of base and links. Shapes (N, k + n)."""
+        return self._at(self._links, t)
+
+    def motors(self, t: Array) -> tuple[Array, Array, Array]:
+        """The same of the motors, at the joints' shafts. Shapes (N, n)."""
+        return self._at(self._motors, t)
+
+    def _at(self, motion: tuple[BSpline, BSpline, BSpline], t: Array) -> tuple[Array, Array, Array]:
+        t = np.clip(t, 0.0, self.end)
+        q, v, a = (spline(t) for spline in motion)
+        return q, v, a
+
+    def instant(self, t: Array) -> Instant:
+        """The joints at times t, with the torque that passes to the links."""
+        load = self.arm.inverse(*self.links(t))[:, self.arm.n - len(self.plant.joints) :]
+        q, v, a = self.motors(t)
+        return Instant(t, q, v, a, load)
+
+    def torque(self, t: Array) -> Array:
+        """What the drives gave. Shape (N, n) [N m]."""
+        t = np.clip(t, 0.0, self.end)
+        x, drive, at = self.instant(t), self.plant.drive, 0
+        out = x.load + drive.inertia * x.a + drive.friction(x.v)
+        for law in self.plant.laws:
+            if type(law).torque is Law.torque:
+                continue
+            z = np.column_stack(
+                [np.interp(t, self.trace.t, self.trace.z[:, i]) for i in range(at, at + law.memory)]
+                or [np.empty((len(t), 0))]
+            )
+            at += law.memory
+            more = law.torque(x, z)
+            out = out if more is None else out + more
+        return out
+
+    def told(self, t: Array) -> tuple[Array, Array]:
+        """Position and torque as the robot tells them, before noise. Shapes (N, n)."""
+        q = self.motors(t)[0]
+        ask: Callable[[Array], Array] = self.torque
+        for law in self.plant.laws:
+            q, ask = law.seen(q), _wrapped(law, ask)
+        return q, ask(t)
+
+
+def _differentiated(t: Array, x: Array) -> tuple[BSpline, BSpline, BSpline]:
+    """A smooth motion through positions at equal times, its speed and its acceleration."""
+    spline = make_interp_spline(t, x, k=5)
+    return spline, spline.derivative(1), spline.derivative(2)
+
+
+def _wrapped(law: Law, ask: Callable[[Array], Array]) -> Callable[[Array], Array]:
+    return lambda t: law.told(ask, t)
+
+
+def draw(
+    tree: Tree,
+    reference: Reference,
+    rng: np.random.Generator,
+    *,
+    control: Control | None = None,
+    laws: Sequence[Law] = (),
+) -> Plant:
+    """A robot with drives drawn at random, sized by the tree's limits."""
+    from . import actuator
+
+    lock = {str(k): float(v) for k, v in reference.robot.get("locked", {}).items()}
+    gravity = tuple(float(g) for g in reference.robot.get("gravity", arms.GRAVITY))
+    arm = arms.build(tree, reference.joints, lock, gravity)
+    speed, torque = np.array([tree.limits(name) for name in reference.joints]).T
+    return Plant(
+        tree,
+        reference.joints,
+        lock,
+        gravity,
+        torque,
+        actuator.draw(arm, speed, torque, rng),
+        control or Control(),
+        tuple(laws),
+    )

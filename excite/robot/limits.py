@@ -350,6 +350,8 @@ def _read_yaml(file: Path) -> dict[str, JointLimits]:
     document = _document(file)
     content = document.yaml()
     switches = document.converted(content, MoveItSwitchesFile).joint_limits
+    if not switches:
+        raise document.error("names no joint", "joint_limits")
     known = {
         *MOVEIT_VALUES,
         *MOVEIT_UNUSED,

@@ -15,6 +15,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # Data flows from left to right; a package imports from itself and from those to its left.
 ORDER = (
     "errors",
+    "physical_ranges",
     "_linear_algebra",
     "_files",
     "schemas",

@@ -41,9 +41,9 @@ class Bench:
 def bench(encoder: float, step: float) -> Bench:
     pytest.importorskip("mujoco")
     from excite.simulator import experiment
-    from excite.simulator.actuator import Control
+    from excite.simulator.actuator import ControllerGains
 
-    setting = experiment.Setting(seed=3, encoder=encoder, control=Control(step=step))
+    setting = experiment.Setting(seed=3, encoder=encoder, control=ControllerGains(step=step))
     session = experiment.simulate(
         locate("two_link"),
         Path(__file__).parents[1] / "trajectories/two_link.json",

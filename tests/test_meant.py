@@ -11,18 +11,18 @@ pytest.importorskip("mujoco")
 
 from concealed_trial.score import mark, whole
 
-from excite.simulator.actuator import Drive
-from excite.simulator.effect_instance import Effect
-from excite.simulator.effects import FAMILIES, KINDS
-from excite.simulator.effects.effect_type import Site, sign
+from excite.simulator.actuator import JointActuators
+from excite.simulator.effect_instance import EffectInstance
+from excite.simulator.effects import FORM_FAMILIES, KINDS
+from excite.simulator.effects.effect_type import EffectSite, smooth_sign
 from excite.simulator.physical_effect import Instant, Law
 
 Array = np.ndarray
 ONE = np.ones(1)
-DRIVE = Drive(
+DRIVE = JointActuators(
     inertia=0.4 * ONE, viscous=0.5 * ONE, coulomb=1.5 * ONE, width=4e-3 * ONE, offset=0.2 * ONE
 )
-SITE = Site(1, 0, 0, 60.0 * ONE, 3.0 * ONE, DRIVE, "a", "link")
+SITE = EffectSite(1, 0, 0, 60.0 * ONE, 3.0 * ONE, DRIVE, "a", "link")
 USUAL = {
     "stribeck": {"amplitude": 1.1, "velocity": 0.07},
     "position_friction": {"amplitude": 0.4, "waves": 2.0, "phase": 0.6},
@@ -42,7 +42,7 @@ def law(name: str, family: str, **own: float) -> Law:
 
 def entry(name: str, family: str, **own: float) -> dict[str, object]:
     """As a key has it."""
-    return {**Effect(name, "a", family, {**USUAL[name], **own}).document(), "severity": 5.0}
+    return {**EffectInstance(name, "a", family, {**USUAL[name], **own}).document(), "severity": 5.0}
 
 
 def meant(name: str, family: str, **own: float) -> Mapping[str, float]:
@@ -74,28 +74,28 @@ def wave(values: Array, angle: Array) -> float:
 # -- by the laws ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", FORM_FAMILIES)
 @pytest.mark.parametrize("velocity", [0.02, 0.3])
 def test_stribeck_friction_has_fallen_to_1_over_e_at_its_velocity(family, velocity):
     told = meant("stribeck", family, velocity=velocity)
     v = np.array([1e-7, told["velocity"]])
-    most, there = torque(law("stribeck", family, velocity=velocity), v=v) / sign(v)
+    most, there = torque(law("stribeck", family, velocity=velocity), v=v) / smooth_sign(v)
     assert there / most == pytest.approx(np.exp(-1.0))
     assert most == pytest.approx(told["amplitude"])
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", FORM_FAMILIES)
 @pytest.mark.parametrize("phase", [0.0, 0.6, -2.5, np.pi])
 def test_position_friction_varies_by_its_amplitude_to_either_side(family, phase):
     found = torque(
         law("position_friction", family, phase=phase), q=np.linspace(0.0, np.pi, 20001)
-    ) / sign(1.0)
+    ) / smooth_sign(1.0)
     assert 0.5 * np.ptp(found) == pytest.approx(
         meant("position_friction", family, phase=phase)["amplitude"], rel=1e-4
     )
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", FORM_FAMILIES)
 def test_a_ripple_has_its_amplitude_at_its_order(family):
     # a hundred turns: as many of the second mesh are whole
     q, told = (
@@ -107,7 +107,7 @@ def test_a_ripple_has_its_amplitude_at_its_order(family):
     )
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", FORM_FAMILIES)
 def test_an_encoder_errs_by_its_amplitude_at_its_order(family):
     q, told = np.linspace(0.0, 2.0 * np.pi, 20000, endpoint=False), meant("encoder_error", family)
     assert wave(
@@ -136,7 +136,7 @@ def test_friction_that_heats_itself_has_no_one_change():
 # -- where the law's number is the contract's already --------------------------------------------------------------
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", FORM_FAMILIES)
 def test_hysteresis_is_as_stiff_at_rest_and_as_large_at_last_as_it_says(family):
     it, told = law("hysteresis", family), meant("hysteresis", family)
     steps = np.array([1e-8, *np.full(2000, 1e-4)])
@@ -149,7 +149,7 @@ def test_hysteresis_is_as_stiff_at_rest_and_as_large_at_last_as_it_says(family):
     assert found[-1] == pytest.approx(told["amplitude"], rel=1e-6)
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", FORM_FAMILIES)
 def test_a_delay_shifts_a_ramp_by_itself(family):
     t = np.linspace(0.0, 1.0, 5)
     np.testing.assert_allclose(
@@ -163,7 +163,7 @@ def test_a_delay_shifts_a_ramp_by_itself(family):
 
 def test_the_key_states_what_remakes_the_law():
     case = {"truth": {"drive": {"viscous": {"a": 0.5}}}}
-    for name, family in ((name, family) for name in USUAL for family in FAMILIES):
+    for name, family in ((name, family) for name in USUAL for family in FORM_FAMILIES):
         own, copy = entry(name, family), entry(name, family)
         whole(own, case)
         values = {key: one["value"] for key, one in {**own["parameters"], **own["details"]}.items()}
@@ -179,7 +179,7 @@ def test_only_what_a_kind_has_is_restated(name):
         assert all(np.isfinite(number) and number != values[key] for key, number in other.items())
 
 
-@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("family", FORM_FAMILIES)
 def test_viscous_friction_by_direction_is_all_of_it_and_a_loss_elsewhere_is_none(family):
     assert meant("asymmetric_viscous", family) == pytest.approx({"positive": 0.7, "negative": 0.2})
     assert not meant("torque_saturation", family)

@@ -19,8 +19,8 @@ from excite.simulator import effect_instance as effects
 from excite.simulator import experiment, reference_trajectory, regressor, severity
 from excite.simulator import mujoco_dynamics as arms
 from excite.simulator import urdf_tree as trees
-from excite.simulator.actuator import Control
-from excite.simulator.effects import CATALOGUE, FAMILIES, KINDS
+from excite.simulator.actuator import ControllerGains
+from excite.simulator.effects import CATALOGUE, FORM_FAMILIES, KINDS
 from excite.simulator.experiment import Setting
 from excite.simulator.model_error import deformed
 from excite.simulator.physical_effect import Law, Spring
@@ -68,7 +68,7 @@ def quick():
 
 
 def hidden(plant, text: str):
-    return effects.hide(plant, (effects.parse(text, plant),))
+    return effects.with_effects(plant, (effects.parse_effect(text, plant),))
 
 
 # -- rigid bodies --------------------------------------------------------------------------------------------------
@@ -187,16 +187,16 @@ def test_work_is_energy_plus_loss(bench):
 
 def test_two_masses_without_drive_keep_their_energy(bench):
     """Let a wound-up elastic joint swing with no friction, no controller and no damping: only the scheme's own loss is left."""
-    from excite.simulator.closed_loop import Loop
+    from excite.simulator.closed_loop import ClosedLoop
     from excite.simulator.effects.transmission import Hardening
 
     plant, *_ = bench
     zero = np.zeros(2)
     drive = replace(plant.drive, viscous=zero, coulomb=zero, offset=zero)
-    law = Hardening(effects.site(plant, "joint_2"), 500.0)
+    law = Hardening(effects.effect_site(plant, "joint_2"), 500.0)
     law.__dict__["damping"] = 0.0
-    off = Control(position=0.0, speed=0.0, integral=0.0, forward=0.0)
-    loop = Loop(
+    off = ControllerGains(position=0.0, speed=0.0, integral=0.0, forward=0.0)
+    loop = ClosedLoop(
         arms.build(plant.tree, plant.joints, gravity=(0.0, 0.0, 0.0)),
         drive,
         off,
@@ -225,7 +225,7 @@ def test_two_masses_without_drive_keep_their_energy(bench):
 def test_the_loop_tracks_with_an_error_that_softer_gains_make_larger(bench):
     plant, motion, _, session = bench
     error = np.abs(session.recording.q - session.recording.qref).max()
-    soft = replace(plant, control=Control(position=8.0, speed=60.0, forward=0.3)).run(motion)
+    soft = replace(plant, control=ControllerGains(position=8.0, speed=60.0, forward=0.3)).run(motion)
     softer = np.abs(soft.told(session.recording.t)[0] - session.recording.qref).max()
     assert 1e-5 < error < 5e-3 < softer < 0.3
 
@@ -305,7 +305,7 @@ def test_a_base_moves_as_its_springs_let_it(bench):
 
 def test_every_name_of_the_contract_is_there():
     assert set(CATALOGUE) == set(EFFECT_NAMES)
-    assert all(set(kind.forms) == set(FAMILIES) for kind in KINDS.values())
+    assert all(set(kind.forms) == set(FORM_FAMILIES) for kind in KINDS.values())
 
 
 @pytest.mark.parametrize("name", list(KINDS))
@@ -314,11 +314,11 @@ def test_an_effect_of_size_zero_changes_nothing_and_one_of_its_usual_size_does(q
     kind, csv = KINDS[name], bare.recording.csv()
     place = "" if kind.place == "robot" else "joint_1" if name == "kinematic_error" else "joint_2"
     extra = ",start=0.3,end=0.9" if name == "contact" else ""
-    for family in FAMILIES:
-        effect = effects.parse(f"{name}:{place}:form={family}{extra}", plant)
-        nothing = experiment.session(effects.hide(plant, (effect.sized(0.0),)), motion, setting)
+    for family in FORM_FAMILIES:
+        effect = effects.parse_effect(f"{name}:{place}:form={family}{extra}", plant)
+        nothing = experiment.session(effects.with_effects(plant, (effect.sized(0.0),)), motion, setting)
         assert nothing.recording.csv() == csv
-        run = effects.hide(plant, (effect,)).run(motion)
+        run = effects.with_effects(plant, (effect,)).run(motion)
         told = run.told(bare.recording.t)
         before = bare.run.told(bare.recording.t)
         least = 1e-6 * plant.limit
@@ -328,7 +328,7 @@ def test_an_effect_of_size_zero_changes_nothing_and_one_of_its_usual_size_does(q
 
 def test_a_wrong_length_is_of_the_joint_before_it(quick):
     plant, *_ = quick
-    effect = effects.parse("kinematic_error:joint_1:angle=0,length=0.01", plant)
+    effect = effects.parse_effect("kinematic_error:joint_1:angle=0,length=0.01", plant)
     altered = effect.law(plant).alter(plant.tree)
     for name, apart in (("joint_1", 0.0), ("joint_2", 0.01)):
         at = [
@@ -351,18 +351,18 @@ def test_forms_of_the_two_families_differ(bench):
         "position_friction",
     ):
         one, other = (
-            effects.parse(f"{name}:joint_2:form={family}", plant)
+            effects.parse_effect(f"{name}:joint_2:form={family}", plant)
             .law(plant)
             .torque(x, np.zeros((200, 0)))
-            for family in FAMILIES
+            for family in FORM_FAMILIES
         )
         assert np.std(one - other) > 0.03 * np.std(one)
 
 
-@pytest.mark.parametrize("form", FAMILIES)
+@pytest.mark.parametrize("form", FORM_FAMILIES)
 def test_hysteresis_remembers_and_dissipates(bench, form):
     plant, *_ = bench
-    law = effects.parse(f"hysteresis:joint_2:amplitude=1,stiffness=500,form={form}", plant).law(
+    law = effects.parse_effect(f"hysteresis:joint_2:amplitude=1,stiffness=500,form={form}", plant).law(
         plant
     )
     t = np.arange(4000) * 1e-3
@@ -387,7 +387,7 @@ def test_severity_is_zero_for_what_a_refit_absorbs_and_scales(bench):
     run = hidden(plant, "payload:joint_2:mass=1").run(motion)
     assert severity.of(run, plant, motion, chain, trusted=True).value > 3.0
     assert severity.of(run, plant, motion, chain).value < 1e-6
-    effect = effects.parse("position_friction:joint_2", plant)
+    effect = effects.parse_effect("position_friction:joint_2", plant)
     _, _, reached = severity.reach(effect, 3.0, plant, motion, chain)
     assert reached.value == pytest.approx(3.0, rel=0.16)
 
@@ -402,11 +402,11 @@ def test_no_severity_goes_beyond_what_physics_allows(bench):
         ("asymmetric_viscous:joint_2", "negative", viscous),
         ("position_friction:joint_2", "amplitude", coulomb),
     ):
-        effect = effects.parse(text, plant)
+        effect = effects.parse_effect(text, plant)
         assert effect.most(plant) == pytest.approx(most / abs(effect.values[key]))
         reached = severity.reach(effect, 1e3, plant, motion, chain)[0]
         assert 0.0 < abs(reached.values[key]) <= most + 1e-12
-    assert effects.parse("spring:joint_2", plant).most(plant) == np.inf
+    assert effects.parse_effect("spring:joint_2", plant).most(plant) == np.inf
 
 
 def test_a_robot_that_is_lost_is_said_to_be(bench):

@@ -59,7 +59,7 @@ def command(arguments: argparse.Namespace) -> tuple[int, Any, str]:
             f"{arguments.like}: its bodies are not those of {source}; give the URDF that it was recorded with"
         )
     effects = (
-        tuple(effect_instance.parse(text, plant) for text in arguments.effect)
+        tuple(effect_instance.parse_effect(text, plant) for text in arguments.effect)
         if like is None
         else like.effects
     )
@@ -72,7 +72,7 @@ def command(arguments: argparse.Namespace) -> tuple[int, Any, str]:
             )[0]
             for one in effects
         )
-    with_effects = effect_instance.hide(plant, effects)
+    with_effects = effect_instance.with_effects(plant, effects)
     bare = plant.run(motion)
     session = experiment.session(with_effects, motion, setting, run=bare if not effects else None)
     found = severity.of(session.run, plant, motion, session.chain)
@@ -129,7 +129,7 @@ def _like(arguments: argparse.Namespace) -> _Robot | None:
     file.schema(truth, (SCHEMA,))
     document = file.converted(truth, TruthDocument)
     try:
-        effects = effect_instance.stated(truth)
+        effects = effect_instance.effects_of_truth(truth)
     except (
         KeyError,
         ValueError,

@@ -12,7 +12,7 @@ Array = np.ndarray
 
 
 @dataclass(frozen=True)
-class Drive:
+class JointActuators:
     """J α + F_v ω + F_c tanh(ω/w) + τ₀ per joint, on the motor's side. All of shape (n,), at the joint's shaft.
 
     inertia [kg m²], viscous [N m s/rad], coulomb [N m], width w [rad/s], offset [N m].
@@ -30,7 +30,7 @@ class Drive:
 
 
 @dataclass(frozen=True)
-class Control:
+class ControllerGains:
     """A cascade: position P, speed PI, feed-forward of speed and of a share of the model's torque, lag of the current loop.
 
     position [1/s]; speed: bandwidth [rad/s]; integral [1/s]; forward: share [1]; lag [s]; step: the encoder's, as fed back [rad].
@@ -44,21 +44,21 @@ class Control:
     step: float = 0.0
 
 
-def typical_inertia(arm: Arm, rng: np.random.Generator) -> Array:
+def mean_joint_inertia(arm: Arm, rng: np.random.Generator) -> Array:
     """Mean diagonal of the mass matrix over random poses. Shape (n,) [kg m²]."""
     poses = rng.uniform(-2.0, 2.0, (20, arm.n))
     return np.mean([np.diag(arm.terms(q, 0.0 * q)[0]) for q in poses], axis=0)
 
 
-def draw(arm: Arm, speed: Array, torque: Array, rng: np.random.Generator) -> Drive:
+def draw_actuators(arm: Arm, speed: Array, torque: Array, rng: np.random.Generator) -> JointActuators:
     """Drives as robots have them: Coulomb 2-4 %, viscous 1-3 % of the torque limit (at full speed), rotors of 20-50 % of the
     link's inertia, and no drive faster than 400 rad/s² by itself, as the small links of a wrist would have it.
 
     speed, torque: the joints' limits. Shape (n,) [rad/s, N m].
     """
     n = arm.n
-    return Drive(
-        inertia=rng.uniform(0.2, 0.5, n) * np.maximum(typical_inertia(arm, rng), torque / 150.0),
+    return JointActuators(
+        inertia=rng.uniform(0.2, 0.5, n) * np.maximum(mean_joint_inertia(arm, rng), torque / 150.0),
         viscous=rng.uniform(0.01, 0.03, n) * torque / speed,
         coulomb=rng.uniform(0.02, 0.04, n) * torque,
         width=rng.uniform(0.003, 0.006, n),

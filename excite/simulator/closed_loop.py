@@ -13,23 +13,23 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import lapack
 
-from .actuator import Control, Drive
+from .actuator import ControllerGains, JointActuators
 from .mujoco_dynamics import Arm
 from .physical_effect import Instant, Law, Spring, Suspension
 from .reference_trajectory import Reference
 
 Array = np.ndarray
-FINE = 1e-4
+SPRING_STEP = 1e-4
 """Step of a spring [s]."""
-PROBE = 1e-4
+SLOPE_SPEED_DIFFERENCE = 1e-4
 """Difference of speed that shows an effect's slope [rad/s]."""
-NEAR = np.array([[0.0], [PROBE]])
-LOST = 1e3
+SLOPE_SPEED_OFFSETS = np.array([[0.0], [SLOPE_SPEED_DIFFERENCE]])
+DIVERGENCE_SPEED = 1e3
 """Speed from which nothing comes back: it is not followed further, lest numbers overflow [rad/s or m/s]."""
 
 
 @dataclass(frozen=True)
-class Trace:
+class StateHistory:
     """States at t = k·step. q: links and base, Shape (N, k + n); theta: motors, (N, n); z: memory, (N, m). Of a loop that is lost, q is not
     finite from there on."""
 
@@ -40,12 +40,12 @@ class Trace:
 
 
 @dataclass
-class Loop:
+class ClosedLoop:
     """One run. k base coordinates come before the n joints in the arm's order. limit: Shape (n,) [N m]. step [s]."""
 
     arm: Arm
-    drive: Drive
-    control: Control
+    drive: JointActuators
+    control: ControllerGains
     laws: Sequence[Law]
     suspension: Suspension | None
     limit: Array
@@ -63,7 +63,7 @@ class Loop:
         self.rigid[[s.joint for s in self.springs]] = 0.0
         self.follow = 1.0 - float(np.exp(-self.step / self.control.lag))
 
-    def run(self, reference: Reference) -> Trace:
+    def run(self, reference: Reference) -> StateHistory:
         """Follow a reference from rest to rest. Raises nothing: a loop that does not hold shows in the motion."""
         t = np.arange(int(np.ceil(reference.duration / self.step)) + 1) * self.step
         asked = reference.at(t)
@@ -82,7 +82,7 @@ class Loop:
                 q[i + 1 :] = np.inf
                 break
             q[i + 1], theta[i + 1], z[i + 1] = self.q, self.theta, self.z
-        return Trace(t, q, theta, z)
+        return StateHistory(t, q, theta, z)
 
     def _forward(self, q: Array, v: Array, a: Array) -> Array:
         pad = np.zeros((len(q), self.k))
@@ -96,7 +96,7 @@ class Loop:
         self.load = self.arm.terms(self.q, self.v)[1][self.k :]
         self.omega, self.alpha, self.theta = np.zeros(self.n), np.zeros(self.n), q.copy()
         for spring in self.springs:
-            self.theta[spring.joint] += rest(spring, float(self.load[spring.joint]))
+            self.theta[spring.joint] += static_deflection(spring, float(self.load[spring.joint]))
         self.z = np.zeros(sum(law.memory for law in self.active))
         self.u = self.load + self.drive.offset
         self.sum = (1.0 - self.control.forward) * self.load + self.drive.offset
@@ -126,7 +126,7 @@ class Loop:
             self._advance(time)
         except OverflowError:  # of a spring whose torque grows with the cube
             return False
-        return bool(np.abs(self.v).max() < LOST)
+        return bool(np.abs(self.v).max() < DIVERGENCE_SPEED)
 
     def _advance(self, time: float) -> None:
         mass, bias = self.arm.terms(self.q, self.v)
@@ -153,7 +153,7 @@ class Loop:
         self.a, shift = (
             self._wind(matrix, force, resist, omega)
             if self.springs
-            else (solve(matrix, force), 0.0)
+            else (solve_positive_definite(matrix, force), 0.0)
         )
         self.v = before + self.step * self.a
         self.q = self.q + 0.5 * self.step * (before + self.v) + shift
@@ -176,7 +176,7 @@ class Loop:
         columns = np.zeros((self.arm.n, len(self.springs)))
         for i, spring in enumerate(self.springs):
             columns[self.k + spring.joint, i] = 1.0
-        solved = solve(matrix, np.column_stack([force, columns]))
+        solved = solve_positive_definite(matrix, np.column_stack([force, columns]))
         mean, shift = solved[:, 0], np.zeros(self.arm.n)
         for i, spring in enumerate(self.springs):
             j, row = spring.joint, self.k + spring.joint
@@ -195,7 +195,7 @@ class Loop:
     ) -> tuple[float, float]:
         """One spring: links accelerate by free + yields·f, the motor by (push − f)/J. Returns the mean of f [N m], and the double integral
         of f less its mean over the step [N m s²]."""
-        j, drive, count = spring.joint, self.drive, max(1, round(self.step / FINE))
+        j, drive, count = spring.joint, self.drive, max(1, round(self.step / SPRING_STEP))
         dt = self.step / count
         inertia, viscous = float(drive.inertia[j]), float(drive.viscous[j])
         coulomb, width = float(drive.coulomb[j]), float(drive.width[j])
@@ -236,7 +236,7 @@ class Loop:
         """Torque of the effects at the end of a step without acceleration, and how it grows with speed."""
         total, slope, at = np.zeros(self.n), np.zeros(self.n), 0
         # two speeds at once, the rest broadcasts
-        x = Instant(np.asarray(time), self.theta, self.omega + NEAR, self.alpha, self.load)
+        x = Instant(np.asarray(time), self.theta, self.omega + SLOPE_SPEED_OFFSETS, self.alpha, self.load)
         for law in self.active:
             z = self.z[at : at + law.memory]
             at += law.memory
@@ -247,7 +247,7 @@ class Loop:
                 total += torque
             else:
                 total += torque[0]
-                slope += np.maximum(0.0, torque[1] - torque[0]) / PROBE
+                slope += np.maximum(0.0, torque[1] - torque[0]) / SLOPE_SPEED_DIFFERENCE
         return total, slope
 
     def _remember(self, time: float) -> None:
@@ -265,13 +265,13 @@ class Loop:
         self.z = np.concatenate(parts)
 
 
-def solve(matrix: Array, right: Array) -> Array:
+def solve_positive_definite(matrix: Array, right: Array) -> Array:
     """Solution for a positive definite matrix."""
     _, out, _ = lapack.dposv(matrix, right)
     return np.asarray(out)
 
 
-def rest(spring: Spring, load: float) -> float:
+def static_deflection(spring: Spring, load: float) -> float:
     """Wind-up at which a spring carries a load; bisection, for a pull that grows with wind-up [rad]."""
     low, high = -1.0, 1.0
     for _ in range(80):

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import UnusableInput
-from .effects import CATALOGUE, FAMILIES, KINDS, Kind
-from .effects.effect_type import Quantity, Site
+from .effects import CATALOGUE, FORM_FAMILIES, KINDS, EffectType
+from .effects.effect_type import EffectParameter, EffectSite
 from .physical_effect import Law
 from .simulated_robot import Plant
 
@@ -19,7 +19,7 @@ Array = np.ndarray
 
 
 @dataclass(frozen=True)
-class Effect:
+class EffectInstance:
     """name: of the contract. joint: None for the whole robot. family: of forms. values: all parameters.
 
     source: the joint that a coupling comes from.
@@ -32,16 +32,16 @@ class Effect:
     source: str | None = None
 
     @property
-    def kind(self) -> Kind:
+    def kind(self) -> EffectType:
         return KINDS[self.name]
 
     def law(self, plant: Plant) -> Law | None:
         """Its physics on a robot; None for what vanishes at size 0."""
         if any(not np.isfinite(v) for v in self.values.values()):
             return None
-        return self.kind.forms[self.family](site(plant, self.joint, self.source), self.values)
+        return self.kind.forms[self.family](effect_site(plant, self.joint, self.source), self.values)
 
-    def sized(self, size: float) -> Effect:
+    def sized(self, size: float) -> EffectInstance:
         """The effect made `size` times as large; at 0 what has no finite parameters vanishes."""
         if size == 0.0 and self.kind.vanishes:
             return replace(self, values=dict.fromkeys(self.values, np.inf))
@@ -52,7 +52,7 @@ class Effect:
 
     def most(self, plant: Plant) -> float:
         """How many times as large physics lets it be made at the most, on a robot."""
-        at = site(plant, self.joint, self.source)
+        at = effect_site(plant, self.joint, self.source)
         return min(self.kind.quantity(key).room(value, at) for key, value in self.values.items())
 
     def document(self) -> dict[str, Any]:
@@ -77,34 +77,34 @@ class Effect:
         return {**out, **more, "parameters": stated, "details": details}
 
 
-def site(plant: Plant, joint: str | None, source: str | None = None) -> Site:
+def effect_site(plant: Plant, joint: str | None, source: str | None = None) -> EffectSite:
     """What an effect may know of its robot."""
     j = plant.joints.index(joint) if joint else 0
     i = plant.joints.index(source) if source else (j - 1 if j else 1 % len(plant.joints))
     speed = np.array([plant.tree.limits(name)[0] for name in plant.joints])
     link = plant.tree.child(joint or plant.joints[-1])
-    return Site(len(plant.joints), j, i, plant.limit, speed, plant.drive, joint or "", link)
+    return EffectSite(len(plant.joints), j, i, plant.limit, speed, plant.drive, joint or "", link)
 
 
-def hide(plant: Plant, effects: tuple[Effect, ...]) -> Plant:
+def with_effects(plant: Plant, effects: tuple[EffectInstance, ...]) -> Plant:
     """The robot with effects in it."""
     laws = (effect.law(plant) for effect in effects)
     return replace(plant, laws=tuple(law for law in laws if law is not None))
 
 
-def draw(
-    kind: Kind, plant: Plant, joint: str | None, family: str, rng: np.random.Generator
-) -> Effect:
+def draw_effect(
+    kind: EffectType, plant: Plant, joint: str | None, family: str, rng: np.random.Generator
+) -> EffectInstance:
     """An effect of random parameters, each of its usual size."""
-    at = site(plant, joint)
+    at = effect_site(plant, joint)
     values = {
         q.name: q.draw(float(at.torque[at.j]), float(at.speed[at.j]), rng) for q in kind.quantities
     }
     source = plant.joints[at.source] if kind.name == "coupling" else None
-    return Effect(kind.name, joint, family, values, source)
+    return EffectInstance(kind.name, joint, family, values, source)
 
 
-def parse(text: str, plant: Plant) -> Effect:
+def parse_effect(text: str, plant: Plant) -> EffectInstance:
     """NAME:JOINT[:k=v,…] with what is left out at its usual size; `form=scored` takes the other form, `from=JOINT` couples.
 
     Raises UnusableInput, with the effects or the parameters there are.
@@ -113,15 +113,15 @@ def parse(text: str, plant: Plant) -> Effect:
     joint, _, pairs = rest.partition(":")
     if name not in KINDS:
         near = get_close_matches(name, KINDS, 1)
-        remedy = f"did you mean {_signature(near[0])}?" if near else f"there are: {listing()}"
+        remedy = f"did you mean {_signature(near[0])}?" if near else f"there are: {catalogue_listing()}"
         raise UnusableInput(f"--effect {text}: no effect '{name}'; {remedy}")
     kind = KINDS[name]
     place = _place(text, kind, joint, plant)
     stated = dict(_pair(text, pair) for pair in pairs.split(",") if pair)
-    family, source = stated.pop("form", FAMILIES[0]), stated.pop("from", None)
-    if family not in FAMILIES:
+    family, source = stated.pop("form", FORM_FAMILIES[0]), stated.pop("from", None)
+    if family not in FORM_FAMILIES:
         raise UnusableInput(
-            f"--effect {text}: no form '{family}'; there are: {', '.join(FAMILIES)}"
+            f"--effect {text}: no form '{family}'; there are: {', '.join(FORM_FAMILIES)}"
         )
     if source is not None and (name != "coupling" or source not in plant.joints or source == joint):
         raise UnusableInput(
@@ -132,7 +132,7 @@ def parse(text: str, plant: Plant) -> Effect:
         raise UnusableInput(
             f"--effect {text}: {name} has no parameter '{min(unknown)}'; it has: {_words(kind.quantities)}"
         )
-    at = site(plant, place, source)
+    at = effect_site(plant, place, source)
     limits = float(at.torque[at.j]), float(at.speed[at.j])
     values = {
         q.name: _number(text, q, stated[q.name]) if q.name in stated else q.middle(*limits)
@@ -142,12 +142,12 @@ def parse(text: str, plant: Plant) -> Effect:
         raise UnusableInput(
             f"--effect {text}: should be above 0; leave the effect out to have none"
         )
-    return Effect(
+    return EffectInstance(
         name, place, family, values, plant.joints[at.source] if name == "coupling" else None
     )
 
 
-def stated(truth: Mapping[str, Any]) -> tuple[Effect, ...]:
+def effects_of_truth(truth: Mapping[str, Any]) -> tuple[EffectInstance, ...]:
     """The effects of a truth: see `Effect.document`.
 
     Raises:
@@ -171,11 +171,11 @@ def stated(truth: Mapping[str, Any]) -> tuple[Effect, ...]:
             raise ValueError(f"{kind.name} in joint {joint}, which is not among its joints")
         if kind.name == "coupling" and (source == joint or source not in truth["joints"]):
             raise ValueError(f"{kind.name} from joint {source}, which is not another of its joints")
-        out.append(Effect(kind.name, joint, one["family"], values, source))
+        out.append(EffectInstance(kind.name, joint, one["family"], values, source))
     return tuple(out)
 
 
-def _place(text: str, kind: Kind, joint: str, plant: Plant) -> str | None:
+def _place(text: str, kind: EffectType, joint: str, plant: Plant) -> str | None:
     if kind.place == "robot" or (kind.place == "either" and not joint):
         if joint:
             raise UnusableInput(
@@ -200,7 +200,7 @@ def _pair(text: str, pair: str) -> tuple[str, str]:
     return key, value
 
 
-def _number(text: str, quantity: Quantity, value: str) -> float:
+def _number(text: str, quantity: EffectParameter, value: str) -> float:
     try:
         number = float(value)
     except ValueError as error:
@@ -213,11 +213,11 @@ def _number(text: str, quantity: Quantity, value: str) -> float:
     return number
 
 
-def _words(quantities: tuple[Quantity, ...]) -> str:
+def _words(quantities: tuple[EffectParameter, ...]) -> str:
     return ", ".join(f"{q.name} [{q.unit}]" for q in quantities)
 
 
-def listing() -> str:
+def catalogue_listing() -> str:
     """Every effect with its parameters and units, outsiders last."""
     names = [*CATALOGUE, *(name for name in KINDS if name not in CATALOGUE)]
     return "; ".join(_signature(name) for name in names)

@@ -14,7 +14,7 @@ from . import recording_file as records
 from . import reference_trajectory as references
 from . import simulated_robot as plants
 from . import urdf_tree as trees
-from .actuator import Control
+from .actuator import ControllerGains
 from .measurement import Chain
 from .model_error import deformed
 from .physical_effect import Law
@@ -42,12 +42,12 @@ class Setting:
     jitter: float = 0.0
     encoder: float = 2e-6
     model_error: float = 0.05
-    control: Control = field(default_factory=Control)
+    control: ControllerGains = field(default_factory=ControllerGains)
 
     @classmethod
     def stated(cls, document: Mapping[str, Any]) -> Setting:
         """As a truth states it."""
-        return cls(**{**document, "control": Control(**document["control"])})
+        return cls(**{**document, "control": ControllerGains(**document["control"])})
 
     def generators(self) -> list[np.random.Generator]:
         """Independent ones for bodies, drives, measurement (see `measuring`) and effects."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .actuator import Drive
+from .actuator import JointActuators
 from .mujoco_dynamics import Arm
 from .urdf_tree import Tree
 
@@ -57,7 +57,7 @@ class Law:
         """Gravity in the base's frame. Shape (3,) [m/s²]."""
         return vector
 
-    def drives(self, drive: Drive) -> Drive:
+    def drives(self, drive: JointActuators) -> JointActuators:
         """Other drives."""
         return drive
 

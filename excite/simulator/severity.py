@@ -9,7 +9,7 @@ from scipy import linalg, signal
 
 from ..errors import UnusableInput
 from . import mujoco_dynamics as arms
-from .effect_instance import Effect, hide
+from .effect_instance import EffectInstance, with_effects
 from .measurement import Chain
 from .physical_effect import Law
 from .reference_trajectory import Reference
@@ -122,7 +122,7 @@ def of(
 
 
 def reach(
-    effect: Effect,
+    effect: EffectInstance,
     target: float,
     plant: Plant,
     reference: Reference,
@@ -132,21 +132,21 @@ def reach(
     tolerance: float = 0.15,
     tries: int = 4,
     largest: float = np.inf,
-) -> tuple[Effect, Run, Severity]:
+) -> tuple[EffectInstance, Run, Severity]:
     """The effect scaled until its severity is `target`, to a factor of 1 ± tolerance, or as near as `tries` runs come.
 
     Secant steps in the logarithms, from the effect as given and never beyond `largest` times it, nor beyond what physics allows. A robot
     that the controller loses has too much of it. Raises UnusableInput when all tries are lost.
     """
 
-    def probe(size: float) -> tuple[Effect, Run, Severity]:
+    def probe(size: float) -> tuple[EffectInstance, Run, Severity]:
         sized = effect.sized(size)
-        run = hide(plant, (sized,)).run(reference)
+        run = with_effects(plant, (sized,)).run(reference)
         return sized, run, of(run, plant, reference, chain, trusted=trusted)
 
     largest = min(largest, effect.most(plant))
     size, slope, last = min(1.0, largest), 1.0, None
-    found: list[tuple[float, tuple[Effect, Run, Severity]]] = []
+    found: list[tuple[float, tuple[EffectInstance, Run, Severity]]] = []
     for _ in range(tries):
         try:
             tried = probe(size)

@@ -10,8 +10,8 @@ from scipy.interpolate import BSpline, make_interp_spline
 
 from ..errors import UnusableInput
 from . import mujoco_dynamics as arms
-from .actuator import Control, Drive
-from .closed_loop import Loop, Trace
+from .actuator import ControllerGains, JointActuators
+from .closed_loop import ClosedLoop, StateHistory
 from .mujoco_dynamics import Arm
 from .physical_effect import Instant, Law, Spring
 from .reference_trajectory import Reference
@@ -32,8 +32,8 @@ class Plant:
     lock: dict[str, float]
     gravity: tuple[float, ...]
     limit: Array
-    drive: Drive
-    control: Control
+    drive: JointActuators
+    control: ControllerGains
     laws: tuple[Law, ...] = ()
     step: float = 1e-3
 
@@ -63,7 +63,7 @@ class Plant:
         bound = replace(self, drive=drive, laws=tuple(law.bound(arm) for law in self.laws))
         carried = [s for law in bound.laws if (s := law.suspension()) is not None]
         step = min(self.step, SPRUNG) if bound.springs else self.step
-        trace = Loop(
+        trace = ClosedLoop(
             arm, drive, self.control, bound.laws, carried[0] if carried else None, self.limit, step
         ).run(reference)
         if not np.isfinite(trace.q).all():
@@ -93,7 +93,7 @@ class Run:
     Torques are recomputed along it, not taken from the controller: what is recorded is consistent to machine precision.
     """
 
-    def __init__(self, plant: Plant, arm: Arm, trace: Trace) -> None:
+    def __init__(self, plant: Plant, arm: Arm, trace: StateHistory) -> None:
         self.plant, self.arm, self.trace = plant, arm, trace
         self.end = float(trace.t[-1])
         self._links, self._motors = (_differentiated(trace.t, x) for x in (trace.q, trace.theta))
@@ -158,7 +158,7 @@ def draw(
     reference: Reference,
     rng: np.random.Generator,
     *,
-    control: Control | None = None,
+    control: ControllerGains | None = None,
     laws: Sequence[Law] = (),
 ) -> Plant:
     """A robot with drives drawn at random, sized by the tree's limits."""
@@ -174,7 +174,7 @@ def draw(
         lock,
         gravity,
         torque,
-        actuator.draw(arm, speed, torque, rng),
-        control or Control(),
+        actuator.draw_actuators(arm, speed, torque, rng),
+        control or ControllerGains(),
         tuple(laws),
     )

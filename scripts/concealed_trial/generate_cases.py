@@ -17,8 +17,8 @@ from excite.errors import UnusableInput
 from excite.simulator import effect_instance as effects
 from excite.simulator import experiment, recording_file, severity
 from excite.simulator import urdf_tree as trees
-from excite.simulator.actuator import Control, Drive
-from excite.simulator.effect_instance import Effect
+from excite.simulator.actuator import ControllerGains, JointActuators
+from excite.simulator.effect_instance import EffectInstance
 from excite.simulator.effects import KINDS
 from excite.simulator.experiment import Session, Setting
 from excite.simulator.reference_trajectory import Reference
@@ -49,7 +49,7 @@ class Bench:
     spec: Spec
     urdf: str
     plant: Plant
-    hidden: tuple[tuple[Effect, float], ...]
+    hidden: tuple[tuple[EffectInstance, float], ...]
     sessions: tuple[Session, ...]
     motion: Reference
 
@@ -57,7 +57,7 @@ class Bench:
 def setting(spec: Spec) -> Setting:
     """Measurement and controller of a case, with its trap. The true bodies are the URDF's where a prior is trusted."""
     rng = np.random.default_rng([spec.seed, 1])
-    control = Control(
+    control = ControllerGains(
         position=float(rng.uniform(20.0, 40.0)),
         speed=float(rng.uniform(120.0, 200.0)),
         forward=float(rng.uniform(0.6, 0.95)),
@@ -111,7 +111,7 @@ def _drawn(spec: Spec, models: Path, least: float) -> Bench:
         random_excitation.draw(plant, n, state, poor=poor)
         for n, state in zip((1, 2, 1), states, strict=True)
     )
-    hidden: list[tuple[Effect, float]] = []
+    hidden: list[tuple[EffectInstance, float]] = []
     for name, level in zip(spec.names, spec.severities, strict=True):
         # of two effects most sit in one joint, where they mask each other
         joint = hidden[0][0].joint if hidden and rng.random() < 0.6 else None
@@ -122,7 +122,7 @@ def _drawn(spec: Spec, models: Path, least: float) -> Bench:
 def _measured(case: Bench, validate: Reference, chosen: Setting) -> Bench:
     """The case with its two recordings; effects that together are more than the controller can hold are made smaller."""
     for _ in range(4):
-        robot = effects.hide(case.plant, tuple(effect for effect, _ in case.hidden))
+        robot = effects.with_effects(case.plant, tuple(effect for effect, _ in case.hidden))
         try:
             first = experiment.session(robot, case.motion, chosen)
             second = experiment.session(
@@ -140,7 +140,7 @@ def _measured(case: Bench, validate: Reference, chosen: Setting) -> Bench:
     )
 
 
-def _later(case: Bench) -> Drive:
+def _later(case: Bench) -> JointActuators:
     """The drives as they are when the second recording is made: on another day colder or warmer, all of them, each about as much."""
     drive = case.plant.drive
     if case.spec.trap != "another_day":
@@ -178,7 +178,7 @@ def _effect(
     joint: str | None,
     rng: np.random.Generator,
     least: float,
-) -> tuple[Effect, float]:
+) -> tuple[EffectInstance, float]:
     """An effect of random size and place (`joint` first, where it may sit there), scaled to its severity; and the severity reached.
 
     Where a joint shows too little of it whatever its size (a wrist that hardly loads its spring), or the controller loses the
@@ -189,14 +189,14 @@ def _effect(
     end = max(n - 1, 1) if name == "kinematic_error" else n
     chain, along = experiment.chain(plant, chosen), whole if name == "thermal_drift" else short
     all_late = rng.random() < 0.3
-    found: list[tuple[float, Effect, float]] = []
+    found: list[tuple[float, EffectInstance, float]] = []
     for draw in range(FURTHER):
         if draw >= DRAWS and (not found or max(value for _, _, value in found) > SHOWS):
             break
         drawn = plant.joints[int(rng.integers(first, end))]
         where = joint if draw == 0 and joint in plant.joints[first:end] else drawn
         place = None if kind.place == "robot" or (kind.place == "either" and all_late) else where
-        effect = effects.draw(kind, plant, place, spec.family, rng)
+        effect = effects.draw_effect(kind, plant, place, spec.family, rng)
         try:
             sized, _, reached = severity.reach(
                 effect,

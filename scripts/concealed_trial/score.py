@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from excite.simulator.effects import FAMILIES, KINDS
+from excite.simulator.effects import FORM_FAMILIES, KINDS
 
 Array = np.ndarray
 BINS = ((0.0, 0.7), (0.7, 2.0), (2.0, 6.0), (6.0, 18.0), (18.0, np.inf))
@@ -17,7 +17,7 @@ SAME = ({"drag", "nonlinear_viscous"},)
 """Names that the contract calls equivalent unless the motion tells them apart."""
 APART = {
     # the loss at a fixed torque, not at the largest seen, which the key does not tell
-    *(("torque_saturation", family, "loss") for family in FAMILIES),
+    *(("torque_saturation", family, "loss") for family in FORM_FAMILIES),
     # Coulomb friction changes half as much as viscous friction, and either as much as the motion heats the joint
     ("thermal_drift", "scored", "change"),
 }

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from . import environment, friction, load, out_of_catalogue, sensing, transmission
-from .effect_type import FAMILIES, Kind
+from .effect_type import FORM_FAMILIES, EffectType
 
-KINDS: dict[str, Kind] = {
+KINDS: dict[str, EffectType] = {
     kind.name: kind
     for module in (load, friction, transmission, sensing, environment, out_of_catalogue)
     for kind in module.KINDS

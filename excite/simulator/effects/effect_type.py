@@ -7,18 +7,18 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..actuator import Drive
+from ..actuator import JointActuators
 from ..physical_effect import Instant, Law
 
 Array = np.ndarray
-FAMILIES = ("tuning", "scored")
+FORM_FAMILIES = ("tuning", "scored")
 """Two families of forms: nothing tuned on the one has seen the other."""
-WIDTH = 4e-3
+SIGN_WIDTH = 4e-3
 """Speed over which a sign is smooth [rad/s]."""
 
 
 @dataclass(frozen=True)
-class Quantity:
+class EffectParameter:
     """A parameter. low, high: its usual size, times `of` at the joint: 1, torque limit, torque/speed, torque/speed², 1/speed….
 
     power: how it grows with the size of the effect: 1 for an amplitude, −1 for a stiffness, 0 for what is only shape;
@@ -66,7 +66,7 @@ class Quantity:
             else float(rng.uniform(low, high))
         )
 
-    def room(self, value: float, site: Site) -> float:
+    def room(self, value: float, site: EffectSite) -> float:
         """How many times as large an effect of this value may be made at the most, where it sits."""
         size = abs(value - self.about)
         most = float(getattr(site.drive, self.within)[site.j]) if self.within else self.most
@@ -87,7 +87,7 @@ class Quantity:
 
 
 @dataclass(frozen=True)
-class Site:
+class EffectSite:
     """Where an effect sits: joint number j of n, the joint it comes from (coupling), limits and drives of the robot, name of the link.
 
     torque, speed: Shape (n,).
@@ -98,18 +98,18 @@ class Site:
     source: int
     torque: Array
     speed: Array
-    drive: Drive
+    drive: JointActuators
     joint: str
     link: str
 
 
-Form = Callable[[Site, Mapping[str, float]], Law]
-Meaning = Callable[[Mapping[str, float]], Mapping[str, float]]
+EffectForm = Callable[[EffectSite, Mapping[str, float]], Law]
+ValueConversion = Callable[[Mapping[str, float]], Mapping[str, float]]
 """From a law's parameters to those whose number is another one in the contract's words."""
 
 
 @dataclass(frozen=True)
-class Kind:
+class EffectType:
     """One name of the contract's list, or an outsider. forms: one per family. place: "joint", "robot" or "either".
 
     vanishes: an effect of size 0 has no finite parameters (a rigid spring), so it is left out. meant: by family, where the contract's
@@ -117,19 +117,19 @@ class Kind:
     """
 
     name: str
-    quantities: tuple[Quantity, ...]
-    forms: Mapping[str, Form]
+    quantities: tuple[EffectParameter, ...]
+    forms: Mapping[str, EffectForm]
     place: str = "joint"
     outsider: bool = False
     vanishes: bool = False
-    meant: Mapping[str, Meaning] = field(default_factory=dict)
+    meant: Mapping[str, ValueConversion] = field(default_factory=dict)
 
-    def quantity(self, name: str) -> Quantity:
+    def quantity(self, name: str) -> EffectParameter:
         return next(q for q in self.quantities if q.name == name)
 
 
 @dataclass(frozen=True)
-class Curve(Law):
+class MemorylessEffect(Law):
     """A torque at one joint that depends on the present alone. law: Instant of the joint (arrays of shape (…)) to torque."""
 
     n: int
@@ -137,30 +137,30 @@ class Curve(Law):
     law: Callable[[Instant], Array]
 
     def torque(self, x: Instant, z: Array) -> Array:
-        return put(self.n, self.j, self.law(one(x, self.j)))
+        return torque_at_joint(self.n, self.j, self.law(single_joint_state(x, self.j)))
 
 
-def one(x: Instant, j: int) -> Instant:
+def single_joint_state(x: Instant, j: int) -> Instant:
     """The instant of one joint."""
     return Instant(x.t, x.q[..., j], x.v[..., j], x.a[..., j], x.load[..., j])
 
 
-def put(n: int, j: int, torque: Array) -> Array:
+def torque_at_joint(n: int, j: int, torque: Array) -> Array:
     """Torque at joint j, none elsewhere. Shape (…) -> (…, n)."""
     out = np.zeros((*np.shape(torque), n))
     out[..., j] = torque
     return out
 
 
-def curve(site: Site, law: Callable[[Instant], Array]) -> Law:
-    return Curve(site.n, site.j, law)
+def memoryless_effect(site: EffectSite, law: Callable[[Instant], Array]) -> Law:
+    return MemorylessEffect(site.n, site.j, law)
 
 
-def sign(v: Array) -> Array:
+def smooth_sign(v: Array) -> Array:
     """A sign smooth over a few mrad/s, of another shape than the base's: v/√(v² + w²)."""
-    return v / np.sqrt(v * v + WIDTH**2)
+    return v / np.sqrt(v * v + SIGN_WIDTH**2)
 
 
-def angle(name: str = "phase") -> Quantity:
+def angle(name: str = "phase") -> EffectParameter:
     """A phase: shape, not size."""
-    return Quantity(name, "rad", -np.pi, np.pi, power=0.0, stated=False)
+    return EffectParameter(name, "rad", -np.pi, np.pi, power=0.0, stated=False)

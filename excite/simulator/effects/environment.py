@@ -12,7 +12,7 @@ import numpy as np
 from ..mujoco_dynamics import Arm
 from ..physical_effect import Instant, Law, Suspension
 from ..urdf_tree import Tree
-from .effect_type import Kind, Quantity, Site, angle
+from .effect_type import EffectType, EffectParameter, EffectSite, angle
 
 Array = np.ndarray
 Values = Mapping[str, float]
@@ -101,17 +101,17 @@ class Rocking(Law):
         return Suspension(np.array(self.stiffness), np.array(self.damping))
 
 
-def _push(site: Site, p: Values, plateau: bool) -> Law:
+def _push(site: EffectSite, p: Values, plateau: bool) -> Law:
     return Push(site.joint, p["force"], p["start"], p["end"], p["heading"], plateau)
 
 
 KINDS = (
-    Kind(
+    EffectType(
         "contact",
         (
-            Quantity("force", "N", 0.03, 0.2, "torque"),
-            Quantity("start", "s", 2.0, 4.0, power=0.0, stated=False),
-            Quantity("end", "s", 5.0, 7.0, power=0.0, stated=False),
+            EffectParameter("force", "N", 0.03, 0.2, "torque"),
+            EffectParameter("start", "s", 2.0, 4.0, power=0.0, stated=False),
+            EffectParameter("end", "s", 5.0, 7.0, power=0.0, stated=False),
             angle("heading"),
         ),
         {
@@ -119,9 +119,9 @@ KINDS = (
             "scored": lambda site, p: _push(site, p, True),
         },
     ),
-    Kind(
+    EffectType(
         "base_compliance",
-        (Quantity("frequency", "Hz", 5.0, 20.0, power=-0.5),),
+        (EffectParameter("frequency", "Hz", 5.0, 20.0, power=-0.5),),
         {
             "tuning": lambda site, p: Rocking(p["frequency"], (1.0, 1.15)),
             "scored": lambda site, p: Rocking(p["frequency"], (1.0, 0.85, 1.5)),

@@ -11,22 +11,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..physical_effect import Instant, Law
-from .effect_type import Kind, Meaning, Quantity, Site, angle, curve, put, sign
+from .effect_type import EffectType, ValueConversion, EffectParameter, EffectSite, angle, memoryless_effect, torque_at_joint, smooth_sign
 
 Array = np.ndarray
 Values = Mapping[str, float]
 
 
-def asymmetric_blend(site: Site, p: Values) -> Law:
+def asymmetric_blend(site: EffectSite, p: Values) -> Law:
     """(½(p+n) + ½(p−n) tanh(v/50 mrad/s)) v."""
     mean, half = 0.5 * (p["positive"] + p["negative"]), 0.5 * (p["positive"] - p["negative"])
-    return curve(site, lambda x: (mean + half * np.tanh(x.v / 0.05)) * x.v)
+    return memoryless_effect(site, lambda x: (mean + half * np.tanh(x.v / 0.05)) * x.v)
 
 
-def asymmetric_bent(site: Site, p: Values) -> Law:
+def asymmetric_bent(site: EffectSite, p: Values) -> Law:
     """p v, n v by direction, each bent: v/(1 + 0.1|v|/v_max)."""
     top = site.speed[site.j]
-    return curve(
+    return memoryless_effect(
         site,
         lambda x: (
             np.where(x.v > 0.0, p["positive"], p["negative"])
@@ -36,79 +36,79 @@ def asymmetric_bent(site: Site, p: Values) -> Law:
     )
 
 
-def stribeck_rational(site: Site, p: Values) -> Law:
+def stribeck_rational(site: EffectSite, p: Values) -> Law:
     """A sgn(v)/(1 + (v/vₛ)²) (Hess and Soom, where catalogues have a Gaussian or an exponential)."""
-    return curve(
-        site, lambda x: p["amplitude"] * sign(x.v) / (1.0 + np.square(x.v / p["velocity"]))
+    return memoryless_effect(
+        site, lambda x: p["amplitude"] * smooth_sign(x.v) / (1.0 + np.square(x.v / p["velocity"]))
     )
 
 
-def stribeck_sech(site: Site, p: Values) -> Law:
+def stribeck_sech(site: EffectSite, p: Values) -> Law:
     """A sgn(v)/cosh(v/vₛ) (Makkar et al. 2005 use such smooth forms)."""
-    return curve(
+    return memoryless_effect(
         site,
         lambda x: (
-            p["amplitude"] * sign(x.v) / np.cosh(np.minimum(np.abs(x.v) / p["velocity"], 50.0))
+            p["amplitude"] * smooth_sign(x.v) / np.cosh(np.minimum(np.abs(x.v) / p["velocity"], 50.0))
         ),
     )
 
 
-def power(site: Site, p: Values) -> Law:
+def power(site: EffectSite, p: Values) -> Law:
     """c |v|ᵏ sgn(v), k no half or whole number."""
-    return curve(site, lambda x: p["coefficient"] * sign(x.v) * np.abs(x.v) ** p["exponent"])
+    return memoryless_effect(site, lambda x: p["coefficient"] * smooth_sign(x.v) * np.abs(x.v) ** p["exponent"])
 
 
-def rounded_power(site: Site, p: Values) -> Law:
+def rounded_power(site: EffectSite, p: Values) -> Law:
     """c ((v² + v₀²)^(k/2) − v₀ᵏ) sgn(v), v₀ a tenth of the top speed."""
     v0 = 0.1 * site.speed[site.j]
     k = p["exponent"]
-    return curve(
-        site, lambda x: p["coefficient"] * sign(x.v) * ((x.v * x.v + v0 * v0) ** (0.5 * k) - v0**k)
+    return memoryless_effect(
+        site, lambda x: p["coefficient"] * smooth_sign(x.v) * ((x.v * x.v + v0 * v0) ** (0.5 * k) - v0**k)
     )
 
 
-def load_power(site: Site, p: Values) -> Law:
+def load_power(site: EffectSite, p: Values) -> Law:
     """μ |τ|^1.15 sgn(v), scaled to μ|τ| at a quarter of the torque limit."""
     at = 0.25 * site.torque[site.j]
-    return curve(
-        site, lambda x: p["mu"] * sign(x.v) * np.abs(x.load) * (np.abs(x.load) / at) ** 0.15
+    return memoryless_effect(
+        site, lambda x: p["mu"] * smooth_sign(x.v) * np.abs(x.load) * (np.abs(x.load) / at) ** 0.15
     )
 
 
-def load_quadrants(site: Site, p: Values) -> Law:
+def load_quadrants(site: EffectSite, p: Values) -> Law:
     """μ|τ| sgn(v), a fifth more when the load drives the joint and a fifth less when the motor does (worm and planetary gears)."""
     half = 0.02 * site.torque[site.j]
-    return curve(
+    return memoryless_effect(
         site,
         lambda x: (
             p["mu"]
-            * sign(x.v)
+            * smooth_sign(x.v)
             * np.sqrt(x.load**2 + half**2)
             * (1.0 - 0.2 * np.tanh(x.load * x.v / (half * 0.1)))
         ),
     )
 
 
-def position_triangle(site: Site, p: Values) -> Law:
+def position_triangle(site: EffectSite, p: Values) -> Law:
     """A tri(kq + φ) sgn(v): a triangular wave in position."""
-    return curve(
+    return memoryless_effect(
         site,
         lambda x: (
             p["amplitude"]
-            * sign(x.v)
+            * smooth_sign(x.v)
             * (2.0 / np.pi)
             * np.arcsin(np.sin(p["waves"] * x.q + p["phase"]))
         ),
     )
 
 
-def position_bumps(site: Site, p: Values) -> Law:
+def position_bumps(site: EffectSite, p: Values) -> Law:
     """A (e^{4(cos(kq+φ)−1)} + ½ e^{8(cos(kq+2φ)−1)}) sgn(v): two tight spots."""
     w = p["waves"]
-    return curve(
+    return memoryless_effect(
         site,
         lambda x: (
-            p["amplitude"] * sign(x.v) * _spots(w * x.q + p["phase"], w * x.q + 2 * p["phase"])
+            p["amplitude"] * smooth_sign(x.v) * _spots(w * x.q + p["phase"], w * x.q + 2 * p["phase"])
         ),
     )
 
@@ -128,7 +128,7 @@ def _half_range(p: Values) -> Values:
 class BoucWen(Law):
     """A z, ż = (k/A)(v − ½|v||z|^(m−1) z − ½ v|z|ᵐ), m = 1.6; steps are exact for the slope at their start."""
 
-    site: Site
+    site: EffectSite
     amplitude: float
     stiffness: float
     memory = 1
@@ -148,14 +148,14 @@ class BoucWen(Law):
         return np.asarray(np.minimum(moved, 1.0) * side)[..., None]
 
     def torque(self, x: Instant, z: Array) -> Array:
-        return put(self.site.n, self.site.j, self.amplitude * z[..., 0])
+        return torque_at_joint(self.site.n, self.site.j, self.amplitude * z[..., 0])
 
 
 @dataclass(frozen=True)
 class Iwan(Law):
     """Twelve slip elements in parallel whose breakaways follow a power law (Iwan 1966; Segalman 2005): Σ clip(kᵢ(q − sᵢ), ±fᵢ)."""
 
-    site: Site
+    site: EffectSite
     amplitude: float
     stiffness: float
     memory = 12
@@ -175,16 +175,16 @@ class Iwan(Law):
 
     def torque(self, x: Instant, z: Array) -> Array:
         if self.amplitude == 0.0:
-            return put(self.site.n, self.site.j, 0.0 * z[..., 0])
+            return torque_at_joint(self.site.n, self.site.j, 0.0 * z[..., 0])
         share, reach = self._shares()
-        return put(self.site.n, self.site.j, self.amplitude * (z / reach * share).sum(axis=-1))
+        return torque_at_joint(self.site.n, self.site.j, self.amplitude * (z / reach * share).sum(axis=-1))
 
 
 @dataclass(frozen=True)
 class Warming(Law):
     """Base friction times s(t): two time constants, the second three times the first, weighed 2 : 1."""
 
-    site: Site
+    site: EffectSite
     change: float
     constant: float
 
@@ -192,7 +192,7 @@ class Warming(Law):
         drive, j, c = self.site.drive, self.site.j, self.constant
         rise = (2.0 * (1.0 - np.exp(-x.t / c)) + (1.0 - np.exp(-x.t / (3.0 * c)))) / 3.0
         friction = (drive.friction(x.v) - drive.offset)[..., j]
-        return put(self.site.n, j, self.change * rise * friction)
+        return torque_at_joint(self.site.n, j, self.change * rise * friction)
 
 
 @dataclass(frozen=True)
@@ -202,7 +202,7 @@ class Heating(Law):
     Δ is scaled so that the power of full speed makes it 1; κ so that it changes friction by `change` there.
     """
 
-    site: Site
+    site: EffectSite
     change: float
     constant: float
     memory = 1
@@ -223,7 +223,7 @@ class Heating(Law):
         drive, j = self.site.drive, self.site.j
         v, kappa = x.v[..., j], -np.log1p(max(self.change, -0.95))
         less = np.expm1(-kappa * z[..., 0])
-        return put(
+        return torque_at_joint(
             self.site.n,
             j,
             less * drive.viscous[j] * v
@@ -231,31 +231,31 @@ class Heating(Law):
         )
 
 
-def drag_near_square(site: Site, p: Values) -> Law:
+def drag_near_square(site: EffectSite, p: Values) -> Law:
     """c |v|^1.85 sgn(v) v₀^0.15: turbulent, not quite square; v₀ half of the top speed."""
     v0 = 0.5 * site.speed[site.j]
-    return curve(site, lambda x: p["coefficient"] * sign(x.v) * np.abs(x.v) ** 1.85 * v0**0.15)
+    return memoryless_effect(site, lambda x: p["coefficient"] * smooth_sign(x.v) * np.abs(x.v) ** 1.85 * v0**0.15)
 
 
-def drag_rounded(site: Site, p: Values) -> Law:
+def drag_rounded(site: EffectSite, p: Values) -> Law:
     """c v √(v² + v₀²) − c v₀ v, v₀ a tenth of the top speed."""
     v0 = 0.1 * site.speed[site.j]
-    return curve(site, lambda x: p["coefficient"] * x.v * (np.sqrt(x.v * x.v + v0 * v0) - v0))
+    return memoryless_effect(site, lambda x: p["coefficient"] * x.v * (np.sqrt(x.v * x.v + v0 * v0) - v0))
 
 
-def plain_algebraic(site: Site, p: Values) -> Law:
+def plain_algebraic(site: EffectSite, p: Values) -> Law:
     """F_c v/√(v² + w²) + F_v v."""
-    return curve(site, lambda x: p["coulomb"] * sign(x.v) + p["viscous"] * x.v)
+    return memoryless_effect(site, lambda x: p["coulomb"] * smooth_sign(x.v) + p["viscous"] * x.v)
 
 
-def plain_arctangent(site: Site, p: Values) -> Law:
+def plain_arctangent(site: EffectSite, p: Values) -> Law:
     """F_c (2/π) atan(v/w) + F_v v."""
-    return curve(
+    return memoryless_effect(
         site, lambda x: p["coulomb"] * (2.0 / np.pi) * np.arctan(x.v / 2e-3) + p["viscous"] * x.v
     )
 
 
-def _coupling(site: Site, p: Values, ratio: float, bend: float) -> Law:
+def _coupling(site: EffectSite, p: Values, ratio: float, bend: float) -> Law:
     i, j = site.source, site.j
 
     def law(x: Instant) -> Array:
@@ -276,20 +276,20 @@ class Coupled(Law):
     law: Callable[[Instant], Array]
 
     def torque(self, x: Instant, z: Array) -> Array:
-        return put(self.n, self.j, self.law(x))
+        return torque_at_joint(self.n, self.j, self.law(x))
 
 
-def coupling_sum(site: Site, p: Values) -> Law:
+def coupling_sum(site: EffectSite, p: Values) -> Law:
     """Friction and inertia of a shaft that turns with v_j + v_i, beyond those of v_j alone."""
     return _coupling(site, p, 1.0, 8e-3)
 
 
-def coupling_difference(site: Site, p: Values) -> Law:
+def coupling_difference(site: EffectSite, p: Values) -> Law:
     """The same with v_j − 0.9 v_i."""
     return _coupling(site, p, -0.9, 12e-3)
 
 
-def _fallen(times: float) -> Meaning:
+def _fallen(times: float) -> ValueConversion:
     """The speed of textbooks, (Fₛ − F_c) e^{−(v/vₛ)^δ}: where the excess is down to 1/e, whatever δ; `times` the law's own."""
     return lambda p: {"velocity": times * p["velocity"]}
 
@@ -301,58 +301,58 @@ def _risen(p: Values) -> Values:
 
 ONE_OF_TWO = 1.42393068
 """Root of (2 e^{−x} + e^{−x/3})/3 = 1/e: see `Warming`."""
-AMPLITUDE = Quantity("amplitude", "N m", 0.005, 0.03, "torque")
+AMPLITUDE = EffectParameter("amplitude", "N m", 0.005, 0.03, "torque")
 KINDS = (
-    Kind(
+    EffectType(
         "asymmetric_viscous",
         (
-            Quantity("positive", "N m s/rad", 0.002, 0.006, "viscous"),
-            Quantity("negative", "N m s/rad", -0.006, -0.002, "viscous", within="viscous"),
+            EffectParameter("positive", "N m s/rad", 0.002, 0.006, "viscous"),
+            EffectParameter("negative", "N m s/rad", -0.006, -0.002, "viscous", within="viscous"),
         ),
         {"tuning": asymmetric_blend, "scored": asymmetric_bent},
     ),
-    Kind(
+    EffectType(
         "stribeck",
-        (AMPLITUDE, Quantity("velocity", "rad/s", 0.02, 0.3, power=0.0)),
+        (AMPLITUDE, EffectParameter("velocity", "rad/s", 0.02, 0.3, power=0.0)),
         {"tuning": stribeck_rational, "scored": stribeck_sech},
         meant={"tuning": _fallen(np.sqrt(np.e - 1.0)), "scored": _fallen(np.arccosh(np.e))},
     ),
-    Kind(
+    EffectType(
         "nonlinear_viscous",
         (
-            Quantity("coefficient", "N m (s/rad)^exponent", 0.01, 0.05, "viscous"),
-            Quantity("exponent", "1", 2.2, 3.2, power=0.0),
+            EffectParameter("coefficient", "N m (s/rad)^exponent", 0.01, 0.05, "viscous"),
+            EffectParameter("exponent", "1", 2.2, 3.2, power=0.0),
         ),
         {"tuning": power, "scored": rounded_power},
     ),
-    Kind(
+    EffectType(
         "load_friction",
-        (Quantity("mu", "1", 0.03, 0.3, most=0.6),),
+        (EffectParameter("mu", "1", 0.03, 0.3, most=0.6),),
         {"tuning": load_power, "scored": load_quadrants},
     ),
-    Kind(
+    EffectType(
         "position_friction",
         (
-            Quantity("amplitude", "N m", 0.002, 0.01, "torque", within="coulomb"),
-            Quantity("waves", "1", 1.0, 2.0, power=0.0, stated=False),
+            EffectParameter("amplitude", "N m", 0.002, 0.01, "torque", within="coulomb"),
+            EffectParameter("waves", "1", 1.0, 2.0, power=0.0, stated=False),
             angle(),
         ),
         {"tuning": position_triangle, "scored": position_bumps},
         meant={"scored": _half_range},
     ),
-    Kind(
+    EffectType(
         "hysteresis",
-        (AMPLITUDE, Quantity("stiffness", "N m/rad", 2.0, 30.0, "torque", power=0.0)),
+        (AMPLITUDE, EffectParameter("stiffness", "N m/rad", 2.0, 30.0, "torque", power=0.0)),
         {
             "tuning": lambda site, p: BoucWen(site, p["amplitude"], p["stiffness"]),
             "scored": lambda site, p: Iwan(site, p["amplitude"], p["stiffness"]),
         },
     ),
-    Kind(
+    EffectType(
         "thermal_drift",
         (
-            Quantity("change", "1", -0.7, -0.2, most=0.9),
-            Quantity("time_constant", "s", 5.0, 30.0, power=0.0),
+            EffectParameter("change", "1", -0.7, -0.2, most=0.9),
+            EffectParameter("time_constant", "s", 5.0, 30.0, power=0.0),
         ),
         {
             "tuning": lambda site, p: Warming(site, p["change"], p["time_constant"]),
@@ -360,25 +360,25 @@ KINDS = (
         },
         meant={"tuning": _risen},
     ),
-    Kind(
+    EffectType(
         "drag",
-        (Quantity("coefficient", "N m s²/rad²", 0.01, 0.06, "square"),),
+        (EffectParameter("coefficient", "N m s²/rad²", 0.01, 0.06, "square"),),
         {"tuning": drag_near_square, "scored": drag_rounded},
     ),
-    Kind(
+    EffectType(
         "friction",
         (
-            Quantity("coulomb", "N m", 0.01, 0.03, "torque"),
-            Quantity("viscous", "N m s/rad", 0.01, 0.03, "viscous"),
+            EffectParameter("coulomb", "N m", 0.01, 0.03, "torque"),
+            EffectParameter("viscous", "N m s/rad", 0.01, 0.03, "viscous"),
         ),
         {"tuning": plain_algebraic, "scored": plain_arctangent},
     ),
-    Kind(
+    EffectType(
         "coupling",
         (
-            Quantity("viscous", "N m s/rad", 0.01, 0.03, "viscous"),
-            Quantity("coulomb", "N m", 0.01, 0.03, "torque"),
-            Quantity("inertia", "kg m²", 0.002, 0.02, "inertia"),
+            EffectParameter("viscous", "N m s/rad", 0.01, 0.03, "viscous"),
+            EffectParameter("coulomb", "N m", 0.01, 0.03, "torque"),
+            EffectParameter("inertia", "kg m²", 0.002, 0.02, "inertia"),
         ),
         {"tuning": coupling_sum, "scored": coupling_difference},
     ),

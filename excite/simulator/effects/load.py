@@ -9,10 +9,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ...errors import UnusableInput
-from ..actuator import Drive
+from ..actuator import JointActuators
 from ..physical_effect import Instant, Law
 from ..urdf_tree import Tree
-from .effect_type import Kind, Quantity, Site, curve, put
+from .effect_type import EffectType, EffectParameter, EffectSite, memoryless_effect, torque_at_joint
 
 Array = np.ndarray
 Values = Mapping[str, float]
@@ -36,7 +36,7 @@ class Body(Law):
         return tree.with_body(self.link, tree.body(self.link) + more)
 
 
-def _body(site: Site, p: Values, radii: tuple[float, float, float]) -> Law:
+def _body(site: EffectSite, p: Values, radii: tuple[float, float, float]) -> Law:
     return Body(site.link, p["mass"], (p["com_x"], p["com_y"], p["com_z"]), radii)
 
 
@@ -78,7 +78,7 @@ class Frame(Law):
         return tree
 
 
-def _frame(site: Site, p: Values, axis: Array, way: Array) -> Law:
+def _frame(site: EffectSite, p: Values, axis: Array, way: Array) -> Law:
     return Frame(site.joint, p["angle"] * axis, p["length"] * way)
 
 
@@ -86,70 +86,70 @@ def _frame(site: Site, p: Values, axis: Array, way: Array) -> Law:
 class Rotor(Law):
     """J (1 + w cos q) v̇: a rotor seen through a gear whose ratio wavers by w, or not at all."""
 
-    site: Site
+    site: EffectSite
     inertia: float
     waver: float
 
-    def drives(self, drive: Drive) -> Drive:
+    def drives(self, drive: JointActuators) -> JointActuators:
         more = np.zeros(self.site.n)
         more[self.site.j] = self.inertia
         return replace(drive, inertia=drive.inertia + more)
 
     def torque(self, x: Instant, z: Array) -> Array:
         j = self.site.j
-        return put(self.site.n, j, self.waver * self.inertia * np.cos(x.q[..., j]) * x.a[..., j])
+        return torque_at_joint(self.site.n, j, self.waver * self.inertia * np.cos(x.q[..., j]) * x.a[..., j])
 
 
-def offset(site: Site, p: Values) -> Law:
+def offset(site: EffectSite, p: Values) -> Law:
     """τ₀."""
-    return curve(site, lambda x: p["offset"] + 0.0 * x.v)
+    return memoryless_effect(site, lambda x: p["offset"] + 0.0 * x.v)
 
 
-def offset_wandering(site: Site, p: Values) -> Law:
+def offset_wandering(site: EffectSite, p: Values) -> Law:
     """τ₀ (1 + 0.1 sin(2πt/17 s)): a bridge that warms up."""
-    return curve(
+    return memoryless_effect(
         site, lambda x: p["offset"] * (1.0 + 0.1 * np.sin(2.0 * np.pi * x.t / 17.0)) + 0.0 * x.v
     )
 
 
-def spring_softening(site: Site, p: Values) -> Law:
+def spring_softening(site: EffectSite, p: Values) -> Law:
     """k q₁ tanh((q − q₀)/q₁), q₁ = 0.8 rad: a spring that gives way."""
-    return curve(site, lambda x: p["stiffness"] * 0.8 * np.tanh((x.q - p["centre"]) / 0.8))
+    return memoryless_effect(site, lambda x: p["stiffness"] * 0.8 * np.tanh((x.q - p["centre"]) / 0.8))
 
 
-def spring_cable(site: Site, p: Values) -> Law:
+def spring_cable(site: EffectSite, p: Values) -> Law:
     """k d log(1 + e^{(q−q₀)/d}), d = 0.3 rad: a dress pack that is slack on one side."""
-    return curve(
+    return memoryless_effect(
         site, lambda x: p["stiffness"] * 0.3 * np.logaddexp(0.0, (x.q - p["centre"]) / 0.3)
     )
 
 
 KINDS = (
-    Kind(
+    EffectType(
         "payload",
         (
-            Quantity("mass", "kg", 0.3, 3.0),
-            Quantity("com_x", "m", -0.05, 0.05, power=0.0),
-            Quantity("com_y", "m", -0.05, 0.05, power=0.0),
-            Quantity("com_z", "m", 0.02, 0.12, power=0.0),
+            EffectParameter("mass", "kg", 0.3, 3.0),
+            EffectParameter("com_x", "m", -0.05, 0.05, power=0.0),
+            EffectParameter("com_y", "m", -0.05, 0.05, power=0.0),
+            EffectParameter("com_z", "m", 0.02, 0.12, power=0.0),
         ),
         {
             "tuning": lambda site, p: _body(site, p, (0.03,) * 3),
             "scored": lambda site, p: _body(site, p, (0.08, 0.03, 0.05)),
         },
     ),
-    Kind(
+    EffectType(
         "gravity_tilt",
-        (Quantity("roll", "rad", -0.035, 0.035), Quantity("pitch", "rad", -0.035, 0.035)),
+        (EffectParameter("roll", "rad", -0.035, 0.035), EffectParameter("pitch", "rad", -0.035, 0.035)),
         {
             "tuning": lambda site, p: Tilt(p["roll"], p["pitch"]),
             "scored": lambda site, p: Tilt(p["roll"], p["pitch"], 1e-3),
         },
         place="robot",
     ),
-    Kind(
+    EffectType(
         "kinematic_error",
-        (Quantity("angle", "rad", 2e-4, 3.5e-3), Quantity("length", "m", 1e-4, 2e-3)),
+        (EffectParameter("angle", "rad", 2e-4, 3.5e-3), EffectParameter("length", "m", 1e-4, 2e-3)),
         {
             "tuning": lambda site, p: _frame(
                 site, p, np.array([1.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])
@@ -159,24 +159,24 @@ KINDS = (
             ),
         },
     ),
-    Kind(
+    EffectType(
         "rotor_inertia",
-        (Quantity("inertia", "kg m²", 0.1, 0.5, "inertia"),),
+        (EffectParameter("inertia", "kg m²", 0.1, 0.5, "inertia"),),
         {
             "tuning": lambda site, p: Rotor(site, p["inertia"], 0.0),
             "scored": lambda site, p: Rotor(site, p["inertia"], 0.1),
         },
     ),
-    Kind(
+    EffectType(
         "torque_offset",
-        (Quantity("offset", "N m", 0.003, 0.02, "torque"),),
+        (EffectParameter("offset", "N m", 0.003, 0.02, "torque"),),
         {"tuning": offset, "scored": offset_wandering},
     ),
-    Kind(
+    EffectType(
         "spring",
         (
-            Quantity("stiffness", "N m/rad", 0.01, 0.1, "torque"),
-            Quantity("centre", "rad", -0.8, 0.8, power=0.0, stated=False),
+            EffectParameter("stiffness", "N m/rad", 0.01, 0.1, "torque"),
+            EffectParameter("centre", "rad", -0.8, 0.8, power=0.0, stated=False),
         ),
         {"tuning": spring_softening, "scored": spring_cable},
     ),

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..physical_effect import Instant, Law
-from .effect_type import Kind, Quantity, Site, angle, curve, put
+from .effect_type import EffectType, EffectParameter, EffectSite, angle, memoryless_effect, torque_at_joint
 
 Array = np.ndarray
 Values = Mapping[str, float]
 
 
-def tooth_defect(site: Site, p: Values) -> Law:
+def tooth_defect(site: EffectSite, p: Values) -> Law:
     """A bump wherever a broken tooth meshes under load of one sign: A e^{−(Δ/w)²} at five angles in no order."""
     places = (
         np.modf(np.arange(1, 6) * (np.sqrt(5.0) - 1.0) / 2.0 + p["phase"] / (2 * np.pi))[0] * 4.0
@@ -31,14 +31,14 @@ def tooth_defect(site: Site, p: Values) -> Law:
             * (1.0 + np.tanh(x.load / top))
         )
 
-    return curve(site, law)
+    return memoryless_effect(site, law)
 
 
 @dataclass(frozen=True)
 class Slosh(Law):
     """A liquid in the link: an oscillator z̈ + 2ζω ż + ω² z = −v̇ whose reaction I ω² z + 2ζωI ż loads the joint."""
 
-    site: Site
+    site: EffectSite
     inertia: float
     frequency: float
     damping: float
@@ -53,7 +53,7 @@ class Slosh(Law):
 
     def torque(self, x: Instant, z: Array) -> Array:
         w = 2.0 * np.pi * self.frequency
-        return put(
+        return torque_at_joint(
             self.site.n,
             self.site.j,
             -self.inertia * (w * w * z[..., 0] + 2.0 * self.damping * w * z[..., 1]),
@@ -64,7 +64,7 @@ class Slosh(Law):
 class Snag(Law):
     """A cable that catches when the joint passes one angle and lets go at another: A s, s → 1 or 0 within 30 ms."""
 
-    site: Site
+    site: EffectSite
     amplitude: float
     catch: float
     release: float
@@ -77,7 +77,7 @@ class Snag(Law):
         return np.stack(np.broadcast_arrays(held, caught), axis=-1)
 
     def torque(self, x: Instant, z: Array) -> Array:
-        return put(self.site.n, self.site.j, self.amplitude * z[..., 0])
+        return torque_at_joint(self.site.n, self.site.j, self.amplitude * z[..., 0])
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Sag(Law):
     τ_told = τ (1 + λ P/P₀) with P = Σ|τ v| smoothed by its own size; here by the torque of all joints, Σ|τ|/τ_max, squared.
     """
 
-    site: Site
+    site: EffectSite
     loss: float
 
     def told(self, torque: Callable[[Array], Array], t: Array) -> Array:
@@ -98,27 +98,27 @@ class Sag(Law):
         return told
 
 
-def _snag(site: Site, p: Values) -> Law:
+def _snag(site: EffectSite, p: Values) -> Law:
     return Snag(site, p["amplitude"], p["middle"] + p["gap"], p["middle"] - p["gap"])
 
 
 KINDS = (
-    Kind(
+    EffectType(
         "tooth_defect",
         (
-            Quantity("amplitude", "N m", 0.01, 0.05, "torque"),
-            Quantity("breadth", "rad", 0.02, 0.06, power=0.0),
+            EffectParameter("amplitude", "N m", 0.01, 0.05, "torque"),
+            EffectParameter("breadth", "rad", 0.02, 0.06, power=0.0),
             angle(),
         ),
         {"tuning": tooth_defect, "scored": tooth_defect},
         outsider=True,
     ),
-    Kind(
+    EffectType(
         "sloshing",
         (
-            Quantity("inertia", "kg m²", 0.1, 0.5, "inertia"),
-            Quantity("frequency", "Hz", 1.0, 3.0, power=0.0),
-            Quantity("damping", "1", 0.01, 0.05, power=0.0),
+            EffectParameter("inertia", "kg m²", 0.1, 0.5, "inertia"),
+            EffectParameter("frequency", "Hz", 1.0, 3.0, power=0.0),
+            EffectParameter("damping", "1", 0.01, 0.05, power=0.0),
         ),
         {
             "tuning": lambda site, p: Slosh(site, p["inertia"], p["frequency"], p["damping"]),
@@ -126,19 +126,19 @@ KINDS = (
         },
         outsider=True,
     ),
-    Kind(
+    EffectType(
         "cable_snag",
         (
-            Quantity("amplitude", "N m", 0.01, 0.05, "torque"),
-            Quantity("middle", "rad", -0.3, 0.3, power=0.0),
-            Quantity("gap", "rad", 0.1, 0.3, power=0.0),
+            EffectParameter("amplitude", "N m", 0.01, 0.05, "torque"),
+            EffectParameter("middle", "rad", -0.3, 0.3, power=0.0),
+            EffectParameter("gap", "rad", 0.1, 0.3, power=0.0),
         ),
         {"tuning": _snag, "scored": _snag},
         outsider=True,
     ),
-    Kind(
+    EffectType(
         "supply_sag",
-        (Quantity("loss", "1", 0.05, 0.3, most=0.7),),
+        (EffectParameter("loss", "1", 0.05, 0.3, most=0.7),),
         {
             "tuning": lambda site, p: Sag(site, p["loss"]),
             "scored": lambda site, p: Sag(site, p["loss"]),

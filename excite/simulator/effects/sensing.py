@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..physical_effect import Law
-from .effect_type import Kind, Quantity, Site, angle
+from .effect_type import EffectType, EffectParameter, EffectSite, angle
 
 Array = np.ndarray
 Values = Mapping[str, float]
@@ -29,12 +29,12 @@ class Told(Law):
         return out
 
 
-def gain(site: Site, p: Values) -> Law:
+def gain(site: EffectSite, p: Values) -> Law:
     """τ/g."""
     return Told(site.j, lambda t, tau: tau / p["gain"])
 
 
-def gain_breathing(site: Site, p: Values) -> Law:
+def gain_breathing(site: EffectSite, p: Values) -> Law:
     """τ/(1 + (g − 1)(1 + 0.1 sin(2πt/23 s))): magnets that warm and cool."""
     return Told(
         site.j,
@@ -44,13 +44,13 @@ def gain_breathing(site: Site, p: Values) -> Law:
     )
 
 
-def saturation_cubic(site: Site, p: Values) -> Law:
+def saturation_cubic(site: EffectSite, p: Values) -> Law:
     """τ (1 + λ|τ/τ₁|³): current that grows faster than torque; τ₁ = `at`, λ = loss/(1 − loss)."""
     more, at = p["loss"] / max(1.0 - p["loss"], 0.05), p["at"]
     return Told(site.j, lambda t, tau: tau * (1.0 + more * np.abs(tau / at) ** 3))
 
 
-def saturation_knee(site: Site, p: Values) -> Law:
+def saturation_knee(site: EffectSite, p: Values) -> Law:
     """τ (1 + λ k²), k the part of |τ|/τ₁ beyond 0.4 over 0.6: linear iron up to a knee."""
     more, at = p["loss"] / max(1.0 - p["loss"], 0.05), p["at"]
     return Told(
@@ -87,7 +87,7 @@ class Late(Law):
         return out
 
 
-def _late(site: Site, p: Values, spread: bool) -> Law:
+def _late(site: EffectSite, p: Values, spread: bool) -> Law:
     return Late((site.j,) if site.joint else tuple(range(site.n)), p["seconds"], spread)
 
 
@@ -104,7 +104,7 @@ class Encoder(Law):
         return out
 
 
-def encoder_harmonics(site: Site, p: Values) -> Law:
+def encoder_harmonics(site: EffectSite, p: Values) -> Law:
     """A (sin(Nq + φ) + 0.4 sin(2Nq + 2.3φ))."""
     n, phase = p["order"], p["phase"]
     return Encoder(
@@ -115,7 +115,7 @@ def encoder_harmonics(site: Site, p: Values) -> Law:
     )
 
 
-def encoder_eccentric(site: Site, p: Values) -> Law:
+def encoder_eccentric(site: EffectSite, p: Values) -> Law:
     """2A sin θ/(1.5 + cos θ), θ = Nq + φ: a disc off its centre, read close to its edge."""
     n, phase = p["order"], p["phase"]
     return Encoder(
@@ -130,33 +130,33 @@ def _fundamental(p: Values) -> Values:
 
 
 KINDS = (
-    Kind(
+    EffectType(
         "torque_gain",
-        (Quantity("gain", "1", 1.05, 1.2, about=1.0),),
+        (EffectParameter("gain", "1", 1.05, 1.2, about=1.0),),
         {"tuning": gain, "scored": gain_breathing},
     ),
-    Kind(
+    EffectType(
         "torque_saturation",
         (
-            Quantity("loss", "1", 0.03, 0.15, most=0.7),
-            Quantity("at", "N m", 0.4, 0.4, "torque", power=0.0, stated=False),
+            EffectParameter("loss", "1", 0.03, 0.15, most=0.7),
+            EffectParameter("at", "N m", 0.4, 0.4, "torque", power=0.0, stated=False),
         ),
         {"tuning": saturation_cubic, "scored": saturation_knee},
     ),
-    Kind(
+    EffectType(
         "delay",
-        (Quantity("seconds", "s", 5e-4, 5e-3),),
+        (EffectParameter("seconds", "s", 5e-4, 5e-3),),
         {
             "tuning": lambda site, p: _late(site, p, False),
             "scored": lambda site, p: _late(site, p, True),
         },
         place="either",
     ),
-    Kind(
+    EffectType(
         "encoder_error",
         (
-            Quantity("amplitude", "rad", 2e-4, 2e-3),
-            Quantity("order", "1/turn", 1.0, 4.0, power=0.0),
+            EffectParameter("amplitude", "rad", 2e-4, 2e-3),
+            EffectParameter("order", "1/turn", 1.0, 4.0, power=0.0),
             angle(),
         ),
         {"tuning": encoder_harmonics, "scored": encoder_eccentric},

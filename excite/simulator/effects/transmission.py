@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import jv
 
 from ..physical_effect import Instant, Law, Spring
-from .effect_type import Kind, Quantity, Site, angle, curve
+from .effect_type import EffectType, EffectParameter, EffectSite, angle, memoryless_effect
 
 Array = np.ndarray
 Values = Mapping[str, float]
@@ -25,7 +25,7 @@ DAMPING = 0.04
 class Wound(Law):
     """A joint in two masses. stiffness: at rest [N m/rad]; the sub-classes say how the torque grows with wind-up."""
 
-    site: Site
+    site: EffectSite
     stiffness: float
     width: float = 0.0
 
@@ -102,15 +102,15 @@ class Hertz(Wound):
         return torque + damp * rate, slope, damp
 
 
-def _gear(site: Site) -> float:
+def _gear(site: EffectSite) -> float:
     """A stiff gear for a joint whose play is the matter: 0.5 mrad at the torque limit [N m/rad]."""
     return float(site.torque[site.j]) / 5e-4
 
 
-def ripple_pair(site: Site, p: Values) -> Law:
+def ripple_pair(site: EffectSite, p: Values) -> Law:
     """A (cos(Nq + φ) + 0.6 cos(1.37 Nq + 2φ)): two meshes in no whole ratio."""
     order, phase = p["order"], p["phase"]
-    return curve(
+    return memoryless_effect(
         site,
         lambda x: (
             p["amplitude"]
@@ -119,7 +119,7 @@ def ripple_pair(site: Site, p: Values) -> Law:
     )
 
 
-def ripple_loaded(site: Site, p: Values) -> Law:
+def ripple_loaded(site: EffectSite, p: Values) -> Law:
     """A (1 + ½ τ/τ_max) times a skewed wave, sin(θ + 0.4 sin θ), θ = Nq + φ."""
     order, phase, top = p["order"], p["phase"], site.torque[site.j]
 
@@ -127,7 +127,7 @@ def ripple_loaded(site: Site, p: Values) -> Law:
         turn = order * x.q + phase
         return p["amplitude"] * (1.0 + 0.5 * x.load / top) * np.sin(turn + SKEW * np.sin(turn))
 
-    return curve(site, law)
+    return memoryless_effect(site, law)
 
 
 def _fundamental(p: Values) -> Values:
@@ -136,29 +136,29 @@ def _fundamental(p: Values) -> Values:
 
 
 KINDS = (
-    Kind(
+    EffectType(
         "elasticity",
-        (Quantity("stiffness", "N m/rad", 50.0, 400.0, "torque", power=-1.0),),
+        (EffectParameter("stiffness", "N m/rad", 50.0, 400.0, "torque", power=-1.0),),
         {
             "tuning": lambda site, p: Hardening(site, p["stiffness"]),
             "scored": lambda site, p: StrainWave(site, p["stiffness"]),
         },
         vanishes=True,
     ),
-    Kind(
+    EffectType(
         "backlash",
-        (Quantity("width", "rad", 1e-4, 3e-3),),
+        (EffectParameter("width", "rad", 1e-4, 3e-3),),
         {
             "tuning": lambda site, p: DeadZone(site, _gear(site), p["width"]),
             "scored": lambda site, p: Hertz(site, _gear(site), p["width"]),
         },
         vanishes=True,
     ),
-    Kind(
+    EffectType(
         "torque_ripple",
         (
-            Quantity("order", "1/turn", 6.0, 60.0, power=0.0),
-            Quantity("amplitude", "N m", 0.005, 0.05, "torque"),
+            EffectParameter("order", "1/turn", 6.0, 60.0, power=0.0),
+            EffectParameter("amplitude", "N m", 0.005, 0.05, "torque"),
             angle(),
         ),
         {"tuning": ripple_pair, "scored": ripple_loaded},

@@ -28,7 +28,7 @@ from ..robot.robot import Robot
 from ..robot.samples import Samples
 from ..trajectory import trajectory_file
 from ..trajectory.trajectory_file import Trajectory
-from .robot import RobotSource, load_robot, resolve_limits
+from .robots import RobotSource, load_robot, resolve_limits
 
 Progress = Callable[[str], None]
 THRESHOLD = 1e-2
@@ -63,7 +63,12 @@ class CellOptions:
         scene = scene.overridden(self.floor, self.clearance)
         if self.srdf is not None:
             scene = scene.with_srdf(Path(self.srdf))
-        stated = (self.scene, self.srdf, None if self.floor is False else self.floor, self.clearance)
+        stated = (
+            self.scene,
+            self.srdf,
+            None if self.floor is False else self.floor,
+            self.clearance,
+        )
         required = any(value is not None for value in stated)
         return scene_file.known(robot, limits, scene, self.packages, required=required)
 
@@ -123,7 +128,12 @@ class DesignResult:
         """What twice the time or twice the speed would buy."""
         trajectory, setting = self.trajectory, self.delivery.design.setting
         return compare_experiments(
-            self.robot, setting.problem.parameters, setting.base, trajectory, self.analysis.threshold, self.given_root
+            self.robot,
+            setting.problem.parameters,
+            setting.base,
+            trajectory,
+            self.analysis.threshold,
+            self.given_root,
         )
 
     def contents(self) -> dict[str, str]:
@@ -217,15 +227,19 @@ def design(
 ) -> DesignResult:
     """Design, certify and analyse an excitation trajectory, as `excite design` does.
 
-    The motion is a finite Fourier series (Swevers et al. 1997) optimised for the geometric criterion σ(I·H₀⁻¹) (Lee, Lee and Park,
-    Automatica 131, 2021) under the robot's limits and the clearances of its cell, with ramps from rest to rest.
+    The motion is a finite Fourier series (Swevers et al. 1997) optimised for the geometric
+    criterion σ(I·H₀⁻¹) (Lee, Lee and Park,
+    Automatica 131, 2021) under the robot's limits and the clearances of its cell, with ramps from
+    rest to rest.
 
     Args:
         robot: Path of a URDF, name of a built-in model, or a loaded robot.
         limits: Limits file, or limits; None: the URDF's.
         margin: Share of velocity, acceleration, jerk and torque limits to keep free [1].
-        cell: Surroundings; by default the floor and the robot itself, by the URDF's collision shapes.
-        options: Criterion, noise, boxes and search; single ones may be given by keyword, as `starts=4`.
+        cell: Surroundings; by default the floor and the robot itself, by the URDF's collision
+            shapes.
+        options: Criterion, noise, boxes and search; single ones may be given by keyword, as
+            `starts=4`.
         period: Period of the Fourier series [s]; None: from the limits.
         harmonics: Number of harmonics; None: 5, or chosen for `time`.
         samples: Optimiser's samples over one period; None: 20 per harmonic.
@@ -239,7 +253,8 @@ def design(
         force: Return a motion even when its certificate fails.
         progress: Called with a line of text now and then.
         notes: Further entries of the file's `design`.
-        **search: Fields of `Options`, e.g. criterion, starts, seed, jobs, iterations, uncertainty, rate.
+        **search: Fields of `Options`, e.g. criterion, starts, seed, jobs, iterations, uncertainty,
+            rate.
 
     Raises:
         UnusableInput: An argument or a file cannot be used.
@@ -255,7 +270,12 @@ def design(
     pose = None if start is None else np.asarray(start, float)
     earlier = _information(given, loaded, table, chosen)
     information = None if earlier is None else earlier.T @ earlier
-    facts = {**(notes or {}), "given": [str(path) for path in given], "speed": speed, "chosen": wish.open}
+    facts = {
+        **(notes or {}),
+        "given": [str(path) for path in given],
+        "speed": speed,
+        "chosen": wish.open,
+    }
     if chosen.noise is None:
         facts["torque_noise_source"] = "1 % of each torque limit (default)"
     workcell, unchecked = cell.cell(loaded, table)
@@ -282,7 +302,9 @@ def design(
     def deliver(apart: Apart | None = None) -> pipeline.Delivery:
         # a validation motion should show everything, known or not
         search_once = partial(run, apart=apart, given=information if apart is None else None)
-        return search_once(chosen) if plan is None else time_budget.deliver(plan, chosen, search_once)
+        return (
+            search_once(chosen) if plan is None else time_budget.deliver(plan, chosen, search_once)
+        )
 
     delivery = deliver()
     second = validation.second(delivery, loaded, deliver) if validate else None
@@ -293,7 +315,9 @@ def design(
 def motion_files(trajectory: Trajectory, robot: Robot, standard: Parameters) -> dict[str, str]:
     """Return `trajectory.json` and `trajectory.csv` of a motion."""
     torque = nominal_torque(robot, standard)
-    job = file_format.Job(trajectory, trajectory.motion, "csv", Path("trajectory.csv"), 1.0, None, torque)
+    job = file_format.Job(
+        trajectory, trajectory.motion, "csv", Path("trajectory.csv"), 1.0, None, torque
+    )
     return {
         "trajectory.json": trajectory_file.dumps(trajectory.document()),
         "trajectory.csv": csv_json.write_csv(job).text,
@@ -349,7 +373,9 @@ def _information(
     standard = inertial_parameters.standard(robot, limits, options.drive)
     noise = noise_levels(limits, options.noise)
     roots = [
-        identifiability.information_root(robot, standard, motion_samples(Path(path), robot)[0], noise)
+        identifiability.information_root(
+            robot, standard, motion_samples(Path(path), robot)[0], noise
+        )
         for path in paths
     ]
     return np.vstack(roots)
@@ -364,7 +390,13 @@ def _analyse(
     root = identifiability.information_root(robot, standard, samples, trajectory.noise)
     known = root if earlier is None else np.vstack([root, earlier])
     return identifiability.analyse_root(
-        standard, setting.base, known, trajectory.noise, robot, threshold=threshold, samples=len(samples)
+        standard,
+        setting.base,
+        known,
+        trajectory.noise,
+        robot,
+        threshold=threshold,
+        samples=len(samples),
     )
 
 

@@ -19,7 +19,7 @@ from ..robot.limits import Limits, from_sources
 from ..robot.robot import Robot
 from ..trajectory import trajectory_file
 from ..trajectory.trajectory_file import Trajectory
-from .design import nominal_torque
+from .design_result import nominal_torque
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,8 @@ def export(
 
     Raises:
         UnusableInput: A file is missing or malformed, or the format does not fit the robot.
-        CheckFailed: The certificate fails, or the slower motion breaks a limit, and `force` is not set.
+        CheckFailed: The certificate fails, or the slower motion breaks a limit, and `force` is not
+            set.
     """
     if format not in formats.FORMATS:
         known = ", ".join(formats.FORMATS)

@@ -1,0 +1,139 @@
+"""Diagnose what the model of a robot leaves out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from .. import _files
+from ..diagnosis import diagnosis, residual_atlas, whole
+from ..diagnosis.diagnosis_file import document as diagnosis_document
+from ..identification import identified_model
+from ..identification import prior as prior_module
+from ..recordings import Recording
+from ..robot import base_parameters, inertial_parameters
+from ..robot.limits import Limits
+from ..trajectory import trajectory_file
+from .identification_result import RecordingSource, _read_both
+from .robots import RobotSource, load_robot, resolve_limits
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class DiagnosisResult:
+    """Effects that a recording shows beyond the base model.
+
+    Attributes:
+        diagnosis: Findings, what remains unexplained, and the errors on held-out recordings.
+        recordings: Recordings that the model is fitted to.
+        validation: Recordings that it is judged by.
+        with_report: Whether the residual is analysed for a report.
+    """
+
+    diagnosis: diagnosis.Diagnosis
+    recordings: tuple[Recording, ...]
+    validation: tuple[Recording, ...]
+    with_report: bool = True
+
+    @cached_property
+    def atlas(self) -> residual_atlas.Atlas | None:
+        """Residual against everything that it might depend on; None without a report."""
+        return residual_atlas.look(self.diagnosis) if self.with_report else None
+
+    @cached_property
+    def _document(self) -> dict[str, Any]:
+        return diagnosis_document(self.diagnosis, self.atlas)
+
+    def document(self) -> dict[str, Any]:
+        """Return the content of `diagnosis.json`."""
+        return dict(self._document)
+
+    @property
+    def findings(self) -> list[Mapping[str, Any]]:
+        """Effects that are reported, the most certain first."""
+        return list(self._document["findings"])
+
+    def model(self) -> dict[str, Any]:
+        """Return the content of `model.json`: the findings, and the parameters without them."""
+        plain = self.diagnosis.identified
+        out = identified_model.document(self.diagnosis.refitted or plain, self.recordings)
+        out["effects"] = [whole.entry(part, plain.model.robot) for part in self.diagnosis.parts]
+        out["without_effects"] = dict(
+            zip(plain.model.parameters.names, plain.psi.tolist(), strict=True)
+        )
+        return out
+
+    def html(self) -> str:
+        """Return the report as HTML."""
+        from .. import report  # slow to import
+
+        atlas = self.atlas or residual_atlas.look(self.diagnosis)
+        remarks = [
+            r for recording in (*self.recordings, *self.validation) for r in recording.remarks
+        ]
+        return report.diagnosis_page(self.diagnosis, self._document, atlas, remarks)
+
+    def contents(self) -> dict[str, str]:
+        """Return the files of the diagnosis by name."""
+        out = {
+            "diagnosis.json": trajectory_file.dumps(self._document),
+            "model.json": trajectory_file.dumps(self.model()),
+        }
+        return out | ({"report.html": self.html()} if self.with_report else {})
+
+    def save(self, folder: str | Path) -> list[Path]:
+        """Write `diagnosis.json`, `model.json` and `report.html`; return their paths."""
+        return _files.write_all(Path(folder), self.contents())
+
+    def report(self, path: str | Path) -> Path:
+        """Write the report alone."""
+        path = Path(path)
+        return _files.write_all(path.parent, {path.name: self.html()})[0]
+
+    def __repr__(self) -> str:
+        robot, document = self.diagnosis.identified.model.robot, self._document
+        effects = ", ".join(str(entry["effect"]) for entry in document["findings"]) or "no finding"
+        return f"<DiagnosisResult {robot.name}: {document['verdict']}, {effects}>"
+
+
+def diagnose(
+    robot: RobotSource,
+    recordings: Sequence[RecordingSource],
+    validate: Sequence[RecordingSource],
+    *,
+    limits: str | Path | Limits | None = None,
+    prior: str | Path | None = None,
+    band: float | None = None,
+    with_report: bool = True,
+    progress: Progress | None = None,
+) -> DiagnosisResult:
+    """Find the effects that the base model leaves out, as `excite diagnose` does.
+
+    Args:
+        robot: Path of a URDF, name of a built-in model, or a loaded robot.
+        recordings: Recordings that models are fitted to.
+        validate: Recordings to judge by.
+        limits: Limits file or limits.
+        prior: Parameters that are right as they stand: `excite.prior/1` or a `model.json`.
+        band: Frequency below which torque is examined [Hz]; None: 20, or more where the data ask
+            for it.
+        with_report: Analyse the residual for the report, which takes a third of the time.
+        progress: Called with a line of text now and then.
+
+    Raises:
+        UnusableInput: An argument or a file cannot be used.
+    """
+    loaded = load_robot(robot)
+    table = resolve_limits(loaded, limits)
+    standard = inertial_parameters.standard(loaded, table, inertial_parameters.DRIVE)
+    base = base_parameters.find(loaded, standard, table)
+    known = {} if prior is None else prior_module.trusted(Path(prior), loaded, standard)
+    train, held_out = _read_both(loaded, table, recordings, validate)
+    say = progress or (lambda text: None)
+    options = diagnosis.Options(band, known)
+    found = diagnosis.diagnose(loaded, standard, base, train, held_out, options, say)
+    return DiagnosisResult(found, tuple(train), tuple(held_out), with_report)

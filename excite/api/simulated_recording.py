@@ -1,0 +1,236 @@
+"""Record a simulated robot that follows a trajectory."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import _files
+from ..errors import UnusableInput
+from ..robot.robot import locate
+from ..schemas.document_file import DocumentFile
+from ..schemas.truth import SCHEMA, TruthDocument
+from ..trajectory import trajectory_file
+
+Picture = Callable[[Any, Any, tuple[Any, ...]], str]
+
+
+@dataclass(frozen=True)
+class SimulatedRecording:
+    """A recording of a simulated robot, with the ground truth.
+
+    Attributes:
+        recording: Measured positions and torques.
+        truth: Content of the `.truth.json`: bodies, joint parameters, hidden effects and their
+            severities.
+        effects: The hidden effects.
+        undisturbed: The same run without the hidden effects.
+        severity: RMS of the effects' torque after a refit of the base model, over the noise RMS
+            [1].
+        severity_trusted: The same without a refit [1].
+    """
+
+    recording: Any
+    truth: dict[str, Any]
+    effects: tuple[Any, ...]
+    undisturbed: Any
+    severity: float
+    severity_trusted: float
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints."""
+        return tuple(self.recording.joints)
+
+    def contents(self, name: str) -> dict[str, str]:
+        """Return the files of the recording `<name>.csv`: sidecar, truth, picture and rows."""
+        from ..simulator import recording_file
+
+        stem = name.removesuffix(".csv")
+        return {
+            name: self.recording.csv(),
+            f"{stem}.json": recording_file.dumps(self.recording.sidecar()),
+            f"{stem}.truth.json": recording_file.dumps(self.truth),
+            f"{stem}.svg": self.picture(),
+        }
+
+    def picture(self) -> str:
+        """Draw the torque with and without the hidden effects, as SVG."""
+        from ..report.figures.simulation import torque_with_and_without_effects
+
+        return torque_with_and_without_effects(self.recording, self.undisturbed, self.effects)
+
+    def save(self, path: str | Path) -> list[Path]:
+        """Write the CSV, its sidecar, its truth and a picture; return their paths."""
+        path = checked_path(path)
+        return _files.write_all(path.parent, self.contents(path.name))
+
+    def report(self, path: str | Path) -> Path:
+        """Write the picture alone."""
+        path = Path(path)
+        return _files.write_all(path.parent, {path.name: self.picture()})[0]
+
+    def __repr__(self) -> str:
+        hidden = ", ".join(effect.name for effect in self.effects) or "nothing hidden"
+        return f"<SimulatedRecording of {len(self.joints)} joints, {len(self.recording.t)} rows: {hidden}>"
+
+
+def checked_path(path: str | Path) -> Path:
+    """Return the path of a recording to be written; its name has to end in `.csv`."""
+    path = Path(path)
+    if path.suffix != ".csv":
+        raise UnusableInput(
+            f"-o {path}: should end in .csv; its sidecar, truth and plot take the same name"
+        )
+    return path
+
+
+def simulate(
+    robot: str | Path,
+    trajectory: str | Path,
+    effects: Sequence[str] = (),
+    *,
+    severity: float | None = None,
+    trusted: bool = False,
+    like: str | Path | None = None,
+    periods: int | None = None,
+    **setting: Any,
+) -> SimulatedRecording:
+    """Record a simulated robot whose physics differs from its model, as `excite simulate` does.
+
+    Args:
+        robot: Path of a URDF or name of a built-in model.
+        trajectory: Path of a `trajectory.json`.
+        effects: Hidden effects, each as `NAME:JOINT[:k=v,…]`.
+        severity: Scale each effect until a refit of the base model leaves this many times the noise
+            of it [1].
+        trusted: With `severity`: nothing is refit, as with a trusted prior.
+        like: `.truth.json` of another recording: the same robot, and effects of the same size.
+        periods: Repeats of the excitation; None: as the trajectory states.
+        **setting: Fields of the simulator's `Setting`: seed, rate, noise, colour, jitter, encoder,
+            model_error.
+
+    Raises:
+        UnusableInput: MuJoCo is not installed, or an argument or a file cannot be used.
+    """
+    if importlib.util.find_spec("mujoco") is None:
+        raise UnusableInput(
+            "MuJoCo is not installed: pip install 'excite[sim]' (in a clone: .venv/bin/pip install -e '.[sim]')"
+        )
+    from ..simulator import effect_instance, experiment, recording_file, reference_trajectory
+    from ..simulator import severity as severities
+
+    given = {name: value for name, value in setting.items() if value is not None}
+    asked = {
+        "effects": effects or None,
+        "severity": severity,
+        **{k: given.get(k) for k in ("seed", "model_error")},
+    }
+    source, sibling = locate(str(robot)), None if like is None else _read_sibling(Path(like), asked)
+    chosen = _setting(given, None if sibling is None else sibling.setting)
+    trajectory_file.read(
+        Path(trajectory)
+    )  # the simulator reads it by itself, but validates nothing
+    motion = reference_trajectory.read(Path(trajectory), periods)
+    plant = experiment.robot(source, motion, chosen)
+    chain = experiment.chain(plant, chosen)
+    if sibling is not None:
+        if sibling.joints != plant.joints:
+            raise UnusableInput(
+                f"{like}: has joints {', '.join(sibling.joints)}; give the robot that it is of"
+            )
+        if recording_file.dumps(recording_file.truth(plant, chain, {})["bodies"]) != sibling.bodies:
+            raise UnusableInput(
+                f"{like}: its bodies are not those of {source}; give the URDF that it was recorded with"
+            )
+        hidden = sibling.effects
+    else:
+        hidden = tuple(effect_instance.parse_effect(text, plant) for text in effects)
+    if severity is not None:
+        if not severity > 0.0:
+            raise UnusableInput(f"--severity {severity:g}: should be above 0")
+        hidden = tuple(
+            severities.reach(effect, severity, plant, motion, chain, trusted=trusted)[0]
+            for effect in hidden
+        )
+    disturbed = effect_instance.with_effects(plant, hidden)
+    undisturbed = plant.run(motion)
+    session = experiment.session(disturbed, motion, chosen, run=undisturbed if not hidden else None)
+    refit = severities.of(session.run, plant, motion, session.chain)
+    unfitted = severities.of(session.run, plant, motion, session.chain, trusted=True)
+    facts = {
+        "robot": {"name": str(robot), "source": str(source)},
+        "trajectory": str(trajectory),
+        "effects": [effect.document() for effect in hidden],
+        "severity": dict(zip(plant.joints, refit.joints.tolist(), strict=True)),
+        "severity_trusted": dict(zip(plant.joints, unfitted.joints.tolist(), strict=True)),
+    }
+    truth = {"schema": session.truth["schema"], **facts, **session.truth}
+    return SimulatedRecording(
+        session.recording, truth, hidden, undisturbed, refit.value, unfitted.value
+    )
+
+
+@dataclass(frozen=True)
+class _Sibling:
+    """The robot of another recording, from its truth. bodies: as JSON."""
+
+    joints: tuple[str, ...]
+    bodies: str
+    setting: Any
+    effects: tuple[Any, ...]
+
+
+def _read_sibling(path: Path, asked: dict[str, Any]) -> _Sibling:
+    """Read the robot of another recording; refuse options that it decides."""
+    from ..simulator import effect_instance, experiment, recording_file
+
+    for name, value in asked.items():
+        if value is not None:
+            option = "effect" if name == "effects" else name.replace("_", "-")
+            raise UnusableInput(f"--{option}: is as {path} says; leave it out, or leave out --like")
+    file = DocumentFile(
+        path, "a truth", "simulate it again", "the .truth.json of 'excite simulate'"
+    )
+    truth = file.json()
+    file.schema(truth, (SCHEMA,))
+    document = file.converted(truth, TruthDocument)
+    try:
+        effects = effect_instance.effects_of_truth(truth)
+    except (
+        KeyError,
+        ValueError,
+    ) as error:  # the catalogue of hidden effects is the simulator's own
+        raise file.error(f"no such effect ({error})", "effects") from error
+    bodies = recording_file.dumps(truth["bodies"])
+    return _Sibling(
+        tuple(document.joints), bodies, experiment.Setting.stated(truth["setting"]), effects
+    )
+
+
+def _setting(given: dict[str, Any], like: Any) -> Any:
+    """Return the simulator's setting: as given, else as the other recording's, else the default."""
+    from ..simulator.experiment import Setting
+
+    least = {
+        "seed": 0.0,
+        "rate": 125.0,
+        "noise": 0.0,
+        "jitter": 0.0,
+        "encoder": 0.0,
+        "model_error": 0.0,
+    }
+    for name, low in least.items():
+        value = given.get(name, low)
+        if not np.isfinite(value) or value < low or (name == "rate" and value > 1000.0):
+            remedy = "be between 125 and 1000 Hz" if name == "rate" else "be a number not below 0"
+            raise UnusableInput(f"--{name.replace('_', '-')} {value:g}: should {remedy}")
+    out = replace(Setting() if like is None else like, **given)
+    if out.colour is not None and not 0.0 < out.colour < 0.5 * out.rate:
+        raise UnusableInput(f"--colour {out.colour:g}: should be above 0 and below half the --rate")
+    return out

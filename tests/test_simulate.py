@@ -13,7 +13,7 @@ pytest.importorskip("mujoco")
 from excite import recordings
 from excite.cli.main import main
 from excite.robot.robot import load
-from excite.simulator.effects import KINDS
+from excite.simulator.effects import EFFECT_TYPES
 from excite.simulator.experiment import Setting
 
 TRAJECTORY = Path(__file__).parents[1] / "trajectories" / "two_link.json"
@@ -202,7 +202,7 @@ def test_what_resembles_no_effect_lists_all_and_their_parameters(tmp_path, capsy
     assert main(simulate("--effect", "list", "-o", str(tmp_path / "rec.csv"))) == 2
     said = capsys.readouterr().err
     assert len(said.strip().splitlines()) == 1
-    for name, kind in KINDS.items():
+    for name, kind in EFFECT_TYPES.items():
         assert f"{name}({', '.join(f'{q.name} [{q.unit}]' for q in kind.quantities)})" in said
     assert not list(tmp_path.iterdir())
 

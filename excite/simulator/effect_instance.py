@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import UnusableInput
-from .effects import CATALOGUE, FORM_FAMILIES, KINDS, EffectType
+from .effects import CATALOGUE, FORM_FAMILIES, EFFECT_TYPES, EffectType
 from .effects.effect_type import EffectParameter, EffectSite
 from .physical_effect import Law
 from .simulated_robot import Plant
@@ -33,7 +33,7 @@ class EffectInstance:
 
     @property
     def kind(self) -> EffectType:
-        return KINDS[self.name]
+        return EFFECT_TYPES[self.name]
 
     def law(self, plant: Plant) -> Law | None:
         """Its physics on a robot; None for what vanishes at size 0."""
@@ -111,11 +111,11 @@ def parse_effect(text: str, plant: Plant) -> EffectInstance:
     """
     name, _, rest = text.partition(":")
     joint, _, pairs = rest.partition(":")
-    if name not in KINDS:
-        near = get_close_matches(name, KINDS, 1)
+    if name not in EFFECT_TYPES:
+        near = get_close_matches(name, EFFECT_TYPES, 1)
         remedy = f"did you mean {_signature(near[0])}?" if near else f"there are: {catalogue_listing()}"
         raise UnusableInput(f"--effect {text}: no effect '{name}'; {remedy}")
-    kind = KINDS[name]
+    kind = EFFECT_TYPES[name]
     place = _place(text, kind, joint, plant)
     stated = dict(_pair(text, pair) for pair in pairs.split(",") if pair)
     family, source = stated.pop("form", FORM_FAMILIES[0]), stated.pop("from", None)
@@ -159,7 +159,7 @@ def effects_of_truth(truth: Mapping[str, Any]) -> tuple[EffectInstance, ...]:
         values = {
             key: float(own["value"]) for key, own in {**one["parameters"], **one["details"]}.items()
         }
-        kind = KINDS[one["effect"]]
+        kind = EFFECT_TYPES[one["effect"]]
         if one["family"] not in kind.forms or set(values) != {q.name for q in kind.quantities}:
             raise ValueError(f"no {kind.name} of this form with these parameters")
         for quantity in kind.quantities:
@@ -219,9 +219,9 @@ def _words(quantities: tuple[EffectParameter, ...]) -> str:
 
 def catalogue_listing() -> str:
     """Every effect with its parameters and units, outsiders last."""
-    names = [*CATALOGUE, *(name for name in KINDS if name not in CATALOGUE)]
+    names = [*CATALOGUE, *(name for name in EFFECT_TYPES if name not in CATALOGUE)]
     return "; ".join(_signature(name) for name in names)
 
 
 def _signature(name: str) -> str:
-    return f"{name}({_words(KINDS[name].quantities)})"
+    return f"{name}({_words(EFFECT_TYPES[name].quantities)})"

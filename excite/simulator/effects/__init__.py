@@ -5,13 +5,13 @@ from __future__ import annotations
 from . import environment, friction, load, out_of_catalogue, sensing, transmission
 from .effect_type import FORM_FAMILIES, EffectType
 
-KINDS: dict[str, EffectType] = {
+EFFECT_TYPES: dict[str, EffectType] = {
     kind.name: kind
     for module in (load, friction, transmission, sensing, environment, out_of_catalogue)
     for kind in module.KINDS
 }
 """Every kind there is; those with `outsider` are not of the contract's list."""
-CATALOGUE = tuple(name for name, kind in KINDS.items() if not kind.outsider)
-OUTSIDERS = tuple(name for name, kind in KINDS.items() if kind.outsider)
+CATALOGUE = tuple(name for name, kind in EFFECT_TYPES.items() if not kind.outsider)
+OUTSIDERS = tuple(name for name, kind in EFFECT_TYPES.items() if kind.outsider)
 
 __all__ = ["CATALOGUE", "FAMILIES", "KINDS", "OUTSIDERS", "Kind"]

@@ -161,6 +161,6 @@ def smooth_sign(v: Array) -> Array:
     return v / np.sqrt(v * v + SIGN_WIDTH**2)
 
 
-def angle(name: str = "phase") -> EffectParameter:
+def phase_parameter(name: str = "phase") -> EffectParameter:
     """A phase: shape, not size."""
     return EffectParameter(name, "rad", -np.pi, np.pi, power=0.0, stated=False)

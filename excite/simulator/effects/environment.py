@@ -12,7 +12,7 @@ import numpy as np
 from ..mujoco_dynamics import Arm
 from ..physical_effect import Instant, Law, Suspension
 from ..urdf_tree import Tree
-from .effect_type import EffectType, EffectParameter, EffectSite, angle
+from .effect_type import EffectType, EffectParameter, EffectSite, phase_parameter
 
 Array = np.ndarray
 Values = Mapping[str, float]
@@ -112,7 +112,7 @@ KINDS = (
             EffectParameter("force", "N", 0.03, 0.2, "torque"),
             EffectParameter("start", "s", 2.0, 4.0, power=0.0, stated=False),
             EffectParameter("end", "s", 5.0, 7.0, power=0.0, stated=False),
-            angle("heading"),
+            phase_parameter("heading"),
         ),
         {
             "tuning": lambda site, p: _push(site, p, False),

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..physical_effect import Instant, Law
-from .effect_type import EffectType, ValueConversion, EffectParameter, EffectSite, angle, memoryless_effect, torque_at_joint, smooth_sign
+from .effect_type import EffectType, ValueConversion, EffectParameter, EffectSite, phase_parameter, memoryless_effect, torque_at_joint, smooth_sign
 
 Array = np.ndarray
 Values = Mapping[str, float]
@@ -335,7 +335,7 @@ KINDS = (
         (
             EffectParameter("amplitude", "N m", 0.002, 0.01, "torque", within="coulomb"),
             EffectParameter("waves", "1", 1.0, 2.0, power=0.0, stated=False),
-            angle(),
+            phase_parameter(),
         ),
         {"tuning": position_triangle, "scored": position_bumps},
         meant={"scored": _half_range},

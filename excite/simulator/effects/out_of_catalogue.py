@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..physical_effect import Instant, Law
-from .effect_type import EffectType, EffectParameter, EffectSite, angle, memoryless_effect, torque_at_joint
+from .effect_type import EffectType, EffectParameter, EffectSite, phase_parameter, memoryless_effect, torque_at_joint
 
 Array = np.ndarray
 Values = Mapping[str, float]
@@ -108,7 +108,7 @@ KINDS = (
         (
             EffectParameter("amplitude", "N m", 0.01, 0.05, "torque"),
             EffectParameter("breadth", "rad", 0.02, 0.06, power=0.0),
-            angle(),
+            phase_parameter(),
         ),
         {"tuning": tooth_defect, "scored": tooth_defect},
         outsider=True,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..physical_effect import Law
-from .effect_type import EffectType, EffectParameter, EffectSite, angle
+from .effect_type import EffectType, EffectParameter, EffectSite, phase_parameter
 
 Array = np.ndarray
 Values = Mapping[str, float]
@@ -157,7 +157,7 @@ KINDS = (
         (
             EffectParameter("amplitude", "rad", 2e-4, 2e-3),
             EffectParameter("order", "1/turn", 1.0, 4.0, power=0.0),
-            angle(),
+            phase_parameter(),
         ),
         {"tuning": encoder_harmonics, "scored": encoder_eccentric},
         meant={"scored": _fundamental},

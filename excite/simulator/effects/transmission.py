@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import jv
 
 from ..physical_effect import Instant, Law, Spring
-from .effect_type import EffectType, EffectParameter, EffectSite, angle, memoryless_effect
+from .effect_type import EffectType, EffectParameter, EffectSite, phase_parameter, memoryless_effect
 
 Array = np.ndarray
 Values = Mapping[str, float]
@@ -159,7 +159,7 @@ KINDS = (
         (
             EffectParameter("order", "1/turn", 6.0, 60.0, power=0.0),
             EffectParameter("amplitude", "N m", 0.005, 0.05, "torque"),
-            angle(),
+            phase_parameter(),
         ),
         {"tuning": ripple_pair, "scored": ripple_loaded},
         meant={"scored": _fundamental},

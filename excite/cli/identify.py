@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import csv
 import dataclasses
 import io
 from collections.abc import Callable, Mapping, Sequence
@@ -190,8 +191,15 @@ def predict(arguments: argparse.Namespace) -> Outcome:
     fitted = identified_model.read(Path(arguments.model))
     recording = recordings.read(Path(arguments.recording), fitted.robot)
     times, torque = whole.predict(fitted, recording)
+    if not np.isfinite(torque).all():
+        joint = fitted.robot.joints[int(np.argmin(np.isfinite(torque).all(axis=0)))]
+        raise UnusableInput(
+            f"{arguments.model}: the torque that it predicts at joint '{joint}' is not finite; "
+            "identify again"
+        )
     stream = io.StringIO()
-    stream.write(",".join(["t", *(f"tau.{joint}" for joint in fitted.robot.joints)]) + "\n")
+    header = ["t", *(f"tau.{joint}" for joint in fitted.robot.joints)]
+    csv.writer(stream, lineterminator="\n").writerow(header)
     np.savetxt(stream, np.column_stack([times, torque]), fmt="%.9g", delimiter=",")
     path = Path(arguments.out)
     written = _files.write_all(path.parent, {path.name: stream.getvalue()})[0]

@@ -66,7 +66,7 @@ def ceiling(name: str, key: dict[str, Any], folder: Path) -> Ceiling:
         session for half, session in zip(found.tracks, bench.sessions, strict=True) for _ in half
     ]
     hidden = [
-        one.reduce(severity.hidden(s.run, bench.plant, one.clock).torque)
+        one.reduce(severity.hidden_torque(s.run, bench.plant, one.clock).torque)
         for one, s in zip(tracks, sessions, strict=True)
     ]
     truth = np.concatenate([x / found.floor for x in hidden]).ravel()

@@ -29,8 +29,8 @@ from excite.identification.lowpass import Band
 from excite.recordings import Recording, Sidecar
 from excite.robot import base_parameters, inertial_parameters, limits, robot
 from excite.simulator import experiment, recording_file
-from excite.simulator.experiment import Session, Setting
-from excite.simulator.measurement import Chain
+from excite.simulator.experiment import SimulatedSession, ExperimentSettings
+from excite.simulator.measurement import MeasurementChain
 from excite.trajectory import trajectory_file
 
 Array = np.ndarray
@@ -39,7 +39,7 @@ KINDS = ("train", "held out")
 CORNER = 2.0  # Hz, of the coloured noise's low-pass
 
 
-def taken(found: recording_file.Recording, name: str) -> Recording:
+def taken(found: recording_file.SimulatedRecording, name: str) -> Recording:
     """A simulated recording, without the detour through a file."""
     side = Sidecar(period=found.period, periodic=found.periodic)
     return Recording(
@@ -60,8 +60,8 @@ class Bench:
 
     name: str
     colour: float | None
-    train: Session
-    held_out: Session
+    train: SimulatedSession
+    held_out: SimulatedSession
     references: tuple[Any, Any]
     truth: Array
 
@@ -72,7 +72,7 @@ class Bench:
         standard = inertial_parameters.standard(machine, table)
         generators = np.random.default_rng([seed, 5]).spawn(2)
         made = [
-            taken(recording_file.record(session.run, reference, session.chain, rng), kind)
+            taken(recording_file.measure(session.run, reference, session.chain, rng), kind)
             for session, reference, rng, kind in zip(
                 (self.train, self.held_out), self.references, generators, KINDS, strict=True
             )
@@ -98,7 +98,7 @@ def bench(name: str, colour: float | None, folder: Path, periods: int) -> Bench:
         delivery = pipeline.run(machine, table, DesignOptions(period=period, seed=11, starts=1))
         other.write_text(trajectory_file.dumps(delivery.trajectory.document()), encoding="utf-8")
     urdf = robot.locate(name)
-    setting = Setting(seed=3, colour=colour)
+    setting = ExperimentSettings(seed=3, colour=colour)
     sessions = [
         experiment.simulate(urdf, path, setting, periods=periods) for path in (first, other)
     ]
@@ -106,7 +106,7 @@ def bench(name: str, colour: float | None, folder: Path, periods: int) -> Bench:
     return Bench(name, colour, sessions[0], sessions[1], references, true_psi(sessions[0], machine))  # type: ignore[arg-type]
 
 
-def true_psi(session: Session, machine: robot.Robot) -> Array:
+def true_psi(session: SimulatedSession, machine: robot.Robot) -> Array:
     """ψ of the simulated robot, read back from its URDF by Pinocchio."""
     model = pin.buildModelFromXML(session.plant.tree.text)
     bodies = [
@@ -137,7 +137,7 @@ def one(setup: Bench, seed: int, frame: Array) -> tuple[Array, Array, Array]:
     )
 
 
-def floor(chain: Chain, hertz: float) -> Array:
+def floor(chain: MeasurementChain, hertz: float) -> Array:
     """RMS of the torque's noise as the estimator's filter leaves it, whose edge is not sharp. Shape (n,) [N m]."""
     edges = np.linspace(0.0, hertz, 201)[1:]
     power = np.diff([chain.floor(f) ** 2 for f in edges], axis=0, prepend=0.0)

@@ -23,7 +23,7 @@ from excite.robot.limits import Limits
 from excite.trajectory.fourier import Fourier
 
 if TYPE_CHECKING:  # of an extra that need not be there
-    from excite.simulator.simulated_robot import Plant
+    from excite.simulator.simulated_robot import SimulatedRobot
 
 Array = np.ndarray
 PERIOD, RATE = 5.2, 500.0
@@ -55,7 +55,7 @@ def perturbed(standard: Parameters, rng: np.random.Generator, size: float = 0.1)
     return psi
 
 
-def simulated(plant: Plant, standard: Parameters, table: Limits) -> Array:
+def simulated(plant: SimulatedRobot, standard: Parameters, table: Limits) -> Array:
     """ψ of a robot that was simulated: its bodies, and what its drives are."""
     psi = inertial_parameters.standard(loaded(plant.tree.text), table).nominal.copy()
     for kind, name in (

@@ -185,7 +185,7 @@ def known() -> Known:
     session = experiment.simulate(
         path,
         Path(__file__).parents[1] / "trajectories/two_link.json",
-        experiment.Setting(seed=5, noise=1e-3),
+        experiment.ExperimentSettings(seed=5, noise=1e-3),
         periods=2,
     )
     told, arm = session.recording, robot.load("two_link")

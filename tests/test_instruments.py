@@ -43,7 +43,7 @@ def bench(encoder: float, step: float) -> Bench:
     from excite.simulator import experiment
     from excite.simulator.actuator import ControllerGains
 
-    setting = experiment.Setting(seed=3, encoder=encoder, control=ControllerGains(step=step))
+    setting = experiment.ExperimentSettings(seed=3, encoder=encoder, control=ControllerGains(step=step))
     session = experiment.simulate(
         locate("two_link"),
         Path(__file__).parents[1] / "trajectories/two_link.json",

@@ -13,9 +13,9 @@ from concealed_trial.score import mark, whole
 
 from excite.simulator.actuator import JointActuators
 from excite.simulator.effect_instance import EffectInstance
-from excite.simulator.effects import FORM_FAMILIES, KINDS
+from excite.simulator.effects import FORM_FAMILIES, EFFECT_TYPES
 from excite.simulator.effects.effect_type import EffectSite, smooth_sign
-from excite.simulator.physical_effect import Instant, Law
+from excite.simulator.physical_effect import JointStates, PhysicalEffect
 
 Array = np.ndarray
 ONE = np.ones(1)
@@ -36,8 +36,8 @@ USUAL = {
 }
 
 
-def law(name: str, family: str, **own: float) -> Law:
-    return KINDS[name].forms[family](SITE, {**USUAL[name], **own})
+def law(name: str, family: str, **own: float) -> PhysicalEffect:
+    return EFFECT_TYPES[name].forms[family](SITE, {**USUAL[name], **own})
 
 
 def entry(name: str, family: str, **own: float) -> dict[str, object]:
@@ -55,12 +55,12 @@ def meant(name: str, family: str, **own: float) -> Mapping[str, float]:
 
 
 def torque(
-    it: Law, q: Array | float = 0.0, v: Array | float = 1.0, t: Array | float = 0.0
+    it: PhysicalEffect, q: Array | float = 0.0, v: Array | float = 1.0, t: Array | float = 0.0
 ) -> Array:
     """At the joint, without acceleration or load."""
     t, q, v = np.broadcast_arrays(t, q, v)
     out = it.torque(
-        Instant(t, q[..., None], v[..., None], 0.0 * q[..., None], 0.0 * q[..., None]), np.empty(0)
+        JointStates(t, q[..., None], v[..., None], 0.0 * q[..., None], 0.0 * q[..., None]), np.empty(0)
     )
     assert out is not None
     return np.asarray(out[..., 0])
@@ -126,7 +126,7 @@ def test_friction_that_heats_itself_has_no_one_change():
     """The law's own is that of viscous friction at a steady speed; at crawl it is half of it, at rest nothing warms at all."""
     it, warm = law("thermal_drift", "scored"), np.ones(1)
     share = [
-        it.torque(Instant(0.0, 0.0 * ONE, v * ONE, 0.0 * ONE, 0.0 * ONE), warm)[0] / (0.5 * v + 1.5)
+        it.torque(JointStates(0.0, 0.0 * ONE, v * ONE, 0.0 * ONE, 0.0 * ONE), warm)[0] / (0.5 * v + 1.5)
         for v in (0.1, 1.2, 1e5)
     ]
     assert share == pytest.approx([-0.206, -0.257, -0.4], abs=1e-3)
@@ -142,7 +142,7 @@ def test_hysteresis_is_as_stiff_at_rest_and_as_large_at_last_as_it_says(family):
     steps = np.array([1e-8, *np.full(2000, 1e-4)])
     z, found = np.zeros(it.memory), []
     for step in steps:
-        x = Instant(np.zeros(()), np.zeros(1), np.array([step]), np.zeros(1), np.zeros(1))
+        x = JointStates(np.zeros(()), np.zeros(1), np.array([step]), np.zeros(1), np.zeros(1))
         z = it.advance(x, z, 1.0)
         found.append(float(it.torque(x, z)[0]))
     assert found[0] / steps[0] == pytest.approx(told["stiffness"], rel=1e-3)
@@ -170,9 +170,9 @@ def test_the_key_states_what_remakes_the_law():
         assert own == copy and values == USUAL[name]
 
 
-@pytest.mark.parametrize("name", sorted(KINDS))
+@pytest.mark.parametrize("name", sorted(EFFECT_TYPES))
 def test_only_what_a_kind_has_is_restated(name):
-    kind, values = KINDS[name], {q.name: q.middle(60.0, 3.0) for q in KINDS[name].quantities}
+    kind, values = EFFECT_TYPES[name], {q.name: q.middle(60.0, 3.0) for q in EFFECT_TYPES[name].quantities}
     for family, meaning in kind.meant.items():
         other = meaning(values)
         assert family in kind.forms and set(other) <= {q.name for q in kind.quantities if q.stated}

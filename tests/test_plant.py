@@ -20,12 +20,12 @@ from excite.simulator import experiment, reference_trajectory, regressor, severi
 from excite.simulator import mujoco_dynamics as arms
 from excite.simulator import urdf_tree as trees
 from excite.simulator.actuator import ControllerGains
-from excite.simulator.effects import CATALOGUE, FORM_FAMILIES, KINDS
-from excite.simulator.experiment import Setting
-from excite.simulator.model_error import deformed
-from excite.simulator.physical_effect import Law, Spring
-from excite.simulator.recording_file import ten
-from excite.simulator.reference_trajectory import Reference
+from excite.simulator.effects import CATALOGUE_NAMES, FORM_FAMILIES, EFFECT_TYPES
+from excite.simulator.experiment import ExperimentSettings
+from excite.simulator.model_error import perturb_bodies
+from excite.simulator.physical_effect import PhysicalEffect, TransmissionSpring
+from excite.simulator.recording_file import inertial_vector
+from excite.simulator.reference_trajectory import ReferenceTrajectory
 
 MODELS, TRAJECTORIES = (
     locate("two_link").parent,
@@ -37,12 +37,12 @@ def urdf(name: str) -> Path:
     return MODELS / f"{name}.urdf"
 
 
-def swing(seconds: float = 2.0, seed: int = 0, n: int = 2) -> Reference:
+def swing(seconds: float = 2.0, seed: int = 0, n: int = 2) -> ReferenceTrajectory:
     """A quick motion of two_link, or of n joints like it."""
     rng = np.random.default_rng(seed)
     sine, cosine = 1.2 * rng.standard_normal((2, n, 3))
-    return reference_trajectory.blended(
-        trees.read(urdf("two_link")).joints,
+    return reference_trajectory.blended_fourier(
+        trees.read_urdf(urdf("two_link")).joints,
         sine,
         cosine,
         np.array([-1.4, 0.6]),
@@ -54,16 +54,16 @@ def swing(seconds: float = 2.0, seed: int = 0, n: int = 2) -> Reference:
 
 @pytest.fixture(scope="module")
 def bench():
-    motion, setting = swing(), Setting(seed=3)
-    plant = experiment.robot(urdf("two_link"), motion, setting)
+    motion, setting = swing(), ExperimentSettings(seed=3)
+    plant = experiment.build_robot(urdf("two_link"), motion, setting)
     return plant, motion, setting, experiment.session(plant, motion, setting)
 
 
 @pytest.fixture(scope="module")
 def quick():
     """The same, shorter and in coarser steps: enough to see whether two runs are equal."""
-    motion, setting = swing(1.2), Setting(seed=3)
-    plant = replace(experiment.robot(urdf("two_link"), motion, setting), step=2e-3)
+    motion, setting = swing(1.2), ExperimentSettings(seed=3)
+    plant = replace(experiment.build_robot(urdf("two_link"), motion, setting), step=2e-3)
     return plant, motion, setting, experiment.session(plant, motion, setting)
 
 
@@ -77,8 +77,8 @@ def hidden(plant, text: str):
 @pytest.mark.parametrize("name", ["two_link", "tx40", "ur10e", "panda", "iiwa14"])
 def test_base_physics_agrees_with_pinocchio(name):
     rng = np.random.default_rng(1)
-    tree = deformed(trees.read(urdf(name)), 0.05, rng)
-    arm = arms.build(tree, tree.joints)
+    tree = perturb_bodies(trees.read_urdf(urdf(name)), 0.05, rng)
+    arm = arms.build_dynamics(tree, tree.joints)
     q, v, a = (
         rng.uniform(-2, 2, (20, arm.n)),
         rng.normal(size=(20, arm.n)),
@@ -107,42 +107,42 @@ def test_a_prismatic_joint_too_and_locked_ones():
         joint("j2", "a", "b", "prismatic", (0.2, 0.1, 0), (0.1, -0.4, 0), (0.6, 0, 0.8)),
         joint("j3", "b", "c", "continuous", (0, 0.2, 0), (0, 0, 1.0), (0, 0, 1)),
     )
-    tree = trees.Tree("text", trees.ElementTree.fromstring(text))
-    whole, locked = arms.build(tree, tree.joints), arms.build(tree, ("j1", "j2"), {"j3": 0.7})
+    tree = trees.UrdfTree("text", trees.ElementTree.fromstring(text))
+    whole, locked = arms.build_dynamics(tree, tree.joints), arms.build_dynamics(tree, ("j1", "j2"), {"j3": 0.7})
     q, v, a = rng.normal(size=(3, 10, 2))
     wide = [np.column_stack([x, np.full(10, fill)]) for x, fill in ((q, 0.7), (v, 0.0), (a, 0.0))]
     np.testing.assert_allclose(locked.inverse(q, v, a), whole.inverse(*wide)[:, :2], atol=1e-10)
-    y = regressor.bodies(whole, *wide)
-    parameters = np.concatenate([ten(tree, name) for name in "abc"])
+    y = regressor.rigid_body_regressor(whole, *wide)
+    parameters = np.concatenate([inertial_vector(tree, name) for name in "abc"])
     np.testing.assert_allclose(y @ parameters, whole.inverse(*wide), atol=1e-10)
 
 
 @pytest.mark.parametrize("name", ["ur10e", "panda"])
 def test_regressor_times_parameters_is_the_torque(name):
     rng = np.random.default_rng(3)
-    tree = trees.read(urdf(name))
-    arm = arms.build(tree, tree.joints)
+    tree = trees.read_urdf(urdf(name))
+    arm = arms.build_dynamics(tree, tree.joints)
     q, v, a = rng.normal(size=(3, 15, arm.n))
-    y = regressor.bodies(arm, q, v, a)
+    y = regressor.rigid_body_regressor(arm, q, v, a)
     moving = [
         str(arm.model.body(b).name)
         for b in range(1, arm.model.nbody)
         if arm.model.body_weldid[b] != 0
     ]
     np.testing.assert_allclose(
-        y @ np.concatenate([ten(tree, link) for link in moving]), arm.inverse(q, v, a), atol=1e-9
+        y @ np.concatenate([inertial_vector(tree, link) for link in moving]), arm.inverse(q, v, a), atol=1e-9
     )
 
 
 def test_wrong_bodies_are_bodies_and_differ_by_what_is_stated():
-    tree = trees.read(urdf("ur10e"))
-    other = deformed(tree, 0.05, np.random.default_rng(0))
+    tree = trees.read_urdf(urdf("ur10e"))
+    other = perturb_bodies(tree, 0.05, np.random.default_rng(0))
     masses = []
     for link in tree.links:
         assert np.linalg.eigvalsh(other.body(link)).min() > 0.0
         masses.append(other.body(link)[3, 3] / tree.body(link)[3, 3] - 1.0)
     assert 0.01 < np.std(masses) < 0.12
-    assert deformed(tree, 0.0, np.random.default_rng(0)).body("forearm_link") == pytest.approx(
+    assert perturb_bodies(tree, 0.0, np.random.default_rng(0)).body("forearm_link") == pytest.approx(
         tree.body("forearm_link"), rel=1e-12
     )
 
@@ -188,16 +188,16 @@ def test_work_is_energy_plus_loss(bench):
 def test_two_masses_without_drive_keep_their_energy(bench):
     """Let a wound-up elastic joint swing with no friction, no controller and no damping: only the scheme's own loss is left."""
     from excite.simulator.closed_loop import ClosedLoop
-    from excite.simulator.effects.transmission import Hardening
+    from excite.simulator.effects.transmission import HardeningSpring
 
     plant, *_ = bench
     zero = np.zeros(2)
     drive = replace(plant.drive, viscous=zero, coulomb=zero, offset=zero)
-    law = Hardening(effects.effect_site(plant, "joint_2"), 500.0)
+    law = HardeningSpring(effects.effect_site(plant, "joint_2"), 500.0)
     law.__dict__["damping"] = 0.0
     off = ControllerGains(position=0.0, speed=0.0, integral=0.0, forward=0.0)
     loop = ClosedLoop(
-        arms.build(plant.tree, plant.joints, gravity=(0.0, 0.0, 0.0)),
+        arms.build_dynamics(plant.tree, plant.joints, gravity=(0.0, 0.0, 0.0)),
         drive,
         off,
         (law,),
@@ -274,7 +274,7 @@ def test_teeth_hide_the_same_whatever_the_step(bench):
     left = []
     for step in (2e-3, 1.25e-4):
         run = hidden(replace(plant, step=step), "backlash:joint_2:width=0.001").run(motion)
-        left.append(signal.sosfiltfilt(low, severity.hidden(run, plant, t).torque[:, 1]))
+        left.append(signal.sosfiltfilt(low, severity.hidden_torque(run, plant, t).torque[:, 1]))
     assert np.std(left[0] - left[1]) < 0.2 * np.std(left[1])
 
 
@@ -282,9 +282,9 @@ def test_what_swings_fast_does_not_pass_for_slow(bench, monkeypatch):
     """Looked at 200 times a second, teeth that knock at hundreds of Hz seemed to be eight times as loud below 20 Hz."""
     plant, motion, _, session = bench
     run = hidden(plant, "backlash:joint_2:width=0.0002").run(motion)
-    told = severity.of(run, plant, motion, session.chain).joints
+    told = severity.evaluate_severity(run, plant, motion, session.chain).joints
     monkeypatch.setattr(severity, "RATTLING", 8000.0)
-    finer = severity.of(run, plant, motion, session.chain).joints
+    finer = severity.evaluate_severity(run, plant, motion, session.chain).joints
     assert np.abs(np.log(told / finer)).max() < np.log(2.0)
 
 
@@ -304,14 +304,14 @@ def test_a_base_moves_as_its_springs_let_it(bench):
 
 
 def test_every_name_of_the_contract_is_there():
-    assert set(CATALOGUE) == set(EFFECT_NAMES)
-    assert all(set(kind.forms) == set(FORM_FAMILIES) for kind in KINDS.values())
+    assert set(CATALOGUE_NAMES) == set(EFFECT_NAMES)
+    assert all(set(kind.forms) == set(FORM_FAMILIES) for kind in EFFECT_TYPES.values())
 
 
-@pytest.mark.parametrize("name", list(KINDS))
+@pytest.mark.parametrize("name", list(EFFECT_TYPES))
 def test_an_effect_of_size_zero_changes_nothing_and_one_of_its_usual_size_does(quick, name):
     plant, motion, setting, bare = quick
-    kind, csv = KINDS[name], bare.recording.csv()
+    kind, csv = EFFECT_TYPES[name], bare.recording.csv()
     place = "" if kind.place == "robot" else "joint_1" if name == "kinematic_error" else "joint_2"
     extra = ",start=0.3,end=0.9" if name == "contact" else ""
     for family in FORM_FAMILIES:
@@ -383,12 +383,12 @@ def test_hysteresis_remembers_and_dissipates(bench, form):
 def test_severity_is_zero_for_what_a_refit_absorbs_and_scales(bench):
     plant, motion, setting, bare = bench
     chain = experiment.chain(plant, setting)
-    assert severity.of(bare.run, plant, motion, chain).value < 1e-6
+    assert severity.evaluate_severity(bare.run, plant, motion, chain).value < 1e-6
     run = hidden(plant, "payload:joint_2:mass=1").run(motion)
-    assert severity.of(run, plant, motion, chain, trusted=True).value > 3.0
-    assert severity.of(run, plant, motion, chain).value < 1e-6
+    assert severity.evaluate_severity(run, plant, motion, chain, trusted=True).value > 3.0
+    assert severity.evaluate_severity(run, plant, motion, chain).value < 1e-6
     effect = effects.parse_effect("position_friction:joint_2", plant)
-    _, _, reached = severity.reach(effect, 3.0, plant, motion, chain)
+    _, _, reached = severity.scale_to_severity(effect, 3.0, plant, motion, chain)
     assert reached.value == pytest.approx(3.0, rel=0.16)
 
 
@@ -404,7 +404,7 @@ def test_no_severity_goes_beyond_what_physics_allows(bench):
     ):
         effect = effects.parse_effect(text, plant)
         assert effect.most(plant) == pytest.approx(most / abs(effect.values[key]))
-        reached = severity.reach(effect, 1e3, plant, motion, chain)[0]
+        reached = severity.scale_to_severity(effect, 1e3, plant, motion, chain)[0]
         assert 0.0 < abs(reached.values[key]) <= most + 1e-12
     assert effects.parse_effect("spring:joint_2", plant).most(plant) == np.inf
 
@@ -415,11 +415,11 @@ def test_a_robot_that_is_lost_is_said_to_be(bench):
         hidden(plant, "coupling:joint_2:inertia=50").run(motion)
 
 
-class Runaway(Law):
+class Runaway(PhysicalEffect):
     """A spring that pushes the further it is wound, until no number holds it."""
 
-    def spring(self) -> Spring:
-        return Spring(1, lambda d, rate: (-1e9 * (d + 1e-3) ** 3, 0.0, 0.0))
+    def spring(self) -> TransmissionSpring:
+        return TransmissionSpring(1, lambda d, rate: (-1e9 * (d + 1e-3) ** 3, 0.0, 0.0))
 
 
 def test_so_is_one_that_no_number_holds(bench):

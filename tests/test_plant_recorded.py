@@ -15,15 +15,15 @@ from test_plant import TRAJECTORIES, swing, urdf
 from excite.errors import UnusableInput
 from excite.simulator import experiment, reference_trajectory
 from excite.simulator import urdf_tree as trees
-from excite.simulator.experiment import Setting
-from excite.simulator.measurement import Chain, coloured
-from excite.simulator.reference_trajectory import Reference
+from excite.simulator.experiment import ExperimentSettings
+from excite.simulator.measurement import MeasurementChain, coloured_noise
+from excite.simulator.reference_trajectory import ReferenceTrajectory
 
 
 @pytest.fixture(scope="module")
 def bench():
-    motion, setting = swing(), Setting(seed=3)
-    plant = experiment.robot(urdf("two_link"), motion, setting)
+    motion, setting = swing(), ExperimentSettings(seed=3)
+    plant = experiment.build_robot(urdf("two_link"), motion, setting)
     return plant, motion, setting, experiment.session(plant, motion, setting)
 
 
@@ -32,11 +32,11 @@ def test_a_trajectory_is_replayed_as_designed(name):
     from excite.trajectory import trajectory_file
 
     path = TRAJECTORIES / f"{name}.json"
-    designed, replayed = trajectory_file.read(path).motion, reference_trajectory.read(path)
+    designed, replayed = trajectory_file.read(path).motion, reference_trajectory.read_reference(path)
     t = np.linspace(0.0, designed.duration, 777)
     for order, values in enumerate(replayed.at(t)[:2]):
         np.testing.assert_allclose(values, designed.at(t, order), atol=1e-9)
-    more = reference_trajectory.read(path, designed.periods + 1)
+    more = reference_trajectory.read_reference(path, designed.periods + 1)
     assert more.duration == pytest.approx(designed.duration + designed.fourier.period)
     assert np.abs(np.diff(more.at(np.linspace(0, more.duration, 5000))[0], axis=0)).max() < 0.05
 
@@ -48,10 +48,10 @@ def test_the_body_a_trajectory_was_designed_with_is_carried():
         "centre": [0.1, 0.0, 0.05],
         "inertia": [0.01, 0.001, 0.02, 0.0, 0.0, 0.015],
     }
-    tree = trees.read(urdf("two_link"))
+    tree = trees.read_urdf(urdf("two_link"))
     name = tree.child("joint_2")
     motion = replace(swing(), robot={"payload": {**stated, "link": name}})
-    plant = experiment.robot(urdf("two_link"), motion, Setting(model_error=0.0))
+    plant = experiment.build_robot(urdf("two_link"), motion, ExperimentSettings(model_error=0.0))
     from excite.robot.robot import Payload, load
 
     model = load(
@@ -76,12 +76,12 @@ def test_what_the_plant_cannot_read_is_refused(tmp_path):
     )
     mimic.write_text(document(*parts))
     with pytest.raises(UnusableInput, match="'k' is a mimic"):
-        trees.read(mimic)
+        trees.read_urdf(mimic)
     (tmp_path / "no.urdf").write_text("<sdf/>")
     with pytest.raises(UnusableInput, match="not <robot>"):
-        trees.read(tmp_path / "no.urdf")
+        trees.read_urdf(tmp_path / "no.urdf")
     with pytest.raises(UnusableInput, match="no velocity or torque limit"):
-        trees.Tree(
+        trees.UrdfTree(
             "text",
             trees.ElementTree.fromstring(
                 document(link("b"), link("x", 1.0), joint("j", "b", "x", inside=""))
@@ -92,8 +92,8 @@ def test_what_the_plant_cannot_read_is_refused(tmp_path):
 def test_noise_has_its_size_and_colour():
     rng = np.random.default_rng(0)
     for colour in (None, 8.0):
-        chain = Chain(500.0, np.array([2.0]), colour)
-        noise = 2.0 * coloured((200_000, 1), 500.0, colour, rng)
+        chain = MeasurementChain(500.0, np.array([2.0]), colour)
+        noise = 2.0 * coloured_noise((200_000, 1), 500.0, colour, rng)
         assert np.std(noise) == pytest.approx(2.0, rel=0.05)
         spectrum = np.abs(np.fft.rfft(noise[:, 0])) ** 2
         below = spectrum[: int(len(spectrum) * 20.0 / 250.0)].sum() / spectrum.sum()
@@ -112,9 +112,9 @@ def test_the_chain_quantises_and_jitters(bench):
 
 
 def test_one_seed_gives_one_recording():
-    motion, setting = swing(1.5), Setting(seed=11)
+    motion, setting = swing(1.5), ExperimentSettings(seed=11)
     first, second = (
-        experiment.session(experiment.robot(urdf("two_link"), motion, setting), motion, setting)
+        experiment.session(experiment.build_robot(urdf("two_link"), motion, setting), motion, setting)
         for _ in range(2)
     )
     assert first.recording.csv() == second.recording.csv() and first.truth == second.truth
@@ -123,10 +123,10 @@ def test_one_seed_gives_one_recording():
 
 def test_noise_of_another_motion_is_another_and_of_the_same_motion_the_same():
     """What is seen in two recordings of one seed must not be what they were drawn from."""
-    setting = Setting(seed=11, noise=0.01)
+    setting = ExperimentSettings(seed=11, noise=0.01)
 
-    def noise(motion: Reference) -> np.ndarray:
-        plant = experiment.robot(urdf("two_link"), motion, setting)
+    def noise(motion: ReferenceTrajectory) -> np.ndarray:
+        plant = experiment.build_robot(urdf("two_link"), motion, setting)
         silent, loud = (
             experiment.session(plant, motion, replace(setting, noise=level))
             for level in (0.0, 0.01)

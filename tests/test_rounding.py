@@ -153,7 +153,7 @@ def test_what_steps_are_said_to_feign_is_of_the_size_of_what_they_do(tmp_path):
     machine = robot.load("two_link")
     table = limits.resolve(machine)
     standard = inertial_parameters.standard(machine, table)
-    setting = experiment.Setting(seed=3)
+    setting = experiment.ExperimentSettings(seed=3)
     fine = experiment.simulate(
         locate("two_link"),
         Path(__file__).parents[1] / "trajectories/two_link.json",

@@ -14,7 +14,7 @@ from excite import recordings
 from excite.cli.main import main
 from excite.robot.robot import load
 from excite.simulator.effects import EFFECT_TYPES
-from excite.simulator.experiment import Setting
+from excite.simulator.experiment import ExperimentSettings
 
 TRAJECTORY = Path(__file__).parents[1] / "trajectories" / "two_link.json"
 
@@ -179,11 +179,11 @@ def test_what_help_says_is_the_default_is(capsys):
         main(["simulate", "--help"])
     said = " ".join(capsys.readouterr().out.split())
     for value in (
-        Setting().seed,
-        Setting().rate,
-        Setting().noise,
-        Setting().encoder,
-        Setting().model_error,
+        ExperimentSettings().seed,
+        ExperimentSettings().rate,
+        ExperimentSettings().noise,
+        ExperimentSettings().encoder,
+        ExperimentSettings().model_error,
     ):
         assert f"(default {value:g})" in said.replace("2e-6", "2e-06")
 

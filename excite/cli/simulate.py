@@ -44,16 +44,16 @@ def command(arguments: argparse.Namespace) -> tuple[int, Any, str]:
     trajectory_file.read(
         Path(arguments.trajectory)
     )  # the simulator reads it by itself, but validates nothing
-    motion = reference_trajectory.read(Path(arguments.trajectory), arguments.periods)
-    plant = experiment.robot(source, motion, setting)
-    chain = experiment.chain(plant, setting)
+    motion = reference_trajectory.read_reference(Path(arguments.trajectory), arguments.periods)
+    plant = experiment.build_robot(source, motion, setting)
+    chain = experiment.measurement_chain(plant, setting)
     if like is not None and like.joints != plant.joints:
         raise UnusableInput(
             f"{arguments.like}: has joints {', '.join(like.joints)}; give the robot that it is of"
         )
     if (
         like is not None
-        and recording_file.dumps(recording_file.truth(plant, chain, {})["bodies"]) != like.bodies
+        and recording_file.json_text(recording_file.truth_document(plant, chain, {})["bodies"]) != like.bodies
     ):
         raise UnusableInput(
             f"{arguments.like}: its bodies are not those of {source}; give the URDF that it was recorded with"
@@ -67,7 +67,7 @@ def command(arguments: argparse.Namespace) -> tuple[int, Any, str]:
         if not arguments.severity > 0.0:
             raise UnusableInput(f"--severity {arguments.severity:g}: should be above 0")
         effects = tuple(
-            severity.reach(
+            severity.scale_to_severity(
                 one, arguments.severity, plant, motion, chain, trusted=arguments.trusted
             )[0]
             for one in effects
@@ -75,8 +75,8 @@ def command(arguments: argparse.Namespace) -> tuple[int, Any, str]:
     with_effects = effect_instance.with_effects(plant, effects)
     bare = plant.run(motion)
     session = experiment.session(with_effects, motion, setting, run=bare if not effects else None)
-    found = severity.of(session.run, plant, motion, session.chain)
-    trusted = severity.of(session.run, plant, motion, session.chain, trusted=True)
+    found = severity.evaluate_severity(session.run, plant, motion, session.chain)
+    trusted = severity.evaluate_severity(session.run, plant, motion, session.chain, trusted=True)
     facts = {
         "robot": {"name": arguments.robot, "source": str(source)},
         "trajectory": arguments.trajectory,
@@ -87,8 +87,8 @@ def command(arguments: argparse.Namespace) -> tuple[int, Any, str]:
     truth = {"schema": session.truth["schema"], **facts, **session.truth}
     contents = {
         out.name: session.recording.csv(),
-        f"{out.stem}.json": recording_file.dumps(session.recording.sidecar()),
-        f"{out.stem}.truth.json": recording_file.dumps(truth),
+        f"{out.stem}.json": recording_file.json_text(session.recording.sidecar()),
+        f"{out.stem}.truth.json": recording_file.json_text(truth),
         f"{out.stem}.svg": _picture(session.recording, bare, effects),
     }
     written = [str(path) for path in _files.write_all(out.parent, contents)]
@@ -137,15 +137,15 @@ def _like(arguments: argparse.Namespace) -> _Robot | None:
         raise file.error(f"no such effect ({error})", "effects") from error
     return _Robot(
         tuple(document.joints),
-        recording_file.dumps(truth["bodies"]),
-        experiment.Setting.stated(truth["setting"]),
+        recording_file.json_text(truth["bodies"]),
+        experiment.ExperimentSettings.stated(truth["setting"]),
         effects,
     )
 
 
 def _setting(arguments: argparse.Namespace, like: _Robot | None) -> Any:
     """As asked for, and what was not asked for as it was, or as usual."""
-    from ..simulator.experiment import Setting
+    from ..simulator.experiment import ExperimentSettings
 
     names = ("seed", "rate", "noise", "colour", "jitter", "encoder", "model_error")
     asked = {
@@ -163,7 +163,7 @@ def _setting(arguments: argparse.Namespace, like: _Robot | None) -> Any:
         if not np.isfinite(value) or value < low or (name == "rate" and value > 1000.0):
             remedy = "be between 125 and 1000 Hz" if name == "rate" else "be a number not below 0"
             raise UnusableInput(f"--{name.replace('_', '-')} {value:g}: should {remedy}")
-    out = replace(Setting() if like is None else like.setting, **asked)
+    out = replace(ExperimentSettings() if like is None else like.setting, **asked)
     if out.colour is not None and not 0.0 < out.colour < 0.5 * out.rate:
         raise UnusableInput(f"--colour {out.colour:g}: should be above 0 and below half the --rate")
     return out

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .mujoco_dynamics import Arm
+from .mujoco_dynamics import RigidBodyDynamics
 
 Array = np.ndarray
 
@@ -44,13 +44,13 @@ class ControllerGains:
     step: float = 0.0
 
 
-def mean_joint_inertia(arm: Arm, rng: np.random.Generator) -> Array:
+def mean_joint_inertia(arm: RigidBodyDynamics, rng: np.random.Generator) -> Array:
     """Mean diagonal of the mass matrix over random poses. Shape (n,) [kg m²]."""
     poses = rng.uniform(-2.0, 2.0, (20, arm.n))
     return np.mean([np.diag(arm.terms(q, 0.0 * q)[0]) for q in poses], axis=0)
 
 
-def draw_actuators(arm: Arm, speed: Array, torque: Array, rng: np.random.Generator) -> JointActuators:
+def draw_actuators(arm: RigidBodyDynamics, speed: Array, torque: Array, rng: np.random.Generator) -> JointActuators:
     """Drives as robots have them: Coulomb 2-4 %, viscous 1-3 % of the torque limit (at full speed), rotors of 20-50 % of the
     link's inertia, and no drive faster than 400 rad/s² by itself, as the small links of a wrist would have it.
 

@@ -14,9 +14,9 @@ import numpy as np
 from scipy.linalg import lapack
 
 from .actuator import ControllerGains, JointActuators
-from .mujoco_dynamics import Arm
-from .physical_effect import Instant, Law, Spring, Suspension
-from .reference_trajectory import Reference
+from .mujoco_dynamics import RigidBodyDynamics
+from .physical_effect import JointStates, PhysicalEffect, TransmissionSpring, BaseSuspension
+from .reference_trajectory import ReferenceTrajectory
 
 Array = np.ndarray
 SPRING_STEP = 1e-4
@@ -43,27 +43,27 @@ class StateHistory:
 class ClosedLoop:
     """One run. k base coordinates come before the n joints in the arm's order. limit: Shape (n,) [N m]. step [s]."""
 
-    arm: Arm
+    arm: RigidBodyDynamics
     drive: JointActuators
     control: ControllerGains
-    laws: Sequence[Law]
-    suspension: Suspension | None
+    laws: Sequence[PhysicalEffect]
+    suspension: BaseSuspension | None
     limit: Array
     step: float
 
     def __post_init__(self) -> None:
         self.n = len(self.drive.inertia)
         self.k = self.arm.n - self.n
-        self.springs: list[Spring] = [
+        self.springs: list[TransmissionSpring] = [
             spring for law in self.laws if (spring := law.spring()) is not None
         ]
-        self.active = [law for law in self.laws if type(law).torque is not Law.torque]
-        self.sensors = [law for law in self.laws if type(law).seen is not Law.seen]
+        self.active = [law for law in self.laws if type(law).torque is not PhysicalEffect.torque]
+        self.sensors = [law for law in self.laws if type(law).seen is not PhysicalEffect.seen]
         self.rigid = self.drive.inertia.copy()
         self.rigid[[s.joint for s in self.springs]] = 0.0
         self.follow = 1.0 - float(np.exp(-self.step / self.control.lag))
 
-    def run(self, reference: Reference) -> StateHistory:
+    def run(self, reference: ReferenceTrajectory) -> StateHistory:
         """Follow a reference from rest to rest. Raises nothing: a loop that does not hold shows in the motion."""
         t = np.arange(int(np.ceil(reference.duration / self.step)) + 1) * self.step
         asked = reference.at(t)
@@ -191,7 +191,7 @@ class ClosedLoop:
         return mean, shift
 
     def _wind_one(
-        self, spring: Spring, free: float, yields: float, push: float, omega: Array
+        self, spring: TransmissionSpring, free: float, yields: float, push: float, omega: Array
     ) -> tuple[float, float]:
         """One spring: links accelerate by free + yields·f, the motor by (push − f)/J. Returns the mean of f [N m], and the double integral
         of f less its mean over the step [N m s²]."""
@@ -236,7 +236,7 @@ class ClosedLoop:
         """Torque of the effects at the end of a step without acceleration, and how it grows with speed."""
         total, slope, at = np.zeros(self.n), np.zeros(self.n), 0
         # two speeds at once, the rest broadcasts
-        x = Instant(np.asarray(time), self.theta, self.omega + SLOPE_SPEED_OFFSETS, self.alpha, self.load)
+        x = JointStates(np.asarray(time), self.theta, self.omega + SLOPE_SPEED_OFFSETS, self.alpha, self.load)
         for law in self.active:
             z = self.z[at : at + law.memory]
             at += law.memory
@@ -254,7 +254,7 @@ class ClosedLoop:
         if not len(self.z):
             return
         x, at, parts = (
-            Instant(np.asarray(time), self.theta, self.omega, self.alpha, self.load),
+            JointStates(np.asarray(time), self.theta, self.omega, self.alpha, self.load),
             0,
             [],
         )
@@ -271,7 +271,7 @@ def solve_positive_definite(matrix: Array, right: Array) -> Array:
     return np.asarray(out)
 
 
-def static_deflection(spring: Spring, load: float) -> float:
+def static_deflection(spring: TransmissionSpring, load: float) -> float:
     """Wind-up at which a spring carries a load; bisection, for a pull that grows with wind-up [rad]."""
     low, high = -1.0, 1.0
     for _ in range(80):

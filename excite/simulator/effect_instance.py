@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from ..errors import UnusableInput
-from .effects import CATALOGUE, FORM_FAMILIES, EFFECT_TYPES, EffectType
+from .effects import CATALOGUE_NAMES, FORM_FAMILIES, EFFECT_TYPES, EffectType
 from .effects.effect_type import EffectParameter, EffectSite
-from .physical_effect import Law
-from .simulated_robot import Plant
+from .physical_effect import PhysicalEffect
+from .simulated_robot import SimulatedRobot
 
 Array = np.ndarray
 
@@ -35,7 +35,7 @@ class EffectInstance:
     def kind(self) -> EffectType:
         return EFFECT_TYPES[self.name]
 
-    def law(self, plant: Plant) -> Law | None:
+    def law(self, plant: SimulatedRobot) -> PhysicalEffect | None:
         """Its physics on a robot; None for what vanishes at size 0."""
         if any(not np.isfinite(v) for v in self.values.values()):
             return None
@@ -50,7 +50,7 @@ class EffectInstance:
         }
         return replace(self, values=values)
 
-    def most(self, plant: Plant) -> float:
+    def most(self, plant: SimulatedRobot) -> float:
         """How many times as large physics lets it be made at the most, on a robot."""
         at = effect_site(plant, self.joint, self.source)
         return min(self.kind.quantity(key).room(value, at) for key, value in self.values.items())
@@ -77,7 +77,7 @@ class EffectInstance:
         return {**out, **more, "parameters": stated, "details": details}
 
 
-def effect_site(plant: Plant, joint: str | None, source: str | None = None) -> EffectSite:
+def effect_site(plant: SimulatedRobot, joint: str | None, source: str | None = None) -> EffectSite:
     """What an effect may know of its robot."""
     j = plant.joints.index(joint) if joint else 0
     i = plant.joints.index(source) if source else (j - 1 if j else 1 % len(plant.joints))
@@ -86,14 +86,14 @@ def effect_site(plant: Plant, joint: str | None, source: str | None = None) -> E
     return EffectSite(len(plant.joints), j, i, plant.limit, speed, plant.drive, joint or "", link)
 
 
-def with_effects(plant: Plant, effects: tuple[EffectInstance, ...]) -> Plant:
+def with_effects(plant: SimulatedRobot, effects: tuple[EffectInstance, ...]) -> SimulatedRobot:
     """The robot with effects in it."""
     laws = (effect.law(plant) for effect in effects)
     return replace(plant, laws=tuple(law for law in laws if law is not None))
 
 
 def draw_effect(
-    kind: EffectType, plant: Plant, joint: str | None, family: str, rng: np.random.Generator
+    kind: EffectType, plant: SimulatedRobot, joint: str | None, family: str, rng: np.random.Generator
 ) -> EffectInstance:
     """An effect of random parameters, each of its usual size."""
     at = effect_site(plant, joint)
@@ -104,7 +104,7 @@ def draw_effect(
     return EffectInstance(kind.name, joint, family, values, source)
 
 
-def parse_effect(text: str, plant: Plant) -> EffectInstance:
+def parse_effect(text: str, plant: SimulatedRobot) -> EffectInstance:
     """NAME:JOINT[:k=v,…] with what is left out at its usual size; `form=scored` takes the other form, `from=JOINT` couples.
 
     Raises UnusableInput, with the effects or the parameters there are.
@@ -175,7 +175,7 @@ def effects_of_truth(truth: Mapping[str, Any]) -> tuple[EffectInstance, ...]:
     return tuple(out)
 
 
-def _place(text: str, kind: EffectType, joint: str, plant: Plant) -> str | None:
+def _place(text: str, kind: EffectType, joint: str, plant: SimulatedRobot) -> str | None:
     if kind.place == "robot" or (kind.place == "either" and not joint):
         if joint:
             raise UnusableInput(
@@ -219,7 +219,7 @@ def _words(quantities: tuple[EffectParameter, ...]) -> str:
 
 def catalogue_listing() -> str:
     """Every effect with its parameters and units, outsiders last."""
-    names = [*CATALOGUE, *(name for name in EFFECT_TYPES if name not in CATALOGUE)]
+    names = [*CATALOGUE_NAMES, *(name for name in EFFECT_TYPES if name not in CATALOGUE_NAMES)]
     return "; ".join(_signature(name) for name in names)
 
 

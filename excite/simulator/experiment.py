@@ -15,20 +15,20 @@ from . import reference_trajectory as references
 from . import simulated_robot as plants
 from . import urdf_tree as trees
 from .actuator import ControllerGains
-from .measurement import Chain
-from .model_error import deformed
-from .physical_effect import Law
-from .recording_file import Recording
-from .reference_trajectory import Reference
-from .simulated_robot import Plant, Run
-from .urdf_tree import Tree
+from .measurement import MeasurementChain
+from .model_error import perturb_bodies
+from .physical_effect import PhysicalEffect
+from .recording_file import SimulatedRecording
+from .reference_trajectory import ReferenceTrajectory
+from .simulated_robot import SimulatedRobot, SimulatedMotion
+from .urdf_tree import UrdfTree
 
-TOLD_BY = 64
+MOTION_DIGEST_POINTS = 64
 """Points of a motion that tell it from another."""
 
 
 @dataclass(frozen=True)
-class Setting:
+class ExperimentSettings:
     """How a robot is made and measured.
 
     seed: of everything. rate [Hz]. noise: torque's standard deviation over the torque limit; colour: corner of its low-pass [Hz].
@@ -45,7 +45,7 @@ class Setting:
     control: ControllerGains = field(default_factory=ControllerGains)
 
     @classmethod
-    def stated(cls, document: Mapping[str, Any]) -> Setting:
+    def stated(cls, document: Mapping[str, Any]) -> ExperimentSettings:
         """As a truth states it."""
         return cls(**{**document, "control": ControllerGains(**document["control"])})
 
@@ -53,32 +53,32 @@ class Setting:
         """Independent ones for bodies, drives, measurement (see `measuring`) and effects."""
         return np.random.default_rng(self.seed).spawn(4)
 
-    def measuring(self, reference: Reference) -> np.random.Generator:
+    def measuring(self, reference: ReferenceTrajectory) -> np.random.Generator:
         """For the noise of a motion: that of another motion is another, as no two recordings share theirs."""
-        joints = reference.at(np.linspace(0.0, reference.duration, TOLD_BY))[0]
+        joints = reference.at(np.linspace(0.0, reference.duration, MOTION_DIGEST_POINTS))[0]
         told = zlib.crc32((np.round(joints, 6) + 0.0).tobytes())
         return np.random.default_rng([told, *self.generators()[2].integers(2**32, size=2).tolist()])
 
 
 @dataclass(frozen=True)
-class Session:
+class SimulatedSession:
     """A robot on the bench. run: the motion made. recording: what was measured. truth: what nobody there is told."""
 
-    plant: Plant
-    chain: Chain
-    run: Run
-    recording: Recording
+    plant: SimulatedRobot
+    chain: MeasurementChain
+    run: SimulatedMotion
+    recording: SimulatedRecording
     truth: dict[str, Any]
 
 
-def robot(urdf: Path, reference: Reference, setting: Setting, laws: Sequence[Law] = ()) -> Plant:
+def build_robot(urdf: Path, reference: ReferenceTrajectory, setting: ExperimentSettings, laws: Sequence[PhysicalEffect] = ()) -> SimulatedRobot:
     """The true robot behind a URDF that is a few per cent wrong."""
     bodies, drives, *_ = setting.generators()
-    true = deformed(_carrying(trees.read(urdf), reference), setting.model_error, bodies)
-    return plants.draw(true, reference, drives, control=setting.control, laws=laws)
+    true = perturb_bodies(_with_payload(trees.read_urdf(urdf), reference), setting.model_error, bodies)
+    return plants.draw_robot(true, reference, drives, control=setting.control, laws=laws)
 
 
-def _carrying(tree: Tree, reference: Reference) -> Tree:
+def _with_payload(tree: UrdfTree, reference: ReferenceTrajectory) -> UrdfTree:
     """The tree with the body that the trajectory was designed with."""
     stated = reference.robot.get("payload")
     if stated is None:
@@ -93,9 +93,9 @@ def _carrying(tree: Tree, reference: Reference) -> Tree:
     return tree.with_body(str(stated["link"]), tree.body(str(stated["link"])) + more)
 
 
-def chain(plant: Plant, setting: Setting) -> Chain:
+def measurement_chain(plant: SimulatedRobot, setting: ExperimentSettings) -> MeasurementChain:
     """The measurement chain, sized by the torque limits."""
-    return Chain(
+    return MeasurementChain(
         setting.rate,
         setting.noise * plant.limit,
         setting.colour,
@@ -106,29 +106,29 @@ def chain(plant: Plant, setting: Setting) -> Chain:
 
 
 def session(
-    plant: Plant,
-    reference: Reference,
-    setting: Setting,
+    plant: SimulatedRobot,
+    reference: ReferenceTrajectory,
+    setting: ExperimentSettings,
     facts: dict[str, Any] | None = None,
-    run: Run | None = None,
-) -> Session:
+    run: SimulatedMotion | None = None,
+) -> SimulatedSession:
     """Run a robot along a reference and measure it; `facts` enter the truth first, `run` is one already made."""
     made = plant.run(reference) if run is None else run
-    measured = chain(plant, setting)
-    recording = records.record(made, reference, measured, setting.measuring(reference))
+    measured = measurement_chain(plant, setting)
+    recording = records.measure(made, reference, measured, setting.measuring(reference))
     own = {"seed": setting.seed, "setting": asdict(setting)}
-    return Session(
-        plant, measured, made, recording, records.truth(plant, measured, {**(facts or {}), **own})
+    return SimulatedSession(
+        plant, measured, made, recording, records.truth_document(plant, measured, {**(facts or {}), **own})
     )
 
 
 def simulate(
     urdf: Path,
     trajectory: Path,
-    setting: Setting = Setting(),
+    setting: ExperimentSettings = ExperimentSettings(),
     periods: int | None = None,
-    laws: Sequence[Law] = (),
-) -> Session:
+    laws: Sequence[PhysicalEffect] = (),
+) -> SimulatedSession:
     """A recording of a robot that follows `trajectory.json`, its bodies and drives drawn from the setting's seed."""
-    reference = references.read(trajectory, periods)
-    return session(robot(urdf, reference, setting, laws), reference, setting)
+    reference = references.read_reference(trajectory, periods)
+    return session(build_robot(urdf, reference, setting, laws), reference, setting)

@@ -11,7 +11,7 @@ Array = np.ndarray
 
 
 @dataclass(frozen=True)
-class Chain:
+class MeasurementChain:
     """rate [Hz]. noise: torque's standard deviation, Shape (n,) [N m]; colour: corner of its low-pass [Hz], None: white.
 
     encoder: resolution of position [rad]. torque: resolution of torque, Shape (n,) [N m]. jitter: standard deviation of the times of
@@ -39,7 +39,7 @@ class Chain:
 
     def torques(self, tau: Array, rng: np.random.Generator) -> Array:
         """Torques with noise, on the converter's grid."""
-        noisy = tau + self.noise * coloured(tau.shape, self.rate, self.colour, rng)
+        noisy = tau + self.noise * coloured_noise(tau.shape, self.rate, self.colour, rng)
         return noisy if self.torque is None else np.round(noisy / self.torque) * self.torque
 
     def floor(self, band: float) -> Array:
@@ -49,7 +49,7 @@ class Chain:
         power = (
             np.ones_like(f)
             if self.colour is None
-            else np.abs(signal.freqz(*_low_pass(self.colour, self.rate), worN=f, fs=self.rate)[1])
+            else np.abs(signal.freqz(*_low_pass_coefficients(self.colour, self.rate), worN=f, fs=self.rate)[1])
             ** 2
         )
         share = power[f <= band].sum() / power.sum()
@@ -57,14 +57,14 @@ class Chain:
         return np.sqrt(share * self.noise**2 + min(1.0, band / nyquist) * np.square(step) / 12.0)
 
 
-def coloured(
+def coloured_noise(
     shape: tuple[int, ...], rate: float, corner: float | None, rng: np.random.Generator
 ) -> Array:
     """Noise of variance 1 along the first axis: white, or first-order low-passed at `corner` [Hz]."""
     white = rng.standard_normal(shape)
     if corner is None:
         return white
-    b, a = _low_pass(corner, rate)
+    b, a = _low_pass_coefficients(corner, rate)
     pole = -a[1]
     out, _ = signal.lfilter(
         b,
@@ -76,6 +76,6 @@ def coloured(
     return out / (b[0] / np.sqrt(1.0 - pole**2))
 
 
-def _low_pass(corner: float, rate: float) -> tuple[Array, Array]:
+def _low_pass_coefficients(corner: float, rate: float) -> tuple[Array, Array]:
     pole = float(np.exp(-2.0 * np.pi * corner / rate))
     return np.array([1.0 - pole]), np.array([1.0, -pole])

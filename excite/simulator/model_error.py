@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from .urdf_tree import Tree
+from .urdf_tree import UrdfTree
 
 Array = np.ndarray
 
 
-def deformed(tree: Tree, size: float, rng: np.random.Generator) -> Tree:
+def perturb_bodies(tree: UrdfTree, size: float, rng: np.random.Generator) -> UrdfTree:
     """A tree whose bodies differ by about `size` (0.05: 5 %).
 
     P → (1 + ε) A P Aᵀ with A near 1: an affine map of the body's points and another density, so P stays a pseudo-inertia

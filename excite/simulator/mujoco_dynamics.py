@@ -10,21 +10,21 @@ from typing import Any
 import numpy as np
 
 from ..errors import UnusableInput
-from .urdf_tree import Tree
+from .urdf_tree import UrdfTree
 
 Array = np.ndarray
 GRAVITY = (0.0, 0.0, -9.81)
 
 
 @dataclass(frozen=True)
-class Arm:
+class RigidBodyDynamics:
     """M(q) q̈ + h(q, q̇) = τ of an open chain or tree, no friction, no motors.
 
     joints: the n moving joints in MuJoCo's order. tree: what it was built from.
     model, scratch: MuJoCo's; `scratch` holds no state between calls.
     """
 
-    tree: Tree
+    tree: UrdfTree
     joints: tuple[str, ...]
     model: Any
     scratch: Any
@@ -90,12 +90,12 @@ class Arm:
         return out
 
 
-def build(
-    tree: Tree,
+def build_dynamics(
+    tree: UrdfTree,
     joints: Sequence[str],
     lock: Mapping[str, float] | None = None,
     gravity: Sequence[float] = GRAVITY,
-) -> Arm:
+) -> RigidBodyDynamics:
     """Compile a tree; joints that are not named are locked at `lock`, or at 0. Raises UnusableInput when MuJoCo refuses it."""
     import mujoco
 
@@ -127,7 +127,7 @@ def build(
         _set_body(model, body, fixed.body(str(model.body(body).name)))
     scratch = mujoco.MjData(model)
     mujoco.mj_setConst(model, scratch)
-    return Arm(fixed, tuple(str(model.joint(i).name) for i in range(model.njnt)), model, scratch)
+    return RigidBodyDynamics(fixed, tuple(str(model.joint(i).name) for i in range(model.njnt)), model, scratch)
 
 
 def _set_body(model: Any, body: int, pseudo: Array) -> None:

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from .actuator import JointActuators
-from .mujoco_dynamics import Arm
-from .urdf_tree import Tree
+from .mujoco_dynamics import RigidBodyDynamics
+from .urdf_tree import UrdfTree
 
 Array = np.ndarray
 
 
 @dataclass(frozen=True)
-class Instant:
+class JointStates:
     """The joints at one time or at many. Arrays of shape (…, n); t: Shape (…).
 
     q, v, a: of the motor's shaft, divided by the gear ratio [rad, rad/s, rad/s²]. load: torque passed on to the link [N m].
@@ -29,7 +29,7 @@ class Instant:
 
 
 @dataclass(frozen=True)
-class Spring:
+class TransmissionSpring:
     """What an elastic joint passes on: f(δ, δ̇) of its wind-up δ = θ − q. pull: floats to (torque, ∂/∂δ, ∂/∂δ̇)."""
 
     joint: int
@@ -37,19 +37,19 @@ class Spring:
 
 
 @dataclass(frozen=True)
-class Suspension:
+class BaseSuspension:
     """Springs and dampers under the base's own coordinates. Shapes (k,) [N m/rad, N m s/rad]."""
 
     stiffness: Array
     damping: Array
 
 
-class Law:
+class PhysicalEffect:
     """Hidden physics of a robot. Torques are what the drive must give in addition, Shape (…, n) [N m]."""
 
     memory: int = 0
 
-    def alter(self, tree: Tree) -> Tree:
+    def alter(self, tree: UrdfTree) -> UrdfTree:
         """Other bodies or frames."""
         return tree
 
@@ -61,23 +61,23 @@ class Law:
         """Other drives."""
         return drive
 
-    def bound(self, arm: Arm) -> Law:
+    def bound(self, arm: RigidBodyDynamics) -> PhysicalEffect:
         """The same law, knowing the arm it acts on."""
         return self
 
-    def suspension(self) -> Suspension | None:
+    def suspension(self) -> BaseSuspension | None:
         """What carries the coordinates that `alter` put under the base."""
         return None
 
-    def spring(self) -> Spring | None:
+    def spring(self) -> TransmissionSpring | None:
         """What lies between a motor and its link instead of a rigid gear."""
         return None
 
-    def advance(self, x: Instant, z: Array, dt: float) -> Array:
+    def advance(self, x: JointStates, z: Array, dt: float) -> Array:
         """Memory after dt [s] at the motion x. Shape (…, memory)."""
         return z
 
-    def torque(self, x: Instant, z: Array) -> Array | None:
+    def torque(self, x: JointStates, z: Array) -> Array | None:
         """Additional torque, or None."""
         return None
 

@@ -12,18 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from .measurement import Chain
-from .reference_trajectory import Reference
-from .simulated_robot import Plant, Run
-from .urdf_tree import MOMENTS, Tree
+from .measurement import MeasurementChain
+from .reference_trajectory import ReferenceTrajectory
+from .simulated_robot import SimulatedRobot, SimulatedMotion
+from .urdf_tree import INERTIA_INDICES, UrdfTree
 
 Array = np.ndarray
-SETTLE = 0.5
+SETTLING_TIME = 0.5
 """Of the periodic part, what is left out of the stated window until the loop has settled [s]."""
 
 
 @dataclass(frozen=True)
-class Recording:
+class SimulatedRecording:
     """A recorded motion. t: Shape (N,) [s]; q, tau, qref: Shapes (N, n) [rad, N m, rad].
 
     period, periodic: of the excitation, and the window in which the motion repeats [s].
@@ -57,13 +57,13 @@ class Recording:
         }
 
 
-def record(run: Run, reference: Reference, chain: Chain, rng: np.random.Generator) -> Recording:
+def measure(run: SimulatedMotion, reference: ReferenceTrajectory, chain: MeasurementChain, rng: np.random.Generator) -> SimulatedRecording:
     """Measure a motion. The same generator state gives the same noise, whatever hides in the robot."""
     t = chain.times(reference.duration)
     clock, noise = rng.spawn(2)
     q, tau = run.told(chain.sampled(t, clock))
-    window = (reference.periodic[0] + min(SETTLE, 0.1 * reference.period), reference.periodic[1])
-    return Recording(
+    window = (reference.periodic[0] + min(SETTLING_TIME, 0.1 * reference.period), reference.periodic[1])
+    return SimulatedRecording(
         reference.joints,
         t,
         chain.positions(q),
@@ -74,7 +74,7 @@ def record(run: Run, reference: Reference, chain: Chain, rng: np.random.Generato
     )
 
 
-def truth(plant: Plant, chain: Chain, facts: Mapping[str, Any]) -> dict[str, Any]:
+def truth_document(plant: SimulatedRobot, chain: MeasurementChain, facts: Mapping[str, Any]) -> dict[str, Any]:
     """`excite.truth/1`: what the simulated robot is, in the contract's units; `facts` (effects, seed …) come first."""
     drive = {
         key: dict(zip(plant.joints, values.tolist(), strict=True))
@@ -85,7 +85,7 @@ def truth(plant: Plant, chain: Chain, facts: Mapping[str, Any]) -> dict[str, Any
         **facts,
         "joints": list(plant.joints),
         "drive": drive,
-        "bodies": {link: ten(plant.tree, link) for link in plant.tree.links},
+        "bodies": {link: inertial_vector(plant.tree, link) for link in plant.tree.links},
         "control": asdict(plant.control),
         "chain": {
             k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(chain).items()
@@ -95,16 +95,16 @@ def truth(plant: Plant, chain: Chain, facts: Mapping[str, Any]) -> dict[str, Any
     return document
 
 
-def ten(tree: Tree, link: str) -> list[float]:
+def inertial_vector(tree: UrdfTree, link: str) -> list[float]:
     """[m, m·cx, m·cy, m·cz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz] of a link in its own frame."""
     pseudo = tree.body(link)
     tensor = np.trace(pseudo[:3, :3]) * np.eye(3) - pseudo[:3, :3]
     order = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
     return [
-        float(v) for v in (pseudo[3, 3], *pseudo[:3, 3], *(tensor[MOMENTS[key]] for key in order))
+        float(v) for v in (pseudo[3, 3], *pseudo[:3, 3], *(tensor[INERTIA_INDICES[key]] for key in order))
     ]
 
 
-def dumps(document: Mapping[str, Any]) -> str:
+def json_text(document: Mapping[str, Any]) -> str:
     """Strict JSON, keys in the order given."""
     return json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False)

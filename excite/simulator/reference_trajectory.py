@@ -17,7 +17,7 @@ SCHEMA = "excite.trajectory/1"
 
 
 @dataclass(frozen=True)
-class Reference:
+class ReferenceTrajectory:
     """Commanded motion. at: times of shape (N,) [s] to position, velocity, acceleration, each of shape (N, n).
 
     periodic: [start, end] of the part that repeats with `period` [s]. robot: what the file says of the robot.
@@ -31,7 +31,7 @@ class Reference:
     robot: Mapping[str, Any]
 
 
-def read(path: Path, periods: int | None = None) -> Reference:
+def read_reference(path: Path, periods: int | None = None) -> ReferenceTrajectory:
     """Read `trajectory.json`, with its Fourier part repeated `periods` times instead of as stated. Raises UnusableInput."""
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
@@ -53,13 +53,13 @@ def read(path: Path, periods: int | None = None) -> Reference:
         ) from error
 
 
-def _reference(document: Mapping[str, Any], periods: int | None) -> Reference:
+def _reference(document: Mapping[str, Any], periods: int | None) -> ReferenceTrajectory:
     joints = tuple(str(j) for j in document["joints"])
     period, extra = float(document["period"]), 0.0
     if periods is not None:
         extra = (periods - int(document["periods"])) * period
     sine, cosine, offset = (np.array(document[key], float) for key in ("sine", "cosine", "offset"))
-    wave = fourier(sine, cosine, offset, period)
+    wave = fourier_series(sine, cosine, offset, period)
     parts: list[tuple[float, float, Callable[[Array], tuple[Array, Array, Array]]]] = []
     shift, window = 0.0, (0.0, 0.0)
     for segment in document["segments"]:
@@ -82,10 +82,10 @@ def _reference(document: Mapping[str, Any], periods: int | None) -> Reference:
         out[1][still], out[2][still] = 0.0, 0.0
         return out[0], out[1], out[2]
 
-    return Reference(joints, at, parts[-1][1], period, window, document["robot"])
+    return ReferenceTrajectory(joints, at, parts[-1][1], period, window, document["robot"])
 
 
-def fourier(
+def fourier_series(
     sine: Array, cosine: Array, offset: Array, period: float
 ) -> Callable[[Array], tuple[Array, Array, Array]]:
     """q = q₀ + Σ a/(ωk) sin ωkt − b/(ωk) cos ωkt. Shapes (n, K), (n, K), (n,)."""
@@ -130,7 +130,7 @@ def _ramp(
     return at
 
 
-def blended(
+def blended_fourier(
     joints: tuple[str, ...],
     sine: Array,
     cosine: Array,
@@ -138,9 +138,9 @@ def blended(
     period: float,
     periods: int,
     ramp: float,
-) -> Reference:
+) -> ReferenceTrajectory:
     """A Fourier motion between smooth ramps of `ramp` seconds from and to the pose at its middle; all such references last equally long."""
-    wave, end = fourier(sine, cosine, offset, period), 2 * ramp + periods * period
+    wave, end = fourier_series(sine, cosine, offset, period), 2 * ramp + periods * period
 
     def at(t: Array) -> tuple[Array, Array, Array]:
         q, v, a = wave(np.asarray(t) - ramp)
@@ -153,4 +153,4 @@ def blended(
         w, dw, ddw, away = w[:, None], dw[:, None], ddw[:, None], q - offset
         return offset + w * away, w * v + dw * away, w * a + 2 * dw * v + ddw * away
 
-    return Reference(joints, at, end, period, (ramp, end - ramp), {})
+    return ReferenceTrajectory(joints, at, end, period, (ramp, end - ramp), {})

@@ -8,13 +8,13 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .mujoco_dynamics import Arm
+from .mujoco_dynamics import RigidBodyDynamics
 
 Array = np.ndarray
-SLIDE = 2  # MuJoCo's number for a prismatic joint
+MUJOCO_SLIDE = 2  # MuJoCo's number for a prismatic joint
 
 
-def bodies(arm: Arm, q: Array, v: Array, a: Array) -> Array:
+def rigid_body_regressor(arm: RigidBodyDynamics, q: Array, v: Array, a: Array) -> Array:
     """Columns of [m, m·c, Ixx, Ixy, Iyy, Ixz, Iyz, Izz] of each body that moves, at its frame. Shapes (N, n) -> (N, n, 10·bodies)."""
     model, rows = arm.model, len(q)
     turn = {0: np.broadcast_to(np.eye(3), (rows, 3, 3))}
@@ -37,7 +37,7 @@ def bodies(arm: Arm, q: Array, v: Array, a: Array) -> Array:
             axis = np.einsum("kij,j->ki", r, model.jnt_axis[j])
             axes[j], chain[b] = axis, [*chain[b], j]
             along, rate, gain = q[:, j, None] * axis, v[:, j, None] * axis, a[:, j, None] * axis
-            if model.jnt_type[j] == SLIDE:
+            if model.jnt_type[j] == MUJOCO_SLIDE:
                 place[b] = place[b] + along
                 pull[b] = (
                     pull[b]
@@ -52,12 +52,12 @@ def bodies(arm: Arm, q: Array, v: Array, a: Array) -> Array:
                 spin[b] = spin[b] + rate
         turn[b] = r
         if chain[b]:
-            blocks.append(_block(arm, b, chain[b], turn, place, (spin[b], surge[b], pull[b]), axes))
+            blocks.append(_body_columns(arm, b, chain[b], turn, place, (spin[b], surge[b], pull[b]), axes))
     return np.concatenate(blocks, axis=2)
 
 
-def _block(
-    arm: Arm,
+def _body_columns(
+    arm: RigidBodyDynamics,
     b: int,
     chain: list[int],
     turn: dict[int, Array],
@@ -72,7 +72,7 @@ def _block(
     out = np.zeros((len(r), arm.n, 10))
     for j in chain:
         away = place[b] - place[int(model.jnt_bodyid[j])]
-        if model.jnt_type[j] == SLIDE:
+        if model.jnt_type[j] == MUJOCO_SLIDE:
             out[:, j] = np.einsum("ki,kic->kc", axes[j], force)
         else:
             out[:, j] = np.einsum("ki,kic->kc", axes[j], moment) + np.einsum(
@@ -88,7 +88,7 @@ def _wrench(w: Array, alpha: Array, a: Array) -> tuple[Array, Array]:
     turning = _skew(alpha) + _skew(w) @ _skew(w)
     force[:, :, 1:4] = turning
     moment[:, :, 1:4] = -_skew(a)
-    moment[:, :, 4:] = _times(alpha) + _skew(w) @ _times(w)
+    moment[:, :, 4:] = _inertia_product(alpha) + _skew(w) @ _inertia_product(w)
     return force, moment
 
 
@@ -98,7 +98,7 @@ def _skew(x: Array) -> Array:
     return out - np.swapaxes(out, 1, 2)
 
 
-def _times(x: Array) -> Array:
+def _inertia_product(x: Array) -> Array:
     """I x = _times(x) [Ixx, Ixy, Iyy, Ixz, Iyz, Izz]. Shape (N, 3, 6)."""
     out = np.zeros((len(x), 3, 6))
     out[:, 0, 0], out[:, 0, 1], out[:, 0, 3] = x[:, 0], x[:, 1], x[:, 2]
@@ -107,7 +107,7 @@ def _times(x: Array) -> Array:
     return out
 
 
-def drives(v: Array, a: Array, width: Array) -> Array:
+def actuator_regressor(v: Array, a: Array, width: Array) -> Array:
     """Columns of rotor inertia, viscous, Coulomb friction and offset of each joint. Shapes (N, n) -> (N, n, 4n)."""
     rows, n = v.shape
     out = np.zeros((rows, n, 4, n))

@@ -10,14 +10,14 @@ from scipy import linalg, signal
 from ..errors import UnusableInput
 from . import mujoco_dynamics as arms
 from .effect_instance import EffectInstance, with_effects
-from .measurement import Chain
-from .physical_effect import Law
-from .reference_trajectory import Reference
-from .regressor import bodies, drives
-from .simulated_robot import Plant, Run
+from .measurement import MeasurementChain
+from .physical_effect import PhysicalEffect
+from .reference_trajectory import ReferenceTrajectory
+from .regressor import rigid_body_regressor, actuator_regressor
+from .simulated_robot import SimulatedRobot, SimulatedMotion
 
 Array = np.ndarray
-BAND = 20.0
+SEVERITY_BAND = 20.0
 RATE, RATTLING, KEPT = 200.0, 2000.0, 100.0
 """At which torque is looked at; where teeth or springs may swing at hundreds of Hz, which must not pass for slow; and of what is below
 20 Hz, kept [Hz]."""
@@ -35,7 +35,7 @@ class Severity:
 
 
 @dataclass(frozen=True)
-class Hidden:
+class HiddenTorque:
     """What a run hides at given times, and where the base model looks for it.
 
     torque: told beyond the base model's, Shape (N, n) [N m]. q, v, a: the motion that the robot tells, without noise.
@@ -47,19 +47,19 @@ class Hidden:
     a: Array
 
 
-def hidden(run: Run, plant: Plant, t: Array) -> Hidden:
+def hidden_torque(run: SimulatedMotion, plant: SimulatedRobot, t: Array) -> HiddenTorque:
     """The torque that the base model, rightly parametrised, misses along the told motion; `plant` is the robot without effects."""
     (q, v, a), (told, tau) = run.motors(t), run.told(t)
-    if any(type(law).seen is not Law.seen for law in run.plant.laws):
+    if any(type(law).seen is not PhysicalEffect.seen for law in run.plant.laws):
         # the error's derivatives, by central differences much finer than its waves
         h = 1e-4
-        before, here, after = (_error(run, t + shift) for shift in (-h, 0.0, h))
+        before, here, after = (_position_error(run, t + shift) for shift in (-h, 0.0, h))
         q, v, a = told, v + (after - before) / (2 * h), a + (after - 2 * here + before) / h**2
-    arm, drive = arms.build(plant.tree, plant.joints, plant.lock, plant.gravity), plant.drive
-    return Hidden(tau - (arm.inverse(q, v, a) + drive.inertia * a + drive.friction(v)), q, v, a)
+    arm, drive = arms.build_dynamics(plant.tree, plant.joints, plant.lock, plant.gravity), plant.drive
+    return HiddenTorque(tau - (arm.inverse(q, v, a) + drive.inertia * a + drive.friction(v)), q, v, a)
 
 
-def _error(run: Run, t: Array) -> Array:
+def _position_error(run: SimulatedMotion, t: Array) -> Array:
     theta = run.motors(t)[0]
     seen = theta
     for law in run.plant.laws:
@@ -67,34 +67,34 @@ def _error(run: Run, t: Array) -> Array:
     return seen - theta
 
 
-def left(run: Run, plant: Plant, reference: Reference, *, trusted: bool = False) -> Array:
+def residual_torque(run: SimulatedMotion, plant: SimulatedRobot, reference: ReferenceTrajectory, *, trusted: bool = False) -> Array:
     """Torque below 20 Hz that the base model does not explain along the periodic part of a motion. Shape (N, n) [N m].
 
     trusted: the base model stays as it is, nothing is refit.
     """
     rate = RATTLING if run.plant.springs else RATE
-    found = hidden(run, plant, np.arange(reference.periodic[0], reference.periodic[1], 1.0 / rate))
-    rest = _low(found.torque, rate)
+    found = hidden_torque(run, plant, np.arange(reference.periodic[0], reference.periodic[1], 1.0 / rate))
+    rest = _low_passed(found.torque, rate)
     if trusted:
         return rest
-    arm = arms.build(plant.tree, plant.joints, plant.lock, plant.gravity)
+    arm = arms.build_dynamics(plant.tree, plant.joints, plant.lock, plant.gravity)
     every = [
-        _low(part, rate)
+        _low_passed(part, rate)
         for part in (
-            bodies(arm, found.q, found.v, found.a),
-            drives(found.v, found.a, plant.drive.width),
+            rigid_body_regressor(arm, found.q, found.v, found.a),
+            actuator_regressor(found.v, found.a, plant.drive.width),
         )
     ]
     weight = 1.0 / plant.limit
     columns = np.concatenate(every, axis=2) * weight[:, None]
     return np.asarray(
         rest
-        - _fit(columns.reshape(-1, columns.shape[2]), (rest * weight).ravel()).reshape(rest.shape)
+        - _projection(columns.reshape(-1, columns.shape[2]), (rest * weight).ravel()).reshape(rest.shape)
         / weight
     )
 
 
-def _fit(columns: Array, target: Array) -> Array:
+def _projection(columns: Array, target: Array) -> Array:
     """The part of the target in the columns' span, whatever their rank."""
     size = np.sqrt(np.square(columns).mean(axis=0))
     kept = columns[:, size > 1e-12 * size.max()] / size[size > 1e-12 * size.max()]
@@ -104,49 +104,49 @@ def _fit(columns: Array, target: Array) -> Array:
     return np.asarray(basis @ (basis.T @ target))
 
 
-def _low(x: Array, rate: float) -> Array:
+def _low_passed(x: Array, rate: float) -> Array:
     """Below 20 Hz, zero phase, as many samples as that needs."""
     return np.asarray(
-        signal.sosfiltfilt(signal.butter(4, BAND, fs=rate, output="sos"), x, axis=0)[
+        signal.sosfiltfilt(signal.butter(4, SEVERITY_BAND, fs=rate, output="sos"), x, axis=0)[
             :: round(rate / KEPT)
         ]
     )
 
 
-def of(
-    run: Run, plant: Plant, reference: Reference, chain: Chain, *, trusted: bool = False
+def evaluate_severity(
+    run: SimulatedMotion, plant: SimulatedRobot, reference: ReferenceTrajectory, chain: MeasurementChain, *, trusted: bool = False
 ) -> Severity:
     """Severity of what a run hides; `plant` is the same robot without it."""
-    rest = left(run, plant, reference, trusted=trusted)
-    return Severity(np.sqrt(np.square(rest).mean(axis=0)) / chain.floor(BAND))
+    rest = residual_torque(run, plant, reference, trusted=trusted)
+    return Severity(np.sqrt(np.square(rest).mean(axis=0)) / chain.floor(SEVERITY_BAND))
 
 
-def reach(
+def scale_to_severity(
     effect: EffectInstance,
     target: float,
-    plant: Plant,
-    reference: Reference,
-    chain: Chain,
+    plant: SimulatedRobot,
+    reference: ReferenceTrajectory,
+    chain: MeasurementChain,
     *,
     trusted: bool = False,
     tolerance: float = 0.15,
     tries: int = 4,
     largest: float = np.inf,
-) -> tuple[EffectInstance, Run, Severity]:
+) -> tuple[EffectInstance, SimulatedMotion, Severity]:
     """The effect scaled until its severity is `target`, to a factor of 1 ± tolerance, or as near as `tries` runs come.
 
     Secant steps in the logarithms, from the effect as given and never beyond `largest` times it, nor beyond what physics allows. A robot
     that the controller loses has too much of it. Raises UnusableInput when all tries are lost.
     """
 
-    def probe(size: float) -> tuple[EffectInstance, Run, Severity]:
+    def probe(size: float) -> tuple[EffectInstance, SimulatedMotion, Severity]:
         sized = effect.sized(size)
         run = with_effects(plant, (sized,)).run(reference)
-        return sized, run, of(run, plant, reference, chain, trusted=trusted)
+        return sized, run, evaluate_severity(run, plant, reference, chain, trusted=trusted)
 
     largest = min(largest, effect.most(plant))
     size, slope, last = min(1.0, largest), 1.0, None
-    found: list[tuple[float, tuple[EffectInstance, Run, Severity]]] = []
+    found: list[tuple[float, tuple[EffectInstance, SimulatedMotion, Severity]]] = []
     for _ in range(tries):
         try:
             tried = probe(size)

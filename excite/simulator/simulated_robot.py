@@ -12,49 +12,49 @@ from ..errors import UnusableInput
 from . import mujoco_dynamics as arms
 from .actuator import ControllerGains, JointActuators
 from .closed_loop import ClosedLoop, StateHistory
-from .mujoco_dynamics import Arm
-from .physical_effect import Instant, Law, Spring
-from .reference_trajectory import Reference
-from .urdf_tree import Tree
+from .mujoco_dynamics import RigidBodyDynamics
+from .physical_effect import JointStates, PhysicalEffect, TransmissionSpring
+from .reference_trajectory import ReferenceTrajectory
+from .urdf_tree import UrdfTree
 
 Array = np.ndarray
-SPRUNG = 5e-4
+ELASTIC_MAX_STEP = 5e-4
 """Longest step where a joint winds up or has play [s]: a motor between its teeth carries a fraction of the inertia that its controller is
 tuned for, and rattles in a loop of two milliseconds; a link that teeth catch swings at hundreds of Hz."""
 
 
 @dataclass(frozen=True)
-class Plant:
+class SimulatedRobot:
     """tree: the true bodies, without effects. limit: torque limits, Shape (n,) [N m]. laws: the hidden effects. step: of the loop [s]."""
 
-    tree: Tree
+    tree: UrdfTree
     joints: tuple[str, ...]
     lock: dict[str, float]
     gravity: tuple[float, ...]
     limit: Array
     drive: JointActuators
     control: ControllerGains
-    laws: tuple[Law, ...] = ()
+    laws: tuple[PhysicalEffect, ...] = ()
     step: float = 1e-3
 
     @property
-    def springs(self) -> list[Spring]:
+    def springs(self) -> list[TransmissionSpring]:
         """What lies between motors and links."""
         return [spring for law in self.laws if (spring := law.spring()) is not None]
 
-    def without(self) -> Plant:
+    def without(self) -> SimulatedRobot:
         """The same robot with nothing hidden."""
         return replace(self, laws=())
 
-    def arm(self) -> Arm:
+    def arm(self) -> RigidBodyDynamics:
         """The rigid bodies as the effects leave them; a base that moves has its coordinates before the joints."""
         tree, gravity = self.tree, np.array(self.gravity)
         for law in self.laws:
             tree, gravity = law.alter(tree), law.gravity(gravity)
         extra = tuple(name for name in tree.joints if name not in self.tree.joints)
-        return arms.build(tree, extra + self.joints, self.lock, tuple(gravity))
+        return arms.build_dynamics(tree, extra + self.joints, self.lock, tuple(gravity))
 
-    def run(self, reference: Reference) -> Run:
+    def run(self, reference: ReferenceTrajectory) -> SimulatedMotion:
         """Close the loop on a reference."""
         self._require_room()
         arm, drive = self.arm(), self.drive
@@ -62,7 +62,7 @@ class Plant:
             drive = law.drives(drive)
         bound = replace(self, drive=drive, laws=tuple(law.bound(arm) for law in self.laws))
         carried = [s for law in bound.laws if (s := law.suspension()) is not None]
-        step = min(self.step, SPRUNG) if bound.springs else self.step
+        step = min(self.step, ELASTIC_MAX_STEP) if bound.springs else self.step
         trace = ClosedLoop(
             arm, drive, self.control, bound.laws, carried[0] if carried else None, self.limit, step
         ).run(reference)
@@ -70,11 +70,11 @@ class Plant:
             raise UnusableInput(
                 f"{self.tree.source}: the controller loses this robot; make the hidden effects smaller"
             )
-        return Run(bound, arm, trace)
+        return SimulatedMotion(bound, arm, trace)
 
     def _require_room(self) -> None:
         """A base moves on one set of springs, a joint winds up in one."""
-        if sum(type(law).suspension is not Law.suspension for law in self.laws) > 1:
+        if sum(type(law).suspension is not PhysicalEffect.suspension for law in self.laws) > 1:
             raise UnusableInput(
                 f"{self.tree.source}: more than one effect moves the base; leave one --effect base_compliance"
             )
@@ -86,17 +86,17 @@ class Plant:
                 )
 
 
-class Run:
+class SimulatedMotion:
     """A finished motion, smooth between the steps of the loop: positions are splines of the fifth order, so that accelerations are smooth
     and a link that is knocked back and forth between two steps stays where it was (integrals of speeds drift).
 
     Torques are recomputed along it, not taken from the controller: what is recorded is consistent to machine precision.
     """
 
-    def __init__(self, plant: Plant, arm: Arm, trace: StateHistory) -> None:
+    def __init__(self, plant: SimulatedRobot, arm: RigidBodyDynamics, trace: StateHistory) -> None:
         self.plant, self.arm, self.trace = plant, arm, trace
         self.end = float(trace.t[-1])
-        self._links, self._motors = (_differentiated(trace.t, x) for x in (trace.q, trace.theta))
+        self._links, self._motors = (_spline_and_derivatives(trace.t, x) for x in (trace.q, trace.theta))
 
     def links(self, t: Array) -> tuple[Array, Array, Array]:
         """Position, velocity, acceleration of base and links. Shapes (N, k + n)."""
@@ -111,11 +111,11 @@ class Run:
         q, v, a = (spline(t) for spline in motion)
         return q, v, a
 
-    def instant(self, t: Array) -> Instant:
+    def instant(self, t: Array) -> JointStates:
         """The joints at times t, with the torque that passes to the links."""
         load = self.arm.inverse(*self.links(t))[:, self.arm.n - len(self.plant.joints) :]
         q, v, a = self.motors(t)
-        return Instant(t, q, v, a, load)
+        return JointStates(t, q, v, a, load)
 
     def torque(self, t: Array) -> Array:
         """What the drives gave. Shape (N, n) [N m]."""
@@ -123,7 +123,7 @@ class Run:
         x, drive, at = self.instant(t), self.plant.drive, 0
         out = x.load + drive.inertia * x.a + drive.friction(x.v)
         for law in self.plant.laws:
-            if type(law).torque is Law.torque:
+            if type(law).torque is PhysicalEffect.torque:
                 continue
             z = np.column_stack(
                 [np.interp(t, self.trace.t, self.trace.z[:, i]) for i in range(at, at + law.memory)]
@@ -143,32 +143,32 @@ class Run:
         return q, ask(t)
 
 
-def _differentiated(t: Array, x: Array) -> tuple[BSpline, BSpline, BSpline]:
+def _spline_and_derivatives(t: Array, x: Array) -> tuple[BSpline, BSpline, BSpline]:
     """A smooth motion through positions at equal times, its speed and its acceleration."""
     spline = make_interp_spline(t, x, k=5)
     return spline, spline.derivative(1), spline.derivative(2)
 
 
-def _wrapped(law: Law, ask: Callable[[Array], Array]) -> Callable[[Array], Array]:
+def _wrapped(law: PhysicalEffect, ask: Callable[[Array], Array]) -> Callable[[Array], Array]:
     return lambda t: law.told(ask, t)
 
 
-def draw(
-    tree: Tree,
-    reference: Reference,
+def draw_robot(
+    tree: UrdfTree,
+    reference: ReferenceTrajectory,
     rng: np.random.Generator,
     *,
     control: ControllerGains | None = None,
-    laws: Sequence[Law] = (),
-) -> Plant:
+    laws: Sequence[PhysicalEffect] = (),
+) -> SimulatedRobot:
     """A robot with drives drawn at random, sized by the tree's limits."""
     from . import actuator
 
     lock = {str(k): float(v) for k, v in reference.robot.get("locked", {}).items()}
     gravity = tuple(float(g) for g in reference.robot.get("gravity", arms.GRAVITY))
-    arm = arms.build(tree, reference.joints, lock, gravity)
+    arm = arms.build_dynamics(tree, reference.joints, lock, gravity)
     speed, torque = np.array([tree.limits(name) for name in reference.joints]).T
-    return Plant(
+    return SimulatedRobot(
         tree,
         reference.joints,
         lock,

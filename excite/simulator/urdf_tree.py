@@ -13,12 +13,12 @@ from scipy.spatial.transform import Rotation
 from ..errors import UnusableInput
 
 Array = np.ndarray
-MOVING = ("revolute", "continuous", "prismatic")
-MOMENTS = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+MOVABLE_TYPES = ("revolute", "continuous", "prismatic")
+INERTIA_INDICES = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
 
 
 @dataclass(frozen=True)
-class Tree:
+class UrdfTree:
     """An XML tree without pictures, never changed in place: each method that alters it returns another.
 
     source: the file it came from, for messages.
@@ -35,7 +35,7 @@ class Tree:
     def joints(self) -> tuple[str, ...]:
         """Names of the joints that can move, in the file's order."""
         return tuple(
-            str(j.get("name")) for j in self.root.findall("joint") if j.get("type") in MOVING
+            str(j.get("name")) for j in self.root.findall("joint") if j.get("type") in MOVABLE_TYPES
         )
 
     @property
@@ -79,7 +79,7 @@ class Tree:
         rotation, centre = _origin(inertial)
         mass, tensor = _number(inertial.find("mass"), "value"), np.zeros((3, 3))
         moments = inertial.find("inertia")
-        for key, (i, j) in MOMENTS.items():
+        for key, (i, j) in INERTIA_INDICES.items():
             tensor[i, j] = tensor[j, i] = _number(moments, key)
         about = rotation @ tensor @ rotation.T
         second = 0.5 * np.trace(about) * np.eye(3) - about + mass * np.outer(centre, centre)
@@ -87,7 +87,7 @@ class Tree:
             [[second, mass * centre[:, None]], [mass * centre[None, :], np.array([[mass]])]]
         )
 
-    def with_body(self, link: str, pseudo: Array) -> Tree:
+    def with_body(self, link: str, pseudo: Array) -> UrdfTree:
         """The tree with another body in a link. pseudo: Shape (4, 4), as `body` gives it."""
         mass = float(pseudo[3, 3])
         centre = pseudo[:3, 3] / mass
@@ -98,14 +98,14 @@ class Tree:
         for old in element.findall("inertial"):
             element.remove(old)
         inertial = ElementTree.SubElement(element, "inertial")
-        ElementTree.SubElement(inertial, "origin", xyz=_words(centre), rpy="0 0 0")
+        ElementTree.SubElement(inertial, "origin", xyz=_attribute_text(centre), rpy="0 0 0")
         ElementTree.SubElement(inertial, "mass", value=repr(mass))
         ElementTree.SubElement(
-            inertial, "inertia", {key: repr(float(tensor[at])) for key, at in MOMENTS.items()}
+            inertial, "inertia", {key: repr(float(tensor[at])) for key, at in INERTIA_INDICES.items()}
         )
-        return Tree(self.source, root)
+        return UrdfTree(self.source, root)
 
-    def moved(self, joint: str, rotation: Array, shift: Array) -> Tree:
+    def moved(self, joint: str, rotation: Array, shift: Array) -> UrdfTree:
         """The tree with a joint's frame turned and shifted, both seen in that frame. Shapes (3, 3), (3,) [m]."""
         root = copy.deepcopy(self.root)
         element = next(e for e in root.findall("joint") if e.get("name") == joint)
@@ -113,10 +113,10 @@ class Tree:
         for old in element.findall("origin"):
             element.remove(old)
         rpy = Rotation.from_matrix(before @ rotation).as_euler("xyz")
-        ElementTree.SubElement(element, "origin", xyz=_words(at + before @ shift), rpy=_words(rpy))
-        return Tree(self.source, root)
+        ElementTree.SubElement(element, "origin", xyz=_attribute_text(at + before @ shift), rpy=_attribute_text(rpy))
+        return UrdfTree(self.source, root)
 
-    def locked(self, joint: str, value: float) -> Tree:
+    def locked(self, joint: str, value: float) -> UrdfTree:
         """The tree with a joint fixed at a position [rad or m]."""
         element = self.joint(joint)
         axis = _vector(element.find("axis"), "xyz", (1.0, 0.0, 0.0))
@@ -148,7 +148,7 @@ class Tree:
         raise UnusableInput(f"{self.source}: no link '{name}'; there are: {', '.join(self.links)}")
 
 
-def read(path: Path) -> Tree:
+def read_urdf(path: Path) -> UrdfTree:
     """Read a URDF. Raises UnusableInput for a file that is none, or that has mimic joints."""
     try:
         root = ElementTree.fromstring(path.read_text(encoding="utf-8"))
@@ -165,7 +165,7 @@ def read(path: Path) -> Tree:
     for name in ("material", "transmission", "gazebo"):
         for element in root.findall(name):
             root.remove(element)
-    tree = Tree(str(path), root)
+    tree = UrdfTree(str(path), root)
     for joint in root.findall("joint"):
         if joint.find("mimic") is not None:
             raise UnusableInput(
@@ -189,5 +189,5 @@ def _number(element: ElementTree.Element | None, key: str) -> float:
     return 0.0 if element is None else float(element.get(key, "0"))
 
 
-def _words(values: Array) -> str:
+def _attribute_text(values: Array) -> str:
     return " ".join(repr(float(v)) for v in values)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from excite.simulator import mujoco_dynamics as arms
-from excite.simulator.regressor import bodies
+from excite.simulator.regressor import rigid_body_regressor
 
 from .baseline_data import Problem, Scene
 from .baseline_fit import OUT
@@ -282,7 +282,7 @@ def _windows(problem: Problem) -> Iterator[Candidate]:
 def _robot(problem: Problem) -> Iterator[Candidate]:
     arm = problem.train.arm
     across = [
-        arms.build(arm.tree, arm.joints, gravity=axis)
+        arms.build_dynamics(arm.tree, arm.joints, gravity=axis)
         for axis in ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
     ]
     size = float(np.linalg.norm(arm.model.opt.gravity))
@@ -306,7 +306,7 @@ def _robot(problem: Problem) -> Iterator[Candidate]:
 
 def _body(s: Scene, j: int) -> Array:
     """Mass and first moments of the link that joint j moves."""
-    y, model = bodies(s.arm, s.data.q, s.data.v, s.data.a), s.arm.model
+    y, model = rigid_body_regressor(s.arm, s.data.q, s.data.v, s.data.a), s.arm.model
     moving = [b for b in range(1, model.nbody) if model.body_weldid[b] != 0]
     at = 10 * moving.index(int(model.jnt_bodyid[j]))
     return y[:, :, at : at + 4]
@@ -323,6 +323,6 @@ def _frame(s: Scene, joint: str) -> Array:
     ):
         tree = s.arm.tree.moved(joint, Rotation.from_rotvec(turn).as_matrix(), np.array(shift))
         out.append(
-            (arms.build(tree, s.arm.joints).inverse(s.data.q, s.data.v, s.data.a) - plain) / h
+            (arms.build_dynamics(tree, s.arm.joints).inverse(s.data.q, s.data.v, s.data.a) - plain) / h
         )
     return np.stack(out, axis=2)

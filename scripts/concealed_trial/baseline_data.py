@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from excite.simulator import urdf_tree as trees
-from excite.simulator.mujoco_dynamics import Arm
+from excite.simulator.mujoco_dynamics import RigidBodyDynamics
 
 from . import baseline_fit
 from .baseline_fit import Data
@@ -26,7 +26,7 @@ class Scene:
     width: of the smooth sign of each joint's Coulomb friction. Shape (n,) [rad/s].
     """
 
-    arm: Arm
+    arm: RigidBodyDynamics
     limit: Array
     data: Data
     mass: Array
@@ -58,7 +58,7 @@ class Problem:
         return self.train.arm.joints
 
 
-def scene(arm: Arm, limit: Array, path: Path) -> Scene:
+def scene(arm: RigidBodyDynamics, limit: Array, path: Path) -> Scene:
     """Read a recording."""
     data = baseline_fit.ordered(baseline_fit.read(path), arm.joints)
     every = 5
@@ -71,7 +71,7 @@ def scene(arm: Arm, limit: Array, path: Path) -> Scene:
 
 def load(folder: Path) -> Problem:
     """A case's folder: robot.urdf, train.csv, validate.csv, and prior.json where there is one."""
-    tree = trees.read(folder / "robot.urdf")
+    tree = trees.read_urdf(folder / "robot.urdf")
     arm = baseline_fit.arm_of(folder / "robot.urdf", tree.joints)
     limit = np.array([tree.limits(name)[1] for name in arm.joints])
     first, second = (scene(arm, limit, folder / f"{name}.csv") for name in ("train", "validate"))

@@ -16,8 +16,8 @@ from scipy import linalg, signal
 
 from excite.simulator import mujoco_dynamics as arms
 from excite.simulator import urdf_tree as trees
-from excite.simulator.mujoco_dynamics import Arm
-from excite.simulator.regressor import bodies, drives
+from excite.simulator.mujoco_dynamics import RigidBodyDynamics
+from excite.simulator.regressor import rigid_body_regressor, actuator_regressor
 
 Array = np.ndarray
 BAND, MOTION_BAND, RATE, OUT = 20.0, 60.0, 250.0, 50.0
@@ -73,15 +73,15 @@ def _filter(rate: float) -> Array:
     return np.asarray(signal.butter(4, BAND, fs=rate, output="sos"))
 
 
-def arm_of(urdf: Path, joints: tuple[str, ...]) -> Arm:
+def arm_of(urdf: Path, joints: tuple[str, ...]) -> RigidBodyDynamics:
     """The rigid bodies of a URDF whose other joints are locked at 0."""
-    return arms.build(trees.read(urdf), joints)
+    return arms.build_dynamics(trees.read_urdf(urdf), joints)
 
 
-def columns(arm: Arm, data: Data, width: Array) -> Array:
+def columns(arm: RigidBodyDynamics, data: Data, width: Array) -> Array:
     """The base model's columns at RATE, joints in the arm's order. width: Shape (n,). Shape (N, n, P)."""
     return np.concatenate(
-        [bodies(arm, data.q, data.v, data.a), drives(data.v, data.a, width)], axis=2
+        [rigid_body_regressor(arm, data.q, data.v, data.a), actuator_regressor(data.v, data.a, width)], axis=2
     )
 
 
@@ -91,14 +91,14 @@ def ordered(data: Data, joints: tuple[str, ...]) -> Data:
     return Data(joints, data.t, *(x[:, order] for x in (data.q, data.v, data.a, data.tau)))
 
 
-def best_width(arm: Arm, data: Data, tau: Array) -> Array:
+def best_width(arm: RigidBodyDynamics, data: Data, tau: Array) -> Array:
     """For each joint the width that leaves least; every joint tries them at once. tau: in the band. Shape (n,) [rad/s]."""
     same = [np.full(arm.n, width) for width in WIDTHS]
-    inertial = low(bodies(arm, data.q, data.v, data.a), data.t)
+    inertial = low(rigid_body_regressor(arm, data.q, data.v, data.a), data.t)
     left = [
         rmse(
             fit(
-                np.concatenate([inertial, low(drives(data.v, data.a, width), data.t)], axis=2),
+                np.concatenate([inertial, low(actuator_regressor(data.v, data.a, width), data.t)], axis=2),
                 tau,
                 1,
             ).left()

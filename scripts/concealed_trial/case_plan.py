@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from excite.simulator.effects import CATALOGUE, OUTSIDERS
+from excite.simulator.effects import CATALOGUE_NAMES, OUT_OF_CATALOGUE_NAMES
 
 T = TypeVar("T")
 ROBOTS = ("two_link", "tx40", "ur10e", "panda")
@@ -35,7 +35,7 @@ PRIOR_ONLY = (
     "kinematic_error",
 )
 """What a refit of the base model absorbs (the contract): hidden where the prior is trusted."""
-REFIT = tuple(name for name in CATALOGUE if name not in PRIOR_ONLY)
+REFIT = tuple(name for name in CATALOGUE_NAMES if name not in PRIOR_ONLY)
 CONFUSABLE = (
     ("delay", "hysteresis"),
     ("load_friction", "position_friction"),
@@ -84,7 +84,7 @@ class Plan:
         tags = rng.choice(16**6, self.count, replace=False)
         singles = _rounds(REFIT, rng)
         with_prior = _rounds(PRIOR_ONLY, rng)
-        pairs, odd = _rounds(CONFUSABLE, rng), _rounds(OUTSIDERS, rng)
+        pairs, odd = _rounds(CONFUSABLE, rng), _rounds(OUT_OF_CATALOGUE_NAMES, rng)
         mixed = _rounds(
             [pair for pair in combinations(REFIT, 2) if set(pair) != {"elasticity", "backlash"}],
             rng,

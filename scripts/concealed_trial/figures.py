@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from excite.simulator.effects import CATALOGUE, OUTSIDERS
+from excite.simulator.effects import CATALOGUE_NAMES, OUT_OF_CATALOGUE_NAMES
 
 from .score import NO_ANSWER, NOTHING, UNKNOWN
 
@@ -36,8 +36,8 @@ def _svg(width: float, height: float, draw: Callable[[Any], None]) -> str:
 
 def confusion(tables: Mapping[str, Mapping[str, Mapping[str, int]]]) -> str:
     """One matrix per analyst: rows are what was hidden, columns the first name answered; shade is the row's share."""
-    rows = [NOTHING, *CATALOGUE, *OUTSIDERS]
-    columns = [NOTHING, UNKNOWN, NO_ANSWER, *CATALOGUE]
+    rows = [NOTHING, *CATALOGUE_NAMES, *OUT_OF_CATALOGUE_NAMES]
+    columns = [NOTHING, UNKNOWN, NO_ANSWER, *CATALOGUE_NAMES]
 
     def draw(figure: Any) -> None:
         axes = figure.subplots(1, len(tables), sharey=True, squeeze=False)[0]
@@ -46,7 +46,7 @@ def confusion(tables: Mapping[str, Mapping[str, Mapping[str, int]]]) -> str:
             shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1.0)
             axis.imshow(shares, cmap="Blues", vmin=0.0, vmax=1.0, aspect="equal")
             for i, j in np.argwhere(counts > 0):
-                right = rows[i] == columns[j] or (rows[i] in OUTSIDERS and columns[j] == UNKNOWN)
+                right = rows[i] == columns[j] or (rows[i] in OUT_OF_CATALOGUE_NAMES and columns[j] == UNKNOWN)
                 axis.text(
                     j,
                     i,
@@ -60,7 +60,7 @@ def confusion(tables: Mapping[str, Mapping[str, Mapping[str, int]]]) -> str:
             axis.set_xticks(range(len(columns)), columns, rotation=90)
             axis.set_yticks(range(len(rows)), rows)
             axis.axhline(0.5, color="#9aa4af", linewidth=0.6)
-            axis.axhline(len(CATALOGUE) + 0.5, color="#9aa4af", linewidth=0.6)
+            axis.axhline(len(CATALOGUE_NAMES) + 0.5, color="#9aa4af", linewidth=0.6)
             axis.axvline(2.5, color="#9aa4af", linewidth=0.6)
             axis.set_title(name, loc="left")
             axis.set_xlabel("answered first")

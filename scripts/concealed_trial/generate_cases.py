@@ -19,10 +19,10 @@ from excite.simulator import experiment, recording_file, severity
 from excite.simulator import urdf_tree as trees
 from excite.simulator.actuator import ControllerGains, JointActuators
 from excite.simulator.effect_instance import EffectInstance
-from excite.simulator.effects import KINDS
-from excite.simulator.experiment import Session, Setting
-from excite.simulator.reference_trajectory import Reference
-from excite.simulator.simulated_robot import Plant
+from excite.simulator.effects import EFFECT_TYPES
+from excite.simulator.experiment import SimulatedSession, ExperimentSettings
+from excite.simulator.reference_trajectory import ReferenceTrajectory
+from excite.simulator.simulated_robot import SimulatedRobot
 
 from . import random_excitation
 from .baseline_fit import oracle
@@ -48,13 +48,13 @@ class Bench:
 
     spec: Spec
     urdf: str
-    plant: Plant
+    plant: SimulatedRobot
     hidden: tuple[tuple[EffectInstance, float], ...]
-    sessions: tuple[Session, ...]
-    motion: Reference
+    sessions: tuple[SimulatedSession, ...]
+    motion: ReferenceTrajectory
 
 
-def setting(spec: Spec) -> Setting:
+def setting(spec: Spec) -> ExperimentSettings:
     """Measurement and controller of a case, with its trap. The true bodies are the URDF's where a prior is trusted."""
     rng = np.random.default_rng([spec.seed, 1])
     control = ControllerGains(
@@ -64,7 +64,7 @@ def setting(spec: Spec) -> Setting:
     )
     if spec.trap == "changed_gains":
         control = replace(control, position=8.0, speed=60.0, forward=0.3)
-    return Setting(
+    return ExperimentSettings(
         seed=int(rng.integers(2**31)),
         noise=NOISE * (5.0 if spec.trap == "heavy_noise" else float(rng.uniform(0.7, 1.4))),
         colour=8.0 if spec.trap == "coloured_noise" else None,
@@ -97,8 +97,8 @@ def _drawn(spec: Spec, models: Path, least: float) -> Bench:
         setting(spec),
         models / f"{spec.robot}.urdf",
     )
-    tree = trees.read(path)
-    plant = experiment.robot(path, _standing(tree.joints), chosen)
+    tree = trees.read_urdf(path)
+    plant = experiment.build_robot(path, _standing(tree.joints), chosen)
     # where a prior is trusted, the handed-over URDF is right, to the last digit
     plant = replace(plant, step=STEP, tree=tree if spec.trusted else plant.tree)
     poor = spec.trap == "poor_excitation"
@@ -119,7 +119,7 @@ def _drawn(spec: Spec, models: Path, least: float) -> Bench:
     return _measured(Bench(spec, tree.text, plant, tuple(hidden), (), train), validate, chosen)
 
 
-def _measured(case: Bench, validate: Reference, chosen: Setting) -> Bench:
+def _measured(case: Bench, validate: ReferenceTrajectory, chosen: ExperimentSettings) -> Bench:
     """The case with its two recordings; effects that together are more than the controller can hold are made smaller."""
     for _ in range(4):
         robot = effects.with_effects(case.plant, tuple(effect for effect, _ in case.hidden))
@@ -152,9 +152,9 @@ def _later(case: Bench) -> JointActuators:
     return replace(drive, viscous=factor * drive.viscous, coulomb=factor * drive.coulomb)
 
 
-def _standing(joints: tuple[str, ...]) -> Reference:
+def _standing(joints: tuple[str, ...]) -> ReferenceTrajectory:
     """A reference that only names the joints."""
-    return Reference(joints, lambda t: (t, t, t), 0.0, 1.0, (0.0, 1.0), {})
+    return ReferenceTrajectory(joints, lambda t: (t, t, t), 0.0, 1.0, (0.0, 1.0), {})
 
 
 def given(case: Bench) -> dict[str, str]:
@@ -162,7 +162,7 @@ def given(case: Bench) -> dict[str, str]:
     out = {"robot.urdf": case.urdf}
     for name, session in zip(("train", "validate"), case.sessions, strict=True):
         out[f"{name}.csv"] = session.recording.csv()
-        out[f"{name}.json"] = recording_file.dumps({**session.recording.sidecar(), "notes": ""})
+        out[f"{name}.json"] = recording_file.json_text({**session.recording.sidecar(), "notes": ""})
     if case.spec.trusted:
         out["prior.json"] = _prior(case.plant)
     return out
@@ -172,9 +172,9 @@ def _effect(
     spec: Spec,
     name: str,
     level: float,
-    plant: Plant,
-    chosen: Setting,
-    motions: tuple[Reference, Reference],
+    plant: SimulatedRobot,
+    chosen: ExperimentSettings,
+    motions: tuple[ReferenceTrajectory, ReferenceTrajectory],
     joint: str | None,
     rng: np.random.Generator,
     least: float,
@@ -184,7 +184,7 @@ def _effect(
     Where a joint shows too little of it whatever its size (a wrist that hardly loads its spring), or the controller loses the
     robot at any, another draw is made; and more where none shows. Raises UnusableInput where none shows a severity of `least`.
     """
-    kind, n, (short, whole) = KINDS[name], len(plant.joints), motions
+    kind, n, (short, whole) = EFFECT_TYPES[name], len(plant.joints), motions
     first = {"payload": n // 2, "contact": n // 2}.get(name, 0)
     end = max(n - 1, 1) if name == "kinematic_error" else n
     chain, along = experiment.chain(plant, chosen), whole if name == "thermal_drift" else short
@@ -198,7 +198,7 @@ def _effect(
         place = None if kind.place == "robot" or (kind.place == "either" and all_late) else where
         effect = effects.draw_effect(kind, plant, place, spec.family, rng)
         try:
-            sized, _, reached = severity.reach(
+            sized, _, reached = severity.scale_to_severity(
                 effect,
                 level,
                 plant,
@@ -224,7 +224,7 @@ def _effect(
     return best, value
 
 
-def _prior(plant: Plant) -> str:
+def _prior(plant: SimulatedRobot) -> str:
     drive = plant.drive
     joints = {
         name: {
@@ -235,7 +235,7 @@ def _prior(plant: Plant) -> str:
         }
         for j, name in enumerate(plant.joints)
     }
-    return recording_file.dumps({"schema": "excite.prior/1", "trust_prior": True, "joints": joints})
+    return recording_file.json_text({"schema": "excite.prior/1", "trust_prior": True, "joints": joints})
 
 
 def key(case: Bench, folder: Path) -> dict[str, Any]:
@@ -245,7 +245,7 @@ def key(case: Bench, folder: Path) -> dict[str, Any]:
         folder,
         (_torque(first, case.plant), _torque(second, replace(case.plant, drive=_later(case)))),
     )
-    whole = severity.of(first.run, case.plant, case.motion, first.chain, trusted=case.spec.trusted)
+    whole = severity.evaluate_severity(first.run, case.plant, case.motion, first.chain, trusted=case.spec.trusted)
     return {
         "spec": asdict(case.spec),
         "joints": list(case.plant.joints),
@@ -254,14 +254,14 @@ def key(case: Bench, folder: Path) -> dict[str, Any]:
         "held_out": {
             "before": before.tolist(),
             "oracle": after.tolist(),
-            "noise": second.chain.floor(severity.BAND).tolist(),
+            "noise": second.chain.floor(severity.SEVERITY_BAND).tolist(),
         },
         "truth": first.truth,
     }
 
 
-def _torque(session: Session, plant: Plant) -> Callable[[Array], Array]:
-    return lambda t: severity.hidden(session.run, plant, t).torque
+def _torque(session: SimulatedSession, plant: SimulatedRobot) -> Callable[[Array], Array]:
+    return lambda t: severity.hidden_torque(session.run, plant, t).torque
 
 
 def write(case: Bench, folder: Path, secret: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from excite.simulator.effects import FORM_FAMILIES, KINDS
+from excite.simulator.effects import FORM_FAMILIES, EFFECT_TYPES
 
 Array = np.ndarray
 BINS = ((0.0, 0.7), (0.7, 2.0), (2.0, 6.0), (6.0, 18.0), (18.0, np.inf))
@@ -150,7 +150,7 @@ def whole(effect: Mapping[str, Any], case: Mapping[str, Any]) -> Mapping[str, An
         key: float(one["value"]) + own
         for key, one in {**effect["parameters"], **effect["details"]}.items()
     }
-    meaning = KINDS[name].meant.get(family)
+    meaning = EFFECT_TYPES[name].meant.get(family)
     values = law if meaning is None else {**law, **meaning(law)}
     kept = {
         key: true for key, true in effect["parameters"].items() if (name, family, key) not in APART

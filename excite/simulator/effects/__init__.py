@@ -11,7 +11,7 @@ EFFECT_TYPES: dict[str, EffectType] = {
     for kind in module.KINDS
 }
 """Every kind there is; those with `outsider` are not of the contract's list."""
-CATALOGUE = tuple(name for name, kind in EFFECT_TYPES.items() if not kind.outsider)
-OUTSIDERS = tuple(name for name, kind in EFFECT_TYPES.items() if kind.outsider)
+CATALOGUE_NAMES = tuple(name for name, kind in EFFECT_TYPES.items() if not kind.outsider)
+OUT_OF_CATALOGUE_NAMES = tuple(name for name, kind in EFFECT_TYPES.items() if kind.outsider)
 
 __all__ = ["CATALOGUE", "FAMILIES", "KINDS", "OUTSIDERS", "Kind"]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..actuator import JointActuators
-from ..physical_effect import Instant, Law
+from ..physical_effect import JointStates, PhysicalEffect
 
 Array = np.ndarray
 FORM_FAMILIES = ("tuning", "scored")
@@ -103,7 +103,7 @@ class EffectSite:
     link: str
 
 
-EffectForm = Callable[[EffectSite, Mapping[str, float]], Law]
+EffectForm = Callable[[EffectSite, Mapping[str, float]], PhysicalEffect]
 ValueConversion = Callable[[Mapping[str, float]], Mapping[str, float]]
 """From a law's parameters to those whose number is another one in the contract's words."""
 
@@ -129,20 +129,20 @@ class EffectType:
 
 
 @dataclass(frozen=True)
-class MemorylessEffect(Law):
+class MemorylessEffect(PhysicalEffect):
     """A torque at one joint that depends on the present alone. law: Instant of the joint (arrays of shape (…)) to torque."""
 
     n: int
     j: int
-    law: Callable[[Instant], Array]
+    law: Callable[[JointStates], Array]
 
-    def torque(self, x: Instant, z: Array) -> Array:
+    def torque(self, x: JointStates, z: Array) -> Array:
         return torque_at_joint(self.n, self.j, self.law(single_joint_state(x, self.j)))
 
 
-def single_joint_state(x: Instant, j: int) -> Instant:
+def single_joint_state(x: JointStates, j: int) -> JointStates:
     """The instant of one joint."""
-    return Instant(x.t, x.q[..., j], x.v[..., j], x.a[..., j], x.load[..., j])
+    return JointStates(x.t, x.q[..., j], x.v[..., j], x.a[..., j], x.load[..., j])
 
 
 def torque_at_joint(n: int, j: int, torque: Array) -> Array:
@@ -152,7 +152,7 @@ def torque_at_joint(n: int, j: int, torque: Array) -> Array:
     return out
 
 
-def memoryless_effect(site: EffectSite, law: Callable[[Instant], Array]) -> Law:
+def memoryless_effect(site: EffectSite, law: Callable[[JointStates], Array]) -> PhysicalEffect:
     return MemorylessEffect(site.n, site.j, law)
 
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..mujoco_dynamics import Arm
-from ..physical_effect import Instant, Law, Suspension
-from ..urdf_tree import Tree
+from ..mujoco_dynamics import RigidBodyDynamics
+from ..physical_effect import JointStates, PhysicalEffect, BaseSuspension
+from ..urdf_tree import UrdfTree
 from .effect_type import EffectType, EffectParameter, EffectSite, phase_parameter
 
 Array = np.ndarray
@@ -19,7 +19,7 @@ Values = Mapping[str, float]
 
 
 @dataclass(frozen=True)
-class Push(Law):
+class ContactForce(PhysicalEffect):
     """A force on the centre of a joint's link from start to end; the drives give −Jᵀf more.
 
     plateau: half a sine, or a plateau between short flanks, whose direction turns by a radian. heading: of the force, in the
@@ -32,12 +32,12 @@ class Push(Law):
     end: float
     heading: float
     plateau: bool
-    arm: Arm | None = None
+    arm: RigidBodyDynamics | None = None
 
-    def bound(self, arm: Arm) -> Law:
+    def bound(self, arm: RigidBodyDynamics) -> PhysicalEffect:
         return replace(self, arm=arm)
 
-    def torque(self, x: Instant, z: Array) -> Array:
+    def torque(self, x: JointStates, z: Array) -> Array:
         t, q = np.atleast_1d(x.t), np.atleast_2d(x.q)
         u = (t - self.start) / (self.end - self.start)
         inside, out = (u > 0.0) & (u < 1.0), np.zeros(q.shape)
@@ -57,7 +57,7 @@ class Push(Law):
 
 
 @dataclass(frozen=True)
-class Rocking(Law):
+class CompliantBase(PhysicalEffect):
     """A base that turns about the horizontal axes, or about all three, on springs. frequency: of the first, arm at 0 [Hz].
 
     ratios: frequencies of the axes over the first.
@@ -68,7 +68,7 @@ class Rocking(Law):
     stiffness: tuple[float, ...] = ()
     damping: tuple[float, ...] = ()
 
-    def alter(self, tree: Tree) -> Tree:
+    def alter(self, tree: UrdfTree) -> UrdfTree:
         root = copy.deepcopy(tree.root)
         children = {str(e.get("link")) for e in root.iter("child")}
         base = next(
@@ -85,27 +85,27 @@ class Rocking(Law):
             ElementTree.SubElement(joint, "child", link=child)
             ElementTree.SubElement(joint, "axis", xyz=("1 0 0", "0 1 0", "0 0 1")[i])
             ElementTree.SubElement(joint, "limit", lower="-1", upper="1", velocity="1", effort="1")
-        out = Tree(tree.source, root)
+        out = UrdfTree(tree.source, root)
         # a pedestal as heavy as half of what it carries
         mass = 0.5 * sum(float(tree.body(link)[3, 3]) for link in tree.links)
         return out.with_body(base, out.body(base) + mass * np.diag([0.02, 0.02, 0.03, 1.0]))
 
-    def bound(self, arm: Arm) -> Law:
+    def bound(self, arm: RigidBodyDynamics) -> PhysicalEffect:
         inertia = np.diag(arm.terms(np.zeros(arm.n), np.zeros(arm.n))[0])[: len(self.ratios)]
         omega = 2.0 * np.pi * self.frequency * np.array(self.ratios)
         return replace(
             self, stiffness=tuple(omega**2 * inertia), damping=tuple(2.0 * 0.04 * omega * inertia)
         )
 
-    def suspension(self) -> Suspension:
-        return Suspension(np.array(self.stiffness), np.array(self.damping))
+    def suspension(self) -> BaseSuspension:
+        return BaseSuspension(np.array(self.stiffness), np.array(self.damping))
 
 
-def _push(site: EffectSite, p: Values, plateau: bool) -> Law:
-    return Push(site.joint, p["force"], p["start"], p["end"], p["heading"], plateau)
+def _push(site: EffectSite, p: Values, plateau: bool) -> PhysicalEffect:
+    return ContactForce(site.joint, p["force"], p["start"], p["end"], p["heading"], plateau)
 
 
-KINDS = (
+EFFECT_TYPES = (
     EffectType(
         "contact",
         (
@@ -123,8 +123,8 @@ KINDS = (
         "base_compliance",
         (EffectParameter("frequency", "Hz", 5.0, 20.0, power=-0.5),),
         {
-            "tuning": lambda site, p: Rocking(p["frequency"], (1.0, 1.15)),
-            "scored": lambda site, p: Rocking(p["frequency"], (1.0, 0.85, 1.5)),
+            "tuning": lambda site, p: CompliantBase(p["frequency"], (1.0, 1.15)),
+            "scored": lambda site, p: CompliantBase(p["frequency"], (1.0, 0.85, 1.5)),
         },
         place="robot",
         vanishes=True,

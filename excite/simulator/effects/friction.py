@@ -10,20 +10,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..physical_effect import Instant, Law
+from ..physical_effect import JointStates, PhysicalEffect
 from .effect_type import EffectType, ValueConversion, EffectParameter, EffectSite, phase_parameter, memoryless_effect, torque_at_joint, smooth_sign
 
 Array = np.ndarray
 Values = Mapping[str, float]
 
 
-def asymmetric_blend(site: EffectSite, p: Values) -> Law:
+def asymmetric_blend(site: EffectSite, p: Values) -> PhysicalEffect:
     """(½(p+n) + ½(p−n) tanh(v/50 mrad/s)) v."""
     mean, half = 0.5 * (p["positive"] + p["negative"]), 0.5 * (p["positive"] - p["negative"])
     return memoryless_effect(site, lambda x: (mean + half * np.tanh(x.v / 0.05)) * x.v)
 
 
-def asymmetric_bent(site: EffectSite, p: Values) -> Law:
+def asymmetric_saturating(site: EffectSite, p: Values) -> PhysicalEffect:
     """p v, n v by direction, each bent: v/(1 + 0.1|v|/v_max)."""
     top = site.speed[site.j]
     return memoryless_effect(
@@ -36,14 +36,14 @@ def asymmetric_bent(site: EffectSite, p: Values) -> Law:
     )
 
 
-def stribeck_rational(site: EffectSite, p: Values) -> Law:
+def stribeck_rational(site: EffectSite, p: Values) -> PhysicalEffect:
     """A sgn(v)/(1 + (v/vₛ)²) (Hess and Soom, where catalogues have a Gaussian or an exponential)."""
     return memoryless_effect(
         site, lambda x: p["amplitude"] * smooth_sign(x.v) / (1.0 + np.square(x.v / p["velocity"]))
     )
 
 
-def stribeck_sech(site: EffectSite, p: Values) -> Law:
+def stribeck_sech(site: EffectSite, p: Values) -> PhysicalEffect:
     """A sgn(v)/cosh(v/vₛ) (Makkar et al. 2005 use such smooth forms)."""
     return memoryless_effect(
         site,
@@ -53,12 +53,12 @@ def stribeck_sech(site: EffectSite, p: Values) -> Law:
     )
 
 
-def power(site: EffectSite, p: Values) -> Law:
+def viscous_power(site: EffectSite, p: Values) -> PhysicalEffect:
     """c |v|ᵏ sgn(v), k no half or whole number."""
     return memoryless_effect(site, lambda x: p["coefficient"] * smooth_sign(x.v) * np.abs(x.v) ** p["exponent"])
 
 
-def rounded_power(site: EffectSite, p: Values) -> Law:
+def viscous_rounded_power(site: EffectSite, p: Values) -> PhysicalEffect:
     """c ((v² + v₀²)^(k/2) − v₀ᵏ) sgn(v), v₀ a tenth of the top speed."""
     v0 = 0.1 * site.speed[site.j]
     k = p["exponent"]
@@ -67,7 +67,7 @@ def rounded_power(site: EffectSite, p: Values) -> Law:
     )
 
 
-def load_power(site: EffectSite, p: Values) -> Law:
+def load_power(site: EffectSite, p: Values) -> PhysicalEffect:
     """μ |τ|^1.15 sgn(v), scaled to μ|τ| at a quarter of the torque limit."""
     at = 0.25 * site.torque[site.j]
     return memoryless_effect(
@@ -75,7 +75,7 @@ def load_power(site: EffectSite, p: Values) -> Law:
     )
 
 
-def load_quadrants(site: EffectSite, p: Values) -> Law:
+def load_quadrants(site: EffectSite, p: Values) -> PhysicalEffect:
     """μ|τ| sgn(v), a fifth more when the load drives the joint and a fifth less when the motor does (worm and planetary gears)."""
     half = 0.02 * site.torque[site.j]
     return memoryless_effect(
@@ -89,7 +89,7 @@ def load_quadrants(site: EffectSite, p: Values) -> Law:
     )
 
 
-def position_triangle(site: EffectSite, p: Values) -> Law:
+def position_triangle(site: EffectSite, p: Values) -> PhysicalEffect:
     """A tri(kq + φ) sgn(v): a triangular wave in position."""
     return memoryless_effect(
         site,
@@ -102,30 +102,30 @@ def position_triangle(site: EffectSite, p: Values) -> Law:
     )
 
 
-def position_bumps(site: EffectSite, p: Values) -> Law:
+def position_bumps(site: EffectSite, p: Values) -> PhysicalEffect:
     """A (e^{4(cos(kq+φ)−1)} + ½ e^{8(cos(kq+2φ)−1)}) sgn(v): two tight spots."""
     w = p["waves"]
     return memoryless_effect(
         site,
         lambda x: (
-            p["amplitude"] * smooth_sign(x.v) * _spots(w * x.q + p["phase"], w * x.q + 2 * p["phase"])
+            p["amplitude"] * smooth_sign(x.v) * _two_tight_spots(w * x.q + p["phase"], w * x.q + 2 * p["phase"])
         ),
     )
 
 
-def _spots(first: Array, second: Array) -> Array:
+def _two_tight_spots(first: Array, second: Array) -> Array:
     """Two tight spots at 0 of two angles, the second half as high and narrower."""
     return np.asarray(np.exp(4 * (np.cos(first) - 1)) + 0.5 * np.exp(8 * (np.cos(second) - 1)))
 
 
-def _half_range(p: Values) -> Values:
+def _half_peak_to_peak(p: Values) -> Values:
     """An amplitude is half of what lies between highest and lowest: the mean is the base model's Coulomb friction."""
     turn = np.linspace(0.0, 2.0 * np.pi, 3600)
-    return {"amplitude": 0.5 * p["amplitude"] * float(np.ptp(_spots(turn, turn + p["phase"])))}
+    return {"amplitude": 0.5 * p["amplitude"] * float(np.ptp(_two_tight_spots(turn, turn + p["phase"])))}
 
 
 @dataclass(frozen=True)
-class BoucWen(Law):
+class BoucWenHysteresis(PhysicalEffect):
     """A z, ż = (k/A)(v − ½|v||z|^(m−1) z − ½ v|z|ᵐ), m = 1.6; steps are exact for the slope at their start."""
 
     site: EffectSite
@@ -133,7 +133,7 @@ class BoucWen(Law):
     stiffness: float
     memory = 1
 
-    def advance(self, x: Instant, z: Array, dt: float) -> Array:
+    def advance(self, x: JointStates, z: Array, dt: float) -> Array:
         if self.amplitude == 0.0:
             return z
         v = x.v[..., self.site.j]
@@ -147,12 +147,12 @@ class BoucWen(Law):
         )
         return np.asarray(np.minimum(moved, 1.0) * side)[..., None]
 
-    def torque(self, x: Instant, z: Array) -> Array:
+    def torque(self, x: JointStates, z: Array) -> Array:
         return torque_at_joint(self.site.n, self.site.j, self.amplitude * z[..., 0])
 
 
 @dataclass(frozen=True)
-class Iwan(Law):
+class IwanHysteresis(PhysicalEffect):
     """Twelve slip elements in parallel whose breakaways follow a power law (Iwan 1966; Segalman 2005): Σ clip(kᵢ(q − sᵢ), ±fᵢ)."""
 
     site: EffectSite
@@ -167,13 +167,13 @@ class Iwan(Law):
         stiff = float((share / reach).sum()) * self.amplitude
         return share, reach * stiff / self.stiffness
 
-    def advance(self, x: Instant, z: Array, dt: float) -> Array:
+    def advance(self, x: JointStates, z: Array, dt: float) -> Array:
         if self.amplitude == 0.0:
             return z
         _, reach = self._shares()
         return np.clip(z + (x.v[..., self.site.j] * dt)[..., None], -reach, reach)
 
-    def torque(self, x: Instant, z: Array) -> Array:
+    def torque(self, x: JointStates, z: Array) -> Array:
         if self.amplitude == 0.0:
             return torque_at_joint(self.site.n, self.site.j, 0.0 * z[..., 0])
         share, reach = self._shares()
@@ -181,14 +181,14 @@ class Iwan(Law):
 
 
 @dataclass(frozen=True)
-class Warming(Law):
+class TimedThermalDrift(PhysicalEffect):
     """Base friction times s(t): two time constants, the second three times the first, weighed 2 : 1."""
 
     site: EffectSite
     change: float
     constant: float
 
-    def torque(self, x: Instant, z: Array) -> Array:
+    def torque(self, x: JointStates, z: Array) -> Array:
         drive, j, c = self.site.drive, self.site.j, self.constant
         rise = (2.0 * (1.0 - np.exp(-x.t / c)) + (1.0 - np.exp(-x.t / (3.0 * c)))) / 3.0
         friction = (drive.friction(x.v) - drive.offset)[..., j]
@@ -196,7 +196,7 @@ class Warming(Law):
 
 
 @dataclass(frozen=True)
-class Heating(Law):
+class SelfHeatingFriction(PhysicalEffect):
     """Viscous friction × e^{−κΔ}, Coulomb half as much; Δ is heated by the friction's own power and cools with the time constant.
 
     Δ is scaled so that the power of full speed makes it 1; κ so that it changes friction by `change` there.
@@ -213,13 +213,13 @@ class Heating(Law):
         own = drive.viscous[j] * v * v + drive.coulomb[j] * np.abs(v)
         return own / (drive.viscous[j] * top * top + drive.coulomb[j] * top)
 
-    def advance(self, x: Instant, z: Array, dt: float) -> Array:
+    def advance(self, x: JointStates, z: Array, dt: float) -> Array:
         keep = np.exp(-dt / self.constant)
         return np.asarray(z[..., 0] * keep + (1.0 - keep) * self._power(x.v[..., self.site.j]))[
             ..., None
         ]
 
-    def torque(self, x: Instant, z: Array) -> Array:
+    def torque(self, x: JointStates, z: Array) -> Array:
         drive, j = self.site.drive, self.site.j
         v, kappa = x.v[..., j], -np.log1p(max(self.change, -0.95))
         less = np.expm1(-kappa * z[..., 0])
@@ -231,91 +231,91 @@ class Heating(Law):
         )
 
 
-def drag_near_square(site: EffectSite, p: Values) -> Law:
+def drag_power(site: EffectSite, p: Values) -> PhysicalEffect:
     """c |v|^1.85 sgn(v) v₀^0.15: turbulent, not quite square; v₀ half of the top speed."""
     v0 = 0.5 * site.speed[site.j]
     return memoryless_effect(site, lambda x: p["coefficient"] * smooth_sign(x.v) * np.abs(x.v) ** 1.85 * v0**0.15)
 
 
-def drag_rounded(site: EffectSite, p: Values) -> Law:
+def drag_rounded(site: EffectSite, p: Values) -> PhysicalEffect:
     """c v √(v² + v₀²) − c v₀ v, v₀ a tenth of the top speed."""
     v0 = 0.1 * site.speed[site.j]
     return memoryless_effect(site, lambda x: p["coefficient"] * x.v * (np.sqrt(x.v * x.v + v0 * v0) - v0))
 
 
-def plain_algebraic(site: EffectSite, p: Values) -> Law:
+def friction_algebraic(site: EffectSite, p: Values) -> PhysicalEffect:
     """F_c v/√(v² + w²) + F_v v."""
     return memoryless_effect(site, lambda x: p["coulomb"] * smooth_sign(x.v) + p["viscous"] * x.v)
 
 
-def plain_arctangent(site: EffectSite, p: Values) -> Law:
+def friction_arctangent(site: EffectSite, p: Values) -> PhysicalEffect:
     """F_c (2/π) atan(v/w) + F_v v."""
     return memoryless_effect(
         site, lambda x: p["coulomb"] * (2.0 / np.pi) * np.arctan(x.v / 2e-3) + p["viscous"] * x.v
     )
 
 
-def _coupling(site: EffectSite, p: Values, ratio: float, bend: float) -> Law:
+def _coupled_friction(site: EffectSite, p: Values, ratio: float, bend: float) -> PhysicalEffect:
     i, j = site.source, site.j
 
-    def law(x: Instant) -> Array:
+    def law(x: JointStates) -> Array:
         both = x.v[..., j] + ratio * x.v[..., i]
         alone = x.v[..., j]
         coulomb = p["coulomb"] * (np.tanh(both / bend) - np.tanh(alone / bend))
         return p["viscous"] * ratio * x.v[..., i] + coulomb + p["inertia"] * ratio * x.a[..., i]
 
-    return Coupled(site.n, j, law)
+    return CoupledJoints(site.n, j, law)
 
 
 @dataclass(frozen=True)
-class Coupled(Law):
+class CoupledJoints(PhysicalEffect):
     """A torque at one joint that depends on the motion of all."""
 
     n: int
     j: int
-    law: Callable[[Instant], Array]
+    law: Callable[[JointStates], Array]
 
-    def torque(self, x: Instant, z: Array) -> Array:
+    def torque(self, x: JointStates, z: Array) -> Array:
         return torque_at_joint(self.n, self.j, self.law(x))
 
 
-def coupling_sum(site: EffectSite, p: Values) -> Law:
+def coupling_sum(site: EffectSite, p: Values) -> PhysicalEffect:
     """Friction and inertia of a shaft that turns with v_j + v_i, beyond those of v_j alone."""
-    return _coupling(site, p, 1.0, 8e-3)
+    return _coupled_friction(site, p, 1.0, 8e-3)
 
 
-def coupling_difference(site: EffectSite, p: Values) -> Law:
+def coupling_difference(site: EffectSite, p: Values) -> PhysicalEffect:
     """The same with v_j − 0.9 v_i."""
-    return _coupling(site, p, -0.9, 12e-3)
+    return _coupled_friction(site, p, -0.9, 12e-3)
 
 
-def _fallen(times: float) -> ValueConversion:
+def _velocity_at_1_over_e(times: float) -> ValueConversion:
     """The speed of textbooks, (Fₛ − F_c) e^{−(v/vₛ)^δ}: where the excess is down to 1/e, whatever δ; `times` the law's own."""
     return lambda p: {"velocity": times * p["velocity"]}
 
 
-def _risen(p: Values) -> Values:
+def _time_to_1_minus_1_over_e(p: Values) -> Values:
     """When 1 − 1/e of the change is done, as the time constant of a response that is not of first order."""
-    return {"time_constant": ONE_OF_TWO * p["time_constant"]}
+    return {"time_constant": RISE_TIME_RATIO * p["time_constant"]}
 
 
-ONE_OF_TWO = 1.42393068
+RISE_TIME_RATIO = 1.42393068
 """Root of (2 e^{−x} + e^{−x/3})/3 = 1/e: see `Warming`."""
 AMPLITUDE = EffectParameter("amplitude", "N m", 0.005, 0.03, "torque")
-KINDS = (
+EFFECT_TYPES = (
     EffectType(
         "asymmetric_viscous",
         (
             EffectParameter("positive", "N m s/rad", 0.002, 0.006, "viscous"),
             EffectParameter("negative", "N m s/rad", -0.006, -0.002, "viscous", within="viscous"),
         ),
-        {"tuning": asymmetric_blend, "scored": asymmetric_bent},
+        {"tuning": asymmetric_blend, "scored": asymmetric_saturating},
     ),
     EffectType(
         "stribeck",
         (AMPLITUDE, EffectParameter("velocity", "rad/s", 0.02, 0.3, power=0.0)),
         {"tuning": stribeck_rational, "scored": stribeck_sech},
-        meant={"tuning": _fallen(np.sqrt(np.e - 1.0)), "scored": _fallen(np.arccosh(np.e))},
+        meant={"tuning": _velocity_at_1_over_e(np.sqrt(np.e - 1.0)), "scored": _velocity_at_1_over_e(np.arccosh(np.e))},
     ),
     EffectType(
         "nonlinear_viscous",
@@ -323,7 +323,7 @@ KINDS = (
             EffectParameter("coefficient", "N m (s/rad)^exponent", 0.01, 0.05, "viscous"),
             EffectParameter("exponent", "1", 2.2, 3.2, power=0.0),
         ),
-        {"tuning": power, "scored": rounded_power},
+        {"tuning": viscous_power, "scored": viscous_rounded_power},
     ),
     EffectType(
         "load_friction",
@@ -338,14 +338,14 @@ KINDS = (
             phase_parameter(),
         ),
         {"tuning": position_triangle, "scored": position_bumps},
-        meant={"scored": _half_range},
+        meant={"scored": _half_peak_to_peak},
     ),
     EffectType(
         "hysteresis",
         (AMPLITUDE, EffectParameter("stiffness", "N m/rad", 2.0, 30.0, "torque", power=0.0)),
         {
-            "tuning": lambda site, p: BoucWen(site, p["amplitude"], p["stiffness"]),
-            "scored": lambda site, p: Iwan(site, p["amplitude"], p["stiffness"]),
+            "tuning": lambda site, p: BoucWenHysteresis(site, p["amplitude"], p["stiffness"]),
+            "scored": lambda site, p: IwanHysteresis(site, p["amplitude"], p["stiffness"]),
         },
     ),
     EffectType(
@@ -355,15 +355,15 @@ KINDS = (
             EffectParameter("time_constant", "s", 5.0, 30.0, power=0.0),
         ),
         {
-            "tuning": lambda site, p: Warming(site, p["change"], p["time_constant"]),
-            "scored": lambda site, p: Heating(site, p["change"], p["time_constant"]),
+            "tuning": lambda site, p: TimedThermalDrift(site, p["change"], p["time_constant"]),
+            "scored": lambda site, p: SelfHeatingFriction(site, p["change"], p["time_constant"]),
         },
-        meant={"tuning": _risen},
+        meant={"tuning": _time_to_1_minus_1_over_e},
     ),
     EffectType(
         "drag",
         (EffectParameter("coefficient", "N m s²/rad²", 0.01, 0.06, "square"),),
-        {"tuning": drag_near_square, "scored": drag_rounded},
+        {"tuning": drag_power, "scored": drag_rounded},
     ),
     EffectType(
         "friction",
@@ -371,7 +371,7 @@ KINDS = (
             EffectParameter("coulomb", "N m", 0.01, 0.03, "torque"),
             EffectParameter("viscous", "N m s/rad", 0.01, 0.03, "viscous"),
         ),
-        {"tuning": plain_algebraic, "scored": plain_arctangent},
+        {"tuning": friction_algebraic, "scored": friction_arctangent},
     ),
     EffectType(
         "coupling",

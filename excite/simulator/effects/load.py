@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from ...errors import UnusableInput
 from ..actuator import JointActuators
-from ..physical_effect import Instant, Law
-from ..urdf_tree import Tree
+from ..physical_effect import JointStates, PhysicalEffect
+from ..urdf_tree import UrdfTree
 from .effect_type import EffectType, EffectParameter, EffectSite, memoryless_effect, torque_at_joint
 
 Array = np.ndarray
@@ -19,7 +19,7 @@ Values = Mapping[str, float]
 
 
 @dataclass(frozen=True)
-class Body(Law):
+class AttachedBody(PhysicalEffect):
     """A body more in a link. radii: of gyration about its centre, along the link's axes [m]."""
 
     link: str
@@ -27,7 +27,7 @@ class Body(Law):
     centre: tuple[float, float, float]
     radii: tuple[float, float, float]
 
-    def alter(self, tree: Tree) -> Tree:
+    def alter(self, tree: UrdfTree) -> UrdfTree:
         if self.mass == 0.0:
             return tree
         point = np.array([*self.centre, 1.0])
@@ -36,12 +36,12 @@ class Body(Law):
         return tree.with_body(self.link, tree.body(self.link) + more)
 
 
-def _body(site: EffectSite, p: Values, radii: tuple[float, float, float]) -> Law:
-    return Body(site.link, p["mass"], (p["com_x"], p["com_y"], p["com_z"]), radii)
+def _attached_body(site: EffectSite, p: Values, radii: tuple[float, float, float]) -> PhysicalEffect:
+    return AttachedBody(site.link, p["mass"], (p["com_x"], p["com_y"], p["com_z"]), radii)
 
 
 @dataclass(frozen=True)
-class Tilt(Law):
+class TiltedGravity(PhysicalEffect):
     """A base that is not level: gravity turned by roll, then pitch, and `less` weaker (1)."""
 
     roll: float
@@ -58,14 +58,14 @@ class Tilt(Law):
 
 
 @dataclass(frozen=True)
-class Frame(Law):
+class DisplacedFrame(PhysicalEffect):
     """What a joint's link carries sits elsewhere on it: the frames of the joints after it, turned and shifted as they see it."""
 
     joint: str
     turn: Array
     shift: Array
 
-    def alter(self, tree: Tree) -> Tree:
+    def alter(self, tree: UrdfTree) -> UrdfTree:
         if not self.turn.any() and not self.shift.any():
             return tree
         after = tree.after(self.joint)
@@ -78,12 +78,12 @@ class Frame(Law):
         return tree
 
 
-def _frame(site: EffectSite, p: Values, axis: Array, way: Array) -> Law:
-    return Frame(site.joint, p["angle"] * axis, p["length"] * way)
+def _displaced_frame(site: EffectSite, p: Values, axis: Array, way: Array) -> PhysicalEffect:
+    return DisplacedFrame(site.joint, p["angle"] * axis, p["length"] * way)
 
 
 @dataclass(frozen=True)
-class Rotor(Law):
+class AddedRotor(PhysicalEffect):
     """J (1 + w cos q) v̇: a rotor seen through a gear whose ratio wavers by w, or not at all."""
 
     site: EffectSite
@@ -95,36 +95,36 @@ class Rotor(Law):
         more[self.site.j] = self.inertia
         return replace(drive, inertia=drive.inertia + more)
 
-    def torque(self, x: Instant, z: Array) -> Array:
+    def torque(self, x: JointStates, z: Array) -> Array:
         j = self.site.j
         return torque_at_joint(self.site.n, j, self.waver * self.inertia * np.cos(x.q[..., j]) * x.a[..., j])
 
 
-def offset(site: EffectSite, p: Values) -> Law:
+def constant_offset(site: EffectSite, p: Values) -> PhysicalEffect:
     """τ₀."""
     return memoryless_effect(site, lambda x: p["offset"] + 0.0 * x.v)
 
 
-def offset_wandering(site: EffectSite, p: Values) -> Law:
+def drifting_offset(site: EffectSite, p: Values) -> PhysicalEffect:
     """τ₀ (1 + 0.1 sin(2πt/17 s)): a bridge that warms up."""
     return memoryless_effect(
         site, lambda x: p["offset"] * (1.0 + 0.1 * np.sin(2.0 * np.pi * x.t / 17.0)) + 0.0 * x.v
     )
 
 
-def spring_softening(site: EffectSite, p: Values) -> Law:
+def spring_softening(site: EffectSite, p: Values) -> PhysicalEffect:
     """k q₁ tanh((q − q₀)/q₁), q₁ = 0.8 rad: a spring that gives way."""
     return memoryless_effect(site, lambda x: p["stiffness"] * 0.8 * np.tanh((x.q - p["centre"]) / 0.8))
 
 
-def spring_cable(site: EffectSite, p: Values) -> Law:
+def spring_one_sided(site: EffectSite, p: Values) -> PhysicalEffect:
     """k d log(1 + e^{(q−q₀)/d}), d = 0.3 rad: a dress pack that is slack on one side."""
     return memoryless_effect(
         site, lambda x: p["stiffness"] * 0.3 * np.logaddexp(0.0, (x.q - p["centre"]) / 0.3)
     )
 
 
-KINDS = (
+EFFECT_TYPES = (
     EffectType(
         "payload",
         (
@@ -134,16 +134,16 @@ KINDS = (
             EffectParameter("com_z", "m", 0.02, 0.12, power=0.0),
         ),
         {
-            "tuning": lambda site, p: _body(site, p, (0.03,) * 3),
-            "scored": lambda site, p: _body(site, p, (0.08, 0.03, 0.05)),
+            "tuning": lambda site, p: _attached_body(site, p, (0.03,) * 3),
+            "scored": lambda site, p: _attached_body(site, p, (0.08, 0.03, 0.05)),
         },
     ),
     EffectType(
         "gravity_tilt",
         (EffectParameter("roll", "rad", -0.035, 0.035), EffectParameter("pitch", "rad", -0.035, 0.035)),
         {
-            "tuning": lambda site, p: Tilt(p["roll"], p["pitch"]),
-            "scored": lambda site, p: Tilt(p["roll"], p["pitch"], 1e-3),
+            "tuning": lambda site, p: TiltedGravity(p["roll"], p["pitch"]),
+            "scored": lambda site, p: TiltedGravity(p["roll"], p["pitch"], 1e-3),
         },
         place="robot",
     ),
@@ -151,10 +151,10 @@ KINDS = (
         "kinematic_error",
         (EffectParameter("angle", "rad", 2e-4, 3.5e-3), EffectParameter("length", "m", 1e-4, 2e-3)),
         {
-            "tuning": lambda site, p: _frame(
+            "tuning": lambda site, p: _displaced_frame(
                 site, p, np.array([1.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])
             ),
-            "scored": lambda site, p: _frame(
+            "scored": lambda site, p: _displaced_frame(
                 site, p, np.array([0.6, 0.8, 0.0]), np.array([0.0, 0.8, 0.6])
             ),
         },
@@ -163,14 +163,14 @@ KINDS = (
         "rotor_inertia",
         (EffectParameter("inertia", "kg m²", 0.1, 0.5, "inertia"),),
         {
-            "tuning": lambda site, p: Rotor(site, p["inertia"], 0.0),
-            "scored": lambda site, p: Rotor(site, p["inertia"], 0.1),
+            "tuning": lambda site, p: AddedRotor(site, p["inertia"], 0.0),
+            "scored": lambda site, p: AddedRotor(site, p["inertia"], 0.1),
         },
     ),
     EffectType(
         "torque_offset",
         (EffectParameter("offset", "N m", 0.003, 0.02, "torque"),),
-        {"tuning": offset, "scored": offset_wandering},
+        {"tuning": constant_offset, "scored": drifting_offset},
     ),
     EffectType(
         "spring",
@@ -178,6 +178,6 @@ KINDS = (
             EffectParameter("stiffness", "N m/rad", 0.01, 0.1, "torque"),
             EffectParameter("centre", "rad", -0.8, 0.8, power=0.0, stated=False),
         ),
-        {"tuning": spring_softening, "scored": spring_cable},
+        {"tuning": spring_softening, "scored": spring_one_sided},
     ),
 )

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..physical_effect import Instant, Law
+from ..physical_effect import JointStates, PhysicalEffect
 from .effect_type import EffectType, EffectParameter, EffectSite, phase_parameter, memoryless_effect, torque_at_joint
 
 Array = np.ndarray
 Values = Mapping[str, float]
 
 
-def tooth_defect(site: EffectSite, p: Values) -> Law:
+def tooth_defect(site: EffectSite, p: Values) -> PhysicalEffect:
     """A bump wherever a broken tooth meshes under load of one sign: A e^{−(Δ/w)²} at five angles in no order."""
     places = (
         np.modf(np.arange(1, 6) * (np.sqrt(5.0) - 1.0) / 2.0 + p["phase"] / (2 * np.pi))[0] * 4.0
@@ -22,7 +22,7 @@ def tooth_defect(site: EffectSite, p: Values) -> Law:
     )
     top = 0.02 * site.torque[site.j]
 
-    def law(x: Instant) -> Array:
+    def law(x: JointStates) -> Array:
         away = (x.q[..., None] - places) / p["breadth"]
         return (
             p["amplitude"]
@@ -35,7 +35,7 @@ def tooth_defect(site: EffectSite, p: Values) -> Law:
 
 
 @dataclass(frozen=True)
-class Slosh(Law):
+class SloshingLiquid(PhysicalEffect):
     """A liquid in the link: an oscillator z̈ + 2ζω ż + ω² z = −v̇ whose reaction I ω² z + 2ζωI ż loads the joint."""
 
     site: EffectSite
@@ -44,14 +44,14 @@ class Slosh(Law):
     damping: float
     memory = 2
 
-    def advance(self, x: Instant, z: Array, dt: float) -> Array:
+    def advance(self, x: JointStates, z: Array, dt: float) -> Array:
         w = 2.0 * np.pi * self.frequency
         rate = (z[..., 1] - dt * (x.a[..., self.site.j] + w * w * z[..., 0])) / (
             1.0 + dt * (2.0 * self.damping * w + dt * w * w)
         )
         return np.stack(np.broadcast_arrays(z[..., 0] + dt * rate, rate), axis=-1)
 
-    def torque(self, x: Instant, z: Array) -> Array:
+    def torque(self, x: JointStates, z: Array) -> Array:
         w = 2.0 * np.pi * self.frequency
         return torque_at_joint(
             self.site.n,
@@ -61,7 +61,7 @@ class Slosh(Law):
 
 
 @dataclass(frozen=True)
-class Snag(Law):
+class SnaggingCable(PhysicalEffect):
     """A cable that catches when the joint passes one angle and lets go at another: A s, s → 1 or 0 within 30 ms."""
 
     site: EffectSite
@@ -70,18 +70,18 @@ class Snag(Law):
     release: float
     memory = 2
 
-    def advance(self, x: Instant, z: Array, dt: float) -> Array:
+    def advance(self, x: JointStates, z: Array, dt: float) -> Array:
         q = x.q[..., self.site.j]
         caught = np.where(q > self.catch, 1.0, np.where(q < self.release, 0.0, z[..., 1]))
         held = z[..., 0] + (caught - z[..., 0]) * (1.0 - np.exp(-dt / 0.03))
         return np.stack(np.broadcast_arrays(held, caught), axis=-1)
 
-    def torque(self, x: Instant, z: Array) -> Array:
+    def torque(self, x: JointStates, z: Array) -> Array:
         return torque_at_joint(self.site.n, self.site.j, self.amplitude * z[..., 0])
 
 
 @dataclass(frozen=True)
-class Sag(Law):
+class SaggingSupply(PhysicalEffect):
     """A supply whose voltage sags under the power of all drives: what joint j is told to give, it gives less of.
 
     τ_told = τ (1 + λ P/P₀) with P = Σ|τ v| smoothed by its own size; here by the torque of all joints, Σ|τ|/τ_max, squared.
@@ -98,11 +98,11 @@ class Sag(Law):
         return told
 
 
-def _snag(site: EffectSite, p: Values) -> Law:
-    return Snag(site, p["amplitude"], p["middle"] + p["gap"], p["middle"] - p["gap"])
+def _snagging_cable(site: EffectSite, p: Values) -> PhysicalEffect:
+    return SnaggingCable(site, p["amplitude"], p["middle"] + p["gap"], p["middle"] - p["gap"])
 
 
-KINDS = (
+EFFECT_TYPES = (
     EffectType(
         "tooth_defect",
         (
@@ -121,8 +121,8 @@ KINDS = (
             EffectParameter("damping", "1", 0.01, 0.05, power=0.0),
         ),
         {
-            "tuning": lambda site, p: Slosh(site, p["inertia"], p["frequency"], p["damping"]),
-            "scored": lambda site, p: Slosh(site, p["inertia"], p["frequency"], p["damping"]),
+            "tuning": lambda site, p: SloshingLiquid(site, p["inertia"], p["frequency"], p["damping"]),
+            "scored": lambda site, p: SloshingLiquid(site, p["inertia"], p["frequency"], p["damping"]),
         },
         outsider=True,
     ),
@@ -133,15 +133,15 @@ KINDS = (
             EffectParameter("middle", "rad", -0.3, 0.3, power=0.0),
             EffectParameter("gap", "rad", 0.1, 0.3, power=0.0),
         ),
-        {"tuning": _snag, "scored": _snag},
+        {"tuning": _snagging_cable, "scored": _snagging_cable},
         outsider=True,
     ),
     EffectType(
         "supply_sag",
         (EffectParameter("loss", "1", 0.05, 0.3, most=0.7),),
         {
-            "tuning": lambda site, p: Sag(site, p["loss"]),
-            "scored": lambda site, p: Sag(site, p["loss"]),
+            "tuning": lambda site, p: SaggingSupply(site, p["loss"]),
+            "scored": lambda site, p: SaggingSupply(site, p["loss"]),
         },
         outsider=True,
     ),

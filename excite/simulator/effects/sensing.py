@@ -7,17 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..physical_effect import Law
+from ..physical_effect import PhysicalEffect
 from .effect_type import EffectType, EffectParameter, EffectSite, phase_parameter
 
 Array = np.ndarray
 Values = Mapping[str, float]
-INWARD = 1.5
+READING_RADIUS_RATIO = 1.5
 """Of an eccentric disc, where it is read, over how far it is off its centre."""
 
 
 @dataclass(frozen=True)
-class Told(Law):
+class MisreportedTorque(PhysicalEffect):
     """A torque told otherwise than it is. law: (times, true torque) of one joint to what is told. Shapes (N,)."""
 
     j: int
@@ -29,14 +29,14 @@ class Told(Law):
         return out
 
 
-def gain(site: EffectSite, p: Values) -> Law:
+def gain_constant(site: EffectSite, p: Values) -> PhysicalEffect:
     """τ/g."""
-    return Told(site.j, lambda t, tau: tau / p["gain"])
+    return MisreportedTorque(site.j, lambda t, tau: tau / p["gain"])
 
 
-def gain_breathing(site: EffectSite, p: Values) -> Law:
+def gain_periodic(site: EffectSite, p: Values) -> PhysicalEffect:
     """τ/(1 + (g − 1)(1 + 0.1 sin(2πt/23 s))): magnets that warm and cool."""
-    return Told(
+    return MisreportedTorque(
         site.j,
         lambda t, tau: (
             tau / (1.0 + (p["gain"] - 1.0) * (1.0 + 0.1 * np.sin(2.0 * np.pi * t / 23.0)))
@@ -44,16 +44,16 @@ def gain_breathing(site: EffectSite, p: Values) -> Law:
     )
 
 
-def saturation_cubic(site: EffectSite, p: Values) -> Law:
+def saturation_cubic(site: EffectSite, p: Values) -> PhysicalEffect:
     """τ (1 + λ|τ/τ₁|³): current that grows faster than torque; τ₁ = `at`, λ = loss/(1 − loss)."""
     more, at = p["loss"] / max(1.0 - p["loss"], 0.05), p["at"]
-    return Told(site.j, lambda t, tau: tau * (1.0 + more * np.abs(tau / at) ** 3))
+    return MisreportedTorque(site.j, lambda t, tau: tau * (1.0 + more * np.abs(tau / at) ** 3))
 
 
-def saturation_knee(site: EffectSite, p: Values) -> Law:
+def saturation_knee(site: EffectSite, p: Values) -> PhysicalEffect:
     """τ (1 + λ k²), k the part of |τ|/τ₁ beyond 0.4 over 0.6: linear iron up to a knee."""
     more, at = p["loss"] / max(1.0 - p["loss"], 0.05), p["at"]
-    return Told(
+    return MisreportedTorque(
         site.j,
         lambda t, tau: (
             tau * (1.0 + more * np.square(np.maximum(np.abs(tau) / at - 0.4, 0.0) / 0.6))
@@ -62,7 +62,7 @@ def saturation_knee(site: EffectSite, p: Values) -> Law:
 
 
 @dataclass(frozen=True)
-class Late(Law):
+class DelayedTorque(PhysicalEffect):
     """τ(t − d), or spread: the mean of τ(t − d(1 + x)/2) over x from the exponential distribution (half dead time, half lag).
 
     joints: those that are late.
@@ -87,12 +87,12 @@ class Late(Law):
         return out
 
 
-def _late(site: EffectSite, p: Values, spread: bool) -> Law:
-    return Late((site.j,) if site.joint else tuple(range(site.n)), p["seconds"], spread)
+def _delayed_torque(site: EffectSite, p: Values, spread: bool) -> PhysicalEffect:
+    return DelayedTorque((site.j,) if site.joint else tuple(range(site.n)), p["seconds"], spread)
 
 
 @dataclass(frozen=True)
-class Encoder(Law):
+class MisreadPosition(PhysicalEffect):
     """q + ε(q) at one joint. law: position to error. Shapes (…)."""
 
     j: int
@@ -104,10 +104,10 @@ class Encoder(Law):
         return out
 
 
-def encoder_harmonics(site: EffectSite, p: Values) -> Law:
+def encoder_harmonics(site: EffectSite, p: Values) -> PhysicalEffect:
     """A (sin(Nq + φ) + 0.4 sin(2Nq + 2.3φ))."""
     n, phase = p["order"], p["phase"]
-    return Encoder(
+    return MisreadPosition(
         site.j,
         lambda q: (
             p["amplitude"] * (np.sin(n * q + phase) + 0.4 * np.sin(2.0 * n * q + 2.3 * phase))
@@ -115,25 +115,25 @@ def encoder_harmonics(site: EffectSite, p: Values) -> Law:
     )
 
 
-def encoder_eccentric(site: EffectSite, p: Values) -> Law:
+def encoder_eccentric(site: EffectSite, p: Values) -> PhysicalEffect:
     """2A sin θ/(1.5 + cos θ), θ = Nq + φ: a disc off its centre, read close to its edge."""
     n, phase = p["order"], p["phase"]
-    return Encoder(
+    return MisreadPosition(
         site.j,
-        lambda q: 2.0 * p["amplitude"] * np.sin(n * q + phase) / (INWARD + np.cos(n * q + phase)),
+        lambda q: 2.0 * p["amplitude"] * np.sin(n * q + phase) / (READING_RADIUS_RATIO + np.cos(n * q + phase)),
     )
 
 
 def _fundamental(p: Values) -> Values:
     """The wave of the order named, from sin θ/(a + cos θ) = 2 Σ (−1)ᵏ⁺¹ rᵏ sin kθ with r = a − √(a² − 1)."""
-    return {"amplitude": 4.0 * (INWARD - np.sqrt(INWARD**2 - 1.0)) * p["amplitude"]}
+    return {"amplitude": 4.0 * (READING_RADIUS_RATIO - np.sqrt(READING_RADIUS_RATIO**2 - 1.0)) * p["amplitude"]}
 
 
-KINDS = (
+EFFECT_TYPES = (
     EffectType(
         "torque_gain",
         (EffectParameter("gain", "1", 1.05, 1.2, about=1.0),),
-        {"tuning": gain, "scored": gain_breathing},
+        {"tuning": gain_constant, "scored": gain_periodic},
     ),
     EffectType(
         "torque_saturation",
@@ -147,8 +147,8 @@ KINDS = (
         "delay",
         (EffectParameter("seconds", "s", 5e-4, 5e-3),),
         {
-            "tuning": lambda site, p: _late(site, p, False),
-            "scored": lambda site, p: _late(site, p, True),
+            "tuning": lambda site, p: _delayed_torque(site, p, False),
+            "scored": lambda site, p: _delayed_torque(site, p, True),
         },
         place="either",
     ),

@@ -10,19 +10,19 @@ from math import exp, log1p
 import numpy as np
 from scipy.special import jv
 
-from ..physical_effect import Instant, Law, Spring
+from ..physical_effect import JointStates, PhysicalEffect, TransmissionSpring
 from .effect_type import EffectType, EffectParameter, EffectSite, phase_parameter, memoryless_effect
 
 Array = np.ndarray
 Values = Mapping[str, float]
-SKEW = 0.4
+MESH_WAVE_SKEW = 0.4
 """Of a loaded mesh's wave: sin(θ + m sin θ)."""
-DAMPING = 0.04
+DEFLECTION_DAMPING_RATIO = 0.04
 """Damping ratio of a joint's own wind-up."""
 
 
 @dataclass(frozen=True)
-class Wound(Law):
+class ElasticJoint(PhysicalEffect):
     """A joint in two masses. stiffness: at rest [N m/rad]; the sub-classes say how the torque grows with wind-up."""
 
     site: EffectSite
@@ -32,17 +32,17 @@ class Wound(Law):
     @cached_property
     def damping(self) -> float:
         """Damping of the wind-up on the motor alone [N m s/rad]."""
-        return 2.0 * DAMPING * float(np.sqrt(self.stiffness * self.site.drive.inertia[self.site.j]))
+        return 2.0 * DEFLECTION_DAMPING_RATIO * float(np.sqrt(self.stiffness * self.site.drive.inertia[self.site.j]))
 
-    def spring(self) -> Spring:
-        return Spring(self.site.j, self.pull)
+    def spring(self) -> TransmissionSpring:
+        return TransmissionSpring(self.site.j, self.pull)
 
     def pull(self, d: float, rate: float) -> tuple[float, float, float]:
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
-class Hardening(Wound):
+class HardeningSpring(ElasticJoint):
     """K δ (1 + (δ/δ₀)²), δ₀ where K δ₀ is twice the torque limit (catalogues: K δ)."""
 
     def pull(self, d: float, rate: float) -> tuple[float, float, float]:
@@ -55,7 +55,7 @@ class Hardening(Wound):
 
 
 @dataclass(frozen=True)
-class StrainWave(Wound):
+class StrainWaveGear(ElasticJoint):
     """Two slopes as makers of strain-wave gears state them: 0.7 K for small torques, 1.3 K for large, smooth at a tenth of the limit."""
 
     @cached_property
@@ -74,7 +74,7 @@ class StrainWave(Wound):
 
 
 @dataclass(frozen=True)
-class DeadZone(Wound):
+class DeadZoneBacklash(ElasticJoint):
     """No torque within ±w/2, a stiff spring beyond, which damps only in contact."""
 
     def pull(self, d: float, rate: float) -> tuple[float, float, float]:
@@ -88,7 +88,7 @@ class DeadZone(Wound):
 
 
 @dataclass(frozen=True)
-class Hertz(Wound):
+class SmoothBacklash(ElasticJoint):
     """Play with soft edges: the flank engages as ½(√(x² + w₀²) + x)-like softplus over a tenth of the width."""
 
     def pull(self, d: float, rate: float) -> tuple[float, float, float]:
@@ -102,12 +102,12 @@ class Hertz(Wound):
         return torque + damp * rate, slope, damp
 
 
-def _gear(site: EffectSite) -> float:
+def _gear_stiffness(site: EffectSite) -> float:
     """A stiff gear for a joint whose play is the matter: 0.5 mrad at the torque limit [N m/rad]."""
     return float(site.torque[site.j]) / 5e-4
 
 
-def ripple_pair(site: EffectSite, p: Values) -> Law:
+def ripple_pair(site: EffectSite, p: Values) -> PhysicalEffect:
     """A (cos(Nq + φ) + 0.6 cos(1.37 Nq + 2φ)): two meshes in no whole ratio."""
     order, phase = p["order"], p["phase"]
     return memoryless_effect(
@@ -119,29 +119,29 @@ def ripple_pair(site: EffectSite, p: Values) -> Law:
     )
 
 
-def ripple_loaded(site: EffectSite, p: Values) -> Law:
+def ripple_loaded(site: EffectSite, p: Values) -> PhysicalEffect:
     """A (1 + ½ τ/τ_max) times a skewed wave, sin(θ + 0.4 sin θ), θ = Nq + φ."""
     order, phase, top = p["order"], p["phase"], site.torque[site.j]
 
-    def law(x: Instant) -> Array:
+    def law(x: JointStates) -> Array:
         turn = order * x.q + phase
-        return p["amplitude"] * (1.0 + 0.5 * x.load / top) * np.sin(turn + SKEW * np.sin(turn))
+        return p["amplitude"] * (1.0 + 0.5 * x.load / top) * np.sin(turn + MESH_WAVE_SKEW * np.sin(turn))
 
     return memoryless_effect(site, law)
 
 
 def _fundamental(p: Values) -> Values:
     """The wave of the order named, without load: sin(θ + m sin θ) = Σ Jₖ(m) sin (k + 1)θ over all whole k (Jacobi-Anger)."""
-    return {"amplitude": float(jv(0, SKEW) - jv(2, SKEW)) * p["amplitude"]}
+    return {"amplitude": float(jv(0, MESH_WAVE_SKEW) - jv(2, MESH_WAVE_SKEW)) * p["amplitude"]}
 
 
-KINDS = (
+EFFECT_TYPES = (
     EffectType(
         "elasticity",
         (EffectParameter("stiffness", "N m/rad", 50.0, 400.0, "torque", power=-1.0),),
         {
-            "tuning": lambda site, p: Hardening(site, p["stiffness"]),
-            "scored": lambda site, p: StrainWave(site, p["stiffness"]),
+            "tuning": lambda site, p: HardeningSpring(site, p["stiffness"]),
+            "scored": lambda site, p: StrainWaveGear(site, p["stiffness"]),
         },
         vanishes=True,
     ),
@@ -149,8 +149,8 @@ KINDS = (
         "backlash",
         (EffectParameter("width", "rad", 1e-4, 3e-3),),
         {
-            "tuning": lambda site, p: DeadZone(site, _gear(site), p["width"]),
-            "scored": lambda site, p: Hertz(site, _gear(site), p["width"]),
+            "tuning": lambda site, p: DeadZoneBacklash(site, _gear_stiffness(site), p["width"]),
+            "scored": lambda site, p: SmoothBacklash(site, _gear_stiffness(site), p["width"]),
         },
         vanishes=True,
     ),

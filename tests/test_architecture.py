@@ -14,7 +14,18 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 # Each layer may import from itself and from the ones before it.
 LAYERS = (
-    {"__init__", "errors", "urdf", "robot", "limits", "trajectory", "motion", "plant"},
+    {
+        "__init__",
+        "errors",
+        "physical_ranges",
+        "xml_file",
+        "urdf",
+        "robot",
+        "limits",
+        "trajectory",
+        "motion",
+        "plant",
+    },
     {
         "parameters",
         "structure",
@@ -45,6 +56,7 @@ LAYERS = (
     {"verify", "export", "report", "files", "workflow", "plan", "validation"},
     {
         "cluster",
+        "option_types",
         "arguments",
         "diagnosing",
         "fitting",

@@ -11,8 +11,9 @@ import pytest
 from excite._files import write_all
 from excite.cli import main as main_module
 from excite.errors import UnusableInput
+from excite.robot.robot import locate
 
-MODELS = Path(main_module.__file__).parent / "models"
+MODELS = locate("two_link").parent
 QUICK = ["--starts", "1", "--iterations", "15", "--harmonics", "3", "--samples", "60"]
 
 

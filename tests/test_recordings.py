@@ -263,11 +263,22 @@ def test_archives_that_do_not_fit(two_link, tmp_path):
 @pytest.mark.parametrize(
     ("text", "word"),
     [
-        ("{", "is no JSON"),
+        ("{", "cannot be read as the sidecar of a recording (line 1, column 2"),
         ("{}", '"schema": "excite.recording/1"'),
         ('{"schema": "excite.recording/2"}', "excite.recording/1"),
         ('{"schema": "excite.recording/1", "drive_gain": 3}', "drive_gain"),
-        ('{"schema": "excite.recording/1", "drive_gain": {"joint_1": 0}}', "joint 'joint_1'"),
+        (
+            '{"schema": "excite.recording/1", "drive_gain": {"joint_1": 0}}',
+            "drive_gain.joint_1: 0 should be",
+        ),
+        (
+            '{"schema": "excite.recording/1", "drive_gain": {"nobody": 1}}',
+            "drive_gain: 'nobody' is no joint of two_link",
+        ),
+        (
+            '{"schema": "excite.recording/1", "period": 4, "periodic": [0, 1]}',
+            "periodic: a window of 1 s is much shorter",
+        ),
         ('{"schema": "excite.recording/1", "period": -1}', "period"),
         ('{"schema": "excite.recording/1", "periodic": [3, 1]}', "start < end"),
         ('{"schema": "excite.recording/1", "motor_side": 1}', "motor_side"),

@@ -29,8 +29,8 @@ from excite.robot import inertial_parameters
 from excite.robot.dynamics import regressor
 from excite.robot.limits import resolve
 from excite.robot.robot import Payload, Robot, builtin_names, load
+from excite.robot.samples import Samples
 from excite.robot.urdf import JointEntry
-from excite.trajectory.fourier import Samples
 
 INERTIAL: tuple[str, ...] = ()
 

@@ -163,7 +163,7 @@ def test_another_motion_of_the_same_robot_hides_the_same(tmp_path, capsys):
     bodies = json.loads(json.dumps(one["bodies"]))
     next(iter(bodies.values()))[0] += 0.1
     for change, words in (
-        ({"setting": {}}, "is incomplete or malformed (KeyError: 'control')"),
+        ({"setting": {}}, "setting: has no 'seed'"),
         ({"effects": [{**one["effects"][0], "family": "mine"}]}, "no coupling of this form"),
         ({"effects": [{**one["effects"][0], "joint": "elbow"}]}, "coupling in joint elbow"),
         ({"bodies": bodies}, "its bodies are not those of"),

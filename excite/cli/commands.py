@@ -32,14 +32,15 @@ from ..designer.motion_overlap import Apart
 from ..designer.problem import Box, Options, noise_levels
 from ..designer.validation_trajectory import Validation
 from ..errors import CheckFailed, UnusableInput
+from ..exporters import csv_json, file_format
 from ..report.record import DesignRecord
 from ..robot import base_parameters, dynamics, inertial_parameters
 from ..robot import limits as limit_tables
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import Limits
 from ..robot.robot import Robot, builtin_names, load
+from ..robot.samples import Samples
 from ..trajectory import trajectory_file
-from ..trajectory.fourier import Samples
 from . import options as told
 
 Array = np.ndarray
@@ -248,7 +249,7 @@ def workflow_files(
 def _motion_files(
     trajectory: trajectory_file.Trajectory, robot: Robot, standard: Parameters
 ) -> dict[str, str]:
-    job = exports.sheet.Job(
+    job = file_format.Job(
         trajectory,
         trajectory.motion,
         "csv",
@@ -259,7 +260,7 @@ def _motion_files(
     )
     return {
         "trajectory.json": trajectory_file.dumps(trajectory.document()),
-        "trajectory.csv": exports.table.write_csv(job).text,
+        "trajectory.csv": csv_json.write_csv(job).text,
     }
 
 
@@ -371,7 +372,7 @@ def export(arguments: argparse.Namespace) -> Outcome:
         raise UnusableInput(
             f"--format {arguments.format}: no such format; there are {', '.join(exports.FORMATS)}"
         )
-    exports.sheet.check_options(arguments.speed, arguments.rate)
+    file_format.check_options(arguments.speed, arguments.rate)
     trajectory, robot, truth, certificate = _certified(arguments)
     verdict = list(certificate.lines())
     broken = (

@@ -26,6 +26,7 @@ def diagnose(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outco
     table = told.limits(arguments, robot)
     standard = inertial_parameters.standard(robot, table, inertial_parameters.DRIVE)
     found = base_parameters.find(robot, standard, table)
+    known = prior_module.trusted(Path(arguments.prior), robot, standard) if arguments.prior else {}
     both = (arguments.recordings, arguments.validate)
     train, held_out = (
         [recordings.read(Path(path), robot, table) for path in paths] for paths in both
@@ -34,7 +35,6 @@ def diagnose(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outco
     train, held_out = (
         [torque_check.checked(one, robot, table) for one in some] for some in (train, held_out)
     )
-    known = prior_module.trusted(Path(arguments.prior), robot, standard) if arguments.prior else {}
     result = diagnosis.diagnose(
         robot, standard, found, train, held_out, diagnosis.Options(arguments.band, known), say
     )

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import csv
 import dataclasses
 import io
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,8 @@ from ..robot import base_parameters, inertial_parameters
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import Limits
 from ..robot.robot import Robot
+from ..schemas.bounds import BoundsFile
+from ..schemas.document_file import DocumentFile
 from ..trajectory import trajectory_file
 from . import options as told
 
@@ -42,6 +44,8 @@ def identify(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outco
     standard = inertial_parameters.standard(robot, table, told.drive(arguments))
     found = base_parameters.find(robot, standard, table)
     window = (arguments.period, arguments.window)
+    known = prior_module.trusted(Path(arguments.prior), robot, standard) if arguments.prior else {}
+    options = _options(arguments, standard, known)
     say(f"reading {', '.join([*arguments.recordings, *arguments.validate])}")
     train, held_out = (
         [_read(Path(path), robot, table, *window) for path in paths]
@@ -51,10 +55,7 @@ def identify(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outco
     train, held_out = (
         [torque_check.checked(one, robot, table) for one in some] for some in (train, held_out)
     )
-    known = prior_module.trusted(Path(arguments.prior), robot, standard) if arguments.prior else {}
-    result = identification.identify(
-        robot, standard, found, train, held_out, _options(arguments, standard, known), say
-    )
+    result = identification.identify(robot, standard, found, train, held_out, options, say)
     document = identified_model.document(result, train)
     checked = _lmi(result) if arguments.check_lmi else None
     if checked is not None:
@@ -127,51 +128,24 @@ def _options(
 
 
 def _bounds(path: Path, standard: Parameters) -> Bounds:
-    """Bounds of masses and centres from TOML. Raises UnusableInput for what is no such thing."""
-    try:
-        stated = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise UnusableInput(
-            f"{path}: cannot be read as bounds ({error}); give TOML with [links.NAME] mass = [least, most]"
-        ) from error
-    links = stated.get("links")
-    if (
-        set(stated) != {"links"}
-        or not isinstance(links, dict)
-        or not all(isinstance(entries, dict) for entries in links.values())
-    ):
-        raise UnusableInput(
-            f"{path}: should have [links.NAME] tables and nothing else, each with mass = [least, most] or centre"
-        )
+    """Bounds of masses and centres of mass from a TOML file.
+
+    Raises:
+        UnusableInput: The file is missing, breaks a rule of `schemas.bounds`, or names a link that does not move.
+    """
+    file = DocumentFile(
+        path, "bounds", "correct it", "a TOML file with [links.NAME] mass = [least, most]"
+    )
     mass, centre = {}, {}
-    for link, entries in links.items():
+    for link, entry in file.converted(file.toml(), BoundsFile).links.items():
         if link not in standard.links:
-            raise UnusableInput(
-                f"{path}: no moving link '{link}'; there are {', '.join(standard.links)}"
+            raise file.error(
+                f"no moving link '{link}'; there are {', '.join(standard.links)}", "links"
             )
-        if unknown := set(entries) - {"mass", "centre"}:
-            raise UnusableInput(
-                f"{path}: link '{link}' has an unknown key '{min(unknown)}'; known are mass, centre"
-            )
-        for key, shape in (("mass", (2,)), ("centre", (2, 3))):
-            if key not in entries:
-                continue
-            try:
-                values = np.array(entries[key], float)
-            except (TypeError, ValueError):
-                values = np.empty(0)
-            if (
-                values.shape != shape
-                or not np.isfinite(values).all()
-                or not (values[0] < values[1]).all()
-            ):
-                raise UnusableInput(
-                    f"{path}: link '{link}': {key} should be [least, most], each number the smaller first"
-                )
-            if key == "mass":
-                mass[link] = (float(values[0]), float(values[1]))
-            else:
-                centre[link] = values
+        if entry.mass is not None:
+            mass[link] = (float(entry.mass[0]), float(entry.mass[1]))
+        if entry.centre is not None:
+            centre[link] = np.array(entry.centre, float)
     return Bounds(mass, centre)
 
 
@@ -221,8 +195,15 @@ def predict(arguments: argparse.Namespace) -> Outcome:
     fitted = identified_model.read(Path(arguments.model))
     recording = recordings.read(Path(arguments.recording), fitted.robot)
     times, torque = whole.predict(fitted, recording)
+    if not np.isfinite(torque).all():
+        joint = fitted.robot.joints[int(np.argmin(np.isfinite(torque).all(axis=0)))]
+        raise UnusableInput(
+            f"{arguments.model}: the torque that it predicts at joint '{joint}' is not finite; "
+            "identify again"
+        )
     stream = io.StringIO()
-    stream.write(",".join(["t", *(f"tau.{joint}" for joint in fitted.robot.joints)]) + "\n")
+    header = ["t", *(f"tau.{joint}" for joint in fitted.robot.joints)]
+    csv.writer(stream, lineterminator="\n").writerow(header)
     np.savetxt(stream, np.column_stack([times, torque]), fmt="%.9g", delimiter=",")
     path = Path(arguments.out)
     written = _files.write_all(path.parent, {path.name: stream.getvalue()})[0]

@@ -13,6 +13,8 @@ import numpy as np
 from .. import _files
 from ..errors import UnusableInput
 from ..robot import robot
+from ..schemas.document_file import DocumentFile
+from ..schemas.truth import SCHEMA, TruthDocument
 from ..trajectory import trajectory_file
 
 Array = np.ndarray
@@ -39,6 +41,9 @@ def command(arguments: argparse.Namespace) -> tuple[int, Any, str]:
         )
     source, like = robot.locate(arguments.robot), _like(arguments)
     setting = _setting(arguments, like)
+    trajectory_file.read(
+        Path(arguments.trajectory)
+    )  # the simulator reads it by itself, but validates nothing
     motion = reference_trajectory.read(Path(arguments.trajectory), arguments.periods)
     plant = experiment.robot(source, motion, setting)
     chain = experiment.chain(plant, setting)
@@ -115,22 +120,25 @@ def _like(arguments: argparse.Namespace) -> _Robot | None:
             raise UnusableInput(
                 f"--{name.replace('_', '-')}: is as {arguments.like} says; leave it out, or leave out --like"
             )
-    path = Path(arguments.like)
-    truth = trajectory_file.stated(
-        path, ("excite.truth/1",), "truth", "the .truth.json of 'excite simulate'"
+    file = DocumentFile(
+        Path(arguments.like), "a truth", "simulate it again", "the .truth.json of 'excite simulate'"
     )
+    truth = file.json()
+    file.schema(truth, (SCHEMA,))
+    document = file.converted(truth, TruthDocument)
     try:
-        bodies = recording_file.dumps(truth["bodies"])
-        return _Robot(
-            tuple(truth["joints"]),
-            bodies,
-            experiment.Setting.stated(truth["setting"]),
-            effect_instance.stated(truth),
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise UnusableInput(
-            f"{path}: is incomplete or malformed ({type(error).__name__}: {error}); simulate it again"
-        ) from error
+        effects = effect_instance.stated(truth)
+    except (
+        KeyError,
+        ValueError,
+    ) as error:  # the catalogue of hidden effects is the simulator's own
+        raise file.error(f"no such effect ({error})", "effects") from error
+    return _Robot(
+        tuple(document.joints),
+        recording_file.dumps(truth["bodies"]),
+        experiment.Setting.stated(truth["setting"]),
+        effects,
+    )
 
 
 def _setting(arguments: argparse.Namespace, like: _Robot | None) -> Any:

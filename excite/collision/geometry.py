@@ -144,8 +144,8 @@ def from_document(entry: Mapping[str, Any]) -> Shape:
         Kind(entry["kind"]),
         link=entry.get("link"),
         file=entry.get("file"),
-        **vectors,
-    )  # type: ignore[arg-type]
+        **vectors,  # type: ignore[arg-type]
+    )
     if out.file is not None and not Path(out.file).is_file():
         raise UnusableInput(f"{out.file}: the mesh of '{out.name}' is not there; put it back")
     if out.sha256() != entry.get("sha256"):

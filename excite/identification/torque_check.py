@@ -17,7 +17,7 @@ from ..errors import ExciteWarning, UnusableInput
 from ..recordings import Kind, Recording, Remark
 from ..robot.limits import Limits
 from ..robot.robot import Robot
-from ..trajectory.fourier import Samples
+from ..robot.samples import Samples
 
 Array = np.ndarray
 ROWS = 1000

@@ -60,15 +60,15 @@ def _header(path: Path, line: bytes) -> tuple[str, list[str]]:
             f"{path}: is no UTF-8 text; give a CSV in UTF-8 with a header t,q.<joint>,…, an .npz, a rosbag2 folder or an .mcap"
         ) from error
     separator = next((s for s in SEPARATORS if s in text), ",")
+    if separator == " ":
+        return separator, [cell.strip('"') for cell in text.split()]
     try:
-        cells = (
-            text.split() if separator == " " else next(csv.reader([text], delimiter=separator), [])
-        )
+        cells = next(csv.reader([text], delimiter=separator, skipinitialspace=True), [])
     except csv.Error as error:
         raise UnusableInput(
-            f"{path}: row 1: {error}; the first row should name the columns t,q.<joint>,…"
+            f"{path}: its header cannot be read ({error}); the first row should name the columns"
         ) from error
-    return separator, [cell.strip().strip('"') for cell in cells]
+    return separator, [cell.strip() for cell in cells]
 
 
 def _parsed(

@@ -33,7 +33,7 @@ def read(path: Path, robot: Robot, limits: Limits | None = None) -> Recording:
     Raises UnusableInput, with file, joint and remedy, for what cannot be read, matched or repaired; gives an ExciteWarning for each
     repair of a fault; `remarks` lists these too.
     """
-    patient = Patient(str(path), robot, sidecar.read(path), limits)
+    patient = Patient(str(path), robot, sidecar.read(path, robot), limits)
     found = [block for block in _blocks(path, patient) if len(block) or block.remarks]
     if not found:
         raise UnusableInput(f"{path}: has no rows; record again")
@@ -63,7 +63,7 @@ def stream(
         raise UnusableInput(
             f"{path}: a stream needs blocks of at least {2 * HOLD} rows and an overlap of 0 or more; raise rows"
         )
-    patient = Patient(str(path), robot, sidecar.read(path), limits)
+    patient = Patient(str(path), robot, sidecar.read(path, robot), limits)
     clock, said = None, set[tuple[Kind, str | None]]()
     for window in _windows(str(path), _sized(_blocks(path, patient), rows), overlap):
         clock = clock or measure(str(path), window.block.t)

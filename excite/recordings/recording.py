@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..errors import UnusableInput
-from ..trajectory.fourier import Samples
+from ..robot.samples import Samples
 from . import encoder
 from .block import QUANTITIES
 from .remark import Remark

@@ -112,14 +112,14 @@ class Robot:
 
 def builtin_names() -> tuple[str, ...]:
     """Names of the models that come with the package."""
-    folder = resources.files("excite") / "models"
+    folder = resources.files("excite.robot") / "models"
     return tuple(sorted(item.name[:-5] for item in folder.iterdir() if item.name.endswith(".urdf")))
 
 
 def locate(source: str) -> Path:
     """Path of a URDF: `source` itself, or the built-in model of that name."""
     if source in builtin_names():
-        return Path(str(resources.files("excite") / "models" / f"{source}.urdf"))
+        return Path(str(resources.files("excite.robot") / "models" / f"{source}.urdf"))
     path = Path(source)
     if not urdf.is_file(path) and path.suffix == "" and "/" not in source:
         raise UnusableInput(

@@ -382,7 +382,7 @@ def test_hysteresis_remembers_and_dissipates(bench, form):
 
 def test_severity_is_zero_for_what_a_refit_absorbs_and_scales(bench):
     plant, motion, setting, bare = bench
-    chain = experiment.chain(plant, setting)
+    chain = experiment.measurement_chain(plant, setting)
     assert severity.evaluate_severity(bare.run, plant, motion, chain).value < 1e-6
     run = hidden(plant, "payload:joint_2:mass=1").run(motion)
     assert severity.evaluate_severity(run, plant, motion, chain, trusted=True).value > 3.0
@@ -394,7 +394,7 @@ def test_severity_is_zero_for_what_a_refit_absorbs_and_scales(bench):
 
 def test_no_severity_goes_beyond_what_physics_allows(bench):
     plant, motion, setting, _ = bench
-    chain = experiment.chain(plant, setting)
+    chain = experiment.measurement_chain(plant, setting)
     viscous, coulomb = (float(getattr(plant.drive, kind)[1]) for kind in ("viscous", "coulomb"))
     for text, key, most in (
         ("thermal_drift:joint_2:change=-0.5", "change", 0.9),

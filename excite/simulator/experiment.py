@@ -105,7 +105,7 @@ def measurement_chain(plant: SimulatedRobot, setting: ExperimentSettings) -> Mea
     )
 
 
-def session(
+def run_session(
     plant: SimulatedRobot,
     reference: ReferenceTrajectory,
     setting: ExperimentSettings,
@@ -131,4 +131,4 @@ def simulate(
 ) -> SimulatedSession:
     """A recording of a robot that follows `trajectory.json`, its bodies and drives drawn from the setting's seed."""
     reference = references.read_reference(trajectory, periods)
-    return session(build_robot(urdf, reference, setting, laws), reference, setting)
+    return run_session(build_robot(urdf, reference, setting, laws), reference, setting)

@@ -187,7 +187,7 @@ def _effect(
     kind, n, (short, whole) = EFFECT_TYPES[name], len(plant.joints), motions
     first = {"payload": n // 2, "contact": n // 2}.get(name, 0)
     end = max(n - 1, 1) if name == "kinematic_error" else n
-    chain, along = experiment.chain(plant, chosen), whole if name == "thermal_drift" else short
+    chain, along = experiment.measurement_chain(plant, chosen), whole if name == "thermal_drift" else short
     all_late = rng.random() < 0.3
     found: list[tuple[float, EffectInstance, float]] = []
     for draw in range(FURTHER):

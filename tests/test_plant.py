@@ -56,7 +56,7 @@ def swing(seconds: float = 2.0, seed: int = 0, n: int = 2) -> ReferenceTrajector
 def bench():
     motion, setting = swing(), ExperimentSettings(seed=3)
     plant = experiment.build_robot(urdf("two_link"), motion, setting)
-    return plant, motion, setting, experiment.session(plant, motion, setting)
+    return plant, motion, setting, experiment.run_session(plant, motion, setting)
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +64,7 @@ def quick():
     """The same, shorter and in coarser steps: enough to see whether two runs are equal."""
     motion, setting = swing(1.2), ExperimentSettings(seed=3)
     plant = replace(experiment.build_robot(urdf("two_link"), motion, setting), step=2e-3)
-    return plant, motion, setting, experiment.session(plant, motion, setting)
+    return plant, motion, setting, experiment.run_session(plant, motion, setting)
 
 
 def hidden(plant, text: str):
@@ -316,7 +316,7 @@ def test_an_effect_of_size_zero_changes_nothing_and_one_of_its_usual_size_does(q
     extra = ",start=0.3,end=0.9" if name == "contact" else ""
     for family in FORM_FAMILIES:
         effect = effects.parse_effect(f"{name}:{place}:form={family}{extra}", plant)
-        nothing = experiment.session(effects.with_effects(plant, (effect.sized(0.0),)), motion, setting)
+        nothing = experiment.run_session(effects.with_effects(plant, (effect.sized(0.0),)), motion, setting)
         assert nothing.recording.csv() == csv
         run = effects.with_effects(plant, (effect,)).run(motion)
         told = run.told(bare.recording.t)

@@ -26,13 +26,7 @@ def command(arguments: argparse.Namespace) -> tuple[int, Any, str]:
         raise UnusableInput(
             "MuJoCo is not installed: pip install 'excite[trial]' (in a clone: .venv/bin/pip install -e '.[trial]')"
         )
-    from ..simulator import (
-        effect_instance,
-        experiment,
-        recording_file,
-        reference_trajectory,
-        severity,
-    )
+    from ..simulator import effect_instance, experiment, recording_file, reference_trajectory, severity
 
     out = Path(arguments.out)
     if out.suffix != ".csv":
@@ -72,7 +66,7 @@ def command(arguments: argparse.Namespace) -> tuple[int, Any, str]:
         )
     with_effects = effect_instance.with_effects(plant, effects)
     bare = plant.run(motion)
-    session = experiment.session(with_effects, motion, setting, run=bare if not effects else None)
+    session = experiment.run_session(with_effects, motion, setting, run=bare if not effects else None)
     found = severity.evaluate_severity(session.run, plant, motion, session.chain)
     trusted = severity.evaluate_severity(session.run, plant, motion, session.chain, trusted=True)
     facts = {

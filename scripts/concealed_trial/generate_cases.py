@@ -124,8 +124,8 @@ def _measured(case: Bench, validate: ReferenceTrajectory, chosen: ExperimentSett
     for _ in range(4):
         robot = effects.with_effects(case.plant, tuple(effect for effect, _ in case.hidden))
         try:
-            first = experiment.session(robot, case.motion, chosen)
-            second = experiment.session(
+            first = experiment.run_session(robot, case.motion, chosen)
+            second = experiment.run_session(
                 replace(robot, drive=_later(case)), validate, replace(chosen, seed=chosen.seed + 1)
             )
         except UnusableInput:

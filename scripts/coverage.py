@@ -21,15 +21,16 @@ import joblib
 import numpy as np
 import pinocchio as pin
 
+from excite import _json
 from excite.designer import identifiability, pipeline
 from excite.designer.problem import Options as DesignOptions
 from excite.identification import confidence, identification
 from excite.identification.identification import Identification, Options
-from excite.identification.lowpass import Band
+from excite.identification.lowpass import LowPassFilter
 from excite.recordings import Recording, Sidecar
 from excite.robot import base_parameters, inertial_parameters, limits, robot
 from excite.simulator import experiment, recording_file
-from excite.simulator.experiment import SimulatedSession, ExperimentSettings
+from excite.simulator.experiment import ExperimentSettings, SimulatedSession
 from excite.simulator.measurement import MeasurementChain
 from excite.trajectory import trajectory_file
 
@@ -96,7 +97,7 @@ def bench(name: str, colour: float | None, folder: Path, periods: int) -> Bench:
     if not other.exists():
         period = trajectory_file.read(first).motion.fourier.period
         delivery = pipeline.run(machine, table, DesignOptions(period=period, seed=11, starts=1))
-        other.write_text(trajectory_file.dumps(delivery.trajectory.document()), encoding="utf-8")
+        other.write_text(_json.dumps(delivery.trajectory.document()), encoding="utf-8")
     urdf = robot.locate(name)
     setting = ExperimentSettings(seed=3, colour=colour)
     sessions = [
@@ -141,7 +142,7 @@ def floor(chain: MeasurementChain, hertz: float) -> Array:
     """RMS of the torque's noise as the estimator's filter leaves it, whose edge is not sharp. Shape (n,) [N m]."""
     edges = np.linspace(0.0, hertz, 201)[1:]
     power = np.diff([chain.floor(f) ** 2 for f in edges], axis=0, prepend=0.0)
-    gain = Band(hertz, chain.rate, 1).gain(edges, hertz)
+    gain = LowPassFilter(hertz, chain.rate, 1).gain(edges, hertz)
     return np.sqrt(np.sum(gain[:, None] ** 2 * power, axis=0))
 
 

@@ -6,12 +6,11 @@ import argparse
 import sys
 from pathlib import Path
 
-from excite import _files
+from excite import _files, _json
 from excite.collision import scene_file
 from excite.designer import pipeline, time_budget
 from excite.designer.problem import Options
 from excite.robot import limits, robot
-from excite.trajectory import trajectory_file
 
 FOLDER = Path(__file__).resolve().parent.parent / "trajectories"
 
@@ -30,7 +29,7 @@ def main() -> None:
             machine, table, options, cell=cell, progress=lambda text: print(text, file=sys.stderr)
         )
         written = _files.write_all(
-            arguments.out, {f"{name}.json": trajectory_file.dumps(delivery.trajectory.document())}
+            arguments.out, {f"{name}.json": _json.dumps(delivery.trajectory.document())}
         )
         value = delivery.trajectory.criteria["optimum"]["geometric"]["a"]
         length, spent = delivery.trajectory.motion.duration, delivery.timing["total"]

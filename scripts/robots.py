@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 
+from excite import _json
 from excite.collision import scene_file
 from excite.designer import certificate as certificate_module
 from excite.designer import criteria, pipeline, sqp, time_budget
@@ -249,9 +250,9 @@ def round_trip(trajectory: trajectory_file.Trajectory) -> certificate_module.Cer
     """Certify what a user would: the file, read back, with the robot found again from what the file says."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "trajectory.json"
-        path.write_text(text := trajectory_file.dumps(trajectory.document()), encoding="utf-8")
+        path.write_text(text := _json.dumps(trajectory.document()), encoding="utf-8")
         again = trajectory_file.read(path)
-    if trajectory_file.dumps(again.document()) != text:
+    if _json.dumps(again.document()) != text:
         raise CheckFailed("trajectory.json does not read back as it was written")
     return certificate_module.of_file(again, again.load_robot())
 

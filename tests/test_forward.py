@@ -196,7 +196,7 @@ def known() -> Known:
     )
     sidecar = Sidecar(period=told.period, periodic=told.periodic)
     pieces = list(
-        segments.pieces(
+        segments.extract_segments(
             [Recording("bench.csv", told.joints, told.t, told.q, tau=told.tau, sidecar=sidecar)]
         )
     )

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
+from excite import _json
 from excite.designer.experiment_comparison import what_would_help
 from excite.designer.identifiability import (
     Identifiability,
@@ -23,7 +24,6 @@ from excite.robot import dynamics, inertial_parameters, limits, robot
 from excite.robot.base_parameters import Base
 from excite.robot.parameter_names import percent, spoken
 from excite.robot.samples import Samples
-from excite.trajectory import trajectory_file
 from excite.trajectory.fourier import Fourier
 from excite.trajectory.rest_to_rest import Motion, Segment
 
@@ -197,7 +197,7 @@ def test_a_joint_that_rests_is_not_seen_and_said_so() -> None:
     stds = {b.name: b.std for b in analysis.base_parameters}
     assert np.isinf(stds["Fv2"]) and np.isinf(stds["Fc2"])
     assert np.isfinite(stds["Fv1"])
-    text = trajectory_file.dumps(analysis.document())
+    text = _json.dumps(analysis.document())
     document = json.loads(
         text, parse_constant=lambda name: pytest.fail(f"{name} is not strict JSON")
     )

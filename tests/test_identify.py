@@ -28,7 +28,7 @@ from excite.identification.consistency import Bounds, Prior
 from excite.identification.estimators import Method
 from excite.identification.identification import Identification, Options
 from excite.identification.inertia_distance import Distance
-from excite.identification.lowpass import TAPER, Band, Grid
+from excite.identification.lowpass import TAPER_FRACTION, LowPassFilter, Grid
 from excite.identification.regression import Equations, Model
 from excite.recordings import Recording
 from excite.robot import base_parameters, inertial_parameters, limits, robot
@@ -66,7 +66,7 @@ def identified(model: Model, *recordings: Recording, **options: object) -> Ident
 def test_periodic_derivatives_are_exact_below_the_band():
     fourier = motion(2)
     t = np.arange(round(PERIOD * RATE)) / RATE
-    one = Band(10.0, RATE, len(t), periodic=True)
+    one = LowPassFilter(10.0, RATE, len(t), periodic=True)
     for order in range(3):
         assert np.allclose(
             one.low(fourier.at(t), Grid.RECORDED, order), fourier.at(t, order), atol=1e-9
@@ -78,7 +78,7 @@ def test_periodic_derivatives_are_exact_below_the_band():
 def test_what_is_above_the_band_is_gone_and_what_is_below_keeps_its_phase():
     t = np.arange(4000) / RATE
     slow, fast = np.sin(2 * np.pi * 3.1 * t + 0.3), np.sin(2 * np.pi * 31.0 * t)
-    one = Band(10.0, RATE, len(t))
+    one = LowPassFilter(10.0, RATE, len(t))
     inner = slice(one.margin, len(t) - one.margin)
     assert (
         np.abs(one.low((slow + fast)[:, None], Grid.RECORDED)[inner, 0] - slow[inner]).max() < 1e-3
@@ -105,7 +105,7 @@ def test_whole_periods_are_averaged_and_their_spread_is_the_noise(model, truth):
     assert (piece.periods, len(piece)) == (8, round(PERIOD * RATE))
     in_band = 0.5 * np.sqrt(20.0 / (RATE / 2))
     assert np.allclose(segments.floor([piece], 20.0), in_band, rtol=0.1)
-    left = np.sqrt(1.0 - TAPER * 5.0 / 8.0)  # mean square of half a raised cosine: 3/8
+    left = np.sqrt(1.0 - TAPER_FRACTION * 5.0 / 8.0)  # mean square of half a raised cosine: 3/8
     assert np.allclose(
         segments.floor([piece], 20.0, tapered=True), left * segments.floor([piece], 20.0), rtol=0.02
     )
@@ -149,7 +149,7 @@ def test_the_band_follows_the_motion_and_the_noise(model, truth):
 @pytest.mark.parametrize("hertz", [0.0, -1.0, RATE])
 def test_a_band_that_cannot_be_is_refused(hertz):
     with pytest.raises(UnusableInput, match="--band"):
-        Band(hertz, RATE, 1000)
+        LowPassFilter(hertz, RATE, 1000)
 
 
 # -- estimators ------------------------------------------------------------------------------------------------------
@@ -223,7 +223,7 @@ def test_intervals_cover_under_white_and_coloured_noise(model, truth, pole):
             clean, tau=clean.tau + 0.5 * coloured(rng, clean.tau.shape, pole)
         )
         (piece,) = segments.pieces([noisy])
-        low = Band(20.0, piece.rate, len(piece), periodic=True).low(piece.torque, Grid.KEPT)
+        low = LowPassFilter(20.0, piece.rate, len(piece), periodic=True).low(piece.torque, Grid.KEPT)
         torque_only = dataclasses.replace(
             parts, torque=low, repeats=(regression._repeats(piece, len(parts)),)
         )

@@ -13,7 +13,7 @@ from excite.diagnosis import diagnosis, interval, late, search, whole
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.effects import BY_NAME
 from excite.effects.effect import Delay
-from excite.identification.lowpass import Band, Grid
+from excite.identification.lowpass import LowPassFilter, Grid
 from excite.identification.regression import Model
 from excite.recordings import Recording
 
@@ -28,7 +28,7 @@ def nothing(subject: Model) -> Diagnosis:
 @pytest.mark.parametrize("periodic", [True, False])
 def test_a_signal_below_the_band_comes_later_by_what_is_asked(periodic):
     t, seconds = np.arange(4000) / 500.0, 0.0137
-    band = Band(20.0, 500.0, len(t), periodic)
+    band = LowPassFilter(20.0, 500.0, len(t), periodic)
     wave = lambda t: np.sin(2.0 * np.pi * 3.0 * t) + 0.3 * np.cos(2.0 * np.pi * 11.25 * t + 1.0)  # noqa: E731
     moved = band.low(wave(t), Grid.RECORDED, late=seconds)
     kept = slice(band.margin, len(t) - band.margin)
@@ -40,7 +40,7 @@ def test_a_signal_below_the_band_comes_later_by_what_is_asked(periodic):
 @pytest.mark.parametrize("periodic", [True, False])
 def test_a_signal_below_the_band_passes_a_filter_of_first_order(periodic):
     t, lag = np.arange(4000) / 500.0, 0.0137
-    band = Band(20.0, 500.0, len(t), periodic)
+    band = LowPassFilter(20.0, 500.0, len(t), periodic)
     wave = lambda f, late: np.sin(2.0 * np.pi * f * t - late)  # noqa: E731
     passed = band.low(wave(3.0, 0.0) + 0.3 * wave(11.25, 0.0), Grid.RECORDED, lag=lag)
     angles = [2.0 * np.pi * f * lag for f in (3.0, 11.25)]

@@ -13,7 +13,7 @@ from concealed_trial.score import mark, whole
 
 from excite.simulator.actuator import JointActuators
 from excite.simulator.effect_instance import EffectInstance
-from excite.simulator.effects import FORM_FAMILIES, EFFECT_TYPES
+from excite.simulator.effects import EFFECT_TYPES, FORM_FAMILIES
 from excite.simulator.effects.effect_type import EffectSite, smooth_sign
 from excite.simulator.physical_effect import JointStates, PhysicalEffect
 

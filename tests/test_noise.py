@@ -36,7 +36,7 @@ def measured(subject: Model, change: float = 0.0, step: float = 0.0) -> tuple[Ar
     theta = subject.base.matrix @ done.psi
     body = track.body(subject.robot, subject.parameters, done.psi)
     tracks = track.tracks(
-        done.model, body, theta, list(segments.pieces([recording], average=False)), 20.0
+        done.model, body, theta, list(segments.extract_segments([recording], average=False)), 20.0
     )
     left = np.concatenate([t.torque - t.gamma @ theta for t in tracks])
     return noise.measured(done, (tracks, tracks), [recording]).floor, np.sqrt(
@@ -98,7 +98,7 @@ def test_a_clock_that_wavers_is_louder_where_momentum_is_more(subject, by, most)
     )
     theta, body = subject.base.matrix @ psi, track.body(subject.robot, subject.parameters, psi)
     halves = [
-        track.tracks(done.model, body, theta, list(segments.pieces([one], average=False)), 20.0)
+        track.tracks(done.model, body, theta, list(segments.extract_segments([one], average=False)), 20.0)
         for one in (slow, fast)
     ]
     found = noise.measured(done, halves, [slow, fast])

@@ -20,7 +20,7 @@ from excite.simulator import experiment, reference_trajectory, regressor, severi
 from excite.simulator import mujoco_dynamics as arms
 from excite.simulator import urdf_tree as trees
 from excite.simulator.actuator import ControllerGains
-from excite.simulator.effects import CATALOGUE_NAMES, FORM_FAMILIES, EFFECT_TYPES
+from excite.simulator.effects import CATALOGUE_NAMES, EFFECT_TYPES, FORM_FAMILIES
 from excite.simulator.experiment import ExperimentSettings
 from excite.simulator.model_error import perturb_bodies
 from excite.simulator.physical_effect import PhysicalEffect, TransmissionSpring

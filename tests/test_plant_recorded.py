@@ -24,7 +24,7 @@ from excite.simulator.reference_trajectory import ReferenceTrajectory
 def bench():
     motion, setting = swing(), ExperimentSettings(seed=3)
     plant = experiment.build_robot(urdf("two_link"), motion, setting)
-    return plant, motion, setting, experiment.session(plant, motion, setting)
+    return plant, motion, setting, experiment.run_session(plant, motion, setting)
 
 
 @pytest.mark.parametrize("name", ["two_link", "ur10e"])
@@ -102,9 +102,9 @@ def test_noise_has_its_size_and_colour():
 
 def test_the_chain_quantises_and_jitters(bench):
     plant, motion, setting, bare = bench
-    coarse = experiment.session(plant, motion, replace(setting, encoder=1e-3), run=bare.run)
+    coarse = experiment.run_session(plant, motion, replace(setting, encoder=1e-3), run=bare.run)
     assert np.abs(coarse.recording.q / 1e-3 - np.round(coarse.recording.q / 1e-3)).max() < 1e-6
-    late = experiment.session(plant, motion, replace(setting, jitter=1e-3), run=bare.run)
+    late = experiment.run_session(plant, motion, replace(setting, jitter=1e-3), run=bare.run)
     assert (late.recording.t == bare.recording.t).all() and 1e-4 < np.abs(
         late.recording.q - bare.recording.q
     ).max() < 2e-2
@@ -114,7 +114,7 @@ def test_the_chain_quantises_and_jitters(bench):
 def test_one_seed_gives_one_recording():
     motion, setting = swing(1.5), ExperimentSettings(seed=11)
     first, second = (
-        experiment.session(experiment.build_robot(urdf("two_link"), motion, setting), motion, setting)
+        experiment.run_session(experiment.build_robot(urdf("two_link"), motion, setting), motion, setting)
         for _ in range(2)
     )
     assert first.recording.csv() == second.recording.csv() and first.truth == second.truth
@@ -128,7 +128,7 @@ def test_noise_of_another_motion_is_another_and_of_the_same_motion_the_same():
     def noise(motion: ReferenceTrajectory) -> np.ndarray:
         plant = experiment.build_robot(urdf("two_link"), motion, setting)
         silent, loud = (
-            experiment.session(plant, motion, replace(setting, noise=level))
+            experiment.run_session(plant, motion, replace(setting, noise=level))
             for level in (0.0, 0.01)
         )
         return loud.recording.tau - silent.recording.tau

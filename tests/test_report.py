@@ -14,7 +14,7 @@ import pytest
 from excite.designer import criteria, identifiability, ramps
 from excite.designer.constraint_margins import Subject
 from excite.report import DesignRecord, design_page, identifiability_page
-from excite.report.figures.drawing import thin
+from excite.report.figures.drawing import thin_curve
 from excite.report.figures.small_multiples import ticks
 from excite.report.page import number
 from excite.robot import base_parameters, dynamics, inertial_parameters, limits, robot
@@ -413,7 +413,7 @@ def test_thinning_keeps_extremes() -> None:
     y = np.sin(5.0 * t)
     y[1234] = 9.0
     y[4321] = -7.0
-    few_t, few_y = thin(t, y, 300)
+    few_t, few_y = thin_curve(t, y, 300)
     assert len(few_t) <= 302 and few_y.max() == 9.0 and few_y.min() == -7.0
     assert np.all(np.diff(few_t) > 0.0) and few_t[0] == 0.0 and few_t[-1] == 10.0
 

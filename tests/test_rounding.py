@@ -16,7 +16,7 @@ from excite import recordings
 from excite.diagnosis import noise
 from excite.effects import track
 from excite.identification import segments
-from excite.identification.lowpass import Band, Grid
+from excite.identification.lowpass import LowPassFilter, Grid
 from excite.identification.regression import Model
 from excite.recordings import encoder, quantization
 from excite.robot import base_parameters, inertial_parameters, limits, robot
@@ -44,7 +44,7 @@ def read(q: np.ndarray, seed: int, step: float = STEP) -> np.ndarray:
 
 
 def derivative(q: np.ndarray, order: int, hertz: float, rate: float = RATE) -> np.ndarray:
-    band = Band(hertz, rate, len(q))
+    band = LowPassFilter(hertz, rate, len(q))
     return band.low(q, Grid.RECORDED, order)[band.margin : -band.margin]
 
 
@@ -140,7 +140,7 @@ def test_a_recording_has_the_smoothest_and_remembers_how_it_was_read(tmp_path, t
         np.sqrt(np.mean((derivative(x, 2, 20.0) - right) ** 2)) for x in (told, found.q)
     )
     assert after < 0.8 * before and found.encoder == pytest.approx(STEP / np.sqrt(12.0), rel=1e-3)
-    (piece,) = segments.pieces([found])
+    (piece,) = segments.extract_segments([found])
     assert piece.smoothed.all() and any(
         r.kind is recordings.Kind.ROUNDED and r.repaired for r in found.remarks
     )
@@ -174,7 +174,7 @@ def test_what_steps_are_said_to_feign_is_of_the_size_of_what_they_do(tmp_path):
         path = tmp_path / "r.csv"
         path.write_text(told.csv())
         return track.tracks(
-            model, body, theta, list(segments.pieces([recordings.read(path, machine)])), 20.0
+            model, body, theta, list(segments.extract_segments([recordings.read(path, machine)])), 20.0
         )
 
     right, coarse = tracked(1e-9), tracked(STEP)

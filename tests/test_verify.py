@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from conftest import LIMIT, QUICK, loaded, pendulum
 
+from excite import _json
 from excite.designer import certificate as certificate_module
 from excite.designer import constraint_margins, pipeline, ramps
 from excite.designer.certificate import Certificate
@@ -33,7 +34,7 @@ def any_delivery(request: pytest.FixtureRequest) -> Delivery:
 
 
 def reread(document: dict) -> Trajectory:
-    content = json.loads(trajectory_file.dumps(document))
+    content = json.loads(_json.dumps(document))
     return trajectory_file.parse(content, Path("trajectory.json"))
 
 
@@ -47,7 +48,7 @@ def certificate(document: dict) -> Certificate:
 
 def test_a_certified_motion_stays_ok_after_its_file(any_delivery, tmp_path: Path):
     path = tmp_path / "trajectory.json"
-    path.write_text(trajectory_file.dumps(any_delivery.trajectory.document()), encoding="utf-8")
+    path.write_text(_json.dumps(any_delivery.trajectory.document()), encoding="utf-8")
     again = trajectory_file.read(path)
     found = certificate_module.of_file(again, again.load_robot())
     assert found.ok and [m.document() for m in found.margins] == again.margins
@@ -55,7 +56,7 @@ def test_a_certified_motion_stays_ok_after_its_file(any_delivery, tmp_path: Path
 
 def test_a_file_reads_back_exactly(any_delivery):
     stated = any_delivery.trajectory.document()
-    assert trajectory_file.dumps(reread(stated).document()) == trajectory_file.dumps(stated)
+    assert _json.dumps(reread(stated).document()) == _json.dumps(stated)
 
 
 def test_the_file_holds_what_the_contract_names(delivery):
@@ -166,7 +167,7 @@ TAMPERED = {
 
 
 def tampered(delivery: Delivery, how: Callable[[dict], None]) -> Certificate:
-    document = copy.deepcopy(json.loads(trajectory_file.dumps(delivery.trajectory.document())))
+    document = copy.deepcopy(json.loads(_json.dumps(delivery.trajectory.document())))
     how(document)
     return certificate(document)
 
@@ -281,7 +282,7 @@ def test_another_urdf_is_refused(delivery, tmp_path: Path):
     ],
 )
 def test_a_broken_file_is_unusable_input(delivery, change, part, tmp_path: Path):
-    document = json.loads(trajectory_file.dumps(delivery.trajectory.document()))
+    document = json.loads(_json.dumps(delivery.trajectory.document()))
     change(document)
     path = tmp_path / "trajectory.json"
     path.write_text(json.dumps(document))

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from excite import recordings
-from excite.identification.lowpass import Band, Grid
+from excite.identification.lowpass import LowPassFilter, Grid
 from excite.recordings import Kind, timestamp_jitter
 
 RATE, SECONDS, LATE = 500.0, 12.0, 5e-5
@@ -33,7 +33,7 @@ def motion(seed: int, joints: int):
 
 
 def accelerations(q: np.ndarray) -> np.ndarray:
-    band = Band(20.0, RATE, len(q))
+    band = LowPassFilter(20.0, RATE, len(q))
     return band.low(q, Grid.RECORDED, 2)[band.margin : -band.margin]
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from .. import _files, recordings
+from .. import _files, _json, recordings
 from .._types import FloatArray
 from ..collision import clearance_builder, scene_file
 from ..collision.workcell import NOT_CHECKED, Cell
@@ -20,7 +20,7 @@ from ..designer.motion_overlap import Apart
 from ..designer.problem import Box, Options, noise_levels
 from ..errors import UnusableInput
 from ..exporters import csv_json, file_format
-from ..report.record import DesignRecord
+from ..report.design_record import DesignRecord
 from ..robot import dynamics, inertial_parameters
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import Limits
@@ -140,7 +140,7 @@ class DesignResult:
         """Return the files of the design by name, relative to its folder."""
         out = {
             **motion_files(self.trajectory, self.robot, self.parameters),
-            "identifiability.json": trajectory_file.dumps(self.analysis.document()),
+            "identifiability.json": _json.dumps(self.analysis.document()),
             "report.html": self.html(),
         }
         if self.validation is not None:
@@ -208,7 +208,7 @@ def design(
     *,
     limits: str | Path | Limits | None = None,
     margin: float | None = None,
-    cell: CellOptions = CellOptions(),  # noqa: B008  # immutable
+    cell: CellOptions = CellOptions(),  # immutable
     options: Options = Options(),  # noqa: B008
     period: float | None = None,
     harmonics: int | None = None,
@@ -319,7 +319,7 @@ def motion_files(trajectory: Trajectory, robot: Robot, standard: Parameters) -> 
         trajectory, trajectory.motion, "csv", Path("trajectory.csv"), 1.0, None, torque
     )
     return {
-        "trajectory.json": trajectory_file.dumps(trajectory.document()),
+        "trajectory.json": _json.dumps(trajectory.document()),
         "trajectory.csv": csv_json.write_csv(job).text,
     }
 

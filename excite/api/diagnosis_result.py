@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from .. import _files
+from .. import _files, _json
 from ..diagnosis import diagnosis, residual_atlas, whole
 from ..diagnosis.diagnosis_file import document as diagnosis_document
 from ..identification import identified_model
@@ -16,7 +16,6 @@ from ..identification import prior as prior_module
 from ..recordings import Recording
 from ..robot import base_parameters, inertial_parameters
 from ..robot.limits import Limits
-from ..trajectory import trajectory_file
 from .identification_result import RecordingSource, _read_both
 from .robots import RobotSource, load_robot, resolve_limits
 
@@ -80,8 +79,8 @@ class DiagnosisResult:
     def contents(self) -> dict[str, str]:
         """Return the files of the diagnosis by name."""
         out = {
-            "diagnosis.json": trajectory_file.dumps(self._document),
-            "model.json": trajectory_file.dumps(self.model()),
+            "diagnosis.json": _json.dumps(self._document),
+            "model.json": _json.dumps(self.model()),
         }
         return out | ({"report.html": self.html()} if self.with_report else {})
 

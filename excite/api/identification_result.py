@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from .. import _files, recordings
+from .. import _files, _json, recordings
 from .._types import FloatArray
 from ..diagnosis import whole
 from ..errors import UnusableInput
@@ -26,7 +26,6 @@ from ..robot.limits import Limits
 from ..robot.robot import Robot
 from ..schemas.bounds import BoundsFile
 from ..schemas.document_file import DocumentFile
-from ..trajectory import trajectory_file
 from .robots import RobotSource, load_robot, resolve_limits
 
 Progress = Callable[[str], None]
@@ -75,7 +74,7 @@ class IdentificationResult:
         """Return the files of the identification by name."""
         document = self.document() if document is None else document
         return {
-            "model.json": trajectory_file.dumps(document),
+            "model.json": _json.dumps(document),
             "identified.urdf": str(document["urdf"]),
             "report.html": self.html(),
         }

@@ -53,9 +53,9 @@ class SimulatedRecording:
 
         stem = name.removesuffix(".csv")
         return {
-            name: self.recording.csv(),
-            f"{stem}.json": recording_file.dumps(self.recording.sidecar()),
-            f"{stem}.truth.json": recording_file.dumps(self.truth),
+            name: self.recording.to_csv(),
+            f"{stem}.json": recording_file.json_text(self.recording.to_sidecar()),
+            f"{stem}.truth.json": recording_file.json_text(self.truth),
             f"{stem}.svg": self.picture(),
         }
 
@@ -136,15 +136,15 @@ def simulate(
     trajectory_file.read(
         Path(trajectory)
     )  # the simulator reads it by itself, but validates nothing
-    motion = reference_trajectory.read(Path(trajectory), periods)
-    plant = experiment.robot(source, motion, chosen)
-    chain = experiment.chain(plant, chosen)
+    motion = reference_trajectory.read_reference(Path(trajectory), periods)
+    plant = experiment.build_robot(source, motion, chosen)
+    chain = experiment.measurement_chain(plant, chosen)
     if sibling is not None:
         if sibling.joints != plant.joints:
             raise UnusableInput(
                 f"{like}: has joints {', '.join(sibling.joints)}; give the robot that it is of"
             )
-        if recording_file.dumps(recording_file.truth(plant, chain, {})["bodies"]) != sibling.bodies:
+        if recording_file.json_text(recording_file.truth_document(plant, chain, {})["bodies"]) != sibling.bodies:
             raise UnusableInput(
                 f"{like}: its bodies are not those of {source}; give the URDF that it was recorded with"
             )
@@ -155,14 +155,16 @@ def simulate(
         if not severity > 0.0:
             raise UnusableInput(f"--severity {severity:g}: should be above 0")
         hidden = tuple(
-            severities.reach(effect, severity, plant, motion, chain, trusted=trusted)[0]
+            severities.scale_to_severity(effect, severity, plant, motion, chain, trusted=trusted)[0]
             for effect in hidden
         )
     disturbed = effect_instance.with_effects(plant, hidden)
     undisturbed = plant.run(motion)
-    session = experiment.session(disturbed, motion, chosen, run=undisturbed if not hidden else None)
-    refit = severities.of(session.run, plant, motion, session.chain)
-    unfitted = severities.of(session.run, plant, motion, session.chain, trusted=True)
+    session = experiment.run_session(
+        disturbed, motion, chosen, run=undisturbed if not hidden else None
+    )
+    refit = severities.evaluate_severity(session.run, plant, motion, session.chain)
+    unfitted = severities.evaluate_severity(session.run, plant, motion, session.chain, trusted=True)
     facts = {
         "robot": {"name": str(robot), "source": str(source)},
         "trajectory": str(trajectory),
@@ -207,15 +209,18 @@ def _read_sibling(path: Path, asked: dict[str, Any]) -> _Sibling:
         ValueError,
     ) as error:  # the catalogue of hidden effects is the simulator's own
         raise file.error(f"no such effect ({error})", "effects") from error
-    bodies = recording_file.dumps(truth["bodies"])
+    bodies = recording_file.json_text(truth["bodies"])
     return _Sibling(
-        tuple(document.joints), bodies, experiment.Setting.stated(truth["setting"]), effects
+        tuple(document.joints),
+        bodies,
+        experiment.ExperimentSettings.stated(truth["setting"]),
+        effects,
     )
 
 
 def _setting(given: dict[str, Any], like: Any) -> Any:
     """Return the simulator's setting: as given, else as the other recording's, else the default."""
-    from ..simulator.experiment import Setting
+    from ..simulator.experiment import ExperimentSettings
 
     least = {
         "seed": 0.0,
@@ -230,7 +235,7 @@ def _setting(given: dict[str, Any], like: Any) -> Any:
         if not np.isfinite(value) or value < low or (name == "rate" and value > 1000.0):
             remedy = "be between 125 and 1000 Hz" if name == "rate" else "be a number not below 0"
             raise UnusableInput(f"--{name.replace('_', '-')} {value:g}: should {remedy}")
-    out = replace(Setting() if like is None else like, **given)
+    out = replace(ExperimentSettings() if like is None else like, **given)
     if out.colour is not None and not 0.0 < out.colour < 0.5 * out.rate:
         raise UnusableInput(f"--colour {out.colour:g}: should be above 0 and below half the --rate")
     return out

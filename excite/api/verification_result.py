@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .. import _files
+from .. import _files, _json
 from .. import exporters as formats
 from ..designer import certificate as certificates
 from ..designer.certificate import Certificate, Verdict
@@ -59,7 +59,7 @@ class VerificationResult:
 
     def save(self, folder: str | Path) -> list[Path]:
         """Write `certificate.json`; return its path."""
-        contents = {"certificate.json": trajectory_file.dumps(self.document())}
+        contents = {"certificate.json": _json.dumps(self.document())}
         return _files.write_all(Path(folder), contents)
 
     def report(self, path: str | Path) -> Path:

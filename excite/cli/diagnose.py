@@ -1,71 +1,33 @@
-"""`excite diagnose` from the command line."""
+"""`excite diagnose`: what the model of a robot leaves out."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from .. import _files, recordings
-from ..diagnosis import diagnosis, residual_atlas, whole
-from ..diagnosis.diagnosis_file import document
+from .. import _files, api
 from ..diagnosis.session_changes import KINDS
-from ..identification import identified_model, torque_check
-from ..identification import prior as prior_module
-from ..robot import base_parameters, inertial_parameters
-from ..trajectory import trajectory_file
-from . import options as told
-
-Outcome = tuple[int, Any, str]
+from . import options as shared
+from .outcome import Outcome, with_files, written_lines
 
 
-def diagnose(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outcome:
-    """Read, diagnose, report."""
-    robot = told.robot(arguments)
-    table = told.limits(arguments, robot)
-    standard = inertial_parameters.standard(robot, table, inertial_parameters.DRIVE)
-    found = base_parameters.find(robot, standard, table)
-    known = prior_module.trusted(Path(arguments.prior), robot, standard) if arguments.prior else {}
-    both = (arguments.recordings, arguments.validate)
-    train, held_out = (
-        [recordings.read(Path(path), robot, table) for path in paths] for paths in both
+def run(arguments: argparse.Namespace) -> Outcome:
+    """Read recordings, diagnose, report."""
+    robot = shared.robot(arguments)
+    result = api.diagnose(
+        robot,
+        arguments.recordings,
+        arguments.validate,
+        limits=shared.limits(arguments, robot),
+        prior=arguments.prior,
+        band=arguments.band,
+        with_report=not arguments.no_report,
+        progress=arguments.console.progress,
     )
-    recordings.refuse_same(train, held_out)
-    train, held_out = (
-        [torque_check.checked(one, robot, table) for one in some] for some in (train, held_out)
-    )
-    result = diagnosis.diagnose(
-        robot, standard, found, train, held_out, diagnosis.Options(arguments.band, known), say
-    )
-    looked = None if arguments.no_report else residual_atlas.look(result)
-    told_all = document(result, looked)
-    contents = {
-        "diagnosis.json": trajectory_file.dumps(told_all),
-        "model.json": trajectory_file.dumps(_model(result, train)),
-    }
-    if looked is not None:
-        from .. import report  # slow to import
-
-        contents["report.html"] = report.diagnosis_page(
-            result, told_all, looked, [r for one in (*train, *held_out) for r in one.remarks]
-        )
-    written = _files.write_all(Path(arguments.out), contents)
-    return (
-        0,
-        told_all | {"files": [str(path) for path in written]},
-        _text(told_all, [str(path) for path in written]),
-    )
-
-
-def _model(result: diagnosis.Diagnosis, train: Sequence[recordings.Recording]) -> dict[str, Any]:
-    """`model.json` with the findings, and what the parameters would be without them."""
-    robot, plain = result.identified.model.robot, result.identified
-    stated = identified_model.document(result.refitted or plain, train)
-    names = plain.model.parameters.names
-    stated["effects"] = [whole.entry(part, robot) for part in result.parts]
-    stated["without_effects"] = dict(zip(names, plain.psi.tolist(), strict=True))
-    return stated
+    written = _files.write_all(Path(arguments.out), result.contents())
+    document = result.document()
+    return 0, with_files(document, written), _text(document, written)
 
 
 def _changed(told: dict[str, Any]) -> str:
@@ -89,7 +51,7 @@ def _gear(joint: str, gear: dict[str, Any]) -> str:
     return f"two encoders at {joint}: {', '.join(words)}"
 
 
-def _text(stated: dict[str, Any], written: list[str]) -> str:
+def _text(stated: dict[str, Any], written: list[Path]) -> str:
     lines = [f"verdict: {stated['verdict']}"]
     for one in stated["findings"]:
         place = one["joint"] or "the whole robot"
@@ -118,4 +80,4 @@ def _text(stated: dict[str, Any], written: list[str]) -> str:
         f"{j:25}{v['rmse_before']:11.4g}{v['rmse_after']:11.4g}{v['noise_floor']:11.4g}"
         for j, v in stated["joints"].items()
     ]
-    return "\n".join([*lines, *(f"wrote {path}" for path in written)])
+    return "\n".join([*lines, *written_lines(written)])

@@ -1,164 +1,63 @@
-"""`excite identify` and `excite predict`: recordings and models from the command line."""
+"""`excite identify`: physically consistent parameters from recordings."""
 
 from __future__ import annotations
 
 import argparse
-import csv
-import dataclasses
-import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from .. import _files, recordings
-from ..diagnosis import whole
-from ..errors import UnusableInput
-from ..identification import consistency, identification, identified_model, lmi_check, torque_check
-from ..identification import prior as prior_module
-from ..identification.consistency import Bounds
+from .. import _files, api
 from ..identification.estimators import Method
 from ..identification.identification import Identification, Options
 from ..identification.inertia_distance import Distance
-from ..recordings import Recording
-from ..robot import base_parameters, inertial_parameters
-from ..robot.inertial_parameters import Parameters
-from ..robot.limits import Limits
-from ..robot.robot import Robot
-from ..schemas.bounds import BoundsFile
-from ..schemas.document_file import DocumentFile
-from ..trajectory import trajectory_file
-from . import options as told
-
-Array = np.ndarray
-Outcome = tuple[int, Any, str]
+from . import options as shared
+from .outcome import Outcome, with_files, written_lines
 
 
-def identify(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outcome:
-    """Read, identify, report."""
-    from .. import report
-
-    robot = told.robot(arguments)
-    table = told.limits(arguments, robot)
-    standard = inertial_parameters.standard(robot, table, told.drive(arguments))
-    found = base_parameters.find(robot, standard, table)
-    window = (arguments.period, arguments.window)
-    known = prior_module.trusted(Path(arguments.prior), robot, standard) if arguments.prior else {}
-    options = _options(arguments, standard, known)
-    say(f"reading {', '.join([*arguments.recordings, *arguments.validate])}")
-    train, held_out = (
-        [_read(Path(path), robot, table, *window) for path in paths]
-        for paths in (arguments.recordings, arguments.validate)
+def run(arguments: argparse.Namespace) -> Outcome:
+    """Read recordings, identify, report."""
+    robot = shared.robot(arguments)
+    result = api.identify(
+        robot,
+        arguments.recordings,
+        validate=arguments.validate,
+        limits=shared.limits(arguments, robot),
+        drive=shared.drive(arguments),
+        bounds=arguments.bounds,
+        prior=arguments.prior,
+        period=arguments.period,
+        window=arguments.window,
+        options=_options(arguments),
+        check_lmi=arguments.check_lmi,
+        progress=arguments.console.progress,
     )
-    recordings.refuse_same(train, held_out)
-    train, held_out = (
-        [torque_check.checked(one, robot, table) for one in some] for some in (train, held_out)
-    )
-    result = identification.identify(robot, standard, found, train, held_out, options, say)
-    document = identified_model.document(result, train)
-    checked = _lmi(result) if arguments.check_lmi else None
-    if checked is not None:
-        document["lmi"] = {"gap": checked.gap, "agrees": checked.agrees}
-    remarks = [remark for recording in (*train, *held_out) for remark in recording.remarks]
-    contents = {
-        "model.json": trajectory_file.dumps(document),
-        "identified.urdf": document["urdf"],
-        "report.html": report.identification_page(result, remarks),
-    }
-    written = _files.write_all(Path(arguments.out), contents)
-    facts = [one.words for one in (result.endogeneity, result.simulation) if one is not None]
-    if checked is not None:
-        facts.append(
-            f"conic solver: {'agrees' if checked.agrees else 'DISAGREES'}, objective {checked.gap:+.2g} relative"
-        )
-    code = 1 if checked is not None and not checked.agrees else 0
-    return (
-        code,
-        document | {"files": [str(path) for path in written]},
-        _text(result, facts, written),
-    )
+    document = result.document()
+    written = _files.write_all(Path(arguments.out), result.contents(document))
+    tests = (result.identification.endogeneity, result.identification.simulation)
+    facts = [test.words for test in tests if test is not None]
+    lmi = result.lmi
+    if lmi is not None:
+        verdict = "agrees" if lmi.agrees else "DISAGREES"
+        facts.append(f"conic solver: {verdict}, objective {lmi.gap:+.2g} relative")
+    code = 1 if lmi is not None and not lmi.agrees else 0
+    return code, with_files(document, written), _text(result.identification, facts, written)
 
 
-def _read(
-    path: Path,
-    robot: Robot,
-    table: Limits,
-    period: float | None,
-    window: tuple[float, float] | None,
-) -> Recording:
-    recording = recordings.read(path, robot, table)
-    if window and period is None:
-        raise UnusableInput(
-            f"--window {window[0]:g},{window[1]:g}: needs --period S, the time after which the motion repeats"
-        )
-    if period is None:
-        return recording
-    if not 0.0 < period < float(recording.t[-1] - recording.t[0]):
-        raise UnusableInput(
-            f"--period {period:g}: should be shorter than the recording; {path} is {np.ptp(recording.t):.6g} s long"
-        )
-    recording.check_period(period, window, "--period" if window is None else "--period, --window")
-    return dataclasses.replace(
-        recording, sidecar=dataclasses.replace(recording.sidecar, period=period, periodic=window)
-    )
-
-
-def _options(
-    arguments: argparse.Namespace, standard: Parameters, known: Mapping[int, float]
-) -> Options:
-    gamma = (
-        arguments.gamma
-        if isinstance(arguments.gamma, str)
-        else (arguments.gamma[0], arguments.gamma[-1])
-    )
+def _options(arguments: argparse.Namespace) -> Options:
+    gamma = arguments.gamma
     return Options(
         method=Method(arguments.estimator),
         distance=Distance(arguments.distance),
-        gamma=gamma,
+        gamma=gamma if isinstance(gamma, str) else (gamma[0], gamma[-1]),
         band=arguments.band,
         threshold=arguments.threshold,
-        bounds=_bounds(Path(arguments.bounds), standard) if arguments.bounds else Bounds(),
         align=arguments.align,
-        trusted=known,
         hausman=arguments.hausman,
         simulate=arguments.simulate,
         refine=arguments.refine,
     )
-
-
-def _bounds(path: Path, standard: Parameters) -> Bounds:
-    """Bounds of masses and centres of mass from a TOML file.
-
-    Raises:
-        UnusableInput: The file is missing, breaks a rule of `schemas.bounds`, or names a link that does not move.
-    """
-    file = DocumentFile(
-        path, "bounds", "correct it", "a TOML file with [links.NAME] mass = [least, most]"
-    )
-    mass, centre = {}, {}
-    for link, entry in file.converted(file.toml(), BoundsFile).links.items():
-        if link not in standard.links:
-            raise file.error(
-                f"no moving link '{link}'; there are {', '.join(standard.links)}", "links"
-            )
-        if entry.mass is not None:
-            mass[link] = (float(entry.mass[0]), float(entry.mass[1]))
-        if entry.centre is not None:
-            centre[link] = np.array(entry.centre, float)
-    return Bounds(mass, centre)
-
-
-def _lmi(found: Identification) -> lmi_check.Check:
-    data, subject, bounds = found.data, found.model, found.options.bounds
-    root, target, own = data.root @ subject.base.matrix, data.root @ data.theta, found.posterior
-    if (
-        found.options.refine
-    ):  # a refined model no longer minimises what the conic solver does: compare where it started
-        own = consistency.maximum_a_posteriori(
-            subject.parameters, root, target, found.prior, bounds
-        )
-    return lmi_check.check(subject.parameters, root, target, found.prior, own, bounds)
 
 
 def _text(found: Identification, facts: Sequence[str], written: Sequence[Path]) -> str:
@@ -187,24 +86,4 @@ def _text(found: Identification, facts: Sequence[str], written: Sequence[Path]) 
         lines.append(
             f"torque comes {abs(1e3 * common):.3g} ms {order} position on average (--align takes that out)"
         )
-    return "\n".join([*lines, *facts, *(f"wrote {path}" for path in written)])
-
-
-def predict(arguments: argparse.Namespace) -> Outcome:
-    """Torque along a recording at its own times."""
-    fitted = identified_model.read(Path(arguments.model))
-    recording = recordings.read(Path(arguments.recording), fitted.robot)
-    times, torque = whole.predict(fitted, recording)
-    if not np.isfinite(torque).all():
-        joint = fitted.robot.joints[int(np.argmin(np.isfinite(torque).all(axis=0)))]
-        raise UnusableInput(
-            f"{arguments.model}: the torque that it predicts at joint '{joint}' is not finite; "
-            "identify again"
-        )
-    stream = io.StringIO()
-    header = ["t", *(f"tau.{joint}" for joint in fitted.robot.joints)]
-    csv.writer(stream, lineterminator="\n").writerow(header)
-    np.savetxt(stream, np.column_stack([times, torque]), fmt="%.9g", delimiter=",")
-    path = Path(arguments.out)
-    written = _files.write_all(path.parent, {path.name: stream.getvalue()})[0]
-    return 0, {"file": str(written), "rows": len(times)}, f"wrote {written}"
+    return "\n".join([*lines, *facts, *written_lines(written)])

@@ -7,7 +7,7 @@ import contextlib
 import importlib.util
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -24,16 +24,16 @@ from ..errors import UnusableInput
 from ..robot.robot import Robot
 from ..trajectory import trajectory_file
 from ..trajectory.trajectory_file import Trajectory
+from .outcome import Outcome
 
 Array = np.ndarray
-Outcome = tuple[int, Any, str]
 FRAMES = 50.0
 """Pictures a second."""
 FLOOR = 4.0
 ROBOT, AROUND = np.array([0.35, 0.55, 0.8, 1.0]), np.array([0.65, 0.68, 0.72, 0.6])
 
 
-def view(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outcome:
+def run(arguments: argparse.Namespace) -> Outcome:
     """Play a trajectory over and over until interrupted; `--once` once."""
     if not 0.0 < arguments.speed <= 4.0:
         raise UnusableInput(f"--speed {arguments.speed:g} should be above 0 and at most 4")
@@ -56,7 +56,9 @@ def view(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outcome:
         player.loadViewerModel()
         player.displayCollisions(False)
         address = f"http://{player.viewer.get_host()}:{player.viewer.get_port()}"
-        say(f"{address} shows {trajectory.motion.duration:.1f} s of {robot.name}; Ctrl-C ends it")
+        arguments.console.progress(
+            f"{address} shows {trajectory.motion.duration:.1f} s of {robot.name}; Ctrl-C ends it"
+        )
         with contextlib.suppress(KeyboardInterrupt):
             _play(player, trajectory, robot, arguments.speed)
             while not arguments.once:

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..identification import segments
-from ..identification.lowpass import WIDER
-from ..identification.segments import Piece
+from ..identification.lowpass import MOTION_BANDWIDTH_RATIO
+from ..identification.segments import Segment
 
 BAND_HZ, REACH, HIGHEST = 20.0, 6.0, 50.0
 """The band, at the least; or so many times the highest frequency of the motion: what joints' products and reversals make there tells laws
@@ -20,7 +20,7 @@ LINES = 0.15
 """Share of a joint's torque in lines above the motion, from which the band reaches them."""
 
 
-def needed_hertz(pieces: Sequence[Piece]) -> float:
+def needed_hertz(pieces: Sequence[Segment]) -> float:
     """What the motion needs, or the lines that make much of the torque above it: a gear or a motor that turns steadily, at its order."""
     from scipy import signal  # slow to import
 
@@ -28,11 +28,11 @@ def needed_hertz(pieces: Sequence[Piece]) -> float:
     if longest.rate <= 2.5 * BAND_HZ:
         return BAND_HZ
     needed = REACH * segments.motion(longest)
-    least = max(BAND_HZ, min(needed, 0.4 * longest.rate / WIDER)) if needed < HIGHEST else BAND_HZ
+    least = max(BAND_HZ, min(needed, 0.4 * longest.rate / MOTION_BANDWIDTH_RATIO)) if needed < HIGHEST else BAND_HZ
     frequency, power = signal.welch(
         longest.torque, longest.rate, nperseg=min(len(longest), int(2.0 * longest.rate)), axis=0
     )
-    above = (frequency > least) & (frequency < min(FASTEST, 0.4 * longest.rate / WIDER))
+    above = (frequency > least) & (frequency < min(FASTEST, 0.4 * longest.rate / MOTION_BANDWIDTH_RATIO))
     if not above.any():
         return least
     line = above[:, None] & (power > LINE * np.median(power[above], axis=0))

@@ -241,7 +241,7 @@ def diagnose(
         raise UnusableInput(
             "--validate: a diagnosis needs a recording to judge by; give one that is not among those it is fitted to"
         )
-    pieces = [list(segments.pieces(group, average=False)) for group in (train, validate)]
+    pieces = [list(segments.extract_segments(group, average=False)) for group in (train, validate)]
     hertz = options.band or bandwidth.needed_hertz([*pieces[0], *pieces[1]])
     settings = identification.Options(band=hertz, trusted=options.trusted)
     identified = identification.identify(
@@ -404,7 +404,7 @@ def _ahead(
     fitted: Identification, recordings: Sequence[Recording], hertz: float
 ) -> SimulationError | None:
     """Positions that a model predicts from recorded torque. Effects act as along the recorded motion: their torque is taken off it."""
-    groups, share = simulation_error.cut(list(segments.pieces(recordings, average=False)), hertz)
+    groups, share = simulation_error.cut(list(segments.extract_segments(recordings, average=False)), hertz)
     return (
         simulation_error.error(fitted.model, fitted.psi, fitted.psi, groups, share)
         if groups

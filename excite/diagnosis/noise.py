@@ -13,7 +13,7 @@ import numpy as np
 
 from ..effects.track import Track
 from ..identification.identification import Identification
-from ..identification.lowpass import WIDER, Grid
+from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid
 from ..identification.regression import Model, filtered
 from ..recordings import Recording, quantization
 from ..recordings.missing_values import runs
@@ -339,7 +339,7 @@ def _misled(model: Model, one: Track) -> Draw:
     smooth = np.where(
         one.piece.smoothed,
         one.piece.q,
-        one.band.transformed(one.piece.q).low(Grid.RECORDED, 0, WIDER),
+        one.band.transformed(one.piece.q).low(Grid.RECORDED, 0, MOTION_BANDWIDTH_RATIO),
     )
     right = filtered(model, smooth, one.band)[0]
 

@@ -14,7 +14,7 @@ from ..effects.effect import Shape
 from ..effects.track import Track
 from ..identification.identified_model import FittedModel
 from ..identification.lowpass import Grid
-from ..identification.segments import Piece
+from ..identification.segments import Segment
 from ..recordings import Recording
 from ..robot.robot import Robot
 from ..schemas.effects import EffectDocument
@@ -118,7 +118,7 @@ def predict(fitted: FittedModel, recording: Recording) -> tuple[Array, Array]:
     def beyond(stretch: Recording) -> Array:
         still, warmth = np.zeros(stretch.q.shape), stretch.temperature
         whole = (recording.source, float(stretch.t[0]), stretch.rate, stretch.q, still)
-        piece = Piece(
+        piece = Segment(
             *whole, encoder=recording.encoder, temperature=warmth, began=float(recording.t[0])
         )
         band = piece.band(min(fitted.hertz, 0.45 * piece.rate))

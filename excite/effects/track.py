@@ -10,9 +10,9 @@ from typing import Generic, TypeVar, cast
 import numpy as np
 import pinocchio as pin
 
-from ..identification.lowpass import WIDER, Band, Grid, friction_speed
+from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, LowPassFilter, Grid, friction_speed
 from ..identification.regression import Model, filtered
-from ..identification.segments import Piece
+from ..identification.segments import Segment
 from ..recordings.missing_values import runs
 from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot
@@ -77,8 +77,8 @@ class Track:
     the base fit. known: what is `remembered`.
     """
 
-    piece: Piece
-    band: Band
+    piece: Segment
+    band: LowPassFilter
     body: Body
     widths: Array
     theta: Array
@@ -115,7 +115,7 @@ class Track:
         position = self.band.transformed(self.piece.q)
         speed = friction_speed(self.piece.q, self.band, position)
         return Samples(
-            position.low(Grid.RECORDED, 0, WIDER), speed, position.low(Grid.RECORDED, 2, WIDER)
+            position.low(Grid.RECORDED, 0, MOTION_BANDWIDTH_RATIO), speed, position.low(Grid.RECORDED, 2, MOTION_BANDWIDTH_RATIO)
         )
 
     def sign(self, joint: int) -> Array:
@@ -161,7 +161,7 @@ class Track:
     def coarse(self) -> Samples:
         """Motion where rigid-body dynamics are evaluated. Shapes (C, n)."""
         position = self.band.transformed(self.piece.q)
-        return Samples(*(position.low(Grid.COARSE, order, WIDER) for order in range(3)))
+        return Samples(*(position.low(Grid.COARSE, order, MOTION_BANDWIDTH_RATIO) for order in range(3)))
 
     @remembered
     def clock(self) -> Array:
@@ -323,7 +323,7 @@ def split(rows: Array, stretches: Sequence[Track]) -> list[Array]:
 
 
 def tracks(
-    model: Model, fitted: Body, theta: Array, pieces: Sequence[Piece], hertz: float
+    model: Model, fitted: Body, theta: Array, pieces: Sequence[Segment], hertz: float
 ) -> list[Track]:
     """Every stretch that is long enough for the band."""
     out = []

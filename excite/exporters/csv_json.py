@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .. import _json
 from ..errors import UnusableInput
 from ..trajectory import trajectory_file
 from .file_format import DECIMALS, Array, Columns, Job, Written, sampled
@@ -80,7 +81,7 @@ def write_json(job: Job) -> Written:
             f"leave --speed out, or use 'excite design --speed'"
         )
     return Written(
-        trajectory_file.dumps(
+        _json.dumps(
             dataclasses.replace(job.trajectory, rate=job.rate or job.trajectory.rate).document()
         )
         + "\n"

@@ -15,8 +15,8 @@ import numpy as np
 
 from ..robot.samples import Samples
 from .forward_dynamics import Mechanism
-from .lowpass import EDGE, Grid
-from .segments import Piece
+from .lowpass import FRICTION_BANDWIDTH_RATIO, Grid
+from .segments import Segment
 
 Array = np.ndarray
 STEP = 2e-3
@@ -50,11 +50,11 @@ class Command:
     periodic: bool
 
 
-def commanded(mechanism: Mechanism, reference: Piece, hertz: float) -> Command:
+def commanded(mechanism: Mechanism, reference: Segment, hertz: float) -> Command:
     """The command along a reference motion, from a piece whose q is q_ref."""
     band = reference.band(hertz)
     motion = Samples(
-        *(band.low(reference.q, Grid.RECORDED, order, reach=EDGE) for order in range(3))
+        *(band.low(reference.q, Grid.RECORDED, order, reach=FRICTION_BANDWIDTH_RATIO) for order in range(3))
     )
     coulomb = mechanism.coulomb * np.tanh(motion.dq / mechanism.widths)
     return Command(
@@ -65,7 +65,7 @@ def commanded(mechanism: Mechanism, reference: Piece, hertz: float) -> Command:
     )
 
 
-def identified(commands: Sequence[Command], measured: Sequence[Piece], hertz: float) -> Law:
+def identified(commands: Sequence[Command], measured: Sequence[Segment], hertz: float) -> Law:
     """The law by bounded least squares, joint by joint; every piece has a constant of its own. commands, measured: piece by piece."""
     from scipy import optimize  # slow to import
 
@@ -94,7 +94,7 @@ def identified(commands: Sequence[Command], measured: Sequence[Piece], hertz: fl
     return Law(found[:3], found[3:], constant, explained)
 
 
-def _columns(command: Command, piece: Piece, hertz: float) -> Array:
+def _columns(command: Command, piece: Segment, hertz: float) -> Array:
     """The law's six columns and the torque, below the band. Shape (7, rows, n)."""
     band = piece.band(hertz)
     error = command.motion.q - piece.q

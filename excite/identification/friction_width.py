@@ -8,10 +8,10 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 
 from .estimators import Estimate
-from .lowpass import Band, Grid, friction_speed
+from .lowpass import LowPassFilter, Grid, friction_speed
 from .regression import Equations, Model, kept_rows
 from .regression import friction as friction_of
-from .segments import Piece
+from .segments import Segment
 
 Array = np.ndarray
 CANDIDATES = 1e-4 * 1.3 ** np.arange(21)
@@ -24,7 +24,7 @@ ENOUGH = 1 << 16
 """Samples of a recording that settle the widths."""
 
 
-def fitted(model: Model, equations: Equations, pieces: Sequence[Piece]) -> Model:
+def fitted(model: Model, equations: Equations, pieces: Sequence[Segment]) -> Model:
     """The model with the widths that explain the equations best, joint by joint (Frisch & Waugh: the other columns projected out)."""
     friction = model.friction_columns()
     if not friction:
@@ -51,7 +51,7 @@ def fitted(model: Model, equations: Equations, pieces: Sequence[Piece]) -> Model
     return dataclasses.replace(model, widths=widths)
 
 
-def _tried(pieces: Sequence[Piece], hertz: float) -> dict[float, Array]:
+def _tried(pieces: Sequence[Segment], hertz: float) -> dict[float, Array]:
     """Filtered tanh(q̇/width) for every candidate at the rows of the equations."""
     out: dict[float, list[Array]] = {float(width): [] for width in CANDIDATES}
     for piece in pieces:
@@ -61,7 +61,7 @@ def _tried(pieces: Sequence[Piece], hertz: float) -> dict[float, Array]:
     return {width: np.concatenate(columns) for width, columns in out.items()}
 
 
-def _speeds(piece: Piece, hertz: float) -> Iterator[tuple[Band, slice, Array]]:
+def _speeds(piece: Segment, hertz: float) -> Iterator[tuple[LowPassFilter, slice, Array]]:
     """Chunk by chunk its band, the rows kept, and speed at every sample."""
     band = piece.band(hertz)
     for rows, kept in kept_rows(piece, band):
@@ -78,7 +78,7 @@ def stepped(model: Model, data: Estimate) -> Model:
     return dataclasses.replace(model, widths=np.clip(widths, CANDIDATES[0], CANDIDATES[-1]))
 
 
-def applied(model: Model, rows: Equations, pieces: Iterable[Piece]) -> Equations:
+def applied(model: Model, rows: Equations, pieces: Iterable[Segment]) -> Equations:
     """The same equations with the model's widths."""
     friction = model.friction_columns()
     if not friction:

@@ -34,7 +34,7 @@ from .estimators import Estimate, Method
 from .hausman_test import Endogeneity, durbin_wu_hausman
 from .inertia_distance import Distance
 from .regression import Equations, Model
-from .segments import Piece, Spectra
+from .segments import Segment, TorqueSpectra
 from .simulation_error import SimulationError
 from .torque_delay import Delay
 
@@ -114,7 +114,7 @@ class Identification:
 
     model: Model
     options: Options
-    spectra: Spectra
+    spectra: TorqueSpectra
     equations: Equations
     data: Estimate
     posterior: Consistent
@@ -158,7 +158,7 @@ class _Data:
     """The recordings as equations, and the parameters by the data alone."""
 
     model: Model
-    parts: list[Piece]
+    parts: list[Segment]
     rows: Equations
     estimate: Estimate
     delay: Delay
@@ -176,7 +176,7 @@ def identify(
     """Parameters from recordings. Raises UnusableInput where a recording has no torque or is too short for the band."""
     options = options or Options()
     model = Model(robot, parameters, base, np.full(robot.n, COULOMB_WIDTH))
-    parts = list(segments.pieces(recordings))
+    parts = list(segments.extract_segments(recordings))
     if not parts:
         raise UnusableInput(
             f"{recordings[0].source}: has no stretch without a gap that is long enough; record again"
@@ -240,7 +240,7 @@ def identify(
     )
 
 
-def _data(model: Model, parts: list[Piece], hertz: float, options: Options) -> _Data:
+def _data(model: Model, parts: list[Segment], hertz: float, options: Options) -> _Data:
     """Equations with friction as wide as the data has it, and θ̂ by the data alone."""
     few = segments.first(parts, friction_width.ENOUGH)
     rows = regression.build(model, few, hertz)
@@ -320,7 +320,7 @@ def _nuisance(model: Model, rows: Equations) -> Array | None:
     return out
 
 
-def _moved(piece: Piece, seconds: Array) -> Piece:
+def _moved(piece: Segment, seconds: Array) -> Segment:
     """The piece with each joint's torque taken that much later."""
     t = np.arange(len(piece)) / piece.rate
     length = len(piece) / piece.rate
@@ -418,10 +418,10 @@ def _predicted(
 ) -> Prediction:
     """Measured and predicted torque of every row, not of mean periods; the noise floor where periods repeat."""
     if rows is None:
-        parts = list(segments.pieces([recording], average=False))
+        parts = list(segments.extract_segments([recording], average=False))
         if shift is not None:
             parts = [_moved(piece, shift) for piece in parts]
         rows = regression.build(model, parts, min(hertz, 0.45 * min(piece.rate for piece in parts)))
-    floor = segments.floor(list(segments.pieces([recording])), hertz, tapered=True)
+    floor = segments.floor(list(segments.extract_segments([recording])), hertz, tapered=True)
     fitted, before = (rows.predicted(model.base.matrix @ one) for one in (psi, nominal))
     return Prediction(recording.source, rows.time, rows.torque, before, fitted, floor, rows.starts)

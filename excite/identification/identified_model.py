@@ -23,7 +23,7 @@ from ..trajectory import trajectory_file
 from . import confidence
 from .hausman_test import Endogeneity
 from .identification import Identification, Prediction
-from .lowpass import WIDER, Band, Grid, friction_speed
+from .lowpass import MOTION_BANDWIDTH_RATIO, LowPassFilter, Grid, friction_speed
 from .regression import BLOCK
 from .simulation_error import SimulationError
 from .urdf_export import identified
@@ -96,14 +96,14 @@ class FittedModel:
         """
         times, torques = [], []
         for piece in recording.segments():
-            band = Band(
+            band = LowPassFilter(
                 min(self.hertz, 0.45 * piece.rate),
                 piece.rate,
                 len(piece),
                 encoder=float(recording.encoder.max()),
             )
             position = band.transformed(piece.q)
-            motion = Samples(*(position.low(Grid.RECORDED, order, WIDER) for order in range(3)))
+            motion = Samples(*(position.low(Grid.RECORDED, order, MOTION_BANDWIDTH_RATIO) for order in range(3)))
             torque = band.low(
                 self.torque(motion, friction_speed(piece.q, band, position)), Grid.RECORDED
             )

@@ -23,7 +23,7 @@ from .controller_model import Law
 from .forward_dynamics import Mechanism
 from .lowpass import Grid
 from .regression import Equations, Model
-from .segments import Piece
+from .segments import Segment
 
 Array = np.ndarray
 
@@ -45,7 +45,7 @@ class Instruments:
     """
 
     equations: Equations
-    pieces: tuple[Piece, ...]
+    pieces: tuple[Segment, ...]
     kind: Kind
     law: Law
     delay: Array
@@ -86,9 +86,9 @@ def build(
     """
     for recording in recordings:
         _require_reference(recording)
-    measured = list(segments.pieces(recordings, average=average))
+    measured = list(segments.extract_segments(recordings, average=average))
     told = list(
-        segments.pieces(
+        segments.extract_segments(
             [dataclasses.replace(r, q=r.qref) for r in recordings if r.qref is not None],
             average=average,
         )
@@ -118,7 +118,7 @@ def build(
 
 @dataclass(frozen=True)
 class _Trial:
-    pieces: Sequence[Piece]
+    pieces: Sequence[Segment]
     kind: Kind
     law: Law
     delay: Array
@@ -132,8 +132,8 @@ class _Trial:
 
 def _trial(
     body: Mechanism,
-    measured: Sequence[Piece],
-    told: Sequence[Piece],
+    measured: Sequence[Segment],
+    told: Sequence[Segment],
     hertz: float,
     kind: Kind | None,
     delay: Array,
@@ -150,7 +150,7 @@ def _trial(
     return _Trial(moved if chosen is Kind.AUXILIARY else told, chosen, law, delay, strayed, behind)
 
 
-def _delay(measured: Sequence[Piece], told: Sequence[Piece], hertz: float) -> Array:
+def _delay(measured: Sequence[Segment], told: Sequence[Segment], hertz: float) -> Array:
     """How much later q_ref(t − d) is closest to q, to first order and improved once. Shape (n,) [s]."""
     delay = np.zeros(measured[0].q.shape[1])
     for _ in range(3):
@@ -164,7 +164,7 @@ def _delay(measured: Sequence[Piece], told: Sequence[Piece], hertz: float) -> Ar
     return delay
 
 
-def _later(piece: Piece, delay: Array) -> Piece:
+def _later(piece: Segment, delay: Array) -> Segment:
     """The piece with each joint's position so much later, held beyond its ends."""
     if not delay.any():
         return piece
@@ -192,8 +192,8 @@ def _require_reference(recording: Recording) -> None:
 
 
 def _auxiliary(
-    body: Mechanism, law: Law, commands: Sequence[controller_model.Command], told: Sequence[Piece]
-) -> list[Piece]:
+    body: Mechanism, law: Law, commands: Sequence[controller_model.Command], told: Sequence[Segment]
+) -> list[Segment]:
     """The pieces as the model under the law moves; none where it is lost in any."""
     out = []
     for k, (command, piece) in enumerate(zip(commands, told, strict=True)):
@@ -204,7 +204,7 @@ def _auxiliary(
     return out
 
 
-def _distance(measured: Sequence[Piece], others: Sequence[Piece], hertz: float) -> Array:
+def _distance(measured: Sequence[Segment], others: Sequence[Segment], hertz: float) -> Array:
     """RMS of the difference of positions below the band. Shape (n,)."""
     parts = []
     for piece, other in zip(measured, others, strict=True):

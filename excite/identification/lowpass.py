@@ -16,17 +16,17 @@ import numpy as np
 from ..errors import UnusableInput
 
 Array = np.ndarray
-TAPER = 0.2
+TAPER_FRACTION = 0.2
 """Part of the band over which the gain falls to zero, for signals that are not periodic: a sharp edge rings for long."""
-SETTLE = 1.5
+SETTLING_FACTOR = 1.5
 """Margin in units of 1/(taper · band): there a reflected end is felt by less than a thousandth."""
-WIDER = 2.0
+MOTION_BANDWIDTH_RATIO = 2.0
 """Positions keep this many bands: torque below the band depends on motion above it, the more so where a joint reverses."""
-EDGE = 10.0
+FRICTION_BANDWIDTH_RATIO = 10.0
 """The speed in Coulomb friction keeps this many bands: its steps are placed by it."""
-QUIET = 3e-3
+MAX_FRICTION_SPEED_NOISE = 3e-3
 """Noise of a speed that a friction step can bear, about its width [rad/s]: a smoother speed would put the step at another time."""
-DENSE = 3.0
+REGRESSOR_OVERSAMPLING = 3.0
 """The regressor is sampled at this many times twice the band before it is filtered: products of motions reach beyond it."""
 
 
@@ -39,7 +39,7 @@ class Grid(enum.Enum):
 
 
 @dataclass(frozen=True)
-class Band:
+class LowPassFilter:
     """A low-pass to `hertz` for a stretch of `count` samples at `rate` [Hz], and the sampling it leads to.
 
     Rows are kept at twice the band; of a period just as many as have harmonics in it, so that white noise stays white.
@@ -60,7 +60,7 @@ class Band:
 
     def steps(self, grid: Grid) -> int:
         """Samples of the recording per sample of a grid, of a stretch that is not periodic."""
-        coarse = max(1, int(self.rate / (2.0 * DENSE * self.hertz)))
+        coarse = max(1, int(self.rate / (2.0 * REGRESSOR_OVERSAMPLING * self.hertz)))
         if grid is Grid.RECORDED:
             return 1
         return (
@@ -77,7 +77,7 @@ class Band:
         fewest = 2 * int(self.hertz * length + 1e-9) + 1
         wanted = {
             Grid.RECORDED: self.count,
-            Grid.COARSE: int(np.ceil(2.0 * DENSE * self.hertz * length)),
+            Grid.COARSE: int(np.ceil(2.0 * REGRESSOR_OVERSAMPLING * self.hertz * length)),
             Grid.KEPT: fewest,
         }
         return min(self.count, wanted[grid])
@@ -97,7 +97,7 @@ class Band:
         return (
             0
             if self.periodic
-            else int(np.ceil(SETTLE / (TAPER * self.hertz) * self.rate / step)) * step
+            else int(np.ceil(SETTLING_FACTOR / (TAPER_FRACTION * self.hertz) * self.rate / step)) * step
         )
 
     def gain(self, frequencies: Array, hertz: float) -> Array:
@@ -105,7 +105,7 @@ class Band:
         f = np.abs(frequencies)
         if self.periodic:
             return (f <= hertz * (1.0 + 1e-9)).astype(float)
-        edge = (1.0 - TAPER) * hertz
+        edge = (1.0 - TAPER_FRACTION) * hertz
         return np.asarray(
             0.5 + 0.5 * np.cos(np.pi * np.clip((f - edge) / (hertz - edge), 0.0, 1.0))
         )
@@ -128,7 +128,7 @@ class Band:
         """
         return self.transformed(x, of).low(to, order, reach, late, lag)
 
-    def transformed(self, x: Array, of: Grid = Grid.RECORDED) -> Transformed:
+    def transformed(self, x: Array, of: Grid = Grid.RECORDED) -> SignalSpectrum:
         """Fourier coefficients of signals, for several filters and derivatives of the same. Shape (samples(of), …)."""
         columns = x.reshape(len(x), -1).T
         seen = np.any(columns != 0.0, axis=1)  # half of a regressor's columns are zero by structure
@@ -136,19 +136,19 @@ class Band:
         if not self.periodic:
             step = self.steps(Grid.KEPT) // self.steps(of)
             lines, head = _continued(
-                lines, int(np.ceil(SETTLE / (TAPER * self.hertz) * self.rate_of(of))), step
+                lines, int(np.ceil(SETTLING_FACTOR / (TAPER_FRACTION * self.hertz) * self.rate_of(of))), step
             )
-        return Transformed(self, of, np.fft.rfft(lines), lines.shape[1], head, seen, x.shape)
+        return SignalSpectrum(self, of, np.fft.rfft(lines), lines.shape[1], head, seen, x.shape)
 
 
 @dataclass(frozen=True)
-class Transformed:
+class SignalSpectrum:
     """Fourier coefficients of continued signals. coefficients: Shape (lines, length // 2 + 1). head: samples put before each line.
 
     seen: which columns are lines, the others being zero. shape: of the signals.
     """
 
-    band: Band
+    band: LowPassFilter
     of: Grid
     coefficients: Array
     length: int
@@ -182,7 +182,7 @@ class Transformed:
 
 
 @lru_cache(256)
-def _response(band: Band, bins: int, apart: float, hertz: float, order: int) -> Array:
+def _response(band: LowPassFilter, bins: int, apart: float, hertz: float, order: int) -> Array:
     """Of a derivative below a band, at frequencies that lie `apart` [Hz]. Shape (bins,)."""
     frequencies = apart * np.arange(bins)
     return np.asarray(band.gain(frequencies, hertz) * (2j * np.pi * frequencies) ** order)
@@ -219,7 +219,7 @@ def _fast(least: int) -> int:
     return best
 
 
-def friction_speed(positions: Array, band: Band, transformed: Transformed | None = None) -> Array:
+def friction_speed(positions: Array, band: LowPassFilter, transformed: SignalSpectrum | None = None) -> Array:
     """The speed that Coulomb friction sees, at every sample. transformed: of the positions, where it is at hand. Shapes (M, n).
 
     It keeps EDGE bands, or as many as leave it quieter than QUIET with a coarse encoder.
@@ -227,9 +227,9 @@ def friction_speed(positions: Array, band: Band, transformed: Transformed | None
     return (transformed or band.transformed(positions)).low(Grid.RECORDED, 1, _edge(band))
 
 
-def _edge(band: Band) -> float:
+def _edge(band: LowPassFilter) -> float:
     """How many bands that speed may keep: white noise σ of positions makes σ 2πf √(2f/3f_s) of speed below f."""
     if band.encoder == 0.0:
-        return EDGE
-    f = (QUIET / (2.0 * np.pi * band.encoder) * np.sqrt(1.5 * band.rate)) ** (2.0 / 3.0)
-    return float(np.clip(f / band.hertz, 1.0, EDGE))
+        return FRICTION_BANDWIDTH_RATIO
+    f = (MAX_FRICTION_SPEED_NOISE / (2.0 * np.pi * band.encoder) * np.sqrt(1.5 * band.rate)) ** (2.0 / 3.0)
+    return float(np.clip(f / band.hertz, 1.0, FRICTION_BANDWIDTH_RATIO))

@@ -14,8 +14,8 @@ from ..robot.dynamics import regressor
 from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot
 from ..robot.samples import Samples
-from .lowpass import WIDER, Band, Grid, friction_speed
-from .segments import Piece, chunks
+from .lowpass import MOTION_BANDWIDTH_RATIO, LowPassFilter, Grid, friction_speed
+from .segments import Segment, chunks
 
 Array = np.ndarray
 BLOCK = 4096
@@ -104,9 +104,9 @@ class Equations:
         return out
 
 
-def build(model: Model, pieces: Iterable[Piece], hertz: float) -> Equations:
+def build(model: Model, pieces: Iterable[Segment], hertz: float) -> Equations:
     """The equations of all stretches below `hertz`. Raises UnusableInput when no row is left."""
-    parts, starts, count, shortest = list[Equations](), list[tuple[int, Piece, int]](), 0, 0.0
+    parts, starts, count, shortest = list[Equations](), list[tuple[int, Segment, int]](), 0, 0.0
     for piece in pieces:
         band = piece.band(hertz)
         own = list(_chunked(model, piece, band))
@@ -139,7 +139,7 @@ def build(model: Model, pieces: Iterable[Piece], hertz: float) -> Equations:
     )
 
 
-def _repeats(piece: Piece, rows: int) -> Array | None:
+def _repeats(piece: Segment, rows: int) -> Array | None:
     """Fourier coefficients of each period's torque less the mean's, as those of a period of so many rows."""
     if piece.noise is None:
         return None
@@ -148,7 +148,7 @@ def _repeats(piece: Piece, rows: int) -> Array | None:
     )
 
 
-def kept_rows(piece: Piece, band: Band) -> Iterator[tuple[slice, slice]]:
+def kept_rows(piece: Segment, band: LowPassFilter) -> Iterator[tuple[slice, slice]]:
     """Chunks of a stretch, and which of a chunk's kept rows count: not those that an end spoils or another chunk has."""
     step = band.steps(Grid.KEPT)
     for rows, own in chunks(piece, 3 * band.margin, step):
@@ -163,7 +163,7 @@ def kept_rows(piece: Piece, band: Band) -> Iterator[tuple[slice, slice]]:
             yield rows, kept
 
 
-def _chunked(model: Model, piece: Piece, band: Band) -> Iterator[Equations]:
+def _chunked(model: Model, piece: Segment, band: LowPassFilter) -> Iterator[Equations]:
     for rows, kept in kept_rows(piece, band):
         part = dataclasses.replace(band, count=rows.stop - rows.start)
         torque = part.low(piece.torque[rows], Grid.KEPT)[kept]
@@ -186,10 +186,10 @@ def _chunked(model: Model, piece: Piece, band: Band) -> Iterator[Equations]:
         )
 
 
-def filtered(model: Model, q: Array, band: Band) -> tuple[Array, Array, Samples]:
+def filtered(model: Model, q: Array, band: LowPassFilter) -> tuple[Array, Array, Samples]:
     """Γ along positions, filtered and thinned, friction's slopes and the motion at its rows. Shapes (M, n, p), (M, n), M rows."""
     position = band.transformed(q)
-    samples = Samples(*(position.low(Grid.COARSE, order, WIDER) for order in range(3)))
+    samples = Samples(*(position.low(Grid.COARSE, order, MOTION_BANDWIDTH_RATIO) for order in range(3)))
     blocks = [
         regressor(model.robot, model.parameters, samples.rows(slice(start, start + BLOCK)))[
             :, :, model.base.independent
@@ -207,7 +207,7 @@ def filtered(model: Model, q: Array, band: Band) -> tuple[Array, Array, Samples]
     return gamma, slopes, Samples(*(position.low(Grid.KEPT, order) for order in range(3)))
 
 
-def friction(widths: Array, speed: Array, band: Band) -> tuple[Array, Array]:
+def friction(widths: Array, speed: Array, band: LowPassFilter) -> tuple[Array, Array]:
     """Filtered tanh(q̇/width), and its slope by log width: what an error of a width adds to a joint's torque. Shapes (M, n)."""
     step = np.tanh(speed / widths)
     both = band.low(np.concatenate([step, -(speed / widths) * (1.0 - step**2)], axis=1), Grid.KEPT)

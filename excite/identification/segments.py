@@ -14,7 +14,7 @@ import numpy as np
 
 from ..recordings import Recording
 from ..recordings.recording import SHORTEST
-from .lowpass import Band
+from .lowpass import LowPassFilter
 
 Array = np.ndarray
 BAND_HZ = 20.0
@@ -29,7 +29,7 @@ CHUNK = 1 << 17
 
 
 @dataclass(frozen=True)
-class Piece:
+class Segment:
     """An evenly sampled stretch. q, torque: Shape (N, n) [rad, N m]. start: its time [s]. source: the recording's name.
 
     periods: how many were averaged; 0: not periodic. noise: each period's torque less the mean's. Shape (periods, N, n). encoder: standard
@@ -53,7 +53,7 @@ class Piece:
     def __len__(self) -> int:
         return len(self.q)
 
-    def head(self, count: int) -> Piece:
+    def head(self, count: int) -> Segment:
         """The first rows, of a stretch that is not periodic."""
         temperature = None if self.temperature is None else self.temperature[:count]
         return dataclasses.replace(
@@ -64,12 +64,12 @@ class Piece:
     def periodic(self) -> bool:
         return self.periods > 0
 
-    def band(self, hertz: float) -> Band:
+    def band(self, hertz: float) -> LowPassFilter:
         """The low-pass to `hertz` of this stretch."""
-        return Band(hertz, self.rate, len(self), self.periodic, float(self.encoder.max()))
+        return LowPassFilter(hertz, self.rate, len(self), self.periodic, float(self.encoder.max()))
 
 
-def pieces(recordings: Iterable[Recording], *, average: bool = True) -> Iterator[Piece]:
+def extract_segments(recordings: Iterable[Recording], *, average: bool = True) -> Iterator[Segment]:
     """The stretches of recordings, in order: the mean period of those that repeat, else every stretch without a gap."""
     for recording in recordings:
         if average and recording.repeats is not None:
@@ -79,7 +79,7 @@ def pieces(recordings: Iterable[Recording], *, average: bool = True) -> Iterator
                 continue
         for part in recording.segments():
             whole = (recording.source, float(part.t[0]), part.rate, part.q, part.torque)
-            yield Piece(
+            yield Segment(
                 *whole,
                 encoder=recording.encoder,
                 smoothed=recording.smoothed,
@@ -88,9 +88,9 @@ def pieces(recordings: Iterable[Recording], *, average: bool = True) -> Iterator
             )
 
 
-def first(parts: Sequence[Piece], samples: int) -> list[Piece]:
+def first(parts: Sequence[Segment], samples: int) -> list[Segment]:
     """The pieces from the beginning until there are that many samples; all where there are no more, in parts where one is long."""
-    out: list[Piece] = []
+    out: list[Segment] = []
     for piece in parts:
         left = samples - sum(len(one) for one in out)
         if left <= 0:
@@ -100,7 +100,7 @@ def first(parts: Sequence[Piece], samples: int) -> list[Piece]:
     return out
 
 
-def averaged(recording: Recording, period: float, window: tuple[float, float]) -> Piece | None:
+def averaged(recording: Recording, period: float, window: tuple[float, float]) -> Segment | None:
     """The mean over the whole periods within a window, on a grid of a whole number of samples; None where fewer than two are, or where a
     period has fewer than SHORTEST samples.
 
@@ -129,7 +129,7 @@ def averaged(recording: Recording, period: float, window: tuple[float, float]) -
     q, torque = (np.concatenate(values) for values in zip(*found, strict=True))
     mean = torque.mean(axis=0)
     told = (recording.encoder / np.sqrt(count), recording.smoothed)
-    return Piece(
+    return Segment(
         recording.source, first, samples / period, q.mean(axis=0), mean, count, torque - mean, *told
     )
 
@@ -149,7 +149,7 @@ def _folded(part: Recording, wanted: Array) -> tuple[Array, Array]:
 # -- noise and band --------------------------------------------------------------------------------------------------
 
 
-def floor(parts: Sequence[Piece], hertz: float, *, tapered: bool = False) -> Array | None:
+def floor(parts: Sequence[Segment], hertz: float, *, tapered: bool = False) -> Array | None:
     """Standard deviation of the torque noise below `hertz`, from the spread between periods; None without. Shape (n,) [N m].
 
     What the means of periods differ by may be warming up, and is left out. tapered: what the filter leaves of it in
@@ -160,7 +160,7 @@ def floor(parts: Sequence[Piece], hertz: float, *, tapered: bool = False) -> Arr
         if piece.noise is None:
             continue
         spectrum = np.fft.rfft(piece.noise, axis=1)
-        gain = Band(hertz, piece.rate, len(piece), periodic=not tapered).gain(
+        gain = LowPassFilter(hertz, piece.rate, len(piece), periodic=not tapered).gain(
             np.fft.rfftfreq(len(piece), 1.0 / piece.rate), hertz
         )
         sides = np.where(np.arange(len(gain)) > 0, 2.0, 0.0) * gain**2
@@ -171,7 +171,7 @@ def floor(parts: Sequence[Piece], hertz: float, *, tapered: bool = False) -> Arr
 
 
 @dataclass(frozen=True)
-class Spectra:
+class TorqueSpectra:
     """Power densities, joint by joint, that a band is chosen by. frequency: Shape (F,) [Hz]. torque, noise: (F, n) [(N m)²/Hz].
 
     motion: see `motion` [Hz]. hertz: the band chosen.
@@ -184,7 +184,7 @@ class Spectra:
     hertz: float
 
 
-def spectra(parts: Sequence[Piece], hertz: float | None = None) -> Spectra:
+def spectra(parts: Sequence[Segment], hertz: float | None = None) -> TorqueSpectra:
     """The band, from the data: 20 Hz, more where the motion is faster, less where torque drowns in its noise before.
 
     The noise is that between periods where there are some, else the median density above half of the highest frequency.
@@ -203,10 +203,10 @@ def spectra(parts: Sequence[Piece], hertz: float | None = None) -> Spectra:
         noise = np.tile(np.median(torque[frequency >= 0.25 * rate], axis=0), (len(frequency), 1))
     moved = motion(longest)
     chosen = _chosen(frequency, torque, noise, moved, rate) if hertz is None else hertz
-    return Spectra(frequency, torque, noise, moved, chosen)
+    return TorqueSpectra(frequency, torque, noise, moved, chosen)
 
 
-def motion(piece: Piece) -> float:
+def motion(piece: Segment) -> float:
     """The frequency below which 99 % of the joint velocities' power lies [Hz]."""
     from scipy import signal  # slow to import
 
@@ -218,7 +218,7 @@ def motion(piece: Piece) -> float:
     return float(frequency[np.searchsorted(share, 0.99 * share[-1])])
 
 
-def _window(piece: Piece) -> int:
+def _window(piece: Segment) -> int:
     """Samples of which a spectrum is made, one after the other."""
     return min(len(piece), max(256, int(4.0 * piece.rate)))
 
@@ -230,7 +230,7 @@ def _chosen(frequency: Array, torque: Array, noise: Array, motion: float, rate: 
     return float(min(max(least, min(BAND_HZ, drowned)), 0.4 * rate, max(BAND_HZ, least)))
 
 
-def chunks(piece: Piece, overlap: int, multiple: int) -> Iterator[tuple[slice, slice]]:
+def chunks(piece: Segment, overlap: int, multiple: int) -> Iterator[tuple[slice, slice]]:
     """Parts of a long stretch: the rows to work on, and of those the ones that are not overlap. Starts are multiples of `multiple`."""
     if piece.periodic or len(piece) <= CHUNK + 2 * overlap:
         yield slice(0, len(piece)), slice(0, len(piece))

@@ -16,9 +16,9 @@ import numpy as np
 from ..errors import UnusableInput
 from . import forward_dynamics
 from .forward_dynamics import Mechanism
-from .lowpass import EDGE, Grid
+from .lowpass import FRICTION_BANDWIDTH_RATIO, Grid
 from .regression import Model
-from .segments import Piece
+from .segments import Segment
 
 Array = np.ndarray
 HORIZON = 0.2
@@ -85,7 +85,7 @@ class SimulationError:
 
 
 def cut(
-    pieces: Sequence[Piece], hertz: float, horizon: float = HORIZON, most: int = WINDOWS
+    pieces: Sequence[Segment], hertz: float, horizon: float = HORIZON, most: int = WINDOWS
 ) -> tuple[list[Windows], float]:
     """Windows of all pieces, one set a rate, and the share of the recordings that they cover.
 
@@ -111,14 +111,14 @@ def cut(
     return [_joined(group) for group in groups.values()], len(chosen) * horizon / total
 
 
-def _size(piece: Piece, horizon: float) -> int:
+def _size(piece: Segment, horizon: float) -> int:
     return max(2, round(horizon * piece.rate))
 
 
-def _windows(piece: Piece, begins: list[int], hertz: float, horizon: float) -> Windows:
+def _windows(piece: Segment, begins: list[int], hertz: float, horizon: float) -> Windows:
     band = piece.band(hertz)
     states = np.concatenate(
-        [band.low(piece.q, Grid.RECORDED, order, reach=EDGE) for order in range(2)], axis=1
+        [band.low(piece.q, Grid.RECORDED, order, reach=FRICTION_BANDWIDTH_RATIO) for order in range(2)], axis=1
     )
     size = _size(piece, horizon)
     every = max(1, size // SAMPLES)

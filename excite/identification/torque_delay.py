@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .estimators import Estimate, least_squares
-from .lowpass import Band, Grid
+from .lowpass import LowPassFilter, Grid
 from .regression import Equations
 
 Array = np.ndarray
@@ -38,7 +38,7 @@ def estimated(equations: Equations, estimate: Estimate) -> Delay:
     fitted = equations.predicted(estimate.theta)
     for stretch, periods in zip(equations.stretches(), equations.periods, strict=True):
         part = fitted[stretch]
-        band = Band(0.499 * equations.rate, equations.rate, len(part), periodic=periods > 0)
+        band = LowPassFilter(0.499 * equations.rate, equations.rate, len(part), periodic=periods > 0)
         slope[stretch] = band.low(part, Grid.RECORDED, 1)
     added = np.zeros((len(slope), n, n))
     added[:, range(n), range(n)] = -slope

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from .design import design_page
+from .design_record import DesignRecord
 from .diagnosis import diagnosis_page
 from .identifiability import identifiability_page
 from .identification import identification_page
-from .record import DesignRecord
 
 __all__ = [
     "DesignRecord",

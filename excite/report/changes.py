@@ -10,7 +10,7 @@ import numpy as np
 
 from ..diagnosis.diagnosis import Diagnosis
 from ..robot.parameter_names import percent, some
-from .figures.drawing import BLUE, GREY, few_ticks, panels
+from .figures.drawing import BLUE, GREY, limit_ticks, render_panels
 from .figures.trajectory import short
 from .page import Section, escape, figure, number, paragraph, table
 
@@ -81,7 +81,7 @@ def _drawn(told: Sequence[Mapping[str, Any]]) -> str:
         axes.errorbar(
             x, values, 2.0 * std, fmt="o", color=BLUE, markersize=3.5, elinewidth=1.0, capsize=2.0
         )
-        few_ticks(axes, 5, 4)
+        limit_ticks(axes, 5, 4)
         axes.set_xlim(-0.5, len(told) - 0.5)
         several = len(_names(told)) > 1
         names = [
@@ -94,4 +94,4 @@ def _drawn(told: Sequence[Mapping[str, Any]]) -> str:
         units = " or ".join(dict.fromkeys(one[kind]["unit"] for one in told))
         axes.set_title(f"change of {_WORDS[kind]} [{units}]", loc="left", fontweight="bold", pad=3)
 
-    return panels("What of the drives differs between recordings", list(_WORDS), draw, _HEIGHT)
+    return render_panels("What of the drives differs between recordings", list(_WORDS), draw, _HEIGHT)

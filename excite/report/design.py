@@ -19,8 +19,9 @@ from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot
 from ..trajectory.trajectory_file import Trajectory, versions
 from .collision import collision_section
+from .design_record import DesignRecord
 from .figures import trajectory as trajectory_module
-from .figures.drawing import MANY
+from .figures.drawing import COMPACT_LAYOUT_JOINTS
 from .figures.trajectory import Scene
 from .identifiability import headline, sections
 from .origin import criteria_section, history_section, made_section
@@ -39,7 +40,6 @@ from .page import (
     table,
 )
 from .pair import plan_section, validation_section
-from .record import DesignRecord
 
 _ROUNDING = 1e-9
 _UNITS = {
@@ -302,7 +302,7 @@ def torque_section(subject: Design) -> Section:
     """(c) Are the drives strong enough, for uncertain parameters too?"""
     trajectory, robot = subject.trajectory, subject.robot
     radius = float(trajectory.design.get("uncertainty", 0.0))
-    t = trajectory_module.dense(trajectory.motion, 1000 if robot.n <= MANY else 600)
+    t = trajectory_module.dense(trajectory.motion, 1000 if robot.n <= COMPACT_LAYOUT_JOINTS else 600)
     nominal, width = band(
         regressor(robot, subject.parameters, trajectory.motion.samples(t)),
         subject.parameters,

@@ -10,7 +10,7 @@ import numpy as np
 from ..diagnosis.diagnosis import Diagnosis
 from ..diagnosis.gear_encoders import Gear
 from ..robot.parameter_names import listed, percent
-from .figures.drawing import GREY, INK, ORANGE, few_ticks, panels
+from .figures.drawing import GREY, INK, ORANGE, limit_ticks, render_panels
 from .figures.trajectory import short, torque_units
 from .page import Section, escape, figure, number, paragraph, table
 
@@ -80,7 +80,7 @@ def _curves(found: Diagnosis) -> str:
         )
         axes.set_xlabel(f"torque that the gear carries [{units[gear.joint]}]")
 
-    return panels("Wind-up of the gears between two encoders", found.gears, draw, _HEIGHT)
+    return render_panels("Wind-up of the gears between two encoders", found.gears, draw, _HEIGHT)
 
 
 def _panel(axes: Any, gear: Gear) -> None:
@@ -91,4 +91,4 @@ def _panel(axes: Any, gear: Gear) -> None:
         gear.load[shown], 1e3 * gear.windup[shown], ".", color=INK, markersize=1.5, alpha=0.35
     )
     axes.plot(load, 1e3 * gear.curve(load), color=ORANGE, linewidth=1.2)
-    few_ticks(axes, 5, 4)
+    limit_ticks(axes, 5, 4)

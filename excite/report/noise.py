@@ -6,7 +6,7 @@ import numpy as np
 
 from ..identification.friction_width import CANDIDATES
 from ..identification.identification import Identification
-from ..identification.lowpass import TAPER
+from ..identification.lowpass import TAPER_FRACTION
 from ..identification.segments import BAND_HZ
 from ..robot.parameter_names import listed, percent
 from .figures import noise as noise_module
@@ -33,7 +33,7 @@ def slants(density: Densities) -> Array:
 
     Without the band's last part, which the filter takes off where nothing repeats.
     """
-    inside = density.power[density.frequency <= (1.0 - TAPER) * density.frequency[-1]]
+    inside = density.power[density.frequency <= (1.0 - TAPER_FRACTION) * density.frequency[-1]]
     quarters = np.array([part.mean(axis=0) for part in np.array_split(inside, min(4, len(inside)))])
     return np.asarray(quarters.max(axis=0) / np.maximum(quarters.min(axis=0), 1e-300))
 

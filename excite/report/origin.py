@@ -11,9 +11,9 @@ from ..robot.inertial_parameters import Parameters
 from ..robot.limits import QUANTITIES
 from ..robot.robot import Robot
 from ..trajectory.trajectory_file import Trajectory
+from .design_record import DesignRecord
 from .figures import information_spectrum
 from .page import Section, bullets, escape, figure, folded, number, paragraph, plural, table
-from .record import DesignRecord
 
 _LABELS = {
     "a": "A: Σ 1/λ",

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..robot.robot import Robot
 from ..trajectory.trajectory_file import Trajectory
-from .figures.drawing import BLUE, INK, MANY, few_ticks, grid, render
+from .figures.drawing import BLUE, INK, COMPACT_LAYOUT_JOINTS, axes_grid, limit_ticks, render_svg
 from .figures.small_multiples import Plane, planes
 from .figures.trajectory import is_prismatic, short
 from .page import Section, escape, figure, number, paragraph, table
@@ -74,7 +74,7 @@ def _planes(first: Trajectory, second: Trajectory, robot: Robot) -> str:
     curves = []
     for trajectory in (first, second):
         fourier = trajectory.motion.fourier
-        t = fourier.grid(300 if robot.n <= MANY else 150)
+        t = fourier.grid(300 if robot.n <= COMPACT_LAYOUT_JOINTS else 150)
         curves.append(np.stack([fourier.at(t), fourier.at(t, 1)], axis=-1))
     limits, sliding = first.limits, is_prismatic(robot)
     # a whole turn away is the same place; only joints that may turn so far are shown there
@@ -91,7 +91,7 @@ def _planes(first: Trajectory, second: Trajectory, robot: Robot) -> str:
         )
         for j, (joint, slides) in enumerate(zip(robot.joints, sliding, strict=True))
     ]  # fmt: skip
-    columns, height = (min(robot.n, 3), 110.0) if robot.n <= MANY else (5, 80.0)
+    columns, height = (min(robot.n, 3), 110.0) if robot.n <= COMPACT_LAYOUT_JOINTS else (5, 80.0)
     axes = (
         f"velocity [rad/s] against position [rad]{', whole turns left out' if free.any() else ''}"
     )
@@ -156,7 +156,7 @@ def _trade_off(
     period, above = np.array([float(c["period"]) for c in candidates]), np.array(excess)
 
     def draw(canvas: Any) -> None:
-        axes = grid(canvas, 1, 1, margins=(0.6, 0.2, 0.32, 0.42))[0, 0]
+        axes = axes_grid(canvas, 1, 1, margins=(0.6, 0.2, 0.32, 0.42))[0, 0]
         axes.plot(
             period, above, "o", color=BLUE, markersize=4, label="tried, with so many harmonics"
         )
@@ -188,7 +188,7 @@ def _trade_off(
             dashes=(4, 2),
             label="as good as the least",
         )
-        few_ticks(axes, 8, 5)
+        limit_ticks(axes, 8, 5)
         axes.set_xlim(0.0, 1.1 * period.max())
         axes.set_ylim(-0.06 * max(above.max(), 10.0), 1.12 * max(above.max(), 10.0))
         axes.set_xlabel("period [s]")
@@ -203,4 +203,4 @@ def _trade_off(
             borderaxespad=0.2,
         )
 
-    return render("Standard deviation against period and harmonics", 2.6, draw)
+    return render_svg("Standard deviation against period and harmonics", 2.6, draw)

@@ -7,7 +7,7 @@ from typing import Any
 
 from ..diagnosis.diagnosis import Diagnosis
 from ..robot.parameter_names import percent
-from .figures.drawing import BLUE, GREY, few_ticks, panels
+from .figures.drawing import BLUE, GREY, limit_ticks, render_panels
 from .figures.trajectory import short, torque_units
 from .page import bullets, figure, paragraph
 
@@ -44,6 +44,6 @@ def _curves(unknown: Sequence[Mapping[str, Any]], units: Mapping[str, str]) -> s
         unit = "" if response["relative"] else f" [{units[one['joint']]}]"
         axes.set_title(short(one["joint"], 24) + unit, loc="left", fontweight="bold", pad=3)
         axes.set_xlabel(response["over"])
-        few_ticks(axes, 5, 4)
+        limit_ticks(axes, 5, 4)
 
-    return panels("What is left without a name, over what foresees it", unknown, draw, _HEIGHT)
+    return render_panels("What is left without a name, over what foresees it", unknown, draw, _HEIGHT)

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .._types import FloatArray
 from .mujoco_dynamics import RigidBodyDynamics
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)
@@ -18,13 +17,13 @@ class JointActuators:
     inertia [kg m²], viscous [N m s/rad], coulomb [N m], width w [rad/s], offset [N m].
     """
 
-    inertia: Array
-    viscous: Array
-    coulomb: Array
-    width: Array
-    offset: Array
+    inertia: FloatArray
+    viscous: FloatArray
+    coulomb: FloatArray
+    width: FloatArray
+    offset: FloatArray
 
-    def friction(self, v: Array) -> Array:
+    def friction_torque(self, v: FloatArray) -> FloatArray:
         """Friction and offset at speeds v. Shapes (…, n) [N m]."""
         return self.viscous * v + self.coulomb * np.tanh(v / self.width) + self.offset
 
@@ -44,13 +43,15 @@ class ControllerGains:
     step: float = 0.0
 
 
-def mean_joint_inertia(arm: RigidBodyDynamics, rng: np.random.Generator) -> Array:
+def mean_joint_inertia(arm: RigidBodyDynamics, rng: np.random.Generator) -> FloatArray:
     """Mean diagonal of the mass matrix over random poses. Shape (n,) [kg m²]."""
     poses = rng.uniform(-2.0, 2.0, (20, arm.n))
-    return np.mean([np.diag(arm.terms(q, 0.0 * q)[0]) for q in poses], axis=0)
+    return np.mean([np.diag(arm.mass_and_bias(q, 0.0 * q)[0]) for q in poses], axis=0)
 
 
-def draw_actuators(arm: RigidBodyDynamics, speed: Array, torque: Array, rng: np.random.Generator) -> JointActuators:
+def draw_actuators(
+    arm: RigidBodyDynamics, speed: FloatArray, torque: FloatArray, rng: np.random.Generator
+) -> JointActuators:
     """Drives as robots have them: Coulomb 2-4 %, viscous 1-3 % of the torque limit (at full speed), rotors of 20-50 % of the
     link's inertia, and no drive faster than 400 rad/s² by itself, as the small links of a wrist would have it.
 

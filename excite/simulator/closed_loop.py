@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import lapack
 
+from .._types import FloatArray
 from .actuator import ControllerGains, JointActuators
 from .mujoco_dynamics import RigidBodyDynamics
-from .physical_effect import JointStates, PhysicalEffect, TransmissionSpring, BaseSuspension
+from .physical_effect import BaseSuspension, JointStates, PhysicalEffect, TransmissionSpring
 from .reference_trajectory import ReferenceTrajectory
 
-Array = np.ndarray
 SPRING_STEP = 1e-4
 """Step of a spring [s]."""
 SLOPE_SPEED_DIFFERENCE = 1e-4
@@ -33,10 +33,10 @@ class StateHistory:
     """States at t = k·step. q: links and base, Shape (N, k + n); theta: motors, (N, n); z: memory, (N, m). Of a loop that is lost, q is not
     finite from there on."""
 
-    t: Array
-    q: Array
-    theta: Array
-    z: Array
+    t: FloatArray
+    q: FloatArray
+    theta: FloatArray
+    z: FloatArray
 
 
 @dataclass
@@ -46,19 +46,23 @@ class ClosedLoop:
     arm: RigidBodyDynamics
     drive: JointActuators
     control: ControllerGains
-    laws: Sequence[PhysicalEffect]
-    suspension: BaseSuspension | None
-    limit: Array
+    effects: Sequence[PhysicalEffect]
+    base_suspension: BaseSuspension | None
+    limit: FloatArray
     step: float
 
     def __post_init__(self) -> None:
         self.n = len(self.drive.inertia)
         self.k = self.arm.n - self.n
         self.springs: list[TransmissionSpring] = [
-            spring for law in self.laws if (spring := law.spring()) is not None
+            spring for law in self.effects if (spring := law.transmission_spring()) is not None
         ]
-        self.active = [law for law in self.laws if type(law).torque is not PhysicalEffect.torque]
-        self.sensors = [law for law in self.laws if type(law).seen is not PhysicalEffect.seen]
+        self.active = [law for law in self.effects if type(law).torque is not PhysicalEffect.torque]
+        self.sensors = [
+            law
+            for law in self.effects
+            if type(law).measured_position is not PhysicalEffect.measured_position
+        ]
         self.rigid = self.drive.inertia.copy()
         self.rigid[[s.joint for s in self.springs]] = 0.0
         self.follow = 1.0 - float(np.exp(-self.step / self.control.lag))
@@ -84,32 +88,32 @@ class ClosedLoop:
             q[i + 1], theta[i + 1], z[i + 1] = self.q, self.theta, self.z
         return StateHistory(t, q, theta, z)
 
-    def _forward(self, q: Array, v: Array, a: Array) -> Array:
+    def _forward(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         pad = np.zeros((len(q), self.k))
         whole = [np.hstack([pad, part]) for part in (q, v, a)]
-        rigid = self.arm.inverse(*whole)[:, self.k :] + self.drive.inertia * a
+        rigid = self.arm.inverse_dynamics(*whole)[:, self.k :] + self.drive.inertia * a
         return self.control.forward * rigid
 
-    def _begin(self, q: Array) -> None:
+    def _begin(self, q: FloatArray) -> None:
         self.q, self.v, self.a = np.zeros(self.arm.n), np.zeros(self.arm.n), np.zeros(self.arm.n)
         self.q[self.k :] = q
-        self.load = self.arm.terms(self.q, self.v)[1][self.k :]
+        self.load = self.arm.mass_and_bias(self.q, self.v)[1][self.k :]
         self.omega, self.alpha, self.theta = np.zeros(self.n), np.zeros(self.n), q.copy()
         for spring in self.springs:
             self.theta[spring.joint] += static_deflection(spring, float(self.load[spring.joint]))
-        self.z = np.zeros(sum(law.memory for law in self.active))
+        self.z = np.zeros(sum(law.state_size for law in self.active))
         self.u = self.load + self.drive.offset
         self.sum = (1.0 - self.control.forward) * self.load + self.drive.offset
         self.gain = self.control.speed * self._inertia()
 
-    def _inertia(self) -> Array:
-        return np.diag(self.arm.terms(self.q, self.v)[0])[self.k :] + self.drive.inertia
+    def _inertia(self) -> FloatArray:
+        return np.diag(self.arm.mass_and_bias(self.q, self.v)[0])[self.k :] + self.drive.inertia
 
-    def _command(self, q: Array, v: Array, forward: Array) -> None:
+    def _command(self, q: FloatArray, v: FloatArray, forward: FloatArray) -> None:
         """The controller's torque, through the current loop's lag."""
         c, seen = self.control, self.theta
         for law in self.sensors:
-            seen = law.seen(seen)
+            seen = law.measured_position(seen)
         if c.step > 0.0:
             seen = np.round(seen / c.step) * c.step
         error = self.gain * (v + c.position * (q - seen) - self.omega)
@@ -129,7 +133,7 @@ class ClosedLoop:
         return bool(np.abs(self.v).max() < DIVERGENCE_SPEED)
 
     def _advance(self, time: float) -> None:
-        mass, bias = self.arm.terms(self.q, self.v)
+        mass, bias = self.arm.mass_and_bias(self.q, self.v)
         k, drive = self.k, self.drive
         still = np.tanh(self.omega / drive.width)
         resist = drive.viscous * self.omega + drive.coulomb * still + drive.offset
@@ -143,8 +147,8 @@ class ClosedLoop:
         matrix, force = mass.copy(), -bias
         matrix.ravel()[k * (self.arm.n + 1) :: self.arm.n + 1] += steady
         force[k:] += torque
-        if self.suspension is not None:
-            s, base = self.suspension, np.arange(k)
+        if self.base_suspension is not None:
+            s, base = self.base_suspension, np.arange(k)
             matrix[base, base] += 0.5 * self.step * s.damping + 0.25 * self.step**2 * s.stiffness
             force[:k] -= (
                 s.stiffness * (self.q[:k] + 0.5 * self.step * self.v[:k]) + s.damping * self.v[:k]
@@ -169,8 +173,8 @@ class ClosedLoop:
             self._remember(time + self.step)
 
     def _wind(
-        self, matrix: Array, force: Array, resist: Array, omega: Array
-    ) -> tuple[Array, Array]:
+        self, matrix: FloatArray, force: FloatArray, resist: FloatArray, omega: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """Fine steps of the springs, which set theta, omega of elastic joints; returns the arm's mean acceleration over them, and how much
         further it comes than with that from the first: else links drift off the motors that teeth knock them back and forth on."""
         columns = np.zeros((self.arm.n, len(self.springs)))
@@ -191,7 +195,7 @@ class ClosedLoop:
         return mean, shift
 
     def _wind_one(
-        self, spring: TransmissionSpring, free: float, yields: float, push: float, omega: Array
+        self, spring: TransmissionSpring, free: float, yields: float, push: float, omega: FloatArray
     ) -> tuple[float, float]:
         """One spring: links accelerate by free + yields·f, the motor by (push − f)/J. Returns the mean of f [N m], and the double integral
         of f less its mean over the step [N m s²]."""
@@ -211,7 +215,7 @@ class ClosedLoop:
             drag = viscous * (w - float(self.omega[j])) + coulomb * (s - first)
             heavy = inertia + dt * (viscous + coulomb / width * (1.0 - s * s))
             d, dd = theta - q, w - v
-            pull, stiff, damp = spring.pull(d, dd)
+            pull, stiff, damp = spring.torque_and_slopes(d, dd)
             both = 1.0 / heavy + yields
             # the pull is taken at the middle of the step, so a spring without damper neither gains nor loses
             rate = (push - drag) / heavy - free
@@ -232,15 +236,17 @@ class ClosedLoop:
         )
         return mean, (q - steady) / yields
 
-    def _effects(self, time: float) -> tuple[Array, Array]:
+    def _effects(self, time: float) -> tuple[FloatArray, FloatArray]:
         """Torque of the effects at the end of a step without acceleration, and how it grows with speed."""
         total, slope, at = np.zeros(self.n), np.zeros(self.n), 0
         # two speeds at once, the rest broadcasts
-        x = JointStates(np.asarray(time), self.theta, self.omega + SLOPE_SPEED_OFFSETS, self.alpha, self.load)
+        x = JointStates(
+            np.asarray(time), self.theta, self.omega + SLOPE_SPEED_OFFSETS, self.alpha, self.load
+        )
         for law in self.active:
-            z = self.z[at : at + law.memory]
-            at += law.memory
-            torque = law.torque(x, law.advance(x, z, self.step) if law.memory else z)
+            z = self.z[at : at + law.state_size]
+            at += law.state_size
+            torque = law.torque(x, law.advance_state(x, z, self.step) if law.state_size else z)
             if torque is None:
                 continue
             if torque.ndim == 1:
@@ -259,13 +265,13 @@ class ClosedLoop:
             [],
         )
         for law in self.active:
-            z = self.z[at : at + law.memory]
-            parts.append(law.advance(x, z, self.step) if law.memory else z)
-            at += law.memory
+            z = self.z[at : at + law.state_size]
+            parts.append(law.advance_state(x, z, self.step) if law.state_size else z)
+            at += law.state_size
         self.z = np.concatenate(parts)
 
 
-def solve_positive_definite(matrix: Array, right: Array) -> Array:
+def solve_positive_definite(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """Solution for a positive definite matrix."""
     _, out, _ = lapack.dposv(matrix, right)
     return np.asarray(out)
@@ -276,5 +282,7 @@ def static_deflection(spring: TransmissionSpring, load: float) -> float:
     low, high = -1.0, 1.0
     for _ in range(80):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if spring.pull(middle, 0.0)[0] < load else (low, middle)
+        low, high = (
+            (middle, high) if spring.torque_and_slopes(middle, 0.0)[0] < load else (low, middle)
+        )
     return 0.5 * (low + high)

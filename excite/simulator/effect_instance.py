@@ -10,12 +10,10 @@ from typing import Any
 import numpy as np
 
 from ..errors import UnusableInput
-from .effects import CATALOGUE_NAMES, FORM_FAMILIES, EFFECT_TYPES, EffectType
+from .effects import CATALOGUE_NAMES, EFFECT_TYPES, FORM_FAMILIES, EffectType
 from .effects.effect_type import EffectParameter, EffectSite
 from .physical_effect import PhysicalEffect
 from .simulated_robot import SimulatedRobot
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)
@@ -39,11 +37,13 @@ class EffectInstance:
         """Its physics on a robot; None for what vanishes at size 0."""
         if any(not np.isfinite(v) for v in self.values.values()):
             return None
-        return self.kind.forms[self.family](effect_site(plant, self.joint, self.source), self.values)
+        return self.kind.forms[self.family](
+            effect_site(plant, self.joint, self.source), self.values
+        )
 
     def sized(self, size: float) -> EffectInstance:
         """The effect made `size` times as large; at 0 what has no finite parameters vanishes."""
-        if size == 0.0 and self.kind.vanishes:
+        if size == 0.0 and self.kind.omitted_at_zero:
             return replace(self, values=dict.fromkeys(self.values, np.inf))
         values = {
             key: self.kind.quantity(key).sized(value, size) for key, value in self.values.items()
@@ -55,22 +55,22 @@ class EffectInstance:
         at = effect_site(plant, self.joint, self.source)
         return min(self.kind.quantity(key).room(value, at) for key, value in self.values.items())
 
-    def document(self) -> dict[str, Any]:
+    def to_document(self) -> dict[str, Any]:
         """As the truth states it; `details` are parameters that the contract doesn't name."""
         stated = {
             q.name: {"value": self.values[q.name], "unit": q.unit}
-            for q in self.kind.quantities
+            for q in self.kind.parameters
             if q.stated
         }
         details = {
             q.name: {"value": self.values[q.name], "unit": q.unit}
-            for q in self.kind.quantities
+            for q in self.kind.parameters
             if not q.stated
         }
         out = {
             "effect": self.name,
             "joint": self.joint,
-            "outsider": self.kind.outsider,
+            "outsider": self.kind.out_of_catalogue,
             "family": self.family,
         }
         more = {} if self.source is None else {"from": self.source}
@@ -81,24 +81,28 @@ def effect_site(plant: SimulatedRobot, joint: str | None, source: str | None = N
     """What an effect may know of its robot."""
     j = plant.joints.index(joint) if joint else 0
     i = plant.joints.index(source) if source else (j - 1 if j else 1 % len(plant.joints))
-    speed = np.array([plant.tree.limits(name)[0] for name in plant.joints])
-    link = plant.tree.child(joint or plant.joints[-1])
+    speed = np.array([plant.tree.velocity_and_torque_limit(name)[0] for name in plant.joints])
+    link = plant.tree.child_link(joint or plant.joints[-1])
     return EffectSite(len(plant.joints), j, i, plant.limit, speed, plant.drive, joint or "", link)
 
 
 def with_effects(plant: SimulatedRobot, effects: tuple[EffectInstance, ...]) -> SimulatedRobot:
     """The robot with effects in it."""
     laws = (effect.law(plant) for effect in effects)
-    return replace(plant, laws=tuple(law for law in laws if law is not None))
+    return replace(plant, effects=tuple(law for law in laws if law is not None))
 
 
 def draw_effect(
-    kind: EffectType, plant: SimulatedRobot, joint: str | None, family: str, rng: np.random.Generator
+    kind: EffectType,
+    plant: SimulatedRobot,
+    joint: str | None,
+    family: str,
+    rng: np.random.Generator,
 ) -> EffectInstance:
     """An effect of random parameters, each of its usual size."""
     at = effect_site(plant, joint)
     values = {
-        q.name: q.draw(float(at.torque[at.j]), float(at.speed[at.j]), rng) for q in kind.quantities
+        q.name: q.draw(float(at.torque[at.j]), float(at.speed[at.j]), rng) for q in kind.parameters
     }
     source = plant.joints[at.source] if kind.name == "coupling" else None
     return EffectInstance(kind.name, joint, family, values, source)
@@ -113,7 +117,9 @@ def parse_effect(text: str, plant: SimulatedRobot) -> EffectInstance:
     joint, _, pairs = rest.partition(":")
     if name not in EFFECT_TYPES:
         near = get_close_matches(name, EFFECT_TYPES, 1)
-        remedy = f"did you mean {_signature(near[0])}?" if near else f"there are: {catalogue_listing()}"
+        remedy = (
+            f"did you mean {_signature(near[0])}?" if near else f"there are: {catalogue_listing()}"
+        )
         raise UnusableInput(f"--effect {text}: no effect '{name}'; {remedy}")
     kind = EFFECT_TYPES[name]
     place = _place(text, kind, joint, plant)
@@ -127,7 +133,7 @@ def parse_effect(text: str, plant: SimulatedRobot) -> EffectInstance:
         raise UnusableInput(
             f"--effect {text}: from={source} should name another joint, for a coupling; joints: {', '.join(plant.joints)}"
         )
-    unknown = set(stated) - {q.name for q in kind.quantities}
+    unknown = set(stated) - {q.name for q in kind.parameters}
     if unknown:
         raise UnusableInput(
             f"--effect {text}: {name} has no parameter '{min(unknown)}'; it has: {_words(kind.quantities)}"
@@ -136,9 +142,9 @@ def parse_effect(text: str, plant: SimulatedRobot) -> EffectInstance:
     limits = float(at.torque[at.j]), float(at.speed[at.j])
     values = {
         q.name: _number(text, q, stated[q.name]) if q.name in stated else q.middle(*limits)
-        for q in kind.quantities
+        for q in kind.parameters
     }
-    if kind.vanishes and min(values.values()) == 0.0:
+    if kind.omitted_at_zero and min(values.values()) == 0.0:
         raise UnusableInput(
             f"--effect {text}: should be above 0; leave the effect out to have none"
         )
@@ -160,9 +166,9 @@ def effects_of_truth(truth: Mapping[str, Any]) -> tuple[EffectInstance, ...]:
             key: float(own["value"]) for key, own in {**one["parameters"], **one["details"]}.items()
         }
         kind = EFFECT_TYPES[one["effect"]]
-        if one["family"] not in kind.forms or set(values) != {q.name for q in kind.quantities}:
+        if one["family"] not in kind.forms or set(values) != {q.name for q in kind.parameters}:
             raise ValueError(f"no {kind.name} of this form with these parameters")
-        for quantity in kind.quantities:
+        for quantity in kind.parameters:
             if not quantity.accepts(values[quantity.name]):
                 raise ValueError(f"{kind.name} with {quantity.name} {values[quantity.name]:g}")
         joint, source = one["joint"], one.get("from")

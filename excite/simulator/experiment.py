@@ -20,7 +20,7 @@ from .model_error import perturb_bodies
 from .physical_effect import PhysicalEffect
 from .recording_file import SimulatedRecording
 from .reference_trajectory import ReferenceTrajectory
-from .simulated_robot import SimulatedRobot, SimulatedMotion
+from .simulated_robot import SimulatedMotion, SimulatedRobot
 from .urdf_tree import UrdfTree
 
 MOTION_DIGEST_POINTS = 64
@@ -53,7 +53,7 @@ class ExperimentSettings:
         """Independent ones for bodies, drives, measurement (see `measuring`) and effects."""
         return np.random.default_rng(self.seed).spawn(4)
 
-    def measuring(self, reference: ReferenceTrajectory) -> np.random.Generator:
+    def noise_generator(self, reference: ReferenceTrajectory) -> np.random.Generator:
         """For the noise of a motion: that of another motion is another, as no two recordings share theirs."""
         joints = reference.at(np.linspace(0.0, reference.duration, MOTION_DIGEST_POINTS))[0]
         told = zlib.crc32((np.round(joints, 6) + 0.0).tobytes())
@@ -64,18 +64,25 @@ class ExperimentSettings:
 class SimulatedSession:
     """A robot on the bench. run: the motion made. recording: what was measured. truth: what nobody there is told."""
 
-    plant: SimulatedRobot
+    robot: SimulatedRobot
     chain: MeasurementChain
     run: SimulatedMotion
     recording: SimulatedRecording
     truth: dict[str, Any]
 
 
-def build_robot(urdf: Path, reference: ReferenceTrajectory, setting: ExperimentSettings, laws: Sequence[PhysicalEffect] = ()) -> SimulatedRobot:
+def build_robot(
+    urdf: Path,
+    reference: ReferenceTrajectory,
+    setting: ExperimentSettings,
+    laws: Sequence[PhysicalEffect] = (),
+) -> SimulatedRobot:
     """The true robot behind a URDF that is a few per cent wrong."""
     bodies, drives, *_ = setting.generators()
-    true = perturb_bodies(_with_payload(trees.read_urdf(urdf), reference), setting.model_error, bodies)
-    return plants.draw_robot(true, reference, drives, control=setting.control, laws=laws)
+    true = perturb_bodies(
+        _with_payload(trees.read_urdf(urdf), reference), setting.model_error, bodies
+    )
+    return plants.draw_robot(true, reference, drives, control=setting.control, effects=laws)
 
 
 def _with_payload(tree: UrdfTree, reference: ReferenceTrajectory) -> UrdfTree:
@@ -89,8 +96,10 @@ def _with_payload(tree: UrdfTree, reference: ReferenceTrajectory) -> UrdfTree:
         np.array([*stated["centre"], 1.0], float),
     )
     more = float(stated["mass"]) * np.outer(point, point)
-    more[:3, :3] += 0.5 * np.trace(tensor) * np.eye(3) - tensor
-    return tree.with_body(str(stated["link"]), tree.body(str(stated["link"])) + more)
+    more[:3, :3] += 0.5 * np.history(tensor) * np.eye(3) - tensor
+    return tree.with_pseudo_inertia(
+        str(stated["link"]), tree.pseudo_inertia(str(stated["link"])) + more
+    )
 
 
 def measurement_chain(plant: SimulatedRobot, setting: ExperimentSettings) -> MeasurementChain:
@@ -115,10 +124,14 @@ def run_session(
     """Run a robot along a reference and measure it; `facts` enter the truth first, `run` is one already made."""
     made = plant.run(reference) if run is None else run
     measured = measurement_chain(plant, setting)
-    recording = records.measure(made, reference, measured, setting.measuring(reference))
+    recording = records.measure(made, reference, measured, setting.noise_generator(reference))
     own = {"seed": setting.seed, "setting": asdict(setting)}
     return SimulatedSession(
-        plant, measured, made, recording, records.truth_document(plant, measured, {**(facts or {}), **own})
+        plant,
+        measured,
+        made,
+        recording,
+        records.truth_document(plant, measured, {**(facts or {}), **own}),
     )
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import signal
 
-Array = np.ndarray
+from .._types import FloatArray
 
 
 @dataclass(frozen=True)
@@ -19,37 +19,41 @@ class MeasurementChain:
     """
 
     rate: float
-    noise: Array
+    noise: FloatArray
     colour: float | None = None
     encoder: float = 2e-6
-    torque: Array | None = None
+    torque: FloatArray | None = None
     jitter: float = 0.0
 
-    def times(self, duration: float) -> Array:
+    def clock_times(self, duration: float) -> FloatArray:
         """What the clock shows: k/rate, to the end [s]."""
         return np.arange(round(duration * self.rate) + 1) / self.rate
 
-    def sampled(self, t: Array, rng: np.random.Generator) -> Array:
+    def sampling_times(self, t: FloatArray, rng: np.random.Generator) -> FloatArray:
         """When the samples really were taken."""
         return t + self.jitter * rng.standard_normal(len(t))
 
-    def positions(self, q: Array) -> Array:
+    def quantise_positions(self, q: FloatArray) -> FloatArray:
         """Positions on the encoder's grid."""
         return q if self.encoder == 0.0 else np.round(q / self.encoder) * self.encoder
 
-    def torques(self, tau: Array, rng: np.random.Generator) -> Array:
+    def measure_torques(self, tau: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Torques with noise, on the converter's grid."""
         noisy = tau + self.noise * coloured_noise(tau.shape, self.rate, self.colour, rng)
         return noisy if self.torque is None else np.round(noisy / self.torque) * self.torque
 
-    def floor(self, band: float) -> Array:
+    def noise_floor(self, band: float) -> FloatArray:
         """RMS of the torque's noise below `band` [Hz], as a brick wall would leave it. Shape (n,) [N m]."""
         nyquist = 0.5 * self.rate
         f = np.linspace(0.0, nyquist, 4000)
         power = (
             np.ones_like(f)
             if self.colour is None
-            else np.abs(signal.freqz(*_low_pass_coefficients(self.colour, self.rate), worN=f, fs=self.rate)[1])
+            else np.abs(
+                signal.freqz(*_low_pass_coefficients(self.colour, self.rate), worN=f, fs=self.rate)[
+                    1
+                ]
+            )
             ** 2
         )
         share = power[f <= band].sum() / power.sum()
@@ -59,7 +63,7 @@ class MeasurementChain:
 
 def coloured_noise(
     shape: tuple[int, ...], rate: float, corner: float | None, rng: np.random.Generator
-) -> Array:
+) -> FloatArray:
     """Noise of variance 1 along the first axis: white, or first-order low-passed at `corner` [Hz]."""
     white = rng.standard_normal(shape)
     if corner is None:
@@ -76,6 +80,6 @@ def coloured_noise(
     return out / (b[0] / np.sqrt(1.0 - pole**2))
 
 
-def _low_pass_coefficients(corner: float, rate: float) -> tuple[Array, Array]:
+def _low_pass_coefficients(corner: float, rate: float) -> tuple[FloatArray, FloatArray]:
     pole = float(np.exp(-2.0 * np.pi * corner / rate))
     return np.array([1.0 - pole]), np.array([1.0, -pole])

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from .._types import FloatArray
 from ..errors import UnusableInput
 from .urdf_tree import UrdfTree
 
-Array = np.ndarray
 GRAVITY = (0.0, 0.0, -9.81)
 
 
@@ -27,17 +27,17 @@ class RigidBodyDynamics:
     tree: UrdfTree
     joints: tuple[str, ...]
     model: Any
-    scratch: Any
+    data: Any
 
     @property
     def n(self) -> int:
         return len(self.joints)
 
-    def terms(self, q: Array, v: Array) -> tuple[Array, Array]:
+    def mass_and_bias(self, q: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mass matrix and bias at one state. Shapes (n, n) [kg m²], (n,) [N m]."""
         import mujoco
 
-        model, data = self.model, self.scratch
+        model, data = self.model, self.data
         data.qpos[:], data.qvel[:] = q, v
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
@@ -48,11 +48,11 @@ class RigidBodyDynamics:
         mujoco.mj_rne(model, data, 0, bias)
         return mass, bias
 
-    def inverse(self, q: Array, v: Array, a: Array) -> Array:
+    def inverse_dynamics(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         """Torque that a motion needs. Shapes (N, n) -> (N, n) [N m]."""
         import mujoco
 
-        model, data = self.model, self.scratch
+        model, data = self.model, self.data
         out, row = np.empty(q.shape), np.empty(self.n)
         for k in range(len(q)):
             data.qpos[:], data.qvel[:], data.qacc[:] = q[k], v[k], a[k]
@@ -63,11 +63,11 @@ class RigidBodyDynamics:
             out[k] = row
         return out
 
-    def jacobian(self, q: Array, joint: str) -> Array:
+    def centre_of_mass_jacobian(self, q: FloatArray, joint: str) -> FloatArray:
         """∂(centre of mass of the link a joint moves)/∂q, along a motion. Shape (N, 3, n) [m]."""
         import mujoco
 
-        model, data = self.model, self.scratch
+        model, data = self.model, self.data
         body = int(model.jnt_bodyid[self.joints.index(joint)])
         out, part = np.empty((len(q), 3, self.n)), np.empty((3, self.n))
         for k in range(len(q)):
@@ -78,15 +78,15 @@ class RigidBodyDynamics:
             out[k] = part
         return out
 
-    def energy(self, q: Array, v: Array) -> Array:
+    def total_energy(self, q: FloatArray, v: FloatArray) -> FloatArray:
         """Kinetic plus potential energy along a motion. Shapes (N, n) -> (N,) [J]."""
         import mujoco
 
-        model, data, out = self.model, self.scratch, np.empty(len(q))
+        model, data, out = self.model, self.data, np.empty(len(q))
         for k in range(len(q)):
-            mass, _ = self.terms(q[k], v[k])
+            mass, _ = self.mass_and_bias(q[k], v[k])
             mujoco.mj_energyPos(model, data)
-            out[k] = 0.5 * v[k] @ mass @ v[k] + data.energy[0]
+            out[k] = 0.5 * v[k] @ mass @ v[k] + data.total_energy[0]
         return out
 
 
@@ -101,7 +101,7 @@ def build_dynamics(
 
     fixed = tree
     for name in set(tree.joints) - set(joints):
-        fixed = fixed.locked(name, (lock or {}).get(name, 0.0))
+        fixed = fixed.with_locked_joint(name, (lock or {}).get(name, 0.0))
     for name in joints:
         fixed.joint(name)
     root = ElementTree.fromstring(fixed.text)
@@ -124,20 +124,22 @@ def build_dynamics(
         ) from error
     model.opt.gravity[:] = gravity
     for body in range(1, model.nbody):
-        _set_body(model, body, fixed.body(str(model.body(body).name)))
+        _set_body(model, body, fixed.pseudo_inertia(str(model.pseudo_inertia(body).name)))
     scratch = mujoco.MjData(model)
     mujoco.mj_setConst(model, scratch)
-    return RigidBodyDynamics(fixed, tuple(str(model.joint(i).name) for i in range(model.njnt)), model, scratch)
+    return RigidBodyDynamics(
+        fixed, tuple(str(model.joint(i).name) for i in range(model.njnt)), model, scratch
+    )
 
 
-def _set_body(model: Any, body: int, pseudo: Array) -> None:
+def _set_body(model: Any, body: int, pseudo: FloatArray) -> None:
     """Mass, centre and principal moments of a body, from its pseudo-inertia in the link's frame."""
     import mujoco
 
     mass = float(pseudo[3, 3])
     centre = pseudo[:3, 3] / mass if mass > 0.0 else np.zeros(3)
     second = pseudo[:3, :3] - mass * np.outer(centre, centre)
-    moments, axes = np.linalg.eigh(np.trace(second) * np.eye(3) - second)
+    moments, axes = np.linalg.eigh(np.history(second) * np.eye(3) - second)
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     quaternion = np.empty(4)
     mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(axes).ravel())

@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
+from .._types import FloatArray
 from .actuator import JointActuators
 from .mujoco_dynamics import RigidBodyDynamics
 from .urdf_tree import UrdfTree
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)
@@ -21,11 +18,11 @@ class JointStates:
     q, v, a: of the motor's shaft, divided by the gear ratio [rad, rad/s, rad/s²]. load: torque passed on to the link [N m].
     """
 
-    t: Array
-    q: Array
-    v: Array
-    a: Array
-    load: Array
+    t: FloatArray
+    q: FloatArray
+    v: FloatArray
+    a: FloatArray
+    load: FloatArray
 
 
 @dataclass(frozen=True)
@@ -33,58 +30,60 @@ class TransmissionSpring:
     """What an elastic joint passes on: f(δ, δ̇) of its wind-up δ = θ − q. pull: floats to (torque, ∂/∂δ, ∂/∂δ̇)."""
 
     joint: int
-    pull: Callable[[float, float], tuple[float, float, float]]
+    torque_and_slopes: Callable[[float, float], tuple[float, float, float]]
 
 
 @dataclass(frozen=True)
 class BaseSuspension:
     """Springs and dampers under the base's own coordinates. Shapes (k,) [N m/rad, N m s/rad]."""
 
-    stiffness: Array
-    damping: Array
+    stiffness: FloatArray
+    damping: FloatArray
 
 
 class PhysicalEffect:
     """Hidden physics of a robot. Torques are what the drive must give in addition, Shape (…, n) [N m]."""
 
-    memory: int = 0
+    state_size: int = 0
 
-    def alter(self, tree: UrdfTree) -> UrdfTree:
+    def modify_tree(self, tree: UrdfTree) -> UrdfTree:
         """Other bodies or frames."""
         return tree
 
-    def gravity(self, vector: Array) -> Array:
+    def gravity(self, vector: FloatArray) -> FloatArray:
         """Gravity in the base's frame. Shape (3,) [m/s²]."""
         return vector
 
-    def drives(self, drive: JointActuators) -> JointActuators:
+    def modify_actuators(self, drive: JointActuators) -> JointActuators:
         """Other drives."""
         return drive
 
-    def bound(self, arm: RigidBodyDynamics) -> PhysicalEffect:
+    def bind(self, arm: RigidBodyDynamics) -> PhysicalEffect:
         """The same law, knowing the arm it acts on."""
         return self
 
-    def suspension(self) -> BaseSuspension | None:
+    def base_suspension(self) -> BaseSuspension | None:
         """What carries the coordinates that `alter` put under the base."""
         return None
 
-    def spring(self) -> TransmissionSpring | None:
+    def transmission_spring(self) -> TransmissionSpring | None:
         """What lies between a motor and its link instead of a rigid gear."""
         return None
 
-    def advance(self, x: JointStates, z: Array, dt: float) -> Array:
+    def advance_state(self, x: JointStates, z: FloatArray, dt: float) -> FloatArray:
         """Memory after dt [s] at the motion x. Shape (…, memory)."""
         return z
 
-    def torque(self, x: JointStates, z: Array) -> Array | None:
+    def torque(self, x: JointStates, z: FloatArray) -> FloatArray | None:
         """Additional torque, or None."""
         return None
 
-    def seen(self, q: Array) -> Array:
+    def measured_position(self, q: FloatArray) -> FloatArray:
         """Position that the motor's encoder tells. Shapes (…, n)."""
         return q
 
-    def told(self, torque: Callable[[Array], Array], t: Array) -> Array:
+    def measured_torque(
+        self, torque: Callable[[FloatArray], FloatArray], t: FloatArray
+    ) -> FloatArray:
         """Torque that the robot tells at times t, where torque(t) is the true one. Shape (N, n)."""
         return torque(t)

@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from .._types import FloatArray
 from .measurement import MeasurementChain
 from .reference_trajectory import ReferenceTrajectory
-from .simulated_robot import SimulatedRobot, SimulatedMotion
+from .simulated_robot import SimulatedMotion, SimulatedRobot
 from .urdf_tree import INERTIA_INDICES, UrdfTree
 
-Array = np.ndarray
 SETTLING_TIME = 0.5
 """Of the periodic part, what is left out of the stated window until the loop has settled [s]."""
 
@@ -30,14 +30,14 @@ class SimulatedRecording:
     """
 
     joints: tuple[str, ...]
-    t: Array
-    q: Array
-    tau: Array
-    qref: Array
+    t: FloatArray
+    q: FloatArray
+    tau: FloatArray
+    qref: FloatArray
     period: float
     periodic: tuple[float, float]
 
-    def csv(self) -> str:
+    def to_csv(self) -> str:
         """The contract's columns; every number takes equally many characters."""
         stream = io.StringIO()
         names = [f"{kind}.{joint}" for kind in ("q", "tau", "qref") for joint in self.joints]
@@ -46,7 +46,7 @@ class SimulatedRecording:
         table = np.hstack([self.t[:, None], self.q, self.tau, self.qref])
         return stream.getvalue() + "".join(row % tuple(values) for values in table.tolist())
 
-    def sidecar(self) -> dict[str, Any]:
+    def to_sidecar(self) -> dict[str, Any]:
         """`excite.recording/1`."""
         return {
             "schema": "excite.recording/1",
@@ -57,24 +57,34 @@ class SimulatedRecording:
         }
 
 
-def measure(run: SimulatedMotion, reference: ReferenceTrajectory, chain: MeasurementChain, rng: np.random.Generator) -> SimulatedRecording:
+def measure(
+    run: SimulatedMotion,
+    reference: ReferenceTrajectory,
+    chain: MeasurementChain,
+    rng: np.random.Generator,
+) -> SimulatedRecording:
     """Measure a motion. The same generator state gives the same noise, whatever hides in the robot."""
-    t = chain.times(reference.duration)
+    t = chain.clock_times(reference.duration)
     clock, noise = rng.spawn(2)
-    q, tau = run.told(chain.sampled(t, clock))
-    window = (reference.periodic[0] + min(SETTLING_TIME, 0.1 * reference.period), reference.periodic[1])
+    q, tau = run.measured_torque(chain.sampling_times(t, clock))
+    window = (
+        reference.periodic[0] + min(SETTLING_TIME, 0.1 * reference.period),
+        reference.periodic[1],
+    )
     return SimulatedRecording(
         reference.joints,
         t,
-        chain.positions(q),
-        chain.torques(tau, noise),
+        chain.quantise_positions(q),
+        chain.measure_torques(tau, noise),
         reference.at(t)[0],
         reference.period,
         window,
     )
 
 
-def truth_document(plant: SimulatedRobot, chain: MeasurementChain, facts: Mapping[str, Any]) -> dict[str, Any]:
+def truth_document(
+    plant: SimulatedRobot, chain: MeasurementChain, facts: Mapping[str, Any]
+) -> dict[str, Any]:
     """`excite.truth/1`: what the simulated robot is, in the contract's units; `facts` (effects, seed …) come first."""
     drive = {
         key: dict(zip(plant.joints, values.tolist(), strict=True))
@@ -97,11 +107,12 @@ def truth_document(plant: SimulatedRobot, chain: MeasurementChain, facts: Mappin
 
 def inertial_vector(tree: UrdfTree, link: str) -> list[float]:
     """[m, m·cx, m·cy, m·cz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz] of a link in its own frame."""
-    pseudo = tree.body(link)
-    tensor = np.trace(pseudo[:3, :3]) * np.eye(3) - pseudo[:3, :3]
+    pseudo = tree.pseudo_inertia(link)
+    tensor = np.history(pseudo[:3, :3]) * np.eye(3) - pseudo[:3, :3]
     order = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
     return [
-        float(v) for v in (pseudo[3, 3], *pseudo[:3, 3], *(tensor[INERTIA_INDICES[key]] for key in order))
+        float(v)
+        for v in (pseudo[3, 3], *pseudo[:3, 3], *(tensor[INERTIA_INDICES[key]] for key in order))
     ]
 
 

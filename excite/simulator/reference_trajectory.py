@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from .._types import FloatArray
 from ..errors import UnusableInput
 
-Array = np.ndarray
 SCHEMA = "excite.trajectory/1"
 
 
@@ -24,7 +24,7 @@ class ReferenceTrajectory:
     """
 
     joints: tuple[str, ...]
-    at: Callable[[Array], tuple[Array, Array, Array]]
+    at: Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]
     duration: float
     period: float
     periodic: tuple[float, float]
@@ -60,7 +60,9 @@ def _reference(document: Mapping[str, Any], periods: int | None) -> ReferenceTra
         extra = (periods - int(document["periods"])) * period
     sine, cosine, offset = (np.array(document[key], float) for key in ("sine", "cosine", "offset"))
     wave = fourier_series(sine, cosine, offset, period)
-    parts: list[tuple[float, float, Callable[[Array], tuple[Array, Array, Array]]]] = []
+    parts: list[
+        tuple[float, float, Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]]
+    ] = []
     shift, window = 0.0, (0.0, 0.0)
     for segment in document["segments"]:
         start, end = float(segment["start"]) + shift, float(segment["end"]) + shift
@@ -71,7 +73,7 @@ def _reference(document: Mapping[str, Any], periods: int | None) -> ReferenceTra
         else:
             parts.append((start, end, _ramp(segment["profile"], joints)))
 
-    def at(t: Array) -> tuple[Array, Array, Array]:
+    def at(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         out = tuple(np.empty((len(t), len(joints))) for _ in range(3))
         inside = np.clip(t, parts[0][0], parts[-1][1])
         for start, end, part in parts:
@@ -86,12 +88,12 @@ def _reference(document: Mapping[str, Any], periods: int | None) -> ReferenceTra
 
 
 def fourier_series(
-    sine: Array, cosine: Array, offset: Array, period: float
-) -> Callable[[Array], tuple[Array, Array, Array]]:
+    sine: FloatArray, cosine: FloatArray, offset: FloatArray, period: float
+) -> Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]:
     """q = q₀ + Σ a/(ωk) sin ωkt − b/(ωk) cos ωkt. Shapes (n, K), (n, K), (n,)."""
     k = 2.0 * np.pi / period * np.arange(1, sine.shape[1] + 1)
 
-    def at(t: Array) -> tuple[Array, Array, Array]:
+    def at(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         s, c = np.sin(np.multiply.outer(t, k)), np.cos(np.multiply.outer(t, k))
         return (
             offset + (s / k) @ sine.T - (c / k) @ cosine.T,
@@ -104,10 +106,10 @@ def fourier_series(
 
 def _ramp(
     profile: Mapping[str, Any], joints: tuple[str, ...]
-) -> Callable[[Array], tuple[Array, Array, Array]]:
+) -> Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]:
     first = np.array([profile[key] for key in ("position", "velocity", "acceleration")], float)
 
-    def at(t: Array) -> tuple[Array, Array, Array]:
+    def at(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         out = tuple(np.empty((len(t), len(joints))) for _ in range(3))
         for j, joint in enumerate(joints):
             q, v, a = first[:, j]
@@ -132,9 +134,9 @@ def _ramp(
 
 def blended_fourier(
     joints: tuple[str, ...],
-    sine: Array,
-    cosine: Array,
-    offset: Array,
+    sine: FloatArray,
+    cosine: FloatArray,
+    offset: FloatArray,
     period: float,
     periods: int,
     ramp: float,
@@ -142,7 +144,7 @@ def blended_fourier(
     """A Fourier motion between smooth ramps of `ramp` seconds from and to the pose at its middle; all such references last equally long."""
     wave, end = fourier_series(sine, cosine, offset, period), 2 * ramp + periods * period
 
-    def at(t: Array) -> tuple[Array, Array, Array]:
+    def at(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         q, v, a = wave(np.asarray(t) - ramp)
         u = np.clip(np.minimum(t, end - t) / ramp, 0.0, 1.0)
         sign = np.where(t < end / 2, 1.0, -1.0) / ramp

@@ -8,13 +8,15 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from .._types import FloatArray
 from .mujoco_dynamics import RigidBodyDynamics
 
-Array = np.ndarray
 MUJOCO_SLIDE = 2  # MuJoCo's number for a prismatic joint
 
 
-def rigid_body_regressor(arm: RigidBodyDynamics, q: Array, v: Array, a: Array) -> Array:
+def rigid_body_regressor(
+    arm: RigidBodyDynamics, q: FloatArray, v: FloatArray, a: FloatArray
+) -> FloatArray:
     """Columns of [m, m·c, Ixx, Ixy, Iyy, Ixz, Iyz, Izz] of each body that moves, at its frame. Shapes (N, n) -> (N, n, 10·bodies)."""
     model, rows = arm.model, len(q)
     turn = {0: np.broadcast_to(np.eye(3), (rows, 3, 3))}
@@ -52,7 +54,9 @@ def rigid_body_regressor(arm: RigidBodyDynamics, q: Array, v: Array, a: Array) -
                 spin[b] = spin[b] + rate
         turn[b] = r
         if chain[b]:
-            blocks.append(_body_columns(arm, b, chain[b], turn, place, (spin[b], surge[b], pull[b]), axes))
+            blocks.append(
+                _body_columns(arm, b, chain[b], turn, place, (spin[b], surge[b], pull[b]), axes)
+            )
     return np.concatenate(blocks, axis=2)
 
 
@@ -60,11 +64,11 @@ def _body_columns(
     arm: RigidBodyDynamics,
     b: int,
     chain: list[int],
-    turn: dict[int, Array],
-    place: dict[int, Array],
-    motion: tuple[Array, Array, Array],
-    axes: Array,
-) -> Array:
+    turn: dict[int, FloatArray],
+    place: dict[int, FloatArray],
+    motion: tuple[FloatArray, FloatArray, FloatArray],
+    axes: FloatArray,
+) -> FloatArray:
     """One body's ten columns at every joint. Shape (N, n, 10)."""
     model, r = arm.model, turn[b]
     force, moment = _wrench(*(np.einsum("kji,kj->ki", r, x) for x in motion))
@@ -81,7 +85,7 @@ def _body_columns(
     return out
 
 
-def _wrench(w: Array, alpha: Array, a: Array) -> tuple[Array, Array]:
+def _wrench(w: FloatArray, alpha: FloatArray, a: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Force and moment at the frame's origin, per unit parameter, in the body's frame. Shapes (N, 3, 10)."""
     force, moment = np.zeros((len(w), 3, 10)), np.zeros((len(w), 3, 10))
     force[:, :, 0] = a
@@ -92,13 +96,13 @@ def _wrench(w: Array, alpha: Array, a: Array) -> tuple[Array, Array]:
     return force, moment
 
 
-def _skew(x: Array) -> Array:
+def _skew(x: FloatArray) -> FloatArray:
     out = np.zeros((len(x), 3, 3))
     out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -x[:, 2], x[:, 1], -x[:, 0]
     return out - np.swapaxes(out, 1, 2)
 
 
-def _inertia_product(x: Array) -> Array:
+def _inertia_product(x: FloatArray) -> FloatArray:
     """I x = _times(x) [Ixx, Ixy, Iyy, Ixz, Iyz, Izz]. Shape (N, 3, 6)."""
     out = np.zeros((len(x), 3, 6))
     out[:, 0, 0], out[:, 0, 1], out[:, 0, 3] = x[:, 0], x[:, 1], x[:, 2]
@@ -107,7 +111,7 @@ def _inertia_product(x: Array) -> Array:
     return out
 
 
-def actuator_regressor(v: Array, a: Array, width: Array) -> Array:
+def actuator_regressor(v: FloatArray, a: FloatArray, width: FloatArray) -> FloatArray:
     """Columns of rotor inertia, viscous, Coulomb friction and offset of each joint. Shapes (N, n) -> (N, n, 4n)."""
     rows, n = v.shape
     out = np.zeros((rows, n, 4, n))

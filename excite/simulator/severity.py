@@ -7,16 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, signal
 
+from .._types import FloatArray
 from ..errors import UnusableInput
 from . import mujoco_dynamics as arms
 from .effect_instance import EffectInstance, with_effects
 from .measurement import MeasurementChain
 from .physical_effect import PhysicalEffect
 from .reference_trajectory import ReferenceTrajectory
-from .regressor import rigid_body_regressor, actuator_regressor
-from .simulated_robot import SimulatedRobot, SimulatedMotion
+from .regressor import actuator_regressor, rigid_body_regressor
+from .simulated_robot import SimulatedMotion, SimulatedRobot
 
-Array = np.ndarray
 SEVERITY_BAND = 20.0
 RATE, RATTLING, KEPT = 200.0, 2000.0, 100.0
 """At which torque is looked at; where teeth or springs may swing at hundreds of Hz, which must not pass for slow; and of what is below
@@ -27,7 +27,7 @@ RATE, RATTLING, KEPT = 200.0, 2000.0, 100.0
 class Severity:
     """joints: RMS of the surviving torque below 20 Hz over the noise's, Shape (n,). value: the largest."""
 
-    joints: Array
+    joints: FloatArray
 
     @property
     def value(self) -> float:
@@ -41,39 +41,58 @@ class HiddenTorque:
     torque: told beyond the base model's, Shape (N, n) [N m]. q, v, a: the motion that the robot tells, without noise.
     """
 
-    torque: Array
-    q: Array
-    v: Array
-    a: Array
+    torque: FloatArray
+    q: FloatArray
+    v: FloatArray
+    a: FloatArray
 
 
-def hidden_torque(run: SimulatedMotion, plant: SimulatedRobot, t: Array) -> HiddenTorque:
+def hidden_torque(run: SimulatedMotion, plant: SimulatedRobot, t: FloatArray) -> HiddenTorque:
     """The torque that the base model, rightly parametrised, misses along the told motion; `plant` is the robot without effects."""
-    (q, v, a), (told, tau) = run.motors(t), run.told(t)
-    if any(type(law).seen is not PhysicalEffect.seen for law in run.plant.laws):
+    (q, v, a), (told, tau) = run.motor_motion(t), run.measured_torque(t)
+    if any(
+        type(law).measured_position is not PhysicalEffect.measured_position
+        for law in run.robot.effects
+    ):
         # the error's derivatives, by central differences much finer than its waves
         h = 1e-4
         before, here, after = (_position_error(run, t + shift) for shift in (-h, 0.0, h))
         q, v, a = told, v + (after - before) / (2 * h), a + (after - 2 * here + before) / h**2
-    arm, drive = arms.build_dynamics(plant.tree, plant.joints, plant.lock, plant.gravity), plant.drive
-    return HiddenTorque(tau - (arm.inverse(q, v, a) + drive.inertia * a + drive.friction(v)), q, v, a)
+    arm, drive = (
+        arms.build_dynamics(plant.tree, plant.joints, plant.lock, plant.gravity),
+        plant.drive,
+    )
+    return HiddenTorque(
+        tau - (arm.inverse_dynamics(q, v, a) + drive.inertia * a + drive.friction_torque(v)),
+        q,
+        v,
+        a,
+    )
 
 
-def _position_error(run: SimulatedMotion, t: Array) -> Array:
-    theta = run.motors(t)[0]
+def _position_error(run: SimulatedMotion, t: FloatArray) -> FloatArray:
+    theta = run.motor_motion(t)[0]
     seen = theta
-    for law in run.plant.laws:
-        seen = law.seen(seen)
+    for law in run.robot.effects:
+        seen = law.measured_position(seen)
     return seen - theta
 
 
-def residual_torque(run: SimulatedMotion, plant: SimulatedRobot, reference: ReferenceTrajectory, *, trusted: bool = False) -> Array:
+def residual_torque(
+    run: SimulatedMotion,
+    plant: SimulatedRobot,
+    reference: ReferenceTrajectory,
+    *,
+    trusted: bool = False,
+) -> FloatArray:
     """Torque below 20 Hz that the base model does not explain along the periodic part of a motion. Shape (N, n) [N m].
 
     trusted: the base model stays as it is, nothing is refit.
     """
-    rate = RATTLING if run.plant.springs else RATE
-    found = hidden_torque(run, plant, np.arange(reference.periodic[0], reference.periodic[1], 1.0 / rate))
+    rate = RATTLING if run.robot.springs else RATE
+    found = hidden_torque(
+        run, plant, np.arange(reference.periodic[0], reference.periodic[1], 1.0 / rate)
+    )
     rest = _low_passed(found.torque, rate)
     if trusted:
         return rest
@@ -89,12 +108,14 @@ def residual_torque(run: SimulatedMotion, plant: SimulatedRobot, reference: Refe
     columns = np.concatenate(every, axis=2) * weight[:, None]
     return np.asarray(
         rest
-        - _projection(columns.reshape(-1, columns.shape[2]), (rest * weight).ravel()).reshape(rest.shape)
+        - _projection(columns.reshape(-1, columns.shape[2]), (rest * weight).ravel()).reshape(
+            rest.shape
+        )
         / weight
     )
 
 
-def _projection(columns: Array, target: Array) -> Array:
+def _projection(columns: FloatArray, target: FloatArray) -> FloatArray:
     """The part of the target in the columns' span, whatever their rank."""
     size = np.sqrt(np.square(columns).mean(axis=0))
     kept = columns[:, size > 1e-12 * size.max()] / size[size > 1e-12 * size.max()]
@@ -104,7 +125,7 @@ def _projection(columns: Array, target: Array) -> Array:
     return np.asarray(basis @ (basis.T @ target))
 
 
-def _low_passed(x: Array, rate: float) -> Array:
+def _low_passed(x: FloatArray, rate: float) -> FloatArray:
     """Below 20 Hz, zero phase, as many samples as that needs."""
     return np.asarray(
         signal.sosfiltfilt(signal.butter(4, SEVERITY_BAND, fs=rate, output="sos"), x, axis=0)[
@@ -114,11 +135,16 @@ def _low_passed(x: Array, rate: float) -> Array:
 
 
 def evaluate_severity(
-    run: SimulatedMotion, plant: SimulatedRobot, reference: ReferenceTrajectory, chain: MeasurementChain, *, trusted: bool = False
+    run: SimulatedMotion,
+    plant: SimulatedRobot,
+    reference: ReferenceTrajectory,
+    chain: MeasurementChain,
+    *,
+    trusted: bool = False,
 ) -> Severity:
     """Severity of what a run hides; `plant` is the same robot without it."""
     rest = residual_torque(run, plant, reference, trusted=trusted)
-    return Severity(np.sqrt(np.square(rest).mean(axis=0)) / chain.floor(SEVERITY_BAND))
+    return Severity(np.sqrt(np.square(rest).mean(axis=0)) / chain.noise_floor(SEVERITY_BAND))
 
 
 def scale_to_severity(

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
+from .._types import FloatArray
 from ..errors import UnusableInput
 from . import mujoco_dynamics as arms
 from .actuator import ControllerGains, JointActuators
@@ -17,7 +18,6 @@ from .physical_effect import JointStates, PhysicalEffect, TransmissionSpring
 from .reference_trajectory import ReferenceTrajectory
 from .urdf_tree import UrdfTree
 
-Array = np.ndarray
 ELASTIC_MAX_STEP = 5e-4
 """Longest step where a joint winds up or has play [s]: a motor between its teeth carries a fraction of the inertia that its controller is
 tuned for, and rattles in a loop of two milliseconds; a link that teeth catch swings at hundreds of Hz."""
@@ -31,26 +31,26 @@ class SimulatedRobot:
     joints: tuple[str, ...]
     lock: dict[str, float]
     gravity: tuple[float, ...]
-    limit: Array
+    limit: FloatArray
     drive: JointActuators
     control: ControllerGains
-    laws: tuple[PhysicalEffect, ...] = ()
+    effects: tuple[PhysicalEffect, ...] = ()
     step: float = 1e-3
 
     @property
     def springs(self) -> list[TransmissionSpring]:
         """What lies between motors and links."""
-        return [spring for law in self.laws if (spring := law.spring()) is not None]
+        return [spring for law in self.effects if (spring := law.transmission_spring()) is not None]
 
-    def without(self) -> SimulatedRobot:
+    def without_effects(self) -> SimulatedRobot:
         """The same robot with nothing hidden."""
-        return replace(self, laws=())
+        return replace(self, effects=())
 
     def arm(self) -> RigidBodyDynamics:
         """The rigid bodies as the effects leave them; a base that moves has its coordinates before the joints."""
         tree, gravity = self.tree, np.array(self.gravity)
-        for law in self.laws:
-            tree, gravity = law.alter(tree), law.gravity(gravity)
+        for law in self.effects:
+            tree, gravity = law.modify_tree(tree), law.gravity(gravity)
         extra = tuple(name for name in tree.joints if name not in self.tree.joints)
         return arms.build_dynamics(tree, extra + self.joints, self.lock, tuple(gravity))
 
@@ -58,13 +58,19 @@ class SimulatedRobot:
         """Close the loop on a reference."""
         self._require_room()
         arm, drive = self.arm(), self.drive
-        for law in self.laws:
-            drive = law.drives(drive)
-        bound = replace(self, drive=drive, laws=tuple(law.bound(arm) for law in self.laws))
-        carried = [s for law in bound.laws if (s := law.suspension()) is not None]
+        for law in self.effects:
+            drive = law.modify_actuators(drive)
+        bound = replace(self, drive=drive, effects=tuple(law.bind(arm) for law in self.effects))
+        carried = [s for law in bound.effects if (s := law.base_suspension()) is not None]
         step = min(self.step, ELASTIC_MAX_STEP) if bound.springs else self.step
         trace = ClosedLoop(
-            arm, drive, self.control, bound.laws, carried[0] if carried else None, self.limit, step
+            arm,
+            drive,
+            self.control,
+            bound.effects,
+            carried[0] if carried else None,
+            self.limit,
+            step,
         ).run(reference)
         if not np.isfinite(trace.q).all():
             raise UnusableInput(
@@ -74,7 +80,13 @@ class SimulatedRobot:
 
     def _require_room(self) -> None:
         """A base moves on one set of springs, a joint winds up in one."""
-        if sum(type(law).suspension is not PhysicalEffect.suspension for law in self.laws) > 1:
+        if (
+            sum(
+                type(law).base_suspension is not PhysicalEffect.base_suspension
+                for law in self.effects
+            )
+            > 1
+        ):
             raise UnusableInput(
                 f"{self.tree.source}: more than one effect moves the base; leave one --effect base_compliance"
             )
@@ -94,63 +106,72 @@ class SimulatedMotion:
     """
 
     def __init__(self, plant: SimulatedRobot, arm: RigidBodyDynamics, trace: StateHistory) -> None:
-        self.plant, self.arm, self.trace = plant, arm, trace
+        self.robot, self.arm, self.history = plant, arm, trace
         self.end = float(trace.t[-1])
-        self._links, self._motors = (_spline_and_derivatives(trace.t, x) for x in (trace.q, trace.theta))
+        self._links, self._motors = (
+            _spline_and_derivatives(trace.t, x) for x in (trace.q, trace.theta)
+        )
 
-    def links(self, t: Array) -> tuple[Array, Array, Array]:
+    def links(self, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Position, velocity, acceleration of base and links. Shapes (N, k + n)."""
         return self._at(self._links, t)
 
-    def motors(self, t: Array) -> tuple[Array, Array, Array]:
+    def motor_motion(self, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The same of the motors, at the joints' shafts. Shapes (N, n)."""
         return self._at(self._motors, t)
 
-    def _at(self, motion: tuple[BSpline, BSpline, BSpline], t: Array) -> tuple[Array, Array, Array]:
+    def _at(
+        self, motion: tuple[BSpline, BSpline, BSpline], t: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         t = np.clip(t, 0.0, self.end)
         q, v, a = (spline(t) for spline in motion)
         return q, v, a
 
-    def instant(self, t: Array) -> JointStates:
+    def joint_states(self, t: FloatArray) -> JointStates:
         """The joints at times t, with the torque that passes to the links."""
-        load = self.arm.inverse(*self.links(t))[:, self.arm.n - len(self.plant.joints) :]
-        q, v, a = self.motors(t)
+        load = self.arm.inverse_dynamics(*self.links(t))[:, self.arm.n - len(self.robot.joints) :]
+        q, v, a = self.motor_motion(t)
         return JointStates(t, q, v, a, load)
 
-    def torque(self, t: Array) -> Array:
+    def torque(self, t: FloatArray) -> FloatArray:
         """What the drives gave. Shape (N, n) [N m]."""
         t = np.clip(t, 0.0, self.end)
-        x, drive, at = self.instant(t), self.plant.drive, 0
-        out = x.load + drive.inertia * x.a + drive.friction(x.v)
-        for law in self.plant.laws:
+        x, drive, at = self.joint_states(t), self.robot.drive, 0
+        out = x.load + drive.inertia * x.a + drive.friction_torque(x.v)
+        for law in self.robot.effects:
             if type(law).torque is PhysicalEffect.torque:
                 continue
             z = np.column_stack(
-                [np.interp(t, self.trace.t, self.trace.z[:, i]) for i in range(at, at + law.memory)]
+                [
+                    np.interp(t, self.history.t, self.history.z[:, i])
+                    for i in range(at, at + law.state_size)
+                ]
                 or [np.empty((len(t), 0))]
             )
-            at += law.memory
+            at += law.state_size
             more = law.torque(x, z)
             out = out if more is None else out + more
         return out
 
-    def told(self, t: Array) -> tuple[Array, Array]:
+    def measured_torque(self, t: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Position and torque as the robot tells them, before noise. Shapes (N, n)."""
-        q = self.motors(t)[0]
-        ask: Callable[[Array], Array] = self.torque
-        for law in self.plant.laws:
-            q, ask = law.seen(q), _wrapped(law, ask)
+        q = self.motor_motion(t)[0]
+        ask: Callable[[FloatArray], FloatArray] = self.torque
+        for law in self.robot.effects:
+            q, ask = law.measured_position(q), _wrapped(law, ask)
         return q, ask(t)
 
 
-def _spline_and_derivatives(t: Array, x: Array) -> tuple[BSpline, BSpline, BSpline]:
+def _spline_and_derivatives(t: FloatArray, x: FloatArray) -> tuple[BSpline, BSpline, BSpline]:
     """A smooth motion through positions at equal times, its speed and its acceleration."""
     spline = make_interp_spline(t, x, k=5)
     return spline, spline.derivative(1), spline.derivative(2)
 
 
-def _wrapped(law: PhysicalEffect, ask: Callable[[Array], Array]) -> Callable[[Array], Array]:
-    return lambda t: law.told(ask, t)
+def _wrapped(
+    law: PhysicalEffect, ask: Callable[[FloatArray], FloatArray]
+) -> Callable[[FloatArray], FloatArray]:
+    return lambda t: law.measured_torque(ask, t)
 
 
 def draw_robot(
@@ -167,7 +188,7 @@ def draw_robot(
     lock = {str(k): float(v) for k, v in reference.robot.get("locked", {}).items()}
     gravity = tuple(float(g) for g in reference.robot.get("gravity", arms.GRAVITY))
     arm = arms.build_dynamics(tree, reference.joints, lock, gravity)
-    speed, torque = np.array([tree.limits(name) for name in reference.joints]).T
+    speed, torque = np.array([tree.velocity_and_torque_limit(name) for name in reference.joints]).T
     return SimulatedRobot(
         tree,
         reference.joints,

@@ -10,11 +10,18 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from .._types import FloatArray
 from ..errors import UnusableInput
 
-Array = np.ndarray
 MOVABLE_TYPES = ("revolute", "continuous", "prismatic")
-INERTIA_INDICES = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+INERTIA_INDICES = {
+    "ixx": (0, 0),
+    "ixy": (0, 1),
+    "ixz": (0, 2),
+    "iyy": (1, 1),
+    "iyz": (1, 2),
+    "izz": (2, 2),
+}
 
 
 @dataclass(frozen=True)
@@ -56,14 +63,14 @@ class UrdfTree:
             f"{self.source}: no joint '{name}'; there are: {', '.join(self.joints)}"
         )
 
-    def child(self, joint: str) -> str:
+    def child_link(self, joint: str) -> str:
         """Name of the link that a joint moves."""
         element = self.joint(joint).find("child")
         return str(element.get("link")) if element is not None else ""
 
-    def after(self, joint: str) -> tuple[str, ...]:
+    def following_joints(self, joint: str) -> tuple[str, ...]:
         """Names of the joints, fixed ones too, on the link that a joint moves."""
-        link, joints = self.child(joint), self.root.findall("joint")
+        link, joints = self.child_link(joint), self.root.findall("joint")
         parents = [(j, j.find("parent")) for j in joints]
         return tuple(
             str(j.get("name"))
@@ -71,7 +78,7 @@ class UrdfTree:
             if parent is not None and parent.get("link") == link
         )
 
-    def body(self, link: str) -> Array:
+    def pseudo_inertia(self, link: str) -> FloatArray:
         """Pseudo-inertia [[S, h], [hᵀ, m]] of a link in its own frame, S the second moments. Shape (4, 4) [kg m², kg m, kg]."""
         inertial = self._link(link).find("inertial")
         if inertial is None:
@@ -82,17 +89,17 @@ class UrdfTree:
         for key, (i, j) in INERTIA_INDICES.items():
             tensor[i, j] = tensor[j, i] = _number(moments, key)
         about = rotation @ tensor @ rotation.T
-        second = 0.5 * np.trace(about) * np.eye(3) - about + mass * np.outer(centre, centre)
+        second = 0.5 * np.history(about) * np.eye(3) - about + mass * np.outer(centre, centre)
         return np.block(
             [[second, mass * centre[:, None]], [mass * centre[None, :], np.array([[mass]])]]
         )
 
-    def with_body(self, link: str, pseudo: Array) -> UrdfTree:
+    def with_pseudo_inertia(self, link: str, pseudo: FloatArray) -> UrdfTree:
         """The tree with another body in a link. pseudo: Shape (4, 4), as `body` gives it."""
         mass = float(pseudo[3, 3])
         centre = pseudo[:3, 3] / mass
         second = pseudo[:3, :3] - mass * np.outer(centre, centre)
-        tensor = np.trace(second) * np.eye(3) - second
+        tensor = np.history(second) * np.eye(3) - second
         root = copy.deepcopy(self.root)
         element = next(e for e in root.findall("link") if e.get("name") == link)
         for old in element.findall("inertial"):
@@ -101,11 +108,13 @@ class UrdfTree:
         ElementTree.SubElement(inertial, "origin", xyz=_attribute_text(centre), rpy="0 0 0")
         ElementTree.SubElement(inertial, "mass", value=repr(mass))
         ElementTree.SubElement(
-            inertial, "inertia", {key: repr(float(tensor[at])) for key, at in INERTIA_INDICES.items()}
+            inertial,
+            "inertia",
+            {key: repr(float(tensor[at])) for key, at in INERTIA_INDICES.items()},
         )
         return UrdfTree(self.source, root)
 
-    def moved(self, joint: str, rotation: Array, shift: Array) -> UrdfTree:
+    def with_moved_frame(self, joint: str, rotation: FloatArray, shift: FloatArray) -> UrdfTree:
         """The tree with a joint's frame turned and shifted, both seen in that frame. Shapes (3, 3), (3,) [m]."""
         root = copy.deepcopy(self.root)
         element = next(e for e in root.findall("joint") if e.get("name") == joint)
@@ -113,22 +122,26 @@ class UrdfTree:
         for old in element.findall("origin"):
             element.remove(old)
         rpy = Rotation.from_matrix(before @ rotation).as_euler("xyz")
-        ElementTree.SubElement(element, "origin", xyz=_attribute_text(at + before @ shift), rpy=_attribute_text(rpy))
+        ElementTree.SubElement(
+            element, "origin", xyz=_attribute_text(at + before @ shift), rpy=_attribute_text(rpy)
+        )
         return UrdfTree(self.source, root)
 
-    def locked(self, joint: str, value: float) -> UrdfTree:
+    def with_locked_joint(self, joint: str, value: float) -> UrdfTree:
         """The tree with a joint fixed at a position [rad or m]."""
         element = self.joint(joint)
         axis = _vector(element.find("axis"), "xyz", (1.0, 0.0, 0.0))
         axis = axis / np.linalg.norm(axis)
         if element.get("type") == "prismatic":
-            out = self.moved(joint, np.eye(3), value * axis)
+            out = self.with_moved_frame(joint, np.eye(3), value * axis)
         else:
-            out = self.moved(joint, Rotation.from_rotvec(value * axis).as_matrix(), np.zeros(3))
+            out = self.with_moved_frame(
+                joint, Rotation.from_rotvec(value * axis).as_matrix(), np.zeros(3)
+            )
         out.joint(joint).set("type", "fixed")
         return out
 
-    def limits(self, joint: str) -> tuple[float, float]:
+    def velocity_and_torque_limit(self, joint: str) -> tuple[float, float]:
         """Velocity [rad/s] and torque [N m] limit of a joint; UnusableInput when one is missing."""
         element = self.joint(joint).find("limit")
         values = tuple(
@@ -174,13 +187,15 @@ def read_urdf(path: Path) -> UrdfTree:
     return tree
 
 
-def _origin(element: ElementTree.Element) -> tuple[Array, Array]:
+def _origin(element: ElementTree.Element) -> tuple[FloatArray, FloatArray]:
     origin = element.find("origin")
     rpy, xyz = _vector(origin, "rpy", (0.0,) * 3), _vector(origin, "xyz", (0.0,) * 3)
     return Rotation.from_euler("xyz", rpy).as_matrix(), xyz
 
 
-def _vector(element: ElementTree.Element | None, key: str, default: tuple[float, ...]) -> Array:
+def _vector(
+    element: ElementTree.Element | None, key: str, default: tuple[float, ...]
+) -> FloatArray:
     text = None if element is None else element.get(key)
     return np.array(default if text is None else text.split(), float)
 
@@ -189,5 +204,5 @@ def _number(element: ElementTree.Element | None, key: str) -> float:
     return 0.0 if element is None else float(element.get(key, "0"))
 
 
-def _attribute_text(values: Array) -> str:
+def _attribute_text(values: FloatArray) -> str:
     return " ".join(repr(float(v)) for v in values)

@@ -17,7 +17,7 @@ from scipy import linalg, signal
 from excite.simulator import mujoco_dynamics as arms
 from excite.simulator import urdf_tree as trees
 from excite.simulator.mujoco_dynamics import RigidBodyDynamics
-from excite.simulator.regressor import rigid_body_regressor, actuator_regressor
+from excite.simulator.regressor import actuator_regressor, rigid_body_regressor
 
 Array = np.ndarray
 BAND, MOTION_BAND, RATE, OUT = 20.0, 60.0, 250.0, 50.0

@@ -20,7 +20,7 @@ from excite.simulator import urdf_tree as trees
 from excite.simulator.actuator import ControllerGains, JointActuators
 from excite.simulator.effect_instance import EffectInstance
 from excite.simulator.effects import EFFECT_TYPES
-from excite.simulator.experiment import SimulatedSession, ExperimentSettings
+from excite.simulator.experiment import ExperimentSettings, SimulatedSession
 from excite.simulator.reference_trajectory import ReferenceTrajectory
 from excite.simulator.simulated_robot import SimulatedRobot
 

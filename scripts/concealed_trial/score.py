@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from excite.simulator.effects import FORM_FAMILIES, EFFECT_TYPES
+from excite.simulator.effects import EFFECT_TYPES, FORM_FAMILIES
 
 Array = np.ndarray
 BINS = ((0.0, 0.7), (0.7, 2.0), (2.0, 6.0), (6.0, 18.0), (18.0, np.inf))

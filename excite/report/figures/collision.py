@@ -13,7 +13,7 @@ from ...collision.distance_query import Body
 from ...collision.geometry import Kind, Shape
 from ...collision.workcell import Cell
 from ...trajectory.rest_to_rest import Motion
-from .drawing import BLUE, GREY, INK, RED, few_ticks, grid, render
+from .drawing import BLUE, GREY, INK, RED, axes_grid, limit_ticks, render_svg
 from .small_multiples import Panel, small_multiples
 
 Array = np.ndarray
@@ -43,7 +43,7 @@ def closest(cell: Cell, near: Near) -> str:
     pair = {near.pair.first, near.pair.second}
 
     def draw(figure: Any) -> None:
-        panels = grid(figure, 1, 3, margins=(0.5, 0.1, 0.45, 0.45), gaps=(0.55, 0.0))
+        panels = axes_grid(figure, 1, 3, margins=(0.5, 0.1, 0.45, 0.45), gaps=(0.55, 0.0))
         middle, reach = _frame(cell, near.pose)
         for axes, (view, name) in zip(panels.flat, VIEWS, strict=True):
             for number, body in enumerate(cell.bodies):
@@ -56,7 +56,7 @@ def closest(cell: Cell, near: Near) -> str:
                 )
             window(axes, middle, reach, view, name)
 
-    return render(f"The moment when {near.names} are nearest, seen from three sides", 3.9, draw)
+    return render_svg(f"The moment when {near.names} are nearest, seen from three sides", 3.9, draw)
 
 
 def window(axes: Any, middle: Array, reach: float, view: tuple[int, int], name: str) -> None:
@@ -65,7 +65,7 @@ def window(axes: Any, middle: Array, reach: float, view: tuple[int, int], name: 
     axes.set_xlim(middle[a] - reach, middle[a] + reach)
     axes.set_ylim(middle[b] - reach, middle[b] + reach)
     axes.set_aspect("equal")
-    few_ticks(axes, 5, 5)
+    limit_ticks(axes, 5, 5)
     axes.set_title(name, loc="left")
     axes.set_xlabel(f"{'xyz'[a]} [m]")
     axes.set_ylabel(f"{'xyz'[b]} [m]", labelpad=1)

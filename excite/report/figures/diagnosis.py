@@ -12,7 +12,7 @@ from ...diagnosis.diagnosis import Diagnosis
 from ...diagnosis.isolability import Isolability
 from ...effects.track import split
 from ...identification.identification import Prediction
-from .drawing import BLUE, GREY, INK, MANY, ORANGE, SOFT, few_ticks, render, thin
+from .drawing import BLUE, GREY, INK, COMPACT_LAYOUT_JOINTS, ORANGE, SOFT, limit_ticks, render_svg, thin_curve
 from .heatmap import Heat, heat
 from .torque_fit import SURE, window
 from .trajectory import short, torque_units
@@ -46,7 +46,7 @@ def bars(stated: Mapping[str, Any]) -> str:
         axes.set_xlabel(
             "log-likelihood gained on the recordings it was not fitted to, alone beside the base model"
         )
-        few_ticks(axes, 6, 3)
+        limit_ticks(axes, 6, 3)
         axes.set_yticks(y, labels)
         for place, gain in zip(y, gains, strict=True):
             words, at = f"{gain:.0f}".replace("-", "−"), (max(gain, 0.0), place)
@@ -60,7 +60,7 @@ def bars(stated: Mapping[str, Any]) -> str:
                 color=SOFT,
             )
 
-    return render("Held-out gain of what was considered", 0.5 + 0.22 * len(entries), draw)
+    return render_svg("Held-out gain of what was considered", 0.5 + 0.22 * len(entries), draw)
 
 
 def told(effect: str) -> str:
@@ -91,7 +91,7 @@ def predictions(found: Diagnosis) -> Iterator[Prediction]:
 def traces(one: Prediction, found: Diagnosis, points: int) -> str:
     """Torque measured and predicted of every joint, and below it both residuals with the noise's band."""
     robot, changed = found.identified.model.robot, bool(found.verdict.chosen)
-    columns = 1 if robot.n == 1 else 2 if robot.n <= 4 else 3 if robot.n <= MANY else 5
+    columns = 1 if robot.n == 1 else 2 if robot.n <= 4 else 3 if robot.n <= COMPACT_LAYOUT_JOINTS else 5
     rows = -(-robot.n // columns)
     step = _TORQUE + _RESIDUAL + _GAP
     height, span, units = 0.3 + rows * step, window(one), torque_units(robot)
@@ -132,8 +132,8 @@ def traces(one: Prediction, found: Diagnosis, points: int) -> str:
                 fontweight="bold",
                 pad=3,
             )
-            few_ticks(upper, 6, 3)
-            few_ticks(lower, 6, 3)
+            limit_ticks(upper, 6, 3)
+            limit_ticks(lower, 6, 3)
             upper.tick_params(labelbottom=False)
             upper.set_xlim(*span)
             if joint + columns >= robot.n:
@@ -142,7 +142,7 @@ def traces(one: Prediction, found: Diagnosis, points: int) -> str:
                 lower.set_ylabel("residual")
         _legend(figure, changed)
 
-    return render(f"Measured and predicted torque on {one.source}, before and after", height, draw)
+    return render_svg(f"Measured and predicted torque on {one.source}, before and after", height, draw)
 
 
 def _curves(
@@ -163,7 +163,7 @@ def _curves(
             inside = (t >= span[0]) & (t <= span[1])
             if inside.any():
                 axes.plot(
-                    *thin(t[inside], values[start:stop, joint][inside], points),
+                    *thin_curve(t[inside], values[start:stop, joint][inside], points),
                     color=color,
                     linewidth=width,
                 )

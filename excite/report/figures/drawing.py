@@ -26,11 +26,11 @@ BLUE, ORANGE, GREY, RED, GREEN, INK, SOFT = (
 )
 SHADES = {"approach": "#e3e8ee", "ramp_in": "#fbe6cc", "ramp_out": "#fbe6cc", "return": "#e3e8ee"}
 SEGMENT_WORDS = {"approach": "approach and return", "ramp_in": "ramps", "fourier": "excitation"}
-WIDTH = 10.6
+FIGURE_WIDTH = 10.6
 """Width of a figure [in]; 72 units of the SVG each."""
 _ACROSS = 3
 """Small panels in a row."""
-MANY = 10
+COMPACT_LAYOUT_JOINTS = 10
 """Robots with more joints than this get one figure per quantity."""
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
@@ -63,7 +63,7 @@ _STYLE: dict[Any, Any] = {
 }
 
 
-def render(label: str, height: float, draw: Callable[[Any], None], width: float = WIDTH) -> str:
+def render_svg(label: str, height: float, draw: Callable[[Any], None], width: float = FIGURE_WIDTH) -> str:
     """Draw on a figure of `width` x `height` inches and return its SVG; `label` is what a screen reader says."""
     import matplotlib
     from matplotlib.figure import Figure
@@ -107,7 +107,7 @@ def _short(match: re.Match[str]) -> str:
     return text[:-2] if text.endswith(".0") else text
 
 
-def grid(
+def axes_grid(
     figure: Any,
     rows: int,
     columns: int,
@@ -134,12 +134,12 @@ def grid(
     return out
 
 
-def panels(title: str, things: Sequence[T], draw: Callable[[Any, T], None], height: float) -> str:
+def render_panels(title: str, things: Sequence[T], draw: Callable[[Any, T], None], height: float) -> str:
     """A small panel of each thing, three in a row. draw: onto axes. height: of a panel's axes [inches]."""
     rows = -(-len(things) // _ACROSS)
 
     def every(figure: Any) -> None:
-        cells = grid(
+        cells = axes_grid(
             figure, rows, _ACROSS, margins=(0.55, 0.1, 0.25, 0.45), gaps=(0.55, 0.7)
         ).ravel()
         for axes, thing in zip(cells, things, strict=False):
@@ -147,10 +147,10 @@ def panels(title: str, things: Sequence[T], draw: Callable[[Any, T], None], heig
         for axes in cells[len(things) :]:
             axes.set_axis_off()
 
-    return render(title, rows * (height + 0.7), every)
+    return render_svg(title, rows * (height + 0.7), every)
 
 
-def thin(t: Array, y: Array, count: int) -> tuple[Array, Array]:
+def thin_curve(t: Array, y: Array, count: int) -> tuple[Array, Array]:
     """At most `count` points of a curve that keep the extremes of every stretch of it."""
     if len(t) <= count:
         return t, y
@@ -162,7 +162,7 @@ def thin(t: Array, y: Array, count: int) -> tuple[Array, Array]:
     return t[index], y[index]
 
 
-def few_ticks(axes: Any, x: int = 4, y: int = 3) -> None:
+def limit_ticks(axes: Any, x: int = 4, y: int = 3) -> None:
     """Ticks that fit a small panel."""
     from matplotlib.ticker import MaxNLocator
 
@@ -172,7 +172,7 @@ def few_ticks(axes: Any, x: int = 4, y: int = 3) -> None:
     axes.set_axisbelow(True)
 
 
-def few_log(axes: Any) -> None:
+def set_decade_ticks(axes: Any) -> None:
     """A light grid at decades, without minor ticks."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 

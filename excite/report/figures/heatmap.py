@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..page import escape
-from .drawing import INK, ORANGE, SOFT, WIDTH
+from .drawing import FIGURE_WIDTH, INK, ORANGE, SOFT
 
 Array = np.ndarray
 _UNITS = 72.0
@@ -28,7 +28,7 @@ class Heat:
     marked: Array | None = None
 
 
-def heat(label: str, shown: Heat, *, cell: tuple[float, float], most: float = WIDTH) -> str:
+def heat(label: str, shown: Heat, *, cell: tuple[float, float], most: float = FIGURE_WIDTH) -> str:
     """The table as SVG. cell: the largest width and the height of a cell."""
     left = 10.0 + _LETTER * max(len(r) for r in shown.rows)
     slant = 0.7 * _LETTER * max(len(c) for c in shown.columns)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...identification.inertia_distance import Distance, Frame
 from ...robot.inertial_parameters import pseudo_inertia
-from .drawing import BLUE, GREY, INK, SOFT, render
+from .drawing import BLUE, GREY, INK, SOFT, render_svg
 from .trajectory import short
 
 Array = np.ndarray
@@ -114,7 +114,7 @@ def ellipsoids(changes: Sequence[Change]) -> str:
                     _scale_bar(axes, half)
         _legend(figure)
 
-    return render("Inertia ellipsoid of every link before and after, in three views", height, draw)
+    return render_svg("Inertia ellipsoid of every link before and after, in three views", height, draw)
 
 
 def _heading(change: Change) -> str:

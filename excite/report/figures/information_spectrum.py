@@ -10,8 +10,20 @@ import numpy as np
 from ...designer.experiment_comparison import Scenario
 from ...designer.identifiability import Identifiability, Share
 from ...robot.parameter_names import percent
-from ..record import DesignRecord
-from .drawing import BLUE, GREEN, GREY, INK, ORANGE, RED, SOFT, few_log, few_ticks, grid, render
+from ..design_record import DesignRecord
+from .drawing import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    RED,
+    SOFT,
+    axes_grid,
+    limit_ticks,
+    render_svg,
+    set_decade_ticks,
+)
 from .trajectory import short
 
 Array = np.ndarray
@@ -31,9 +43,9 @@ def spectrum(found: Identifiability) -> str:
     shown, rank = np.where(np.isfinite(variances), variances, top), np.arange(1, len(variances) + 1)
 
     def draw(figure: Any) -> None:
-        axes = grid(figure, 1, 1, margins=(0.6, 0.85, 0.3, 0.42))[0, 0]
+        axes = axes_grid(figure, 1, 1, margins=(0.6, 0.85, 0.3, 0.42))[0, 0]
         axes.set_yscale("log")
-        few_log(axes)
+        set_decade_ticks(axes)
         for chosen, color, label in (
             (good, GREEN, "identifiable"),
             (~good, RED, "not identifiable"),
@@ -85,7 +97,7 @@ def spectrum(found: Identifiability) -> str:
         axes.legend(loc="lower right")
         _deviation_axis(axes)
 
-    return render("Scale-free variance of every direction", 3.1, draw)
+    return render_svg("Scale-free variance of every direction", 3.1, draw)
 
 
 def _deviation_axis(axes: Any) -> None:
@@ -140,7 +152,7 @@ def shares(links: Sequence[Share], joints: Sequence[Share]) -> str:
                 axes.spines[side].set_visible(False)
             axes.set_title(title, loc="left")
 
-    return render("Share of each link and joint that is identifiable", 0.45 + 0.21 * most, draw)
+    return render_svg("Share of each link and joint that is identifiable", 0.45 + 0.21 * most, draw)
 
 
 def deviations(found: Identifiability) -> str:
@@ -156,10 +168,10 @@ def deviations(found: Identifiability) -> str:
     x = np.where(known, np.maximum(size, low), low / 12.0)
 
     def draw(figure: Any) -> None:
-        axes = grid(figure, 1, 1, margins=(0.6, 1.0, 0.3, 0.42))[0, 0]
+        axes = axes_grid(figure, 1, 1, margins=(0.6, 1.0, 0.3, 0.42))[0, 0]
         axes.set_xscale("log")
         axes.set_yscale("log")
-        few_log(axes)
+        set_decade_ticks(axes)
         top = float(std[usable].max()) * 8.0 if usable.any() else high
         if usable.any():
             axes.set_ylim(float(std[usable].min()) / 5.0, top)
@@ -222,7 +234,7 @@ def deviations(found: Identifiability) -> str:
             borderaxespad=0.0,
         )
 
-    return render("Predicted standard deviations against nominal values", 3.9, draw)
+    return render_svg("Predicted standard deviations against nominal values", 3.9, draw)
 
 
 def _kind(name: str) -> str:
@@ -245,9 +257,9 @@ def scenarios(cases: Sequence[Scenario], threshold: float) -> str:
     names = {"now": "as designed", "time": "twice the time", "speed": "twice the speed"}
 
     def draw(figure: Any) -> None:
-        axes = grid(figure, 1, 1, margins=(0.6, 0.15, 0.3, 0.42))[0, 0]
+        axes = axes_grid(figure, 1, 1, margins=(0.6, 0.15, 0.3, 0.42))[0, 0]
         axes.set_yscale("log")
-        few_log(axes)
+        set_decade_ticks(axes)
         for case, color in zip(cases, (BLUE, ORANGE, GREEN), strict=False):
             kept = case.eigenvalues > 0.0
             rank = np.arange(1, len(kept) + 1)[kept]
@@ -275,7 +287,7 @@ def scenarios(cases: Sequence[Scenario], threshold: float) -> str:
         axes.set_ylabel("scale-free variance 1/λ")
         axes.legend(loc="upper left")
 
-    return render("Variances with twice the time and twice the speed", 2.9, draw)
+    return render_svg("Variances with twice the time and twice the speed", 2.9, draw)
 
 
 def history(record: DesignRecord) -> str:
@@ -329,9 +341,9 @@ def history(record: DesignRecord) -> str:
                 ),
                 record,
             )
-        few_ticks(left, 6, 5)
+        limit_ticks(left, 6, 5)
 
-    return render("Objective of every start against time", 3.0, draw)
+    return render_svg("Objective of every start against time", 3.0, draw)
 
 
 def _ends(axes: Any, record: DesignRecord) -> None:
@@ -356,6 +368,6 @@ def _ends(axes: Any, record: DesignRecord) -> None:
     axes.set_ylabel("% above the best")
     axes.set_xlim(0.3, len(values) + 0.7)
     axes.set_ylim(-0.05 * max(1.0, excess.max()), 1.08 * max(1.0, excess.max()))
-    few_ticks(axes, 5, 5)
+    limit_ticks(axes, 5, 5)
     if len(values) <= 8:
         axes.set_xticks(range(1, len(values) + 1))

@@ -13,15 +13,15 @@ from .drawing import (
     BLUE,
     GREY,
     INK,
-    MANY,
+    COMPACT_LAYOUT_JOINTS,
     ORANGE,
     RED,
     SOFT,
-    few_log,
-    few_ticks,
-    grid,
-    render,
-    thin,
+    axes_grid,
+    limit_ticks,
+    render_svg,
+    set_decade_ticks,
+    thin_curve,
 )
 from .trajectory import short
 
@@ -48,12 +48,12 @@ def spectra(
     words: str,
 ) -> str:
     """Torque, its noise and the residual of every joint over frequency. hertz: the band. words: what `noise` is."""
-    columns = 1 if len(joints) == 1 else 2 if len(joints) <= 4 else 3 if len(joints) <= MANY else 5
+    columns = 1 if len(joints) == 1 else 2 if len(joints) <= 4 else 3 if len(joints) <= COMPACT_LAYOUT_JOINTS else 5
     rows = -(-len(joints) // columns)
     far = min(4.0 * hertz, float(torque.frequency[-1]))
 
     def draw(figure: Any) -> None:
-        cells = grid(figure, rows, columns, margins=(0.55, 0.1, 0.5, 0.42), gaps=(0.5, 0.45))
+        cells = axes_grid(figure, rows, columns, margins=(0.55, 0.1, 0.5, 0.42), gaps=(0.5, 0.45))
         for k in range(rows * columns):
             axes = cells[divmod(k, columns)]
             if k >= len(joints):
@@ -77,7 +77,7 @@ def spectra(
             borderaxespad=0.0,
         )
 
-    return render(
+    return render_svg(
         "Power density of torque, noise and residual of every joint",
         0.9 + rows * 1.5 + (rows - 1) * 0.2,
         draw,
@@ -94,12 +94,12 @@ def _joint(
         kept = (kind.frequency <= far) & (kind.power[:, k] > 0.0)
         if kept.any():
             axes.plot(
-                *thin(kind.frequency[kept], kind.power[kept, k], _POINTS),
+                *thin_curve(kind.frequency[kept], kind.power[kept, k], _POINTS),
                 color=color,
                 linewidth=width,
                 label=label,
             )
-    few_log(axes)
+    set_decade_ticks(axes)
     axes.set_xlim(0.0, far)
 
 
@@ -122,7 +122,7 @@ def clock(
         left = figure.add_axes((1.5 / width, 0.45 / height, 3.9 / width, size / height))
         left.axvline(0.0, color=INK, linewidth=0.8)
         left.errorbar(1e3 * delay.seconds, places, xerr=1e3 * INTERVAL * delay.deviation, **bars)
-        few_ticks(left, 6, 4)
+        limit_ticks(left, 6, 4)
         left.set_xlabel("torque later than position by [ms], 95 % interval")
         left.set_title("Delay", loc="left", fontweight="bold")
         left.set_yticks(places, names, fontsize=7, color=INK)
@@ -152,6 +152,6 @@ def clock(
         for axes in (left, right):
             axes.set_ylim(len(places) - 0.5, -0.5)
 
-    return render(
+    return render_svg(
         "Delay and width of Coulomb friction of every joint", 0.95 + 0.2 * max(2, len(joints)), draw
     )

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .drawing import BLUE, GREEN, GREY, INK, ORANGE, SOFT, few_ticks, render
+from .drawing import BLUE, GREEN, GREY, INK, ORANGE, SOFT, limit_ticks, render_svg
 
 Array = np.ndarray
 _LINE = 0.155
@@ -54,7 +54,7 @@ def changes(entries: Sequence[Moved]) -> str:
             axes.set_title(title, loc="left")
         _legend(figure)
 
-    return render("Change of every base parameter with its 95 % interval", height, draw)
+    return render_svg("Change of every base parameter with its 95 % interval", height, draw)
 
 
 def _forest(axes: Any, group: Sequence[Moved]) -> None:
@@ -93,7 +93,7 @@ def _forest(axes: Any, group: Sequence[Moved]) -> None:
             markeredgewidth=0.9,
         )
     axes.set_xlim(-limit, limit)
-    few_ticks(axes, 5, 5)
+    limit_ticks(axes, 5, 5)
     axes.xaxis.set_major_formatter(
         lambda value, _: f"{100.0 * value:+.5g} %".replace("-", "−") if value else "nominal"
     )
@@ -160,4 +160,4 @@ def decided(shares: Array) -> str:
             borderaxespad=0.0,
         )
 
-    return render("Share of each direction that the data decided", 1.9, draw)
+    return render_svg("Share of each direction that the data decided", 1.9, draw)

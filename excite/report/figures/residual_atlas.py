@@ -10,14 +10,14 @@ import numpy as np
 from ...diagnosis.residual_atlas import SIGNIFICANT, Atlas, Panel
 from ...diagnosis.residual_curves import Kind
 from ..page import escape
-from .drawing import BLUE, GREY, INK, ORANGE, RED, SOFT, WIDTH, thin
+from .drawing import BLUE, FIGURE_WIDTH, GREY, INK, ORANGE, RED, SOFT, thin_curve
 from .heatmap import Heat, heat
 from .small_multiples import ticks
 from .trajectory import short
 
 Array = np.ndarray
 _COLUMNS = 4
-_TOTAL = WIDTH * 72.0
+_TOTAL = FIGURE_WIDTH * 72.0
 _LEFT, _RIGHT, _GAP, _TOP, _HEIGHT, _STEP = 32.0, 6.0, 32.0, 44.0, 74.0, 128.0
 _OTHER = "speed of "
 _ORDER = (
@@ -94,7 +94,7 @@ def joint_figure(
         parts += _panel(frame, panel, floor, changed=changed)
     bottom = _TOP + -(-len(shown) // _COLUMNS) * _STEP - 24.0
     head = f'<svg viewBox="0 0 {_TOTAL:g} {bottom:g}" role="img" aria-label="{escape(f"Held-out residual of {joint} against everything")}" '
-    return f'{head}style="max-width:{WIDTH * 96:.0f}px" font-family="sans-serif" fill="{INK}">{"".join(parts)}</svg>'
+    return f'{head}style="max-width:{FIGURE_WIDTH * 96:.0f}px" font-family="sans-serif" fill="{INK}">{"".join(parts)}</svg>'
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ def _panel(frame: Frame, panel: Panel, floor: float, *, changed: bool) -> list[s
 
 def thinned(frame: Frame, at: Array, values: Array) -> list[str]:
     """Points of a curve that a small panel can show."""
-    return frame.curve(*thin(at, values, 160))
+    return frame.curve(*thin_curve(at, values, 160))
 
 
 def _axes(frame: Frame, panel: Panel, bottom: float) -> list[str]:

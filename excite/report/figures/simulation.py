@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from .drawing import BLUE, GREY, ORANGE, few_ticks, grid, render, thin
+from .drawing import BLUE, GREY, ORANGE, axes_grid, limit_ticks, render_svg, thin_curve
 
 DRAWN_POINTS = 1200
 """Points of a curve; more are not seen at the picture's width."""
@@ -26,20 +26,20 @@ def torque_with_and_without_effects(
     hidden = " + ".join(effect.name for effect in effects) or "nothing hidden"
 
     def draw(figure: Any) -> None:
-        axes = grid(figure, len(joints), 2, margins=(0.65, 0.15, 0.45, 0.4), gaps=(0.6, 0.22))
+        axes = axes_grid(figure, len(joints), 2, margins=(0.65, 0.15, 0.45, 0.4), gaps=(0.6, 0.22))
         for j, joint in enumerate(joints):
             left, right = axes[j]
-            left.plot(*thin(t, recording.tau[:, j], DRAWN_POINTS), color=BLUE, label="recorded")
+            left.plot(*thin_curve(t, recording.tau[:, j], DRAWN_POINTS), color=BLUE, label="recorded")
             left.plot(
-                *thin(t, plain[:, j], DRAWN_POINTS),
+                *thin_curve(t, plain[:, j], DRAWN_POINTS),
                 color=ORANGE,
                 label="the same robot, nothing hidden, no noise",
             )
-            right.plot(*thin(t, change[:, j], DRAWN_POINTS), color=GREY, label="difference")
+            right.plot(*thin_curve(t, change[:, j], DRAWN_POINTS), color=GREY, label="difference")
             left.set_ylabel("N m")
             left.set_title(joint, loc="left", pad=3)
             for axis in (left, right):
-                few_ticks(axis, 6)
+                limit_ticks(axis, 6)
                 axis.set_xlim(0.0, t[-1])
                 axis.tick_params(labelbottom=j == len(joints) - 1)
         axes[0, 0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
@@ -47,6 +47,6 @@ def torque_with_and_without_effects(
         for axis in axes[-1]:
             axis.set_xlabel("t [s]")
 
-    svg = render(f"Torque with and without {hidden}", 0.85 + 1.15 * len(joints), draw)
+    svg = render_svg(f"Torque with and without {hidden}", 0.85 + 1.15 * len(joints), draw)
     namespaces = 'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
     return svg.replace("<svg ", f"<svg {namespaces} ", 1)

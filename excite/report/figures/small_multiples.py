@@ -9,7 +9,18 @@ import numpy as np
 
 from ...trajectory.rest_to_rest import Motion
 from ..page import escape
-from .drawing import BLUE, GREY, INK, ORANGE, RED, SEGMENT_WORDS, SHADES, SOFT, WIDTH, thin
+from .drawing import (
+    BLUE,
+    FIGURE_WIDTH,
+    GREY,
+    INK,
+    ORANGE,
+    RED,
+    SEGMENT_WORDS,
+    SHADES,
+    SOFT,
+    thin_curve,
+)
 
 Array = np.ndarray
 _UNITS = 72.0
@@ -69,7 +80,7 @@ def small_multiples(
     heads: Sequence[str] = (),
 ) -> str:
     """A grid of panels, filled row by row, as SVG. height: of one panel's axes. heads: a heading above each column."""
-    total = WIDTH * _UNITS
+    total = FIGURE_WIDTH * _UNITS
     width = (total - _LEFT - _RIGHT - _GAP * (columns - 1)) / columns
     top, rows = 18.0 + (14.0 if heads else 0.0), -(-len(panels) // columns)
     points = 400 if columns <= 3 else 320 if len(panels) <= 40 else 200
@@ -87,7 +98,7 @@ def small_multiples(
         parts += _time_axis(cell, labelled=k + columns >= len(panels))
     bottom = top + rows * (height + _TITLE + 8.0) - 8.0 + _FOOT
     head = f'<svg viewBox="0 0 {_short(total)} {_short(bottom)}" role="img" aria-label="{escape(label)}" '
-    return f'{head}style="max-width:{WIDTH * 96:.0f}px" font-family="sans-serif" fill="{INK}">{"".join(parts)}</svg>'
+    return f'{head}style="max-width:{FIGURE_WIDTH * 96:.0f}px" font-family="sans-serif" fill="{INK}">{"".join(parts)}</svg>'
 
 
 def planes(
@@ -100,7 +111,7 @@ def planes(
     height: float,
 ) -> str:
     """A grid of planes as SVG. names: of the two curves. axes: what is drawn against what, said once."""
-    total = WIDTH * _UNITS
+    total = FIGURE_WIDTH * _UNITS
     width = (total - _LEFT - _RIGHT - _GAP * (columns - 1)) / columns
     entries = [("line", BLUE, names[0]), ("line", ORANGE, names[1]), ("dashed", RED, "limit")]
     parts = [_text(_LEFT, 10.0, axes, size=7.5, color=SOFT), *_key(entries, total)]
@@ -116,7 +127,7 @@ def planes(
         parts += _plane(panel, cell, x[2], y[2])
     bottom = 18.0 + -(-len(panels) // columns) * step
     head = f'<svg viewBox="0 0 {_short(total)} {_short(bottom)}" role="img" aria-label="{escape(label)}" '
-    return f'{head}style="max-width:{WIDTH * 96:.0f}px" font-family="sans-serif" fill="{INK}">{"".join(parts)}</svg>'
+    return f'{head}style="max-width:{FIGURE_WIDTH * 96:.0f}px" font-family="sans-serif" fill="{INK}">{"".join(parts)}</svg>'
 
 
 def _extent(values: Array, limits: tuple[float, float]) -> tuple[float, float, list[float]]:
@@ -186,13 +197,13 @@ def _panel(panel: Panel, cell: _Cell, motion: Motion, drawn: list[float], points
         parts.append(_text(cell.x - 3.0, y + 2.4, _tick(tick), size=7.0, anchor="end", color=SOFT))
     if panel.band is not None:
         above, below = (
-            _points(cell, *thin(panel.t, panel.y + sign * panel.band, points))
+            _points(cell, *thin_curve(panel.t, panel.y + sign * panel.band, points))
             for sign in (1.0, -1.0)
         )
         parts.append(
             f'<path d="M{"L".join([*above, *reversed(below)])}Z" fill="{BLUE}" fill-opacity=".25"/>'
         )
-    curve = _points(cell, *thin(panel.t, panel.y, points))
+    curve = _points(cell, *thin_curve(panel.t, panel.y, points))
     parts.append(
         f'<path d="M{"L".join(curve)}" fill="none" stroke="{BLUE}" stroke-linejoin="round"/>'
     )

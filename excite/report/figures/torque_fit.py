@@ -12,7 +12,7 @@ import numpy as np
 from ...identification.identification import Prediction
 from ...robot.parameter_names import multiple, percent
 from ...robot.robot import Robot
-from .drawing import BLUE, GREY, INK, MANY, ORANGE, SOFT, few_ticks, render, thin
+from .drawing import BLUE, GREY, INK, COMPACT_LAYOUT_JOINTS, ORANGE, SOFT, limit_ticks, render_svg, thin_curve
 from .trajectory import short, torque_units
 
 Array = np.ndarray
@@ -52,7 +52,7 @@ def window(prediction: Prediction) -> tuple[float, float]:
 
 def traces(prediction: Prediction, robot: Robot, points: int) -> str:
     """Torque measured, before and after, and the residual below it with its noise's band. points: of a curve at the most."""
-    columns = 1 if robot.n == 1 else 2 if robot.n <= 4 else 3 if robot.n <= MANY else 5
+    columns = 1 if robot.n == 1 else 2 if robot.n <= 4 else 3 if robot.n <= COMPACT_LAYOUT_JOINTS else 5
     size = _Row(1.5, 0.8) if columns <= 2 else _Row(1.05, 0.55)
     rows = -(-robot.n // columns)
     height = 0.3 + rows * (size.torque + size.residual + size.gap)
@@ -90,7 +90,7 @@ def traces(prediction: Prediction, robot: Robot, points: int) -> str:
                 lower.set_ylabel("residual")
         _legend(figure, floored=prediction.floor is not None)
 
-    return render(
+    return render_svg(
         f"Measured and predicted torque of every joint on {prediction.source}", height, draw
     )
 
@@ -129,7 +129,7 @@ def _torque(
         (prediction.fitted, BLUE, 0.8),
     ):
         axes.plot(*_curve(prediction, values[:, joint], span, points), color=color, linewidth=width)
-    few_ticks(axes, 6, 3)
+    limit_ticks(axes, 6, 3)
     axes.tick_params(labelbottom=False)
     axes.set_xlim(*span)
 
@@ -143,7 +143,7 @@ def _residual(
         reach = SURE * float(prediction.floor[joint])
         axes.axhspan(-reach, reach, color=GREY, alpha=0.35, linewidth=0.0)
     axes.plot(*_curve(prediction, left, span, points), color=ORANGE, linewidth=0.7)
-    few_ticks(axes, 6, 2)
+    limit_ticks(axes, 6, 2)
 
 
 def _curve(
@@ -157,7 +157,7 @@ def _curve(
         t = prediction.time[start:stop]
         inside = (t >= span[0]) & (t <= span[1])
         if inside.any():
-            kept = thin(
+            kept = thin_curve(
                 t[inside], values[start:stop][inside], max(8, points * int(inside.sum()) // total)
             )
             times += [kept[0], np.array([kept[0][-1]])]

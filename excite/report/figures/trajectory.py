@@ -14,7 +14,7 @@ from ...robot.robot import Robot
 from ...trajectory.rest_to_rest import Motion
 from ..page import escape
 from .collision import VIEWS, fill, outlines, window
-from .drawing import BLUE, GREY, INK, MANY, ORANGE, SEGMENT_WORDS, grid, render
+from .drawing import BLUE, GREY, INK, COMPACT_LAYOUT_JOINTS, ORANGE, SEGMENT_WORDS, axes_grid, render_svg
 from .small_multiples import Panel, small_multiples
 
 Array = np.ndarray
@@ -65,7 +65,7 @@ def kinematics(scene: Scene) -> list[str]:
         f"{short(joint)} (m)" if slides and not all(sliding) else short(joint)
         for joint, slides in zip(robot.joints, sliding, strict=True)
     ]
-    if robot.n <= MANY:
+    if robot.n <= COMPACT_LAYOUT_JOINTS:
         cells = [
             panel(order, j, names[j] if order == 0 else "")
             for j in range(robot.n)
@@ -111,7 +111,7 @@ def short(name: str, most: int = 26) -> str:
 def torques(t: Array, nominal: Array, width: Array, scene: Scene) -> str:
     """Torque of every joint, the band of uncertain robots around it, and the limits."""
     robot = scene.robot
-    columns = 1 if robot.n == 1 else 2 if robot.n <= 4 else 3 if robot.n <= MANY else 5
+    columns = 1 if robot.n == 1 else 2 if robot.n <= 4 else 3 if robot.n <= COMPACT_LAYOUT_JOINTS else 5
     banded, cells = bool(np.any(width > 0.0)), []
     for j, (joint, unit) in enumerate(zip(robot.joints, torque_units(robot), strict=True)):
         limit = float(scene.limits.torque[j])
@@ -119,7 +119,7 @@ def torques(t: Array, nominal: Array, width: Array, scene: Scene) -> str:
         cells.append(
             Panel(title, t, nominal[:, j], (-limit, limit), width[:, j] if banded else None)
         )
-    height = 52.0 if robot.n > MANY else 90.0
+    height = 52.0 if robot.n > COMPACT_LAYOUT_JOINTS else 90.0
     return small_multiples(
         "Torque of every joint with its limits", cells, scene.motion, columns=columns, height=height
     )
@@ -170,7 +170,7 @@ def path(scene: Scene) -> tuple[str, Array]:
     middle = 0.5 * (low + high)
 
     def draw(figure: Any) -> None:
-        panels = grid(figure, 1, 3, margins=(0.5, 0.1, 0.5, 0.45), gaps=(0.55, 0.0))
+        panels = axes_grid(figure, 1, 3, margins=(0.5, 0.1, 0.5, 0.45), gaps=(0.55, 0.0))
         for axes, ((a, b), name) in zip(panels.flat, VIEWS, strict=True):
             if scene.cell is not None:
                 for body in scene.cell.bodies:
@@ -187,7 +187,7 @@ def path(scene: Scene) -> tuple[str, Array]:
             window(axes, middle, reach, (a, b), name)
         _path_legend(figure)
 
-    return render("The path in space, seen from three sides", 4.0, draw), np.array(
+    return render_svg("The path in space, seen from three sides", 4.0, draw), np.array(
         [ends.reshape(-1, 3).min(axis=0), ends.reshape(-1, 3).max(axis=0)]
     )
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..._types import FloatArray
 from ..actuator import JointActuators
 from ..physical_effect import JointStates, PhysicalEffect
 
-Array = np.ndarray
 FORM_FAMILIES = ("tuning", "scored")
 """Two families of forms: nothing tuned on the one has seen the other."""
 SIGN_WIDTH = 4e-3
@@ -96,8 +96,8 @@ class EffectSite:
     n: int
     j: int
     source: int
-    torque: Array
-    speed: Array
+    torque: FloatArray
+    speed: FloatArray
     drive: JointActuators
     joint: str
     link: str
@@ -117,15 +117,15 @@ class EffectType:
     """
 
     name: str
-    quantities: tuple[EffectParameter, ...]
+    parameters: tuple[EffectParameter, ...]
     forms: Mapping[str, EffectForm]
     place: str = "joint"
-    outsider: bool = False
-    vanishes: bool = False
-    meant: Mapping[str, ValueConversion] = field(default_factory=dict)
+    out_of_catalogue: bool = False
+    omitted_at_zero: bool = False
+    conversions: Mapping[str, ValueConversion] = field(default_factory=dict)
 
     def quantity(self, name: str) -> EffectParameter:
-        return next(q for q in self.quantities if q.name == name)
+        return next(q for q in self.parameters if q.name == name)
 
 
 @dataclass(frozen=True)
@@ -134,9 +134,9 @@ class MemorylessEffect(PhysicalEffect):
 
     n: int
     j: int
-    law: Callable[[JointStates], Array]
+    law: Callable[[JointStates], FloatArray]
 
-    def torque(self, x: JointStates, z: Array) -> Array:
+    def torque(self, x: JointStates, z: FloatArray) -> FloatArray:
         return torque_at_joint(self.n, self.j, self.law(single_joint_state(x, self.j)))
 
 
@@ -145,18 +145,18 @@ def single_joint_state(x: JointStates, j: int) -> JointStates:
     return JointStates(x.t, x.q[..., j], x.v[..., j], x.a[..., j], x.load[..., j])
 
 
-def torque_at_joint(n: int, j: int, torque: Array) -> Array:
+def torque_at_joint(n: int, j: int, torque: FloatArray) -> FloatArray:
     """Torque at joint j, none elsewhere. Shape (…) -> (…, n)."""
     out = np.zeros((*np.shape(torque), n))
     out[..., j] = torque
     return out
 
 
-def memoryless_effect(site: EffectSite, law: Callable[[JointStates], Array]) -> PhysicalEffect:
+def memoryless_effect(site: EffectSite, law: Callable[[JointStates], FloatArray]) -> PhysicalEffect:
     return MemorylessEffect(site.n, site.j, law)
 
 
-def smooth_sign(v: Array) -> Array:
+def smooth_sign(v: FloatArray) -> FloatArray:
     """A sign smooth over a few mrad/s, of another shape than the base's: v/√(v² + w²)."""
     return v / np.sqrt(v * v + SIGN_WIDTH**2)
 

@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..._types import FloatArray
 from ..mujoco_dynamics import RigidBodyDynamics
-from ..physical_effect import JointStates, PhysicalEffect, BaseSuspension
+from ..physical_effect import BaseSuspension, JointStates, PhysicalEffect
 from ..urdf_tree import UrdfTree
-from .effect_type import EffectType, EffectParameter, EffectSite, phase_parameter
+from .effect_type import EffectParameter, EffectSite, EffectType, phase_parameter
 
-Array = np.ndarray
 Values = Mapping[str, float]
 
 
@@ -34,10 +34,10 @@ class ContactForce(PhysicalEffect):
     plateau: bool
     arm: RigidBodyDynamics | None = None
 
-    def bound(self, arm: RigidBodyDynamics) -> PhysicalEffect:
+    def bind(self, arm: RigidBodyDynamics) -> PhysicalEffect:
         return replace(self, arm=arm)
 
-    def torque(self, x: JointStates, z: Array) -> Array:
+    def torque(self, x: JointStates, z: FloatArray) -> FloatArray:
         t, q = np.atleast_1d(x.t), np.atleast_2d(x.q)
         u = (t - self.start) / (self.end - self.start)
         inside, out = (u > 0.0) & (u < 1.0), np.zeros(q.shape)
@@ -49,9 +49,9 @@ class ContactForce(PhysicalEffect):
             turn = self.heading + (u if self.plateau else 0.0 * u)
             way = np.column_stack([np.cos(turn), np.sin(turn), -0.5 + 0.0 * u]) / np.sqrt(1.25)
             base = self.arm.n - q.shape[1]
-            lever = self.arm.jacobian(np.hstack([np.zeros((len(u), base)), q[inside]]), self.joint)[
-                :, :, base:
-            ]
+            lever = self.arm.centre_of_mass_jacobian(
+                np.hstack([np.zeros((len(u), base)), q[inside]]), self.joint
+            )[:, :, base:]
             out[inside] = -np.einsum("ki,kij->kj", size[:, None] * way, lever)
         return out.reshape(np.shape(x.q))
 
@@ -68,7 +68,7 @@ class CompliantBase(PhysicalEffect):
     stiffness: tuple[float, ...] = ()
     damping: tuple[float, ...] = ()
 
-    def alter(self, tree: UrdfTree) -> UrdfTree:
+    def modify_tree(self, tree: UrdfTree) -> UrdfTree:
         root = copy.deepcopy(tree.root)
         children = {str(e.get("link")) for e in root.iter("child")}
         base = next(
@@ -87,17 +87,21 @@ class CompliantBase(PhysicalEffect):
             ElementTree.SubElement(joint, "limit", lower="-1", upper="1", velocity="1", effort="1")
         out = UrdfTree(tree.source, root)
         # a pedestal as heavy as half of what it carries
-        mass = 0.5 * sum(float(tree.body(link)[3, 3]) for link in tree.links)
-        return out.with_body(base, out.body(base) + mass * np.diag([0.02, 0.02, 0.03, 1.0]))
+        mass = 0.5 * sum(float(tree.pseudo_inertia(link)[3, 3]) for link in tree.links)
+        return out.with_pseudo_inertia(
+            base, out.pseudo_inertia(base) + mass * np.diag([0.02, 0.02, 0.03, 1.0])
+        )
 
-    def bound(self, arm: RigidBodyDynamics) -> PhysicalEffect:
-        inertia = np.diag(arm.terms(np.zeros(arm.n), np.zeros(arm.n))[0])[: len(self.ratios)]
+    def bind(self, arm: RigidBodyDynamics) -> PhysicalEffect:
+        inertia = np.diag(arm.mass_and_bias(np.zeros(arm.n), np.zeros(arm.n))[0])[
+            : len(self.ratios)
+        ]
         omega = 2.0 * np.pi * self.frequency * np.array(self.ratios)
         return replace(
             self, stiffness=tuple(omega**2 * inertia), damping=tuple(2.0 * 0.04 * omega * inertia)
         )
 
-    def suspension(self) -> BaseSuspension:
+    def base_suspension(self) -> BaseSuspension:
         return BaseSuspension(np.array(self.stiffness), np.array(self.damping))
 
 
@@ -127,6 +131,6 @@ EFFECT_TYPES = (
             "scored": lambda site, p: CompliantBase(p["frequency"], (1.0, 0.85, 1.5)),
         },
         place="robot",
-        vanishes=True,
+        omitted_at_zero=True,
     ),
 )

@@ -10,10 +10,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..._types import FloatArray
 from ..physical_effect import JointStates, PhysicalEffect
-from .effect_type import EffectType, ValueConversion, EffectParameter, EffectSite, phase_parameter, memoryless_effect, torque_at_joint, smooth_sign
+from .effect_type import (
+    EffectParameter,
+    EffectSite,
+    EffectType,
+    ValueConversion,
+    memoryless_effect,
+    phase_parameter,
+    smooth_sign,
+    torque_at_joint,
+)
 
-Array = np.ndarray
 Values = Mapping[str, float]
 
 
@@ -48,14 +57,18 @@ def stribeck_sech(site: EffectSite, p: Values) -> PhysicalEffect:
     return memoryless_effect(
         site,
         lambda x: (
-            p["amplitude"] * smooth_sign(x.v) / np.cosh(np.minimum(np.abs(x.v) / p["velocity"], 50.0))
+            p["amplitude"]
+            * smooth_sign(x.v)
+            / np.cosh(np.minimum(np.abs(x.v) / p["velocity"], 50.0))
         ),
     )
 
 
 def viscous_power(site: EffectSite, p: Values) -> PhysicalEffect:
     """c |v|ᵏ sgn(v), k no half or whole number."""
-    return memoryless_effect(site, lambda x: p["coefficient"] * smooth_sign(x.v) * np.abs(x.v) ** p["exponent"])
+    return memoryless_effect(
+        site, lambda x: p["coefficient"] * smooth_sign(x.v) * np.abs(x.v) ** p["exponent"]
+    )
 
 
 def viscous_rounded_power(site: EffectSite, p: Values) -> PhysicalEffect:
@@ -63,7 +76,10 @@ def viscous_rounded_power(site: EffectSite, p: Values) -> PhysicalEffect:
     v0 = 0.1 * site.speed[site.j]
     k = p["exponent"]
     return memoryless_effect(
-        site, lambda x: p["coefficient"] * smooth_sign(x.v) * ((x.v * x.v + v0 * v0) ** (0.5 * k) - v0**k)
+        site,
+        lambda x: (
+            p["coefficient"] * smooth_sign(x.v) * ((x.v * x.v + v0 * v0) ** (0.5 * k) - v0**k)
+        ),
     )
 
 
@@ -108,12 +124,14 @@ def position_bumps(site: EffectSite, p: Values) -> PhysicalEffect:
     return memoryless_effect(
         site,
         lambda x: (
-            p["amplitude"] * smooth_sign(x.v) * _two_tight_spots(w * x.q + p["phase"], w * x.q + 2 * p["phase"])
+            p["amplitude"]
+            * smooth_sign(x.v)
+            * _two_tight_spots(w * x.q + p["phase"], w * x.q + 2 * p["phase"])
         ),
     )
 
 
-def _two_tight_spots(first: Array, second: Array) -> Array:
+def _two_tight_spots(first: FloatArray, second: FloatArray) -> FloatArray:
     """Two tight spots at 0 of two angles, the second half as high and narrower."""
     return np.asarray(np.exp(4 * (np.cos(first) - 1)) + 0.5 * np.exp(8 * (np.cos(second) - 1)))
 
@@ -121,7 +139,9 @@ def _two_tight_spots(first: Array, second: Array) -> Array:
 def _half_peak_to_peak(p: Values) -> Values:
     """An amplitude is half of what lies between highest and lowest: the mean is the base model's Coulomb friction."""
     turn = np.linspace(0.0, 2.0 * np.pi, 3600)
-    return {"amplitude": 0.5 * p["amplitude"] * float(np.ptp(_two_tight_spots(turn, turn + p["phase"])))}
+    return {
+        "amplitude": 0.5 * p["amplitude"] * float(np.ptp(_two_tight_spots(turn, turn + p["phase"])))
+    }
 
 
 @dataclass(frozen=True)
@@ -131,9 +151,9 @@ class BoucWenHysteresis(PhysicalEffect):
     site: EffectSite
     amplitude: float
     stiffness: float
-    memory = 1
+    state_size = 1
 
-    def advance(self, x: JointStates, z: Array, dt: float) -> Array:
+    def advance_state(self, x: JointStates, z: FloatArray, dt: float) -> FloatArray:
         if self.amplitude == 0.0:
             return z
         v = x.v[..., self.site.j]
@@ -147,7 +167,7 @@ class BoucWenHysteresis(PhysicalEffect):
         )
         return np.asarray(np.minimum(moved, 1.0) * side)[..., None]
 
-    def torque(self, x: JointStates, z: Array) -> Array:
+    def torque(self, x: JointStates, z: FloatArray) -> FloatArray:
         return torque_at_joint(self.site.n, self.site.j, self.amplitude * z[..., 0])
 
 
@@ -158,26 +178,28 @@ class IwanHysteresis(PhysicalEffect):
     site: EffectSite
     amplitude: float
     stiffness: float
-    memory = 12
+    state_size = 12
 
-    def _shares(self) -> tuple[Array, Array]:
+    def _shares(self) -> tuple[FloatArray, FloatArray]:
         """Share of the force and breakaway way of each element [1, rad]."""
         reach = 2.2 * self.amplitude / self.stiffness * (np.arange(1, 13) / 12.0) ** 1.7
         share = np.ones(12) / 12.0
         stiff = float((share / reach).sum()) * self.amplitude
         return share, reach * stiff / self.stiffness
 
-    def advance(self, x: JointStates, z: Array, dt: float) -> Array:
+    def advance_state(self, x: JointStates, z: FloatArray, dt: float) -> FloatArray:
         if self.amplitude == 0.0:
             return z
         _, reach = self._shares()
         return np.clip(z + (x.v[..., self.site.j] * dt)[..., None], -reach, reach)
 
-    def torque(self, x: JointStates, z: Array) -> Array:
+    def torque(self, x: JointStates, z: FloatArray) -> FloatArray:
         if self.amplitude == 0.0:
             return torque_at_joint(self.site.n, self.site.j, 0.0 * z[..., 0])
         share, reach = self._shares()
-        return torque_at_joint(self.site.n, self.site.j, self.amplitude * (z / reach * share).sum(axis=-1))
+        return torque_at_joint(
+            self.site.n, self.site.j, self.amplitude * (z / reach * share).sum(axis=-1)
+        )
 
 
 @dataclass(frozen=True)
@@ -188,10 +210,10 @@ class TimedThermalDrift(PhysicalEffect):
     change: float
     constant: float
 
-    def torque(self, x: JointStates, z: Array) -> Array:
+    def torque(self, x: JointStates, z: FloatArray) -> FloatArray:
         drive, j, c = self.site.drive, self.site.j, self.constant
         rise = (2.0 * (1.0 - np.exp(-x.t / c)) + (1.0 - np.exp(-x.t / (3.0 * c)))) / 3.0
-        friction = (drive.friction(x.v) - drive.offset)[..., j]
+        friction = (drive.friction_torque(x.v) - drive.offset)[..., j]
         return torque_at_joint(self.site.n, j, self.change * rise * friction)
 
 
@@ -205,21 +227,21 @@ class SelfHeatingFriction(PhysicalEffect):
     site: EffectSite
     change: float
     constant: float
-    memory = 1
+    state_size = 1
 
-    def _power(self, v: Array) -> Array:
+    def _power(self, v: FloatArray) -> FloatArray:
         drive, j = self.site.drive, self.site.j
         top = 0.4 * self.site.speed[j]
         own = drive.viscous[j] * v * v + drive.coulomb[j] * np.abs(v)
         return own / (drive.viscous[j] * top * top + drive.coulomb[j] * top)
 
-    def advance(self, x: JointStates, z: Array, dt: float) -> Array:
+    def advance_state(self, x: JointStates, z: FloatArray, dt: float) -> FloatArray:
         keep = np.exp(-dt / self.constant)
         return np.asarray(z[..., 0] * keep + (1.0 - keep) * self._power(x.v[..., self.site.j]))[
             ..., None
         ]
 
-    def torque(self, x: JointStates, z: Array) -> Array:
+    def torque(self, x: JointStates, z: FloatArray) -> FloatArray:
         drive, j = self.site.drive, self.site.j
         v, kappa = x.v[..., j], -np.log1p(max(self.change, -0.95))
         less = np.expm1(-kappa * z[..., 0])
@@ -234,13 +256,17 @@ class SelfHeatingFriction(PhysicalEffect):
 def drag_power(site: EffectSite, p: Values) -> PhysicalEffect:
     """c |v|^1.85 sgn(v) v₀^0.15: turbulent, not quite square; v₀ half of the top speed."""
     v0 = 0.5 * site.speed[site.j]
-    return memoryless_effect(site, lambda x: p["coefficient"] * smooth_sign(x.v) * np.abs(x.v) ** 1.85 * v0**0.15)
+    return memoryless_effect(
+        site, lambda x: p["coefficient"] * smooth_sign(x.v) * np.abs(x.v) ** 1.85 * v0**0.15
+    )
 
 
 def drag_rounded(site: EffectSite, p: Values) -> PhysicalEffect:
     """c v √(v² + v₀²) − c v₀ v, v₀ a tenth of the top speed."""
     v0 = 0.1 * site.speed[site.j]
-    return memoryless_effect(site, lambda x: p["coefficient"] * x.v * (np.sqrt(x.v * x.v + v0 * v0) - v0))
+    return memoryless_effect(
+        site, lambda x: p["coefficient"] * x.v * (np.sqrt(x.v * x.v + v0 * v0) - v0)
+    )
 
 
 def friction_algebraic(site: EffectSite, p: Values) -> PhysicalEffect:
@@ -258,7 +284,7 @@ def friction_arctangent(site: EffectSite, p: Values) -> PhysicalEffect:
 def _coupled_friction(site: EffectSite, p: Values, ratio: float, bend: float) -> PhysicalEffect:
     i, j = site.source, site.j
 
-    def law(x: JointStates) -> Array:
+    def law(x: JointStates) -> FloatArray:
         both = x.v[..., j] + ratio * x.v[..., i]
         alone = x.v[..., j]
         coulomb = p["coulomb"] * (np.tanh(both / bend) - np.tanh(alone / bend))
@@ -273,9 +299,9 @@ class CoupledJoints(PhysicalEffect):
 
     n: int
     j: int
-    law: Callable[[JointStates], Array]
+    law: Callable[[JointStates], FloatArray]
 
-    def torque(self, x: JointStates, z: Array) -> Array:
+    def torque(self, x: JointStates, z: FloatArray) -> FloatArray:
         return torque_at_joint(self.n, self.j, self.law(x))
 
 
@@ -315,7 +341,10 @@ EFFECT_TYPES = (
         "stribeck",
         (AMPLITUDE, EffectParameter("velocity", "rad/s", 0.02, 0.3, power=0.0)),
         {"tuning": stribeck_rational, "scored": stribeck_sech},
-        meant={"tuning": _velocity_at_1_over_e(np.sqrt(np.e - 1.0)), "scored": _velocity_at_1_over_e(np.arccosh(np.e))},
+        conversions={
+            "tuning": _velocity_at_1_over_e(np.sqrt(np.e - 1.0)),
+            "scored": _velocity_at_1_over_e(np.arccosh(np.e)),
+        },
     ),
     EffectType(
         "nonlinear_viscous",
@@ -338,7 +367,7 @@ EFFECT_TYPES = (
             phase_parameter(),
         ),
         {"tuning": position_triangle, "scored": position_bumps},
-        meant={"scored": _half_peak_to_peak},
+        conversions={"scored": _half_peak_to_peak},
     ),
     EffectType(
         "hysteresis",
@@ -358,7 +387,7 @@ EFFECT_TYPES = (
             "tuning": lambda site, p: TimedThermalDrift(site, p["change"], p["time_constant"]),
             "scored": lambda site, p: SelfHeatingFriction(site, p["change"], p["time_constant"]),
         },
-        meant={"tuning": _time_to_1_minus_1_over_e},
+        conversions={"tuning": _time_to_1_minus_1_over_e},
     ),
     EffectType(
         "drag",

@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ..._types import FloatArray
 from ...errors import UnusableInput
 from ..actuator import JointActuators
 from ..physical_effect import JointStates, PhysicalEffect
 from ..urdf_tree import UrdfTree
-from .effect_type import EffectType, EffectParameter, EffectSite, memoryless_effect, torque_at_joint
+from .effect_type import EffectParameter, EffectSite, EffectType, memoryless_effect, torque_at_joint
 
-Array = np.ndarray
 Values = Mapping[str, float]
 
 
@@ -27,16 +27,18 @@ class AttachedBody(PhysicalEffect):
     centre: tuple[float, float, float]
     radii: tuple[float, float, float]
 
-    def alter(self, tree: UrdfTree) -> UrdfTree:
+    def modify_tree(self, tree: UrdfTree) -> UrdfTree:
         if self.mass == 0.0:
             return tree
         point = np.array([*self.centre, 1.0])
         more = self.mass * np.outer(point, point)
         more[:3, :3] += self.mass * np.diag(np.square(self.radii))
-        return tree.with_body(self.link, tree.body(self.link) + more)
+        return tree.with_pseudo_inertia(self.link, tree.pseudo_inertia(self.link) + more)
 
 
-def _attached_body(site: EffectSite, p: Values, radii: tuple[float, float, float]) -> PhysicalEffect:
+def _attached_body(
+    site: EffectSite, p: Values, radii: tuple[float, float, float]
+) -> PhysicalEffect:
     return AttachedBody(site.link, p["mass"], (p["com_x"], p["com_y"], p["com_z"]), radii)
 
 
@@ -48,7 +50,7 @@ class TiltedGravity(PhysicalEffect):
     pitch: float
     less: float = 0.0
 
-    def gravity(self, vector: Array) -> Array:
+    def gravity(self, vector: FloatArray) -> FloatArray:
         turn = Rotation.from_euler("xy", [self.roll, self.pitch])
         return (
             np.asarray(turn.inv().apply(vector)) * (1.0 - self.less)
@@ -62,23 +64,27 @@ class DisplacedFrame(PhysicalEffect):
     """What a joint's link carries sits elsewhere on it: the frames of the joints after it, turned and shifted as they see it."""
 
     joint: str
-    turn: Array
-    shift: Array
+    turn: FloatArray
+    shift: FloatArray
 
-    def alter(self, tree: UrdfTree) -> UrdfTree:
+    def modify_tree(self, tree: UrdfTree) -> UrdfTree:
         if not self.turn.any() and not self.shift.any():
             return tree
-        after = tree.after(self.joint)
+        after = tree.following_joints(self.joint)
         if not after:
             raise UnusableInput(
                 f"{tree.source}: joint '{self.joint}' carries no further joint; name one that does"
             )
         for name in after:
-            tree = tree.moved(name, Rotation.from_rotvec(self.turn).as_matrix(), self.shift)
+            tree = tree.with_moved_frame(
+                name, Rotation.from_rotvec(self.turn).as_matrix(), self.shift
+            )
         return tree
 
 
-def _displaced_frame(site: EffectSite, p: Values, axis: Array, way: Array) -> PhysicalEffect:
+def _displaced_frame(
+    site: EffectSite, p: Values, axis: FloatArray, way: FloatArray
+) -> PhysicalEffect:
     return DisplacedFrame(site.joint, p["angle"] * axis, p["length"] * way)
 
 
@@ -90,14 +96,16 @@ class AddedRotor(PhysicalEffect):
     inertia: float
     waver: float
 
-    def drives(self, drive: JointActuators) -> JointActuators:
+    def modify_actuators(self, drive: JointActuators) -> JointActuators:
         more = np.zeros(self.site.n)
         more[self.site.j] = self.inertia
         return replace(drive, inertia=drive.inertia + more)
 
-    def torque(self, x: JointStates, z: Array) -> Array:
+    def torque(self, x: JointStates, z: FloatArray) -> FloatArray:
         j = self.site.j
-        return torque_at_joint(self.site.n, j, self.waver * self.inertia * np.cos(x.q[..., j]) * x.a[..., j])
+        return torque_at_joint(
+            self.site.n, j, self.waver * self.inertia * np.cos(x.q[..., j]) * x.a[..., j]
+        )
 
 
 def constant_offset(site: EffectSite, p: Values) -> PhysicalEffect:
@@ -114,7 +122,9 @@ def drifting_offset(site: EffectSite, p: Values) -> PhysicalEffect:
 
 def spring_softening(site: EffectSite, p: Values) -> PhysicalEffect:
     """k q₁ tanh((q − q₀)/q₁), q₁ = 0.8 rad: a spring that gives way."""
-    return memoryless_effect(site, lambda x: p["stiffness"] * 0.8 * np.tanh((x.q - p["centre"]) / 0.8))
+    return memoryless_effect(
+        site, lambda x: p["stiffness"] * 0.8 * np.tanh((x.q - p["centre"]) / 0.8)
+    )
 
 
 def spring_one_sided(site: EffectSite, p: Values) -> PhysicalEffect:
@@ -140,7 +150,10 @@ EFFECT_TYPES = (
     ),
     EffectType(
         "gravity_tilt",
-        (EffectParameter("roll", "rad", -0.035, 0.035), EffectParameter("pitch", "rad", -0.035, 0.035)),
+        (
+            EffectParameter("roll", "rad", -0.035, 0.035),
+            EffectParameter("pitch", "rad", -0.035, 0.035),
+        ),
         {
             "tuning": lambda site, p: TiltedGravity(p["roll"], p["pitch"]),
             "scored": lambda site, p: TiltedGravity(p["roll"], p["pitch"], 1e-3),

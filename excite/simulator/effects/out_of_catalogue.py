@@ -7,10 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..._types import FloatArray
 from ..physical_effect import JointStates, PhysicalEffect
-from .effect_type import EffectType, EffectParameter, EffectSite, phase_parameter, memoryless_effect, torque_at_joint
+from .effect_type import (
+    EffectParameter,
+    EffectSite,
+    EffectType,
+    memoryless_effect,
+    phase_parameter,
+    torque_at_joint,
+)
 
-Array = np.ndarray
 Values = Mapping[str, float]
 
 
@@ -22,7 +29,7 @@ def tooth_defect(site: EffectSite, p: Values) -> PhysicalEffect:
     )
     top = 0.02 * site.torque[site.j]
 
-    def law(x: JointStates) -> Array:
+    def law(x: JointStates) -> FloatArray:
         away = (x.q[..., None] - places) / p["breadth"]
         return (
             p["amplitude"]
@@ -42,16 +49,16 @@ class SloshingLiquid(PhysicalEffect):
     inertia: float
     frequency: float
     damping: float
-    memory = 2
+    state_size = 2
 
-    def advance(self, x: JointStates, z: Array, dt: float) -> Array:
+    def advance_state(self, x: JointStates, z: FloatArray, dt: float) -> FloatArray:
         w = 2.0 * np.pi * self.frequency
         rate = (z[..., 1] - dt * (x.a[..., self.site.j] + w * w * z[..., 0])) / (
             1.0 + dt * (2.0 * self.damping * w + dt * w * w)
         )
         return np.stack(np.broadcast_arrays(z[..., 0] + dt * rate, rate), axis=-1)
 
-    def torque(self, x: JointStates, z: Array) -> Array:
+    def torque(self, x: JointStates, z: FloatArray) -> FloatArray:
         w = 2.0 * np.pi * self.frequency
         return torque_at_joint(
             self.site.n,
@@ -68,15 +75,15 @@ class SnaggingCable(PhysicalEffect):
     amplitude: float
     catch: float
     release: float
-    memory = 2
+    state_size = 2
 
-    def advance(self, x: JointStates, z: Array, dt: float) -> Array:
+    def advance_state(self, x: JointStates, z: FloatArray, dt: float) -> FloatArray:
         q = x.q[..., self.site.j]
         caught = np.where(q > self.catch, 1.0, np.where(q < self.release, 0.0, z[..., 1]))
         held = z[..., 0] + (caught - z[..., 0]) * (1.0 - np.exp(-dt / 0.03))
         return np.stack(np.broadcast_arrays(held, caught), axis=-1)
 
-    def torque(self, x: JointStates, z: Array) -> Array:
+    def torque(self, x: JointStates, z: FloatArray) -> FloatArray:
         return torque_at_joint(self.site.n, self.site.j, self.amplitude * z[..., 0])
 
 
@@ -90,7 +97,9 @@ class SaggingSupply(PhysicalEffect):
     site: EffectSite
     loss: float
 
-    def told(self, torque: Callable[[Array], Array], t: Array) -> Array:
+    def measured_torque(
+        self, torque: Callable[[FloatArray], FloatArray], t: FloatArray
+    ) -> FloatArray:
         out = torque(t)
         others = np.delete(np.abs(out) / self.site.torque, self.site.j, axis=1).sum(axis=1)
         told = out.copy()
@@ -111,7 +120,7 @@ EFFECT_TYPES = (
             phase_parameter(),
         ),
         {"tuning": tooth_defect, "scored": tooth_defect},
-        outsider=True,
+        out_of_catalogue=True,
     ),
     EffectType(
         "sloshing",
@@ -121,10 +130,14 @@ EFFECT_TYPES = (
             EffectParameter("damping", "1", 0.01, 0.05, power=0.0),
         ),
         {
-            "tuning": lambda site, p: SloshingLiquid(site, p["inertia"], p["frequency"], p["damping"]),
-            "scored": lambda site, p: SloshingLiquid(site, p["inertia"], p["frequency"], p["damping"]),
+            "tuning": lambda site, p: SloshingLiquid(
+                site, p["inertia"], p["frequency"], p["damping"]
+            ),
+            "scored": lambda site, p: SloshingLiquid(
+                site, p["inertia"], p["frequency"], p["damping"]
+            ),
         },
-        outsider=True,
+        out_of_catalogue=True,
     ),
     EffectType(
         "cable_snag",
@@ -134,7 +147,7 @@ EFFECT_TYPES = (
             EffectParameter("gap", "rad", 0.1, 0.3, power=0.0),
         ),
         {"tuning": _snagging_cable, "scored": _snagging_cable},
-        outsider=True,
+        out_of_catalogue=True,
     ),
     EffectType(
         "supply_sag",
@@ -143,6 +156,6 @@ EFFECT_TYPES = (
             "tuning": lambda site, p: SaggingSupply(site, p["loss"]),
             "scored": lambda site, p: SaggingSupply(site, p["loss"]),
         },
-        outsider=True,
+        out_of_catalogue=True,
     ),
 )

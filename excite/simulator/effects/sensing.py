@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..._types import FloatArray
 from ..physical_effect import PhysicalEffect
-from .effect_type import EffectType, EffectParameter, EffectSite, phase_parameter
+from .effect_type import EffectParameter, EffectSite, EffectType, phase_parameter
 
-Array = np.ndarray
 Values = Mapping[str, float]
 READING_RADIUS_RATIO = 1.5
 """Of an eccentric disc, where it is read, over how far it is off its centre."""
@@ -21,9 +21,11 @@ class MisreportedTorque(PhysicalEffect):
     """A torque told otherwise than it is. law: (times, true torque) of one joint to what is told. Shapes (N,)."""
 
     j: int
-    law: Callable[[Array, Array], Array]
+    law: Callable[[FloatArray, FloatArray], FloatArray]
 
-    def told(self, torque: Callable[[Array], Array], t: Array) -> Array:
+    def measured_torque(
+        self, torque: Callable[[FloatArray], FloatArray], t: FloatArray
+    ) -> FloatArray:
         out = torque(t).copy()
         out[:, self.j] = self.law(t, out[:, self.j])
         return out
@@ -72,7 +74,9 @@ class DelayedTorque(PhysicalEffect):
     seconds: float
     spread: bool
 
-    def told(self, torque: Callable[[Array], Array], t: Array) -> Array:
+    def measured_torque(
+        self, torque: Callable[[FloatArray], FloatArray], t: FloatArray
+    ) -> FloatArray:
         out = torque(t).copy()
         if self.seconds == 0.0:
             return out
@@ -96,9 +100,9 @@ class MisreadPosition(PhysicalEffect):
     """q + ε(q) at one joint. law: position to error. Shapes (…)."""
 
     j: int
-    law: Callable[[Array], Array]
+    law: Callable[[FloatArray], FloatArray]
 
-    def seen(self, q: Array) -> Array:
+    def measured_position(self, q: FloatArray) -> FloatArray:
         out = np.array(q)
         out[..., self.j] += self.law(q[..., self.j])
         return out
@@ -120,13 +124,22 @@ def encoder_eccentric(site: EffectSite, p: Values) -> PhysicalEffect:
     n, phase = p["order"], p["phase"]
     return MisreadPosition(
         site.j,
-        lambda q: 2.0 * p["amplitude"] * np.sin(n * q + phase) / (READING_RADIUS_RATIO + np.cos(n * q + phase)),
+        lambda q: (
+            2.0
+            * p["amplitude"]
+            * np.sin(n * q + phase)
+            / (READING_RADIUS_RATIO + np.cos(n * q + phase))
+        ),
     )
 
 
 def _fundamental(p: Values) -> Values:
     """The wave of the order named, from sin θ/(a + cos θ) = 2 Σ (−1)ᵏ⁺¹ rᵏ sin kθ with r = a − √(a² − 1)."""
-    return {"amplitude": 4.0 * (READING_RADIUS_RATIO - np.sqrt(READING_RADIUS_RATIO**2 - 1.0)) * p["amplitude"]}
+    return {
+        "amplitude": 4.0
+        * (READING_RADIUS_RATIO - np.sqrt(READING_RADIUS_RATIO**2 - 1.0))
+        * p["amplitude"]
+    }
 
 
 EFFECT_TYPES = (
@@ -160,6 +173,6 @@ EFFECT_TYPES = (
             phase_parameter(),
         ),
         {"tuning": encoder_harmonics, "scored": encoder_eccentric},
-        meant={"scored": _fundamental},
+        conversions={"scored": _fundamental},
     ),
 )

@@ -10,10 +10,10 @@ from math import exp, log1p
 import numpy as np
 from scipy.special import jv
 
+from ..._types import FloatArray
 from ..physical_effect import JointStates, PhysicalEffect, TransmissionSpring
-from .effect_type import EffectType, EffectParameter, EffectSite, phase_parameter, memoryless_effect
+from .effect_type import EffectParameter, EffectSite, EffectType, memoryless_effect, phase_parameter
 
-Array = np.ndarray
 Values = Mapping[str, float]
 MESH_WAVE_SKEW = 0.4
 """Of a loaded mesh's wave: sin(θ + m sin θ)."""
@@ -32,12 +32,16 @@ class ElasticJoint(PhysicalEffect):
     @cached_property
     def damping(self) -> float:
         """Damping of the wind-up on the motor alone [N m s/rad]."""
-        return 2.0 * DEFLECTION_DAMPING_RATIO * float(np.sqrt(self.stiffness * self.site.drive.inertia[self.site.j]))
+        return (
+            2.0
+            * DEFLECTION_DAMPING_RATIO
+            * float(np.sqrt(self.stiffness * self.site.drive.inertia[self.site.j]))
+        )
 
-    def spring(self) -> TransmissionSpring:
-        return TransmissionSpring(self.site.j, self.pull)
+    def transmission_spring(self) -> TransmissionSpring:
+        return TransmissionSpring(self.site.j, self.torque_and_slopes)
 
-    def pull(self, d: float, rate: float) -> tuple[float, float, float]:
+    def torque_and_slopes(self, d: float, rate: float) -> tuple[float, float, float]:
         raise NotImplementedError
 
 
@@ -45,7 +49,7 @@ class ElasticJoint(PhysicalEffect):
 class HardeningSpring(ElasticJoint):
     """K δ (1 + (δ/δ₀)²), δ₀ where K δ₀ is twice the torque limit (catalogues: K δ)."""
 
-    def pull(self, d: float, rate: float) -> tuple[float, float, float]:
+    def torque_and_slopes(self, d: float, rate: float) -> tuple[float, float, float]:
         much = (d * self.stiffness / (2.0 * float(self.site.torque[self.site.j]))) ** 2
         return (
             self.stiffness * d * (1.0 + much) + self.damping * rate,
@@ -63,7 +67,7 @@ class StrainWaveGear(ElasticJoint):
         """Wind-up between the slopes [rad]."""
         return 0.1 * float(self.site.torque[self.site.j]) / self.stiffness
 
-    def pull(self, d: float, rate: float) -> tuple[float, float, float]:
+    def torque_and_slopes(self, d: float, rate: float) -> tuple[float, float, float]:
         scale = self.scale
         bend = abs(d) / scale
         torque = self.stiffness * (
@@ -77,7 +81,7 @@ class StrainWaveGear(ElasticJoint):
 class DeadZoneBacklash(ElasticJoint):
     """No torque within ±w/2, a stiff spring beyond, which damps only in contact."""
 
-    def pull(self, d: float, rate: float) -> tuple[float, float, float]:
+    def torque_and_slopes(self, d: float, rate: float) -> tuple[float, float, float]:
         half = 0.5 * self.width
         beyond = d - half if d > half else d + half if d < -half else 0.0
         # a gear in its play still has its oil: the slope never vanishes
@@ -91,7 +95,7 @@ class DeadZoneBacklash(ElasticJoint):
 class SmoothBacklash(ElasticJoint):
     """Play with soft edges: the flank engages as ½(√(x² + w₀²) + x)-like softplus over a tenth of the width."""
 
-    def pull(self, d: float, rate: float) -> tuple[float, float, float]:
+    def torque_and_slopes(self, d: float, rate: float) -> tuple[float, float, float]:
         half, soft = 0.5 * self.width, 0.1 * self.width
         torque, slope = 1e-3 * self.stiffness * d, 1e-3 * self.stiffness
         for side in (1.0, -1.0):
@@ -123,9 +127,13 @@ def ripple_loaded(site: EffectSite, p: Values) -> PhysicalEffect:
     """A (1 + ½ τ/τ_max) times a skewed wave, sin(θ + 0.4 sin θ), θ = Nq + φ."""
     order, phase, top = p["order"], p["phase"], site.torque[site.j]
 
-    def law(x: JointStates) -> Array:
+    def law(x: JointStates) -> FloatArray:
         turn = order * x.q + phase
-        return p["amplitude"] * (1.0 + 0.5 * x.load / top) * np.sin(turn + MESH_WAVE_SKEW * np.sin(turn))
+        return (
+            p["amplitude"]
+            * (1.0 + 0.5 * x.load / top)
+            * np.sin(turn + MESH_WAVE_SKEW * np.sin(turn))
+        )
 
     return memoryless_effect(site, law)
 
@@ -143,7 +151,7 @@ EFFECT_TYPES = (
             "tuning": lambda site, p: HardeningSpring(site, p["stiffness"]),
             "scored": lambda site, p: StrainWaveGear(site, p["stiffness"]),
         },
-        vanishes=True,
+        omitted_at_zero=True,
     ),
     EffectType(
         "backlash",
@@ -152,7 +160,7 @@ EFFECT_TYPES = (
             "tuning": lambda site, p: DeadZoneBacklash(site, _gear_stiffness(site), p["width"]),
             "scored": lambda site, p: SmoothBacklash(site, _gear_stiffness(site), p["width"]),
         },
-        vanishes=True,
+        omitted_at_zero=True,
     ),
     EffectType(
         "torque_ripple",
@@ -162,6 +170,6 @@ EFFECT_TYPES = (
             phase_parameter(),
         ),
         {"tuning": ripple_pair, "scored": ripple_loaded},
-        meant={"scored": _fundamental},
+        conversions={"scored": _fundamental},
     ),
 )

@@ -1,0 +1,112 @@
+"""`excite design`: design, certify, export and report a motion."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from .. import _files, api
+from ..api.design_result import CellOptions
+from ..designer import cluster, criteria
+from ..designer.criteria import Criterion
+from ..designer.problem import Box, Options
+from ..errors import UnusableInput
+from ..robot.robot import Robot
+from . import options as shared
+from .outcome import Outcome, with_files, written_lines
+
+
+def run(arguments: argparse.Namespace) -> Outcome:
+    """Design a motion, with the starts where `--backend` sends them."""
+    with cluster.backend(arguments.backend, arguments.cluster):
+        return _design(arguments)
+
+
+def _design(arguments: argparse.Namespace) -> Outcome:
+    robot = shared.robot(arguments)
+    limits = shared.limits(arguments, robot)
+    result = api.design(
+        robot,
+        limits=limits,
+        cell=_cell_options(arguments),
+        options=_options(arguments, robot),
+        period=arguments.period,
+        harmonics=arguments.harmonics,
+        samples=arguments.samples,
+        periods=arguments.periods,
+        time=arguments.time,
+        start=None if not arguments.start else shared.of_joints("--start", arguments.start, robot),
+        given=arguments.given,
+        validate=arguments.validation,
+        speed=arguments.speed,
+        threshold=arguments.threshold,
+        force=arguments.force,
+        progress=arguments.console.progress,
+        notes={"parameters": arguments.parameters},
+    )
+    arguments.console.progress("writing the report")
+    written = _files.write_all(Path(arguments.out), result.contents())
+    document = with_files(result.document(), written)
+    return (0 if result.ok else 1), document, _text(result, document, written)
+
+
+def _cell_options(arguments: argparse.Namespace) -> CellOptions:
+    return CellOptions(
+        scene=arguments.scene,
+        floor=False if arguments.no_floor else arguments.floor,
+        clearance=arguments.clearance,
+        srdf=arguments.srdf,
+        packages=arguments.packages,
+        check=not arguments.no_collision,
+    )
+
+
+def _options(arguments: argparse.Namespace, robot: Robot) -> Options:
+    """Choices of the design but for the motion's period, harmonics, samples and repeats."""
+    free = arguments.optimise_period
+    if free is not None and not free[0] < free[1]:
+        raise UnusableInput(
+            f"--optimise-period {free[0]:g},{free[1]:g}: should be MIN,MAX with MIN < MAX"
+        )
+    return Options(
+        criterion=Criterion(arguments.criterion),
+        plain=arguments.plain,
+        drive=shared.drive(arguments),
+        free_period=None if free is None else (free[0], free[1]),
+        rate=arguments.rate,
+        uncertainty=arguments.uncertainty,
+        noise=shared.noise(arguments, robot),
+        boxes=tuple(_box(frame, numbers) for frame, numbers in arguments.box),
+        starts=arguments.starts,
+        seed=arguments.seed,
+        jobs=arguments.jobs,
+        iterations=arguments.iterations,
+    )
+
+
+def _box(frame: str, v: tuple[float, ...]) -> Box:
+    return Box(frame, (v[0], v[2], v[4]), (v[1], v[3], v[5]))
+
+
+def _text(result: api.DesignResult, document: dict[str, Any], written: list[Path]) -> str:
+    trajectory, certificate = result.trajectory, result.delivery.certificate
+    chosen, plain = Criterion(trajectory.design["criterion"]), bool(trajectory.design["plain"])
+    periodic, complete = (
+        criteria.pick(trajectory.criteria[part], chosen, plain=plain)
+        for part in ("optimum", "exported")
+    )
+    kind = "" if chosen is Criterion.COND_REGRESSOR else ("plain " if plain else "geometric ")
+    directions = f"{document['identifiable']} of {document['base_parameters']} directions"
+    lines = [
+        f"{document['robot']}: {directions} practically identifiable",
+        f"{kind}{chosen.value}: {periodic:.6g} per sample of the periodic part, "
+        f"{complete:.6g} of the whole motion",
+        f"{trajectory.motion.duration:.2f} s: "
+        f"{' → '.join(s.kind for s in trajectory.motion.segments)}",
+        *certificate.lines(),
+        *(part.words() for part in (result.plan, result.validation) if part is not None),
+        f"designed in {result.delivery.timing['total']:.1f} s",
+        *written_lines(written),
+    ]
+    return "\n".join(lines)

@@ -1,0 +1,24 @@
+"""`excite export`: write a trajectory for a controller."""
+
+from __future__ import annotations
+
+import argparse
+
+from .. import api
+from .outcome import Outcome
+
+
+def run(arguments: argparse.Namespace) -> Outcome:
+    """Verify a trajectory and write the controller's file."""
+    result = api.export(
+        arguments.trajectory,
+        arguments.format,
+        arguments.out,
+        speed=arguments.speed,
+        rate=arguments.rate,
+        force=arguments.force,
+        robot=arguments.robot,
+        limits=arguments.limits,
+        packages=arguments.packages,
+    )
+    return 0, result.document(), "\n".join([*result.verdict, f"wrote {result.path}"])

@@ -1,0 +1,46 @@
+"""`excite identifiability`: say what a trajectory or a recording reveals."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from .. import _files
+from .._json import dumps
+from ..api.design_result import compare_experiments, motion_samples
+from ..designer import experiment_comparison, identifiability
+from ..designer.problem import noise_levels
+from ..robot import base_parameters, inertial_parameters
+from . import options as shared
+from .outcome import Outcome, written_lines
+
+
+def run(arguments: argparse.Namespace) -> Outcome:
+    """Analyse which directions of the parameters a motion reveals."""
+    from .. import report
+
+    robot = shared.robot(arguments)
+    limits = shared.limits(arguments, robot)
+    standard = inertial_parameters.standard(robot, limits, shared.drive(arguments))
+    base = base_parameters.find(robot, standard, limits)
+    samples, trajectory = motion_samples(Path(arguments.motion), robot)
+    stated = shared.noise(arguments, robot)
+    noise = noise_levels(limits, stated) if trajectory is None or stated else trajectory.noise
+    root = identifiability.information_root(robot, standard, samples, noise)
+    analysis = identifiability.analyse_root(
+        standard, base, root, noise, robot, threshold=arguments.threshold, samples=len(samples)
+    )
+    cases: tuple[experiment_comparison.Scenario, ...] = ()
+    if trajectory is not None:
+        cases = compare_experiments(robot, standard, base, trajectory, arguments.threshold)
+    page = report.identifiability_page(
+        robot, standard, base, analysis, arguments.motion, cases=cases
+    )
+    text = dumps(analysis.document())
+    contents = {"identifiability.json": text, "report.html": page}
+    written = _files.write_all(Path(arguments.out), contents)
+    document = json.loads(text)
+    known = sum(bool(direction["identifiable"]) for direction in document["directions"])
+    line = f"{robot.name}: {known} of {base.count} directions practically identifiable"
+    return 0, document, "\n".join([line, *written_lines(written)])

@@ -87,9 +87,9 @@ def test_what_is_above_the_band_is_gone_and_what_is_below_keeps_its_phase():
 
 def test_long_stretches_are_worked_on_in_chunks_without_a_seam(model, truth, monkeypatch):
     recording = recorded(model, truth, motion(2), 30, 0.0, period=None, periodic=None)
-    whole = regression.build(model, segments.pieces([recording]), 10.0)
+    whole = regression.build(model, segments.extract_segments([recording]), 10.0)
     monkeypatch.setattr(segments, "CHUNK", 4096)
-    parts = regression.build(model, segments.pieces([recording]), 10.0)
+    parts = regression.build(model, segments.extract_segments([recording]), 10.0)
     assert (
         len(parts) == len(whole)
         and parts.starts == whole.starts
@@ -101,13 +101,13 @@ def test_long_stretches_are_worked_on_in_chunks_without_a_seam(model, truth, mon
 
 def test_whole_periods_are_averaged_and_their_spread_is_the_noise(model, truth):
     recording = recorded(model, truth, motion(2), 8, 0.5)
-    (piece,) = segments.pieces([recording])
+    (piece,) = segments.extract_segments([recording])
     assert (piece.periods, len(piece)) == (8, round(PERIOD * RATE))
     in_band = 0.5 * np.sqrt(20.0 / (RATE / 2))
-    assert np.allclose(segments.floor([piece], 20.0), in_band, rtol=0.1)
+    assert np.allclose(segments.noise_floor([piece], 20.0), in_band, rtol=0.1)
     left = np.sqrt(1.0 - TAPER_FRACTION * 5.0 / 8.0)  # mean square of half a raised cosine: 3/8
     assert np.allclose(
-        segments.floor([piece], 20.0, tapered=True), left * segments.floor([piece], 20.0), rtol=0.02
+        segments.noise_floor([piece], 20.0, tapered=True), left * segments.noise_floor([piece], 20.0), rtol=0.02
     )
 
 
@@ -116,7 +116,7 @@ def test_periods_that_a_gap_interrupts_are_left_out(model, truth, period):
     recording = recorded(model, truth, motion(2, period=period), 6.1, 0.01)
     turns = recording.t / period
     gone = ((turns > 2.2) & (turns < 2.3)) | ((turns > 3.9) & (turns < 3.95))
-    (piece,) = segments.pieces([recording.rows(~gone)])
+    (piece,) = segments.extract_segments([recording.rows(~gone)])
     assert piece.periods == len(piece.noise) == 4
     assert (
         np.sqrt(np.mean(np.square(piece.noise))) < 0.02
@@ -128,20 +128,20 @@ def test_a_period_without_a_window_is_that_of_all_the_recording(model, truth):
     bare = dataclasses.replace(
         recording, sidecar=dataclasses.replace(recording.sidecar, periodic=None)
     )
-    (one,), (other,) = segments.pieces([recording]), segments.pieces([bare])
+    (one,), (other,) = segments.extract_segments([recording]), segments.extract_segments([bare])
     assert one.periods == other.periods == 4 and np.array_equal(one.torque, other.torque)
 
 
 def test_a_period_that_is_no_whole_number_of_samples_is_interpolated(model, truth):
     fourier = motion(2, period=5.2017)
-    (piece,) = segments.pieces([recorded(model, truth, fourier, 4.1, 0.0)])
+    (piece,) = segments.extract_segments([recorded(model, truth, fourier, 4.1, 0.0)])
     wanted = fourier.at(piece.start + np.arange(len(piece)) / piece.rate)
     assert piece.periods == 4 and np.abs(piece.q - wanted).max() < 1e-6
 
 
 def test_the_band_follows_the_motion_and_the_noise(model, truth):
-    calm = segments.spectra(list(segments.pieces([recorded(model, truth, motion(2), 6, 1e-4)])))
-    loud = segments.spectra(list(segments.pieces([recorded(model, truth, motion(2), 6, 30.0)])))
+    calm = segments.torque_spectra(list(segments.extract_segments([recorded(model, truth, motion(2), 6, 1e-4)])))
+    loud = segments.torque_spectra(list(segments.extract_segments([recorded(model, truth, motion(2), 6, 30.0)])))
     assert calm.hertz == pytest.approx(20.0) and loud.hertz < 0.8 * calm.hertz
     assert calm.motion == pytest.approx(4 / PERIOD, rel=0.5)
 
@@ -156,7 +156,7 @@ def test_a_band_that_cannot_be_is_refused(hertz):
 
 
 def rows(model: Model, recording: Recording, hertz: float = 20.0) -> Equations:
-    return regression.build(model, segments.pieces([recording]), hertz)
+    return regression.build(model, segments.extract_segments([recording]), hertz)
 
 
 @pytest.mark.parametrize("method", [Method.OLS, Method.WLS, Method.FULL, Method.HUBER])
@@ -222,7 +222,7 @@ def test_intervals_cover_under_white_and_coloured_noise(model, truth, pole):
         noisy = dataclasses.replace(
             clean, tau=clean.tau + 0.5 * coloured(rng, clean.tau.shape, pole)
         )
-        (piece,) = segments.pieces([noisy])
+        (piece,) = segments.extract_segments([noisy])
         low = LowPassFilter(20.0, piece.rate, len(piece), periodic=True).low(piece.torque, Grid.KEPT)
         torque_only = dataclasses.replace(
             parts, torque=low, repeats=(regression._repeats(piece, len(parts)),)
@@ -255,7 +255,7 @@ def test_what_the_data_does_not_show_has_no_interval(model, truth):
 
 
 def test_friction_widths_are_found(model, truth):
-    parts = list(segments.pieces([recorded(model, truth, motion(2), 4, 0.02)]))
+    parts = list(segments.extract_segments([recorded(model, truth, motion(2), 4, 0.02)]))
     vague = dataclasses.replace(model, widths=np.full(2, 0.02))
     found = friction_width.fitted(vague, regression.build(vague, parts, 20.0), parts)
     assert np.all(np.abs(np.log(found.widths / WIDTH)) < np.log(1.6))

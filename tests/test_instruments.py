@@ -60,7 +60,7 @@ def bench(encoder: float, step: float) -> Bench:
     recording = Recording(
         "bench.csv", told.joints, told.t, told.q, tau=told.tau, qref=told.qref, sidecar=sidecar
     )
-    rows = regression.build(model, segments.pieces([recording]), HERTZ)
+    rows = regression.build(model, segments.extract_segments([recording]), HERTZ)
     data = estimators.estimate(rows)
     prior = Prior(
         consistency.nominal_bodies(own),
@@ -100,7 +100,7 @@ def test_instruments_pass_the_filter_and_the_periods_of_the_equations(quiet):
     same = dataclasses.replace(quiet.recording, qref=quiet.recording.q)
     found = instruments.build(quiet.model, [same], HERTZ, quiet.psi, Kind.REFERENCE)
     assert np.array_equal(found.rows, quiet.rows.regressor)
-    single = regression.build(quiet.model, segments.pieces([same], average=False), HERTZ)
+    single = regression.build(quiet.model, segments.extract_segments([same], average=False), HERTZ)
     found = instruments.build(quiet.model, [same], HERTZ, quiet.psi, Kind.REFERENCE, average=False)
     assert np.array_equal(found.rows, single.regressor)
 

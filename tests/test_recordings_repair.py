@@ -47,7 +47,7 @@ def test_how_coarse_an_encoder_is_outlives_another_grid(two_link, tmp_path, dama
         np.abs(found.q[:, 1] / step - np.round(found.q[:, 1] / step)).max() > 0.2
     )  # interpolated: no steps to be seen
     assert found.encoder == pytest.approx([0.0, step / np.sqrt(12.0)])
-    assert next(segments_module.pieces([found])).band(5.0).encoder == pytest.approx(
+    assert next(segments_module.extract_segments([found])).band(5.0).encoder == pytest.approx(
         step / np.sqrt(12.0)
     )
 

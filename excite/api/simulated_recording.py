@@ -168,7 +168,7 @@ def simulate(
     facts = {
         "robot": {"name": str(robot), "source": str(source)},
         "trajectory": str(trajectory),
-        "effects": [effect.document() for effect in hidden],
+        "effects": [effect.to_document() for effect in hidden],
         "severity": dict(zip(plant.joints, refit.joints.tolist(), strict=True)),
         "severity_trusted": dict(zip(plant.joints, unfitted.joints.tolist(), strict=True)),
     }

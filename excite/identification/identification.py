@@ -181,7 +181,7 @@ def identify(
         raise UnusableInput(
             f"{recordings[0].source}: has no stretch without a gap that is long enough; record again"
         )
-    spectra = segments.spectra(parts, options.band)
+    spectra = segments.torque_spectra(parts, options.band)
     progress(
         f"{sum(len(r) for r in recordings)} rows; band {spectra.hertz:.3g} Hz; building the equations"
     )
@@ -231,7 +231,7 @@ def identify(
         metric=scaled,
         metric_base=sized,
         delay=own.delay,
-        floor=segments.floor(parts, spectra.hertz),
+        floor=segments.noise_floor(parts, spectra.hertz),
         fits=tuple(predict(r, rows=same) for r in recordings),
         validations=tuple(predict(r) for r in validate),
         tried=tried,
@@ -242,7 +242,7 @@ def identify(
 
 def _data(model: Model, parts: list[Segment], hertz: float, options: Options) -> _Data:
     """Equations with friction as wide as the data has it, and θ̂ by the data alone."""
-    few = segments.first(parts, friction_width.ENOUGH)
+    few = segments.leading_segments(parts, friction_width.ENOUGH)
     rows = regression.build(model, few, hertz)
     model = friction_width.fitted(model, rows, few)
     enough = sum(map(len, few)) == sum(map(len, parts))
@@ -422,6 +422,6 @@ def _predicted(
         if shift is not None:
             parts = [_moved(piece, shift) for piece in parts]
         rows = regression.build(model, parts, min(hertz, 0.45 * min(piece.rate for piece in parts)))
-    floor = segments.floor(list(segments.extract_segments([recording])), hertz, tapered=True)
+    floor = segments.noise_floor(list(segments.extract_segments([recording])), hertz, tapered=True)
     fitted, before = (rows.predicted(model.base.matrix @ one) for one in (psi, nominal))
     return Prediction(recording.source, rows.time, rows.torque, before, fitted, floor, rows.starts)

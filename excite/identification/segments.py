@@ -73,7 +73,7 @@ def extract_segments(recordings: Iterable[Recording], *, average: bool = True) -
     """The stretches of recordings, in order: the mean period of those that repeat, else every stretch without a gap."""
     for recording in recordings:
         if average and recording.repeats is not None:
-            mean = averaged(recording, *recording.repeats)
+            mean = average_periods(recording, *recording.repeats)
             if mean is not None:
                 yield mean
                 continue
@@ -88,7 +88,7 @@ def extract_segments(recordings: Iterable[Recording], *, average: bool = True) -
             )
 
 
-def first(parts: Sequence[Segment], samples: int) -> list[Segment]:
+def leading_segments(parts: Sequence[Segment], samples: int) -> list[Segment]:
     """The pieces from the beginning until there are that many samples; all where there are no more, in parts where one is long."""
     out: list[Segment] = []
     for piece in parts:
@@ -100,7 +100,7 @@ def first(parts: Sequence[Segment], samples: int) -> list[Segment]:
     return out
 
 
-def averaged(recording: Recording, period: float, window: tuple[float, float]) -> Segment | None:
+def average_periods(recording: Recording, period: float, window: tuple[float, float]) -> Segment | None:
     """The mean over the whole periods within a window, on a grid of a whole number of samples; None where fewer than two are, or where a
     period has fewer than SHORTEST samples.
 
@@ -149,7 +149,7 @@ def _folded(part: Recording, wanted: Array) -> tuple[Array, Array]:
 # -- noise and band --------------------------------------------------------------------------------------------------
 
 
-def floor(parts: Sequence[Segment], hertz: float, *, tapered: bool = False) -> Array | None:
+def noise_floor(parts: Sequence[Segment], hertz: float, *, tapered: bool = False) -> Array | None:
     """Standard deviation of the torque noise below `hertz`, from the spread between periods; None without. Shape (n,) [N m].
 
     What the means of periods differ by may be warming up, and is left out. tapered: what the filter leaves of it in
@@ -184,14 +184,14 @@ class TorqueSpectra:
     hertz: float
 
 
-def spectra(parts: Sequence[Segment], hertz: float | None = None) -> TorqueSpectra:
+def torque_spectra(parts: Sequence[Segment], hertz: float | None = None) -> TorqueSpectra:
     """The band, from the data: 20 Hz, more where the motion is faster, less where torque drowns in its noise before.
 
     The noise is that between periods where there are some, else the median density above half of the highest frequency.
     """
     from scipy import signal  # slow to import
 
-    longest = first([max(parts, key=len)], CHUNK)[0]
+    longest = leading_segments([max(parts, key=len)], CHUNK)[0]
     rate, size = longest.rate, _window(longest)
     frequency, torque = signal.welch(longest.torque, rate, nperseg=size, axis=0, detrend="linear")
     if longest.noise is not None:

@@ -1,5 +1,6 @@
-"""A simulated robot that hides physics from those who identify it.
+"""Simulated robots with hidden physics, for `excite simulate` and for testing diagnoses.
 
-Nothing here is shared with what designs, identifies or diagnoses: rigid bodies are MuJoCo's, the joints' physics, the
-controller and the measurement chain are this package's own. It imports nothing of excite but its errors.
+The package shares no code with design, identification or diagnosis, so that an error in one cannot
+cancel in the other: rigid-body dynamics are MuJoCo's, and friction, transmission, controller and
+measurement are modelled here. Of excite it imports only the errors and the array types.
 """

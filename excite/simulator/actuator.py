@@ -1,4 +1,4 @@
-"""The drives' base physics and their controller, sized by the robot's torque and speed limits."""
+"""Joint actuators (rotor inertia, friction, offset) and the gains of their controller."""
 
 from __future__ import annotations
 
@@ -9,12 +9,28 @@ import numpy as np
 from .._types import FloatArray
 from .mujoco_dynamics import RigidBodyDynamics
 
+INERTIA_SAMPLE_POSES = 20
+"""Random poses over which the mass matrix is averaged; enough to size a rotor, not to identify."""
+MAX_FREE_ACCELERATION = 150.0
+"""Acceleration at the torque limit [rad/s²] above which a link counts as negligibly light.
+
+Rotors are sized for at least `torque limit / MAX_FREE_ACCELERATION`; otherwise the small links of a
+wrist would let their joints accelerate faster than real joints do.
+"""
+
 
 @dataclass(frozen=True)
 class JointActuators:
-    """J α + F_v ω + F_c tanh(ω/w) + τ₀ per joint, on the motor's side. All of shape (n,), at the joint's shaft.
+    """Actuator parameters at the joint shafts: J α + F_v ω + F_c tanh(ω/w) + τ₀.
 
-    inertia [kg m²], viscous [N m s/rad], coulomb [N m], width w [rad/s], offset [N m].
+    The fields are the keys of `drive` in `excite.truth/1`. All have shape (n,).
+
+    Attributes:
+        inertia: Rotor inertia J reflected to the joint [kg m²].
+        viscous: Viscous friction F_v [N m s/rad].
+        coulomb: Coulomb friction F_c [N m].
+        width: Speed w over which Coulomb friction changes sign [rad/s].
+        offset: Constant torque τ₀ [N m].
     """
 
     inertia: FloatArray
@@ -24,15 +40,30 @@ class JointActuators:
     offset: FloatArray
 
     def friction_torque(self, v: FloatArray) -> FloatArray:
-        """Friction and offset at speeds v. Shapes (…, n) [N m]."""
+        """Return friction plus offset at joint speeds.
+
+        Args:
+            v: Joint speeds, shape (…, n) [rad/s].
+
+        Returns:
+            Torque, shape (…, n) [N m].
+        """
         return self.viscous * v + self.coulomb * np.tanh(v / self.width) + self.offset
 
 
 @dataclass(frozen=True)
 class ControllerGains:
-    """A cascade: position P, speed PI, feed-forward of speed and of a share of the model's torque, lag of the current loop.
+    """Gains of a cascade: position P, speed PI, feed-forward, and the lag of the current loop.
 
-    position [1/s]; speed: bandwidth [rad/s]; integral [1/s]; forward: share [1]; lag [s]; step: the encoder's, as fed back [rad].
+    The fields are the keys of `control` in `excite.truth/1`.
+
+    Attributes:
+        position: Gain of the position loop [1/s].
+        speed: Bandwidth of the speed loop [rad/s].
+        integral: Integral gain of the speed loop [1/s].
+        forward: Fraction of the rigid-body torque that is fed forward [1].
+        lag: Time constant of the current loop [s].
+        step: Resolution of the position that is fed back [rad]; 0: exact.
     """
 
     position: float = 30.0
@@ -43,25 +74,35 @@ class ControllerGains:
     step: float = 0.0
 
 
-def mean_joint_inertia(arm: RigidBodyDynamics, rng: np.random.Generator) -> FloatArray:
-    """Mean diagonal of the mass matrix over random poses. Shape (n,) [kg m²]."""
-    poses = rng.uniform(-2.0, 2.0, (20, arm.n))
-    return np.mean([np.diag(arm.mass_and_bias(q, 0.0 * q)[0]) for q in poses], axis=0)
+def mean_joint_inertia(dynamics: RigidBodyDynamics, rng: np.random.Generator) -> FloatArray:
+    """Return the mean diagonal of the mass matrix over random poses, shape (n,) [kg m²]."""
+    poses = rng.uniform(-2.0, 2.0, (INERTIA_SAMPLE_POSES, dynamics.n))
+    return np.mean([np.diag(dynamics.mass_and_bias(q, 0.0 * q)[0]) for q in poses], axis=0)
 
 
 def draw_actuators(
-    arm: RigidBodyDynamics, speed: FloatArray, torque: FloatArray, rng: np.random.Generator
+    dynamics: RigidBodyDynamics,
+    velocity_limit: FloatArray,
+    torque_limit: FloatArray,
+    rng: np.random.Generator,
 ) -> JointActuators:
-    """Drives as robots have them: Coulomb 2-4 %, viscous 1-3 % of the torque limit (at full speed), rotors of 20-50 % of the
-    link's inertia, and no drive faster than 400 rad/s² by itself, as the small links of a wrist would have it.
+    """Draw random actuators of the size that industrial arms have.
 
-    speed, torque: the joints' limits. Shape (n,) [rad/s, N m].
+    Coulomb friction is 2-4 % of the torque limit, viscous friction 1-3 % of it at full speed, and
+    the rotor has 20-50 % of the mean inertia that the joint moves.
+
+    Args:
+        dynamics: Rigid-body dynamics of the robot.
+        velocity_limit: Shape (n,) [rad/s].
+        torque_limit: Shape (n,) [N m].
+        rng: Generator of the draw.
     """
-    n = arm.n
+    n = dynamics.n
     return JointActuators(
-        inertia=rng.uniform(0.2, 0.5, n) * np.maximum(mean_joint_inertia(arm, rng), torque / 150.0),
-        viscous=rng.uniform(0.01, 0.03, n) * torque / speed,
-        coulomb=rng.uniform(0.02, 0.04, n) * torque,
+        inertia=rng.uniform(0.2, 0.5, n)
+        * np.maximum(mean_joint_inertia(dynamics, rng), torque_limit / MAX_FREE_ACCELERATION),
+        viscous=rng.uniform(0.01, 0.03, n) * torque_limit / velocity_limit,
+        coulomb=rng.uniform(0.02, 0.04, n) * torque_limit,
         width=rng.uniform(0.003, 0.006, n),
-        offset=rng.uniform(-0.005, 0.005, n) * torque,
+        offset=rng.uniform(-0.005, 0.005, n) * torque_limit,
     )

@@ -1,4 +1,4 @@
-"""The measurement chain: when a value is sampled, and what noise, resolution and clock make of it."""
+"""The measurement chain: sampling times, noise and resolution of the recorded signals."""
 
 from __future__ import annotations
 
@@ -9,13 +9,23 @@ from scipy import signal
 
 from .._types import FloatArray
 
+SPECTRUM_POINTS = 4000
+"""Frequencies at which the noise spectrum is summed."""
+
 
 @dataclass(frozen=True)
 class MeasurementChain:
-    """rate [Hz]. noise: torque's standard deviation, Shape (n,) [N m]; colour: corner of its low-pass [Hz], None: white.
+    """Sampling, noise and resolution of a recording.
 
-    encoder: resolution of position [rad]. torque: resolution of torque, Shape (n,) [N m]. jitter: standard deviation of the times of
-    sampling, which the recording's clock does not show [s].
+    The fields are the keys of `chain` in `excite.truth/1`.
+
+    Attributes:
+        rate: Sampling rate [Hz].
+        noise: Standard deviation of the torque noise, shape (n,) [N m].
+        colour: Corner frequency of the noise's first-order low-pass [Hz]; None: white noise.
+        encoder: Resolution of position [rad]; 0: exact.
+        torque: Resolution of torque, shape (n,) [N m]; None: exact.
+        jitter: Standard deviation of the sampling times, which the time stamps do not show [s].
     """
 
     rate: float
@@ -26,26 +36,35 @@ class MeasurementChain:
     jitter: float = 0.0
 
     def clock_times(self, duration: float) -> FloatArray:
-        """What the clock shows: k/rate, to the end [s]."""
+        """Return the time stamps k/rate up to `duration` [s]."""
         return np.arange(round(duration * self.rate) + 1) / self.rate
 
     def sampling_times(self, t: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """When the samples really were taken."""
+        """Return the times at which the samples stamped `t` were really taken [s]."""
         return t + self.jitter * rng.standard_normal(len(t))
 
     def quantise_positions(self, q: FloatArray) -> FloatArray:
-        """Positions on the encoder's grid."""
+        """Round positions to the resolution of the encoder."""
         return q if self.encoder == 0.0 else np.round(q / self.encoder) * self.encoder
 
     def measure_torques(self, tau: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Torques with noise, on the converter's grid."""
+        """Add noise to torques and round them to their resolution. Shapes (N, n) [N m]."""
         noisy = tau + self.noise * coloured_noise(tau.shape, self.rate, self.colour, rng)
         return noisy if self.torque is None else np.round(noisy / self.torque) * self.torque
 
     def noise_floor(self, band: float) -> FloatArray:
-        """RMS of the torque's noise below `band` [Hz], as a brick wall would leave it. Shape (n,) [N m]."""
+        """Return the RMS of the torque noise that an ideal low-pass lets through.
+
+        Rounding to steps s counts as white noise of variance s²/12.
+
+        Args:
+            band: Corner of the low-pass [Hz].
+
+        Returns:
+            RMS per joint, shape (n,) [N m].
+        """
         nyquist = 0.5 * self.rate
-        f = np.linspace(0.0, nyquist, 4000)
+        f = np.linspace(0.0, nyquist, SPECTRUM_POINTS)
         power = (
             np.ones_like(f)
             if self.colour is None
@@ -64,12 +83,20 @@ class MeasurementChain:
 def coloured_noise(
     shape: tuple[int, ...], rate: float, corner: float | None, rng: np.random.Generator
 ) -> FloatArray:
-    """Noise of variance 1 along the first axis: white, or first-order low-passed at `corner` [Hz]."""
+    """Draw noise of variance 1 along the first axis.
+
+    Args:
+        shape: Shape of the result; time is the first axis.
+        rate: Sampling rate [Hz].
+        corner: Corner of a first-order low-pass [Hz]; None: white noise.
+        rng: Generator of the draw.
+    """
     white = rng.standard_normal(shape)
     if corner is None:
         return white
     b, a = _low_pass_coefficients(corner, rate)
     pole = -a[1]
+    # the initial state is drawn from its stationary distribution
     out, _ = signal.lfilter(
         b,
         a,
@@ -81,5 +108,6 @@ def coloured_noise(
 
 
 def _low_pass_coefficients(corner: float, rate: float) -> tuple[FloatArray, FloatArray]:
+    """Return numerator and denominator of a first-order low-pass."""
     pole = float(np.exp(-2.0 * np.pi * corner / rate))
     return np.array([1.0 - pole]), np.array([1.0, -pole])

@@ -1,4 +1,4 @@
-"""What a hidden effect may do to a robot: the one interface of all effects, each method of which does nothing by default."""
+"""The interface of all hidden effects: what an effect may change in a simulated robot."""
 
 from __future__ import annotations
 
@@ -13,9 +13,14 @@ from .urdf_tree import UrdfTree
 
 @dataclass(frozen=True)
 class JointStates:
-    """The joints at one time or at many. Arrays of shape (…, n); t: Shape (…).
+    """States of the joints at one time or at several times.
 
-    q, v, a: of the motor's shaft, divided by the gear ratio [rad, rad/s, rad/s²]. load: torque passed on to the link [N m].
+    Attributes:
+        t: Time, shape (…) [s].
+        q: Position of the motor shaft divided by the gear ratio, shape (…, n) [rad].
+        v: Speed of the same, shape (…, n) [rad/s].
+        a: Acceleration of the same, shape (…, n) [rad/s²].
+        load: Torque transmitted to the link, shape (…, n) [N m].
     """
 
     t: FloatArray
@@ -27,7 +32,13 @@ class JointStates:
 
 @dataclass(frozen=True)
 class TransmissionSpring:
-    """What an elastic joint passes on: f(δ, δ̇) of its wind-up δ = θ − q. pull: floats to (torque, ∂/∂δ, ∂/∂δ̇)."""
+    """An elastic transmission between a motor and its link.
+
+    Attributes:
+        joint: Index of the joint.
+        torque_and_slopes: Function of the deflection δ = θ − q [rad] and its rate [rad/s] that
+            returns the transmitted torque [N m] and its derivatives with respect to both.
+    """
 
     joint: int
     torque_and_slopes: Callable[[float, float], tuple[float, float, float]]
@@ -35,55 +46,75 @@ class TransmissionSpring:
 
 @dataclass(frozen=True)
 class BaseSuspension:
-    """Springs and dampers under the base's own coordinates. Shapes (k,) [N m/rad, N m s/rad]."""
+    """Springs and dampers of the coordinates of a base that moves.
+
+    Attributes:
+        stiffness: Shape (k,) [N m/rad].
+        damping: Shape (k,) [N m s/rad].
+    """
 
     stiffness: FloatArray
     damping: FloatArray
 
 
 class PhysicalEffect:
-    """Hidden physics of a robot. Torques are what the drive must give in addition, Shape (…, n) [N m]."""
+    """Hidden physics of a robot; each method changes nothing unless an effect overrides it.
+
+    Attributes:
+        state_size: Number of internal states of the effect.
+    """
 
     state_size: int = 0
 
     def modify_tree(self, tree: UrdfTree) -> UrdfTree:
-        """Other bodies or frames."""
+        """Return the robot's tree with other bodies or frames."""
         return tree
 
-    def gravity(self, vector: FloatArray) -> FloatArray:
-        """Gravity in the base's frame. Shape (3,) [m/s²]."""
-        return vector
+    def modify_gravity(self, gravity: FloatArray) -> FloatArray:
+        """Return gravity in the base frame, shape (3,) [m/s²]."""
+        return gravity
 
-    def modify_actuators(self, drive: JointActuators) -> JointActuators:
-        """Other drives."""
-        return drive
+    def modify_actuators(self, actuators: JointActuators) -> JointActuators:
+        """Return other actuators."""
+        return actuators
 
-    def bind(self, arm: RigidBodyDynamics) -> PhysicalEffect:
-        """The same law, knowing the arm it acts on."""
+    def bind(self, dynamics: RigidBodyDynamics) -> PhysicalEffect:
+        """Return the effect with the rigid-body dynamics that it acts on."""
         return self
 
     def base_suspension(self) -> BaseSuspension | None:
-        """What carries the coordinates that `alter` put under the base."""
+        """Return the suspension of the coordinates that `modify_tree` put below the base."""
         return None
 
     def transmission_spring(self) -> TransmissionSpring | None:
-        """What lies between a motor and its link instead of a rigid gear."""
+        """Return the spring that replaces the rigid transmission of a joint."""
         return None
 
     def advance_state(self, x: JointStates, z: FloatArray, dt: float) -> FloatArray:
-        """Memory after dt [s] at the motion x. Shape (…, memory)."""
+        """Return the internal states after a time step.
+
+        Args:
+            x: States of the joints during the step.
+            z: Internal states at its start, shape (…, state_size).
+            dt: Time step [s].
+        """
         return z
 
     def torque(self, x: JointStates, z: FloatArray) -> FloatArray | None:
-        """Additional torque, or None."""
+        """Return the torque that actuators give in addition, shape (…, n) [N m], or None."""
         return None
 
     def measured_position(self, q: FloatArray) -> FloatArray:
-        """Position that the motor's encoder tells. Shapes (…, n)."""
+        """Return the position that the motor encoder reports, shape (…, n) [rad]."""
         return q
 
     def measured_torque(
         self, torque: Callable[[FloatArray], FloatArray], t: FloatArray
     ) -> FloatArray:
-        """Torque that the robot tells at times t, where torque(t) is the true one. Shape (N, n)."""
+        """Return the torque that the robot reports.
+
+        Args:
+            torque: The true torque, as a function of times: (N,) [s] to (N, n) [N m].
+            t: Times, shape (N,) [s].
+        """
         return torque(t)

@@ -11,11 +11,11 @@ from .mujoco_dynamics import RigidBodyDynamics
 
 INERTIA_SAMPLE_POSES = 20
 """Random poses over which the mass matrix is averaged; enough to size a rotor, not to identify."""
-MAX_FREE_ACCELERATION = 150.0
-"""Acceleration at the torque limit [rad/s²] above which a link counts as negligibly light.
+REFERENCE_ACCELERATION = 150.0
+"""Acceleration at the torque limit that defines the least inertia of a joint [rad/s²].
 
-Rotors are sized for at least `torque limit / MAX_FREE_ACCELERATION`; otherwise the small links of a
-wrist would let their joints accelerate faster than real joints do.
+A rotor has 20-50 % of at least `torque limit / REFERENCE_ACCELERATION`, so that it alone limits
+the acceleration to 300-750 rad/s². The light links of a wrist would not.
 """
 
 
@@ -100,7 +100,7 @@ def draw_actuators(
     n = dynamics.n
     return JointActuators(
         inertia=rng.uniform(0.2, 0.5, n)
-        * np.maximum(mean_joint_inertia(dynamics, rng), torque_limit / MAX_FREE_ACCELERATION),
+        * np.maximum(mean_joint_inertia(dynamics, rng), torque_limit / REFERENCE_ACCELERATION),
         viscous=rng.uniform(0.01, 0.03, n) * torque_limit / velocity_limit,
         coulomb=rng.uniform(0.02, 0.04, n) * torque_limit,
         width=rng.uniform(0.003, 0.006, n),

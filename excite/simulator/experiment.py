@@ -1,4 +1,7 @@
-"""One call from a URDF and a trajectory to a recording and its truth; every draw comes from one seed, noise from the motion too."""
+"""Simulated experiments: from a URDF and a trajectory to a recording and its ground truth.
+
+All random draws come from one seed; the measurement noise depends on the motion as well.
+"""
 
 from __future__ import annotations
 
@@ -10,29 +13,36 @@ from typing import Any
 
 import numpy as np
 
-from . import recording_file as records
-from . import reference_trajectory as references
-from . import simulated_robot as plants
-from . import urdf_tree as trees
 from .actuator import ControllerGains
 from .measurement import MeasurementChain
 from .model_error import perturb_bodies
 from .physical_effect import PhysicalEffect
-from .recording_file import SimulatedRecording
-from .reference_trajectory import ReferenceTrajectory
-from .simulated_robot import SimulatedMotion, SimulatedRobot
-from .urdf_tree import UrdfTree
+from .recording_file import RecordedMotion, measure, truth_document
+from .reference_trajectory import ReferenceTrajectory, read_reference
+from .simulated_robot import SimulatedMotion, SimulatedRobot, draw_robot
+from .urdf_tree import UrdfTree, read_urdf
 
 MOTION_DIGEST_POINTS = 64
-"""Points of a motion that tell it from another."""
+"""Points of a motion from which the seed of its noise is computed."""
+TORQUE_RESOLUTION = 2048.0
+"""Steps of the recorded torque per torque limit: a 12-bit converter for both signs."""
 
 
 @dataclass(frozen=True)
 class ExperimentSettings:
-    """How a robot is made and measured.
+    """How a simulated robot is built and measured.
 
-    seed: of everything. rate [Hz]. noise: torque's standard deviation over the torque limit; colour: corner of its low-pass [Hz].
-    jitter [s]. encoder [rad]. model_error: how far the true bodies are from the URDF's, about (1). control: the controller.
+    The fields are the keys of `setting` in `excite.truth/1`.
+
+    Attributes:
+        seed: Seed of all random draws.
+        rate: Sampling rate [Hz].
+        noise: Standard deviation of the torque noise over the torque limit [1].
+        colour: Corner frequency of the noise's low-pass [Hz]; None: white noise.
+        jitter: Standard deviation of the sampling times [s].
+        encoder: Resolution of position [rad].
+        model_error: Relative difference between the true bodies and those of the URDF [1].
+        control: Gains of the controller.
     """
 
     seed: int = 0
@@ -45,103 +55,138 @@ class ExperimentSettings:
     control: ControllerGains = field(default_factory=ControllerGains)
 
     @classmethod
-    def stated(cls, document: Mapping[str, Any]) -> ExperimentSettings:
-        """As a truth states it."""
+    def from_document(cls, document: Mapping[str, Any]) -> ExperimentSettings:
+        """Build the settings from the `setting` of a truth file."""
         return cls(**{**document, "control": ControllerGains(**document["control"])})
 
     def generators(self) -> list[np.random.Generator]:
-        """Independent ones for bodies, drives, measurement (see `measuring`) and effects."""
+        """Return independent generators for bodies, actuators, measurement and effects."""
         return np.random.default_rng(self.seed).spawn(4)
 
     def noise_generator(self, reference: ReferenceTrajectory) -> np.random.Generator:
-        """For the noise of a motion: that of another motion is another, as no two recordings share theirs."""
-        joints = reference.at(np.linspace(0.0, reference.duration, MOTION_DIGEST_POINTS))[0]
-        told = zlib.crc32((np.round(joints, 6) + 0.0).tobytes())
-        return np.random.default_rng([told, *self.generators()[2].integers(2**32, size=2).tolist()])
+        """Return the generator of the noise along a motion.
+
+        It depends on the motion, so that recordings of two motions share no noise.
+        """
+        q = reference.at(np.linspace(0.0, reference.duration, MOTION_DIGEST_POINTS))[0]
+        digest = zlib.crc32((np.round(q, 6) + 0.0).tobytes())
+        return np.random.default_rng(
+            [digest, *self.generators()[2].integers(2**32, size=2).tolist()]
+        )
 
 
 @dataclass(frozen=True)
 class SimulatedSession:
-    """A robot on the bench. run: the motion made. recording: what was measured. truth: what nobody there is told."""
+    """One recording of a simulated robot.
+
+    Attributes:
+        robot: The robot.
+        chain: Its measurement chain.
+        motion: The motion that it made.
+        recording: The measured signals.
+        truth: The ground truth, an `excite.truth/1`.
+    """
 
     robot: SimulatedRobot
     chain: MeasurementChain
-    run: SimulatedMotion
-    recording: SimulatedRecording
+    motion: SimulatedMotion
+    recording: RecordedMotion
     truth: dict[str, Any]
 
 
 def build_robot(
     urdf: Path,
     reference: ReferenceTrajectory,
-    setting: ExperimentSettings,
-    laws: Sequence[PhysicalEffect] = (),
+    settings: ExperimentSettings,
+    effects: Sequence[PhysicalEffect] = (),
 ) -> SimulatedRobot:
-    """The true robot behind a URDF that is a few per cent wrong."""
-    bodies, drives, *_ = setting.generators()
-    true = perturb_bodies(
-        _with_payload(trees.read_urdf(urdf), reference), setting.model_error, bodies
-    )
-    return plants.draw_robot(true, reference, drives, control=setting.control, effects=laws)
+    """Build the true robot, of which the URDF is a model with errors of a few per cent.
+
+    Args:
+        urdf: Path of the URDF.
+        reference: Trajectory that states joints, locked joints, gravity and payload.
+        settings: Seed, model error and controller.
+        effects: Hidden effects.
+    """
+    bodies, actuators, *_ = settings.generators()
+    tree = perturb_bodies(_with_payload(read_urdf(urdf), reference), settings.model_error, bodies)
+    return draw_robot(tree, reference, actuators, gains=settings.control, effects=effects)
 
 
 def _with_payload(tree: UrdfTree, reference: ReferenceTrajectory) -> UrdfTree:
-    """The tree with the body that the trajectory was designed with."""
-    stated = reference.robot.get("payload")
-    if stated is None:
+    """Return the tree with the payload for which the trajectory was designed."""
+    payload = reference.robot.get("payload")
+    if payload is None:
         return tree
-    xx, xy, yy, xz, yz, zz = (float(v) for v in stated["inertia"])
+    xx, xy, yy, xz, yz, zz = (float(value) for value in payload["inertia"])
     tensor, point = (
         np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]),
-        np.array([*stated["centre"], 1.0], float),
+        np.array([*payload["centre"], 1.0], float),
     )
-    more = float(stated["mass"]) * np.outer(point, point)
-    more[:3, :3] += 0.5 * np.history(tensor) * np.eye(3) - tensor
+    added = float(payload["mass"]) * np.outer(point, point)
+    added[:3, :3] += 0.5 * np.trace(tensor) * np.eye(3) - tensor
     return tree.with_pseudo_inertia(
-        str(stated["link"]), tree.pseudo_inertia(str(stated["link"])) + more
+        str(payload["link"]), tree.pseudo_inertia(str(payload["link"])) + added
     )
 
 
-def measurement_chain(plant: SimulatedRobot, setting: ExperimentSettings) -> MeasurementChain:
-    """The measurement chain, sized by the torque limits."""
+def measurement_chain(robot: SimulatedRobot, settings: ExperimentSettings) -> MeasurementChain:
+    """Return the measurement chain of a robot, sized by its torque limits."""
     return MeasurementChain(
-        setting.rate,
-        setting.noise * plant.limit,
-        setting.colour,
-        setting.encoder,
-        plant.limit / 2048.0,
-        setting.jitter,
+        settings.rate,
+        settings.noise * robot.torque_limit,
+        settings.colour,
+        settings.encoder,
+        robot.torque_limit / TORQUE_RESOLUTION,
+        settings.jitter,
     )
 
 
 def run_session(
-    plant: SimulatedRobot,
+    robot: SimulatedRobot,
     reference: ReferenceTrajectory,
-    setting: ExperimentSettings,
+    settings: ExperimentSettings,
     facts: dict[str, Any] | None = None,
-    run: SimulatedMotion | None = None,
+    motion: SimulatedMotion | None = None,
 ) -> SimulatedSession:
-    """Run a robot along a reference and measure it; `facts` enter the truth first, `run` is one already made."""
-    made = plant.run(reference) if run is None else run
-    measured = measurement_chain(plant, setting)
-    recording = records.measure(made, reference, measured, setting.noise_generator(reference))
-    own = {"seed": setting.seed, "setting": asdict(setting)}
+    """Simulate a robot along a reference and measure it.
+
+    Args:
+        robot: The robot with its hidden effects.
+        reference: The commanded motion.
+        settings: Seed and measurement.
+        facts: Further keys of the truth, which come first.
+        motion: The motion, where it has been simulated already.
+    """
+    if motion is None:
+        motion = robot.follow(reference)
+    chain = measurement_chain(robot, settings)
+    recording = measure(motion, reference, chain, settings.noise_generator(reference))
+    settings_facts = {"seed": settings.seed, "setting": asdict(settings)}
     return SimulatedSession(
-        plant,
-        measured,
-        made,
+        robot,
+        chain,
+        motion,
         recording,
-        records.truth_document(plant, measured, {**(facts or {}), **own}),
+        truth_document(robot, chain, {**(facts or {}), **settings_facts}),
     )
 
 
 def simulate(
     urdf: Path,
     trajectory: Path,
-    setting: ExperimentSettings = ExperimentSettings(),
+    settings: ExperimentSettings = ExperimentSettings(),
     periods: int | None = None,
-    laws: Sequence[PhysicalEffect] = (),
+    effects: Sequence[PhysicalEffect] = (),
 ) -> SimulatedSession:
-    """A recording of a robot that follows `trajectory.json`, its bodies and drives drawn from the setting's seed."""
-    reference = references.read_reference(trajectory, periods)
-    return run_session(build_robot(urdf, reference, setting, laws), reference, setting)
+    """Record a robot that follows a `trajectory.json`.
+
+    Args:
+        urdf: Path of the URDF.
+        trajectory: Path of the trajectory.
+        settings: How the robot is built and measured.
+        periods: Repeats of the excitation; None: as the trajectory states.
+        effects: Hidden effects.
+    """
+    reference = read_reference(trajectory, periods)
+    return run_session(build_robot(urdf, reference, settings, effects), reference, settings)

@@ -1,4 +1,4 @@
-"""The rigid bodies, in MuJoCo: mass matrix, bias and inverse dynamics, nothing else."""
+"""Rigid-body dynamics by MuJoCo: mass matrix, bias torque, inverse dynamics, Jacobian and energy."""
 
 from __future__ import annotations
 
@@ -14,14 +14,18 @@ from ..errors import UnusableInput
 from .urdf_tree import UrdfTree
 
 GRAVITY = (0.0, 0.0, -9.81)
+"""Gravity in the base frame [m/s²]."""
 
 
 @dataclass(frozen=True)
 class RigidBodyDynamics:
-    """M(q) q̈ + h(q, q̇) = τ of an open chain or tree, no friction, no motors.
+    """Dynamics M(q) q̈ + h(q, q̇) = τ of a kinematic tree, without friction and rotors.
 
-    joints: the n moving joints in MuJoCo's order. tree: what it was built from.
-    model, scratch: MuJoCo's; `scratch` holds no state between calls.
+    Attributes:
+        tree: The robot that it was built from.
+        joints: Names of the n movable joints, in MuJoCo's order.
+        model: MuJoCo model.
+        data: MuJoCo work space; it holds no state between calls.
     """
 
     tree: UrdfTree
@@ -31,10 +35,19 @@ class RigidBodyDynamics:
 
     @property
     def n(self) -> int:
+        """Number of joints."""
         return len(self.joints)
 
     def mass_and_bias(self, q: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mass matrix and bias at one state. Shapes (n, n) [kg m²], (n,) [N m]."""
+        """Return mass matrix and bias torque at one state.
+
+        Args:
+            q: Position, shape (n,) [rad or m].
+            v: Velocity, shape (n,).
+
+        Returns:
+            Mass matrix, shape (n, n) [kg m²], and bias torque, shape (n,) [N m].
+        """
         import mujoco
 
         model, data = self.model, self.data
@@ -49,22 +62,30 @@ class RigidBodyDynamics:
         return mass, bias
 
     def inverse_dynamics(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        """Torque that a motion needs. Shapes (N, n) -> (N, n) [N m]."""
+        """Return the torque that a motion needs. Shapes (N, n) to (N, n) [N m]."""
         import mujoco
 
         model, data = self.model, self.data
-        out, row = np.empty(q.shape), np.empty(self.n)
+        out, torque = np.empty(q.shape), np.empty(self.n)
         for k in range(len(q)):
             data.qpos[:], data.qvel[:], data.qacc[:] = q[k], v[k], a[k]
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
             mujoco.mj_comVel(model, data)
-            mujoco.mj_rne(model, data, 1, row)
-            out[k] = row
+            mujoco.mj_rne(model, data, 1, torque)
+            out[k] = torque
         return out
 
     def centre_of_mass_jacobian(self, q: FloatArray, joint: str) -> FloatArray:
-        """∂(centre of mass of the link a joint moves)/∂q, along a motion. Shape (N, 3, n) [m]."""
+        """Return ∂(centre of mass)/∂q of the link that a joint moves.
+
+        Args:
+            q: Positions, shape (N, n) [rad or m].
+            joint: Name of the joint.
+
+        Returns:
+            Jacobian along the motion, shape (N, 3, n) [m].
+        """
         import mujoco
 
         model, data = self.model, self.data
@@ -79,7 +100,7 @@ class RigidBodyDynamics:
         return out
 
     def total_energy(self, q: FloatArray, v: FloatArray) -> FloatArray:
-        """Kinetic plus potential energy along a motion. Shapes (N, n) -> (N,) [J]."""
+        """Return kinetic plus potential energy. Shapes (N, n) to (N,) [J]."""
         import mujoco
 
         model, data, out = self.model, self.data, np.empty(len(q))
@@ -96,17 +117,28 @@ def build_dynamics(
     lock: Mapping[str, float] | None = None,
     gravity: Sequence[float] = GRAVITY,
 ) -> RigidBodyDynamics:
-    """Compile a tree; joints that are not named are locked at `lock`, or at 0. Raises UnusableInput when MuJoCo refuses it."""
+    """Compile the dynamics of a robot.
+
+    Args:
+        tree: The robot.
+        joints: Names of the joints that move.
+        lock: Positions of the other joints, which are locked [rad or m]; 0 where not stated.
+        gravity: Gravity in the base frame, shape (3,) [m/s²].
+
+    Raises:
+        UnusableInput: MuJoCo refuses the robot, or a joint does not exist.
+    """
     import mujoco
 
-    fixed = tree
+    locked_tree = tree
     for name in set(tree.joints) - set(joints):
-        fixed = fixed.with_locked_joint(name, (lock or {}).get(name, 0.0))
+        locked_tree = locked_tree.with_locked_joint(name, (lock or {}).get(name, 0.0))
     for name in joints:
-        fixed.joint(name)
-    root = ElementTree.fromstring(fixed.text)
+        locked_tree.joint(name)
+    root = ElementTree.fromstring(locked_tree.text)
     options = ElementTree.Element("mujoco")
-    # bodies are set exactly afterwards: MuJoCo's compiler wants masses and inertias of its own liking
+    # MuJoCo's compiler alters masses and inertias that it finds implausible: they are set exactly
+    # afterwards
     compiler = {
         "discardvisual": "true",
         "fusestatic": "false",
@@ -124,22 +156,22 @@ def build_dynamics(
         ) from error
     model.opt.gravity[:] = gravity
     for body in range(1, model.nbody):
-        _set_body(model, body, fixed.pseudo_inertia(str(model.pseudo_inertia(body).name)))
-    scratch = mujoco.MjData(model)
-    mujoco.mj_setConst(model, scratch)
+        _set_body(model, body, locked_tree.pseudo_inertia(str(model.body(body).name)))
+    data = mujoco.MjData(model)
+    mujoco.mj_setConst(model, data)
     return RigidBodyDynamics(
-        fixed, tuple(str(model.joint(i).name) for i in range(model.njnt)), model, scratch
+        locked_tree, tuple(str(model.joint(i).name) for i in range(model.njnt)), model, data
     )
 
 
-def _set_body(model: Any, body: int, pseudo: FloatArray) -> None:
-    """Mass, centre and principal moments of a body, from its pseudo-inertia in the link's frame."""
+def _set_body(model: Any, body: int, pseudo_inertia: FloatArray) -> None:
+    """Set mass, centre of mass and principal moments of a body from its pseudo-inertia."""
     import mujoco
 
-    mass = float(pseudo[3, 3])
-    centre = pseudo[:3, 3] / mass if mass > 0.0 else np.zeros(3)
-    second = pseudo[:3, :3] - mass * np.outer(centre, centre)
-    moments, axes = np.linalg.eigh(np.history(second) * np.eye(3) - second)
+    mass = float(pseudo_inertia[3, 3])
+    centre = pseudo_inertia[:3, 3] / mass if mass > 0.0 else np.zeros(3)
+    second = pseudo_inertia[:3, :3] - mass * np.outer(centre, centre)
+    moments, axes = np.linalg.eigh(np.trace(second) * np.eye(3) - second)
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     quaternion = np.empty(4)
     mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(axes).ravel())

@@ -1,4 +1,4 @@
-"""What leaves the laboratory: the contract's CSV and sidecar; and what stays there: the truth."""
+"""The files of a simulated recording: CSV, sidecar and ground truth."""
 
 from __future__ import annotations
 
@@ -19,14 +19,24 @@ from .simulated_robot import SimulatedMotion, SimulatedRobot
 from .urdf_tree import INERTIA_INDICES, UrdfTree
 
 SETTLING_TIME = 0.5
-"""Of the periodic part, what is left out of the stated window until the loop has settled [s]."""
+"""Begin of the first period that the stated periodic window leaves out [s].
+
+The loop settles in it; at most a tenth of the period is left out.
+"""
 
 
 @dataclass(frozen=True)
-class SimulatedRecording:
-    """A recorded motion. t: Shape (N,) [s]; q, tau, qref: Shapes (N, n) [rad, N m, rad].
+class RecordedMotion:
+    """A recorded motion.
 
-    period, periodic: of the excitation, and the window in which the motion repeats [s].
+    Attributes:
+        joints: Names of the n joints.
+        t: Time stamps, shape (N,) [s].
+        q: Measured positions, shape (N, n) [rad].
+        tau: Measured torques, shape (N, n) [N m].
+        qref: Commanded positions, shape (N, n) [rad].
+        period: Period of the excitation [s].
+        periodic: Begin and end of the window in which the motion repeats [s].
     """
 
     joints: tuple[str, ...]
@@ -38,7 +48,7 @@ class SimulatedRecording:
     periodic: tuple[float, float]
 
     def to_csv(self) -> str:
-        """The contract's columns; every number takes equally many characters."""
+        """Return the rows of `<name>.csv`; every number has the same width."""
         stream = io.StringIO()
         names = [f"{kind}.{joint}" for kind in ("q", "tau", "qref") for joint in self.joints]
         csv.writer(stream, lineterminator="\n").writerow(["t", *names])
@@ -47,7 +57,7 @@ class SimulatedRecording:
         return stream.getvalue() + "".join(row % tuple(values) for values in table.tolist())
 
     def to_sidecar(self) -> dict[str, Any]:
-        """`excite.recording/1`."""
+        """Return the sidecar, an `excite.recording/1`."""
         return {
             "schema": "excite.recording/1",
             "period": self.period,
@@ -58,20 +68,27 @@ class SimulatedRecording:
 
 
 def measure(
-    run: SimulatedMotion,
+    motion: SimulatedMotion,
     reference: ReferenceTrajectory,
     chain: MeasurementChain,
     rng: np.random.Generator,
-) -> SimulatedRecording:
-    """Measure a motion. The same generator state gives the same noise, whatever hides in the robot."""
+) -> RecordedMotion:
+    """Measure a motion.
+
+    Args:
+        motion: The simulated motion.
+        reference: The trajectory that it follows.
+        chain: The measurement chain.
+        rng: Generator of the noise; the same state gives the same noise for any hidden effect.
+    """
     t = chain.clock_times(reference.duration)
     clock, noise = rng.spawn(2)
-    q, tau = run.measured_torque(chain.sampling_times(t, clock))
+    q, tau = motion.measured(chain.sampling_times(t, clock))
     window = (
         reference.periodic[0] + min(SETTLING_TIME, 0.1 * reference.period),
         reference.periodic[1],
     )
-    return SimulatedRecording(
+    return RecordedMotion(
         reference.joints,
         t,
         chain.quantise_positions(q),
@@ -83,20 +100,26 @@ def measure(
 
 
 def truth_document(
-    plant: SimulatedRobot, chain: MeasurementChain, facts: Mapping[str, Any]
+    robot: SimulatedRobot, chain: MeasurementChain, facts: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """`excite.truth/1`: what the simulated robot is, in the contract's units; `facts` (effects, seed …) come first."""
+    """Return the ground truth, an `excite.truth/1`, in the units of the contract.
+
+    Args:
+        robot: The simulated robot.
+        chain: Its measurement chain.
+        facts: Further keys (effects, seed, …), which come first.
+    """
     drive = {
-        key: dict(zip(plant.joints, values.tolist(), strict=True))
-        for key, values in asdict(plant.drive).items()
+        key: dict(zip(robot.joints, values.tolist(), strict=True))
+        for key, values in asdict(robot.actuators).items()
     }
     document: dict[str, Any] = {
         "schema": "excite.truth/1",
         **facts,
-        "joints": list(plant.joints),
+        "joints": list(robot.joints),
         "drive": drive,
-        "bodies": {link: inertial_vector(plant.tree, link) for link in plant.tree.links},
-        "control": asdict(plant.control),
+        "bodies": {link: inertial_vector(robot.tree, link) for link in robot.tree.links},
+        "control": asdict(robot.gains),
         "chain": {
             k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(chain).items()
         },
@@ -106,16 +129,20 @@ def truth_document(
 
 
 def inertial_vector(tree: UrdfTree, link: str) -> list[float]:
-    """[m, m·cx, m·cy, m·cz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz] of a link in its own frame."""
-    pseudo = tree.pseudo_inertia(link)
-    tensor = np.history(pseudo[:3, :3]) * np.eye(3) - pseudo[:3, :3]
+    """Return [m, m·cx, m·cy, m·cz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz] of a link in its own frame."""
+    pseudo_inertia = tree.pseudo_inertia(link)
+    tensor = np.trace(pseudo_inertia[:3, :3]) * np.eye(3) - pseudo_inertia[:3, :3]
     order = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
     return [
         float(v)
-        for v in (pseudo[3, 3], *pseudo[:3, 3], *(tensor[INERTIA_INDICES[key]] for key in order))
+        for v in (
+            pseudo_inertia[3, 3],
+            *pseudo_inertia[:3, 3],
+            *(tensor[INERTIA_INDICES[key]] for key in order),
+        )
     ]
 
 
 def json_text(document: Mapping[str, Any]) -> str:
-    """Strict JSON, keys in the order given."""
+    """Return strict JSON with the keys in the order given."""
     return json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False)

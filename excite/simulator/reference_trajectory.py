@@ -1,4 +1,8 @@
-"""What the controller is asked to follow: a finite Fourier series between ramps of piecewise constant jerk, or a blend of one's own."""
+"""The commanded motion of a simulated robot, evaluated independently of excite's own trajectories.
+
+It is a finite Fourier series between ramps of piecewise constant jerk (`trajectory.json`), or
+between smooth blends.
+"""
 
 from __future__ import annotations
 
@@ -14,13 +18,21 @@ from .._types import FloatArray
 from ..errors import UnusableInput
 
 SCHEMA = "excite.trajectory/1"
+"""Schema of a trajectory file."""
 
 
 @dataclass(frozen=True)
 class ReferenceTrajectory:
-    """Commanded motion. at: times of shape (N,) [s] to position, velocity, acceleration, each of shape (N, n).
+    """A commanded motion.
 
-    periodic: [start, end] of the part that repeats with `period` [s]. robot: what the file says of the robot.
+    Attributes:
+        joints: Names of the n joints.
+        at: Function from times of shape (N,) [s] to position, velocity and acceleration, each of
+            shape (N, n).
+        duration: End of the motion [s].
+        period: Period of the excitation [s].
+        periodic: Begin and end of the part that repeats [s].
+        robot: The `robot` of the trajectory file.
     """
 
     joints: tuple[str, ...]
@@ -32,7 +44,15 @@ class ReferenceTrajectory:
 
 
 def read_reference(path: Path, periods: int | None = None) -> ReferenceTrajectory:
-    """Read `trajectory.json`, with its Fourier part repeated `periods` times instead of as stated. Raises UnusableInput."""
+    """Read a `trajectory.json`.
+
+    Args:
+        path: Path of the file.
+        periods: Repeats of the Fourier part; None: as the file states.
+
+    Raises:
+        UnusableInput: The file cannot be used.
+    """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
@@ -54,6 +74,7 @@ def read_reference(path: Path, periods: int | None = None) -> ReferenceTrajector
 
 
 def _reference(document: Mapping[str, Any], periods: int | None) -> ReferenceTrajectory:
+    """Build the reference from the content of a trajectory file."""
     joints = tuple(str(j) for j in document["joints"])
     period, extra = float(document["period"]), 0.0
     if periods is not None:
@@ -75,13 +96,13 @@ def _reference(document: Mapping[str, Any], periods: int | None) -> ReferenceTra
 
     def at(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         out = tuple(np.empty((len(t), len(joints))) for _ in range(3))
-        inside = np.clip(t, parts[0][0], parts[-1][1])
+        clipped = np.clip(t, parts[0][0], parts[-1][1])
         for start, end, part in parts:
-            here = (inside >= start - 1e-12) & (inside <= end)
-            for whole, piece in zip(out, part(inside[here] - start), strict=True):
-                whole[here] = piece
-        still = (t < parts[0][0]) | (t > parts[-1][1])
-        out[1][still], out[2][still] = 0.0, 0.0
+            inside_part = (clipped >= start - 1e-12) & (clipped <= end)
+            for output, piece in zip(out, part(clipped[inside_part] - start), strict=True):
+                output[inside_part] = piece
+        at_rest = (t < parts[0][0]) | (t > parts[-1][1])
+        out[1][at_rest], out[2][at_rest] = 0.0, 0.0
         return out[0], out[1], out[2]
 
     return ReferenceTrajectory(joints, at, parts[-1][1], period, window, document["robot"])
@@ -90,7 +111,14 @@ def _reference(document: Mapping[str, Any], periods: int | None) -> ReferenceTra
 def fourier_series(
     sine: FloatArray, cosine: FloatArray, offset: FloatArray, period: float
 ) -> Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]:
-    """q = q₀ + Σ a/(ωk) sin ωkt − b/(ωk) cos ωkt. Shapes (n, K), (n, K), (n,)."""
+    """Return q = q₀ + Σ a/(ωk) sin ωkt − b/(ωk) cos ωkt with its derivatives, as a function of time.
+
+    Args:
+        sine: Coefficients a, shape (n, K) [rad/s].
+        cosine: Coefficients b, shape (n, K) [rad/s].
+        offset: Centre q₀, shape (n,) [rad].
+        period: 2π/ω [s].
+    """
     k = 2.0 * np.pi / period * np.arange(1, sine.shape[1] + 1)
 
     def at(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -107,6 +135,7 @@ def fourier_series(
 def _ramp(
     profile: Mapping[str, Any], joints: tuple[str, ...]
 ) -> Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]:
+    """Return a motion of piecewise constant jerk, as a function of the time since its start."""
     first = np.array([profile[key] for key in ("position", "velocity", "acceleration")], float)
 
     def at(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -141,18 +170,30 @@ def blended_fourier(
     periods: int,
     ramp: float,
 ) -> ReferenceTrajectory:
-    """A Fourier motion between smooth ramps of `ramp` seconds from and to the pose at its middle; all such references last equally long."""
+    """Return a Fourier motion that starts and ends at rest at the centre of its range.
+
+    All such references with the same arguments `period`, `periods` and `ramp` have the same duration.
+
+    Args:
+        joints: Names of the n joints.
+        sine: See `fourier_series`.
+        cosine: See `fourier_series`.
+        offset: See `fourier_series`.
+        period: Period of the series [s].
+        periods: Number of periods between the blends.
+        ramp: Duration of each blend [s].
+    """
     wave, end = fourier_series(sine, cosine, offset, period), 2 * ramp + periods * period
 
     def at(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         q, v, a = wave(np.asarray(t) - ramp)
         u = np.clip(np.minimum(t, end - t) / ramp, 0.0, 1.0)
         sign = np.where(t < end / 2, 1.0, -1.0) / ramp
-        # x⁴(35 − 84x + 70x² − 20x³): three derivatives vanish at both ends
+        # u⁴(35 − 84u + 70u² − 20u³): three derivatives vanish at both ends
         w = u**4 * (35 - 84 * u + 70 * u**2 - 20 * u**3)
         dw = sign * 140 * u**3 * (1 - u) ** 3
         ddw = sign**2 * 420 * u**2 * (1 - u) ** 2 * (1 - 2 * u)
-        w, dw, ddw, away = w[:, None], dw[:, None], ddw[:, None], q - offset
-        return offset + w * away, w * v + dw * away, w * a + 2 * dw * v + ddw * away
+        w, dw, ddw, deviation = w[:, None], dw[:, None], ddw[:, None], q - offset
+        return offset + w * deviation, w * v + dw * deviation, w * a + 2 * dw * v + ddw * deviation
 
     return ReferenceTrajectory(joints, at, end, period, (ramp, end - ramp), {})

@@ -1,4 +1,8 @@
-"""How much of a hidden effect survives a refit of the base model, over the noise."""
+"""Severity of a hidden effect: its torque after a refit of the base model, over the noise.
+
+Severity is the RMS of the effect's torque below 20 Hz after projection on the base model, divided
+by the RMS of the torque noise in the same band.
+"""
 
 from __future__ import annotations
 
@@ -9,36 +13,54 @@ from scipy import linalg, signal
 
 from .._types import FloatArray
 from ..errors import UnusableInput
-from . import mujoco_dynamics as arms
 from .effect_instance import EffectInstance, with_effects
 from .measurement import MeasurementChain
+from .mujoco_dynamics import build_dynamics
 from .physical_effect import PhysicalEffect
 from .reference_trajectory import ReferenceTrajectory
 from .regressor import actuator_regressor, rigid_body_regressor
 from .simulated_robot import SimulatedMotion, SimulatedRobot
 
 SEVERITY_BAND = 20.0
-RATE, RATTLING, KEPT = 200.0, 2000.0, 100.0
-"""At which torque is looked at; where teeth or springs may swing at hundreds of Hz, which must not pass for slow; and of what is below
-20 Hz, kept [Hz]."""
+"""Corner of the low-pass of torque [Hz]: the band of the diagnosis."""
+RIGID_RATE = 200.0
+"""Rate at which the torque of a robot without elasticity is evaluated [Hz]."""
+ELASTIC_RATE = 2000.0
+"""Rate for a robot with elasticity or backlash [Hz].
+
+Its links may oscillate at hundreds of Hz, which a lower rate would alias into the band.
+"""
+KEPT_RATE = 100.0
+"""Rate at which the low-passed torque is kept [Hz]."""
+DERIVATIVE_STEP = 1e-4
+"""Step of the central differences of an encoder error [s], much finer than its waves."""
 
 
 @dataclass(frozen=True)
 class Severity:
-    """joints: RMS of the surviving torque below 20 Hz over the noise's, Shape (n,). value: the largest."""
+    """Severity of the effects of a robot.
+
+    Attributes:
+        joints: Severity in each joint, shape (n,) [1].
+    """
 
     joints: FloatArray
 
     @property
     def value(self) -> float:
+        """The largest severity of all joints."""
         return float(self.joints.max())
 
 
 @dataclass(frozen=True)
 class HiddenTorque:
-    """What a run hides at given times, and where the base model looks for it.
+    """The torque that effects hide, and the motion at which the base model looks for it.
 
-    torque: told beyond the base model's, Shape (N, n) [N m]. q, v, a: the motion that the robot tells, without noise.
+    Attributes:
+        torque: Reported torque beyond that of the true base model, shape (N, n) [N m].
+        q: Reported position without noise, shape (N, n) [rad].
+        v: Its first derivative.
+        a: Its second derivative.
     """
 
     torque: FloatArray
@@ -47,76 +69,88 @@ class HiddenTorque:
     a: FloatArray
 
 
-def hidden_torque(run: SimulatedMotion, plant: SimulatedRobot, t: FloatArray) -> HiddenTorque:
-    """The torque that the base model, rightly parametrised, misses along the told motion; `plant` is the robot without effects."""
-    (q, v, a), (told, tau) = run.motor_motion(t), run.measured_torque(t)
+def hidden_torque(motion: SimulatedMotion, robot: SimulatedRobot, t: FloatArray) -> HiddenTorque:
+    """Return the torque that the base model with true parameters misses along a motion.
+
+    Args:
+        motion: Motion of the robot with its effects.
+        robot: The robot without effects.
+        t: Times, shape (N,) [s].
+    """
+    (q, v, a), (q_measured, tau) = motion.motor_motion(t), motion.measured(t)
     if any(
-        type(law).measured_position is not PhysicalEffect.measured_position
-        for law in run.robot.effects
+        type(effect).measured_position is not PhysicalEffect.measured_position
+        for effect in motion.robot.effects
     ):
-        # the error's derivatives, by central differences much finer than its waves
-        h = 1e-4
-        before, here, after = (_position_error(run, t + shift) for shift in (-h, 0.0, h))
-        q, v, a = told, v + (after - before) / (2 * h), a + (after - 2 * here + before) / h**2
-    arm, drive = (
-        arms.build_dynamics(plant.tree, plant.joints, plant.lock, plant.gravity),
-        plant.drive,
+        h = DERIVATIVE_STEP
+        before, here, after = (_position_error(motion, t + shift) for shift in (-h, 0.0, h))
+        q, v, a = (
+            q_measured,
+            v + (after - before) / (2 * h),
+            a + (after - 2 * here + before) / h**2,
+        )
+    dynamics = build_dynamics(robot.tree, robot.joints, robot.lock, robot.gravity)
+    actuators = robot.actuators
+    base_torque = (
+        dynamics.inverse_dynamics(q, v, a) + actuators.inertia * a + actuators.friction_torque(v)
     )
-    return HiddenTorque(
-        tau - (arm.inverse_dynamics(q, v, a) + drive.inertia * a + drive.friction_torque(v)),
-        q,
-        v,
-        a,
-    )
+    return HiddenTorque(tau - base_torque, q, v, a)
 
 
-def _position_error(run: SimulatedMotion, t: FloatArray) -> FloatArray:
-    theta = run.motor_motion(t)[0]
-    seen = theta
-    for law in run.robot.effects:
-        seen = law.measured_position(seen)
-    return seen - theta
+def _position_error(motion: SimulatedMotion, t: FloatArray) -> FloatArray:
+    """Return the error of the reported position, shape (N, n) [rad]."""
+    theta = motion.motor_motion(t)[0]
+    measured = theta
+    for effect in motion.robot.effects:
+        measured = effect.measured_position(measured)
+    return measured - theta
 
 
 def residual_torque(
-    run: SimulatedMotion,
-    plant: SimulatedRobot,
+    motion: SimulatedMotion,
+    robot: SimulatedRobot,
     reference: ReferenceTrajectory,
     *,
     trusted: bool = False,
 ) -> FloatArray:
-    """Torque below 20 Hz that the base model does not explain along the periodic part of a motion. Shape (N, n) [N m].
+    """Return the torque below 20 Hz that a refit of the base model leaves unexplained.
 
-    trusted: the base model stays as it is, nothing is refit.
+    Args:
+        motion: Motion of the robot with its effects.
+        robot: The robot without effects.
+        reference: The commanded motion; its periodic part counts.
+        trusted: Keep the base model as it is instead of refitting it.
+
+    Returns:
+        Residual torque, shape (N, n) [N m].
     """
-    rate = RATTLING if run.robot.springs else RATE
-    found = hidden_torque(
-        run, plant, np.arange(reference.periodic[0], reference.periodic[1], 1.0 / rate)
-    )
-    rest = _low_passed(found.torque, rate)
+    rate = ELASTIC_RATE if motion.robot.springs else RIGID_RATE
+    t = np.arange(reference.periodic[0], reference.periodic[1], 1.0 / rate)
+    hidden = hidden_torque(motion, robot, t)
+    torque = _low_passed(hidden.torque, rate)
     if trusted:
-        return rest
-    arm = arms.build_dynamics(plant.tree, plant.joints, plant.lock, plant.gravity)
-    every = [
-        _low_passed(part, rate)
-        for part in (
-            rigid_body_regressor(arm, found.q, found.v, found.a),
-            actuator_regressor(found.v, found.a, plant.drive.width),
+        return torque
+    dynamics = build_dynamics(robot.tree, robot.joints, robot.lock, robot.gravity)
+    blocks = [
+        _low_passed(block, rate)
+        for block in (
+            rigid_body_regressor(dynamics, hidden.q, hidden.v, hidden.a),
+            actuator_regressor(hidden.v, hidden.a, robot.actuators.width),
         )
     ]
-    weight = 1.0 / plant.limit
-    columns = np.concatenate(every, axis=2) * weight[:, None]
+    weight = 1.0 / robot.torque_limit
+    columns = np.concatenate(blocks, axis=2) * weight[:, None]
     return np.asarray(
-        rest
-        - _projection(columns.reshape(-1, columns.shape[2]), (rest * weight).ravel()).reshape(
-            rest.shape
+        torque
+        - _projection(columns.reshape(-1, columns.shape[2]), (torque * weight).ravel()).reshape(
+            torque.shape
         )
         / weight
     )
 
 
 def _projection(columns: FloatArray, target: FloatArray) -> FloatArray:
-    """The part of the target in the columns' span, whatever their rank."""
+    """Project a target on the span of columns, which may be linearly dependent."""
     size = np.sqrt(np.square(columns).mean(axis=0))
     kept = columns[:, size > 1e-12 * size.max()] / size[size > 1e-12 * size.max()]
     basis, triangle, _ = linalg.qr(kept, mode="economic", pivoting=True)
@@ -126,31 +160,39 @@ def _projection(columns: FloatArray, target: FloatArray) -> FloatArray:
 
 
 def _low_passed(x: FloatArray, rate: float) -> FloatArray:
-    """Below 20 Hz, zero phase, as many samples as that needs."""
+    """Low-pass at 20 Hz without phase, and keep the samples that this band needs."""
     return np.asarray(
         signal.sosfiltfilt(signal.butter(4, SEVERITY_BAND, fs=rate, output="sos"), x, axis=0)[
-            :: round(rate / KEPT)
+            :: round(rate / KEPT_RATE)
         ]
     )
 
 
 def evaluate_severity(
-    run: SimulatedMotion,
-    plant: SimulatedRobot,
+    motion: SimulatedMotion,
+    robot: SimulatedRobot,
     reference: ReferenceTrajectory,
     chain: MeasurementChain,
     *,
     trusted: bool = False,
 ) -> Severity:
-    """Severity of what a run hides; `plant` is the same robot without it."""
-    rest = residual_torque(run, plant, reference, trusted=trusted)
-    return Severity(np.sqrt(np.square(rest).mean(axis=0)) / chain.noise_floor(SEVERITY_BAND))
+    """Return the severity of the effects in a motion.
+
+    Args:
+        motion: Motion of the robot with its effects.
+        robot: The robot without effects.
+        reference: The commanded motion.
+        chain: Measurement chain that defines the noise.
+        trusted: Keep the base model as it is instead of refitting it.
+    """
+    residual = residual_torque(motion, robot, reference, trusted=trusted)
+    return Severity(np.sqrt(np.square(residual).mean(axis=0)) / chain.noise_floor(SEVERITY_BAND))
 
 
 def scale_to_severity(
     effect: EffectInstance,
     target: float,
-    plant: SimulatedRobot,
+    robot: SimulatedRobot,
     reference: ReferenceTrajectory,
     chain: MeasurementChain,
     *,
@@ -159,33 +201,50 @@ def scale_to_severity(
     tries: int = 4,
     largest: float = np.inf,
 ) -> tuple[EffectInstance, SimulatedMotion, Severity]:
-    """The effect scaled until its severity is `target`, to a factor of 1 ± tolerance, or as near as `tries` runs come.
+    """Scale an effect until its severity is the target, by secant steps in the logarithms.
 
-    Secant steps in the logarithms, from the effect as given and never beyond `largest` times it, nor beyond what physics allows. A robot
-    that the controller loses has too much of it. Raises UnusableInput when all tries are lost.
+    A robot whose control loop is unstable has too much of the effect.
+
+    Args:
+        effect: The effect, from whose size the search starts.
+        target: Wanted severity [1].
+        robot: The robot without effects.
+        reference: The commanded motion.
+        chain: Measurement chain that defines the noise.
+        trusted: Keep the base model as it is instead of refitting it.
+        tolerance: Accepted relative deviation [1].
+        tries: Largest number of simulations.
+        largest: Largest factor of the effect; physics may set a smaller one.
+
+    Returns:
+        The scaled effect that came closest, its motion and its severity.
+
+    Raises:
+        UnusableInput: The loop is unstable in all tries.
     """
 
-    def probe(size: float) -> tuple[EffectInstance, SimulatedMotion, Severity]:
-        sized = effect.sized(size)
-        run = with_effects(plant, (sized,)).run(reference)
-        return sized, run, evaluate_severity(run, plant, reference, chain, trusted=trusted)
+    def simulated(size: float) -> tuple[EffectInstance, SimulatedMotion, Severity]:
+        scaled = effect.scaled(size)
+        motion = with_effects(robot, (scaled,)).follow(reference)
+        severity = evaluate_severity(motion, robot, reference, chain, trusted=trusted)
+        return scaled, motion, severity
 
-    largest = min(largest, effect.most(plant))
+    largest = min(largest, effect.largest_scale(robot))
     size, slope, last = min(1.0, largest), 1.0, None
-    found: list[tuple[float, tuple[EffectInstance, SimulatedMotion, Severity]]] = []
+    results: list[tuple[float, tuple[EffectInstance, SimulatedMotion, Severity]]] = []
     for _ in range(tries):
         try:
-            tried = probe(size)
+            result = simulated(size)
         except UnusableInput as error:
-            lost, size = error, 0.3 * size
+            unstable, size = error, 0.3 * size
             continue
-        here = (float(np.log(size)), float(np.log(max(tried[2].value, 1e-9) / target)))
-        found.append((abs(here[1]), tried))
+        here = (float(np.log(size)), float(np.log(max(result[2].value, 1e-9) / target)))
+        results.append((abs(here[1]), result))
         if abs(here[1]) < np.log1p(tolerance) or (size >= largest and here[1] < 0.0):
             break
         if last is not None and abs(here[0] - last[0]) > 1e-6:
             slope = float(np.clip((here[1] - last[1]) / (here[0] - last[0]), 0.5, 4.0))
         last, size = here, min(largest, size * float(np.exp(np.clip(-here[1] / slope, -4.0, 4.0))))
-    if not found:
-        raise lost
-    return min(found, key=lambda entry: entry[0])[1]
+    if not results:
+        raise unstable
+    return min(results, key=lambda entry: entry[0])[1]

@@ -1,4 +1,4 @@
-"""What the robot touches and stands on."""
+"""Contact with the environment, and a compliant base."""
 
 from __future__ import annotations
 
@@ -16,14 +16,25 @@ from ..urdf_tree import UrdfTree
 from .effect_type import EffectParameter, EffectSite, EffectType, phase_parameter
 
 Values = Mapping[str, float]
+BASE_DAMPING_RATIO = 0.04
+"""Damping ratio of the base's oscillation; a few per cent is usual of steel structures."""
 
 
 @dataclass(frozen=True)
 class ContactForce(PhysicalEffect):
-    """A force on the centre of a joint's link from start to end; the drives give −Jᵀf more.
+    """A force on the centre of mass of a joint's link between two times.
 
-    plateau: half a sine, or a plateau between short flanks, whose direction turns by a radian. heading: of the force, in the
-    horizontal plane [rad], with half as much downwards.
+    The actuators give −Jᵀf in addition. The force is horizontal, with half as much downwards.
+
+    Attributes:
+        joint: Joint that moves the link.
+        force: Peak force [N].
+        start: Begin of the contact [s].
+        end: End of the contact [s].
+        heading: Horizontal direction of the force [rad].
+        plateau: False: half a sine wave. True: a plateau between short ramps, whose direction
+            turns by one radian.
+        dynamics: Rigid-body dynamics; set by `bind`.
     """
 
     joint: str
@@ -32,35 +43,43 @@ class ContactForce(PhysicalEffect):
     end: float
     heading: float
     plateau: bool
-    arm: RigidBodyDynamics | None = None
+    dynamics: RigidBodyDynamics | None = None
 
-    def bind(self, arm: RigidBodyDynamics) -> PhysicalEffect:
-        return replace(self, arm=arm)
+    def bind(self, dynamics: RigidBodyDynamics) -> PhysicalEffect:
+        """Return the effect with the dynamics that it acts on."""
+        return replace(self, dynamics=dynamics)
 
     def torque(self, x: JointStates, z: FloatArray) -> FloatArray:
+        """Return the torque of the effect, shape (…, n) [N m]."""
         t, q = np.atleast_1d(x.t), np.atleast_2d(x.q)
         u = (t - self.start) / (self.end - self.start)
         inside, out = (u > 0.0) & (u < 1.0), np.zeros(q.shape)
-        if self.arm is not None and inside.any():
+        if self.dynamics is not None and inside.any():
             u = u[inside]
-            size = self.force * (
+            magnitude = self.force * (
                 np.minimum(1.0, 8.0 * np.minimum(u, 1.0 - u)) if self.plateau else np.sin(np.pi * u)
             )
-            turn = self.heading + (u if self.plateau else 0.0 * u)
-            way = np.column_stack([np.cos(turn), np.sin(turn), -0.5 + 0.0 * u]) / np.sqrt(1.25)
-            base = self.arm.n - q.shape[1]
-            lever = self.arm.centre_of_mass_jacobian(
+            direction = self.heading + (u if self.plateau else 0.0 * u)
+            unit_vector = np.column_stack(
+                [np.cos(direction), np.sin(direction), -0.5 + 0.0 * u]
+            ) / np.sqrt(1.25)
+            base = self.dynamics.n - q.shape[1]
+            jacobian = self.dynamics.centre_of_mass_jacobian(
                 np.hstack([np.zeros((len(u), base)), q[inside]]), self.joint
             )[:, :, base:]
-            out[inside] = -np.einsum("ki,kij->kj", size[:, None] * way, lever)
+            out[inside] = -np.einsum("ki,kij->kj", magnitude[:, None] * unit_vector, jacobian)
         return out.reshape(np.shape(x.q))
 
 
 @dataclass(frozen=True)
 class CompliantBase(PhysicalEffect):
-    """A base that turns about the horizontal axes, or about all three, on springs. frequency: of the first, arm at 0 [Hz].
+    """A base that turns about two or three axes on springs and dampers.
 
-    ratios: frequencies of the axes over the first.
+    Attributes:
+        frequency: Natural frequency about the first axis with the arm at zero [Hz].
+        ratios: Natural frequencies about the axes, over that of the first.
+        stiffness: Per axis, shape (k,) [N m/rad]; set by `bind`.
+        damping: Per axis, shape (k,) [N m s/rad]; set by `bind`.
     """
 
     frequency: float
@@ -69,6 +88,7 @@ class CompliantBase(PhysicalEffect):
     damping: tuple[float, ...] = ()
 
     def modify_tree(self, tree: UrdfTree) -> UrdfTree:
+        """Return the tree with the effect in it."""
         root = copy.deepcopy(tree.root)
         children = {str(e.get("link")) for e in root.iter("child")}
         base = next(
@@ -86,26 +106,31 @@ class CompliantBase(PhysicalEffect):
             ElementTree.SubElement(joint, "axis", xyz=("1 0 0", "0 1 0", "0 0 1")[i])
             ElementTree.SubElement(joint, "limit", lower="-1", upper="1", velocity="1", effort="1")
         out = UrdfTree(tree.source, root)
-        # a pedestal as heavy as half of what it carries
+        # the pedestal weighs half of the arm
         mass = 0.5 * sum(float(tree.pseudo_inertia(link)[3, 3]) for link in tree.links)
         return out.with_pseudo_inertia(
             base, out.pseudo_inertia(base) + mass * np.diag([0.02, 0.02, 0.03, 1.0])
         )
 
-    def bind(self, arm: RigidBodyDynamics) -> PhysicalEffect:
-        inertia = np.diag(arm.mass_and_bias(np.zeros(arm.n), np.zeros(arm.n))[0])[
+    def bind(self, dynamics: RigidBodyDynamics) -> PhysicalEffect:
+        """Return the effect with the dynamics that it acts on."""
+        inertia = np.diag(dynamics.mass_and_bias(np.zeros(dynamics.n), np.zeros(dynamics.n))[0])[
             : len(self.ratios)
         ]
         omega = 2.0 * np.pi * self.frequency * np.array(self.ratios)
         return replace(
-            self, stiffness=tuple(omega**2 * inertia), damping=tuple(2.0 * 0.04 * omega * inertia)
+            self,
+            stiffness=tuple(omega**2 * inertia),
+            damping=tuple(2.0 * BASE_DAMPING_RATIO * omega * inertia),
         )
 
     def base_suspension(self) -> BaseSuspension:
+        """Return the springs and dampers of the base."""
         return BaseSuspension(np.array(self.stiffness), np.array(self.damping))
 
 
-def _push(site: EffectSite, p: Values, plateau: bool) -> PhysicalEffect:
+def _contact_force(site: EffectSite, p: Values, plateau: bool) -> PhysicalEffect:
+    """Build the contact from its parameter values."""
     return ContactForce(site.joint, p["force"], p["start"], p["end"], p["heading"], plateau)
 
 
@@ -114,18 +139,18 @@ EFFECT_TYPES = (
         "contact",
         (
             EffectParameter("force", "N", 0.03, 0.2, "torque"),
-            EffectParameter("start", "s", 2.0, 4.0, power=0.0, stated=False),
-            EffectParameter("end", "s", 5.0, 7.0, power=0.0, stated=False),
+            EffectParameter("start", "s", 2.0, 4.0, size_exponent=0.0, in_contract=False),
+            EffectParameter("end", "s", 5.0, 7.0, size_exponent=0.0, in_contract=False),
             phase_parameter("heading"),
         ),
         {
-            "tuning": lambda site, p: _push(site, p, False),
-            "scored": lambda site, p: _push(site, p, True),
+            "tuning": lambda site, p: _contact_force(site, p, False),
+            "scored": lambda site, p: _contact_force(site, p, True),
         },
     ),
     EffectType(
         "base_compliance",
-        (EffectParameter("frequency", "Hz", 5.0, 20.0, power=-0.5),),
+        (EffectParameter("frequency", "Hz", 5.0, 20.0, size_exponent=-0.5),),
         {
             "tuning": lambda site, p: CompliantBase(p["frequency"], (1.0, 1.15)),
             "scored": lambda site, p: CompliantBase(p["frequency"], (1.0, 0.85, 1.5)),

@@ -1,4 +1,4 @@
-"""What the robot carries and what pulls at it: bodies, springs, rotors, forces from outside, where down is."""
+"""Payloads, springs, rotors, kinematic errors, torque offsets and the direction of gravity."""
 
 from __future__ import annotations
 
@@ -20,7 +20,14 @@ Values = Mapping[str, float]
 
 @dataclass(frozen=True)
 class AttachedBody(PhysicalEffect):
-    """A body more in a link. radii: of gyration about its centre, along the link's axes [m]."""
+    """A body attached to a link.
+
+    Attributes:
+        link: Name of the link.
+        mass: Mass [kg].
+        centre: Centre of mass in the link frame [m].
+        radii: Radii of gyration about the centre of mass, along the axes of the link frame [m].
+    """
 
     link: str
     mass: float
@@ -28,107 +35,132 @@ class AttachedBody(PhysicalEffect):
     radii: tuple[float, float, float]
 
     def modify_tree(self, tree: UrdfTree) -> UrdfTree:
+        """Return the tree with the effect in it."""
         if self.mass == 0.0:
             return tree
         point = np.array([*self.centre, 1.0])
-        more = self.mass * np.outer(point, point)
-        more[:3, :3] += self.mass * np.diag(np.square(self.radii))
-        return tree.with_pseudo_inertia(self.link, tree.pseudo_inertia(self.link) + more)
+        added = self.mass * np.outer(point, point)
+        added[:3, :3] += self.mass * np.diag(np.square(self.radii))
+        return tree.with_pseudo_inertia(self.link, tree.pseudo_inertia(self.link) + added)
 
 
 def _attached_body(
     site: EffectSite, p: Values, radii: tuple[float, float, float]
 ) -> PhysicalEffect:
+    """Build the attached body from its parameter values."""
     return AttachedBody(site.link, p["mass"], (p["com_x"], p["com_y"], p["com_z"]), radii)
 
 
 @dataclass(frozen=True)
 class TiltedGravity(PhysicalEffect):
-    """A base that is not level: gravity turned by roll, then pitch, and `less` weaker (1)."""
+    """Gravity of a base that is not level: turned by roll, then by pitch.
+
+    Attributes:
+        roll: Angle about x [rad].
+        pitch: Angle about y [rad].
+        reduction: Relative reduction of the magnitude of gravity [1].
+    """
 
     roll: float
     pitch: float
-    less: float = 0.0
+    reduction: float = 0.0
 
-    def gravity(self, vector: FloatArray) -> FloatArray:
-        turn = Rotation.from_euler("xy", [self.roll, self.pitch])
+    def modify_gravity(self, gravity: FloatArray) -> FloatArray:
+        """Return gravity in the tilted base frame, shape (3,) [m/s²]."""
+        rotation = Rotation.from_euler("xy", [self.roll, self.pitch])
         return (
-            np.asarray(turn.inv().apply(vector)) * (1.0 - self.less)
+            np.asarray(rotation.inv().apply(gravity)) * (1.0 - self.reduction)
             if self.roll or self.pitch
-            else vector
+            else gravity
         )
 
 
 @dataclass(frozen=True)
 class DisplacedFrame(PhysicalEffect):
-    """What a joint's link carries sits elsewhere on it: the frames of the joints after it, turned and shifted as they see it."""
+    """A kinematic error: the frames of the joints behind a joint are rotated and shifted.
+
+    Attributes:
+        joint: Joint whose link has the error.
+        rotation: Rotation vector in the frame of the next joint, shape (3,) [rad].
+        shift: Translation in the same frame, shape (3,) [m].
+    """
 
     joint: str
-    turn: FloatArray
+    rotation: FloatArray
     shift: FloatArray
 
     def modify_tree(self, tree: UrdfTree) -> UrdfTree:
-        if not self.turn.any() and not self.shift.any():
+        """Return the tree with the effect in it."""
+        if not self.rotation.any() and not self.shift.any():
             return tree
-        after = tree.following_joints(self.joint)
-        if not after:
+        following = tree.following_joints(self.joint)
+        if not following:
             raise UnusableInput(
-                f"{tree.source}: joint '{self.joint}' carries no further joint; name one that does"
+                f"{tree.source}: joint '{self.joint}' carries no further joint; name a joint that does"
             )
-        for name in after:
+        for name in following:
             tree = tree.with_moved_frame(
-                name, Rotation.from_rotvec(self.turn).as_matrix(), self.shift
+                name, Rotation.from_rotvec(self.rotation).as_matrix(), self.shift
             )
         return tree
 
 
 def _displaced_frame(
-    site: EffectSite, p: Values, axis: FloatArray, way: FloatArray
+    site: EffectSite, p: Values, axis: FloatArray, direction: FloatArray
 ) -> PhysicalEffect:
-    return DisplacedFrame(site.joint, p["angle"] * axis, p["length"] * way)
+    """Build the error from its values and the directions of rotation and shift."""
+    return DisplacedFrame(site.joint, p["angle"] * axis, p["length"] * direction)
 
 
 @dataclass(frozen=True)
 class AddedRotor(PhysicalEffect):
-    """J (1 + w cos q) v̇: a rotor seen through a gear whose ratio wavers by w, or not at all."""
+    """A rotor with torque J (1 + w cos q) q̈, seen through a gear whose ratio varies by w.
+
+    Attributes:
+        site: Place of the effect.
+        inertia: Reflected inertia J [kg m²].
+        ratio_variation: Relative variation w [1].
+    """
 
     site: EffectSite
     inertia: float
-    waver: float
+    ratio_variation: float
 
-    def modify_actuators(self, drive: JointActuators) -> JointActuators:
-        more = np.zeros(self.site.n)
-        more[self.site.j] = self.inertia
-        return replace(drive, inertia=drive.inertia + more)
+    def modify_actuators(self, actuators: JointActuators) -> JointActuators:
+        """Return the actuators with the added rotor."""
+        added = np.zeros(self.site.n)
+        added[self.site.j] = self.inertia
+        return replace(actuators, inertia=actuators.inertia + added)
 
     def torque(self, x: JointStates, z: FloatArray) -> FloatArray:
+        """Return the torque of the effect, shape (…, n) [N m]."""
         j = self.site.j
         return torque_at_joint(
-            self.site.n, j, self.waver * self.inertia * np.cos(x.q[..., j]) * x.a[..., j]
+            self.site.n, j, self.ratio_variation * self.inertia * np.cos(x.q[..., j]) * x.a[..., j]
         )
 
 
 def constant_offset(site: EffectSite, p: Values) -> PhysicalEffect:
-    """τ₀."""
+    """A constant torque τ₀."""
     return memoryless_effect(site, lambda x: p["offset"] + 0.0 * x.v)
 
 
 def drifting_offset(site: EffectSite, p: Values) -> PhysicalEffect:
-    """τ₀ (1 + 0.1 sin(2πt/17 s)): a bridge that warms up."""
+    """An offset τ₀ (1 + 0.1 sin(2πt/17 s)), as of a strain-gauge bridge that warms up."""
     return memoryless_effect(
         site, lambda x: p["offset"] * (1.0 + 0.1 * np.sin(2.0 * np.pi * x.t / 17.0)) + 0.0 * x.v
     )
 
 
 def spring_softening(site: EffectSite, p: Values) -> PhysicalEffect:
-    """k q₁ tanh((q − q₀)/q₁), q₁ = 0.8 rad: a spring that gives way."""
+    """A softening spring k q₁ tanh((q − q₀)/q₁), q₁ = 0.8 rad."""
     return memoryless_effect(
         site, lambda x: p["stiffness"] * 0.8 * np.tanh((x.q - p["centre"]) / 0.8)
     )
 
 
 def spring_one_sided(site: EffectSite, p: Values) -> PhysicalEffect:
-    """k d log(1 + e^{(q−q₀)/d}), d = 0.3 rad: a dress pack that is slack on one side."""
+    """A one-sided spring k d log(1 + e^{(q−q₀)/d}), d = 0.3 rad, as of a slack dress pack."""
     return memoryless_effect(
         site, lambda x: p["stiffness"] * 0.3 * np.logaddexp(0.0, (x.q - p["centre"]) / 0.3)
     )
@@ -139,9 +171,9 @@ EFFECT_TYPES = (
         "payload",
         (
             EffectParameter("mass", "kg", 0.3, 3.0),
-            EffectParameter("com_x", "m", -0.05, 0.05, power=0.0),
-            EffectParameter("com_y", "m", -0.05, 0.05, power=0.0),
-            EffectParameter("com_z", "m", 0.02, 0.12, power=0.0),
+            EffectParameter("com_x", "m", -0.05, 0.05, size_exponent=0.0),
+            EffectParameter("com_y", "m", -0.05, 0.05, size_exponent=0.0),
+            EffectParameter("com_z", "m", 0.02, 0.12, size_exponent=0.0),
         ),
         {
             "tuning": lambda site, p: _attached_body(site, p, (0.03,) * 3),
@@ -189,7 +221,7 @@ EFFECT_TYPES = (
         "spring",
         (
             EffectParameter("stiffness", "N m/rad", 0.01, 0.1, "torque"),
-            EffectParameter("centre", "rad", -0.8, 0.8, power=0.0, stated=False),
+            EffectParameter("centre", "rad", -0.8, 0.8, size_exponent=0.0, in_contract=False),
         ),
         {"tuning": spring_softening, "scored": spring_one_sided},
     ),

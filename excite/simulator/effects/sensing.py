@@ -1,4 +1,4 @@
-"""What the robot tells of itself: torque through currents and gains, position through encoders, both on a clock."""
+"""Errors of the reported signals: torque gain and saturation, delay, encoder error."""
 
 from __future__ import annotations
 
@@ -13,31 +13,37 @@ from .effect_type import EffectParameter, EffectSite, EffectType, phase_paramete
 
 Values = Mapping[str, float]
 READING_RADIUS_RATIO = 1.5
-"""Of an eccentric disc, where it is read, over how far it is off its centre."""
+"""Reading radius of an eccentric encoder disc, over its eccentricity."""
 
 
 @dataclass(frozen=True)
 class MisreportedTorque(PhysicalEffect):
-    """A torque told otherwise than it is. law: (times, true torque) of one joint to what is told. Shapes (N,)."""
+    """A joint torque that is reported with an error.
+
+    Attributes:
+        j: Index of the joint.
+        model: Function of times and true torques, both of shape (N,), to the reported torques.
+    """
 
     j: int
-    law: Callable[[FloatArray, FloatArray], FloatArray]
+    model: Callable[[FloatArray, FloatArray], FloatArray]
 
     def measured_torque(
         self, torque: Callable[[FloatArray], FloatArray], t: FloatArray
     ) -> FloatArray:
+        """Return the torque that the robot reports at times t, shape (N, n) [N m]."""
         out = torque(t).copy()
-        out[:, self.j] = self.law(t, out[:, self.j])
+        out[:, self.j] = self.model(t, out[:, self.j])
         return out
 
 
 def gain_constant(site: EffectSite, p: Values) -> PhysicalEffect:
-    """τ/g."""
+    """A wrong torque constant: reported τ/g."""
     return MisreportedTorque(site.j, lambda t, tau: tau / p["gain"])
 
 
 def gain_periodic(site: EffectSite, p: Values) -> PhysicalEffect:
-    """τ/(1 + (g − 1)(1 + 0.1 sin(2πt/23 s))): magnets that warm and cool."""
+    """A torque constant that varies with time: τ/(1 + (g − 1)(1 + 0.1 sin(2πt/23 s)))."""
     return MisreportedTorque(
         site.j,
         lambda t, tau: (
@@ -47,27 +53,31 @@ def gain_periodic(site: EffectSite, p: Values) -> PhysicalEffect:
 
 
 def saturation_cubic(site: EffectSite, p: Values) -> PhysicalEffect:
-    """τ (1 + λ|τ/τ₁|³): current that grows faster than torque; τ₁ = `at`, λ = loss/(1 − loss)."""
-    more, at = p["loss"] / max(1.0 - p["loss"], 0.05), p["at"]
-    return MisreportedTorque(site.j, lambda t, tau: tau * (1.0 + more * np.abs(tau / at) ** 3))
+    """Saturation: reported τ (1 + λ|τ/τ₁|³) with τ₁ = `at` and λ = loss/(1 − loss)."""
+    slope, at = p["loss"] / max(1.0 - p["loss"], 0.05), p["at"]
+    return MisreportedTorque(site.j, lambda t, tau: tau * (1.0 + slope * np.abs(tau / at) ** 3))
 
 
 def saturation_knee(site: EffectSite, p: Values) -> PhysicalEffect:
-    """τ (1 + λ k²), k the part of |τ|/τ₁ beyond 0.4 over 0.6: linear iron up to a knee."""
-    more, at = p["loss"] / max(1.0 - p["loss"], 0.05), p["at"]
+    """Saturation above a knee: τ (1 + λ k²), k = max(|τ|/τ₁ − 0.4, 0)/0.6."""
+    slope, at = p["loss"] / max(1.0 - p["loss"], 0.05), p["at"]
     return MisreportedTorque(
         site.j,
         lambda t, tau: (
-            tau * (1.0 + more * np.square(np.maximum(np.abs(tau) / at - 0.4, 0.0) / 0.6))
+            tau * (1.0 + slope * np.square(np.maximum(np.abs(tau) / at - 0.4, 0.0) / 0.6))
         ),
     )
 
 
 @dataclass(frozen=True)
 class DelayedTorque(PhysicalEffect):
-    """τ(t − d), or spread: the mean of τ(t − d(1 + x)/2) over x from the exponential distribution (half dead time, half lag).
+    """A torque that is reported late.
 
-    joints: those that are late.
+    Attributes:
+        joints: Indices of the joints concerned.
+        seconds: Delay d [s].
+        spread: False: τ(t − d). True: half dead time, half lag, the mean of τ(t − d(1 + x)/2) over
+            exponentially distributed x.
     """
 
     joints: tuple[int, ...]
@@ -77,39 +87,47 @@ class DelayedTorque(PhysicalEffect):
     def measured_torque(
         self, torque: Callable[[FloatArray], FloatArray], t: FloatArray
     ) -> FloatArray:
+        """Return the torque that the robot reports at times t, shape (N, n) [N m]."""
         out = torque(t).copy()
         if self.seconds == 0.0:
             return out
         nodes, weights = (
             np.polynomial.laguerre.laggauss(4) if self.spread else (np.ones(1), np.ones(1))
         )
-        late = sum(
+        delayed = sum(
             w * torque(t - 0.5 * self.seconds * (1.0 + x))
             for x, w in zip(nodes, weights, strict=True)
         )
-        out[:, list(self.joints)] = np.asarray(late)[:, list(self.joints)]
+        out[:, list(self.joints)] = np.asarray(delayed)[:, list(self.joints)]
         return out
 
 
 def _delayed_torque(site: EffectSite, p: Values, spread: bool) -> PhysicalEffect:
+    """Build the delay of one joint, or of all where the site names none."""
     return DelayedTorque((site.j,) if site.joint else tuple(range(site.n)), p["seconds"], spread)
 
 
 @dataclass(frozen=True)
 class MisreadPosition(PhysicalEffect):
-    """q + ε(q) at one joint. law: position to error. Shapes (…)."""
+    """A position error ε(q) of one joint's encoder.
+
+    Attributes:
+        j: Index of the joint.
+        model: Function from position to error [rad], shapes (…).
+    """
 
     j: int
-    law: Callable[[FloatArray], FloatArray]
+    model: Callable[[FloatArray], FloatArray]
 
     def measured_position(self, q: FloatArray) -> FloatArray:
+        """Return the position that the encoder reports, shape (…, n) [rad]."""
         out = np.array(q)
-        out[..., self.j] += self.law(q[..., self.j])
+        out[..., self.j] += self.model(q[..., self.j])
         return out
 
 
 def encoder_harmonics(site: EffectSite, p: Values) -> PhysicalEffect:
-    """A (sin(Nq + φ) + 0.4 sin(2Nq + 2.3φ))."""
+    """Two harmonics: A (sin(Nq + φ) + 0.4 sin(2Nq + 2.3φ))."""
     n, phase = p["order"], p["phase"]
     return MisreadPosition(
         site.j,
@@ -120,7 +138,7 @@ def encoder_harmonics(site: EffectSite, p: Values) -> PhysicalEffect:
 
 
 def encoder_eccentric(site: EffectSite, p: Values) -> PhysicalEffect:
-    """2A sin θ/(1.5 + cos θ), θ = Nq + φ: a disc off its centre, read close to its edge."""
+    """An eccentric disc read near its edge: 2A sin θ/(1.5 + cos θ), θ = Nq + φ."""
     n, phase = p["order"], p["phase"]
     return MisreadPosition(
         site.j,
@@ -134,7 +152,10 @@ def encoder_eccentric(site: EffectSite, p: Values) -> PhysicalEffect:
 
 
 def _fundamental(p: Values) -> Values:
-    """The wave of the order named, from sin θ/(a + cos θ) = 2 Σ (−1)ᵏ⁺¹ rᵏ sin kθ with r = a − √(a² − 1)."""
+    """Return the amplitude of the order named.
+
+    sin θ/(a + cos θ) = 2 Σ (−1)ᵏ⁺¹ rᵏ sin kθ with r = a − √(a² − 1).
+    """
     return {
         "amplitude": 4.0
         * (READING_RADIUS_RATIO - np.sqrt(READING_RADIUS_RATIO**2 - 1.0))
@@ -145,14 +166,14 @@ def _fundamental(p: Values) -> Values:
 EFFECT_TYPES = (
     EffectType(
         "torque_gain",
-        (EffectParameter("gain", "1", 1.05, 1.2, about=1.0),),
+        (EffectParameter("gain", "1", 1.05, 1.2, neutral_value=1.0),),
         {"tuning": gain_constant, "scored": gain_periodic},
     ),
     EffectType(
         "torque_saturation",
         (
-            EffectParameter("loss", "1", 0.03, 0.15, most=0.7),
-            EffectParameter("at", "N m", 0.4, 0.4, "torque", power=0.0, stated=False),
+            EffectParameter("loss", "1", 0.03, 0.15, largest=0.7),
+            EffectParameter("at", "N m", 0.4, 0.4, "torque", size_exponent=0.0, in_contract=False),
         ),
         {"tuning": saturation_cubic, "scored": saturation_knee},
     ),
@@ -169,7 +190,7 @@ EFFECT_TYPES = (
         "encoder_error",
         (
             EffectParameter("amplitude", "rad", 2e-4, 2e-3),
-            EffectParameter("order", "1/turn", 1.0, 4.0, power=0.0),
+            EffectParameter("order", "1/turn", 1.0, 4.0, size_exponent=0.0),
             phase_parameter(),
         ),
         {"tuning": encoder_harmonics, "scored": encoder_eccentric},

@@ -1,4 +1,4 @@
-"""What lies between motor and link: springs that wind up, teeth with play, ripple of the mesh."""
+"""Elasticity and backlash between motor and link, and torque ripple of the gear mesh."""
 
 from __future__ import annotations
 
@@ -16,14 +16,20 @@ from .effect_type import EffectParameter, EffectSite, EffectType, memoryless_eff
 
 Values = Mapping[str, float]
 MESH_WAVE_SKEW = 0.4
-"""Of a loaded mesh's wave: sin(θ + m sin θ)."""
+"""Skew m of a loaded mesh's wave sin(θ + m sin θ) [rad]."""
 DEFLECTION_DAMPING_RATIO = 0.04
-"""Damping ratio of a joint's own wind-up."""
+"""Damping ratio of the motor's oscillation against its link."""
 
 
 @dataclass(frozen=True)
 class ElasticJoint(PhysicalEffect):
-    """A joint in two masses. stiffness: at rest [N m/rad]; the sub-classes say how the torque grows with wind-up."""
+    """A joint of two masses, with a spring between motor and link.
+
+    Attributes:
+        site: Place of the effect.
+        stiffness: Stiffness [N m/rad].
+        width: Total backlash [rad].
+    """
 
     site: EffectSite
     stiffness: float
@@ -31,43 +37,59 @@ class ElasticJoint(PhysicalEffect):
 
     @cached_property
     def damping(self) -> float:
-        """Damping of the wind-up on the motor alone [N m s/rad]."""
+        """Damping of the deflection [N m s/rad]."""
         return (
             2.0
             * DEFLECTION_DAMPING_RATIO
-            * float(np.sqrt(self.stiffness * self.site.drive.inertia[self.site.j]))
+            * float(np.sqrt(self.stiffness * self.site.actuators.inertia[self.site.j]))
         )
 
     def transmission_spring(self) -> TransmissionSpring:
+        """Return the spring between motor and link."""
         return TransmissionSpring(self.site.j, self.torque_and_slopes)
 
     def torque_and_slopes(self, d: float, rate: float) -> tuple[float, float, float]:
+        """Return the transmitted torque and its derivatives with respect to deflection and rate.
+
+        Args:
+            d: Deflection θ − q [rad].
+            rate: Its rate [rad/s].
+
+        Returns:
+            Torque [N m], stiffness [N m/rad] and damping [N m s/rad].
+        """
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
 class HardeningSpring(ElasticJoint):
-    """K δ (1 + (δ/δ₀)²), δ₀ where K δ₀ is twice the torque limit (catalogues: K δ)."""
+    """A hardening spring K δ (1 + (δ/δ₀)²) where K δ₀ is twice the torque limit."""
 
     def torque_and_slopes(self, d: float, rate: float) -> tuple[float, float, float]:
-        much = (d * self.stiffness / (2.0 * float(self.site.torque[self.site.j]))) ** 2
+        """Return transmitted torque, stiffness and damping at a deflection d and its rate."""
+        hardening = (d * self.stiffness / (2.0 * float(self.site.torque_limit[self.site.j]))) ** 2
         return (
-            self.stiffness * d * (1.0 + much) + self.damping * rate,
-            self.stiffness * (1.0 + 3.0 * much),
+            self.stiffness * d * (1.0 + hardening) + self.damping * rate,
+            self.stiffness * (1.0 + 3.0 * hardening),
             self.damping,
         )
 
 
 @dataclass(frozen=True)
 class StrainWaveGear(ElasticJoint):
-    """Two slopes as makers of strain-wave gears state them: 0.7 K for small torques, 1.3 K for large, smooth at a tenth of the limit."""
+    """A strain-wave gear: stiffness 0.7 K for small and 1.3 K for large torques.
+
+    Makers of such gears state their stiffness in sections; the change is smooth, at a tenth of the
+    torque limit.
+    """
 
     @cached_property
     def scale(self) -> float:
-        """Wind-up between the slopes [rad]."""
-        return 0.1 * float(self.site.torque[self.site.j]) / self.stiffness
+        """Deflection at which the stiffness changes [rad]."""
+        return 0.1 * float(self.site.torque_limit[self.site.j]) / self.stiffness
 
     def torque_and_slopes(self, d: float, rate: float) -> tuple[float, float, float]:
+        """Return transmitted torque, stiffness and damping at a deflection d and its rate."""
         scale = self.scale
         bend = abs(d) / scale
         torque = self.stiffness * (
@@ -79,12 +101,16 @@ class StrainWaveGear(ElasticJoint):
 
 @dataclass(frozen=True)
 class DeadZoneBacklash(ElasticJoint):
-    """No torque within ±w/2, a stiff spring beyond, which damps only in contact."""
+    """Backlash as a dead zone: no torque within ±w/2, a stiff spring beyond.
+
+    It is damped in contact only.
+    """
 
     def torque_and_slopes(self, d: float, rate: float) -> tuple[float, float, float]:
+        """Return transmitted torque, stiffness and damping at a deflection d and its rate."""
         half = 0.5 * self.width
         beyond = d - half if d > half else d + half if d < -half else 0.0
-        # a gear in its play still has its oil: the slope never vanishes
+        # lubricant transmits some torque within the gap, so the stiffness never vanishes
         slope = self.stiffness if beyond != 0.0 else 1e-3 * self.stiffness
         damp = self.damping if beyond != 0.0 else 0.05 * self.damping
         free = 1e-3 * self.stiffness * (d - beyond)
@@ -93,9 +119,10 @@ class DeadZoneBacklash(ElasticJoint):
 
 @dataclass(frozen=True)
 class SmoothBacklash(ElasticJoint):
-    """Play with soft edges: the flank engages as ½(√(x² + w₀²) + x)-like softplus over a tenth of the width."""
+    """Backlash with soft gap boundaries: a softplus over a tenth of the width on either side."""
 
     def torque_and_slopes(self, d: float, rate: float) -> tuple[float, float, float]:
+        """Return transmitted torque, stiffness and damping at a deflection d and its rate."""
         half, soft = 0.5 * self.width, 0.1 * self.width
         torque, slope = 1e-3 * self.stiffness * d, 1e-3 * self.stiffness
         for side in (1.0, -1.0):
@@ -107,12 +134,12 @@ class SmoothBacklash(ElasticJoint):
 
 
 def _gear_stiffness(site: EffectSite) -> float:
-    """A stiff gear for a joint whose play is the matter: 0.5 mrad at the torque limit [N m/rad]."""
-    return float(site.torque[site.j]) / 5e-4
+    """Return the stiffness of a gear with backlash: 0.5 mrad at the torque limit [N m/rad]."""
+    return float(site.torque_limit[site.j]) / 5e-4
 
 
 def ripple_pair(site: EffectSite, p: Values) -> PhysicalEffect:
-    """A (cos(Nq + φ) + 0.6 cos(1.37 Nq + 2φ)): two meshes in no whole ratio."""
+    """Torque ripple A (cos(Nq + φ) + 0.6 cos(1.37 Nq + 2φ)): two meshes of irrational ratio."""
     order, phase = p["order"], p["phase"]
     return memoryless_effect(
         site,
@@ -124,29 +151,32 @@ def ripple_pair(site: EffectSite, p: Values) -> PhysicalEffect:
 
 
 def ripple_loaded(site: EffectSite, p: Values) -> PhysicalEffect:
-    """A (1 + ½ τ/τ_max) times a skewed wave, sin(θ + 0.4 sin θ), θ = Nq + φ."""
-    order, phase, top = p["order"], p["phase"], site.torque[site.j]
+    """Torque ripple A (1 + ½ τ/τ_max) sin(θ + 0.4 sin θ), θ = Nq + φ: it grows with load."""
+    order, phase, torque_limit = p["order"], p["phase"], site.torque_limit[site.j]
 
-    def law(x: JointStates) -> FloatArray:
+    def model(x: JointStates) -> FloatArray:
         turn = order * x.q + phase
         return (
             p["amplitude"]
-            * (1.0 + 0.5 * x.load / top)
+            * (1.0 + 0.5 * x.load / torque_limit)
             * np.sin(turn + MESH_WAVE_SKEW * np.sin(turn))
         )
 
-    return memoryless_effect(site, law)
+    return memoryless_effect(site, model)
 
 
 def _fundamental(p: Values) -> Values:
-    """The wave of the order named, without load: sin(θ + m sin θ) = Σ Jₖ(m) sin (k + 1)θ over all whole k (Jacobi-Anger)."""
+    """Return the amplitude of the order named, without load.
+
+    sin(θ + m sin θ) = Σ Jₖ(m) sin (k + 1)θ over all integers k (Jacobi-Anger expansion).
+    """
     return {"amplitude": float(jv(0, MESH_WAVE_SKEW) - jv(2, MESH_WAVE_SKEW)) * p["amplitude"]}
 
 
 EFFECT_TYPES = (
     EffectType(
         "elasticity",
-        (EffectParameter("stiffness", "N m/rad", 50.0, 400.0, "torque", power=-1.0),),
+        (EffectParameter("stiffness", "N m/rad", 50.0, 400.0, "torque", size_exponent=-1.0),),
         {
             "tuning": lambda site, p: HardeningSpring(site, p["stiffness"]),
             "scored": lambda site, p: StrainWaveGear(site, p["stiffness"]),
@@ -165,7 +195,7 @@ EFFECT_TYPES = (
     EffectType(
         "torque_ripple",
         (
-            EffectParameter("order", "1/turn", 6.0, 60.0, power=0.0),
+            EffectParameter("order", "1/turn", 6.0, 60.0, size_exponent=0.0),
             EffectParameter("amplitude", "N m", 0.005, 0.05, "torque"),
             phase_parameter(),
         ),

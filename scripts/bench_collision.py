@@ -34,8 +34,8 @@ from robots import wheel
 from excite.collision import clearance_builder, continuous_check, scene_file
 from excite.collision.workcell import Cell
 from excite.designer import criteria, pipeline
-from excite.designer.problem import Options
-from excite.designer.time_budget import Wish
+from excite.designer.problem import DesignOptions
+from excite.designer.time_budget import MotionRequest
 from excite.errors import CheckFailed, ExciteError, ExciteWarning, Infeasible, UnusableInput
 from excite.robot import limits, robot
 from excite.robot.inertial_parameters import ranges
@@ -81,8 +81,8 @@ class Case:
     limits: Limits
     cell: Cell
     placing: float
-    free: list[pipeline.Delivery] = field(default_factory=list)
-    clear: list[pipeline.Delivery] = field(default_factory=list)
+    free: list[pipeline.CertifiedDesign] = field(default_factory=list)
+    clear: list[pipeline.CertifiedDesign] = field(default_factory=list)
     work: dict[bool, list[float]] = field(default_factory=lambda: {False: [], True: []})
     said: list[str] = field(default_factory=list)
     hits: list[continuous_check.Near] = field(default_factory=list)
@@ -90,7 +90,7 @@ class Case:
     faults: list[str] = field(default_factory=list)
 
     def run(self) -> None:
-        prepared(self.robot, self.limits, Wish().fill(Options(), self.limits))
+        prepared(self.robot, self.limits, MotionRequest().fill(DesignOptions(), self.limits))
         judge = Judge(self.cell)
         for seed in range(SEEDS):
             say(f"{self.name}, seed {seed}, load {os.getloadavg()[0]:.1f}")
@@ -107,11 +107,11 @@ class Case:
             self.judged += [least[0], *[one for one in least if one.margin >= self.cell.margin][:1]]
             self.faults += [f"seed {seed}: {text}" for text in disagreements(self.clear[-1], least)]
 
-    def _designed(self, seed: int, cell: Cell | None) -> pipeline.Delivery:
+    def _designed(self, seed: int, cell: Cell | None) -> pipeline.CertifiedDesign:
         """One design; the processor's seconds besides the clock's, for others use the machine too."""
-        options = Wish().fill(Options(starts=1, seed=seed, jobs=1), self.limits)
+        options = MotionRequest().fill(DesignOptions(starts=1, seed=seed, jobs=1), self.limits)
         begun = time.process_time()
-        out = pipeline.run(self.robot, self.limits, options, cell=cell, progress=self.said.append)
+        out = pipeline.design_trajectory(self.robot, self.limits, options, cell=cell, progress=self.said.append)
         self.work[cell is not None].append(time.process_time() - begun)
         return out
 
@@ -119,12 +119,12 @@ class Case:
         """Its row of the table."""
         if not self.judged:
             return [self.name, *[""] * 10]
-        criterion = Options().criterion
+        criterion = DesignOptions().criterion
         values = [
             float(
                 np.median(
                     [
-                        criteria.pick(one.trajectory.criteria["optimum"], criterion, plain=False)
+                        criteria.select_criterion(one.trajectory.criteria["optimum"], criterion, plain=False)
                         for one in some
                     ]
                 )
@@ -162,7 +162,7 @@ class Case:
         ]
 
 
-def disagreements(one: pipeline.Delivery, least: Sequence[Least]) -> Iterator[str]:
+def disagreements(one: pipeline.CertifiedDesign, least: Sequence[Least]) -> Iterator[str]:
     """What brute force finds broken or other than the certificate states it."""
     stated = {near.names: near for near in one.certificate.near}
     for found in least:
@@ -302,7 +302,7 @@ def attempt(number: int, seed: int, folder: Path) -> Outcome:
     path = folder / f"scene_{number}.toml"
     path.write_text(obstacles(rng, REACH[name]), encoding="utf-8")
     options = dataclasses.replace(
-        Wish().fill(Options(starts=1, seed=seed, jobs=1), table), iterations=60
+        MotionRequest().fill(DesignOptions(starts=1, seed=seed, jobs=1), table), iterations=60
     )
     begun, start, bodies, from_pose = time.perf_counter(), None, list[str](), number % 3 == 0
     outcome = Outcome(number, name, "", "", 0.0, from_pose=from_pose)
@@ -314,7 +314,7 @@ def attempt(number: int, seed: int, folder: Path) -> Outcome:
         judge = Judge(cell)
         start = pose(rng, judge, table) if from_pose else None
         begun = time.perf_counter()
-        found = pipeline.run(machine, table, options, start=start, cell=cell)
+        found = pipeline.design_trajectory(machine, table, options, start=start, cell=cell)
     except (Infeasible, UnusableInput, CheckFailed) as error:
         said = any(body in str(error) for body in bodies)
         kind = type(error).__name__ if said else "refused without naming"

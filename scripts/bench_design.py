@@ -39,9 +39,9 @@ from robots import source_of, wheel
 
 from excite.designer import criteria, optimize, pipeline, sqp
 from excite.designer.criteria import Criterion
-from excite.designer.evaluator import Evaluator, Rows
-from excite.designer.optimize import Setting
-from excite.designer.problem import Options, Problem
+from excite.designer.evaluator import Evaluator, ConstraintRows
+from excite.designer.optimize import DesignSetup
+from excite.designer.problem import DesignOptions, DesignProblem
 from excite.errors import ExciteError, ExciteWarning, UnusableInput
 from excite.robot import dynamics, limits, robot
 from excite.robot.limits import Limits
@@ -89,16 +89,16 @@ def percent(share: float) -> str:
     return f"{round(100.0 * share, 2) + 0.0:.2f} %"  # no -0.00
 
 
-def prepared(machine: Robot, table: Limits, options: Options) -> Setting:
+def prepared(machine: Robot, table: Limits, options: DesignOptions) -> DesignSetup:
     """The built problem, with its dynamics compiled if they are going to be."""
-    setting = optimize.prepare(machine, table, options)
+    setting = optimize.set_up(machine, table, options)
     library, until = setting.problem.functions.library, time.perf_counter() + PATIENCE
     while library is not None and not library.exists() and time.perf_counter() < until:
         time.sleep(0.1)
     return setting
 
 
-def condition(problem: Problem, samples: Samples) -> float:
+def condition(problem: DesignProblem, samples: Samples) -> float:
     """`cond_regressor` of a motion's samples, by Pinocchio's regressor."""
     return float(
         np.linalg.cond(
@@ -115,8 +115,8 @@ class Case:
     bounds: str
     robot: Robot
     limits: Limits
-    options: Options
-    done: list[pipeline.Delivery] = field(default_factory=list)
+    options: DesignOptions
+    done: list[pipeline.CertifiedDesign] = field(default_factory=list)
     failed: list[str] = field(default_factory=list)
     tightened: bool = False
 
@@ -128,7 +128,7 @@ class Case:
             options, said = dataclasses.replace(self.options, seed=seed), list[str]()
             try:
                 self.done.append(
-                    pipeline.run(self.robot, self.limits, options, progress=said.append)
+                    pipeline.design_trajectory(self.robot, self.limits, options, progress=said.append)
                 )
             except ExciteError as error:
                 self.failed.append(str(error))
@@ -136,7 +136,7 @@ class Case:
 
     def values(self) -> list[float]:
         return [
-            criteria.pick(one.trajectory.criteria["optimum"], self.options.criterion, plain=False)
+            criteria.select_criterion(one.trajectory.criteria["optimum"], self.options.criterion, plain=False)
             for one in self.done
         ]
 
@@ -151,7 +151,7 @@ class Case:
             (self.times(key), min, ".2f") for key in ("first_feasible", "within_1_percent", "solve")
         ]
         columns.append(
-            (self.values(), max if self.options.criterion in criteria.MAXIMISED else min, ".4g")
+            (self.values(), max if self.options.criterion in criteria.MAXIMISED_CRITERIA else min, ".4g")
         )
         steps = (
             f"{np.median([len(one.design.attempts[0].time) - 1 for one in self.done]):.0f}"
@@ -173,11 +173,11 @@ class Case:
 
 def cases(folder: Path | None) -> Iterator[Case]:
     """The problems: the peers' own, and all limits and parameters in the metric."""
-    bare = Options(
+    bare = DesignOptions(
         criterion=Criterion.COND_REGRESSOR, drive=(), harmonics=5, uncertainty=0.0, starts=1
     )
     geometric = [
-        Options(criterion=c, samples=200, starts=1) for c in (Criterion.A, Criterion.D, Criterion.E)
+        DesignOptions(criterion=c, samples=200, starts=1) for c in (Criterion.A, Criterion.D, Criterion.E)
     ]
     if folder is not None:
         ur10 = robot.load(str(folder / UR10))
@@ -196,7 +196,7 @@ def cases(folder: Path | None) -> Iterator[Case]:
     yield from (Case(f"Panda, {o.criterion.name}", "q q̇ q̈ q⃛ τ", panda, full, o) for o in geometric)
 
 
-def nearest(one: pipeline.Delivery) -> tuple[float, str]:
+def nearest(one: pipeline.CertifiedDesign) -> tuple[float, str]:
     """The smallest share of a stated limit that is left, and whose. Derived limits bind ramps only, which run up to them."""
     own = [
         m for m in one.certificate.margins if source_of(one.trajectory.limits, m) != limits.DERIVED
@@ -228,10 +228,10 @@ def report_starts(problems: Sequence[Case], starts: int) -> None:
     rows = []
     for case in problems:
         say(f"{case.name}, {starts} starts")
-        one = pipeline.run(
+        one = pipeline.design_trajectory(
             case.robot, case.limits, dataclasses.replace(case.options, starts=starts)
         )
-        feasible = [a.motion for a in one.design.attempts if min(a.worst) <= sqp.FEASIBLE]
+        feasible = [a.motion for a in one.design.attempts if min(a.worst) <= sqp.MAX_FEASIBLE_ROW_VALUE]
         problem = one.design.setting.problem
         found = [
             condition(problem, motion.samples(motion.grid(case.options.samples)))
@@ -284,7 +284,7 @@ def asked(python: Path, urdf: Path, seed: int) -> dict[str, Any]:
 
 def judged(case: Case, found: Mapping[str, Any]) -> tuple[float, float]:
     """`cond_regressor` of the peer's samples by our definition, and the share left of its nearest limit ten times denser."""
-    problem, table = optimize.prepare(case.robot, case.limits, case.options).problem, case.limits
+    problem, table = optimize.set_up(case.robot, case.limits, case.options).problem, case.limits
     own, dense = (Samples(*(np.array(part) for part in found[grid])) for grid in ("own", "dense"))
     torque = dynamics.regressor(case.robot, problem.parameters, dense) @ problem.parameters.nominal
     lower, upper = table.position.T
@@ -296,12 +296,12 @@ def judged(case: Case, found: Mapping[str, Any]) -> tuple[float, float]:
     return condition(problem, own), 1.0 - max(float(np.abs(part).max()) for part in used)
 
 
-def reaching(one: pipeline.Delivery, value: float) -> float:
+def reaching(one: pipeline.CertifiedDesign, value: float) -> float:
     """Seconds until a design was as good as `value`, infinite if never; its objective is the smooth log of the square."""
     best = one.design.attempts[0]
     history = zip(best.time, best.values, best.worst, strict=True)
     return min(
-        (at for at, v, worst in history if worst <= sqp.FEASIBLE and v <= 2.0 * np.log(value)),
+        (at for at, v, worst in history if worst <= sqp.MAX_FEASIBLE_ROW_VALUE and v <= 2.0 * np.log(value)),
         default=np.inf,
     )
 
@@ -386,10 +386,10 @@ def costs(case: Case) -> dict[str, tuple[float, int]]:
     )
     samples, sharpness = (
         motion.samples(motion.grid(case.options.samples)),
-        sqp.stages(case.options.criterion)[-1],
+        sqp.sharpness_stages(case.options.criterion)[-1],
     )
     Y = dynamics.regressor(problem.robot, problem.parameters, samples)
-    rows = evaluator.rows(evaluator.select(optimum, 1.0 - sqp.NEAR))
+    rows = evaluator.rows(evaluator.select(optimum, 1.0 - sqp.WORKING_SET_BAND))
     torque = np.array(evaluator.kinds)[rows.kind] == "torque"
     everywhere = evaluator.rows(
         np.concatenate(
@@ -407,8 +407,8 @@ def costs(case: Case) -> dict[str, tuple[float, int]]:
         evaluator.worst(x)
         return x
 
-    def some(which: Array) -> Rows:
-        return Rows(*(getattr(rows, f.name)[which] for f in dataclasses.fields(Rows)))
+    def some(which: Array) -> ConstraintRows:
+        return ConstraintRows(*(getattr(rows, f.name)[which] for f in dataclasses.fields(ConstraintRows)))
 
     parts = {
         "Jacobian: torque near its limit": some(torque),
@@ -421,7 +421,7 @@ def costs(case: Case) -> dict[str, tuple[float, int]]:
         "bare regressor loop": (fresh, lambda x: loop(problem.robot, samples)),
         "objective and all row values": (
             fresh,
-            lambda x: (evaluator.table(x), criteria.smooth(criterion, weigh(Y), sharpness)),
+            lambda x: (evaluator.table(x), criteria.smooth_objective(criterion, weigh(Y), sharpness)),
         ),
         "objective and gradient": (fresh, lambda x: evaluator.objective(x, sharpness)),
         **{
@@ -447,7 +447,7 @@ def report_costs(measured: Mapping[str, Mapping[str, tuple[float, int]]]) -> Non
             ]
         rows.append(row)
     head = ["", *(cell for name in measured for cell in (f"{name} [ms]", "over the loop"))]
-    note = f"Near: above {1.0 - sqp.NEAR:g} of the limit at the optimum, as the solver asks; there the objective is known already."
+    note = f"Near: above {1.0 - sqp.WORKING_SET_BAND:g} of the limit at the optimum, as the solver asks; there the objective is known already."
     show("Cost of one evaluation", head, rows, note)
 
 
@@ -455,7 +455,7 @@ def grown(machine: Robot, samples: int) -> tuple[float, float]:
     """Milliseconds per objective and gradient and per iteration of the solver."""
     say(f"{machine.name}: {machine.n} joints, {samples} samples")
     setting = prepared(
-        machine, limits.resolve(machine), Options(samples=samples, starts=1, iterations=8)
+        machine, limits.resolve(machine), DesignOptions(samples=samples, starts=1, iterations=8)
     )
     found = optimize.solve(setting)
     evaluator, x, rng = (
@@ -638,7 +638,7 @@ def report(given: argparse.Namespace) -> None:
             "example-robot-data is not installed and no --data is given: without UR10 and most trees"
         )
     print(
-        ", ".join(f"{name} {version}" for name, version in trajectory_file.versions().items())
+        ", ".join(f"{name} {version}" for name, version in trajectory_file.package_versions().items())
         + f"; {os.cpu_count()} cores, BLAS on one"
     )
     problems = {case.name: case for case in cases(folder)}

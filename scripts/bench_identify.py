@@ -29,13 +29,13 @@ from excite.errors import ExciteWarning
 from excite.identification import consistency, identification
 from excite.identification.identification import Identification, Options
 from excite.identification.inertia_distance import Distance
-from excite.identification.regression import Model
+from excite.identification.regression import IdentificationModel
 from excite.recordings import Recording, Sidecar
 from excite.robot import base_parameters, inertial_parameters, limits, robot
 from excite.robot.inertial_parameters import COULOMB_WIDTH, Parameters
 from excite.robot.robot import Robot
 from excite.trajectory import trajectory_file
-from excite.trajectory.fourier import Fourier
+from excite.trajectory.fourier import FourierSeries
 
 Array = np.ndarray
 TRAJECTORIES = Path(__file__).resolve().parent.parent / "trajectories"
@@ -55,10 +55,10 @@ def show(title: str, head: Sequence[str], rows: Sequence[Sequence[str]], note: s
     print(f"\n### {title}\n\n" + "\n".join(lines) + (f"\n\n{note}" if note else ""), flush=True)
 
 
-def model_of(machine: Robot) -> tuple[Model, limits.Limits]:
+def model_of(machine: Robot) -> tuple[IdentificationModel, limits.Limits]:
     table = limits.resolve(machine)
     standard = inertial_parameters.standard(machine, table)
-    return Model(
+    return IdentificationModel(
         machine,
         standard,
         base_parameters.find(machine, standard, table),
@@ -67,7 +67,7 @@ def model_of(machine: Robot) -> tuple[Model, limits.Limits]:
 
 
 def identified(
-    model: Model, train: Sequence[Recording], held_out: Sequence[Recording], options: Options
+    model: IdentificationModel, train: Sequence[Recording], held_out: Sequence[Recording], options: Options
 ) -> Identification:
     return identification.identify(
         model.robot, model.parameters, model.base, train, held_out, options
@@ -116,11 +116,11 @@ def real(folder: Path) -> None:
 class Truth:
     """A robot whose bodies and drives are not the URDF's."""
 
-    model: Model
+    model: IdentificationModel
     psi: Array
 
     def recording(
-        self, fourier: Fourier, duration: float, noise: Array, rng: np.random.Generator
+        self, fourier: FourierSeries, duration: float, noise: Array, rng: np.random.Generator
     ) -> Recording:
         machine, standard = self.model.robot, self.model.parameters
         t = np.arange(round(duration * RATE) + 1) / RATE
@@ -144,7 +144,7 @@ def true_psi(standard: Parameters, torque: Array, rng: np.random.Generator) -> A
     """20 % off in every direction of the bodies, 3 % of the torque limit of friction; drawn again until it is a robot."""
     edge = 10 * standard.bodies
     while True:
-        psi = consistency.nominal_bodies(standard)
+        psi = consistency.consistent_nominal(standard)
         psi[:edge] += 0.2 * standard.scale[:edge, :edge] @ rng.normal(size=edge)
         for kind, share in (
             ("rotor_inertia", 1e-3),
@@ -157,11 +157,11 @@ def true_psi(standard: Parameters, torque: Array, rng: np.random.Generator) -> A
             return psi
 
 
-def poor_motions(fourier: Fourier) -> dict[str, tuple[Fourier, float]]:
+def poor_motions(fourier: FourierSeries) -> dict[str, tuple[FourierSeries, float]]:
     stiff = np.ones((fourier.n, 1))
     stiff[fourier.n // 2] = 1e-3
-    stuck = Fourier(stiff * fourier.sine, stiff * fourier.cosine, fourier.offset, fourier.period)
-    still = Fourier(0.0 * fourier.sine, 0.0 * fourier.cosine, fourier.offset, fourier.period)
+    stuck = FourierSeries(stiff * fourier.sine, stiff * fourier.cosine, fourier.offset, fourier.period)
+    still = FourierSeries(0.0 * fourier.sine, 0.0 * fourier.cosine, fourier.offset, fourier.period)
     return {
         "two periods": (fourier, 2.0 * fourier.period),
         f"joint {fourier.n // 2 + 1} hardly moves": (stuck, 10.0),
@@ -172,7 +172,7 @@ def poor_motions(fourier: Fourier) -> dict[str, tuple[Fourier, float]]:
 
 def poor(name: str) -> None:
     model, table = model_of(robot.load(name))
-    fourier = trajectory_file.read(TRAJECTORIES / f"{name}.json").motion.fourier
+    fourier = trajectory_file.read_trajectory(TRAJECTORIES / f"{name}.json").motion.fourier
     noise = NOISE * table.torque
     totals: dict[tuple[str, Distance], list[float]] = {}
     seen: dict[str, list[int]] = {}
@@ -180,7 +180,7 @@ def poor(name: str) -> None:
         rng = np.random.default_rng(seed)
         truth = Truth(model, true_psi(model.parameters, table.torque, rng))
         turned = fourier.shifted(0.3 * fourier.period)
-        other = Fourier(
+        other = FourierSeries(
             np.roll(turned.sine, 1, axis=1) * 0.7,
             -np.roll(turned.cosine, 1, axis=1) * 0.7,
             fourier.offset,
@@ -211,7 +211,7 @@ def poor(name: str) -> None:
 
 def speed(rows: int = 1_000_000, rate: float = 1000.0) -> None:
     model, table = model_of(robot.load("panda"))
-    fourier = trajectory_file.read(TRAJECTORIES / "panda.json").motion.fourier
+    fourier = trajectory_file.read_trajectory(TRAJECTORIES / "panda.json").motion.fourier
     rng = np.random.default_rng(0)
     truth = Truth(model, true_psi(model.parameters, table.torque, rng))
     with tempfile.TemporaryDirectory() as folder:

@@ -16,33 +16,33 @@ from functools import partial
 import numpy as np
 
 from excite.designer import motion_overlap, optimize, pipeline, time_budget
-from excite.designer.motion_overlap import Gauge
-from excite.designer.optimize import Setting
-from excite.designer.pipeline import Delivery
-from excite.designer.problem import Options
-from excite.designer.time_budget import Wish
+from excite.designer.motion_overlap import StateScaling
+from excite.designer.optimize import DesignSetup
+from excite.designer.pipeline import CertifiedDesign
+from excite.designer.problem import DesignOptions
+from excite.designer.time_budget import MotionRequest
 from excite.errors import ExciteWarning
 from excite.robot import dynamics, limits, robot
-from excite.trajectory.fourier import Fourier
+from excite.trajectory.fourier import FourierSeries
 
 Array = np.ndarray
 
 
-def deviation(delivery: Delivery) -> float:
+def deviation(delivery: CertifiedDesign) -> float:
     """Of the parameters, from the periodic part; up to a factor that depends on the robot and the rate alone."""
     motion = delivery.trajectory.motion
     value: float = delivery.trajectory.criteria["optimum"]["geometric"]["a"]
     return float(np.sqrt(value / (motion.periods * motion.fourier.period)))
 
 
-def periods(name: str, options: Options, budget: float) -> str:
+def periods(name: str, options: DesignOptions, budget: float) -> str:
     """A row of the first table."""
     machine = robot.load(name)
     table = limits.resolve(machine)
-    run = partial(pipeline.run, machine, table)
-    rule, ten = (run(wish.fill(options, table)) for wish in (Wish(), Wish(period=10.0)))
-    planned = time_budget.budgeted(machine, table, options, Wish(), budget)
-    filled = time_budget.deliver(planned, options, run)
+    run = partial(pipeline.design_trajectory, machine, table)
+    rule, ten = (run(wish.fill(options, table)) for wish in (MotionRequest(), MotionRequest(period=10.0)))
+    planned = time_budget.plan_for_budget(machine, table, options, MotionRequest(), budget)
+    filled = time_budget.run_plan(planned, options, run)
     motion, period = filled.trajectory.motion, rule.trajectory.motion.fourier.period
     ramps = rule.trajectory.motion.duration - 2.0 * period
     repeated = deviation(rule) * np.sqrt(2.0 / int((budget - ramps) / period))
@@ -53,7 +53,7 @@ def periods(name: str, options: Options, budget: float) -> str:
     return f"| {name} | {period:g} | {equal:.2f} | {chosen} | {deviation(filled) / repeated:.2f} | {seconds:.1f} |"
 
 
-def regressor(setting: Setting, motion: Fourier) -> tuple[Array, Array, Array]:
+def regressor(setting: DesignSetup, motion: FourierSeries) -> tuple[Array, Array, Array]:
     """Regressor rows over noise in base coordinates, positions and velocities along a period."""
     problem = setting.problem
     samples = motion.samples(motion.grid(problem.options.samples))
@@ -61,7 +61,7 @@ def regressor(setting: Setting, motion: Fourier) -> tuple[Array, Array, Array]:
     return Y.reshape(-1, Y.shape[2]) @ setting.base.geometric, samples.q, samples.dq
 
 
-def held_out(setting: Setting, first: Fourier, second: Fourier) -> float:
+def held_out(setting: DesignSetup, first: FourierSeries, second: FourierSeries) -> float:
     """Error of friction that depends on position, on the second motion over the first, after a fit to the first."""
     rng, squares = np.random.default_rng(0), np.zeros(2)
     both = [regressor(setting, motion) for motion in (first, second)]
@@ -75,20 +75,20 @@ def held_out(setting: Setting, first: Fourier, second: Fourier) -> float:
     return float(np.sqrt(squares[1] / squares[0]))
 
 
-def second_motions(name: str, options: Options, weights: list[float], seeds: int) -> str:
+def second_motions(name: str, options: DesignOptions, weights: list[float], seeds: int) -> str:
     """A row of the second table."""
     machine = robot.load(name)
     table = limits.resolve(machine)
-    gauge = Gauge.of(machine, table)
+    gauge = StateScaling.of(machine, table)
     found = np.zeros((len(weights), 3))
     for seed in range(seeds):
-        one = Wish().fill(Options(starts=options.starts, seed=seed, jobs=options.jobs), table)
-        setting = optimize.prepare(machine, table, one)
+        one = MotionRequest().fill(DesignOptions(starts=options.starts, seed=seed, jobs=options.jobs), table)
+        setting = optimize.set_up(machine, table, one)
         first = optimize.solve(setting)
         for k, weight in enumerate(weights):
-            kept = motion_overlap.apart(gauge, first.motion, weight)
-            second = optimize.solve(optimize.prepare(machine, table, one, apart=kept))
-            common = motion_overlap.overlap(gauge, first.motion, second.motion)
+            kept = motion_overlap.penalise_overlap(gauge, first.motion, weight)
+            second = optimize.solve(optimize.set_up(machine, table, one, apart=kept))
+            common = motion_overlap.motion_overlap(gauge, first.motion, second.motion)
             price = second.attempts[0].objective - weight * common - first.attempts[0].objective
             found[k] += (
                 common,
@@ -111,14 +111,14 @@ def main() -> None:
         "--weights",
         type=float,
         nargs="+",
-        default=[0.0, motion_overlap.WEIGHT, 2.0 * motion_overlap.WEIGHT],
+        default=[0.0, motion_overlap.OVERLAP_WEIGHT, 2.0 * motion_overlap.OVERLAP_WEIGHT],
     )
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--starts", type=int, default=2)
     parser.add_argument("--jobs", type=int, default=-1)
     given = parser.parse_args()
     warnings.simplefilter("ignore", ExciteWarning)
-    options = Options(starts=given.starts, jobs=given.jobs)
+    options = DesignOptions(starts=given.starts, jobs=given.jobs)
     print(
         f"| robot | period by the rule [s] | beside 10 s | planned for {given.time:g} s | beside the rule repeated | planning [s] |"
     )

@@ -23,7 +23,7 @@ import pinocchio as pin
 
 from excite import _json
 from excite.designer import identifiability, pipeline
-from excite.designer.problem import Options as DesignOptions
+from excite.designer.problem import DesignOptions as DesignOptions
 from excite.identification import confidence, identification
 from excite.identification.identification import Identification, Options
 from excite.identification.lowpass import LowPassFilter
@@ -95,8 +95,8 @@ def bench(name: str, colour: float | None, folder: Path, periods: int) -> Bench:
     first = FOLDER / "trajectories" / f"{name}.json"
     other = folder / f"{name}.json"
     if not other.exists():
-        period = trajectory_file.read(first).motion.fourier.period
-        delivery = pipeline.run(machine, table, DesignOptions(period=period, seed=11, starts=1))
+        period = trajectory_file.read_trajectory(first).motion.fourier.period
+        delivery = pipeline.design_trajectory(machine, table, DesignOptions(period=period, seed=11, starts=1))
         other.write_text(_json.dumps(delivery.trajectory.document()), encoding="utf-8")
     urdf = robot.locate(name)
     setting = ExperimentSettings(seed=3, colour=colour)
@@ -128,8 +128,8 @@ def one(setup: Bench, seed: int, frame: Array) -> tuple[Array, Array, Array]:
         warnings.simplefilter("ignore")
         found = setup.identified(seed)
     off = found.data.theta - found.model.base.matrix @ setup.truth
-    half = confidence.half_widths(found.data, frame)
-    own = confidence.half_widths(found.data, np.eye(len(off)))
+    half = confidence.interval_half_widths(found.data, frame)
+    own = confidence.interval_half_widths(found.data, np.eye(len(off)))
     validation = found.validations[0]
     return (
         frame @ off / half,
@@ -164,7 +164,7 @@ def main() -> None:
         for colour in (None, CORNER):
             setup = bench(name, colour, arguments.folder, arguments.periods)
             first = setup.identified(0)
-            values, vectors = identifiability.spectrum(
+            values, vectors = identifiability.eigenvalues_and_directions(
                 first.data.root @ first.model.base.matrix, first.metric_base
             )
             seen = values * first.options.threshold >= 1.0

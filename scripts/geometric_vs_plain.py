@@ -16,15 +16,15 @@ import numpy as np
 
 from excite.designer import criteria, optimize
 from excite.designer.criteria import Criterion
-from excite.designer.problem import Options
+from excite.designer.problem import DesignOptions
 from excite.errors import ExciteWarning
 from excite.robot import dynamics, limits, robot
-from excite.trajectory.fourier import Fourier
+from excite.trajectory.fourier import FourierSeries
 
 Array = np.ndarray
 
 
-def designs(name: str, starts: int, seed: int) -> dict[str, optimize.Design]:
+def designs(name: str, starts: int, seed: int) -> dict[str, optimize.OptimizedDesign]:
     """One design per criterion, geometric and plain."""
     machine = robot.load(name)
     table = limits.resolve(machine)
@@ -38,13 +38,13 @@ def designs(name: str, starts: int, seed: int) -> dict[str, optimize.Design]:
                 if criterion is Criterion.COND_REGRESSOR
                 else ("plain " if plain else "geometric ")
             )
-            options = Options(criterion=criterion, plain=plain, starts=starts, seed=seed)
+            options = DesignOptions(criterion=criterion, plain=plain, starts=starts, seed=seed)
             print(f"{name}: {kind}{criterion.value}", file=sys.stderr, flush=True)
-            out[kind + criterion.value] = optimize.solve(optimize.prepare(machine, table, options))
+            out[kind + criterion.value] = optimize.solve(optimize.set_up(machine, table, options))
     return out
 
 
-def recorded(found: optimize.Design, motion: Fourier, samples: int) -> Array:
+def recorded(found: optimize.OptimizedDesign, motion: FourierSeries, samples: int) -> Array:
     """Regressor rows of one period over the noise. Shape (samples n, P)."""
     problem = found.setting.problem
     Y = dynamics.regressor(problem.robot, problem.parameters, motion.samples(motion.grid(samples)))
@@ -52,7 +52,7 @@ def recorded(found: optimize.Design, motion: Fourier, samples: int) -> Array:
 
 
 def errors(
-    found: optimize.Design, others: Array, draws: int, spread: float, rng: np.random.Generator
+    found: optimize.OptimizedDesign, others: Array, draws: int, spread: float, rng: np.random.Generator
 ) -> tuple[float, float]:
     """RMS over draws of the error in the metric and of the torque error over noise on `others`.
 
@@ -75,7 +75,7 @@ def errors(
     return float(np.sqrt(np.mean(np.sum(error**2, axis=1)))), float(np.sqrt(np.mean(torque**2)))
 
 
-def unseen(found: optimize.Design, count: int, rng: np.random.Generator) -> Array:
+def unseen(found: optimize.OptimizedDesign, count: int, rng: np.random.Generator) -> Array:
     """Rows of random feasible motions, for held-out torque."""
     from excite.designer import initial_guess
     from excite.designer.evaluator import Evaluator
@@ -83,8 +83,8 @@ def unseen(found: optimize.Design, count: int, rng: np.random.Generator) -> Arra
     evaluator = Evaluator(found.setting.problem)
     rows = []
     for _ in range(count):
-        held = initial_guess.poses(evaluator, rng)
-        x = initial_guess.motion(evaluator, held[rng.integers(len(held))], rng)
+        held = initial_guess.find_static_poses(evaluator, rng)
+        x = initial_guess.scale_random_motion(evaluator, held[rng.integers(len(held))], rng)
         rows.append(recorded(found, found.setting.problem.fourier(x), 50))
     return np.vstack(rows)
 
@@ -110,9 +110,9 @@ def report(name: str, arguments: argparse.Namespace) -> None:
             problem.parameters,
             one.motion.samples(one.motion.grid(problem.options.samples)),
         )
-        scores = criteria.score(Y, one.setting.base, one.setting.noise)
-        cells = [criteria.pick(scores, Criterion(c), plain=k == "plain") for k, c in columns]
-        cells.append(criteria.pick(scores, Criterion.COND_REGRESSOR, plain=True))
+        scores = criteria.evaluate_criteria(Y, one.setting.base, one.setting.noise)
+        cells = [criteria.select_criterion(scores, Criterion(c), plain=k == "plain") for k, c in columns]
+        cells.append(criteria.select_criterion(scores, Criterion.COND_REGRESSOR, plain=True))
         metric, torque = errors(
             one, others, arguments.draws, arguments.spread, np.random.default_rng(arguments.seed)
         )

@@ -57,9 +57,9 @@ def atlas(folder: Path, joint: str) -> None:
 
 
 def design() -> None:
-    trajectory = trajectory_file.read(FOLDER / "trajectories" / "ur10e.json")
+    trajectory = trajectory_file.read_trajectory(FOLDER / "trajectories" / "ur10e.json")
     robot = trajectory.load_robot()
-    subject = certificate.subject_of(trajectory, robot, trajectory.limits)
+    subject = certificate.motion_constraints(trajectory, robot, trajectory.limits)
     parameters, motion, limits = subject.parameters, trajectory.motion, trajectory.limits
     t = motion.grid(trajectory.rate)
     samples = motion.samples(t)

@@ -9,7 +9,7 @@ from pathlib import Path
 from excite import _files, _json
 from excite.collision import scene_file
 from excite.designer import pipeline, time_budget
-from excite.designer.problem import Options
+from excite.designer.problem import DesignOptions
 from excite.robot import limits, robot
 
 FOLDER = Path(__file__).resolve().parent.parent / "trajectories"
@@ -23,9 +23,9 @@ def main() -> None:
     for name in arguments.robots:
         machine = robot.load(name)
         table = limits.resolve(machine)
-        options = time_budget.Wish().fill(Options(starts=4), table)
+        options = time_budget.MotionRequest().fill(DesignOptions(starts=4), table)
         cell = scene_file.cell(machine, table, scene_file.Scene())
-        delivery = pipeline.run(
+        delivery = pipeline.design_trajectory(
             machine, table, options, cell=cell, progress=lambda text: print(text, file=sys.stderr)
         )
         written = _files.write_all(

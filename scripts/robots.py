@@ -30,7 +30,7 @@ from excite.collision import scene_file
 from excite.designer import certificate as certificate_module
 from excite.designer import criteria, pipeline, sqp, time_budget
 from excite.designer.criteria import Criterion
-from excite.designer.problem import Options
+from excite.designer.problem import DesignOptions
 from excite.errors import CheckFailed
 from excite.robot import limits, robot
 from excite.trajectory import trajectory_file
@@ -169,7 +169,7 @@ def apart(name: str, given: argparse.Namespace) -> Row:
     )
 
 
-def attempt(case: Case, source: str, options: Options) -> Row:
+def attempt(case: Case, source: str, options: DesignOptions) -> Row:
     """Design and verify one robot; whatever goes wrong becomes the row's reason."""
     row = Row(case.name)
     with warnings.catch_warnings(record=True) as caught:
@@ -182,15 +182,15 @@ def attempt(case: Case, source: str, options: Options) -> Row:
     return row
 
 
-def run(row: Row, case: Case, source: str, options: Options) -> None:
+def run(row: Row, case: Case, source: str, options: DesignOptions) -> None:
     """Fill in the row as far as the robot gets; raises what excite raises."""
     moved = robot.load(source, joints=case.joints, lock=case.lock)
     row.joints = moved.n
     own = HERE / "limits" / f"{case.name}.toml"
     table = limits.resolve(moved, own if own.is_file() and not is_builtin(source) else None)
     cell, unchecked = scene_file.known(moved, table, scene_file.Scene())
-    options = time_budget.Wish().fill(options, table)
-    delivery = pipeline.run(
+    options = time_budget.MotionRequest().fill(options, table)
+    delivery = pipeline.design_trajectory(
         moved,
         table,
         options,
@@ -201,7 +201,7 @@ def run(row: Row, case: Case, source: str, options: Options) -> None:
     row.base_parameters, row.timing = delivery.design.setting.base.count, delivery.timing
     row.duration = delivery.trajectory.motion.duration
     row.start = first_feasible(delivery, options)
-    row.after = criteria.pick(
+    row.after = criteria.select_criterion(
         delivery.trajectory.criteria["optimum"], options.criterion, plain=options.plain
     )
     certificate = round_trip(delivery.trajectory)
@@ -220,7 +220,7 @@ def refusal(certificate: certificate_module.Certificate) -> str:
     return certificate.faults[0] + (f" (and {more} more)" if more else "")
 
 
-def source_of(table: limits.Limits, margin: certificate_module.Margin) -> str:
+def source_of(table: limits.Limits, margin: certificate_module.LimitMargin) -> str:
     """Where the nearest limit comes from; "derived" ones bind the ramps alone, which run up to them by design."""
     sources = dict(zip(table.joints, table.sources.get(margin.limit, ()), strict=False))
     return sources.get(margin.joint, "")
@@ -230,14 +230,14 @@ def is_builtin(source: str) -> bool:
     return source in robot.builtin_names()
 
 
-def first_feasible(delivery: pipeline.Delivery, options: Options) -> float:
+def first_feasible(delivery: pipeline.CertifiedDesign, options: DesignOptions) -> float:
     """The criterion of the earliest feasible motion of all starts; histories keep the objective, a logarithm.
 
     A start that was tightened after the certificate has lost its beginning: then another start's is shown.
     """
     seen = []
     for one in delivery.design.attempts:
-        at = int(np.argmax(np.array(one.worst) <= sqp.FEASIBLE))
+        at = int(np.argmax(np.array(one.worst) <= sqp.MAX_FEASIBLE_ROW_VALUE))
         seen.append((one.time[at], one.values[at]))
     objective = min(seen)[1]
     if options.criterion is Criterion.D:
@@ -251,10 +251,10 @@ def round_trip(trajectory: trajectory_file.Trajectory) -> certificate_module.Cer
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "trajectory.json"
         path.write_text(text := _json.dumps(trajectory.document()), encoding="utf-8")
-        again = trajectory_file.read(path)
+        again = trajectory_file.read_trajectory(path)
     if _json.dumps(again.document()) != text:
         raise CheckFailed("trajectory.json does not read back as it was written")
-    return certificate_module.of_file(again, again.load_robot())
+    return certificate_module.verify_file(again, again.load_robot())
 
 
 def markdown(rows: Sequence[Row], criterion: str) -> str:
@@ -311,7 +311,7 @@ def chosen(found: list[tuple[Case, str]], only: str | None) -> list[tuple[Case, 
 
 
 def arguments() -> argparse.Namespace:
-    standard = Options()
+    standard = DesignOptions()
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument(
         "--data",
@@ -356,7 +356,7 @@ def arguments() -> argparse.Namespace:
 
 def main() -> int:
     given = arguments()
-    options = Options(
+    options = DesignOptions(
         criterion=Criterion(given.criterion), starts=given.starts, uncertainty=given.uncertainty
     )
     rows = []

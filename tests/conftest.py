@@ -23,9 +23,9 @@ from hypothesis import strategies as st
 from written import Damage, motion
 
 from excite.designer import pipeline
-from excite.designer.pipeline import Delivery
-from excite.designer.problem import Options
-from excite.identification.regression import Model
+from excite.designer.pipeline import CertifiedDesign
+from excite.designer.problem import DesignOptions
+from excite.identification.regression import IdentificationModel
 from excite.robot.limits import Limits, resolve
 from excite.robot.robot import Robot, load, locate
 from excite.robot.samples import Samples
@@ -41,7 +41,7 @@ settings.register_profile(
 settings.load_profile("excite")
 
 BUILTIN = ("fr3", "iiwa14", "panda", "two_link", "tx40", "ur10e", "ur5e")
-QUICK = Options(period=2.0, harmonics=3, samples=40, starts=1, iterations=40, jobs=1)
+QUICK = DesignOptions(period=2.0, harmonics=3, samples=40, starts=1, iterations=40, jobs=1)
 
 seeds = st.integers(0, 10**6).map(np.random.default_rng)
 
@@ -306,7 +306,7 @@ def two_link() -> Robot:
 
 
 @pytest.fixture(scope="session")
-def subject() -> Model:
+def subject() -> IdentificationModel:
     """The two-link robot that diagnoses are tried on."""
     from made import two_links  # which takes from here
 
@@ -324,12 +324,12 @@ def table(two_link: Robot) -> Limits:
 
 
 @pytest.fixture(scope="session")
-def delivery(two_link: Robot, table: Limits) -> Delivery:
-    return pipeline.run(two_link, table, QUICK, start=np.array([-1.5, 0.3]))
+def delivery(two_link: Robot, table: Limits) -> CertifiedDesign:
+    return pipeline.design_trajectory(two_link, table, QUICK, start=np.array([-1.5, 0.3]))
 
 
 @pytest.fixture(scope="session")
-def braked() -> Delivery:
+def braked() -> CertifiedDesign:
     """Three joints of the FR3, whose speed limits depend on position."""
     robot = load("fr3", joints=("fr3_joint1", "fr3_joint2", "fr3_joint4"))
-    return pipeline.run(robot, resolve(robot), replace(QUICK, period=4.0, samples=60))
+    return pipeline.design_trajectory(robot, resolve(robot), replace(QUICK, period=4.0, samples=60))

@@ -13,14 +13,14 @@ from conftest import loaded
 from excite.diagnosis.columns import Columns
 from excite.diagnosis.half import Half, whitened
 from excite.effects.effect import Shape
-from excite.effects.track import Track
+from excite.effects.recorded_motion import Track
 from excite.identification import consistency
-from excite.identification.regression import Model
+from excite.identification.regression import IdentificationModel
 from excite.recordings import Recording, Sidecar
 from excite.robot import base_parameters, inertial_parameters, limits, robot
 from excite.robot.inertial_parameters import Parameters
 from excite.robot.limits import Limits
-from excite.trajectory.fourier import Fourier
+from excite.trajectory.fourier import FourierSeries
 
 if TYPE_CHECKING:  # of an extra that need not be there
     from excite.simulator.simulated_robot import SimulatedRobot
@@ -30,18 +30,18 @@ PERIOD, RATE = 5.2, 500.0
 WIDTH = 0.004
 
 
-def two_links() -> Model:
+def two_links() -> IdentificationModel:
     """The built-in two-link robot with all parameters, and friction steps of WIDTH."""
     machine = robot.load("two_link")
     table = limits.resolve(machine)
     standard = inertial_parameters.standard(machine, table)
-    return Model(
+    return IdentificationModel(
         machine, standard, base_parameters.find(machine, standard, table), np.full(machine.n, WIDTH)
     )
 
 
 def perturbed(standard: Parameters, rng: np.random.Generator, size: float = 0.1) -> Array:
-    psi = consistency.nominal_bodies(standard)
+    psi = consistency.consistent_nominal(standard)
     edge = 10 * standard.bodies
     psi[:edge] += size * standard.scale[:edge, :edge] @ rng.normal(size=edge)
     for kind, value in (
@@ -68,7 +68,7 @@ def simulated(plant: SimulatedRobot, standard: Parameters, table: Limits) -> Arr
     return psi
 
 
-def bodied(model: Model, psi: Array) -> pin.Model:
+def bodied(model: IdentificationModel, psi: Array) -> pin.Model:
     """Pinocchio's model with those bodies."""
     own = model.robot.model.copy()
     for i in range(model.parameters.bodies):
@@ -76,7 +76,7 @@ def bodied(model: Model, psi: Array) -> pin.Model:
     return own
 
 
-def torque(model: Model, psi: Array, q: Array, dq: Array, ddq: Array) -> Array:
+def torque(model: IdentificationModel, psi: Array, q: Array, dq: Array, ddq: Array) -> Array:
     """Inverse dynamics of a model with those bodies, by Pinocchio's rnea and not by a regressor."""
     standard, own = model.parameters, bodied(model, psi)
     data = own.createData()
@@ -91,13 +91,13 @@ def torque(model: Model, psi: Array, q: Array, dq: Array, ddq: Array) -> Array:
     )
 
 
-def motion(n: int, seed: int = 0, period: float = PERIOD) -> Fourier:
+def motion(n: int, seed: int = 0, period: float = PERIOD) -> FourierSeries:
     rng = np.random.default_rng(seed)
-    return Fourier(rng.normal(0.0, 0.7, (n, 4)), rng.normal(0.0, 0.7, (n, 4)), np.zeros(n), period)
+    return FourierSeries(rng.normal(0.0, 0.7, (n, 4)), rng.normal(0.0, 0.7, (n, 4)), np.zeros(n), period)
 
 
 def recorded(
-    model: Model, psi: Array, fourier: Fourier, periods: float, noise: float, **side: object
+    model: IdentificationModel, psi: Array, fourier: FourierSeries, periods: float, noise: float, **side: object
 ) -> Recording:
     t = np.arange(round(periods * fourier.period * RATE) + 1) / RATE
     s = fourier.samples(t)

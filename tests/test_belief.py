@@ -13,7 +13,7 @@ from excite.diagnosis import belief, hypothesis, judge, search
 from excite.diagnosis.measured import Measured
 from excite.effects import BY_NAME, confused
 from excite.effects.effect import Shape
-from excite.effects.track import Track
+from excite.effects.recorded_motion import Track
 
 Array = np.ndarray
 SURE = (np.ones(1), np.ones(1))

@@ -11,20 +11,12 @@ from conftest import QUICK, document, joint, link, seeds, slope
 from hypothesis import given
 from scipy.spatial.transform import Rotation
 
-from excite.collision import (
-    batch_kinematics,
-    capsule_cover,
-    clearance_builder,
-    continuous_check,
-    scene_file,
-    segment_distance,
-    urdf_geometry,
-)
+from excite.collision import batch_kinematics, capsule_cover, clearance_builder, continuous_check, scene_file, segment_distance, urdf_geometry
 from excite.collision.geometry import Kind, Shape
 from excite.collision.scene_file import Scene
 from excite.designer import certificate as certificate_module
 from excite.designer import optimize, pipeline, ramps
-from excite.designer.constraint_margins import Subject
+from excite.designer.constraint_margins import MotionConstraints
 from excite.designer.evaluator import Evaluator
 from excite.errors import Infeasible, UnusableInput
 from excite.robot.limits import resolve
@@ -194,7 +186,7 @@ def test_rows_of_the_design_problem_have_exact_gradients():
     cell = two_links(BOX)
     robot, limits = cell.robot, cell.limits
     e = Evaluator(
-        optimize.prepare(robot, limits, QUICK, clearance=clearance_builder.clearance(cell)).problem
+        optimize.set_up(robot, limits, QUICK, clearance=clearance_builder.clearance(cell)).problem
     )
     assert e.kinds[-1] == "clearance"
     x = 0.4 * np.random.default_rng(3).normal(size=e.problem.size)
@@ -279,7 +271,7 @@ def test_loose_covers_give_way_to_hulls(tmp_path):
 @pytest.fixture(scope="module")
 def free():
     robot = load("two_link")
-    return pipeline.run(robot, resolve(robot), QUICK)
+    return pipeline.design_trajectory(robot, resolve(robot), QUICK)
 
 
 def brute(cell, motion, number: int, step: float) -> float:
@@ -345,9 +337,9 @@ def test_the_constraint_has_an_effect(free):
     assert not before.ok and before.worst().limit == "clearance"
     assert (
         before.collision.startswith("COLLISION")
-        and before.clearance is certificate_module.Verdict.FAILED
+        and before.clearance is certificate_module.CertificateVerdict.FAILED
     )
-    kept = pipeline.run(cell.robot, cell.limits, QUICK, cell=cell)
+    kept = pipeline.design_trajectory(cell.robot, cell.limits, QUICK, cell=cell)
     assert kept.certificate.ok
     assert "collision checked" in kept.trajectory.collision
     for number, pair in enumerate(cell.pairs):
@@ -358,7 +350,7 @@ def test_the_constraint_has_an_effect(free):
         > free.trajectory.criteria["optimum"]["geometric"]["a"]
     )
     # and the cell is made again from the file
-    again = certificate_module.of_file(kept.trajectory, cell.robot)
+    again = certificate_module.verify_file(kept.trajectory, cell.robot)
     assert again.collision == kept.certificate.collision
     assert [n.names for n in again.near] == [n.names for n in kept.certificate.near]
 
@@ -369,8 +361,8 @@ def test_the_way_back_goes_round():
     cell = two_links(pillar)
     clear, robot = clearance_builder.clearance(cell), cell.robot
     limits = dataclasses.replace(cell.limits, acceleration=np.full(2, 10.0), jerk=np.full(2, 100.0))
-    standard = optimize.prepare(robot, limits, QUICK).problem.parameters
-    planner = ramps.Planner(Subject(robot, limits, standard, clearance=clear), 100.0)
+    standard = optimize.set_up(robot, limits, QUICK).problem.parameters
+    planner = ramps.RampPlanner(MotionConstraints(robot, limits, standard, clearance=clear), 100.0)
     begin, end = np.array([0.9, -0.2]), np.array([-0.9, 0.2])
     assert "pillar" in planner.blocked(begin + np.linspace(0, 1, 50)[:, None] * (end - begin))
     legs, _ = planner.travel(begin, end, begin[None])
@@ -382,7 +374,7 @@ def test_the_way_back_goes_round():
     fence = clearance_builder.clearance(
         two_links(wide, Shape("back", Kind.BOX, (0.5, 1, 0.2), (-0.6, 0, 0)))
     )
-    shut = ramps.Planner(Subject(robot, limits, standard, clearance=fence), 100.0)
+    shut = ramps.RampPlanner(MotionConstraints(robot, limits, standard, clearance=fence), 100.0)
     legs, reason = shut.travel(begin, end, begin[None])
     assert not legs and "pillar" in reason
 
@@ -393,7 +385,7 @@ def test_no_pose_is_refused_with_what_is_in_the_way():
     sides = [Shape(f"side {x}", Kind.BOX, (0.1, 3.0, 3.0), (x, 0.0, 0.0)) for x in (-0.7, 0.7)]
     cell = two_links(lid, pit, *sides, margin=0.16)
     with pytest.raises(Infeasible, match="no pose found keeps the clearance of"):
-        pipeline.run(cell.robot, cell.limits, QUICK, cell=cell)
+        pipeline.design_trajectory(cell.robot, cell.limits, QUICK, cell=cell)
 
 
 # -- shapes of a URDF ----------------------------------------------------------------------------------------------

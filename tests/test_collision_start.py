@@ -11,8 +11,8 @@ from conftest import QUICK
 from excite.collision import clearance_builder, scene_file
 from excite.designer import optimize, pipeline, ramps
 from excite.designer.initial_guess import _within_sight
-from excite.designer.problem import Options
-from excite.designer.time_budget import Wish
+from excite.designer.problem import DesignOptions
+from excite.designer.time_budget import MotionRequest
 from excite.errors import Infeasible, UnusableInput
 from excite.robot import limits
 from excite.robot.robot import load
@@ -43,8 +43,8 @@ def test_poses_within_sight_are_reached_straight(placed):
 
 def test_a_motion_is_found_from_a_pose_that_folds_part_from_the_others(placed):
     robot, table, cell = placed
-    options = replace(Wish().fill(Options(starts=1, jobs=1), table), iterations=20)
-    delivery = pipeline.run(robot, table, options, start=FOLDED, cell=cell)
+    options = replace(MotionRequest().fill(DesignOptions(starts=1, jobs=1), table), iterations=20)
+    delivery = pipeline.design_trajectory(robot, table, options, start=FOLDED, cell=cell)
     motion = delivery.trajectory.motion
     assert (
         delivery.certificate.ok
@@ -59,15 +59,15 @@ def test_a_start_pose_that_touches_is_refused_before_the_design(placed, monkeypa
     monkeypatch.setattr(pipeline.optimize, "solve", lambda *_: pytest.fail("designed first"))
     into_floor = np.array([0.0, 1.5, 0.0, 0.0, 0.0, 0.0])
     with pytest.raises(UnusableInput, match=r"start pose: .*floor"):
-        pipeline.run(robot, table, Wish().fill(Options(), table), start=into_floor, cell=cell)
+        pipeline.design_trajectory(robot, table, MotionRequest().fill(DesignOptions(), table), start=into_floor, cell=cell)
     with pytest.raises(UnusableInput, match="6 finite positions"):
-        pipeline.run(robot, table, Wish().fill(Options(), table), start=np.zeros(5), cell=cell)
+        pipeline.design_trajectory(robot, table, MotionRequest().fill(DesignOptions(), table), start=np.zeros(5), cell=cell)
 
 
 @pytest.mark.parametrize("without", [1, 2])
 def test_where_the_best_start_has_no_ramps_the_next_is_taken(monkeypatch, without):
     robot = load("two_link")
-    calls, real = [], ramps.rest_to_rest
+    calls, real = [], ramps.plan_rest_to_rest
 
     def choosy(subject, fourier, *rest):
         calls.append(fourier)
@@ -79,22 +79,22 @@ def test_where_the_best_start_has_no_ramps_the_next_is_taken(monkeypatch, withou
     options = replace(QUICK, starts=2, jobs=1)
     if without == 2:
         with pytest.raises(Infeasible, match="no way 1"):
-            pipeline.run(robot, limits.resolve(robot), options)
+            pipeline.design_trajectory(robot, limits.resolve(robot), options)
         return
-    delivery = pipeline.run(robot, limits.resolve(robot), options)
+    delivery = pipeline.design_trajectory(robot, limits.resolve(robot), options)
     assert delivery.certificate.ok and len(delivery.design.attempts) == 2
     assert delivery.design.attempts[0].objective >= delivery.design.attempts[1].objective
 
 
 def test_only_the_pairs_that_came_too_near_keep_further_away(placed):
     robot, table, cell = placed
-    setting = optimize.prepare(
-        robot, table, Wish().fill(Options(), table), clearance=clearance_builder.clearance(cell)
+    setting = optimize.set_up(
+        robot, table, MotionRequest().fill(DesignOptions(), table), clearance=clearance_builder.clearance(cell)
     )
     before, name = setting.problem.clearance, setting.problem.clearance.names[0]
     twice = setting
     for _ in range(2):
-        twice = optimize.tightened(twice, table, 2e-3, {name: 3e-3}, finer=True)
+        twice = optimize.tighten(twice, table, 2e-3, {name: 3e-3}, finer=True)
     after = twice.problem.clearance
     assert twice.problem.options.samples == 4 * setting.problem.options.samples
     pose = FOLDED[None]

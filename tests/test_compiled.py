@@ -33,7 +33,7 @@ def arrived(path: Path, seconds: float = 60.0) -> Path:
     return path
 
 
-def arguments(functions: casadi_model.Functions, count: int) -> dict[str, list[np.ndarray]]:
+def arguments(functions: casadi_model.DynamicsFunctions, count: int) -> dict[str, list[np.ndarray]]:
     rng = np.random.default_rng(0)
     out = {}
     for name in ("regressor", "adjoint", "row"):
@@ -45,7 +45,7 @@ def arguments(functions: casadi_model.Functions, count: int) -> dict[str, list[n
 @needs_compiler
 def test_compiled_functions_equal_the_virtual_machine_bit_by_bit(cached):
     robot = load("panda")
-    functions = casadi_model.functions(
+    functions = casadi_model.dynamics_functions(
         robot, inertial_parameters.standard(robot, limits.resolve(robot), inertial_parameters.DRIVE)
     )
     given = arguments(functions, 70)
@@ -68,7 +68,7 @@ def test_compiled_functions_equal_the_virtual_machine_bit_by_bit(cached):
 @needs_compiler
 def test_the_library_takes_over_without_a_trace_while_an_evaluator_runs(cached):
     robot = load("two_link")
-    setting = optimize.prepare(robot, limits.resolve(robot), QUICK)
+    setting = optimize.set_up(robot, limits.resolve(robot), QUICK)
     evaluator, x = Evaluator(setting.problem), np.full(setting.problem.size, 0.1)
     before = evaluator.objective(x, 1.0)
     arrived(setting.problem.functions.library)
@@ -76,7 +76,7 @@ def test_the_library_takes_over_without_a_trace_while_an_evaluator_runs(cached):
     after = evaluator.objective(x, 1.0)
     assert before[0] == after[0]
     assert np.array_equal(before[1], after[1])
-    assert optimize.prepare(
+    assert optimize.set_up(
         robot, limits.resolve(robot), QUICK
     ).problem.functions.library.exists()  # found again
 
@@ -86,7 +86,7 @@ def test_without_a_compiler_there_is_no_library(monkeypatch, value):
     monkeypatch.setenv("EXCITE_COMPILER", value)
     robot = loaded(pendulum())
     assert (
-        casadi_model.functions(
+        casadi_model.dynamics_functions(
             robot, inertial_parameters.standard(robot, limits.resolve(robot), ())
         ).library
         is None
@@ -96,7 +96,7 @@ def test_without_a_compiler_there_is_no_library(monkeypatch, value):
 def test_a_compiler_that_fails_leaves_the_virtual_machine(cached, monkeypatch):
     monkeypatch.setenv("EXCITE_COMPILER", "false")
     robot = load("two_link")
-    functions = casadi_model.functions(
+    functions = casadi_model.dynamics_functions(
         robot, inertial_parameters.standard(robot, limits.resolve(robot), ())
     )
     assert functions.library is not None
@@ -113,7 +113,7 @@ def test_a_folder_that_cannot_be_written_leaves_the_virtual_machine(cached, monk
     cached.write_text("a file where the folder should be")
     robot = load("two_link")
     assert (
-        casadi_model.functions(
+        casadi_model.dynamics_functions(
             robot, inertial_parameters.standard(robot, limits.resolve(robot), ())
         ).library
         is None
@@ -123,7 +123,7 @@ def test_a_folder_that_cannot_be_written_leaves_the_virtual_machine(cached, monk
 @pytest.mark.parametrize("count", [1, 63, 64, 65, 200])
 def test_padding_changes_no_sample(count):
     robot = load("two_link")
-    functions = casadi_model.functions(
+    functions = casadi_model.dynamics_functions(
         robot, inertial_parameters.standard(robot, limits.resolve(robot), ())
     )
     given = arguments(functions, count)["row"]

@@ -37,7 +37,7 @@ class Case:
         return regressor(self.robot, self.standard, motion)
 
     def score(self, motion: Samples, given: np.ndarray | None = None) -> dict:
-        return criteria.score(self.Y(motion), self.found, self.noise, given)
+        return criteria.evaluate_criteria(self.Y(motion), self.found, self.noise, given)
 
 
 def case(robot: Robot, limits: Limits | None = None, drive: tuple[str, ...] = DRIVE) -> Case:
@@ -230,7 +230,7 @@ def test_geometric_criteria_do_not_depend_on_the_units(name):
 
 def test_given_information_adds():
     c, motion, earlier = case(load("two_link")), states(2, 80), states(2, 50, seed=9)
-    more = criteria.standard_information(c.Y(earlier), c.noise) / len(motion)
+    more = criteria.information_matrix(c.Y(earlier), c.noise) / len(motion)
     assert c.score(motion, more)["geometric"] == pytest.approx(
         by_hand(c, motion, more=more), rel=1e-6
     )
@@ -242,14 +242,14 @@ def test_standard_information_is_the_sum_of_outer_products():
     summed = sum(
         np.outer(row, row) / s**2 for sample in Y for row, s in zip(sample, c.noise, strict=True)
     )
-    assert np.allclose(criteria.standard_information(Y, c.noise), summed, rtol=1e-12)
+    assert np.allclose(criteria.information_matrix(Y, c.noise), summed, rtol=1e-12)
 
 
 @pytest.mark.parametrize("name", BUILTIN)
 def test_given_information_never_hurts(name):
     c = case(load(name))
     motion = states(c.robot.n, 60)
-    more = criteria.standard_information(c.Y(states(c.robot.n, 60, seed=9)), c.noise) / 60
+    more = criteria.information_matrix(c.Y(states(c.robot.n, 60, seed=9)), c.noise) / 60
     alone, together = c.score(motion)["geometric"], c.score(motion, more)["geometric"]
     assert together["a"] < alone["a"] and together["d"] > alone["d"] and together["e"] >= alone["e"]
 
@@ -269,10 +269,10 @@ def some_rows(seed: int) -> np.ndarray:
 def test_smooth_gradient_is_the_derivative(criterion, seed, sharpness):
     rows, direction = some_rows(seed), some_rows(seed + 1)
     direction *= np.linalg.norm(rows) / np.linalg.norm(direction)
-    _, gradient = criteria.smooth(criterion, rows, sharpness)
+    _, gradient = criteria.smooth_objective(criterion, rows, sharpness)
     low = np.linalg.svd(rows, compute_uv=False)[-1] / np.linalg.norm(rows)
     measured = slope(
-        lambda h: criteria.smooth(criterion, rows + h * direction, sharpness)[0], 2e-3 * low
+        lambda h: criteria.smooth_objective(criterion, rows + h * direction, sharpness)[0], 2e-3 * low
     )
     change = rows.T @ direction + direction.T @ rows
     scale = np.linalg.norm(gradient @ rows.T) * np.linalg.norm(direction)
@@ -293,7 +293,7 @@ EXACT = {
 def test_sharp_smooth_criterion_is_the_exact_one(criterion, seed):
     rows = some_rows(seed)
     values = np.sort(np.linalg.eigvalsh(rows.T @ rows))
-    assert criteria.smooth(criterion, rows, 1e6)[0] == pytest.approx(
+    assert criteria.smooth_objective(criterion, rows, 1e6)[0] == pytest.approx(
         EXACT[criterion](values), abs=1e-4
     )
 
@@ -304,7 +304,7 @@ def test_smooth_criterion_bounds_the_exact_one_from_above(criterion):
         size=(40, 6)
     )  # eigenvalues of like size: the smoothing shows
     exact = EXACT[criterion](np.sort(np.linalg.eigvalsh(rows.T @ rows)))
-    rising = [criteria.smooth(criterion, rows, sharpness)[0] for sharpness in (4.0, 25.0, 100.0)]
+    rising = [criteria.smooth_objective(criterion, rows, sharpness)[0] for sharpness in (4.0, 25.0, 100.0)]
     assert rising[0] > rising[1] > rising[2] >= exact
 
 
@@ -312,8 +312,8 @@ def test_smooth_criterion_bounds_the_exact_one_from_above(criterion):
 def test_value_is_the_one_METHOD_states(criterion):
     values = np.array([0.5, 2.0, 8.0])
     expected = {"a": 2.625, "d": np.log(8.0), "e": 0.5, "cond": 16.0, "cond_regressor": 4.0}
-    assert criteria.value(criterion, values) == pytest.approx(expected[criterion.value])
+    assert criteria.criterion_value(criterion, values) == pytest.approx(expected[criterion.value])
 
 
 def test_spectrum_counts_directions_without_rows():
-    assert criteria.spectrum(np.array([[3.0, 0.0, 0.0]])).tolist() == [0.0, 0.0, 9.0]
+    assert criteria.information_eigenvalues(np.array([[3.0, 0.0, 0.0]])).tolist() == [0.0, 0.0, 9.0]

@@ -9,30 +9,30 @@ from conftest import QUICK, document, joint, link, loaded, pendulum, random_urdf
 from excite.designer import criteria, optimize, pipeline
 from excite.designer.criteria import Criterion
 from excite.designer.evaluator import Evaluator
-from excite.designer.optimize import Design
-from excite.designer.problem import Box, Options
+from excite.designer.optimize import OptimizedDesign
+from excite.designer.problem import WorkspaceBox, DesignOptions
 from excite.errors import CheckFailed, Infeasible, UnusableInput
 from excite.robot import dynamics
 from excite.robot.limits import Limits, resolve
 from excite.robot.robot import Robot, load
-from excite.trajectory.fourier import Fourier
+from excite.trajectory.fourier import FourierSeries
 
 CERTAIN = replace(QUICK, uncertainty=0.0)
-ABOVE = Box("tip", (-1.0, -0.1, 0.0), (1.0, 0.1, 1.0))
+ABOVE = WorkspaceBox("tip", (-1.0, -0.1, 0.0), (1.0, 0.1, 1.0))
 ORDERS = {"position": 0, "velocity": 1, "acceleration": 2, "jerk": 3}
 
 
 def solved(
-    robot: Robot, limits: Limits, options: Options = QUICK, given: np.ndarray | None = None
-) -> Design:
-    return optimize.solve(optimize.prepare(robot, limits, options, given))
+    robot: Robot, limits: Limits, options: DesignOptions = QUICK, given: np.ndarray | None = None
+) -> OptimizedDesign:
+    return optimize.solve(optimize.set_up(robot, limits, options, given))
 
 
-def value(found: Design, motion: Fourier | None = None) -> dict:
+def value(found: OptimizedDesign, motion: FourierSeries | None = None) -> dict:
     """All criteria of a motion, by Pinocchio, on a grid that isn't the optimiser's."""
     p, motion = found.setting.problem, motion or found.motion
     Y = dynamics.regressor(p.robot, p.parameters, motion.samples(motion.grid(400)))
-    return criteria.score(Y, found.setting.base, found.setting.noise)
+    return criteria.evaluate_criteria(Y, found.setting.base, found.setting.noise)
 
 
 def loose(limits: Limits) -> Limits:
@@ -51,13 +51,13 @@ def test_a_design_obeys_all_limits_on_a_dense_grid(name):
     robot = loaded(text) if name == "tree" else load(name)
     limits = resolve(robot)
     options = replace(QUICK, period=4.0, samples=60, iterations=15)
-    motion = pipeline.run(robot, limits, options).trajectory.motion
+    motion = pipeline.design_trajectory(robot, limits, options).trajectory.motion
     t = np.linspace(0, motion.duration, 20001)
     for kind, order in ORDERS.items():
         bound, found = getattr(limits, kind), motion.at(t, order)
         lower, upper = bound.T if kind == "position" else (-bound, bound)
         assert (found <= upper).all() and (found >= lower).all(), kind
-    setting = optimize.prepare(robot, limits, options)
+    setting = optimize.set_up(robot, limits, options)
     torque = (
         dynamics.regressor(robot, setting.problem.parameters, motion.samples(t[::10]))
         @ setting.problem.parameters.nominal
@@ -81,8 +81,8 @@ def test_a_criterion_is_served_best_by_its_own_design(two_link, table, criterion
         value(solved(two_link, table, replace(options, criterion=c)))
         for c in (criterion, Criterion.A)
     )
-    sign = -1.0 if criterion in criteria.MAXIMISED else 1.0
-    assert sign * criteria.pick(own, criterion, plain=False) < sign * criteria.pick(
+    sign = -1.0 if criterion in criteria.MAXIMISED_CRITERIA else 1.0
+    assert sign * criteria.select_criterion(own, criterion, plain=False) < sign * criteria.select_criterion(
         other, criterion, plain=False
     )
 
@@ -91,7 +91,7 @@ def test_the_objective_of_an_attempt_is_its_criterions_logarithm(two_link, table
     found = solved(two_link, table)
     motion, p = found.motion, found.setting.problem
     Y = dynamics.regressor(two_link, p.parameters, motion.samples(motion.grid(40)))
-    stated = criteria.score(Y, found.setting.base, found.setting.noise)["geometric"]["a"]
+    stated = criteria.evaluate_criteria(Y, found.setting.base, found.setting.noise)["geometric"]["a"]
     assert found.attempts[0].objective == pytest.approx(np.log(stated), rel=1e-9)
 
 
@@ -109,7 +109,7 @@ def test_one_seed_gives_one_result(two_link, table):
 
 def test_a_robot_of_one_joint_can_be_designed_for():
     robot = load("two_link", joints=["joint_1"])
-    assert pipeline.run(robot, resolve(robot), replace(QUICK, iterations=10)).certificate.ok
+    assert pipeline.design_trajectory(robot, resolve(robot), replace(QUICK, iterations=10)).certificate.ok
 
 
 def test_another_seed_gives_another_start(two_link, table):
@@ -128,7 +128,7 @@ def test_the_number_of_processes_does_not_matter(two_link, table):
 
 
 def test_timing_says_when_it_became_feasible_and_good(two_link, table):
-    timing = pipeline.run(two_link, table, QUICK).timing
+    timing = pipeline.design_trajectory(two_link, table, QUICK).timing
     assert set(timing) == {"build", "first_feasible", "within_1_percent", "solve", "total"}
     assert (
         0
@@ -150,7 +150,7 @@ TIGHT = {
 }
 
 
-def excess(kind: str, found: Design, bound: np.ndarray) -> float:
+def excess(kind: str, found: OptimizedDesign, bound: np.ndarray) -> float:
     """The largest quantity over its limit, densely, by Pinocchio."""
     motion, p = found.motion, found.setting.problem
     t = motion.grid(4001)
@@ -166,7 +166,7 @@ def excess(kind: str, found: Design, bound: np.ndarray) -> float:
 @pytest.mark.parametrize("kind", TIGHT)
 def test_without_a_limit_the_optimum_breaks_it(two_link, table, kind):
     free = solved(two_link, loose(table), CERTAIN)
-    bound = pipeline.run(two_link, replace(loose(table), **{kind: TIGHT[kind]}), CERTAIN).design
+    bound = pipeline.design_trajectory(two_link, replace(loose(table), **{kind: TIGHT[kind]}), CERTAIN).design
     assert excess(kind, free, TIGHT[kind]) > 1.1
     assert 0.5 < excess(kind, bound, TIGHT[kind]) <= 1.0
 
@@ -179,7 +179,7 @@ def test_without_a_box_the_optimum_leaves_it(two_link, table):
 
     assert lowest(solved(two_link, table, CERTAIN)) < -0.2
     assert (
-        0.0 <= lowest(pipeline.run(two_link, table, replace(CERTAIN, boxes=(ABOVE,))).design) < 0.1
+        0.0 <= lowest(pipeline.design_trajectory(two_link, table, replace(CERTAIN, boxes=(ABOVE,))).design) < 0.1
     )
 
 
@@ -202,7 +202,7 @@ def test_without_braking_the_optimum_is_too_fast_near_the_stops():
         return max(over)
 
     assert near(solved(robot, free, options)) > 0.05
-    assert near(pipeline.run(robot, replace(free, braking=limits.braking), options).design) <= 0.0
+    assert near(pipeline.design_trajectory(robot, replace(free, braking=limits.braking), options).design) <= 0.0
 
 
 def test_an_uncertain_robot_keeps_further_from_its_torque_limit(two_link, table):
@@ -229,20 +229,20 @@ def test_geometric_optimum_is_the_same_in_other_link_frames(criterion):
 
 
 def test_information_already_there_changes_what_is_asked_for(two_link, table):
-    setting = optimize.prepare(two_link, table, QUICK)
-    only_second = Fourier(
+    setting = optimize.set_up(two_link, table, QUICK)
+    only_second = FourierSeries(
         np.diag([0.0, 1.0]) @ np.full((2, 3), 0.8), np.zeros((2, 3)), np.zeros(2), 2.0
     )
     Y = dynamics.regressor(
         two_link, setting.problem.parameters, only_second.samples(only_second.grid(400))
     )
-    there = 10.0 * criteria.standard_information(Y, setting.noise)
+    there = 10.0 * criteria.information_matrix(Y, setting.noise)
     alone, together = solved(two_link, table), solved(two_link, table, given=there)
 
     def with_given(found):
         p = found.setting.problem
         Y = dynamics.regressor(two_link, p.parameters, found.motion.samples(found.motion.grid(400)))
-        return criteria.score(Y, found.setting.base, found.setting.noise, there / 400)["geometric"][
+        return criteria.evaluate_criteria(Y, found.setting.base, found.setting.noise, there / 400)["geometric"][
             "a"
         ]
 
@@ -291,14 +291,14 @@ def test_torque_below_gravity_wherever_the_limits_let_the_arm_be_is_unusable(two
 
 
 def test_a_box_out_of_reach_is_infeasible_and_named(two_link, table):
-    away = Box("tip", (2.0, -0.1, 0.0), (3.0, 0.1, 1.0))
+    away = WorkspaceBox("tip", (2.0, -0.1, 0.0), (3.0, 0.1, 1.0))
     with pytest.raises(Infeasible, match="the box limit of 'tip' fights the others"):
         solved(two_link, table, replace(QUICK, boxes=(away,)))
 
 
 def test_a_box_that_fights_the_position_limits_is_infeasible(two_link, table):
     ahead = replace(table, position=np.array([[-0.2, 0.2], [-0.2, 0.2]]))
-    behind = Box("tip", (-0.9, -0.1, -0.5), (-0.3, 0.1, 0.5))
+    behind = WorkspaceBox("tip", (-0.9, -0.1, -0.5), (-0.3, 0.1, 0.5))
     with pytest.raises(
         Infeasible, match=r"fights the others .*; widen the box or the position limits"
     ):
@@ -306,7 +306,7 @@ def test_a_box_that_fights_the_position_limits_is_infeasible(two_link, table):
 
 
 def test_every_start_that_fails_is_told_from_other_processes_too(two_link, table):
-    away = Box("tip", (2.0, -0.1, 0.0), (3.0, 0.1, 1.0))
+    away = WorkspaceBox("tip", (2.0, -0.1, 0.0), (3.0, 0.1, 1.0))
     with pytest.raises(Infeasible, match="'tip'"):
         solved(two_link, table, replace(QUICK, boxes=(away,), starts=2, jobs=2))
 
@@ -322,8 +322,8 @@ def test_every_start_that_fails_is_told_from_other_processes_too(two_link, table
         ({"periods": 1}, "--periods should be at least 2"),
         ({"starts": 0}, "--starts should be positive"),
         ({"uncertainty": -0.1}, "--uncertainty -0.1 should be 0 or more"),
-        ({"boxes": (Box("tip", (0, 0, 0), (0, 1, 1)),)}, "--box tip: its lower corner"),
-        ({"boxes": (Box("claw", (0, 0, 0), (1, 1, 1)),)}, "no frame 'claw'"),
+        ({"boxes": (WorkspaceBox("tip", (0, 0, 0), (0, 1, 1)),)}, "--box tip: its lower corner"),
+        ({"boxes": (WorkspaceBox("claw", (0, 0, 0), (1, 1, 1)),)}, "no frame 'claw'"),
         ({"drive": ("magic",)}, "no joint parameter 'magic'"),
     ],
 )
@@ -336,7 +336,7 @@ def test_a_start_pose_outside_its_limits_is_refused_with_the_joint(two_link, tab
     with pytest.raises(
         UnusableInput, match=r"start pose: joint 'joint_2' at 9 is outside \[-2.6, 2.6\]"
     ):
-        pipeline.run(two_link, table, QUICK, start=np.array([0.0, 9.0]))
+        pipeline.design_trajectory(two_link, table, QUICK, start=np.array([0.0, 9.0]))
 
 
 def test_a_motion_that_fails_its_certificate_is_not_delivered(two_link, table, monkeypatch):
@@ -347,7 +347,7 @@ def test_a_motion_that_fails_its_certificate_is_not_delivered(two_link, table, m
         lambda *a, **k: replace(original(*a, **k), faults=("it wobbles",)),
     )
     with pytest.raises(CheckFailed, match="it wobbles; try another --seed or --force"):
-        pipeline.run(two_link, table, replace(QUICK, iterations=5))
+        pipeline.design_trajectory(two_link, table, replace(QUICK, iterations=5))
 
 
 def test_a_forced_motion_says_so(two_link, table, monkeypatch):
@@ -357,7 +357,7 @@ def test_a_forced_motion_says_so(two_link, table, monkeypatch):
         "verify",
         lambda *a, **k: replace(original(*a, **k), faults=("it wobbles",)),
     )
-    assert pipeline.run(two_link, table, replace(QUICK, iterations=5), force=True).trajectory.forced
+    assert pipeline.design_trajectory(two_link, table, replace(QUICK, iterations=5), force=True).trajectory.forced
 
 
 @pytest.mark.parametrize(
@@ -367,12 +367,12 @@ def test_a_forced_motion_says_so(two_link, table, monkeypatch):
 )
 def test_options_that_make_no_sense_are_refused(two_link, table, change):
     with pytest.raises(UnusableInput):
-        optimize.prepare(two_link, table, replace(QUICK, **change))
+        optimize.set_up(two_link, table, replace(QUICK, **change))
 
 
 def test_information_without_noise_cannot_be_given(two_link, table):
     with pytest.raises(UnusableInput, match="cond_regressor"):
-        optimize.prepare(
+        optimize.set_up(
             two_link, table, replace(QUICK, criterion=Criterion.COND_REGRESSOR), np.eye(100)
         )
 
@@ -385,7 +385,7 @@ def test_an_optimised_period_stays_within_its_bounds(two_link, table):
 
 def test_a_joint_without_position_limits_has_no_rows_for_them(recwarn):
     machine = loaded(pendulum('<limit velocity="3" effort="40"/>', "continuous"))
-    setting = optimize.prepare(machine, resolve(machine), replace(QUICK, period=2.0))
+    setting = optimize.set_up(machine, resolve(machine), replace(QUICK, period=2.0))
     assert Evaluator(setting.problem).kinds == ("velocity", "torque")
     assert not recwarn.list
 
@@ -393,7 +393,7 @@ def test_a_joint_without_position_limits_has_no_rows_for_them(recwarn):
 @pytest.mark.parametrize("start", [np.zeros(1), np.array([np.nan, 0.0])])
 def test_a_start_pose_that_is_none_is_refused(two_link, table, start):
     with pytest.raises(UnusableInput, match="start pose"):
-        pipeline.run(two_link, table, QUICK, start=start)
+        pipeline.design_trajectory(two_link, table, QUICK, start=start)
 
 
 def test_a_motion_that_starts_far_from_every_limit_is_improved():

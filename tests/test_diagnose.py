@@ -20,10 +20,10 @@ from excite.diagnosis.diagnosis import Diagnosis, Options
 from excite.diagnosis.diagnosis_file import document
 from excite.effects import BY_NAME, EFFECTS
 from excite.errors import UnusableInput
-from excite.identification.regression import Model
+from excite.identification.regression import IdentificationModel
 from excite.recordings import Recording
 from excite.robot.samples import Samples
-from excite.trajectory.fourier import Fourier
+from excite.trajectory.fourier import FourierSeries
 
 Array = np.ndarray
 Plant = Callable[
@@ -31,7 +31,7 @@ Plant = Callable[
 ]  # t, q, dq, tau -> torque added to the recording
 
 
-def recordings_of(subject: Model, plant: Plant | None) -> tuple[Recording, Recording]:
+def recordings_of(subject: IdentificationModel, plant: Plant | None) -> tuple[Recording, Recording]:
     psi = perturbed(subject.parameters, np.random.default_rng(4))
     out = []
     for seed in (2, 5):
@@ -44,7 +44,7 @@ def recordings_of(subject: Model, plant: Plant | None) -> tuple[Recording, Recor
     return out[0], out[1]
 
 
-def found(subject: Model, plant: Plant | None, **options: object) -> Diagnosis:
+def found(subject: IdentificationModel, plant: Plant | None, **options: object) -> Diagnosis:
     train, held_out = recordings_of(subject, plant)
     return diagnosis.diagnose(
         subject.robot,
@@ -105,7 +105,7 @@ def test_nothing_planted_nothing_found(subject):
     assert np.allclose(result.after, result.floor, rtol=0.25)
 
 
-class Paused(Fourier):
+class Paused(FourierSeries):
     """A motion that slows to a stop for a second, twice a period."""
 
     def samples(self, t: Array) -> Samples:

@@ -33,7 +33,7 @@ def diagnosed(
         [recordings.read(place / f"{name}.csv", machine, table) for name in names]
         for names in (train, (held_out,))
     )
-    known = prior_module.trusted(place / prior, machine, standard) if prior else {}
+    known = prior_module.read_trusted_parameters(place / prior, machine, standard) if prior else {}
     return diagnosis.diagnose(
         machine,
         standard,

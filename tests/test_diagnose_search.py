@@ -18,7 +18,7 @@ from excite.diagnosis import diagnosis, equations, hypothesis, interval, judge, 
 from excite.diagnosis.columns import Columns
 from excite.diagnosis.diagnosis_file import document
 from excite.diagnosis.half import whitened
-from excite.effects import BY_NAME, track
+from excite.effects import BY_NAME, recorded_motion
 from excite.effects.effect import Shape, beside, family
 from excite.recordings import Recording
 from excite.robot import dynamics
@@ -404,7 +404,7 @@ def test_a_base_that_leans_is_told_with_its_sign(subject, roll, pitch):
     psi = perturbed(subject.parameters, np.random.default_rng(4))
 
     def leant(recording: Recording) -> Recording:
-        body = track.body(subject.robot, subject.parameters, psi)
+        body = recorded_motion.body(subject.robot, subject.parameters, psi)
         turned = body.model.copy()
         turned.gravity.linear = pin.rpy.rpyToMatrix(roll, pitch, 0.0).T @ turned.gravity.linear
         torque = [
@@ -479,7 +479,7 @@ def test_columns_of_listed_shapes_are_made_once_and_no_more_are_kept_than_there_
 ):
     one_track, calls = found(subject, None).tracks[0][0], list[str]()
 
-    def add(t: track.Track, s: Shape) -> Array:
+    def add(t: recorded_motion.Track, s: Shape) -> Array:
         calls.append(s.effect)
         return np.ones((len(t), t.n, 1)) * s.values["x"]
 

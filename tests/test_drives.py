@@ -15,14 +15,14 @@ from excite.diagnosis import diagnosis, equations, hypothesis, search, whole
 from excite.diagnosis.measured import Measured
 from excite.effects import BY_NAME, electrical
 from excite.effects.effect import Shape
-from excite.effects.track import Track
-from excite.identification.regression import Model
+from excite.effects.recorded_motion import Track
+from excite.identification.regression import IdentificationModel
 
 Array = np.ndarray
 
 
 @pytest.fixture(scope="module")
-def calm(subject: Model) -> Track:
+def calm(subject: IdentificationModel) -> Track:
     """Of a robot with nothing missing."""
     train, validate = recordings_of(subject, None)
     return diagnosis.diagnose(

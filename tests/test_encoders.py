@@ -12,7 +12,7 @@ from excite.cli.diagnose import _text
 from excite.diagnosis import diagnosis, gear_encoders, residual_atlas
 from excite.diagnosis.diagnosis import Options
 from excite.diagnosis.diagnosis_file import document
-from excite.identification.regression import Model
+from excite.identification.regression import IdentificationModel
 from excite.recordings import Recording
 from excite.report import diagnosis_page
 
@@ -20,7 +20,7 @@ Array = np.ndarray
 STIFFNESS, PLAY, APART, OFF = (4e3, 9e3), 4e-4, 2.5e-3, 3e-4
 
 
-def lag(subject: Model, psi: Array, recording: Recording, dq: Array, ddq: Array) -> Array:
+def lag(subject: IdentificationModel, psi: Array, recording: Recording, dq: Array, ddq: Array) -> Array:
     """How far the link reads behind its motor: both are sprung, joint 2, whose load changes sign, is loose too."""
     load = recording.torque - psi[subject.parameters.block("rotor_inertia")] * ddq
     out = load / np.array(STIFFNESS) + APART * dq + OFF * np.cos(recording.q + 0.4) + 0.02
@@ -28,7 +28,7 @@ def lag(subject: Model, psi: Array, recording: Recording, dq: Array, ddq: Array)
     return np.asarray(out)
 
 
-def both(subject: Model, *, linked: bool = True, stiff: bool = False) -> list[Recording]:
+def both(subject: IdentificationModel, *, linked: bool = True, stiff: bool = False) -> list[Recording]:
     psi, out = perturbed(subject.parameters, np.random.default_rng(4)), []
     for seed in (2, 5):
         fourier = motion(2, seed)
@@ -40,7 +40,7 @@ def both(subject: Model, *, linked: bool = True, stiff: bool = False) -> list[Re
     return out
 
 
-def found(subject: Model, pair: list[Recording]) -> diagnosis.Diagnosis:
+def found(subject: IdentificationModel, pair: list[Recording]) -> diagnosis.Diagnosis:
     options = Options(names=("stribeck",))
     return diagnosis.diagnose(
         subject.robot, subject.parameters, subject.base, [pair[0]], [pair[1]], options

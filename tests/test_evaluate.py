@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 
 from excite.designer import optimize
 from excite.designer.criteria import Criterion
-from excite.designer.evaluator import Evaluator, Rows
-from excite.designer.initial_guess import at_rest
-from excite.designer.problem import Box, Options
+from excite.designer.evaluator import Evaluator, ConstraintRows
+from excite.designer.initial_guess import stationary_variables
+from excite.designer.problem import WorkspaceBox, DesignOptions
 from excite.robot import dynamics
 from excite.robot.limits import resolve
 from excite.robot.robot import load
 
-BOX = Box("tip", (-0.5, -0.1, -0.7), (0.8, 0.1, 0.6))
+BOX = WorkspaceBox("tip", (-0.5, -0.1, -0.7), (0.8, 0.1, 0.6))
 STEP = 2e-5  # in variables of size 1: small against the width of the smooth Coulomb column
 KINDS = ("position", "velocity", "acceleration", "jerk", "torque", "braking", "box0", "box1")
 
@@ -37,8 +37,8 @@ def evaluator(name: str = "two_link", **changes: object) -> Evaluator:
         robot = load(
             name, joints=("fr3_joint1", "fr3_joint2", "fr3_joint4") if name == "fr3" else None
         )
-    options = Options(period=2.0, harmonics=3, samples=24, **changes)  # type: ignore[arg-type]
-    return Evaluator(optimize.prepare(robot, resolve(robot), options).problem)
+    options = DesignOptions(period=2.0, harmonics=3, samples=24, **changes)  # type: ignore[arg-type]
+    return Evaluator(optimize.set_up(robot, resolve(robot), options).problem)
 
 
 def point(e: Evaluator, seed: int = 0, size: float = 0.4) -> np.ndarray:
@@ -79,9 +79,9 @@ def test_objective_gradient_by_the_period_is_the_derivative():
 
 def test_objective_with_given_information_has_its_own_gradient():
     robot = load("two_link")
-    options = Options(period=2.0, harmonics=3, samples=24)
+    options = DesignOptions(period=2.0, harmonics=3, samples=24)
     root = np.random.default_rng(0).normal(size=(28, 28))
-    e = Evaluator(optimize.prepare(robot, resolve(robot), options, 1e3 * root @ root.T).problem)
+    e = Evaluator(optimize.set_up(robot, resolve(robot), options, 1e3 * root @ root.T).problem)
     x, d = point(e), direction(e)
     measured = slope(lambda h: np.array(e.objective(x + h * d, 4.0)[0]), STEP)
     gradient = e.objective(x, 4.0)[1]
@@ -107,7 +107,7 @@ def test_a_returned_gradient_is_not_overwritten_by_the_next():
 # -- rows ----------------------------------------------------------------------------------------------------------
 
 
-def rows_of(e: Evaluator, kind: str, x: np.ndarray) -> Rows:
+def rows_of(e: Evaluator, kind: str, x: np.ndarray) -> ConstraintRows:
     """Every finite row of one kind."""
     return e.rows(
         np.concatenate([(np.isfinite(v) & (k == kind)).ravel() for k, v in e.table(x).items()])
@@ -118,7 +118,7 @@ def rows_of(e: Evaluator, kind: str, x: np.ndarray) -> Rows:
 @pytest.mark.parametrize("uncertainty", [0.0, 0.1])
 @pytest.mark.parametrize("kind", KINDS)
 def test_row_gradients_are_the_derivatives(kind, uncertainty, free):
-    frames = (BOX, Box("link_2", BOX.lower, BOX.upper))
+    frames = (BOX, WorkspaceBox("link_2", BOX.lower, BOX.upper))
     given_options = {"free_period": free, "uncertainty": uncertainty}
     e = (
         evaluator("fr3", **given_options)
@@ -190,7 +190,7 @@ def test_box_rows_are_one_on_the_boxs_faces():
 def test_held_poses_have_the_rows_of_a_motion_that_stays():
     e = evaluator(boxes=(BOX,))
     pose = np.array([0.4, -0.9])
-    held, resting = e.hold(np.tile(pose, (24, 1))), e.table(at_rest(e.problem, pose))
+    held, resting = e.hold(np.tile(pose, (24, 1))), e.table(stationary_variables(e.problem, pose))
     assert all(np.allclose(held[kind], resting[kind], atol=1e-12) for kind in e.kinds)
 
 

@@ -17,8 +17,8 @@ from excite.errors import UnusableInput
 from excite.exporters import csv_json, ros2, urscript, vendor_table
 from excite.robot.limits import Limits
 from excite.robot.samples import Samples
-from excite.trajectory.fourier import Fourier
-from excite.trajectory.rest_to_rest import Motion, Profile, Segment
+from excite.trajectory.fourier import FourierSeries
+from excite.trajectory.rest_to_rest import Motion, JerkProfile, MotionSegment
 from excite.trajectory.trajectory_file import Trajectory
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -29,7 +29,7 @@ JOINTS = {
 } | {"urscript": 6}
 
 
-def planned(begin: np.ndarray, end: np.ndarray) -> tuple[Profile, float]:
+def planned(begin: np.ndarray, end: np.ndarray) -> tuple[JerkProfile, float]:
     """Ruckig's ramp between two states (3, n), and how long it takes."""
     n = begin.shape[1]
     request = ruckig.InputParameter(n)
@@ -46,7 +46,7 @@ def planned(begin: np.ndarray, end: np.ndarray) -> tuple[Profile, float]:
     for p in found.profiles[0]:
         pieces = [*zip(p.brake.t, p.brake.j, strict=True), *zip(p.t, p.j, strict=True)]
         rows.append(tuple((float(d), float(j)) for d, j in pieces if d > 0.0))
-    return Profile(*begin, tuple(rows)), found.duration
+    return JerkProfile(*begin, tuple(rows)), found.duration
 
 
 def wrapped(motion: Motion, forced: bool = False) -> Trajectory:
@@ -73,13 +73,13 @@ def wrapped(motion: Motion, forced: bool = False) -> Trajectory:
 def made(n: int, forced: bool = False) -> Trajectory:
     """Approach, ramp-in, two periods of three harmonics, ramp-out, return of n joints; seeded by n."""
     rng = np.random.default_rng(n)
-    fourier = Fourier(
+    fourier = FourierSeries(
         rng.normal(0.0, 0.3, (n, 3)), rng.normal(0.0, 0.3, (n, 3)), rng.normal(0.0, 0.5, n), 4.0
     )
     home, ready = np.zeros((3, n)), np.zeros((3, n))
     ready[0] = fourier.offset + 0.3
     border = np.vstack([fourier.at(np.zeros(1), order) for order in range(3)])
-    segments: list[Segment] = []
+    segments: list[MotionSegment] = []
     legs = [
         ("approach", home, ready),
         ("ramp_in", ready, border),
@@ -90,10 +90,10 @@ def made(n: int, forced: bool = False) -> Trajectory:
     for leg in legs:
         now = segments[-1].end if segments else 0.0
         if leg is None:
-            segments.append(Segment("fourier", now, now + 8.0))
+            segments.append(MotionSegment("fourier", now, now + 8.0))
         else:
             profile, duration = planned(leg[1], leg[2])
-            segments.append(Segment(leg[0], now, now + duration, profile))
+            segments.append(MotionSegment(leg[0], now, now + duration, profile))
     return wrapped(
         Motion(tuple(f"joint_{i + 1}" for i in range(n)), fourier, 2, tuple(segments)), forced
     )
@@ -104,14 +104,14 @@ def tiny(n: int) -> Trajectory:
     half = ((0.01, 100.0), (0.01, -100.0), (0.01, -100.0), (0.01, 100.0))
     joints = tuple(f"j{i + 1}" for i in range(n))
     start, still = np.linspace(0.0, 0.5, n), np.zeros(n)
-    out = Profile(start, still, still, (half,) * n)
+    out = JerkProfile(start, still, still, (half,) * n)
     top = start + 2e-4
-    back = Profile(top, still, still, (tuple((d, -j) for d, j in half),) * n)
-    fourier = Fourier(np.zeros((n, 1)), np.zeros((n, 1)), top, 0.02)
+    back = JerkProfile(top, still, still, (tuple((d, -j) for d, j in half),) * n)
+    fourier = FourierSeries(np.zeros((n, 1)), np.zeros((n, 1)), top, 0.02)
     parts = (
-        Segment("ramp_in", 0.0, 0.04, out),
-        Segment("fourier", 0.04, 0.06),
-        Segment("ramp_out", 0.06, 0.1, back),
+        MotionSegment("ramp_in", 0.0, 0.04, out),
+        MotionSegment("fourier", 0.04, 0.06),
+        MotionSegment("ramp_out", 0.06, 0.1, back),
     )
     return wrapped(Motion(joints, fourier, 1, parts))
 
@@ -204,12 +204,12 @@ def test_csv_is_the_contract(tmp_path: Path) -> None:
 
 
 def test_csv_ends_at_rest_where_rounding_ends_the_grid_early(tmp_path: Path) -> None:
-    profile = Profile(
+    profile = JerkProfile(
         np.zeros(1), np.zeros(1), np.zeros(1), (((1.0, 1.0), (2.0, -1.0), (1.0 + 4e-9, 1.0)),)
     )
-    fourier = Fourier(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros(1), 1.0)
+    fourier = FourierSeries(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros(1), 1.0)
     trajectory = wrapped(
-        Motion(("j",), fourier, 0, (Segment("approach", 0.0, 4.0 + 4e-9, profile),))
+        Motion(("j",), fourier, 0, (MotionSegment("approach", 0.0, 4.0 + 4e-9, profile),))
     )
     _, q, dq, ddq = exporters.read(
         "csv", exporters.write(trajectory, "csv", tmp_path / "a.csv", rate=10.0)
@@ -322,7 +322,7 @@ def test_other_rates(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["csv", "ros2-joint-trajectory", "ur-csv", "urscript"])
 def test_a_motion_that_does_not_rest_is_refused(name: str, tmp_path: Path) -> None:
     whole = fitting(name).motion
-    bare = Motion(whole.joints, whole.fourier, 2, (Segment("fourier", 0.0, 8.0),))
+    bare = Motion(whole.joints, whole.fourier, 2, (MotionSegment("fourier", 0.0, 8.0),))
     with pytest.raises(UnusableInput, match=r"joint 'joint_\d' .* at rest"):
         exporters.write(wrapped(bare), name, tmp_path / "out")
 

@@ -11,7 +11,7 @@ from excite.diagnosis import foretold, judge, search
 from excite.diagnosis.columns import Columns
 from excite.diagnosis.half import Half, whitened
 from excite.effects.effect import Shape
-from excite.effects.track import Track
+from excite.effects.recorded_motion import Track
 
 Array = np.ndarray
 ROWS = 300

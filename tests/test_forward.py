@@ -9,19 +9,11 @@ from conftest import loaded, off, random_urdf, slope, states
 from made import simulated
 
 from excite.errors import UnusableInput
-from excite.identification import (
-    consistency,
-    estimators,
-    forward_dynamics,
-    regression,
-    segments,
-    simulation_error,
-    simulation_refinement,
-)
+from excite.identification import consistency, estimators, forward_dynamics, regression, segments, simulation_error, simulation_refinement
 from excite.identification.consistency import Prior
 from excite.identification.inertia_distance import Distance
-from excite.identification.regression import Model
-from excite.identification.simulation_error import Windows
+from excite.identification.regression import IdentificationModel
+from excite.identification.simulation_error import SimulationWindows
 from excite.recordings import Recording
 from excite.recordings.sidecar import Sidecar
 from excite.robot import base_parameters, dynamics, inertial_parameters, limits, robot
@@ -30,23 +22,23 @@ from excite.robot.robot import locate
 WIDTH = 0.02
 
 
-def model_of(arm, drive=inertial_parameters.DRIVE) -> Model:
+def model_of(arm, drive=inertial_parameters.DRIVE) -> IdentificationModel:
     own = inertial_parameters.standard(arm, limits.resolve(arm), drive)
-    return Model(
+    return IdentificationModel(
         arm, own, base_parameters.find(arm, own, limits.resolve(arm)), np.full(arm.n, WIDTH)
     )
 
 
-def driven(model: Model, seed: int = 0) -> np.ndarray:
+def driven(model: IdentificationModel, seed: int = 0) -> np.ndarray:
     """Nominal bodies with drives that do something."""
-    rng, psi = np.random.default_rng(seed), consistency.nominal_bodies(model.parameters)
+    rng, psi = np.random.default_rng(seed), consistency.consistent_nominal(model.parameters)
     for kind, size in (("rotor_inertia", 0.5), ("viscous", 0.4), ("coulomb", 1.0), ("offset", 0.3)):
         if kind in model.parameters.drive:
             psi[model.parameters.block(kind)] = size * rng.uniform(0.5, 1.5, model.robot.n)
     return psi
 
 
-def mimicking() -> Model:
+def mimicking() -> IdentificationModel:
     return model_of(
         loaded(
             random_urdf(np.random.default_rng(5), 4, mimics={2: (0, 0.7, 0.1)}, kinds=("revolute",))
@@ -63,7 +55,7 @@ MODELS = {
 
 
 @pytest.fixture(params=list(MODELS))
-def model(request) -> Model:
+def model(request) -> IdentificationModel:
     return MODELS[request.param]()
 
 
@@ -78,7 +70,7 @@ def test_forward_dynamics_undoes_inverse_dynamics(model):
     Y = dynamics.regressor(model.robot, model.parameters, motion)
     block = model.parameters.block("coulomb")
     Y[:, range(model.robot.n), range(block.start, block.stop)] = np.tanh(motion.dq / WIDTH)
-    found = forward_dynamics.of(model, psi).acceleration(motion.q, motion.dq, Y @ psi)
+    found = forward_dynamics.build_dynamics(model, psi).acceleration(motion.q, motion.dq, Y @ psi)
     assert off(found, motion.ddq) < 1e-9
 
 
@@ -89,16 +81,16 @@ def test_rigid_torque_is_that_of_the_regressor(model):
         if kind in model.parameters.drive:
             kept[model.parameters.block(kind)] = 0.0
     expected = dynamics.regressor(model.robot, model.parameters, motion) @ (kept * psi)
-    assert off(forward_dynamics.of(model, psi).rigid(motion), expected) < 1e-9
+    assert off(forward_dynamics.build_dynamics(model, psi).rigid(motion), expected) < 1e-9
 
 
 def test_derivatives_of_acceleration(model):
     psi, n = driven(model), model.robot.n
     q, v = slow(n)
     torque = states(n, 4, 3).ddq
-    a, slopes = forward_dynamics.of(model, psi).sensitive(q, v, torque)
-    assert off(a, forward_dynamics.of(model, psi).acceleration(q, v, torque)) < 1e-12
-    body, back = forward_dynamics.of(model, psi), np.linalg.pinv(model.base.matrix)
+    a, slopes = forward_dynamics.build_dynamics(model, psi).sensitive(q, v, torque)
+    assert off(a, forward_dynamics.build_dynamics(model, psi).acceleration(q, v, torque)) < 1e-12
+    body, back = forward_dynamics.build_dynamics(model, psi), np.linalg.pinv(model.base.matrix)
     for j in range(n):
         at, size = np.eye(n)[j], 1e-6 * np.abs(slopes[:, :, : 2 * n]).max()
         by_q = slope(lambda h, at=at: body.acceleration(q + h * at, v, torque), 1e-4)
@@ -110,7 +102,7 @@ def test_derivatives_of_acceleration(model):
     scale = np.abs(slopes[:, :, 2 * n :]).max()
     for k in range(0, model.base.count, 4):
         found = slope(
-            lambda h, k=k: forward_dynamics.of(model, psi + h * back[:, k]).acceleration(
+            lambda h, k=k: forward_dynamics.build_dynamics(model, psi + h * back[:, k]).acceleration(
                 q, v, torque
             ),
             1e-4,
@@ -118,32 +110,32 @@ def test_derivatives_of_acceleration(model):
         assert np.abs(slopes[:, :, 2 * n + k] - found).max() < 1e-6 * scale
 
 
-def some_windows(model: Model, count: int = 3) -> Windows:
+def some_windows(model: IdentificationModel, count: int = 3) -> SimulationWindows:
     n = model.robot.n
     q, v = slow(n, count)
     torque = states(n, count, 4).ddq[:, None] + np.random.default_rng(5).normal(size=(count, 11, n))
-    return Windows(
+    return SimulationWindows(
         np.concatenate([q, v], axis=1), torque, np.repeat(q[:, None], 3, axis=1), 5, 200.0
     )
 
 
 def test_derivatives_of_simulated_positions_are_those_of_the_discrete_map(model):
     psi, n, windows = driven(model), model.robot.n, some_windows(model)
-    body, start = forward_dynamics.of(model, psi), windows.states
-    q, slopes = simulation_error.linearised(body, windows, start)
-    assert off(q, simulation_error.simulated(body, windows, start)) < 1e-13
+    body, start = forward_dynamics.build_dynamics(model, psi), windows.states
+    q, slopes = simulation_error.simulate_sensitivities(body, windows, start)
+    assert off(q, simulation_error.simulate_positions(body, windows, start)) < 1e-13
     for k in (0, n - 1, n, 2 * n - 1):
         unit = np.eye(2 * n)[k]
         found = slope(
-            lambda h, unit=unit: simulation_error.simulated(body, windows, start + h * unit), 1e-4
+            lambda h, unit=unit: simulation_error.simulate_positions(body, windows, start + h * unit), 1e-4
         )
         assert off(slopes[..., k], found) < 1e-6
     back = np.linalg.pinv(model.base.matrix)
     size = np.abs(slopes[..., 2 * n :]).max()
     for k in range(0, model.base.count, 5):
         found = slope(
-            lambda h, k=k: simulation_error.simulated(
-                forward_dynamics.of(model, psi + h * back[:, k]), windows, start
+            lambda h, k=k: simulation_error.simulate_positions(
+                forward_dynamics.build_dynamics(model, psi + h * back[:, k]), windows, start
             ),
             1e-4,
         )
@@ -153,12 +145,12 @@ def test_derivatives_of_simulated_positions_are_those_of_the_discrete_map(model)
 def test_friction_is_as_wide_as_a_step_of_integration_needs():
     model = model_of(robot.load("two_link"))
     psi, windows = driven(model), some_windows(model)
-    assert np.array_equal(simulation_error.softened(model, psi, [windows]).widths, model.widths)
-    narrow = forward_dynamics.widened(model, np.full(2, 1e-6))
-    soft = simulation_error.softened(narrow, psi, [windows])
+    assert np.array_equal(simulation_error.widen_friction(model, psi, [windows]).widths, model.widths)
+    narrow = forward_dynamics.with_widths(model, np.full(2, 1e-6))
+    soft = simulation_error.widen_friction(narrow, psi, [windows])
     assert (soft.widths > 1e-4).all()
     assert np.isfinite(
-        simulation_error.simulated(forward_dynamics.of(soft, psi), windows, windows.states)
+        simulation_error.simulate_positions(forward_dynamics.build_dynamics(soft, psi), windows, windows.states)
     ).all()
 
 
@@ -167,8 +159,8 @@ def test_friction_is_as_wide_as_a_step_of_integration_needs():
 
 @dataclasses.dataclass(frozen=True)
 class Known:
-    model: Model
-    groups: list[Windows]
+    model: IdentificationModel
+    groups: list[SimulationWindows]
     share: float
     data: estimators.Estimate
     prior: Prior
@@ -191,7 +183,7 @@ def known() -> Known:
     told, arm = session.recording, robot.load("two_link")
     own = inertial_parameters.standard(arm, limits.resolve(arm))
     truth = simulated(session.plant, own, limits.resolve(arm))
-    model = Model(
+    model = IdentificationModel(
         arm, own, base_parameters.find(arm, own, limits.resolve(arm)), session.plant.drive.width
     )
     sidecar = Sidecar(period=told.period, periodic=told.periodic)
@@ -200,9 +192,9 @@ def known() -> Known:
             [Recording("bench.csv", told.joints, told.t, told.q, tau=told.tau, sidecar=sidecar)]
         )
     )
-    data = estimators.estimate(regression.build(model, pieces, 20.0))
+    data = estimators.estimate(regression.build_equations(model, pieces, 20.0))
     prior = Prior(
-        consistency.nominal_bodies(own),
+        consistency.consistent_nominal(own),
         Distance.BREGMAN,
         1.0,
         1e-6 * np.ones(own.count - 10 * own.bodies),
@@ -211,7 +203,7 @@ def known() -> Known:
     psi = consistency.maximum_a_posteriori(
         own, data.root @ model.base.matrix, data.root @ data.theta, prior
     ).psi
-    groups, share = simulation_error.cut(pieces, 20.0, 0.1, 12)
+    groups, share = simulation_error.cut_windows(pieces, 20.0, 0.1, 12)
     return Known(model, groups, share, data, prior, psi, truth)
 
 
@@ -223,13 +215,13 @@ def test_windows_lie_in_the_recording(known):
 
 
 def test_the_identified_robot_foresees_positions_and_the_nominal_one_does_not(known):
-    found = simulation_error.error(
+    found = simulation_error.compute_simulation_error(
         known.model, known.psi, known.prior.nominal, known.groups, known.share
     )
     assert (found.fitted[-1] < 2e-3).all() and (found.nominal[-1] > 10.0 * found.fitted[-1]).all()
     assert (np.diff(found.nominal, axis=0) > 0.0).all()
     assert found.windows == 12 and "0.1 s ahead" in found.words
-    true = simulation_error.error(known.model, known.truth, known.prior.nominal, known.groups)
+    true = simulation_error.compute_simulation_error(known.model, known.truth, known.prior.nominal, known.groups)
     assert (true.fitted[-1] < 1.1 * found.fitted[-1] + 1e-5).all()
 
 
@@ -270,8 +262,8 @@ def test_a_model_that_loses_the_robot_is_not_refined(known):
         UnusableInput, match=r"loses the recorded motion within a window, joint 'joint_[12]' first"
     ):
         simulation_refinement.refine(known.model, known.groups, light, known.data, known.prior)
-    assert simulation_error.cut([], 20.0) == ([], 0.0)
+    assert simulation_error.cut_windows([], 20.0) == ([], 0.0)
     with pytest.raises(UnusableInput, match="shorter horizon"):
-        simulation_error.error(known.model, known.psi, known.psi, [])
+        simulation_error.compute_simulation_error(known.model, known.psi, known.psi, [])
     with pytest.raises(UnusableInput, match="shorter horizon"):
         simulation_refinement.refine(known.model, [], known.psi, known.data, known.prior)

@@ -19,7 +19,7 @@ from excite.cli import main as main_module
 from excite.collision import urdf_geometry
 from excite.collision.geometry import Kind, Shape
 from excite.errors import UnusableInput
-from excite.identification.urdf_export import identified
+from excite.identification.urdf_export import identified_urdf
 from excite.robot.inertial_parameters import standard
 from excite.robot.limits import resolve
 from excite.robot.robot import load
@@ -135,7 +135,7 @@ def test_a_declared_encoding_is_read_as_declared(encoding, mark, tmp_path):
     path = written(tmp_path, mark + text.encode(codec))
     robot = load(str(path))
     assert robot.joints == (name,)
-    again = written(tmp_path, identified(robot, *_nominal(robot)), "again.urdf")
+    again = written(tmp_path, identified_urdf(robot, *_nominal(robot)), "again.urdf")
     assert load(str(again)).joints == (name,)
 
 

@@ -11,21 +11,15 @@ import pytest
 import scipy.linalg
 
 from excite import _json
-from excite.designer.experiment_comparison import what_would_help
-from excite.designer.identifiability import (
-    Identifiability,
-    analyse,
-    analyse_root,
-    information_root,
-    root_of,
-)
+from excite.designer.experiment_comparison import compare_scenarios
+from excite.designer.identifiability import Identifiability, analyse_information, analyse_root, information_root, regressor_root
 from excite.robot import base_parameters as base_parameters_module
 from excite.robot import dynamics, inertial_parameters, limits, robot
 from excite.robot.base_parameters import Base
 from excite.robot.parameter_names import percent, spoken
 from excite.robot.samples import Samples
-from excite.trajectory.fourier import Fourier
-from excite.trajectory.rest_to_rest import Motion, Segment
+from excite.trajectory.fourier import FourierSeries
+from excite.trajectory.rest_to_rest import Motion, MotionSegment
 
 RNG_SEED = 3
 
@@ -42,13 +36,13 @@ def motion_of(name: str, count: int = 300, period: float = 5.0) -> tuple[Motion,
     loaded, table, _, _ = setup(name)
     rng = np.random.default_rng(RNG_SEED)
     speed = np.where(np.isfinite(table.velocity), table.velocity, 1.0)[:, None]
-    series = Fourier(
+    series = FourierSeries(
         0.1 * speed * rng.normal(size=(loaded.n, 4)),
         0.1 * speed * rng.normal(size=(loaded.n, 4)),
         rng.normal(size=loaded.n),
         period,
     )
-    motion = Motion(loaded.joints, series, 2, (Segment("fourier", 0.0, 2.0 * period),))
+    motion = Motion(loaded.joints, series, 2, (MotionSegment("fourier", 0.0, 2.0 * period),))
     return motion, series.samples(series.grid(count))
 
 
@@ -79,7 +73,7 @@ def test_eigenvalues_are_those_of_the_generalised_problem() -> None:
 def test_information_and_root_agree(name: str) -> None:
     loaded, table, standard, found = setup(name)
     analysis, root = result(name)
-    again = analyse(standard, found, root.T @ root, 0.01 * table.torque, loaded)
+    again = analyse_information(standard, found, root.T @ root, 0.01 * table.torque, loaded)
     top = analysis.eigenvalues[0]
     np.testing.assert_allclose(again.eigenvalues, analysis.eigenvalues, rtol=1e-6, atol=1e-13 * top)
     assert again.identifiable == analysis.identifiable
@@ -89,7 +83,7 @@ def test_blocks_give_the_information_of_the_whole() -> None:
     loaded, table, standard, _ = setup("ur10e")
     samples = motion_of("ur10e", 900)[1]
     noise = 0.01 * table.torque
-    whole = root_of(dynamics.regressor(loaded, standard, samples), noise)
+    whole = regressor_root(dynamics.regressor(loaded, standard, samples), noise)
     blocks = information_root(loaded, standard, samples, noise)
     np.testing.assert_allclose(
         blocks.T @ blocks, whole.T @ whole, rtol=1e-9, atol=1e-9 * np.abs(whole.T @ whole).max()
@@ -269,7 +263,7 @@ def test_twice_the_time_and_twice_the_speed() -> None:
     loaded, table, standard, found = setup("two_link")
     motion, _ = motion_of("two_link")
     noise = 0.01 * table.torque
-    now, time, speed = what_would_help(
+    now, time, speed = compare_scenarios(
         loaded, standard, found, table, motion, noise=noise, rate=100.0
     )
     np.testing.assert_allclose(time.eigenvalues, 2.0 * now.eigenvalues, rtol=1e-9)
@@ -290,12 +284,12 @@ def test_twice_the_time_and_twice_the_speed() -> None:
         low, sources={**table.sources, "acceleration": ("derived", "derived")}
     )
     for limited, expected in ((low, True), (derived, False)):
-        broken = what_would_help(loaded, standard, found, limited, motion, noise=noise, rate=100.0)[
+        broken = compare_scenarios(loaded, standard, found, limited, motion, noise=noise, rate=100.0)[
             2
         ].broken
         assert any(b.limit == "acceleration" for b in broken) == expected
     slow = dataclasses.replace(table, velocity=0.5 * np.abs(fast.at(fast.grid(300), 1)).max(axis=0))
-    broken = what_would_help(loaded, standard, found, slow, motion, noise=noise, rate=100.0)[
+    broken = compare_scenarios(loaded, standard, found, slow, motion, noise=noise, rate=100.0)[
         2
     ].broken
     assert next(b for b in broken if b.limit == "velocity").factor == pytest.approx(2.0)

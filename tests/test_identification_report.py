@@ -135,7 +135,7 @@ def prediction_joints() -> tuple[str, ...]:
 
 def test_base_parameters_are_those_of_the_identification() -> None:
     one, text = found(), section(page_of(), "parameters")
-    half = confidence.half_widths(one.data, np.eye(one.model.base.count))
+    half = confidence.interval_half_widths(one.data, np.eye(one.model.base.count))
     now = one.model.base.matrix @ one.psi
     for k, place in enumerate(one.model.base.independent):
         row = re.search(

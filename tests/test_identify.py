@@ -14,42 +14,33 @@ from hypothesis import strategies as st
 from made import PERIOD, RATE, WIDTH, motion, perturbed, recorded, two_links
 
 from excite.errors import UnusableInput
-from excite.identification import (
-    confidence,
-    consistency,
-    estimators,
-    friction_width,
-    identification,
-    inertia_distance,
-    regression,
-    segments,
-)
+from excite.identification import confidence, consistency, estimators, friction_width, identification, inertia_distance, regression, segments
 from excite.identification.consistency import Bounds, Prior
 from excite.identification.estimators import Method
 from excite.identification.identification import Identification, Options
 from excite.identification.inertia_distance import Distance
 from excite.identification.lowpass import TAPER_FRACTION, LowPassFilter, Grid
-from excite.identification.regression import Equations, Model
+from excite.identification.regression import TorqueEquations, IdentificationModel
 from excite.recordings import Recording
 from excite.robot import base_parameters, inertial_parameters, limits, robot
 from excite.robot.inertial_parameters import Parameters
-from excite.trajectory.fourier import Fourier
+from excite.trajectory.fourier import FourierSeries
 
 Array = np.ndarray
 
 
 @pytest.fixture(scope="module")
-def model() -> Model:
+def model() -> IdentificationModel:
     return two_links()
 
 
 @pytest.fixture(scope="module")
-def truth(model: Model) -> Array:
+def truth(model: IdentificationModel) -> Array:
     """ψ of a robot that differs from the URDF by about 10 %, with friction."""
     return perturbed(model.parameters, np.random.default_rng(4))
 
 
-def identified(model: Model, *recordings: Recording, **options: object) -> Identification:
+def identified(model: IdentificationModel, *recordings: Recording, **options: object) -> Identification:
     return identification.identify(
         model.robot,
         model.parameters,
@@ -87,9 +78,9 @@ def test_what_is_above_the_band_is_gone_and_what_is_below_keeps_its_phase():
 
 def test_long_stretches_are_worked_on_in_chunks_without_a_seam(model, truth, monkeypatch):
     recording = recorded(model, truth, motion(2), 30, 0.0, period=None, periodic=None)
-    whole = regression.build(model, segments.extract_segments([recording]), 10.0)
+    whole = regression.build_equations(model, segments.extract_segments([recording]), 10.0)
     monkeypatch.setattr(segments, "CHUNK", 4096)
-    parts = regression.build(model, segments.extract_segments([recording]), 10.0)
+    parts = regression.build_equations(model, segments.extract_segments([recording]), 10.0)
     assert (
         len(parts) == len(whole)
         and parts.starts == whole.starts
@@ -155,8 +146,8 @@ def test_a_band_that_cannot_be_is_refused(hertz):
 # -- estimators ------------------------------------------------------------------------------------------------------
 
 
-def rows(model: Model, recording: Recording, hertz: float = 20.0) -> Equations:
-    return regression.build(model, segments.extract_segments([recording]), hertz)
+def rows(model: IdentificationModel, recording: Recording, hertz: float = 20.0) -> TorqueEquations:
+    return regression.build_equations(model, segments.extract_segments([recording]), hertz)
 
 
 @pytest.mark.parametrize("method", [Method.OLS, Method.WLS, Method.FULL, Method.HUBER])
@@ -229,14 +220,14 @@ def test_intervals_cover_under_white_and_coloured_noise(model, truth, pole):
         )
         found = estimators.estimate(torque_only, nuisance=nuisance)
         inside.append(
-            np.abs(found.theta - exact) <= confidence.half_widths(found, np.eye(len(exact)))
+            np.abs(found.theta - exact) <= confidence.interval_half_widths(found, np.eye(len(exact)))
         )
     assert 0.91 < np.mean(inside) < 0.985
 
 
 def test_what_the_data_does_not_show_has_no_interval(model, truth):
     still = motion(2)
-    still = Fourier(
+    still = FourierSeries(
         still.sine * np.array([[1.0], [0.0]]),
         still.cosine * np.array([[1.0], [0.0]]),
         still.offset,
@@ -250,14 +241,14 @@ def test_what_the_data_does_not_show_has_no_interval(model, truth):
         if not np.isfinite(value)
     }
     assert {"Fv2", "Fc2"} <= unknown and "Fv1" not in unknown
-    half = confidence.half_widths(found, np.eye(len(names)))
+    half = confidence.interval_half_widths(found, np.eye(len(names)))
     assert np.isinf(half[names.index("Fv2")]) and np.isfinite(half[names.index("Fv1")])
 
 
 def test_friction_widths_are_found(model, truth):
     parts = list(segments.extract_segments([recorded(model, truth, motion(2), 4, 0.02)]))
     vague = dataclasses.replace(model, widths=np.full(2, 0.02))
-    found = friction_width.fitted(vague, regression.build(vague, parts, 20.0), parts)
+    found = friction_width.fit_widths(vague, regression.build_equations(vague, parts, 20.0), parts)
     assert np.all(np.abs(np.log(found.widths / WIDTH)) < np.log(1.6))
 
 
@@ -290,12 +281,12 @@ def bodies(seed: int, count: int = 3) -> Array:
 @pytest.mark.parametrize("kind", list(Distance))
 def test_distances_have_exact_derivatives(kind):
     nominal, phi = bodies(1), bodies(2)
-    found = inertia_distance.Frame(nominal).squared(kind, phi)
+    found = inertia_distance.NominalFrames(nominal).squared(kind, phi)
     for k in range(10):
         step = np.zeros(10)
         step[k] = 1.0
         numeric = slope(
-            lambda h, s=step: inertia_distance.Frame(nominal).squared(kind, phi + h * s).value, 1e-5
+            lambda h, s=step: inertia_distance.NominalFrames(nominal).squared(kind, phi + h * s).value, 1e-5
         )
         assert np.allclose(
             found.gradient[:, k], numeric, rtol=1e-5, atol=1e-6 * np.abs(found.gradient).max()
@@ -310,10 +301,10 @@ def test_geometric_distances_agree_near_the_nominal_body(kind):
         np.array([inertial_parameters.inverse_root(phi) for phi in nominal]),
         np.ones((3, 10)),
     )
-    found = inertia_distance.Frame(nominal).squared(kind, nominal + tangent)
+    found = inertia_distance.NominalFrames(nominal).squared(kind, nominal + tangent)
     assert np.allclose(found.value, 10 * 1e-8, rtol=1e-2)
     assert np.allclose(
-        found.hessian, 2 * inertia_distance.metrics(kind, nominal), rtol=2e-2, atol=1e-2
+        found.hessian, 2 * inertia_distance.distance_metrics(kind, nominal), rtol=2e-2, atol=1e-2
     )
 
 
@@ -324,19 +315,19 @@ def test_the_riemannian_distance_depends_on_no_frame_or_unit():
     place[:3, 3] = [200.0, -50.0, 20.0]
 
     def moved(one: Array) -> Array:
-        P = place @ inertia_distance.pseudo(one) @ place.T
+        P = place @ inertia_distance.pseudo_inertias(one) @ place.T
         second, first = P[:, :3, :3], P[:, :3, 3]
         tensor = np.trace(second, axis1=1, axis2=2)[:, None, None] * np.eye(3) - second
         order = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
         return np.column_stack([P[:, 3, 3], first, *(tensor[:, i, j] for i, j in order)])
 
     before, after = (
-        inertia_distance.Frame(b).squared(Distance.RIEMANNIAN, a).value
+        inertia_distance.NominalFrames(b).squared(Distance.RIEMANNIAN, a).value
         for a, b in ((phi, nominal), (moved(phi), moved(nominal)))
     )
     assert np.allclose(before, after, rtol=1e-8)
     euclid = [
-        inertia_distance.Frame(b).squared(Distance.EUCLIDEAN, a).value
+        inertia_distance.NominalFrames(b).squared(Distance.EUCLIDEAN, a).value
         for a, b in ((phi, nominal), (moved(phi), moved(nominal)))
     ]
     assert not np.allclose(*euclid, rtol=0.1)
@@ -345,7 +336,7 @@ def test_the_riemannian_distance_depends_on_no_frame_or_unit():
 def prior_of(standard: Parameters, kind: Distance = Distance.BREGMAN, gamma: float = 1.0) -> Prior:
     edge = 10 * standard.bodies
     return Prior(
-        consistency.nominal_bodies(standard),
+        consistency.consistent_nominal(standard),
         kind,
         gamma,
         np.full(standard.count - edge, gamma),
@@ -468,11 +459,11 @@ def test_what_is_trusted_stays(model, truth):
 
 POOR = {
     "a joint that hardly moves": lambda f: (
-        Fourier(f.sine * [[1.0], [1e-3]], f.cosine * [[1.0], [1e-3]], f.offset, f.period),
+        FourierSeries(f.sine * [[1.0], [1e-3]], f.cosine * [[1.0], [1e-3]], f.offset, f.period),
         4.0,
     ),
     "a robot that stands still": lambda f: (
-        Fourier(0.0 * f.sine, 0.0 * f.cosine, f.offset + 0.4, f.period),
+        FourierSeries(0.0 * f.sine, 0.0 * f.cosine, f.offset + 0.4, f.period),
         4.0,
     ),
     "two seconds": lambda f: (f, 2.0 / PERIOD),
@@ -511,11 +502,11 @@ def test_the_reduced_estimate_leaves_alone_what_the_data_cannot_say(model, truth
     edge = 10 * model.parameters.bodies
     moved = np.linalg.solve(
         model.parameters.scale[:edge, :edge],
-        (found.reduced.psi - consistency.nominal_bodies(model.parameters))[:edge],
+        (found.reduced.psi - consistency.consistent_nominal(model.parameters))[:edge],
     )
     full = np.linalg.solve(
         model.parameters.scale[:edge, :edge],
-        (truth - consistency.nominal_bodies(model.parameters))[:edge],
+        (truth - consistency.consistent_nominal(model.parameters))[:edge],
     )
     assert np.linalg.norm(moved) < np.linalg.norm(full)
 

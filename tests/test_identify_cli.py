@@ -106,7 +106,7 @@ def test_a_prediction_has_the_recordings_own_times(folder):
 
 
 def test_the_identified_urdf_gives_the_same_torque(folder):
-    fitted = identified_model.read(folder / "out" / "model.json")
+    fitted = identified_model.read_model(folder / "out" / "model.json")
     again = robot.load(str(folder / "out" / "identified.urdf"))
     standard = inertial_parameters.standard(again, limits.resolve(again))
     samples = states(2)
@@ -119,14 +119,14 @@ def test_the_identified_urdf_gives_the_same_torque(folder):
 
 def test_locked_joints_meshes_and_comments_survive(tmp_path):
     """A locked joint becomes fixed where it was locked, and what hangs on it belongs to the body before it."""
-    from excite.identification.urdf_export import identified
+    from excite.identification.urdf_export import identified_urdf
 
     machine = robot.load("ur10e", lock={"wrist_2_joint": 0.7, "wrist_3_joint": -0.3})
     table = limits.resolve(machine)
     standard = inertial_parameters.standard(machine, table)
     psi = perturbed(standard, np.random.default_rng(1))
     path = tmp_path / "identified.urdf"
-    path.write_text(identified(machine, standard, psi, np.full(machine.n, 0.003)))
+    path.write_text(identified_urdf(machine, standard, psi, np.full(machine.n, 0.003)))
     assert path.read_text().count("<!--") == text_of("ur10e").count("<!--")
     again = robot.load(str(path))
     assert again.joints == machine.joints
@@ -154,7 +154,7 @@ def test_a_prior_and_bounds_are_kept(folder):
         )
         == 0
     )
-    assert 2.2 <= identified_model.read(folder / "bounded" / "model.json").psi[10] <= 2.4
+    assert 2.2 <= identified_model.read_model(folder / "bounded" / "model.json").psi[10] <= 2.4
     prior = folder / "prior.json"
     prior.write_text(
         json.dumps(
@@ -171,11 +171,11 @@ def test_a_prior_and_bounds_are_kept(folder):
         )
         == 0
     )
-    fitted = identified_model.read(folder / "trusted" / "model.json")
+    fitted = identified_model.read_model(folder / "trusted" / "model.json")
     machine = robot.load("two_link")
     standard = inertial_parameters.standard(machine, limits.resolve(machine))
     assert np.allclose(
-        fitted.psi[:20], consistency.nominal_bodies(standard)[:20], rtol=1e-3, atol=1e-4
+        fitted.psi[:20], consistency.consistent_nominal(standard)[:20], rtol=1e-3, atol=1e-4
     )
     assert fitted.psi[standard.block("coulomb")][0] == pytest.approx(1.25, rel=1e-3)
     assert (

@@ -8,19 +8,12 @@ import pytest
 from made import simulated
 
 from excite.errors import UnusableInput
-from excite.identification import (
-    consistency,
-    estimators,
-    hausman_test,
-    instruments,
-    regression,
-    segments,
-)
+from excite.identification import consistency, estimators, hausman_test, instruments, regression, segments
 from excite.identification.consistency import Prior
 from excite.identification.estimators import Method
 from excite.identification.inertia_distance import Distance
-from excite.identification.instruments import Kind
-from excite.identification.regression import Model
+from excite.identification.instruments import InstrumentMotion
+from excite.identification.regression import IdentificationModel
 from excite.recordings import Recording
 from excite.recordings.sidecar import Sidecar
 from excite.robot import base_parameters, inertial_parameters, limits, robot
@@ -31,9 +24,9 @@ HERTZ = 20.0
 
 @dataclasses.dataclass(frozen=True)
 class Bench:
-    model: Model
+    model: IdentificationModel
     recording: Recording
-    rows: regression.Equations
+    rows: regression.TorqueEquations
     truth: np.ndarray  # θ
     psi: np.ndarray  # by least squares
 
@@ -55,15 +48,15 @@ def bench(encoder: float, step: float) -> Bench:
     table = limits.resolve(arm)
     own = inertial_parameters.standard(arm, table)
     true = simulated(session.plant, own, table)
-    model = Model(arm, own, base_parameters.find(arm, own, table), session.plant.drive.width)
+    model = IdentificationModel(arm, own, base_parameters.find(arm, own, table), session.plant.drive.width)
     sidecar = Sidecar(period=told.period, periodic=told.periodic)
     recording = Recording(
         "bench.csv", told.joints, told.t, told.q, tau=told.tau, qref=told.qref, sidecar=sidecar
     )
-    rows = regression.build(model, segments.extract_segments([recording]), HERTZ)
+    rows = regression.build_equations(model, segments.extract_segments([recording]), HERTZ)
     data = estimators.estimate(rows)
     prior = Prior(
-        consistency.nominal_bodies(own),
+        consistency.consistent_nominal(own),
         Distance.PULLBACK,
         1.0,
         1e-3 * np.ones(own.count - 10 * own.bodies),
@@ -86,8 +79,8 @@ def coarse() -> Bench:
 
 
 def test_the_model_under_the_controller_found_moves_more_like_the_robot_than_the_reference(quiet):
-    found = instruments.build(quiet.model, [quiet.recording], HERTZ, quiet.psi)
-    assert found.kind is Kind.AUXILIARY and "auxiliary" in found.words
+    found = instruments.build_instruments(quiet.model, [quiet.recording], HERTZ, quiet.psi)
+    assert found.kind is InstrumentMotion.AUXILIARY and "auxiliary" in found.words
     assert (found.strayed < 0.6 * found.behind).all()
     assert (found.law.explained > 0.999).all()
     assert (
@@ -98,10 +91,10 @@ def test_the_model_under_the_controller_found_moves_more_like_the_robot_than_the
 
 def test_instruments_pass_the_filter_and_the_periods_of_the_equations(quiet):
     same = dataclasses.replace(quiet.recording, qref=quiet.recording.q)
-    found = instruments.build(quiet.model, [same], HERTZ, quiet.psi, Kind.REFERENCE)
+    found = instruments.build_instruments(quiet.model, [same], HERTZ, quiet.psi, InstrumentMotion.REFERENCE)
     assert np.array_equal(found.rows, quiet.rows.regressor)
-    single = regression.build(quiet.model, segments.extract_segments([same], average=False), HERTZ)
-    found = instruments.build(quiet.model, [same], HERTZ, quiet.psi, Kind.REFERENCE, average=False)
+    single = regression.build_equations(quiet.model, segments.extract_segments([same], average=False), HERTZ)
+    found = instruments.build_instruments(quiet.model, [same], HERTZ, quiet.psi, InstrumentMotion.REFERENCE, average=False)
     assert np.array_equal(found.rows, single.regressor)
 
 
@@ -123,7 +116,7 @@ def test_directions_that_the_recording_hides_stay_open(quiet):
     hidden = quiet.rows.regressor.copy()
     hidden[:, :, 3] = 0.0
     rows = dataclasses.replace(quiet.rows, regressor=hidden)
-    told = instruments.build(quiet.model, [quiet.recording], HERTZ, quiet.psi, Kind.REFERENCE)
+    told = instruments.build_instruments(quiet.model, [quiet.recording], HERTZ, quiet.psi, InstrumentMotion.REFERENCE)
     iv = estimators.estimate(rows, Method.IV, instruments=told.rows)
     assert np.isinf(iv.covariance[3, 3]) and len(iv.root) == len(iv.theta) - 1
     assert np.isfinite(np.delete(np.diag(iv.covariance), 3)).all()
@@ -139,11 +132,11 @@ def test_a_recording_without_reference_is_named(quiet):
     with pytest.raises(
         UnusableInput, match=r"bench\.csv: joint 'joint_1' has no commanded position.*qref\.joint_1"
     ):
-        instruments.build(quiet.model, [bare], HERTZ, quiet.psi)
+        instruments.build_instruments(quiet.model, [bare], HERTZ, quiet.psi)
     torn = quiet.recording.qref.copy()
     torn[5, 1] = np.nan
     with pytest.raises(UnusableInput, match="joint 'joint_2' has rows without"):
-        instruments.build(
+        instruments.build_instruments(
             quiet.model, [dataclasses.replace(quiet.recording, qref=torn)], HERTZ, quiet.psi
         )
 
@@ -151,16 +144,16 @@ def test_a_recording_without_reference_is_named(quiet):
 def test_a_model_that_loses_the_reference_is_no_silent_substitute(quiet):
     heavy = quiet.psi.copy()
     heavy[:20] *= 1000.0
-    assert instruments.build(quiet.model, [quiet.recording], HERTZ, heavy).kind is Kind.REFERENCE
+    assert instruments.build_instruments(quiet.model, [quiet.recording], HERTZ, heavy).kind is InstrumentMotion.REFERENCE
     with pytest.raises(UnusableInput, match="loses qref"):
-        instruments.build(quiet.model, [quiet.recording], HERTZ, heavy, Kind.AUXILIARY)
+        instruments.build_instruments(quiet.model, [quiet.recording], HERTZ, heavy, InstrumentMotion.AUXILIARY)
 
 
 @pytest.mark.parametrize("colour", [0.0, 0.8])
 def test_p_values_are_uniform_where_positions_have_no_noise(quiet, colour):
     from scipy import signal, stats
 
-    Z = instruments.build(quiet.model, [quiet.recording], HERTZ, quiet.psi, Kind.REFERENCE).rows
+    Z = instruments.build_instruments(quiet.model, [quiet.recording], HERTZ, quiet.psi, InstrumentMotion.REFERENCE).rows
     rng, N = np.random.default_rng(7), len(quiet.rows)
     found = []
     for _ in range(50):
@@ -175,9 +168,9 @@ def test_p_values_are_uniform_where_positions_have_no_noise(quiet, colour):
     assert stats.kstest(found, "uniform").pvalue > 1e-3
 
 
-@pytest.mark.parametrize("kind", list(Kind))
+@pytest.mark.parametrize("kind", list(InstrumentMotion))
 def test_coarse_encoders_are_noticed_and_their_bias_removed(coarse, kind):
-    Z = instruments.build(coarse.model, [coarse.recording], HERTZ, coarse.psi, kind).rows
+    Z = instruments.build_instruments(coarse.model, [coarse.recording], HERTZ, coarse.psi, kind).rows
     ls, iv = (
         estimators.estimate(coarse.rows),
         estimators.estimate(coarse.rows, Method.IV, instruments=Z),
@@ -193,7 +186,7 @@ def test_coarse_encoders_are_noticed_and_their_bias_removed(coarse, kind):
 def test_a_reference_that_the_controller_gets_late_is_taken_late(quiet):
     early = dataclasses.replace(quiet.recording, qref=quiet.recording.qref.copy())
     early.qref[:-10] = quiet.recording.qref[10:]
-    found = instruments.build(quiet.model, [early], HERTZ, quiet.psi, Kind.REFERENCE)
-    plain = instruments.build(quiet.model, [quiet.recording], HERTZ, quiet.psi, Kind.REFERENCE)
+    found = instruments.build_instruments(quiet.model, [early], HERTZ, quiet.psi, InstrumentMotion.REFERENCE)
+    plain = instruments.build_instruments(quiet.model, [quiet.recording], HERTZ, quiet.psi, InstrumentMotion.REFERENCE)
     assert found.delay == pytest.approx(plain.delay + 0.02, abs=1e-4)
     assert found.behind == pytest.approx(plain.behind, rel=0.02)

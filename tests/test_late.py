@@ -14,14 +14,14 @@ from excite.diagnosis.diagnosis import Diagnosis
 from excite.effects import BY_NAME
 from excite.effects.effect import Delay
 from excite.identification.lowpass import LowPassFilter, Grid
-from excite.identification.regression import Model
+from excite.identification.regression import IdentificationModel
 from excite.recordings import Recording
 
 Array = np.ndarray
 
 
 @pytest.fixture(scope="module")
-def nothing(subject: Model) -> Diagnosis:
+def nothing(subject: IdentificationModel) -> Diagnosis:
     return found(subject, None)
 
 

@@ -9,7 +9,7 @@ from conftest import states
 from excite.errors import UnusableInput
 from excite.identification import consistency, lmi_check
 from excite.identification.consistency import Bounds, Prior
-from excite.identification.inertia_distance import Distance, pseudo
+from excite.identification.inertia_distance import Distance, pseudo_inertias
 from excite.robot import base_parameters, dynamics, inertial_parameters, limits, robot
 
 CONVEX = (Distance.BREGMAN, Distance.PULLBACK, Distance.EUCLIDEAN)
@@ -18,7 +18,7 @@ CONVEX = (Distance.BREGMAN, Distance.PULLBACK, Distance.EUCLIDEAN)
 @pytest.fixture(autouse=True)
 def fine(monkeypatch):
     """The barrier's cost below what is compared."""
-    monkeypatch.setattr(consistency, "WEIGHTS", (*consistency.WEIGHTS, 1e-5, 1e-6))
+    monkeypatch.setattr(consistency, "WEIGHTS", (*consistency.BARRIER_WEIGHTS, 1e-5, 1e-6))
 
 
 def problem(name: str, noise: float, seed: int = 0, count: int = 60):
@@ -27,7 +27,7 @@ def problem(name: str, noise: float, seed: int = 0, count: int = 60):
     own = inertial_parameters.standard(arm, limits.resolve(arm))
     basis = base_parameters.find(arm, own, limits.resolve(arm))
     rng = np.random.default_rng(seed)
-    nominal = consistency.nominal_bodies(own)
+    nominal = consistency.consistent_nominal(own)
     truth = nominal * (1.0 + 0.1 * rng.normal(size=own.count))
     for kind in ("viscous", "coulomb"):
         truth[own.block(kind)] = 0.5
@@ -56,7 +56,7 @@ def test_both_solvers_find_the_same_estimate(name, distance):
     own, root, target, nominal = problem(name, 0.5)
     wanted = prior(own, nominal, distance)
     found = consistency.maximum_a_posteriori(own, root, target, wanted)
-    check = lmi_check.check(own, root, target, wanted, found)
+    check = lmi_check.check_estimate(own, root, target, wanted, found)
     assert (
         check.agrees
         and abs(check.gap) < 1e-4
@@ -79,18 +79,18 @@ def test_also_where_bounds_bind(name, distance):
     box = np.stack([centre / mass + 0.01, centre / mass + 0.05])
     bounds = Bounds(mass={link: (1.05 * mass, 2.0 * mass)}, centre={link: box})
     found = consistency.maximum_a_posteriori(own, root, target, wanted, bounds)
-    check = lmi_check.check(own, root, target, wanted, found, bounds)
+    check = lmi_check.check_estimate(own, root, target, wanted, found, bounds)
     assert check.agrees and abs(check.gap) < 1e-4
-    assert check.objective > consistency.objective(own, root, target, wanted, free.psi) + 1e-3
+    assert check.objective > consistency.map_objective(own, root, target, wanted, free.psi) + 1e-3
     assert check.psi[10 * own.bodies - 10] >= 1.05 * mass * (1 - 1e-6)
 
 
 def test_the_barrier_costs_no_more_than_it_may(monkeypatch):
     pytest.importorskip("cvxpy")
-    monkeypatch.setattr(consistency, "WEIGHTS", consistency.WEIGHTS[:-2])
+    monkeypatch.setattr(consistency, "WEIGHTS", consistency.BARRIER_WEIGHTS[:-2])
     own, root, target, nominal = problem("panda", 0.5)
     wanted = prior(own, nominal, Distance.BREGMAN)
-    assert lmi_check.check(
+    assert lmi_check.check_estimate(
         own, root, target, wanted, consistency.maximum_a_posteriori(own, root, target, wanted)
     ).agrees
 
@@ -100,9 +100,9 @@ def test_a_body_on_the_edge_of_what_bodies_are():
     own, root, target, nominal = problem("two_link", 5.0, seed=1, count=8)
     wanted = prior(own, nominal, Distance.EUCLIDEAN, 1e-6)
     found = consistency.maximum_a_posteriori(own, root, target, wanted)
-    check = lmi_check.check(own, root, target, wanted, found)
+    check = lmi_check.check_estimate(own, root, target, wanted, found)
     assert check.agrees and abs(check.gap) < 1e-4
-    values = np.linalg.eigvalsh(pseudo(check.psi[: 10 * own.bodies].reshape(-1, 10)))
+    values = np.linalg.eigvalsh(pseudo_inertias(check.psi[: 10 * own.bodies].reshape(-1, 10)))
     assert values.min() < 1e-6 * values.max()
 
 
@@ -110,20 +110,20 @@ def test_one_line_says_what_to_install(monkeypatch):
     own, root, target, nominal = problem("two_link", 0.5)
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(UnusableInput, match=r"pip install 'excite\[lmi\]'"):
-        lmi_check.solve(own, root, target, prior(own, nominal, Distance.PULLBACK))
+        lmi_check.solve_lmi(own, root, target, prior(own, nominal, Distance.PULLBACK))
 
 
 def test_no_inequalities_for_the_riemannian_distance():
     own, root, target, nominal = problem("two_link", 0.5)
     with pytest.raises(UnusableInput, match="not convex"):
-        lmi_check.solve(own, root, target, prior(own, nominal, Distance.RIEMANNIAN))
+        lmi_check.solve_lmi(own, root, target, prior(own, nominal, Distance.RIEMANNIAN))
 
 
 def test_bounds_that_leave_nothing():
     pytest.importorskip("cvxpy")
     own, root, target, nominal = problem("two_link", 0.5)
     with pytest.raises(UnusableInput, match="widen"):
-        lmi_check.solve(
+        lmi_check.solve_lmi(
             own,
             root,
             target,

@@ -9,16 +9,16 @@ import pytest
 from made import PERIOD, motion, perturbed, recorded, torque
 
 from excite.diagnosis import noise
-from excite.effects import track
+from excite.effects import recorded_motion
 from excite.identification import identification, segments
-from excite.identification.regression import Model
+from excite.identification.regression import IdentificationModel
 from excite.recordings import Recording
-from excite.trajectory.fourier import Fourier
+from excite.trajectory.fourier import FourierSeries
 
 Array = np.ndarray
 
 
-def measured(subject: Model, change: float = 0.0, step: float = 0.0) -> tuple[Array, Array]:
+def measured(subject: IdentificationModel, change: float = 0.0, step: float = 0.0) -> tuple[Array, Array]:
     """Noise found and the RMS that the base model leaves, of a periodic recording whose torque noise is known to be 0.1 N m."""
     psi = perturbed(subject.parameters, np.random.default_rng(4))
     recording = recorded(subject, psi, motion(2, 1), 3.0, 0.1)
@@ -34,8 +34,8 @@ def measured(subject: Model, change: float = 0.0, step: float = 0.0) -> tuple[Ar
         lambda _: None,
     )
     theta = subject.base.matrix @ done.psi
-    body = track.body(subject.robot, subject.parameters, done.psi)
-    tracks = track.tracks(
+    body = recorded_motion.body(subject.robot, subject.parameters, done.psi)
+    tracks = recorded_motion.tracks(
         done.model, body, theta, list(segments.extract_segments([recording], average=False)), 20.0
     )
     left = np.concatenate([t.torque - t.gamma @ theta for t in tracks])
@@ -68,7 +68,7 @@ def test_a_period_is_found_where_nobody_states_it(subject):
     assert noise._period(once) is None
 
 
-def wavering(subject: Model, psi: Array, fourier: Fourier, periods: float, by: float) -> Recording:
+def wavering(subject: IdentificationModel, psi: Array, fourier: FourierSeries, periods: float, by: float) -> Recording:
     """Positions and torque both read a little earlier or later than the clock says, all joints at once. by: [s]."""
     one = recorded(subject, psi, fourier, periods, 0.0)
     rng = np.random.default_rng(len(one.t))
@@ -96,9 +96,9 @@ def test_a_clock_that_wavers_is_louder_where_momentum_is_more(subject, by, most)
     done = identification.identify(
         subject.robot, subject.parameters, subject.base, [slow], [fast], options, lambda _: None
     )
-    theta, body = subject.base.matrix @ psi, track.body(subject.robot, subject.parameters, psi)
+    theta, body = subject.base.matrix @ psi, recorded_motion.body(subject.robot, subject.parameters, psi)
     halves = [
-        track.tracks(done.model, body, theta, list(segments.extract_segments([one], average=False)), 20.0)
+        recorded_motion.tracks(done.model, body, theta, list(segments.extract_segments([one], average=False)), 20.0)
         for one in (slow, fast)
     ]
     found = noise.measured(done, halves, [slow, fast])

@@ -11,12 +11,12 @@ from excite.diagnosis import belief, diagnosis, once
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.diagnosis_file import document
 from excite.diagnosis.judge import Verdict
-from excite.identification.regression import Model
+from excite.identification.regression import IdentificationModel
 
 Array = np.ndarray
 
 
-def struck(subject: Model, again: float) -> Diagnosis:
+def struck(subject: IdentificationModel, again: float) -> Diagnosis:
     """A robot that something pushes at its first link for a while, and `again` times as hard in each further period."""
     pair = []
     for seed in (2, 5):

@@ -11,17 +11,17 @@ from hypothesis import given
 
 from excite.designer import motion_overlap, optimize
 from excite.designer.evaluator import Evaluator
-from excite.designer.motion_overlap import MOST, Gauge, apart
+from excite.designer.motion_overlap import MAX_COMPARED_SAMPLES, StateScaling, penalise_overlap
 from excite.robot.limits import resolve
 from excite.robot.robot import load
-from excite.trajectory.fourier import Fourier
+from excite.trajectory.fourier import FourierSeries
 
-GAUGE = Gauge(np.array([True, False, True]), np.array([np.pi, 0.4, 1.2]), np.array([2.0, 0.5, 3.0]))
+GAUGE = StateScaling(np.array([True, False, True]), np.array([np.pi, 0.4, 1.2]), np.array([2.0, 0.5, 3.0]))
 
 
-def motion(rng: np.random.Generator, n: int = 3, harmonics: int = 3) -> Fourier:
+def motion(rng: np.random.Generator, n: int = 3, harmonics: int = 3) -> FourierSeries:
     size = GAUGE.speed[:n, None] / 2.0
-    return Fourier(
+    return FourierSeries(
         size * rng.normal(size=(n, harmonics)),
         size * rng.normal(size=(n, harmonics)),
         0.5 * rng.normal(size=n),
@@ -29,9 +29,9 @@ def motion(rng: np.random.Generator, n: int = 3, harmonics: int = 3) -> Fourier:
     )
 
 
-def between(first: Fourier, second: Fourier, count: int = MOST) -> float:
+def between(first: FourierSeries, second: FourierSeries, count: int = MAX_COMPARED_SAMPLES) -> float:
     t = second.grid(count)
-    return apart(GAUGE, first).overlap(second.at(t), second.at(t, 1))[0]
+    return penalise_overlap(GAUGE, first).overlap(second.at(t), second.at(t, 1))[0]
 
 
 @given(seeds)
@@ -44,8 +44,8 @@ def test_it_is_a_correlation(rng):
 
 @given(seeds)
 def test_slopes_are_the_derivatives(rng):
-    first = apart(GAUGE, motion(rng))
-    for count in (20, 3 * MOST):  # compared as they are, and thinned
+    first = penalise_overlap(GAUGE, motion(rng))
+    for count in (20, 3 * MAX_COMPARED_SAMPLES):  # compared as they are, and thinned
         q, dq, by_q, by_dq = rng.normal(size=(4, count, 3))
         _, slope_q, slope_dq = first.overlap(q, dq)
         measured = slope(
@@ -64,10 +64,10 @@ def test_phase_repeats_and_sampling_do_not_matter(rng):
     first, second = motion(rng), motion(rng)
     value = between(first, second)
     assert between(first, second.shifted(1.3)) == pytest.approx(value, abs=2e-3)
-    assert between(first, second, 7 * MOST) == pytest.approx(value, abs=2e-3)
+    assert between(first, second, 7 * MAX_COMPARED_SAMPLES) == pytest.approx(value, abs=2e-3)
     zero = np.zeros_like(second.sine)  # the same motion, told as two periods in one
     twice = [np.stack([zero, c], axis=2).reshape(len(c), -1) for c in (second.sine, second.cosine)]
-    assert between(first, Fourier(*twice, second.offset, 2.0 * second.period)) == pytest.approx(
+    assert between(first, FourierSeries(*twice, second.offset, 2.0 * second.period)) == pytest.approx(
         value, abs=5e-3
     )
 
@@ -75,7 +75,7 @@ def test_phase_repeats_and_sampling_do_not_matter(rng):
 @given(seeds)
 def test_the_way_round_does_not_matter(rng):
     first, second = motion(rng), motion(rng)
-    backwards = Fourier(-second.sine, second.cosine, second.offset, second.period)
+    backwards = FourierSeries(-second.sine, second.cosine, second.offset, second.period)
     assert np.allclose(backwards.at(np.array([1.0])), second.at(np.array([-1.0])))
     assert between(first, backwards) == pytest.approx(between(first, second), abs=1e-9)
 
@@ -93,18 +93,18 @@ def test_units_of_a_joint_do_not_matter():
     rng = np.random.default_rng(1)
     first, second = motion(rng), motion(rng)
     unit = np.array([1.0, 1000.0, 1.0])
-    other = Gauge(GAUGE.turns, GAUGE.reach * unit, GAUGE.speed * unit)
+    other = StateScaling(GAUGE.turns, GAUGE.reach * unit, GAUGE.speed * unit)
     scaled = [
-        Fourier(m.sine * unit[:, None], m.cosine * unit[:, None], m.offset * unit, m.period)
+        FourierSeries(m.sine * unit[:, None], m.cosine * unit[:, None], m.offset * unit, m.period)
         for m in (first, second)
     ]
-    assert motion_overlap.overlap(other, *scaled) == pytest.approx(
-        motion_overlap.overlap(GAUGE, first, second), abs=1e-9
+    assert motion_overlap.motion_overlap(other, *scaled) == pytest.approx(
+        motion_overlap.motion_overlap(GAUGE, first, second), abs=1e-9
     )
 
 
 def test_motions_that_never_meet_do_not_overlap():
-    small = Fourier(np.full((3, 1), 0.01), np.zeros((3, 1)), np.zeros(3), 4.0)
+    small = FourierSeries(np.full((3, 1), 0.01), np.zeros((3, 1)), np.zeros(3), 4.0)
     assert between(small, replace(small, offset=np.array([3.0, 1.0, 3.0]))) < 0.05
     one = between(small, replace(small, offset=np.array([3.0, 0.0, 0.0])))
     assert one == pytest.approx(2 / 3, abs=0.02)  # one joint of three elsewhere is no other motion
@@ -115,10 +115,10 @@ def test_the_objective_pays_for_it_with_the_right_gradient(free):
     robot = load("two_link")
     limits = resolve(robot)
     options = replace(QUICK, samples=24, free_period=free)
-    first = Fourier(np.full((2, 3), 0.5), np.full((2, 3), -0.3), np.array([-0.5, 0.2]), 2.0)
-    kept = apart(Gauge.of(robot, limits), first)
+    first = FourierSeries(np.full((2, 3), 0.5), np.full((2, 3), -0.3), np.array([-0.5, 0.2]), 2.0)
+    kept = penalise_overlap(StateScaling.of(robot, limits), first)
     plain, priced = (
-        Evaluator(optimize.prepare(robot, limits, options, apart=a).problem) for a in (None, kept)
+        Evaluator(optimize.set_up(robot, limits, options, apart=a).problem) for a in (None, kept)
     )
     rng = np.random.default_rng(0)
     x, d = 0.4 * rng.normal(size=plain.problem.size), rng.normal(size=plain.problem.size)

@@ -11,13 +11,13 @@ from conftest import BUILTIN, loaded, pendulum
 
 from excite.designer import optimize, pipeline, time_budget
 from excite.designer.criteria import Criterion
-from excite.designer.problem import Options
-from excite.designer.time_budget import HIGHEST, TOLERANCE, Candidate, Plan, Wish
+from excite.designer.problem import DesignOptions
+from excite.designer.time_budget import MAX_FREQUENCY, DEVIATION_TOLERANCE, BudgetCandidate, BudgetPlan, MotionRequest
 from excite.errors import UnusableInput
 from excite.robot import robot
 from excite.robot.limits import Limits, resolve
 
-SHORT = Options(iterations=15, jobs=1)
+SHORT = DesignOptions(iterations=15, jobs=1)
 
 
 def bounds(position=(-1.0, 1.0), velocity=2.0, acceleration=np.inf, n=1) -> Limits:
@@ -48,7 +48,7 @@ def bounds(position=(-1.0, 1.0), velocity=2.0, acceleration=np.inf, n=1) -> Limi
     ids=str,
 )
 def test_a_sweep_is_the_sinusoid_that_its_limits_just_allow(changes, swept):
-    assert time_budget.sweeps(bounds(**changes)) == pytest.approx([swept])
+    assert time_budget.sweep_periods(bounds(**changes)) == pytest.approx([swept])
 
 
 @pytest.mark.parametrize("name", BUILTIN)
@@ -56,15 +56,15 @@ def test_a_sweep_is_the_sinusoid_that_its_limits_just_allow(changes, swept):
 def test_the_rule_gives_whole_samples_and_no_fast_harmonic(name, rate):
     found = resolve(robot.load(name))
     for harmonics in (3, 5, 12):
-        period = time_budget.period(found, harmonics, rate)
-        optimize.whole_samples(period, rate)
-        assert harmonics / period <= HIGHEST + 1e-9
-        assert period <= time_budget.LONGEST
+        period = time_budget.choose_period(found, harmonics, rate)
+        optimize.samples_per_period(period, rate)
+        assert harmonics / period <= MAX_FREQUENCY + 1e-9
+        assert period <= time_budget.MAX_PERIOD
 
 
 def test_the_rule_on_the_built_in_robots():
     """As in the README's table."""
-    found = {name: time_budget.period(resolve(robot.load(name))) for name in BUILTIN}
+    found = {name: time_budget.choose_period(resolve(robot.load(name))) for name in BUILTIN}
     assert found == {
         "fr3": 4.0,
         "iiwa14": 8.8,
@@ -77,13 +77,13 @@ def test_the_rule_on_the_built_in_robots():
 
 
 def test_slow_joints_get_at_most_the_longest_period():
-    assert time_budget.period(bounds(velocity=0.01)) == time_budget.LONGEST
+    assert time_budget.choose_period(bounds(velocity=0.01)) == time_budget.MAX_PERIOD
 
 
 def test_the_rule_beats_ten_seconds_per_sample(two_link, table):
-    fill = Wish().fill(SHORT, table)
+    fill = MotionRequest().fill(SHORT, table)
     ruled, ten = (
-        optimize.solve(optimize.prepare(two_link, table, replace(fill, period=p)))
+        optimize.solve(optimize.set_up(two_link, table, replace(fill, period=p)))
         .attempts[0]
         .objective
         for p in (fill.period, 10.0)
@@ -92,23 +92,23 @@ def test_the_rule_beats_ten_seconds_per_sample(two_link, table):
 
 
 def test_what_is_given_is_kept(table):
-    wish = Wish(period=3.0, harmonics=7, samples=33, periods=4)
-    found = wish.fill(Options(), table)
+    wish = MotionRequest(period=3.0, harmonics=7, samples=33, periods=4)
+    found = wish.fill(DesignOptions(), table)
     assert (found.period, found.harmonics, found.samples, found.periods) == (3.0, 7, 33, 4)
-    assert wish.open == [] and Wish(harmonics=7).open == ["period", "samples", "periods"]
-    assert Wish(harmonics=7).fill(Options(), table).samples == 140
+    assert wish.open == [] and MotionRequest(harmonics=7).open == ["period", "samples", "periods"]
+    assert MotionRequest(harmonics=7).fill(DesignOptions(), table).samples == 140
 
 
 def test_a_joint_without_position_limits_has_a_period():
     machine = loaded(pendulum('<limit velocity="3" effort="40"/>', "continuous"))
-    assert time_budget.period(resolve(machine)) == pytest.approx(2.0 * np.pi**2 / 3.0, abs=0.1)
+    assert time_budget.choose_period(resolve(machine)) == pytest.approx(2.0 * np.pi**2 / 3.0, abs=0.1)
 
 
 # -- the budget ----------------------------------------------------------------------------------------------------
 
 
-def planned(two_link, table, budget=16.0, wish=Wish(), options=SHORT, **more) -> Plan:  # noqa: B008
-    return time_budget.budgeted(two_link, table, options, wish, budget, **more)
+def planned(two_link, table, budget=16.0, wish=MotionRequest(), options=SHORT, **more) -> BudgetPlan:  # noqa: B008
+    return time_budget.plan_for_budget(two_link, table, options, wish, budget, **more)
 
 
 def test_candidates_fill_the_time_and_the_simplest_good_one_is_chosen(two_link, table):
@@ -118,15 +118,15 @@ def test_candidates_fill_the_time_and_the_simplest_good_one_is_chosen(two_link, 
         assert (
             0.8 * 16.0 < c.robot_time <= 16.0
             and c.repeats >= 2
-            and c.harmonics / c.period <= HIGHEST + 1e-9
+            and c.harmonics / c.period <= MAX_FREQUENCY + 1e-9
         )
         assert c.robot_time > c.repeats * c.period
     least = min(c.deviation for c in found.candidates)
-    assert found.best.deviation <= (1.0 + TOLERANCE) * least
+    assert found.best.deviation <= (1.0 + DEVIATION_TOLERANCE) * least
     assert all(
         c.effort >= found.best.effort
         for c in found.candidates
-        if c.deviation <= (1.0 + TOLERANCE) * least
+        if c.deviation <= (1.0 + DEVIATION_TOLERANCE) * least
     )
 
 
@@ -140,11 +140,11 @@ def test_one_seed_gives_one_plan_on_any_number_of_processes(two_link, table):
 @pytest.mark.parametrize(
     "wish",
     [
-        Wish(period=4.0),
-        Wish(harmonics=4),
-        Wish(samples=60),
-        Wish(periods=3),
-        Wish(period=3.0, harmonics=3, samples=40, periods=2),
+        MotionRequest(period=4.0),
+        MotionRequest(harmonics=4),
+        MotionRequest(samples=60),
+        MotionRequest(periods=3),
+        MotionRequest(period=3.0, harmonics=3, samples=40, periods=2),
     ],
 )
 def test_what_is_given_is_respected_and_only_the_rest_chosen(two_link, table, wish):
@@ -160,10 +160,10 @@ def test_what_is_given_is_respected_and_only_the_rest_chosen(two_link, table, wi
 
 
 def test_information_already_there_counts_per_sample(two_link, table):
-    setting = optimize.prepare(two_link, table, SHORT)
+    setting = optimize.set_up(two_link, table, SHORT)
     root = setting.problem.parameters.scale / 1e3
     there = 1e9 * np.linalg.inv(root @ root.T)
-    wish = Wish(harmonics=3)
+    wish = MotionRequest(harmonics=3)
     assert max(
         c.deviation for c in planned(two_link, table, wish=wish, given=there).candidates
     ) < 0.5 * min(c.deviation for c in planned(two_link, table, wish=wish).candidates)
@@ -172,7 +172,7 @@ def test_information_already_there_counts_per_sample(two_link, table):
 @pytest.mark.parametrize("criterion", list(Criterion))
 def test_deviations_are_of_one_kind(two_link, table, criterion):
     """Twice the samples of a motion halve its variance; a condition number does not know how many there are."""
-    base = optimize.prepare(two_link, table, SHORT).base
+    base = optimize.set_up(two_link, table, SHORT).base
     once, twice = (time_budget._deviation(criterion, 2.0, base, count) for count in (100.0, 200.0))
     assert once / twice == pytest.approx(
         1.0 if criterion in (Criterion.COND, Criterion.COND_REGRESSOR) else np.sqrt(2.0)
@@ -192,14 +192,14 @@ def test_time_that_is_too_short_is_refused_with_the_least_that_is_not(two_link, 
 @pytest.mark.parametrize(
     ("budget", "wish", "options", "words"),
     [
-        (0.0, Wish(), SHORT, "--time 0 should be positive"),
-        (np.nan, Wish(), SHORT, "--time nan should be positive"),
-        (20.0, Wish(), replace(SHORT, free_period=(1.0, 5.0)), "--optimise-period"),
-        (12.0, Wish(period=10.0), SHORT, "2 periods of 10 s"),
-        (12.0, Wish(periods=20), SHORT, "20 periods"),
-        (12.0, Wish(harmonics=0), SHORT, "--harmonics should be positive"),
-        (12.0, Wish(periods=1), SHORT, "--periods should be at least 2"),
-        (12.0, Wish(period=0.0), SHORT, "--period 0"),
+        (0.0, MotionRequest(), SHORT, "--time 0 should be positive"),
+        (np.nan, MotionRequest(), SHORT, "--time nan should be positive"),
+        (20.0, MotionRequest(), replace(SHORT, free_period=(1.0, 5.0)), "--optimise-period"),
+        (12.0, MotionRequest(period=10.0), SHORT, "2 periods of 10 s"),
+        (12.0, MotionRequest(periods=20), SHORT, "20 periods"),
+        (12.0, MotionRequest(harmonics=0), SHORT, "--harmonics should be positive"),
+        (12.0, MotionRequest(periods=1), SHORT, "--periods should be at least 2"),
+        (12.0, MotionRequest(period=0.0), SHORT, "--period 0"),
     ],
 )
 def test_a_budget_that_contradicts_the_rest_is_refused(
@@ -211,9 +211,9 @@ def test_a_budget_that_contradicts_the_rest_is_refused(
 
 def test_a_start_pose_costs_time(two_link, table):
     pose = np.array([-1.5, 0.3])
-    found = planned(two_link, table, start=pose, wish=Wish(harmonics=3))
-    delivery = time_budget.deliver(
-        found, SHORT, lambda options: pipeline.run(two_link, table, options, start=pose)
+    found = planned(two_link, table, start=pose, wish=MotionRequest(harmonics=3))
+    delivery = time_budget.run_plan(
+        found, SHORT, lambda options: pipeline.design_trajectory(two_link, table, options, start=pose)
     )
     assert delivery.trajectory.motion.duration <= 16.0
     assert max(c.repeats * c.period for c in found.candidates) < 15.0
@@ -222,8 +222,8 @@ def test_a_start_pose_costs_time(two_link, table):
 # -- the motion itself ---------------------------------------------------------------------------------------------
 
 
-def candidate(period: float, repeats: int) -> Candidate:
-    return Candidate(period, 3, 60, repeats, repeats * period + 1.0, 1.0, 1.0, 0.1)
+def candidate(period: float, repeats: int) -> BudgetCandidate:
+    return BudgetCandidate(period, 3, 60, repeats, repeats * period + 1.0, 1.0, 1.0, 0.1)
 
 
 class Robotic:
@@ -232,7 +232,7 @@ class Robotic:
     def __init__(self, ramps: float, speed: float = 1.0) -> None:
         self.ramps, self.speed, self.asked = ramps, speed, []
 
-    def __call__(self, options: Options) -> SimpleNamespace:
+    def __call__(self, options: DesignOptions) -> SimpleNamespace:
         self.asked.append((options.period, options.periods))
         motion = SimpleNamespace(
             duration=(options.period * options.periods + self.ramps) / self.speed
@@ -244,13 +244,13 @@ class Robotic:
 
 def test_longer_ramps_than_foreseen_shorten_the_period():
     run = Robotic(2.5)
-    time_budget.deliver(Plan(11.0, Wish(), (candidate(3.0, 3),), 0), Options(), run)
+    time_budget.run_plan(BudgetPlan(11.0, MotionRequest(), (candidate(3.0, 3),), 0), DesignOptions(), run)
     assert run.asked == [(3.0, 3), (2.8, 3)]
 
 
 def test_or_take_a_repeat_where_the_period_is_given():
     run = Robotic(2.5)
-    time_budget.deliver(Plan(11.0, Wish(period=3.0), (candidate(3.0, 3),), 0), Options(), run)
+    time_budget.run_plan(BudgetPlan(11.0, MotionRequest(period=3.0), (candidate(3.0, 3),), 0), DesignOptions(), run)
     assert run.asked == [(3.0, 3), (3.0, 2)]
 
 
@@ -258,22 +258,22 @@ def test_and_are_refused_where_nothing_may_give_way():
     with pytest.raises(
         UnusableInput, match=r"the motion takes 11\.5 s; give at least --time 11\.5"
     ):
-        time_budget.deliver(
-            Plan(11.0, Wish(period=3.0, periods=3), (candidate(3.0, 3),), 0),
-            Options(),
+        time_budget.run_plan(
+            BudgetPlan(11.0, MotionRequest(period=3.0, periods=3), (candidate(3.0, 3),), 0),
+            DesignOptions(),
             Robotic(2.5),
         )
 
 
 def test_time_is_that_of_full_speed():
     run = Robotic(1.0, speed=0.1)
-    time_budget.deliver(Plan(11.0, Wish(), (candidate(3.0, 3),), 0), Options(), run)
+    time_budget.run_plan(BudgetPlan(11.0, MotionRequest(), (candidate(3.0, 3),), 0), DesignOptions(), run)
     assert run.asked == [(3.0, 3)]
 
 
 def test_a_planned_motion_keeps_its_time(two_link, table):
-    found = planned(two_link, table, 12.0, Wish(harmonics=3))
-    delivery = time_budget.deliver(
-        found, SHORT, lambda options: pipeline.run(two_link, table, options)
+    found = planned(two_link, table, 12.0, MotionRequest(harmonics=3))
+    delivery = time_budget.run_plan(
+        found, SHORT, lambda options: pipeline.design_trajectory(two_link, table, options)
     )
     assert delivery.trajectory.motion.duration <= 12.0 and delivery.certificate.ok

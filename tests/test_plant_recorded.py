@@ -32,7 +32,7 @@ def test_a_trajectory_is_replayed_as_designed(name):
     from excite.trajectory import trajectory_file
 
     path = TRAJECTORIES / f"{name}.json"
-    designed, replayed = trajectory_file.read(path).motion, reference_trajectory.read_reference(path)
+    designed, replayed = trajectory_file.read_trajectory(path).motion, reference_trajectory.read_reference(path)
     t = np.linspace(0.0, designed.duration, 777)
     for order, values in enumerate(replayed.at(t)[:2]):
         np.testing.assert_allclose(values, designed.at(t, order), atol=1e-9)

@@ -11,10 +11,10 @@ from made import WIDTH, perturbed
 from test_diagnose import PLANTED, found, recordings_of
 
 from excite.diagnosis import whole
-from excite.effects import track
+from excite.effects import recorded_motion
 from excite.errors import UnusableInput
-from excite.identification.identified_model import FittedModel
-from excite.identification.regression import Model
+from excite.identification.identified_model import IdentifiedModel
+from excite.identification.regression import IdentificationModel
 from excite.schemas.document_file import DocumentFile
 from excite.schemas.effects import EffectDocument
 
@@ -33,8 +33,8 @@ def test_what_was_found_is_predicted_and_gone_from_the_recording(subject):
     bare = whole.removed(result.parts, validate, result.tracks[1])
     _, clean = recordings_of(subject, None)
     one = result.tracks[1][0]
-    apart = one.band.low(bare.torque - clean.torque, track.Grid.KEPT)[one.kept]
-    hidden = one.band.low(validate.torque - clean.torque, track.Grid.KEPT)[one.kept]
+    apart = one.band.low(bare.torque - clean.torque, recorded_motion.Grid.KEPT)[one.kept]
+    hidden = one.band.low(validate.torque - clean.torque, recorded_motion.Grid.KEPT)[one.kept]
     assert np.sqrt(np.mean(apart**2)) < 0.25 * np.sqrt(np.mean(hidden**2))
     again = [
         whole.restored(validated(whole.entry(part, subject.robot)), subject.robot)
@@ -49,10 +49,10 @@ def test_what_was_found_is_predicted_and_gone_from_the_recording(subject):
     )
 
 
-def fitted_with(subject: Model, effects: tuple[dict[str, Any], ...]) -> FittedModel:
+def fitted_with(subject: IdentificationModel, effects: tuple[dict[str, Any], ...]) -> IdentifiedModel:
     documents = tuple(validated(effect) for effect in effects)
     psi = perturbed(subject.parameters, np.random.default_rng(4))
-    return FittedModel(
+    return IdentifiedModel(
         "model.json",
         subject.robot,
         subject.parameters.drive,

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 from excite.designer import criteria, identifiability, ramps
-from excite.designer.constraint_margins import Subject
+from excite.designer.constraint_margins import MotionConstraints
 from excite.report import DesignRecord, design_page, identifiability_page
 from excite.report.figures.drawing import thin_curve
 from excite.report.figures.small_multiples import ticks
 from excite.report.page import number
 from excite.robot import base_parameters, dynamics, inertial_parameters, limits, robot
 from excite.trajectory import trajectory_file
-from excite.trajectory.fourier import Fourier
+from excite.trajectory.fourier import FourierSeries
 from excite.trajectory.trajectory_file import Trajectory
 
 SECTIONS = (
@@ -62,14 +62,14 @@ def parts(source: str) -> tuple:
     offset = 0.2 * rng.normal(size=loaded.n) + (
         np.array([0.0, -1.2, 0.8, 0.0, 0.5, 0.0]) if loaded.n == 6 else 0.0
     )
-    series = Fourier(
+    series = FourierSeries(
         0.15 * rng.normal(size=(loaded.n, 4)), 0.15 * rng.normal(size=(loaded.n, 4)), offset, 5.0
     )
-    stated = ramps.with_derived(table, series)
-    motion = ramps.rest_to_rest(Subject(loaded, stated, standard, 0.05), series, 2, 100.0)
+    stated = ramps.with_derived_limits(table, series)
+    motion = ramps.plan_rest_to_rest(MotionConstraints(loaded, stated, standard, 0.05), series, 2, 100.0)
     noise = 0.01 * table.torque
     scores = {
-        name: criteria.score(dynamics.regressor(loaded, standard, samples), found, noise)
+        name: criteria.evaluate_criteria(dynamics.regressor(loaded, standard, samples), found, noise)
         for name, samples in (
             ("optimum", series.samples(series.grid(100))),
             ("exported", motion.samples(motion.grid(50.0))),
@@ -110,7 +110,7 @@ def parts(source: str) -> tuple:
         margins=margins,
         collision="collision not checked",
         seed=7,
-        versions=trajectory_file.versions(),
+        versions=trajectory_file.package_versions(),
     )
     root = identifiability.information_root(
         loaded, standard, motion.samples(motion.grid(100.0)), noise
@@ -326,7 +326,7 @@ def pair(source: str, independent: bool = True, overlap: float = 0.3, criterion:
     """A report with a second motion: the first, half a radian on and run faster."""
     trajectory, *rest = parts(source)
     series = trajectory.motion.fourier
-    moved = Fourier(1.2 * series.sine, series.cosine, series.offset + 0.5, series.period)
+    moved = FourierSeries(1.2 * series.sine, series.cosine, series.offset + 0.5, series.period)
     likeness = {"overlap": overlap, "torque_correlation": dict.fromkeys(trajectory.joints, 0.45)}
     other = {**likeness, "overlap": 0.6} if independent else None
     facts = {

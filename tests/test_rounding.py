@@ -14,10 +14,10 @@ from made import simulated
 
 from excite import recordings
 from excite.diagnosis import noise
-from excite.effects import track
+from excite.effects import recorded_motion
 from excite.identification import segments
 from excite.identification.lowpass import LowPassFilter, Grid
-from excite.identification.regression import Model
+from excite.identification.regression import IdentificationModel
 from excite.recordings import encoder, quantization
 from excite.robot import base_parameters, inertial_parameters, limits, robot
 from excite.robot.robot import locate
@@ -161,19 +161,19 @@ def test_what_steps_are_said_to_feign_is_of_the_size_of_what_they_do(tmp_path):
         periods=1,
     )
     true = simulated(fine.plant, standard, table)
-    model = Model(
+    model = IdentificationModel(
         machine, standard, base_parameters.find(machine, standard, table), fine.plant.drive.width
     )
-    theta, body = model.base.matrix @ true, track.body(machine, standard, true)
+    theta, body = model.base.matrix @ true, recorded_motion.body(machine, standard, true)
 
-    def tracked(resolution: float) -> list[track.Track]:
+    def tracked(resolution: float) -> list[recorded_motion.Track]:
         chain = dataclasses.replace(fine.chain, encoder=resolution)
         told = dataclasses.replace(
             fine.recording, q=chain.positions(fine.run.told(fine.recording.t)[0])
         )
         path = tmp_path / "r.csv"
         path.write_text(told.csv())
-        return track.tracks(
+        return recorded_motion.tracks(
             model, body, theta, list(segments.extract_segments([recordings.read(path, machine)])), 20.0
         )
 

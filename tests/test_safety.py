@@ -18,7 +18,7 @@ from shared_inputs import INPUTS, needs_inputs
 from excite.cli import main as main_module
 from excite.collision import scene_file
 from excite.designer import certificate, pipeline
-from excite.designer.problem import Options
+from excite.designer.problem import DesignOptions
 from excite.robot.limits import resolve
 from excite.robot.robot import load, locate
 from excite.trajectory import trajectory_file
@@ -194,7 +194,7 @@ def test_shapes_of_the_robot_taken_out_of_the_file_fail(capsys, designed, tmp_pa
 
 
 def test_margins_are_kept_by_kind_and_stated(designed):
-    trajectory = trajectory_file.read(designed / "o" / "trajectory.json")
+    trajectory = trajectory_file.read_trajectory(designed / "o" / "trajectory.json")
     assert trajectory.design["margin"] == {
         "velocity": 0.1,
         "acceleration": 0.02,
@@ -208,9 +208,9 @@ def test_margins_are_kept_by_kind_and_stated(designed):
 
 
 def test_a_margin_costs_and_none_is_allowed(two_link):
-    free = Options(period=4.0, samples=60, starts=1, iterations=60)
+    free = DesignOptions(period=4.0, samples=60, starts=1, iterations=60)
     values = [
-        pipeline.run(two_link, resolve(two_link, margin=share), free).trajectory.criteria[
+        pipeline.design_trajectory(two_link, resolve(two_link, margin=share), free).trajectory.criteria[
             "optimum"
         ]["geometric"]["a"]
         for share in (0.0, 0.3)
@@ -236,11 +236,11 @@ def test_a_margin_table_that_makes_no_sense_is_refused(capsys, table, tmp_path):
 
 
 def test_no_percentage_is_a_negative_zero():
-    assert {certificate.percent(share) for share in (0.0, -0.0, 1e-12, -1e-10)} == {"0 %"}
+    assert {certificate.format_percent(share) for share in (0.0, -0.0, 1e-12, -1e-10)} == {"0 %"}
     assert (
-        certificate.percent(-0.004) == "-0.4 %"
-        and certificate.percent(0.02) == "2.0 %"
-        and certificate.percent(3.3) == "330 %"
+        certificate.format_percent(-0.004) == "-0.4 %"
+        and certificate.format_percent(0.02) == "2.0 %"
+        and certificate.format_percent(3.3) == "330 %"
     )
 
 
@@ -292,7 +292,7 @@ def test_the_height_of_the_floor_is_printed_and_shown(capsys, tmp_path):
 @pytest.mark.parametrize("name", ["ur10e", "panda"])
 def test_no_link_comes_below_its_clearance_over_the_mounting_plane(name):
     """By Pinocchio's own geometry of the URDF: lowest corner of each shape's bounding box over the whole motion."""
-    trajectory = trajectory_file.read(
+    trajectory = trajectory_file.read_trajectory(
         Path(__file__).resolve().parents[1] / "trajectories" / f"{name}.json"
     )
     path = locate(name)
@@ -362,10 +362,10 @@ def test_a_link_that_turns_just_above_the_floor_does_not_stand_in_the_way(tmp_pa
 def test_a_slower_run_that_asks_for_more_torque_is_not_exported(capsys, two_link, tmp_path):
     """Where inertia carries the arm, less speed leaves gravity to the actuator."""
     table = resolve(two_link)
-    found = pipeline.run(two_link, table, Options(period=4.0, samples=60, starts=1, iterations=60))
+    found = pipeline.design_trajectory(two_link, table, DesignOptions(period=4.0, samples=60, starts=1, iterations=60))
     slow = certificate.limit_margins(
         dataclasses.replace(found.trajectory, motion=found.trajectory.motion.slowed(0.05)),
-        certificate.subject_of(found.trajectory, two_link, table),
+        certificate.motion_constraints(found.trajectory, two_link, table),
     )
     still = {m.joint: abs(m.value) for m in slow if m.limit == "torque"}
     weak = table.scaled(torque=np.array([still[j] * 0.99 for j in two_link.joints]) / table.torque)

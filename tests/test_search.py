@@ -23,7 +23,7 @@ from excite.robot.robot import load
 @pytest.fixture(scope="module")
 def problem():
     robot = load("two_link")
-    return optimize_module.prepare(robot, limits.resolve(robot), QUICK).problem
+    return optimize_module.set_up(robot, limits.resolve(robot), QUICK).problem
 
 
 # -- one step ------------------------------------------------------------------------------------------------------
@@ -65,7 +65,7 @@ def test_a_step_solves_its_quadratic_program(seed):
 
 
 def test_rows_far_from_their_limit_join_when_a_step_would_break_them():
-    J, room = np.eye(2), np.array([10.0 * qp_subproblem.TIGHT, 5.0])
+    J, room = np.eye(2), np.array([10.0 * qp_subproblem.WORKING_SET_SLACK, 5.0])
     step, multipliers = qp_subproblem.solve(
         np.eye(2), np.array([-3.0, -1.0]), J, room, np.full(2, -9.0), np.full(2, 9.0)
     )
@@ -89,8 +89,8 @@ def test_a_search_put_aside_and_resumed_ends_where_it_would_have(problem, criter
     built = replace(problem, options=replace(problem.options, criterion=criterion, iterations=80))
     x = np.full(built.size, 0.05)
     x[:: built.options.harmonics] = 0.1
-    whole = sqp.advance(Evaluator(built), sqp.begin(x), sqp.History())
-    state = sqp.begin(x)
+    whole = sqp.advance(Evaluator(built), sqp.initial_state(x), sqp.History())
+    state = sqp.initial_state(x)
     for _ in range(100):
         state = sqp.advance(Evaluator(built), state, sqp.History(), 7)
         if state.done:
@@ -103,7 +103,7 @@ def test_a_search_put_aside_and_resumed_ends_where_it_would_have(problem, criter
 def test_the_budget_of_iterations_holds_over_all_stages(problem):
     built = replace(problem, options=replace(problem.options, criterion=Criterion.E, iterations=9))
     history = sqp.History()
-    state = sqp.advance(Evaluator(built), sqp.begin(np.full(built.size, 0.05)), history)
+    state = sqp.advance(Evaluator(built), sqp.initial_state(np.full(built.size, 0.05)), history)
     assert state.done and state.iterations == len(history.time) == 9
 
 
@@ -119,7 +119,7 @@ def quick_rounds(monkeypatch):
 def test_the_worse_half_stops_early_and_says_so(problem, quick_rounds):
     told: list[str] = []
     built = replace(problem, options=replace(problem.options, starts=8, jobs=1, iterations=40))
-    found = multistart.run(built, 0.0, range(8), told.append)
+    found = multistart.run_starts(built, 0.0, range(8), told.append)
     assert sorted(a.number for a in found) == list(range(8))
     assert [a.objective for a in found] == sorted(a.objective for a in found)
     used = sorted(a.state.iterations for a in found if a.stopped)
@@ -132,14 +132,14 @@ def test_the_worse_half_stops_early_and_says_so(problem, quick_rounds):
 
 def test_what_finishes_is_what_it_would_have_been_alone(problem, quick_rounds):
     built = replace(problem, options=replace(problem.options, starts=8, jobs=1, iterations=40))
-    best = next(a for a in multistart.run(built, 0.0, range(8)) if not a.stopped)
-    (alone,) = multistart.run(built, 0.0, [best.number])
+    best = next(a for a in multistart.run_starts(built, 0.0, range(8)) if not a.stopped)
+    (alone,) = multistart.run_starts(built, 0.0, [best.number])
     assert np.array_equal(alone.motion.sine, best.motion.sine) and alone.objective == best.objective
 
 
 def test_few_starts_all_run_to_their_end(problem):
     built = replace(problem, options=replace(problem.options, jobs=1, iterations=40))
-    assert not any(a.stopped for a in multistart.run(built, 0.0, range(multistart.MANY - 1)))
+    assert not any(a.stopped for a in multistart.run_starts(built, 0.0, range(multistart.MIN_STARTS_FOR_HALVING - 1)))
 
 
 def same(one: list, other: list) -> bool:
@@ -153,9 +153,9 @@ def same(one: list, other: list) -> bool:
 def test_the_back_end_changes_no_bit(problem, quick_rounds, name):
     built = replace(problem, options=replace(problem.options, jobs=2, iterations=12))
     with cluster.backend(name):
-        spread = multistart.run(built, 0.0, range(6))
+        spread = multistart.run_starts(built, 0.0, range(6))
     with joblib.parallel_config(n_jobs=1):
-        alone = multistart.run(
+        alone = multistart.run_starts(
             replace(built, options=replace(built.options, jobs=1)), 0.0, range(6)
         )
     assert same(spread, alone)
@@ -174,10 +174,10 @@ def test_a_local_dask_cluster_changes_no_bit(problem):
         Client(local),
         cluster.backend("dask", local.scheduler_address),
     ):
-        spread = multistart.run(built, 0.0, range(4))
+        spread = multistart.run_starts(built, 0.0, range(4))
     assert same(
         spread,
-        multistart.run(replace(built, options=replace(built.options, jobs=1)), 0.0, range(4)),
+        multistart.run_starts(replace(built, options=replace(built.options, jobs=1)), 0.0, range(4)),
     )
 
 
@@ -197,7 +197,7 @@ def test_a_cluster_that_is_not_there_is_one_line(name, address, words):
 @pytest.mark.parametrize("name", ["two_link", "panda"])
 def test_support_and_blocks_change_nothing_but_the_cost(name):
     robot = load(name)
-    built = optimize_module.prepare(robot, limits.resolve(robot), QUICK).problem
+    built = optimize_module.set_up(robot, limits.resolve(robot), QUICK).problem
     evaluator, x = Evaluator(built), np.random.default_rng(0).normal(size=built.size)
     Y = evaluator._regressor_at(evaluator._at(x)).copy()
     sparse, dense = built.weighting, replace(built.weighting, support=None)
@@ -226,7 +226,7 @@ def test_both_ways_to_the_spectrum_agree(monkeypatch):
     found = {}
     for narrow in (1e-6, 1.0):  # squared; from the rows themselves
         monkeypatch.setattr(criteria, "NARROW", narrow)
-        found[narrow] = [criteria.smooth(c, rows, 4.0) for c in Criterion]
+        found[narrow] = [criteria.smooth_objective(c, rows, 4.0) for c in Criterion]
     for (value, slope), (other, its_slope) in zip(*found.values(), strict=True):
         assert value == pytest.approx(other, rel=1e-10)
         assert np.allclose(slope, its_slope, rtol=1e-8, atol=1e-12 * np.abs(slope).max())
@@ -234,5 +234,5 @@ def test_both_ways_to_the_spectrum_agree(monkeypatch):
 
 def test_every_criterion_has_stages_that_sharpen():
     for criterion in Criterion:
-        sharpness = sqp.stages(criterion)
+        sharpness = sqp.sharpness_stages(criterion)
         assert all(a < b for a, b in itertools.pairwise(sharpness))

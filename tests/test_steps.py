@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from excite.effects import BY_NAME
 from excite.effects.effect import Shape
 from excite.effects.friction import TOLD
-from excite.effects.track import Track
+from excite.effects.recorded_motion import Track
 
 Array = np.ndarray
 

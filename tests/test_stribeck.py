@@ -16,13 +16,13 @@ from excite.effects import BY_NAME
 from excite.effects.effect import Delay, Knobs, Shape
 from excite.recordings import Recording
 from excite.robot.samples import Samples
-from excite.trajectory.fourier import Fourier
+from excite.trajectory.fourier import FourierSeries
 
 Array = np.ndarray
 HEIGHT, VELOCITY, CREEP = 1.5, 0.12, 0.15
 
 
-class Creeping(Fourier):
+class Creeping(FourierSeries):
     """A motion whose joints go slowly about where they turn back: at a speed v of the usual, by v³/(v² + c²)."""
 
     def samples(self, t: Array) -> Samples:

@@ -32,7 +32,7 @@ def near_standstill(n: int) -> Samples:
 
 
 def symbolic_regressor(robot: Robot, standard: Parameters, motion: Samples) -> np.ndarray:
-    function = casadi_model.functions(robot, standard).regressor
+    function = casadi_model.dynamics_functions(robot, standard).regressor
     return np.array(
         [
             np.asarray(function(*state)).T
@@ -110,7 +110,7 @@ def test_adjoint_is_the_gradient(name):
     robot = chosen(name)
     standard, motion = layout(robot), near_standstill(robot.n)
     seed = np.random.default_rng(2).normal(size=(robot.n, standard.count))
-    adjoint = casadi_model.functions(robot, standard).adjoint
+    adjoint = casadi_model.dynamics_functions(robot, standard).adjoint
     found = [
         np.concatenate([np.asarray(g).ravel() for g in adjoint(*s, seed.T)])
         for s in zip(motion.q, motion.dq, motion.ddq, strict=True)
@@ -128,7 +128,7 @@ def test_row_gradients_are_the_gradients_of_each_torque(name):
     robot = chosen(name)
     standard, motion = layout(robot), near_standstill(robot.n)
     weight = np.random.default_rng(2).normal(size=standard.count)
-    row = casadi_model.functions(robot, standard).row
+    row = casadi_model.dynamics_functions(robot, standard).row
     for j, pick in enumerate(np.eye(robot.n)):
         found = [
             np.concatenate([np.asarray(g).ravel() for g in row(*s, weight, pick)])
@@ -166,7 +166,7 @@ def test_frame_position_is_pinocchios(name, frame):
         else text_of(name)
     )
     robot = loaded(text)
-    function = casadi_model.position(robot, frame)
+    function = casadi_model.frame_position(robot, frame)
     for q in states(robot.n).q:
         assert np.allclose(
             np.asarray(function(q)[0]).ravel(), reached(text, frame, robot.joints, q), atol=1e-12
@@ -175,7 +175,7 @@ def test_frame_position_is_pinocchios(name, frame):
 
 def test_frame_jacobian_is_the_derivative():
     robot = load("ur10e")
-    function, q = casadi_model.position(robot, "tool0"), states(6).q[0]
+    function, q = casadi_model.frame_position(robot, "tool0"), states(6).q[0]
     found = np.asarray(function(q)[1])
     measured = [
         slope(lambda h, e=e: dynamics.positions(robot, "tool0", (q + h * e)[None])[0], 1e-2)
@@ -187,7 +187,7 @@ def test_frame_jacobian_is_the_derivative():
 def test_frame_of_a_mimic_robot_follows_it():
     robot = chosen("mimic")
     q = states(robot.n).q
-    function = casadi_model.position(robot, "tool")
+    function = casadi_model.frame_position(robot, "tool")
     assert (
         off(
             np.array([np.asarray(function(x)[0]).ravel() for x in q]),
@@ -199,4 +199,4 @@ def test_frame_of_a_mimic_robot_follows_it():
 
 def test_an_unknown_frame_is_refused():
     with pytest.raises(UnusableInput, match="no frame 'claw'"):
-        casadi_model.position(load("two_link"), "claw")
+        casadi_model.frame_position(load("two_link"), "claw")

@@ -15,9 +15,9 @@ from excite.diagnosis import diagnosis, interval, whole
 from excite.diagnosis.diagnosis_file import document
 from excite.effects import BY_NAME, thermal
 from excite.effects.effect import Shape
-from excite.effects.track import Grid, Track
+from excite.effects.recorded_motion import Grid, Track
 from excite.errors import UnusableInput
-from excite.identification.regression import Model
+from excite.identification.regression import IdentificationModel
 from excite.recordings import Recording
 
 Array = np.ndarray
@@ -27,7 +27,7 @@ DAYS = (24.0, 30.0), (38.0, 33.0)
 """Temperature of the first joint at the beginning and the end of either recording."""
 
 
-def days(subject: Model, dry: bool) -> list[Recording]:
+def days(subject: IdentificationModel, dry: bool) -> list[Recording]:
     """Two recordings, the second warmer; only the first joint has a sensor. dry: Coulomb friction changes as viscous friction does."""
     psi = perturbed(subject.parameters, np.random.default_rng(4))
     coulomb, viscous = (
@@ -129,7 +129,7 @@ def test_a_joint_that_its_own_friction_heats_cools_where_it_slows_down(subject):
     assert result.after[0] < 1.3 * result.floor[0]
 
 
-def heated(subject: Model, constant: float) -> tuple[Track, Shape]:
+def heated(subject: IdentificationModel, constant: float) -> tuple[Track, Shape]:
     track = found(subject, None).tracks[0][0]
     shapes = BY_NAME["thermal_drift"].shapes([track])
     return track, next(s for s in shapes if s.joint == 0 and "power" in s.values).knob.at(constant)

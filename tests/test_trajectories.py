@@ -17,8 +17,8 @@ def test_every_built_in_robot_has_one():
 
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.json")), ids=lambda p: p.stem)
 def test_it_keeps_its_certificate(path):
-    trajectory = trajectory_file.read(path)
-    certificate = certificate_module.of_file(trajectory, trajectory.load_robot())
+    trajectory = trajectory_file.read_trajectory(path)
+    certificate = certificate_module.verify_file(trajectory, trajectory.load_robot())
     assert certificate.ok, (certificate.worst(), certificate.faults)
-    assert certificate.clearance is certificate_module.Verdict.CERTIFIED
+    assert certificate.clearance is certificate_module.CertificateVerdict.CERTIFIED
     assert not trajectory.forced

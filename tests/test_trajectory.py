@@ -10,17 +10,17 @@ from conftest import off, slope
 from hypothesis import given
 from hypothesis import strategies as st
 
-from excite.designer.ramps import reverse
+from excite.designer.ramps import reverse_profile
 from excite.errors import UnusableInput
 from excite.schemas import quantities
 from excite.schemas.trajectory import SegmentDocument
-from excite.trajectory.fourier import Fourier, oversampling_bound
-from excite.trajectory.rest_to_rest import Motion, Profile, Segment, read_segments, segment_document
+from excite.trajectory.fourier import FourierSeries, oversampling_bound
+from excite.trajectory.rest_to_rest import Motion, JerkProfile, MotionSegment, segments_from_document, segments_to_document
 
 
-def series(seed: int, n: int = 3, harmonics: int = 4, period: float = 3.0) -> Fourier:
+def series(seed: int, n: int = 3, harmonics: int = 4, period: float = 3.0) -> FourierSeries:
     rng = np.random.default_rng(seed)
-    return Fourier(
+    return FourierSeries(
         rng.normal(size=(n, harmonics)), rng.normal(size=(n, harmonics)), rng.normal(size=n), period
     )
 
@@ -100,7 +100,7 @@ def test_no_motion_exceeds_the_grid_by_more_than_the_bound(seed, harmonics, more
 @pytest.mark.parametrize("degree", [1, 3, 5])
 def test_some_motion_attains_the_bound(degree):
     count = 4 * degree
-    wave = Fourier(np.eye(degree)[-1:], np.zeros((1, degree)), np.zeros(1), 1.0).shifted(
+    wave = FourierSeries(np.eye(degree)[-1:], np.zeros((1, degree)), np.zeros(1), 1.0).shifted(
         0.5 / count
     )
     on_grid = np.abs(wave.at(wave.grid(count), 1)).max()
@@ -114,7 +114,7 @@ def test_a_grid_that_is_too_coarse_proves_nothing():
 # -- profiles of constant jerk -------------------------------------------------------------------------------------
 
 
-def profile(seed: int) -> Profile:
+def profile(seed: int) -> JerkProfile:
     rng = np.random.default_rng(seed)
     pieces = tuple(
         tuple(
@@ -123,7 +123,7 @@ def profile(seed: int) -> Profile:
         )
         for k in (3, 5)
     )
-    return Profile(*(rng.normal(size=2) for _ in range(3)), pieces)
+    return JerkProfile(*(rng.normal(size=2) for _ in range(3)), pieces)
 
 
 @given(drawn, st.integers(0, 2))
@@ -156,7 +156,7 @@ def test_reversed_profile_runs_backwards(seed):
     t = np.linspace(0, duration, 9)
     for order in range(3):
         assert np.allclose(
-            reverse(p, duration).at(t, order), (-1) ** order * p.at(duration - t, order), atol=1e-9
+            reverse_profile(p, duration).at(t, order), (-1) ** order * p.at(duration - t, order), atol=1e-9
         )
 
 
@@ -231,11 +231,11 @@ def test_grid_ends_at_or_after_the_motion(delivery):
 def test_segments_survive_json_exactly(delivery):
     motion = delivery.trajectory.motion
     document = msgspec.convert(
-        json.loads(json.dumps(segment_document(motion))),
+        json.loads(json.dumps(segments_to_document(motion))),
         list[SegmentDocument],
         dec_hook=quantities.converted,
     )
-    segments = read_segments(document, motion.joints)
+    segments = segments_from_document(document, motion.joints)
     again = dataclasses.replace(motion, segments=segments)
     t = motion.grid(1000.0)
     assert all(np.array_equal(again.at(t, order), motion.at(t, order)) for order in range(4))
@@ -257,6 +257,6 @@ def test_a_speed_that_is_no_share_is_refused(delivery, speed):
 
 
 def test_a_motion_without_ramps_names_what_it_lacks():
-    motion = Motion(("a", "b", "c"), series(0), 2, (Segment("fourier", 0.0, 6.0),))
+    motion = Motion(("a", "b", "c"), series(0), 2, (MotionSegment("fourier", 0.0, 6.0),))
     with pytest.raises(KeyError, match="ramp_in"):
         motion.segment("ramp_in")

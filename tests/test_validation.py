@@ -10,29 +10,29 @@ import pytest
 from conftest import off
 
 from excite.designer import motion_overlap, pipeline, validation_trajectory
-from excite.designer.pipeline import Delivery
-from excite.designer.problem import Options
-from excite.designer.validation_trajectory import Validation, torque_correlation
+from excite.designer.pipeline import CertifiedDesign
+from excite.designer.problem import DesignOptions
+from excite.designer.validation_trajectory import ValidationDesign, torque_correlation
 from excite.robot import base_parameters, dynamics, inertial_parameters
 from excite.robot.limits import Limits
 from excite.robot.robot import Robot
 from excite.robot.samples import Samples
-from excite.trajectory.fourier import Fourier
+from excite.trajectory.fourier import FourierSeries
 from excite.trajectory.rest_to_rest import Motion
 
-OPTIONS = Options(period=5.2, starts=2, iterations=80, jobs=1)
+OPTIONS = DesignOptions(period=5.2, starts=2, iterations=80, jobs=1)
 RATE = 50.0
 
 
 @pytest.fixture(scope="module")
-def first(two_link: Robot, table: Limits) -> Delivery:
-    return pipeline.run(two_link, table, OPTIONS)
+def first(two_link: Robot, table: Limits) -> CertifiedDesign:
+    return pipeline.design_trajectory(two_link, table, OPTIONS)
 
 
 @pytest.fixture(scope="module")
-def second(two_link: Robot, table: Limits, first: Delivery) -> Validation:
-    return validation_trajectory.second(
-        first, two_link, lambda apart: pipeline.run(two_link, table, OPTIONS, apart=apart)
+def second(two_link: Robot, table: Limits, first: CertifiedDesign) -> ValidationDesign:
+    return validation_trajectory.design_validation(
+        first, two_link, lambda apart: pipeline.design_trajectory(two_link, table, OPTIONS, apart=apart)
     )
 
 
@@ -44,15 +44,15 @@ def test_it_is_certified_asks_for_the_same_and_goes_elsewhere(first, second):
     assert second.values[1] < 1.5 * second.values[0]
     assert second.independent is not None
     assert second.alike.overlap < second.independent.overlap
-    gauge = motion_overlap.Gauge.of(first.design.setting.problem.robot, first.trajectory.limits)
+    gauge = motion_overlap.StateScaling.of(first.design.setting.problem.robot, first.trajectory.limits)
     assert second.alike.overlap == pytest.approx(
-        motion_overlap.overlap(gauge, first.design.motion, second.delivery.design.motion)
+        motion_overlap.motion_overlap(gauge, first.design.motion, second.delivery.design.motion)
     )
 
 
 def test_one_seed_gives_one_second_motion_from_starts_of_its_own(two_link, table, first, second):
-    again = validation_trajectory.second(
-        first, two_link, lambda apart: pipeline.run(two_link, table, OPTIONS, apart=apart)
+    again = validation_trajectory.design_validation(
+        first, two_link, lambda apart: pipeline.design_trajectory(two_link, table, OPTIONS, apart=apart)
     )
     assert np.array_equal(again.delivery.design.motion.sine, second.delivery.design.motion.sine)
     assert {a.number for a in second.delivery.design.attempts} == {2, 3}
@@ -60,8 +60,8 @@ def test_one_seed_gives_one_second_motion_from_starts_of_its_own(two_link, table
 
 def test_without_another_start_nothing_is_compared(two_link, table):
     options = replace(OPTIONS, starts=1, iterations=5)
-    run = partial(pipeline.run, two_link, table, options)
-    alone = validation_trajectory.second(run(), two_link, lambda apart: run(apart=apart))
+    run = partial(pipeline.design_trajectory, two_link, table, options)
+    alone = validation_trajectory.design_validation(run(), two_link, lambda apart: run(apart=apart))
     assert alone.independent is None and alone.facts()["independent"] is None
     assert "another start" not in alone.words()
 
@@ -89,12 +89,12 @@ def test_torque_correlation_is_one_for_the_same_motion_later_and_less_for_anothe
 
 
 def test_it_is_the_price_that_drives_them_apart(two_link, table, first):
-    gauge = motion_overlap.Gauge.of(two_link, table)
-    found: list[Fourier] = []
+    gauge = motion_overlap.StateScaling.of(two_link, table)
+    found: list[FourierSeries] = []
     for weight in (0.0, 4.0):
-        kept = replace(motion_overlap.apart(gauge, first.design.motion), weight=weight)
-        found.append(pipeline.run(two_link, table, OPTIONS, apart=kept).design.motion)
-    values = [motion_overlap.overlap(gauge, first.design.motion, motion) for motion in found]
+        kept = replace(motion_overlap.penalise_overlap(gauge, first.design.motion), weight=weight)
+        found.append(pipeline.design_trajectory(two_link, table, OPTIONS, apart=kept).design.motion)
+    values = [motion_overlap.motion_overlap(gauge, first.design.motion, motion) for motion in found]
     assert values[1] < 0.8 * values[0]
 
 

@@ -15,32 +15,32 @@ from excite import _json
 from excite.designer import certificate as certificate_module
 from excite.designer import constraint_margins, pipeline, ramps
 from excite.designer.certificate import Certificate
-from excite.designer.pipeline import Delivery
-from excite.designer.problem import Box
+from excite.designer.pipeline import CertifiedDesign
+from excite.designer.problem import WorkspaceBox
 from excite.errors import UnusableInput
 from excite.robot import dynamics, inertial_parameters
 from excite.robot.limits import Limits, resolve
 from excite.robot.robot import Payload, load, locate
 from excite.trajectory import trajectory_file
-from excite.trajectory.fourier import Fourier, oversampling_bound
+from excite.trajectory.fourier import FourierSeries, oversampling_bound
 from excite.trajectory.trajectory_file import Trajectory
 
 ORDERS = {"position": 0, "velocity": 1, "acceleration": 2, "jerk": 3}
 
 
 @pytest.fixture(params=["delivery", "braked"])
-def any_delivery(request: pytest.FixtureRequest) -> Delivery:
+def any_delivery(request: pytest.FixtureRequest) -> CertifiedDesign:
     return request.getfixturevalue(request.param)
 
 
 def reread(document: dict) -> Trajectory:
     content = json.loads(_json.dumps(document))
-    return trajectory_file.parse(content, Path("trajectory.json"))
+    return trajectory_file.parse_trajectory(content, Path("trajectory.json"))
 
 
 def certificate(document: dict) -> Certificate:
     trajectory = reread(document)
-    return certificate_module.of_file(trajectory, trajectory.load_robot())
+    return certificate_module.verify_file(trajectory, trajectory.load_robot())
 
 
 # -- what is right stays right -------------------------------------------------------------------------------------
@@ -49,8 +49,8 @@ def certificate(document: dict) -> Certificate:
 def test_a_certified_motion_stays_ok_after_its_file(any_delivery, tmp_path: Path):
     path = tmp_path / "trajectory.json"
     path.write_text(_json.dumps(any_delivery.trajectory.document()), encoding="utf-8")
-    again = trajectory_file.read(path)
-    found = certificate_module.of_file(again, again.load_robot())
+    again = trajectory_file.read_trajectory(path)
+    found = certificate_module.verify_file(again, again.load_robot())
     assert found.ok and [m.document() for m in found.margins] == again.margins
 
 
@@ -91,7 +91,7 @@ def test_the_file_holds_what_the_contract_names(delivery):
 
 def test_derived_limits_are_marked_so(two_link, table):
     bare = replace(table, jerk=np.full(2, np.inf), sources={**table.sources, "jerk": ("", "")})
-    limits = pipeline.run(two_link, bare, replace(QUICK, iterations=3)).trajectory.document()[
+    limits = pipeline.design_trajectory(two_link, bare, replace(QUICK, iterations=3)).trajectory.document()[
         "limits"
     ]
     assert {entry["source"] for entry in limits["jerk"].values()} == {"derived"}
@@ -99,13 +99,13 @@ def test_derived_limits_are_marked_so(two_link, table):
 
 
 def test_a_slowed_motion_is_certified_too(two_link, table):
-    assert pipeline.run(two_link, table, replace(QUICK, iterations=3), speed=0.5).certificate.ok
+    assert pipeline.design_trajectory(two_link, table, replace(QUICK, iterations=3), speed=0.5).certificate.ok
 
 
 def test_a_robot_is_loaded_again_as_it_was_designed_for(table):
     held = load("two_link", payload=Payload("tip", 0.4, (0.0, 0.0, 0.1)), gravity=(0.0, 0.0, -5.0))
     trajectory = reread(
-        pipeline.run(held, table, replace(QUICK, iterations=3)).trajectory.document()
+        pipeline.design_trajectory(held, table, replace(QUICK, iterations=3)).trajectory.document()
     )
     again = trajectory.load_robot()
     assert again.model.inertias[2] == held.model.inertias[2] and np.array_equal(
@@ -166,7 +166,7 @@ TAMPERED = {
 }
 
 
-def tampered(delivery: Delivery, how: Callable[[dict], None]) -> Certificate:
+def tampered(delivery: CertifiedDesign, how: Callable[[dict], None]) -> Certificate:
     document = copy.deepcopy(json.loads(_json.dumps(delivery.trajectory.document())))
     how(document)
     return certificate(document)
@@ -210,7 +210,7 @@ def test_a_limit_below_what_is_reached_is_broken(delivery, quantity):
     size = 0.99 * np.array([reached[joint] for joint in robot.joints])
     lowered = {quantity: np.column_stack([-size, size]) if quantity == "position" else size}
     found = certificate_module.verify(trajectory, robot, replace(resolve(robot), **lowered))
-    assert not found.ok and found.limits is certificate_module.Verdict.FAILED
+    assert not found.ok and found.limits is certificate_module.CertificateVerdict.FAILED
     assert {m.limit for m in found.margins if m.room < 0} == {quantity}
 
 
@@ -238,7 +238,7 @@ def test_a_design_keeps_its_margin(delivery):
     kept = {m.limit: m.room for m in reversed(delivery.certificate.margins)}
     assert all(kept[kind] >= 0.02 - 1e-9 for kind in ("velocity", "acceleration", "jerk", "torque"))
     assert "-0" not in " ".join(
-        certificate_module.percent(share) for share in (-0.0, -1e-12, 1e-12)
+        certificate_module.format_percent(share) for share in (-0.0, -1e-12, 1e-12)
     )
 
 
@@ -287,7 +287,7 @@ def test_a_broken_file_is_unusable_input(delivery, change, part, tmp_path: Path)
     path = tmp_path / "trajectory.json"
     path.write_text(json.dumps(document))
     with pytest.raises(UnusableInput, match=part) as caught:
-        trajectory_file.read(path)
+        trajectory_file.read_trajectory(path)
     assert str(path) in str(caught.value)
 
 
@@ -296,13 +296,13 @@ def test_a_file_that_is_no_trajectory_is_unusable_input(text, tmp_path: Path):
     path = tmp_path / "trajectory.json"
     path.write_text(text)
     with pytest.raises(UnusableInput, match=r"give the trajectory.json"):
-        trajectory_file.read(path)
+        trajectory_file.read_trajectory(path)
 
 
 # -- what the certificate claims holds between its samples ----------------------------------------------------------
 
 
-def dense_room(delivery: Delivery, per_step: int = 100) -> dict[tuple[str, str], float]:
+def dense_room(delivery: CertifiedDesign, per_step: int = 100) -> dict[tuple[str, str], float]:
     """Distance to every limit, from samples `per_step` times denser than the certificate's torque grid, of one period and all ramps."""
     trajectory, problem = delivery.trajectory, delivery.design.setting.problem
     motion, limits, robot = trajectory.motion, trajectory.limits, problem.robot
@@ -389,10 +389,10 @@ def test_excess_bounds_smooth_and_kinked_functions_between_samples(seed):
     blocks = np.repeat(np.arange(3), 67)  # differences across the ends of blocks say nothing
     for function in (smooth, lambda t: 3 * np.abs(t - kink)):
         ends = np.concatenate([function(coarse[blocks == k]) for k in range(3)])[:, None]
-        apart = np.concatenate([constraint_margins.excess(ends[blocks == k]) for k in range(3)])
-        assert np.array_equal(constraint_margins.excess(ends, blocks), apart)
+        apart = np.concatenate([constraint_margins.intersample_bound(ends[blocks == k]) for k in range(3)])
+        assert np.array_equal(constraint_margins.intersample_bound(ends, blocks), apart)
         values, between = function(coarse), function(fine).reshape(-1)
-        more = constraint_margins.excess(values[:, None])[:, 0]
+        more = constraint_margins.intersample_bound(values[:, None])[:, 0]
         cell = np.minimum((fine / coarse[1]).astype(int), 199)
         highest = np.maximum((values + more)[cell], (values + more)[cell + 1])
         lowest = np.minimum((values - more)[cell], (values - more)[cell + 1])
@@ -408,7 +408,7 @@ def test_torque_that_may_break_its_limit_between_samples_fails(delivery, monkeyp
         )
         sampled = {
             m.joint: abs(m.value)
-            for m in certificate_module.of_file(trajectory, robot).margins
+            for m in certificate_module.verify_file(trajectory, robot).margins
             if m.limit == "torque"
         }
     just_above = np.array([sampled[joint] * (1 + 1e-9) for joint in trajectory.joints])
@@ -419,11 +419,11 @@ def test_torque_that_may_break_its_limit_between_samples_fails(delivery, monkeyp
 @pytest.mark.parametrize("side", [0, 1])
 def test_braking_is_used_up_where_the_speed_is_the_stated_function_of_position(braked, side):
     trajectory = braked.trajectory
-    subject = certificate_module.subject_of(trajectory, trajectory.load_robot(), trajectory.limits)
+    subject = certificate_module.motion_constraints(trajectory, trajectory.load_robot(), trajectory.limits)
     sign, brakes = (-1.0, 1.0)[side], trajectory.limits.braking
     q = np.tile([b.stop[side] - sign * 0.3 for b in brakes], (3, 1))
     dq = np.tile([sign * (-b.offset + np.sqrt(0.3 * b.rate)) for b in brakes], (3, 1))
-    demand = constraint_margins.braking(subject, certificate_module.Samples(q, dq, 0 * q))
+    demand = constraint_margins.braking_quantity(subject, certificate_module.Samples(q, dq, 0 * q))
     assert np.allclose(
         (demand.low, demand.high)[side], (demand.lower, demand.upper)[side], rtol=1e-12
     )
@@ -442,7 +442,7 @@ def test_profiles_extremes_are_ruckigs_own(two_link, table, monkeypatch):
         return profile
 
     monkeypatch.setattr(ramps, "_profile", noted)
-    pipeline.run(two_link, table, replace(QUICK, iterations=10), start=np.array([-1.5, 0.3]))
+    pipeline.design_trajectory(two_link, table, replace(QUICK, iterations=10), start=np.array([-1.5, 0.3]))
     assert pairs
     for profile, duration, extrema in pairs:
         t = np.union1d(
@@ -463,10 +463,10 @@ def test_certificate_covers_ruckigs_extremes(two_link, table, monkeypatch):
         return profile
 
     monkeypatch.setattr(ramps, "_profile", noted)
-    trajectory = pipeline.run(
+    trajectory = pipeline.design_trajectory(
         two_link, table, replace(QUICK, iterations=10), start=np.array([-1.5, 0.3])
     ).trajectory
-    subject = certificate_module.subject_of(trajectory, two_link, trajectory.limits)
+    subject = certificate_module.motion_constraints(trajectory, two_link, trajectory.limits)
     used = [
         s for s in trajectory.motion.segments if s.profile is not None and id(s.profile) in reached
     ]
@@ -487,7 +487,7 @@ def test_jerk_limits_beyond_ruckigs_numbers_are_met_by_less_jerk():
     """A limits file may say "none that matters" by a huge number."""
     panda = load("panda")
     loose = replace(resolve(panda), jerk=np.full(panda.n, 1e9))
-    found = pipeline.run(panda, loose, replace(QUICK, period=6.0, samples=60, iterations=5))
+    found = pipeline.design_trajectory(panda, loose, replace(QUICK, period=6.0, samples=60, iterations=5))
     profiles = [s.profile for s in found.trajectory.motion.segments if s.profile is not None]
     steepest = np.max(
         [
@@ -496,12 +496,12 @@ def test_jerk_limits_beyond_ruckigs_numbers_are_met_by_less_jerk():
         ],
         axis=0,
     )
-    assert found.certificate.ok and (steepest <= ramps.STEEPEST * loose.acceleration).all()
+    assert found.certificate.ok and (steepest <= ramps.MAX_JERK_RATIO * loose.acceleration).all()
 
 
 def test_ramps_keep_limits_that_ruckig_does_not_know(two_link, table):
-    low = Box("tip", (-1.0, -0.1, -1.0), (1.0, 0.1, 0.2))
-    found = pipeline.run(two_link, table, replace(QUICK, boxes=(low,)), start=np.array([-1.5, 0.3]))
+    low = WorkspaceBox("tip", (-1.0, -0.1, -1.0), (1.0, 0.1, 0.2))
+    found = pipeline.design_trajectory(two_link, table, replace(QUICK, boxes=(low,)), start=np.array([-1.5, 0.3]))
     motion = found.trajectory.motion
     heights = dynamics.positions(two_link, "tip", motion.at(np.linspace(0, motion.duration, 4001)))[
         :, 2
@@ -511,8 +511,8 @@ def test_ramps_keep_limits_that_ruckig_does_not_know(two_link, table):
 
 def test_derived_limits_do_not_bind_the_periodic_part(two_link, table):
     bare = replace(table, acceleration=np.full(2, np.inf), jerk=np.full(2, np.inf))
-    found = pipeline.run(two_link, bare, replace(QUICK, iterations=10))
-    derived: Limits = ramps.with_derived(bare, found.design.motion)
+    found = pipeline.design_trajectory(two_link, bare, replace(QUICK, iterations=10))
+    derived: Limits = ramps.with_derived_limits(bare, found.design.motion)
     motion = found.design.motion
     t = motion.grid(2000)
     assert (1.2 * np.abs(motion.at(t, 2)).max(axis=0) <= derived.acceleration * (1 + 1e-2)).all()
@@ -526,10 +526,10 @@ def test_friction_at_reversals_costs_no_phantom_torque():
     """The jump of Coulomb friction between two samples is bounded by its sides, not taken for curvature."""
     machine = loaded(pendulum(LIMIT + '<dynamics friction="8" damping="0.1"/>'))
     standard = inertial_parameters.standard(machine, resolve(machine))
-    subject = constraint_margins.Subject(machine, resolve(machine), standard)
-    motion = Fourier(np.array([[0.5]]), np.array([[0.2]]), np.array([0.3]), 4.0)
+    subject = constraint_margins.MotionConstraints(machine, resolve(machine), standard)
+    motion = FourierSeries(np.array([[0.5]]), np.array([[0.2]]), np.array([0.3]), 4.0)
     coarse, dense = (motion.samples(motion.grid(n)) for n in (400, 200_000))
-    bound = float(constraint_margins.torque(subject, coarse).high.max())
+    bound = float(constraint_margins.torque_quantity(subject, coarse).high.max())
     true = float((dynamics.regressor(machine, standard, dense) @ standard.nominal).max())
     assert true <= bound <= 1.02 * true
 

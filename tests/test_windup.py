@@ -18,7 +18,7 @@ from test_diagnose import found
 
 from excite.diagnosis import interval
 from excite.effects import BY_NAME, gear_dynamics, hysteresis
-from excite.effects.track import Grid
+from excite.effects.recorded_motion import Grid
 
 Array = np.ndarray
 

@@ -16,8 +16,8 @@ from ..collision import clearance_builder, scene_file
 from ..collision.workcell import NOT_CHECKED, Cell
 from ..designer import experiment_comparison, identifiability, pipeline, time_budget
 from ..designer import validation_trajectory as validation
-from ..designer.motion_overlap import Apart
-from ..designer.problem import Box, Options, noise_levels
+from ..designer.motion_overlap import OverlapPenalty
+from ..designer.problem import WorkspaceBox, DesignOptions, torque_noise_levels
 from ..errors import UnusableInput
 from ..exporters import csv_json, file_format
 from ..report.design_record import DesignRecord
@@ -86,12 +86,12 @@ class DesignResult:
         plan: Trade-off of robot time, None where no time budget was given.
     """
 
-    delivery: pipeline.Delivery
+    delivery: pipeline.CertifiedDesign
     robot: Robot
     analysis: identifiability.Identifiability
-    validation: validation.Validation | None = None
+    validation: validation.ValidationDesign | None = None
     cell: Cell | None = None
-    plan: time_budget.Plan | None = None
+    plan: time_budget.BudgetPlan | None = None
     given_root: FloatArray | None = field(default=None, repr=False)
 
     @property
@@ -145,7 +145,7 @@ class DesignResult:
         }
         if self.validation is not None:
             second = motion_files(self.validation.trajectory, self.robot, self.parameters)
-            out |= {f"{validation.FOLDER}/{name}": text for name, text in second.items()}
+            out |= {f"{validation.VALIDATION_FOLDER}/{name}": text for name, text in second.items()}
         return out
 
     def html(self) -> str:
@@ -209,7 +209,7 @@ def design(
     limits: str | Path | Limits | None = None,
     margin: float | None = None,
     cell: CellOptions = CellOptions(),  # immutable
-    options: Options = Options(),  # noqa: B008
+    options: DesignOptions = DesignOptions(),  # noqa: B008
     period: float | None = None,
     harmonics: int | None = None,
     samples: int | None = None,
@@ -263,7 +263,7 @@ def design(
     """
     loaded = load_robot(robot)
     table = resolve_limits(loaded, limits, margin)
-    wish = time_budget.Wish(period, harmonics, samples, periods)
+    wish = time_budget.MotionRequest(period, harmonics, samples, periods)
     chosen = wish.fill(replace(options, **search), table)
     for box in chosen.boxes:
         loaded.frame(box.frame)
@@ -282,12 +282,12 @@ def design(
     plan = None
     if time is not None:
         covers = None if workcell is None else clearance_builder.clearance(workcell)
-        plan = time_budget.budgeted(
+        plan = time_budget.plan_for_budget(
             loaded, table, chosen, wish, time, start=pose, given=information, clearance=covers
         )
         facts["plan"] = plan.facts()
     run = partial(
-        pipeline.run,
+        pipeline.design_trajectory,
         loaded,
         table,
         start=pose,
@@ -299,15 +299,15 @@ def design(
         unchecked=unchecked,
     )
 
-    def deliver(apart: Apart | None = None) -> pipeline.Delivery:
+    def deliver(apart: OverlapPenalty | None = None) -> pipeline.CertifiedDesign:
         # a validation motion should show everything, known or not
         search_once = partial(run, apart=apart, given=information if apart is None else None)
         return (
-            search_once(chosen) if plan is None else time_budget.deliver(plan, chosen, search_once)
+            search_once(chosen) if plan is None else time_budget.run_plan(plan, chosen, search_once)
         )
 
     delivery = deliver()
-    second = validation.second(delivery, loaded, deliver) if validate else None
+    second = validation.design_validation(delivery, loaded, deliver) if validate else None
     analysis = _analyse(delivery, loaded, threshold, earlier)
     return DesignResult(delivery, loaded, analysis, second, workcell, plan, earlier)
 
@@ -338,7 +338,7 @@ def compare_experiments(
     given: FloatArray | None = None,
 ) -> tuple[experiment_comparison.Scenario, ...]:
     """Predict what twice the time or twice the speed of a trajectory would buy."""
-    return experiment_comparison.what_would_help(
+    return experiment_comparison.compare_scenarios(
         robot,
         standard,
         base,
@@ -355,7 +355,7 @@ def motion_samples(path: Path, robot: Robot) -> tuple[Samples, Trajectory | None
     """Read the samples of a `trajectory.json` at its own rate, or of a recording."""
     if path.suffix != ".json":
         return recordings.read(path, robot).samples(), None
-    trajectory = trajectory_file.read(path)
+    trajectory = trajectory_file.read_trajectory(path)
     if trajectory.joints != robot.joints:
         raise UnusableInput(
             f"{path}: moves {', '.join(trajectory.joints)}, not {', '.join(robot.joints)}; "
@@ -365,13 +365,13 @@ def motion_samples(path: Path, robot: Robot) -> tuple[Samples, Trajectory | None
 
 
 def _information(
-    paths: Sequence[str | Path], robot: Robot, limits: Limits, options: Options
+    paths: Sequence[str | Path], robot: Robot, limits: Limits, options: DesignOptions
 ) -> FloatArray | None:
     """Return a root of the information of earlier recordings, in standard parameters. Shape (m, P)."""
     if not paths:
         return None
     standard = inertial_parameters.standard(robot, limits, options.drive)
-    noise = noise_levels(limits, options.noise)
+    noise = torque_noise_levels(limits, options.noise)
     roots = [
         identifiability.information_root(
             robot, standard, motion_samples(Path(path), robot)[0], noise
@@ -382,7 +382,7 @@ def _information(
 
 
 def _analyse(
-    delivery: pipeline.Delivery, robot: Robot, threshold: float, earlier: FloatArray | None
+    delivery: pipeline.CertifiedDesign, robot: Robot, threshold: float, earlier: FloatArray | None
 ) -> identifiability.Identifiability:
     trajectory, setting = delivery.trajectory, delivery.design.setting
     standard = setting.problem.parameters
@@ -400,7 +400,7 @@ def _analyse(
     )
 
 
-def _record(delivery: pipeline.Delivery) -> DesignRecord:
+def _record(delivery: pipeline.CertifiedDesign) -> DesignRecord:
     starts = [
         {
             "seed": a.number,
@@ -414,7 +414,7 @@ def _record(delivery: pipeline.Delivery) -> DesignRecord:
         }
         for a in delivery.design.attempts
     ]
-    return DesignRecord(starts=starts, chosen=0, timing=delivery.timing)
+    return DesignRecord(starts=starts, chosen=0)
 
 
 __all__ = ["Box", "CellOptions", "DesignResult", "design"]

@@ -59,7 +59,7 @@ class DiagnosisResult:
     def model(self) -> dict[str, Any]:
         """Return the content of `model.json`: the findings, and the parameters without them."""
         plain = self.diagnosis.identified
-        out = identified_model.document(self.diagnosis.refitted or plain, self.recordings)
+        out = identified_model.model_document(self.diagnosis.refitted or plain, self.recordings)
         out["effects"] = [whole.entry(part, plain.model.robot) for part in self.diagnosis.parts]
         out["without_effects"] = dict(
             zip(plain.model.parameters.names, plain.psi.tolist(), strict=True)
@@ -130,7 +130,7 @@ def diagnose(
     table = resolve_limits(loaded, limits)
     standard = inertial_parameters.standard(loaded, table, inertial_parameters.DRIVE)
     base = base_parameters.find(loaded, standard, table)
-    known = {} if prior is None else prior_module.trusted(Path(prior), loaded, standard)
+    known = {} if prior is None else prior_module.read_trusted_parameters(Path(prior), loaded, standard)
     train, held_out = _read_both(loaded, table, recordings, validate)
     say = progress or (lambda text: None)
     options = diagnosis.Options(band, known)

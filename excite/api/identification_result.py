@@ -46,7 +46,7 @@ class IdentificationResult:
     identification: Identification
     recordings: tuple[Recording, ...]
     validation: tuple[Recording, ...]
-    lmi: lmi_check.Check | None = None
+    lmi: lmi_check.LmiCheck | None = None
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -56,7 +56,7 @@ class IdentificationResult:
 
     def document(self) -> dict[str, Any]:
         """Return the content of `model.json`."""
-        out = identified_model.document(self.identification, self.recordings)
+        out = identified_model.model_document(self.identification, self.recordings)
         if self.lmi is not None:
             out["lmi"] = {"gap": self.lmi.gap, "agrees": self.lmi.agrees}
         return out
@@ -213,7 +213,7 @@ def identify(
     table = resolve_limits(loaded, limits)
     standard = inertial_parameters.standard(loaded, table, drive)
     base = base_parameters.find(loaded, standard, table)
-    known = {} if prior is None else prior_module.trusted(Path(prior), loaded, standard)
+    known = {} if prior is None else prior_module.read_trusted_parameters(Path(prior), loaded, standard)
     limits_of_bodies = bounds if isinstance(bounds, Bounds) else read_bounds(bounds, standard)
     chosen = dataclasses.replace(options, bounds=limits_of_bodies, trusted=known, **choices)
     say = progress or (lambda text: None)
@@ -235,7 +235,7 @@ def predict(model: str | Path, recording: RecordingSource) -> PredictedTorque:
     Raises:
         UnusableInput: A file cannot be used.
     """
-    fitted = identified_model.read(Path(model))
+    fitted = identified_model.read_model(Path(model))
     motion = read_recording(recording, fitted.robot)
     time, torque = whole.predict(fitted, motion)
     return PredictedTorque(fitted.robot.joints, time, torque)
@@ -286,7 +286,7 @@ def _read_both(
     return both[0], both[1]
 
 
-def _compare_lmi(found: Identification) -> lmi_check.Check:
+def _compare_lmi(found: Identification) -> lmi_check.LmiCheck:
     """Compare the estimate with a conic solver's; a refined one is compared at where refinement started."""
     data, model, bounds = found.data, found.model, found.options.bounds
     root, target, estimate = data.root @ model.base.matrix, data.root @ data.theta, found.posterior
@@ -294,4 +294,4 @@ def _compare_lmi(found: Identification) -> lmi_check.Check:
         estimate = consistency.maximum_a_posteriori(
             model.parameters, root, target, found.prior, bounds
         )
-    return lmi_check.check(model.parameters, root, target, found.prior, estimate, bounds)
+    return lmi_check.check_estimate(model.parameters, root, target, found.prior, estimate, bounds)

@@ -133,7 +133,7 @@ def simulate(
     }
     source, sibling = locate(str(robot)), None if like is None else _read_sibling(Path(like), asked)
     chosen = _setting(given, None if sibling is None else sibling.setting)
-    trajectory_file.read(
+    trajectory_file.read_trajectory(
         Path(trajectory)
     )  # the simulator reads it by itself, but validates nothing
     motion = reference_trajectory.read_reference(Path(trajectory), periods)

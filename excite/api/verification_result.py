@@ -11,7 +11,7 @@ from typing import Any
 from .. import _files, _json
 from .. import exporters as formats
 from ..designer import certificate as certificates
-from ..designer.certificate import Certificate, Verdict
+from ..designer.certificate import Certificate, CertificateVerdict
 from ..errors import CheckFailed, UnusableInput
 from ..exporters import file_format
 from ..robot import inertial_parameters
@@ -48,7 +48,7 @@ class VerificationResult:
         rows = [f"{'limit':13}{'joint':25}{'worst':>12}{'bound':>12}{'free':>9}{'time [s]':>10}"]
         rows += [
             f"{m.limit:13}{m.joint:25}{m.value:12.5g}{m.bound:12.5g}"
-            f"{certificates.percent(m.room):>9}{m.time:10.3f}"
+            f"{certificates.format_percent(m.room):>9}{m.time:10.3f}"
             for m in self.certificate.margins
         ]
         return "\n".join([*rows, "", *self.certificate.lines()])
@@ -93,12 +93,12 @@ def verify(
         UnusableInput: A file is missing or malformed.
     """
     path = Path(trajectory)
-    content = trajectory_file.read(path)
+    content = trajectory_file.read_trajectory(path)
     loaded = content.load_robot(None if robot is None else str(robot))
     file = None if limits is None else Path(limits)
     folder = path.resolve().parent
     truth = from_sources(loaded, content.limits, file, folder)
-    certificate = certificates.of_file(
+    certificate = certificates.verify_file(
         content, loaded, folder=folder, limits_file=file, packages=packages
     )
     return VerificationResult(certificate, content, loaded, truth)

@@ -10,7 +10,7 @@ from .. import _files, api
 from ..api.design_result import CellOptions
 from ..designer import cluster, criteria
 from ..designer.criteria import Criterion
-from ..designer.problem import Box, Options
+from ..designer.problem import WorkspaceBox, DesignOptions
 from ..errors import UnusableInput
 from ..robot.robot import Robot
 from . import options as shared
@@ -62,14 +62,14 @@ def _cell_options(arguments: argparse.Namespace) -> CellOptions:
     )
 
 
-def _options(arguments: argparse.Namespace, robot: Robot) -> Options:
+def _options(arguments: argparse.Namespace, robot: Robot) -> DesignOptions:
     """Choices of the design but for the motion's period, harmonics, samples and repeats."""
     free = arguments.optimise_period
     if free is not None and not free[0] < free[1]:
         raise UnusableInput(
             f"--optimise-period {free[0]:g},{free[1]:g}: should be MIN,MAX with MIN < MAX"
         )
-    return Options(
+    return DesignOptions(
         criterion=Criterion(arguments.criterion),
         plain=arguments.plain,
         drive=shared.drive(arguments),
@@ -85,15 +85,15 @@ def _options(arguments: argparse.Namespace, robot: Robot) -> Options:
     )
 
 
-def _box(frame: str, v: tuple[float, ...]) -> Box:
-    return Box(frame, (v[0], v[2], v[4]), (v[1], v[3], v[5]))
+def _box(frame: str, v: tuple[float, ...]) -> WorkspaceBox:
+    return WorkspaceBox(frame, (v[0], v[2], v[4]), (v[1], v[3], v[5]))
 
 
 def _text(result: api.DesignResult, document: dict[str, Any], written: list[Path]) -> str:
     trajectory, certificate = result.trajectory, result.delivery.certificate
     chosen, plain = Criterion(trajectory.design["criterion"]), bool(trajectory.design["plain"])
     periodic, complete = (
-        criteria.pick(trajectory.criteria[part], chosen, plain=plain)
+        criteria.select_criterion(trajectory.criteria[part], chosen, plain=plain)
         for part in ("optimum", "exported")
     )
     kind = "" if chosen is Criterion.COND_REGRESSOR else ("plain " if plain else "geometric ")

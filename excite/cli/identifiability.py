@@ -10,7 +10,7 @@ from .. import _files
 from .._json import dumps
 from ..api.design_result import compare_experiments, motion_samples
 from ..designer import experiment_comparison, identifiability
-from ..designer.problem import noise_levels
+from ..designer.problem import torque_noise_levels
 from ..robot import base_parameters, inertial_parameters
 from . import options as shared
 from .outcome import Outcome, written_lines
@@ -26,7 +26,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     base = base_parameters.find(robot, standard, limits)
     samples, trajectory = motion_samples(Path(arguments.motion), robot)
     stated = shared.noise(arguments, robot)
-    noise = noise_levels(limits, stated) if trajectory is None or stated else trajectory.noise
+    noise = torque_noise_levels(limits, stated) if trajectory is None or stated else trajectory.noise
     root = identifiability.information_root(robot, standard, samples, noise)
     analysis = identifiability.analyse_root(
         standard, base, root, noise, robot, threshold=arguments.threshold, samples=len(samples)

@@ -19,7 +19,7 @@ from ..collision import scene_file
 from ..collision.distance_query import Body
 from ..collision.geometry import Kind
 from ..collision.workcell import Cell
-from ..designer.certificate import CELL
+from ..designer.certificate import CELL_KEY
 from ..errors import UnusableInput
 from ..robot.robot import Robot
 from ..trajectory import trajectory_file
@@ -37,7 +37,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     """Play a trajectory over and over until interrupted; `--once` once."""
     if not 0.0 < arguments.speed <= 4.0:
         raise UnusableInput(f"--speed {arguments.speed:g} should be above 0 and at most 4")
-    trajectory = trajectory_file.read(Path(arguments.trajectory))
+    trajectory = trajectory_file.read_trajectory(Path(arguments.trajectory))
     robot = trajectory.load_robot(arguments.robot)
     cell = _cell(trajectory, robot)
     if importlib.util.find_spec("viser") is None:
@@ -69,8 +69,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
 
 def _cell(trajectory: Trajectory, robot: Robot) -> Cell:
     """What the file states; where it states none, the shapes of the URDF without surroundings."""
-    if CELL in trajectory.design:
-        cell, fault = scene_file.as_on_disk(robot, trajectory.limits, trajectory.design[CELL])
+    if CELL_KEY in trajectory.design:
+        cell, fault = scene_file.as_on_disk(robot, trajectory.limits, trajectory.design[CELL_KEY])
         if cell is None:
             raise UnusableInput(f"{robot.source}: {fault}")
         return cell

@@ -18,7 +18,7 @@ import pinocchio as pin
 
 from ..errors import UnusableInput
 from ..trajectory.fourier import oversampling_bound
-from ..trajectory.rest_to_rest import Motion, Segment
+from ..trajectory.rest_to_rest import Motion, MotionSegment
 from .distance_query import Body, Pair, Probe
 from .geometry import Kind
 from .workcell import Cell
@@ -85,7 +85,7 @@ class _Grid:
 
 
 def _segment(
-    cell: Cell, probe: Probe, motion: Motion, segment: Segment
+    cell: Cell, probe: Probe, motion: Motion, segment: MotionSegment
 ) -> Iterator[tuple[int, Near]]:
     grid, robot = _grid(motion, segment), cell.robot
     reach = _reach(cell, np.abs(robot.expand(grid.q)).max(axis=0))
@@ -153,18 +153,18 @@ def _divided(probe: Probe, pair: int, poses: Array, way: float) -> float:
     return float((0.5 * (d[:-1] + d[1:] - way / (len(poses) - 1))).min())
 
 
-def _parts(motion: Motion, segment: Segment, ends: Array, level: float, bound: float) -> Array:
+def _parts(motion: Motion, segment: MotionSegment, ends: Array, level: float, bound: float) -> Array:
     """Poses within a step, as many as its bound falls short of the level in tolerances."""
     count = int(np.clip(2.0 + (level - bound) / TOLERANCE, 2, DIVIDED))
     return _poses(motion, segment, np.linspace(ends[0], ends[-1], count + 1))
 
 
-def _poses(motion: Motion, segment: Segment, times: Array) -> Array:
+def _poses(motion: Motion, segment: MotionSegment, times: Array) -> Array:
     local = times - segment.start
     return motion.fourier.at(local) if segment.profile is None else segment.profile.at(local)
 
 
-def _grid(motion: Motion, segment: Segment) -> _Grid:
+def _grid(motion: Motion, segment: MotionSegment) -> _Grid:
     """One period of the Fourier part stands for all."""
     fourier = motion.fourier
     length = fourier.period if segment.profile is None else segment.end - segment.start

@@ -22,28 +22,28 @@ from ..robot import base_parameters, dynamics, inertial_parameters
 from ..robot.limits import DERIVED, QUANTITIES, WITH_MARGIN, Limits, from_sources
 from ..robot.robot import Robot
 from ..robot.samples import Samples
-from ..trajectory.fourier import DENSITY, oversampling_bound
-from ..trajectory.rest_to_rest import Motion, Segment
+from ..trajectory.fourier import VERIFICATION_DENSITY, oversampling_bound
+from ..trajectory.rest_to_rest import Motion, MotionSegment
 from ..trajectory.trajectory_file import Trajectory
 from . import constraint_margins, criteria
-from .constraint_margins import Demand, Subject
-from .problem import Box
-from .ramps import with_derived
+from .constraint_margins import BoundedQuantity, MotionConstraints
+from .problem import WorkspaceBox
+from .ramps import with_derived_limits
 
 Array = np.ndarray
-ROUNDING = 1e-9
+RELATIVE_ROUNDING = 1e-9
 """Share of a limit by which rounding may exceed it [1]."""
-CELL = "cell"
+CELL_KEY = "cell"
 CLEARANCE = "clearance"
-LISTED_FAULTS = 3
+MAX_LISTED_FAULTS = 3
 """Faults that a line of the verdict lists; `faults` of the document has all."""
-LISTED_PAIRS = 12
+MAX_LISTED_PAIRS = 12
 """Pairs of bodies that a certificate lists, the nearest to their margin."""
-STEPS_PER_PIECE = 4
+MIN_STEPS_PER_PIECE = 4
 """Least number of steps over one polynomial piece of a ramp for what has no closed form (torque, frames) [1]."""
 
 
-class Verdict(Enum):
+class CertificateVerdict(Enum):
     """What a certificate says about one of its two parts."""
 
     CERTIFIED = "certified"
@@ -52,7 +52,7 @@ class Verdict(Enum):
 
 
 @dataclass(frozen=True)
-class Margin:
+class LimitMargin:
     """How near one joint comes to one limit: the worst value with its time [s], and the bound it must not pass.
 
     room: distance to the bound over the half width of the allowed range; negative where the limit is broken.
@@ -82,8 +82,8 @@ class Margin:
         text = f"{self.limit} of '{self.joint}' reaches {self.value:.4g} of {self.bound:.4g} at {self.time:.3f} s"
         return (
             text
-            if self.room < -ROUNDING or not self.required
-            else f"{text}, where {percent(self.required)} should stay free"
+            if self.room < -RELATIVE_ROUNDING or not self.required
+            else f"{text}, where {format_percent(self.required)} should stay free"
         )
 
     def document(self) -> dict[str, Any]:
@@ -107,28 +107,28 @@ class Certificate:
     its margin first.
     """
 
-    margins: tuple[Margin, ...]
+    margins: tuple[LimitMargin, ...]
     criteria: Mapping[str, Any]
     faults: tuple[str, ...]
-    clearance: Verdict = Verdict.NOT_CHECKED
+    clearance: CertificateVerdict = CertificateVerdict.NOT_CHECKED
     collision: str = NOT_CHECKED
     near: tuple[Near, ...] = ()
     joints: tuple[str, ...] = ()
 
     @property
-    def limits(self) -> Verdict:
+    def limits(self) -> CertificateVerdict:
         """Verdict on the limits and on the file itself."""
         kept = all(
-            margin.spare >= -ROUNDING for margin in self.margins if margin.limit != CLEARANCE
+            margin.spare >= -RELATIVE_ROUNDING for margin in self.margins if margin.limit != CLEARANCE
         )
-        return Verdict.CERTIFIED if kept and not self.faults else Verdict.FAILED
+        return CertificateVerdict.CERTIFIED if kept and not self.faults else CertificateVerdict.FAILED
 
     @property
     def ok(self) -> bool:
         """Nothing failed; the clearance may be unchecked."""
-        return self.limits is Verdict.CERTIFIED and self.clearance is not Verdict.FAILED
+        return self.limits is CertificateVerdict.CERTIFIED and self.clearance is not CertificateVerdict.FAILED
 
-    def worst(self) -> Margin:
+    def worst(self) -> LimitMargin:
         """The margin with the least room to spare."""
         return min(self.margins, key=lambda margin: margin.spare)
 
@@ -137,7 +137,7 @@ class Certificate:
         return {
             m.joint: m.bound - m.value
             for m in self.margins
-            if m.limit == CLEARANCE and m.room < -ROUNDING
+            if m.limit == CLEARANCE and m.room < -RELATIVE_ROUNDING
         }
 
     def lines(self) -> tuple[str, str]:
@@ -146,9 +146,9 @@ class Certificate:
             (m for m in self.margins if m.limit != CLEARANCE), key=lambda margin: margin.spare
         )
         detail = f"nearest: {nearest.limit} of {nearest.joint}, {nearest.value:.5g} of {nearest.bound:.5g} at {nearest.time:.3f} s"
-        more = len(self.faults) - LISTED_FAULTS
-        faults = [*self.faults[:LISTED_FAULTS], *([f"and {more} more faults"] if more > 0 else [])]
-        limits = [self.limits.value, *faults, f"{detail} ({percent(nearest.room)} free)"]
+        more = len(self.faults) - MAX_LISTED_FAULTS
+        faults = [*self.faults[:MAX_LISTED_FAULTS], *([f"and {more} more faults"] if more > 0 else [])]
+        limits = [self.limits.value, *faults, f"{detail} ({format_percent(nearest.room)} free)"]
         return (
             f"clearance: {self.clearance.value}; {self.collision}",
             f"limits: {'; '.join(limits)}",
@@ -159,7 +159,7 @@ class Certificate:
         if self.faults:
             return self.faults[0]
         worst = self.worst()
-        return worst.words() if worst.spare < -ROUNDING else self.collision
+        return worst.words() if worst.spare < -RELATIVE_ROUNDING else self.collision
 
     def document(self) -> dict[str, Any]:
         """The certificate as `excite verify --json` prints it."""
@@ -169,14 +169,14 @@ class Certificate:
             "margins": [margin.document() for margin in self.margins],
             "criteria": dict(self.criteria),
             "collision": self.collision,
-            "clearance": [near.document(self.joints) for near in self.near[:LISTED_PAIRS]],
+            "clearance": [near.document(self.joints) for near in self.near[:MAX_LISTED_PAIRS]],
             "faults": list(self.faults),
         }
 
 
-def percent(share: float) -> str:
+def format_percent(share: float) -> str:
     """A share as text; what is zero within rounding has no sign."""
-    if abs(share) <= ROUNDING:
+    if abs(share) <= RELATIVE_ROUNDING:
         return "0 %"
     value = 100.0 * share
     return (
@@ -210,12 +210,12 @@ def verify(
     Returns:
         The certificate; nothing is raised for a motion that fails.
     """
-    truth = with_derived(limits, trajectory.motion.fourier)
-    subject = subject_of(trajectory, robot, truth)
+    truth = with_derived_limits(limits, trajectory.motion.fourier)
+    subject = motion_constraints(trajectory, robot, truth)
     margins = limit_margins(trajectory, subject)
     clearance, collision, near = _clearance(trajectory, cell, unchecked, cell_fault)
-    margins += [_distance_margin(one) for one in near[:LISTED_PAIRS]]
-    scores = score(trajectory, robot, truth, subject.parameters)
+    margins += [_distance_margin(one) for one in near[:MAX_LISTED_PAIRS]]
+    scores = recompute_criteria(trajectory, robot, truth, subject.parameters)
     faults = (
         *_limit_faults(trajectory.limits, truth),
         *_motion_faults(trajectory),
@@ -225,19 +225,19 @@ def verify(
     return Certificate(ordered, scores, faults, clearance, collision, tuple(near), robot.joints)
 
 
-def subject_of(trajectory: Trajectory, robot: Robot, limits: Limits) -> Subject:
+def motion_constraints(trajectory: Trajectory, robot: Robot, limits: Limits) -> MotionConstraints:
     """What a trajectory is held against: the robot, its limits, and the uncertainty and boxes that the design promised."""
     design = trajectory.design
     standard = inertial_parameters.standard(
         robot, limits, design.get("drive", inertial_parameters.DRIVE)
     )
     boxes = tuple(
-        Box(b["frame"], tuple(b["lower"]), tuple(b["upper"])) for b in design.get("boxes", ())
+        WorkspaceBox(b["frame"], tuple(b["lower"]), tuple(b["upper"])) for b in design.get("boxes", ())
     )
-    return Subject(robot, limits, standard, float(design.get("uncertainty", 0.0)), boxes)
+    return MotionConstraints(robot, limits, standard, float(design.get("uncertainty", 0.0)), boxes)
 
 
-def score(
+def recompute_criteria(
     trajectory: Trajectory, robot: Robot, limits: Limits, standard: inertial_parameters.Parameters
 ) -> dict[str, Any]:
     """All criteria of the Fourier part on the optimiser's grid, and of the motion as exported."""
@@ -249,12 +249,12 @@ def score(
         "exported": motion.samples(motion.grid(trajectory.rate)),
     }
     return {
-        name: criteria.score(dynamics.regressor(robot, standard, part), found, trajectory.noise)
+        name: criteria.evaluate_criteria(dynamics.regressor(robot, standard, part), found, trajectory.noise)
         for name, part in parts.items()
     }
 
 
-def of_file(
+def verify_file(
     trajectory: Trajectory,
     robot: Robot,
     *,
@@ -275,23 +275,23 @@ def of_file(
         UnusableInput: The limits file is not there or cannot be read.
     """
     truth = from_sources(robot, trajectory.limits, limits_file, folder)
-    if CELL not in trajectory.design:
+    if CELL_KEY not in trajectory.design:
         return verify(
             trajectory,
             robot,
             truth,
             unchecked=f"{NOT_CHECKED}: the file states no shapes to keep clear of",
         )
-    cell, fault = scene_file.as_on_disk(robot, truth, trajectory.design[CELL], packages)
+    cell, fault = scene_file.as_on_disk(robot, truth, trajectory.design[CELL_KEY], packages)
     return verify(trajectory, robot, truth, cell, cell_fault=fault)
 
 
 # -- limits ----------------------------------------------------------------------------------------------------------
 
 
-def limit_margins(trajectory: Trajectory, subject: Subject) -> list[Margin]:
+def limit_margins(trajectory: Trajectory, subject: MotionConstraints) -> list[LimitMargin]:
     """The least margin of every limit of every joint over a motion. subject: with the limits that hold, derived ones included."""
-    margins: dict[tuple[str, str], Margin] = {}
+    margins: dict[tuple[str, str], LimitMargin] = {}
     for segment in trajectory.motion.segments:
         for times, demand in _demands(subject, trajectory, segment):
             for margin in _margins(demand, times, _promised(trajectory, demand.limit)):
@@ -305,15 +305,15 @@ def limit_margins(trajectory: Trajectory, subject: Subject) -> list[Margin]:
 
 def broken_when_slowed(
     trajectory: Trajectory, robot: Robot, limits: Limits, speed: float
-) -> Margin | None:
+) -> LimitMargin | None:
     """The limit that the same path breaks most at a share of its speed, None where it keeps all.
 
     A slower run is not safe by itself: where inertia helps the actuator against gravity, less speed asks for more torque.
     """
     slower = replace(trajectory, motion=trajectory.motion.slowed(speed))
-    subject = subject_of(slower, robot, with_derived(limits, slower.motion.fourier))
+    subject = motion_constraints(slower, robot, with_derived_limits(limits, slower.motion.fourier))
     worst = min(limit_margins(slower, subject), key=lambda margin: margin.room)
-    return worst if worst.room < -ROUNDING else None
+    return worst if worst.room < -RELATIVE_ROUNDING else None
 
 
 def _promised(trajectory: Trajectory, limit: str) -> float:
@@ -323,7 +323,7 @@ def _promised(trajectory: Trajectory, limit: str) -> float:
     )
 
 
-def _is_derived(limits: Limits, robot: Robot, margin: Margin) -> bool:
+def _is_derived(limits: Limits, robot: Robot, margin: LimitMargin) -> bool:
     """Whether a limit is stated by nobody: then it binds the ramps only."""
     return (
         margin.limit in limits.sources
@@ -333,8 +333,8 @@ def _is_derived(limits: Limits, robot: Robot, margin: Margin) -> bool:
 
 
 def _demands(
-    subject: Subject, trajectory: Trajectory, segment: Segment
-) -> Iterator[tuple[Array, Demand]]:
+    subject: MotionConstraints, trajectory: Trajectory, segment: MotionSegment
+) -> Iterator[tuple[Array, BoundedQuantity]]:
     """Demands of one segment with the times of their samples [s]."""
     if segment.profile is None:
         yield from _fourier_demands(subject, trajectory, segment)
@@ -343,11 +343,11 @@ def _demands(
 
 
 def _fourier_demands(
-    subject: Subject, trajectory: Trajectory, segment: Segment
-) -> Iterator[tuple[Array, Demand]]:
+    subject: MotionConstraints, trajectory: Trajectory, segment: MotionSegment
+) -> Iterator[tuple[Array, BoundedQuantity]]:
     """One period stands for all; derivatives are bounded between samples by Ehlich and Zeller's factor."""
     fourier = trajectory.motion.fourier
-    count = DENSITY * max(int(trajectory.design.get("samples", 100)), 8 * fourier.harmonics)
+    count = VERIFICATION_DENSITY * max(int(trajectory.design.get("samples", 100)), 8 * fourier.harmonics)
     t = fourier.grid(count)
     factor = oversampling_bound(count, fourier.harmonics) - 1.0
     for order, limit in enumerate(("position", "velocity", "acceleration", "jerk")):
@@ -356,42 +356,42 @@ def _fourier_demands(
         more = factor * np.abs(swing).max(axis=0)
         yield (
             segment.start + t,
-            constraint_margins.symmetric(limit, subject, values - more, values + more),
+            constraint_margins.joint_quantity(limit, subject, values - more, values + more),
         )
     closed = np.append(t, fourier.period)  # second differences across the end of the period
-    for demand in constraint_margins.loads(subject, fourier.samples(closed)):
+    for demand in constraint_margins.model_quantities(subject, fourier.samples(closed)):
         yield segment.start + closed, demand
 
 
 def _ramp_demands(
-    subject: Subject, trajectory: Trajectory, segment: Segment
-) -> Iterator[tuple[Array, Demand]]:
+    subject: MotionConstraints, trajectory: Trajectory, segment: MotionSegment
+) -> Iterator[tuple[Array, BoundedQuantity]]:
     """Exact for position, velocity, acceleration and jerk; torque and frames are sampled within each piece and bounded between."""
     profile, length = segment.profile, segment.end - segment.start
     assert profile is not None
     times = profile.critical_times(length)
     for order, limit in enumerate(("position", "velocity", "acceleration")):
         values = profile.at(times, order)
-        yield segment.start + times, constraint_margins.symmetric(limit, subject, values, values)
+        yield segment.start + times, constraint_margins.joint_quantity(limit, subject, values, values)
     middle = 0.5 * (times[:-1] + times[1:])
     jerk = profile.at(middle, 3)
-    yield segment.start + middle, constraint_margins.symmetric("jerk", subject, jerk, jerk)
+    yield segment.start + middle, constraint_margins.joint_quantity("jerk", subject, jerk, jerk)
     step = min(
-        trajectory.motion.fourier.period / (DENSITY * int(trajectory.design.get("samples", 100))),
+        trajectory.motion.fourier.period / (VERIFICATION_DENSITY * int(trajectory.design.get("samples", 100))),
         1.0 / trajectory.rate,
     )
-    counts = np.maximum(np.ceil(np.diff(times) / step).astype(int), STEPS_PER_PIECE)
+    counts = np.maximum(np.ceil(np.diff(times) / step).astype(int), MIN_STEPS_PER_PIECE)
     dense = np.concatenate(
         [np.linspace(a, b, n + 1) for a, b, n in zip(times[:-1], times[1:], counts, strict=True)]
     )
     samples = Samples(*(profile.at(dense, order) for order in range(3)))
-    for demand in constraint_margins.loads(
+    for demand in constraint_margins.model_quantities(
         subject, samples, np.repeat(np.arange(len(counts)), counts + 1)
     ):
         yield segment.start + dense, demand
 
 
-def _margins(demand: Demand, times: Array, required: float) -> Iterator[Margin]:
+def _margins(demand: BoundedQuantity, times: Array, required: float) -> Iterator[LimitMargin]:
     half = 0.5 * (demand.upper - demand.lower)
     for j, name in enumerate(demand.names):
         if not np.isfinite(half[j]):
@@ -400,7 +400,7 @@ def _margins(demand: Demand, times: Array, required: float) -> Iterator[Margin]:
         up = float((demand.upper[j] - demand.high[above, j]) / half[j])
         down = float((demand.low[below, j] - demand.lower[j]) / half[j])
         if up <= down:
-            yield Margin(
+            yield LimitMargin(
                 demand.limit,
                 name,
                 float(times[above]),
@@ -410,7 +410,7 @@ def _margins(demand: Demand, times: Array, required: float) -> Iterator[Margin]:
                 required,
             )
         else:
-            yield Margin(
+            yield LimitMargin(
                 demand.limit,
                 name,
                 float(times[below]),
@@ -426,7 +426,7 @@ def _limit_faults(stated: Limits, truth: Limits) -> Iterator[str]:
     for quantity in QUANTITIES:
         for i, joint in enumerate(truth.joints):
             said, right = getattr(stated, quantity)[i], getattr(truth, quantity)[i]
-            if not np.allclose(said, right, rtol=ROUNDING, atol=0.0):
+            if not np.allclose(said, right, rtol=RELATIVE_ROUNDING, atol=0.0):
                 source = truth.sources[quantity][i] or "its source"
                 yield f"the {quantity} limit of '{joint}' is {_limit_words(said)} in the file, but {_limit_words(right)} by {source}"
     for joint, said, right in zip(truth.joints, stated.braking, truth.braking, strict=True):
@@ -446,23 +446,23 @@ def _limit_words(value: Array) -> str:
 
 def _clearance(
     trajectory: Trajectory, cell: Cell | None, unchecked: str, fault: str | None
-) -> tuple[Verdict, str, list[Near]]:
+) -> tuple[CertificateVerdict, str, list[Near]]:
     """Verdict on the distances, a sentence about them, and the least distance of each pair."""
     if fault is not None:
-        return Verdict.FAILED, fault, []
+        return CertificateVerdict.FAILED, fault, []
     if cell is None:
-        return Verdict.NOT_CHECKED, unchecked, []
+        return CertificateVerdict.NOT_CHECKED, unchecked, []
     inside = continuous_check.contained(cell, trajectory.motion.at(np.zeros(1))[0])
     if inside is not None:
-        return Verdict.FAILED, f"COLLISION: {cell.names(inside)}, one begins inside the other", []
+        return CertificateVerdict.FAILED, f"COLLISION: {cell.names(inside)}, one begins inside the other", []
     near = continuous_check.along(cell, trajectory.motion)
     context = "".join(f"; {note}" for note in (cell.floor_words(), *cell.notes))
     if not near:
-        return Verdict.CERTIFIED, f"collision checked: nothing can meet{context}", []
+        return CertificateVerdict.CERTIFIED, f"collision checked: nothing can meet{context}", []
     worst = min(near, key=lambda one: one.proven)
     if worst.proven <= 0.0:
-        return Verdict.FAILED, f"COLLISION: {worst.names} at {worst.time:.2f} s{context}", near
-    kept = all(_distance_margin(one).room >= -ROUNDING for one in near)
+        return CertificateVerdict.FAILED, f"COLLISION: {worst.names} at {worst.time:.2f} s{context}", near
+    kept = all(_distance_margin(one).room >= -RELATIVE_ROUNDING for one in near)
     wide = [one for one in near if one.pair.margin >= cell.margin]
     parts = (
         [f"never less than {_distance_words(min(wide, key=lambda one: one.proven))}"]
@@ -474,7 +474,7 @@ def _clearance(
         [f"neighbours {_distance_words(min(close, key=lambda one: one.proven))}"] if close else []
     )
     return (
-        Verdict.CERTIFIED if kept else Verdict.FAILED,
+        CertificateVerdict.CERTIFIED if kept else CertificateVerdict.FAILED,
         f"collision checked: {'; '.join(parts)}{context}",
         near,
     )
@@ -484,9 +484,9 @@ def _distance_words(near: Near) -> str:
     return f"{1e3 * near.proven:.1f} mm, {near.names} at {near.time:.2f} s"
 
 
-def _distance_margin(near: Near) -> Margin:
+def _distance_margin(near: Near) -> LimitMargin:
     bound = near.pair.margin
-    return Margin(
+    return LimitMargin(
         CLEARANCE, near.names, near.time, near.proven, bound, near.proven / max(bound, 1e-6) - 1.0
     )
 
@@ -523,7 +523,7 @@ def _motion_faults(trajectory: Trajectory) -> Iterator[str]:
                 yield f"{joints[int(np.argmax(speed))]} is not at rest at the {edge}"
 
 
-def _begin(motion: Motion, segment: Segment, order: int) -> Array:
+def _begin(motion: Motion, segment: MotionSegment, order: int) -> Array:
     zero = np.zeros(1)
     out: Array = (
         motion.fourier.at(zero, order)
@@ -533,7 +533,7 @@ def _begin(motion: Motion, segment: Segment, order: int) -> Array:
     return out
 
 
-def _end(motion: Motion, segment: Segment, order: int) -> Array:
+def _end(motion: Motion, segment: MotionSegment, order: int) -> Array:
     at = np.array([segment.end - segment.start])
     out: Array = (
         motion.fourier.at(at, order) if segment.profile is None else segment.profile.at(at, order)

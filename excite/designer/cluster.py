@@ -14,7 +14,7 @@ from ..errors import UnusableInput
 BACKENDS = ("multiprocessing", "loky", "dask", "ray")
 
 
-def default() -> str:
+def default_backend() -> str:
     """Forked processes start in milliseconds where they are safe, joblib's own take a second."""
     return "multiprocessing" if sys.platform == "linux" else "loky"
 
@@ -26,7 +26,7 @@ def backend(name: str | None, address: str | None = None) -> Iterator[None]:
     address: of a running cluster (Dask: tcp://host:8786, Ray: ray://host:10001); None makes one of this machine.
     Raises UnusableInput when the back end's package is missing or the cluster does not answer.
     """
-    chosen = name or ("dask" if address else default())
+    chosen = name or ("dask" if address else default_backend())
     if address and chosen not in ("dask", "ray"):
         raise UnusableInput(
             f"--cluster {address}: --backend {chosen} has no cluster; use --backend dask or --backend ray"

@@ -12,25 +12,25 @@ from ..robot.inertial_parameters import COULOMB_WIDTH, Parameters
 from ..robot.limits import Braking, Limits
 from ..robot.robot import Robot
 from ..robot.samples import Samples
-from .problem import Box
+from .problem import WorkspaceBox
 
 Array = np.ndarray
 
 
 @dataclass(frozen=True)
-class Subject:
+class MotionConstraints:
     """What a motion is held against: a robot, its limits, how uncertain its parameters are, and what it must not touch."""
 
     robot: Robot
     limits: Limits
     parameters: Parameters
     uncertainty: float = 0.0
-    boxes: tuple[Box, ...] = ()
+    boxes: tuple[WorkspaceBox, ...] = ()
     clearance: Clearance | None = None
 
 
 @dataclass(frozen=True)
-class Demand:
+class BoundedQuantity:
     """A quantity that a limit bounds, over N samples of m joints (or axes): lower ≤ value ≤ upper.
 
     low, high: what the motion reaches, between samples too. Shape (N, m). names: of the m columns.
@@ -55,7 +55,7 @@ class Demand:
         )
 
 
-def excess(values: Array, blocks: Array | None = None) -> Array:
+def intersample_bound(values: Array, blocks: Array | None = None) -> Array:
     """Bound how far a function may rise between equispaced samples: half the larger neighbouring second difference.
 
     Proven for piecewise linear functions with at most one kink between two samples, where h·Δslope·α(1−α) is
@@ -87,7 +87,7 @@ def excess(values: Array, blocks: Array | None = None) -> Array:
     return 0.5 * near
 
 
-def torque(subject: Subject, motion: Samples, blocks: Array | None = None) -> Demand:
+def torque_quantity(subject: MotionConstraints, motion: Samples, blocks: Array | None = None) -> BoundedQuantity:
     """Torque of every robot in the uncertain ball; samples equispaced within `blocks` (see `excess`).
 
     Coulomb friction jumps at a reversal, between two samples; it is monotone in speed, so its bounds are those of its
@@ -97,13 +97,13 @@ def torque(subject: Subject, motion: Samples, blocks: Array | None = None) -> De
     nominal, width = dynamics.band(Y, subject.parameters, subject.uncertainty)
     friction = subject.parameters.coulomb()
     smooth = nominal - friction * np.tanh(motion.dq / COULOMB_WIDTH)
-    doubt = excess(motion.dq, blocks)
+    doubt = intersample_bound(motion.dq, blocks)
     most = _neighbours(friction * np.tanh((motion.dq + doubt) / COULOMB_WIDTH), np.maximum)
     least = _neighbours(friction * np.tanh((motion.dq - doubt) / COULOMB_WIDTH), np.minimum)
     high, low = smooth + width, smooth - width
-    high, low = high + excess(high, blocks) + most, low - excess(low, blocks) + least
+    high, low = high + intersample_bound(high, blocks) + most, low - intersample_bound(low, blocks) + least
     bound = subject.limits.torque
-    return Demand("torque", subject.robot.joints, low, high, -bound, bound)
+    return BoundedQuantity("torque", subject.robot.joints, low, high, -bound, bound)
 
 
 def _neighbours(values: Array, pick: np.ufunc) -> Array:
@@ -114,7 +114,7 @@ def _neighbours(values: Array, pick: np.ufunc) -> Array:
     return out
 
 
-def braking(subject: Subject, motion: Samples, blocks: Array | None = None) -> Demand | None:
+def braking_quantity(subject: MotionConstraints, motion: Samples, blocks: Array | None = None) -> BoundedQuantity | None:
     """Velocity limits that fall towards a stop, as (s q̇ + c)₊²/rate + s q ≤ s stop; None where there are none."""
     at = [j for j, brake in enumerate(subject.limits.braking) if brake is not None]
     if not at:
@@ -126,28 +126,28 @@ def braking(subject: Subject, motion: Samples, blocks: Array | None = None) -> D
     low = q - np.maximum(-dq + offset, 0.0) ** 2 / rate
     stops = np.array([b.stop for b in brakes])
     names = tuple(subject.robot.joints[j] for j in at)
-    return Demand(
+    return BoundedQuantity(
         "braking",
         names,
-        low - excess(low, blocks),
-        high + excess(high, blocks),
+        low - intersample_bound(low, blocks),
+        high + intersample_bound(high, blocks),
         stops[:, 0],
         stops[:, 1],
     )
 
 
-def boxes(subject: Subject, motion: Samples, blocks: Array | None = None) -> list[Demand]:
+def box_quantities(subject: MotionConstraints, motion: Samples, blocks: Array | None = None) -> list[BoundedQuantity]:
     """Cartesian boxes around frames."""
     out = []
     for box in subject.boxes:
         p = dynamics.positions(subject.robot, box.frame, motion.q)
         names = tuple(f"{box.frame}.{axis}" for axis in "xyz")
         out.append(
-            Demand(
+            BoundedQuantity(
                 "box",
                 names,
-                p - excess(p, blocks),
-                p + excess(p, blocks),
+                p - intersample_bound(p, blocks),
+                p + intersample_bound(p, blocks),
                 np.array(box.lower),
                 np.array(box.upper),
             )
@@ -155,18 +155,18 @@ def boxes(subject: Subject, motion: Samples, blocks: Array | None = None) -> lis
     return out
 
 
-def symmetric(limit: str, subject: Subject, low: Array, high: Array) -> Demand:
+def joint_quantity(limit: str, subject: MotionConstraints, low: Array, high: Array) -> BoundedQuantity:
     """A joint quantity against the limit of that name."""
     bounds = getattr(subject.limits, limit)
     lower, upper = (bounds[:, 0], bounds[:, 1]) if limit == "position" else (-bounds, bounds)
-    return Demand(limit, subject.robot.joints, low, high, lower, upper)
+    return BoundedQuantity(limit, subject.robot.joints, low, high, lower, upper)
 
 
-def loads(subject: Subject, motion: Samples, blocks: Array | None = None) -> list[Demand]:
+def model_quantities(subject: MotionConstraints, motion: Samples, blocks: Array | None = None) -> list[BoundedQuantity]:
     """All demands that need the robot's model: torque, braking, boxes. blocks: as in `excess`."""
-    brake = braking(subject, motion, blocks)
+    brake = braking_quantity(subject, motion, blocks)
     return [
-        torque(subject, motion, blocks),
+        torque_quantity(subject, motion, blocks),
         *([] if brake is None else [brake]),
-        *boxes(subject, motion, blocks),
+        *box_quantities(subject, motion, blocks),
     ]

@@ -28,8 +28,8 @@ class Criterion(Enum):
     COND_REGRESSOR = "cond_regressor"
 
 
-MAXIMISED = (Criterion.D, Criterion.E)
-NARROW = 1e-6
+MAXIMISED_CRITERIA = (Criterion.D, Criterion.E)
+MIN_SPECTRUM_RATIO = 1e-6
 """Spectra narrower than this keep ten digits when the matrix is squared."""
 
 
@@ -77,14 +77,14 @@ class Weighting:
         return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))).T)
 
 
-def weighting(criterion: Criterion, base: Base, noise: Array, *, plain: bool) -> Weighting:
+def criterion_weighting(criterion: Criterion, base: Base, noise: Array, *, plain: bool) -> Weighting:
     """Coordinates in which `criterion` is evaluated."""
     if criterion is Criterion.COND_REGRESSOR:
         return Weighting(base.selection, np.ones_like(noise))
     return Weighting(base.plain if plain else base.geometric, noise)
 
 
-def value(criterion: Criterion, spectrum: Array) -> float:
+def criterion_value(criterion: Criterion, spectrum: Array) -> float:
     """The criterion of a spectrum in ascending order. inf or 0 where a direction is not seen at all."""
     low, high = float(spectrum[0]), float(spectrum[-1])
     if criterion is Criterion.E:
@@ -106,16 +106,16 @@ def _spectrum(rows: Array) -> tuple[Array, Array]:
     except np.linalg.LinAlgError:
         pivots = np.zeros(1)
     if (
-        pivots.min() > NARROW * pivots.max()
+        pivots.min() > MIN_SPECTRUM_RATIO * pivots.max()
     ):  # cheap, and hardly ever wrong; the eigenvalues have the last word
         values, vectors = np.linalg.eigh(square)
-        if values[0] > NARROW * values[-1]:
+        if values[0] > MIN_SPECTRUM_RATIO * values[-1]:
             return values, vectors
     _, singular, right = np.linalg.svd(np.linalg.qr(rows, mode="r"))
     return np.maximum(singular**2, 1e-28 * singular[0] ** 2), right.T
 
 
-def smooth(criterion: Criterion, rows: Array, sharpness: float) -> tuple[float, Array]:
+def smooth_objective(criterion: Criterion, rows: Array, sharpness: float) -> tuple[float, Array]:
     """A smooth function of the information AᵀA to minimise, and its gradient with respect to that matrix.
 
     rows: A. Shape (m, p), m ≥ p.
@@ -144,7 +144,7 @@ def _soft_max(values: Array, sharpness: float) -> tuple[float, Array]:
     return top + np.log(total) / sharpness, weights / total
 
 
-def spectrum(rows: Array) -> Array:
+def information_eigenvalues(rows: Array) -> Array:
     """Ascending eigenvalues of AᵀA. Shapes (m, p) -> (p,)."""
     singular = np.linalg.svd(np.linalg.qr(rows, mode="r"), compute_uv=False)
     out = np.zeros(rows.shape[1])
@@ -152,7 +152,7 @@ def spectrum(rows: Array) -> Array:
     return np.sort(out)
 
 
-def score(Y: Array, base: Base, noise: Array, given: Array | None = None) -> dict[str, object]:
+def evaluate_criteria(Y: Array, base: Base, noise: Array, given: Array | None = None) -> dict[str, object]:
     """All criteria of one motion side by side, per sample, as the contract's `criteria` states them.
 
     Y: Shape (N, n, P). given: information of earlier recordings over this motion's number of samples, in standard
@@ -160,25 +160,25 @@ def score(Y: Array, base: Base, noise: Array, given: Array | None = None) -> dic
     """
     out: dict[str, object] = {}
     for name, plain in (("geometric", False), ("plain", True)):
-        weights = weighting(Criterion.A, base, noise, plain=plain)
+        weights = criterion_weighting(Criterion.A, base, noise, plain=plain)
         rows = weights.rows(Y)
-        eigenvalues = spectrum(rows if given is None else np.vstack([rows, weights.root(given)]))
+        eigenvalues = information_eigenvalues(rows if given is None else np.vstack([rows, weights.root(given)]))
         out[name] = {
-            c.value: value(c, eigenvalues) for c in Criterion if c is not Criterion.COND_REGRESSOR
+            c.value: criterion_value(c, eigenvalues) for c in Criterion if c is not Criterion.COND_REGRESSOR
         }
-    weights = weighting(Criterion.COND_REGRESSOR, base, noise, plain=True)
-    out["cond_regressor"] = value(Criterion.COND_REGRESSOR, spectrum(weights.rows(Y)))
+    weights = criterion_weighting(Criterion.COND_REGRESSOR, base, noise, plain=True)
+    out["cond_regressor"] = criterion_value(Criterion.COND_REGRESSOR, information_eigenvalues(weights.rows(Y)))
     return out
 
 
-def pick(criteria: Mapping[str, object], criterion: Criterion, *, plain: bool) -> float:
+def select_criterion(criteria: Mapping[str, object], criterion: Criterion, *, plain: bool) -> float:
     """One number out of what `score` returns."""
     if criterion is Criterion.COND_REGRESSOR:
         return float(criteria["cond_regressor"])  # type: ignore[arg-type]
     return float(criteria["plain" if plain else "geometric"][criterion.value])  # type: ignore[index]
 
 
-def standard_information(Y: Array, noise: Array) -> Array:
+def information_matrix(Y: Array, noise: Array) -> Array:
     """Σₜ Yᵀ Σ⁻¹ Y over all samples, in standard parameters. Shapes (N, n, P) -> (P, P)."""
     rows = (Y / noise[:, None]).reshape(-1, Y.shape[2])
     out: Array = rows.T @ rows

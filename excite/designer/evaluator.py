@@ -10,13 +10,13 @@ from ..collision.clearance_constraint import Look
 from ..robot.inertial_parameters import Parameters
 from . import casadi_model, criteria
 from .casadi_batch import Mapped, Padded
-from .problem import Problem
+from .problem import DesignProblem
 
 Array = np.ndarray
 
 
 @dataclass(frozen=True)
-class Rows:
+class ConstraintRows:
     """Constraint rows g ≤ 1, each a quantity over its limit: kind, sample, joint (or axis, or pair of bodies), sign.
 
     kind indexes `Evaluator.kinds`; all four arrays have the same shape (m,).
@@ -49,14 +49,14 @@ class Evaluator:
     kinds: names of the groups of rows this problem has, in the order `Rows.kind` counts them.
     """
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: DesignProblem) -> None:
         self.problem = problem
         self.bases = problem.bases()
         functions, count = problem.functions, problem.options.samples
         self._regressor = Mapped(functions.regressor, count, functions.library)
         self._adjoint = Mapped(functions.adjoint, count, functions.library)
         self._row = Padded(functions.row, functions.library)
-        self._frames = [casadi_model.position(problem.robot, box.frame) for box in problem.boxes]
+        self._frames = [casadi_model.frame_position(problem.robot, box.frame) for box in problem.boxes]
         # Coulomb friction jumps between two samples wherever a joint turns round, so here it always counts against the
         # drive: its torque leaves the nominal one and comes off the limit.
         friction = problem.parameters.coulomb()
@@ -113,7 +113,7 @@ class Evaluator:
         Y, weights = self._regressor_at(point), problem.weighting
         rows = weights.rows(Y)
         stacked = rows if problem.given is None else np.vstack([rows, problem.given])
-        value, slope = criteria.smooth(problem.options.criterion, stacked, sharpness)
+        value, slope = criteria.smooth_objective(problem.options.criterion, stacked, sharpness)
         gradients = self._adjoint(*point.motion[:3], weights.seed(Y, slope))
         if problem.apart is not None:
             overlap, by_q, by_dq = problem.apart.overlap(*point.motion[:2])
@@ -222,7 +222,7 @@ class Evaluator:
         """Which of all rows exceed `threshold` at x: a flat mask in the order of `kinds`."""
         return np.concatenate([(values > threshold).ravel() for values in self.table(x).values()])
 
-    def rows(self, mask: Array) -> Rows:
+    def rows(self, mask: Array) -> ConstraintRows:
         """The rows that a flat mask names."""
         kinds, samples, joints, signs, start = [], [], [], [], 0
         for number, kind in enumerate(self.kinds):
@@ -236,7 +236,7 @@ class Evaluator:
             samples.append(sample)
             joints.append(joint)
             signs.append(1.0 - 2.0 * sign)
-        return Rows(*(np.concatenate(part) for part in (kinds, samples, joints, signs)))
+        return ConstraintRows(*(np.concatenate(part) for part in (kinds, samples, joints, signs)))
 
     def _shape(self, kind: str) -> tuple[int, int, int]:
         p = self.problem
@@ -244,7 +244,7 @@ class Evaluator:
             return 1, p.options.samples, len(p.clearance)
         return 2, p.options.samples, 3 if kind.startswith("box") else p.robot.n
 
-    def row_values(self, x: Array, rows: Rows) -> Array:
+    def row_values(self, x: Array, rows: ConstraintRows) -> Array:
         """Values of selected rows. Shape (m,)."""
         table = self.table(x)
         out = np.empty(len(rows))
@@ -253,7 +253,7 @@ class Evaluator:
             out[at] = table[kind][(rows.sign[at] < 0).astype(int), rows.sample[at], rows.joint[at]]
         return out
 
-    def row_gradients(self, x: Array, rows: Rows) -> Array:
+    def row_gradients(self, x: Array, rows: ConstraintRows) -> Array:
         """Exact Jacobian of selected rows. Shape (m, size)."""
         point, p = self._at(x), self.problem
         n, width = p.scale.shape

@@ -13,15 +13,15 @@ from ..robot.limits import DERIVED, Limits
 from ..robot.parameter_names import listed
 from ..robot.robot import Robot
 from ..robot.samples import Samples
-from ..trajectory.fourier import Fourier
+from ..trajectory.fourier import FourierSeries
 from ..trajectory.rest_to_rest import Motion
-from .identifiability import THRESHOLD, information_root, spectrum
+from .identifiability import IDENTIFIABLE_VARIANCE, information_root, eigenvalues_and_directions
 
 Array = np.ndarray
 
 
 @dataclass(frozen=True)
-class Break:
+class BrokenLimit:
     """A limit that a scenario would break: the largest value over the limit, and where."""
 
     limit: str
@@ -37,10 +37,10 @@ class Scenario:
     words: str
     identifiable: int
     eigenvalues: Array
-    broken: tuple[Break, ...] = ()
+    broken: tuple[BrokenLimit, ...] = ()
 
 
-def what_would_help(
+def compare_scenarios(
     robot: Robot,
     parameters: Parameters,
     base: Base,
@@ -49,7 +49,7 @@ def what_would_help(
     *,
     noise: Array,
     rate: float,
-    threshold: float = THRESHOLD,
+    threshold: float = IDENTIFIABLE_VARIANCE,
     given: Array | None = None,
 ) -> tuple[Scenario, ...]:
     """The motion as it is; recorded for twice the time; its Fourier part run at twice the speed for as long as now.
@@ -68,8 +68,8 @@ def what_would_help(
     ]
     now = np.vstack([outer, inner[0]])
     cases = {"now": now, "time": np.sqrt(2.0) * now, "speed": np.vstack([outer, inner[1]])}
-    spectra = {name: spectrum(np.vstack([root, earlier]), base)[0] for name, root in cases.items()}
-    broken: dict[str, tuple[Break, ...]] = {
+    spectra = {name: eigenvalues_and_directions(np.vstack([root, earlier]), base)[0] for name, root in cases.items()}
+    broken: dict[str, tuple[BrokenLimit, ...]] = {
         "now": (),
         "time": (),
         "speed": _broken(robot, parameters, limits, motion, 2.0),
@@ -92,7 +92,7 @@ def _gain(more: int, what: str) -> str:
     return f"{what} would make {abs(more)} {'more' if more > 0 else 'fewer'} direction{'s' * (abs(more) != 1)} identifiable"
 
 
-def _break_words(broken: tuple[Break, ...]) -> str:
+def _break_words(broken: tuple[BrokenLimit, ...]) -> str:
     if not broken:
         return ", and no limit would break"
     return ", but would break " + listed(
@@ -101,7 +101,7 @@ def _break_words(broken: tuple[Break, ...]) -> str:
 
 
 def _fourier_root(
-    robot: Robot, parameters: Parameters, series: Fourier, noise: Array, rows: int
+    robot: Robot, parameters: Parameters, series: FourierSeries, noise: Array, rows: int
 ) -> Array:
     """Root of what `rows` samples of a periodic motion tell; one period is computed and counted as often as it fits."""
     count = int(np.clip(rows, 1, 300))
@@ -112,7 +112,7 @@ def _fourier_root(
 
 def _broken(
     robot: Robot, parameters: Parameters, limits: Limits, motion: Motion, speed: float
-) -> tuple[Break, ...]:
+) -> tuple[BrokenLimit, ...]:
     """For each kind of limit the joint that would exceed it most, if any would."""
     series = motion.fourier.slowed(speed)
     t = series.grid(300)
@@ -131,15 +131,15 @@ def _broken(
         ratio = np.where(stated, np.abs(array).max(axis=0) / getattr(limits, kind), 0.0)
         worst = int(np.argmax(ratio))
         if ratio[worst] > 1.0:
-            out.append(Break(kind, robot.joints[worst], float(ratio[worst])))
+            out.append(BrokenLimit(kind, robot.joints[worst], float(ratio[worst])))
     if not any(b.limit == "velocity" for b in out):
         out += _braking(limits, samples)
     return tuple(out)
 
 
-def _braking(limits: Limits, samples: Samples) -> list[Break]:
+def _braking(limits: Limits, samples: Samples) -> list[BrokenLimit]:
     """Velocity limits that fall towards a stop."""
-    worst = Break("velocity", "", 1.0)
+    worst = BrokenLimit("velocity", "", 1.0)
     for j, brake in enumerate(limits.braking):
         if brake is None:
             continue
@@ -148,5 +148,5 @@ def _braking(limits: Limits, samples: Samples) -> list[Break]:
             allowed = np.maximum(np.sqrt(brake.rate * distance) - brake.offset, 1e-6)
             factor = float(np.max(sign * samples.dq[:, j] / allowed))
             if factor > worst.factor:
-                worst = Break("velocity", limits.joints[j], factor)
+                worst = BrokenLimit("velocity", limits.joints[j], factor)
     return [worst] if worst.joint else []

@@ -21,8 +21,8 @@ from ..robot.samples import Samples
 
 Array = np.ndarray
 SCHEMA = "excite.identifiability/1"
-THRESHOLD = 1e-2
-BLOCK = 400
+IDENTIFIABLE_VARIANCE = 1e-2
+SAMPLES_PER_BLOCK = 400
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class BaseParameter:
 
 
 @dataclass(frozen=True)
-class Share:
+class IdentifiableShare:
     """Part of what can be known of a link or joint that the recording will show; None where nothing can be known."""
 
     name: str
@@ -72,8 +72,8 @@ class Identifiability:
     eigenvalues: Array
     directions: tuple[Direction, ...]
     base_parameters: tuple[BaseParameter, ...]
-    links: tuple[Share, ...]
-    joints: tuple[Share, ...]
+    links: tuple[IdentifiableShare, ...]
+    joints: tuple[IdentifiableShare, ...]
     joint_names: tuple[str, ...]
     noise: Array
     samples: int | None = None
@@ -134,7 +134,7 @@ def _triangle(rows: Array) -> Array:
     return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
-def root_of(Y: Array, noise: Array) -> Array:
+def regressor_root(Y: Array, noise: Array) -> Array:
     """R with RᵀR = Σ Yᵀ Σ⁻¹ Y, without forming the product, which would lose half of the digits. Shape (≤ P, P)."""
     return _triangle((Y / noise[:, None]).reshape(-1, Y.shape[2]))
 
@@ -142,22 +142,22 @@ def root_of(Y: Array, noise: Array) -> Array:
 def information_root(robot: Robot, parameters: Parameters, samples: Samples, noise: Array) -> Array:
     """`root_of` the regressor along a motion, block by block so that long motions of large robots fit in memory."""
     root = np.zeros((0, parameters.count))
-    for start in range(0, len(samples), BLOCK):
-        block = root_of(
-            regressor(robot, parameters, samples.rows(slice(start, start + BLOCK))), noise
+    for start in range(0, len(samples), SAMPLES_PER_BLOCK):
+        block = regressor_root(
+            regressor(robot, parameters, samples.rows(slice(start, start + SAMPLES_PER_BLOCK))), noise
         )
         root = _triangle(np.vstack([root, block]))
     return root
 
 
-def analyse(
+def analyse_information(
     parameters: Parameters,
     base: Base,
     information: Array,
     noise: Array,
     robot: Robot,
     *,
-    threshold: float = THRESHOLD,
+    threshold: float = IDENTIFIABLE_VARIANCE,
     samples: int | None = None,
 ) -> Identifiability:
     """Identifiability from the information Σ Yᵀ Σ⁻¹ Y of the whole recording, in standard parameters. Shape (P, P).
@@ -180,15 +180,15 @@ def analyse_root(
     noise: Array,
     robot: Robot,
     *,
-    threshold: float = THRESHOLD,
+    threshold: float = IDENTIFIABLE_VARIANCE,
     samples: int | None = None,
 ) -> Identifiability:
     """Identifiability from R with RᵀR = Σ Yᵀ Σ⁻¹ Y: `root_of`, `information_root`, or any such rows stacked. Shape (m, P)."""
-    values, vectors = spectrum(root, base)
+    values, vectors = eigenvalues_and_directions(root, base)
     return _describe(_Frame(parameters, base, values, vectors), robot, noise, threshold, samples)
 
 
-def spectrum(root: Array, base: Base) -> tuple[Array, Array]:
+def eigenvalues_and_directions(root: Array, base: Base) -> tuple[Array, Array]:
     """λ, falling, and the directions in the coordinates of base.geometric as columns. Shapes (p,), (p, p)."""
     _, singular, right = np.linalg.svd(_triangle(root @ base.geometric), full_matrices=True)
     values = np.zeros(base.count)
@@ -271,7 +271,7 @@ def _base_parameters(
 
 def _shares(
     parameters: Parameters, units: Array, seen: Array
-) -> tuple[tuple[Share, ...], tuple[Share, ...]]:
+) -> tuple[tuple[IdentifiableShare, ...], tuple[IdentifiableShare, ...]]:
     """Per link, and per joint for its drive: trace of the projector onto the identifiable directions, restricted to the
     block of the link's ten parameters, over that of the projector onto all observable directions.
 
@@ -280,9 +280,9 @@ def _shares(
     squares = units**2
     visible, all_of_it = squares[:, seen].sum(axis=1), squares.sum(axis=1)
 
-    def share(name: str, rows: list[int]) -> Share:
+    def share(name: str, rows: list[int]) -> IdentifiableShare:
         total = float(all_of_it[rows].sum())
-        return Share(name, min(1.0, float(visible[rows].sum()) / total) if total > 1e-9 else None)
+        return IdentifiableShare(name, min(1.0, float(visible[rows].sum()) / total) if total > 1e-9 else None)
 
     links = tuple(
         share(link, list(range(10 * i, 10 * i + 10))) for i, link in enumerate(parameters.links)

@@ -7,19 +7,19 @@ import numpy as np
 from ..collision.clearance_constraint import Clearance
 from ..errors import Infeasible, UnusableInput
 from ..robot.inertial_parameters import ranges
-from .evaluator import Evaluator, Rows
-from .problem import Problem
+from .evaluator import Evaluator, ConstraintRows
+from .problem import DesignProblem
 
 Array = np.ndarray
-ROOM = 0.95
+COMFORTABLE_ROW_VALUE = 0.95
 """Largest row value of a pose or start that counts as comfortably inside the limits."""
-EASE = 2.5
+CLEARANCE_SCALING = 2.5
 """Clearance counts as so much roomier: a row's unit is many margins, and neighbours may never be more than two of them apart."""
-LINE = 60
+POSES_PER_LINE = 60
 """Poses at which a straight line from the start pose is looked at."""
 
 
-def at_rest(problem: Problem, pose: Array) -> Array:
+def stationary_variables(problem: DesignProblem, pose: Array) -> Array:
     """Variables of the motion that stays at `pose`."""
     x = np.zeros(problem.size)
     table = x[: problem.scale.size].reshape(problem.scale.shape)
@@ -55,13 +55,13 @@ class _Poses:
 
 def _eased(kind: str, values: Array) -> Array:
     return (
-        np.where(values < 1.0, 1.0 - EASE * (1.0 - values), values)
+        np.where(values < 1.0, 1.0 - CLEARANCE_SCALING * (1.0 - values), values)
         if kind == "clearance"
         else values
     )
 
 
-def poses(evaluator: Evaluator, rng: np.random.Generator, tries: int = 4) -> Array:
+def find_static_poses(evaluator: Evaluator, rng: np.random.Generator, tries: int = 4) -> Array:
     """Poses that can be held with room to spare, the roomiest first. Shape (m, n), m ≥ 1.
 
     Random poses first; when none has room, the best is improved by a gradient method.
@@ -79,7 +79,7 @@ def poses(evaluator: Evaluator, rng: np.random.Generator, tries: int = 4) -> Arr
         if problem.home is not None and problem.clearance is not None:
             candidates = _within_sight(problem.clearance, problem.home, candidates, rng)
         worst = holder.worst(candidates)
-        good = worst < ROOM
+        good = worst < COMFORTABLE_ROW_VALUE
         if good.any():
             order = np.argsort(worst[good])
             return np.asarray(candidates[good][order])
@@ -93,7 +93,7 @@ def _within_sight(
 
     Folds and obstacles part the joint space: a motion that begins elsewhere may be out of reach.
     """
-    share = np.linspace(0.0, 1.0, LINE + 1)
+    share = np.linspace(0.0, 1.0, POSES_PER_LINE + 1)
     lines = home + share[:, None] * (poses - home)[:, None]
     clear = clearance.least(lines.reshape(-1, len(home)))[0].reshape(lines.shape[:2]) > 0.0
     far = np.logical_and.accumulate(clear, axis=1).sum(axis=1) - 1
@@ -108,7 +108,7 @@ def _improved(evaluator: Evaluator, holder: _Poses, candidates: Array) -> Array:
         value = float(holder.worst(np.tile(found, (evaluator.problem.options.samples, 1)))[0])
         if value < best_value:
             best, best_value = found, value
-        if best_value < ROOM:
+        if best_value < COMFORTABLE_ROW_VALUE:
             break
     if best_value >= 1.0 - 1e-3:
         _refuse(evaluator.problem, holder, best)
@@ -128,12 +128,12 @@ def _least_worst(evaluator: Evaluator, pose: Array) -> Array:
     first[0] = True
 
     def rows_at(z: Array) -> tuple[Array, Array]:
-        x = at_rest(problem, z[:n])
+        x = stationary_variables(problem, z[:n])
         table = evaluator.table(x)
         mask = np.concatenate(
             [np.broadcast_to(first[None, :, None], v.shape).ravel() for v in table.values()]
         )
-        rows: Rows = evaluator.rows(mask)
+        rows: ConstraintRows = evaluator.rows(mask)
         values = evaluator.row_values(x, rows)
         keep = np.isfinite(values) & (rows.kind != position)
         slopes = evaluator.row_gradients(x, rows)[:, columns] / problem.scale[:, -1]
@@ -156,7 +156,7 @@ def _least_worst(evaluator: Evaluator, pose: Array) -> Array:
     return np.asarray(result.x[:n])
 
 
-def _refuse(problem: Problem, holder: _Poses, pose: Array) -> None:
+def _refuse(problem: DesignProblem, holder: _Poses, pose: Array) -> None:
     kind, joint, value = holder.worst_of(pose)
     robot = problem.robot
     if kind == "torque":
@@ -180,10 +180,10 @@ def _refuse(problem: Problem, holder: _Poses, pose: Array) -> None:
     )
 
 
-def motion(evaluator: Evaluator, pose: Array, rng: np.random.Generator) -> Array:
+def scale_random_motion(evaluator: Evaluator, pose: Array, rng: np.random.Generator) -> Array:
     """A random motion around `pose`, as large as the limits allow. Returns feasible variables."""
     problem = evaluator.problem
-    rest = at_rest(problem, pose)
+    rest = stationary_variables(problem, pose)
     K = problem.options.harmonics
     amplitude = rng.normal(size=(problem.robot.n, 2, K)) / np.sqrt(np.arange(1, K + 1))
     step = np.zeros(problem.size)
@@ -193,7 +193,7 @@ def motion(evaluator: Evaluator, pose: Array, rng: np.random.Generator) -> Array
     low, high = 0.0, 1.0
     for _ in range(12):
         middle = 0.5 * (low + high)
-        if evaluator.worst(rest + middle * step) < ROOM + 0.04:
+        if evaluator.worst(rest + middle * step) < COMFORTABLE_ROW_VALUE + 0.04:
             low = middle
         else:
             high = middle

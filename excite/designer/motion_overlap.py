@@ -22,22 +22,22 @@ import numpy as np
 
 from ..robot.limits import Limits
 from ..robot.robot import Robot
-from ..trajectory.fourier import Fourier
+from ..trajectory.fourier import FourierSeries
 
 Array = np.ndarray
-WIDTH = 0.25
+KERNEL_WIDTH = 0.25
 """Width h of the kernel in scaled states: a motion sweeps about ±0.6 of range and speed, so five widths each way tell
 its corners apart, and samples 20 to a harmonic (0.06 apart) still fill the curve between them."""
-WEIGHT = 0.5
+OVERLAP_WEIGHT = 0.5
 """What the optimiser pays for ρ, in nats of the criterion's logarithm. Over the built-in robots and three seeds each, ρ falls
 from 0.67 for a mere other start to 0.41 and the standard deviation the second motion predicts rises by 2 %; twice the
 weight gives 0.35 and 4 % (scripts/choices.py)."""
-MOST = 60
+MAX_COMPARED_SAMPLES = 60
 """Samples of a motion that are compared, at most: the pairs are as many as this squared."""
 
 
 @dataclass(frozen=True)
-class Gauge:
+class StateScaling:
     """Measures the states of a robot's joints so that they compare.
 
     turns: which joints come back to the same pose after a turn. Shape (n,).
@@ -49,10 +49,10 @@ class Gauge:
     speed: Array
 
     @staticmethod
-    def of(robot: Robot, limits: Limits) -> Gauge:
+    def of(robot: Robot, limits: Limits) -> StateScaling:
         """The gauge of a robot under its limits."""
         turns = np.array([entry.kind != "prismatic" for entry in robot.entries])
-        return Gauge(
+        return StateScaling(
             turns,
             np.minimum(0.5 * (limits.position[:, 1] - limits.position[:, 0]), np.pi),
             limits.velocity,
@@ -73,17 +73,17 @@ class Gauge:
 
 
 @dataclass(frozen=True)
-class Apart:
+class OverlapPenalty:
     """A motion that another should keep apart from. states: its own, Shape (n, M, 3). itself: S₁₁. weight: in nats."""
 
-    gauge: Gauge
+    gauge: StateScaling
     states: Array
     itself: float
-    weight: float = WEIGHT
+    weight: float = OVERLAP_WEIGHT
 
     def overlap(self, q: Array, dq: Array) -> tuple[float, Array, Array]:
         """ρ with a motion sampled over whole periods, and its slopes by q and q̇. Shapes (N, n) -> (), (N, n), (N, n)."""
-        every = -(-len(q) // MOST)
+        every = -(-len(q) // MAX_COMPARED_SAMPLES)
         at = slice(None, None, every)
         states = self.gauge.states(q[at], dq[at])
         both, both_slope = _mean(self.states, states)
@@ -96,17 +96,17 @@ class Apart:
         return float(value), by_q, by_dq
 
 
-def apart(gauge: Gauge, motion: Fourier, weight: float = WEIGHT) -> Apart:
+def penalise_overlap(gauge: StateScaling, motion: FourierSeries, weight: float = OVERLAP_WEIGHT) -> OverlapPenalty:
     """What keeps another motion apart from this one."""
-    t = motion.grid(MOST)
+    t = motion.grid(MAX_COMPARED_SAMPLES)
     states = gauge.states(motion.at(t), motion.at(t, 1))
-    return Apart(gauge, states, _mean(states, states)[0], weight)
+    return OverlapPenalty(gauge, states, _mean(states, states)[0], weight)
 
 
-def overlap(gauge: Gauge, first: Fourier, second: Fourier) -> float:
+def motion_overlap(gauge: StateScaling, first: FourierSeries, second: FourierSeries) -> float:
     """ρ of two motions, in [0, 1]."""
-    t = second.grid(MOST)
-    return apart(gauge, first).overlap(second.at(t), second.at(t, 1))[0]
+    t = second.grid(MAX_COMPARED_SAMPLES)
+    return penalise_overlap(gauge, first).overlap(second.at(t), second.at(t, 1))[0]
 
 
 def _mean(a: Array, b: Array) -> tuple[float, Array]:
@@ -119,8 +119,8 @@ def _mean(a: Array, b: Array) -> tuple[float, Array]:
     squares = 0.5 * np.sum(b * b, axis=-1)[:, None, :] + 0.5 * np.sum(a * a, axis=-1)[:, :, None]
     for mirror in (1.0, -1.0):
         seen = a * (1.0, 1.0, mirror)
-        kernel = np.exp((seen @ b.swapaxes(1, 2) - squares) / WIDTH**2)
+        kernel = np.exp((seen @ b.swapaxes(1, 2) - squares) / KERNEL_WIDTH**2)
         value += float(kernel.sum())
         slope += kernel.swapaxes(1, 2) @ seen - kernel.sum(axis=1)[:, :, None] * b
     pairs = 2.0 * a.shape[0] * a.shape[1] * b.shape[1]
-    return value / pairs, slope / (pairs * WIDTH**2)
+    return value / pairs, slope / (pairs * KERNEL_WIDTH**2)

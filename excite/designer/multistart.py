@@ -15,18 +15,18 @@ import numpy as np
 import threadpoolctl
 
 from ..errors import ExciteError
-from ..trajectory.fourier import Fourier
+from ..trajectory.fourier import FourierSeries
 from . import initial_guess, sqp
 from .evaluator import Evaluator
-from .problem import Problem
+from .problem import DesignProblem
 
 Array = np.ndarray
 Progress = Callable[[str], None]
 
-ROUNDS = (60, 90)
+HALVING_ITERATIONS = (60, 90)
 """Iterations after which the worse half stops: earlier, the order says little about the end (rank correlation 0.3 after
 40, 0.7 after 60, 0.8 after 90 iterations over 60 starts of two arms)."""
-MANY = 8
+MIN_STARTS_FOR_HALVING = 8
 """Fewer starts than this all run to their end."""
 
 
@@ -38,13 +38,13 @@ class Attempt:
     """
 
     number: int
-    motion: Fourier
+    motion: FourierSeries
     objective: float
     time: tuple[float, ...]
     values: tuple[float, ...]
     worst: tuple[float, ...]
     stage: tuple[int, ...]
-    state: sqp.State
+    state: sqp.SearchState
     stopped: bool = False
 
 
@@ -52,20 +52,20 @@ class Attempt:
 class _Round:
     """What every task of one round needs: until how many iterations a start may go, and when the clock began [s]."""
 
-    problem: Problem
+    problem: DesignProblem
     built: float
     until: int
 
 
-def run(
-    problem: Problem, built: float, numbers: Sequence[int], progress: Progress | None = None
+def run_starts(
+    problem: DesignProblem, built: float, numbers: Sequence[int], progress: Progress | None = None
 ) -> list[Attempt | ExciteError]:
     """All starts, the best first; one that found no feasible pose comes back as its error, last.
 
     numbers: of the starts; each has a random stream of its own. built: time.perf_counter() when the problem was ready [s].
     """
     end = problem.options.iterations
-    limits = (*(r for r in ROUNDS if r < end), end) if len(numbers) >= MANY else (end,)
+    limits = (*(r for r in HALVING_ITERATIONS if r < end), end) if len(numbers) >= MIN_STARTS_FOR_HALVING else (end,)
     errors: list[ExciteError] = []
     aside: list[Attempt] = []
     alive: list[int | Attempt] = list(numbers)
@@ -150,20 +150,20 @@ def _begin(evaluator: Evaluator, task: _Round, number: int) -> Attempt | ExciteE
     """A start from its own random stream; an error that names limits comes back as a value, out of any process."""
     rng = np.random.default_rng([task.problem.options.seed, number])
     try:
-        held = initial_guess.poses(evaluator, rng)
+        held = initial_guess.find_static_poses(evaluator, rng)
     except ExciteError as error:
         return error
     pose = held[rng.integers(min(len(held), 1 + len(held) // 4))]
-    return refine(
-        evaluator, initial_guess.motion(evaluator, pose, rng), task.built, number, task.until
+    return optimize_from(
+        evaluator, initial_guess.scale_random_motion(evaluator, pose, rng), task.built, number, task.until
     )
 
 
-def refine(
+def optimize_from(
     evaluator: Evaluator, x: Array, built: float, number: int, until: int | None = None
 ) -> Attempt:
     """Optimise from the variables x on, to the end or to a number of iterations."""
-    sharpness = sqp.stages(evaluator.problem.options.criterion)
+    sharpness = sqp.sharpness_stages(evaluator.problem.options.criterion)
     history = sqp.History(began=built)
     history.add(
         evaluator.objective(x, sharpness[-1])[0],
@@ -171,7 +171,7 @@ def refine(
         len(sharpness) - 1 if len(sharpness) == 1 else 0,
     )
     return _attempt(
-        evaluator, number, sqp.advance(evaluator, sqp.begin(x), history, until), history
+        evaluator, number, sqp.advance(evaluator, sqp.initial_state(x), history, until), history
     )
 
 
@@ -185,9 +185,9 @@ def _go_on(evaluator: Evaluator, task: _Round, before: Attempt) -> Attempt:
     )
 
 
-def _attempt(evaluator: Evaluator, number: int, state: sqp.State, history: sqp.History) -> Attempt:
+def _attempt(evaluator: Evaluator, number: int, state: sqp.SearchState, history: sqp.History) -> Attempt:
     problem = evaluator.problem
-    objective = evaluator.objective(state.best, sqp.stages(problem.options.criterion)[-1])[0]
+    objective = evaluator.objective(state.best, sqp.sharpness_stages(problem.options.criterion)[-1])[0]
     h = history
     return Attempt(
         number,

@@ -16,44 +16,44 @@ from ..robot import base_parameters, inertial_parameters
 from ..robot.base_parameters import Base
 from ..robot.limits import Limits
 from ..robot.robot import Robot
-from ..trajectory.fourier import Fourier
+from ..trajectory.fourier import FourierSeries
 from . import criteria, initial_guess, multistart, problem, sqp
-from .constraint_margins import Subject
+from .constraint_margins import MotionConstraints
 from .criteria import Criterion
 from .evaluator import Evaluator
-from .motion_overlap import Apart
+from .motion_overlap import OverlapPenalty
 from .multistart import Attempt, Progress
-from .problem import Options, Problem
+from .problem import DesignOptions, DesignProblem
 
 Array = np.ndarray
 
 
 @dataclass(frozen=True)
-class Setting:
+class DesignSetup:
     """A design problem with what it was built from."""
 
-    problem: Problem
+    problem: DesignProblem
     base: Base
     noise: Array
     built: float  # time.perf_counter() when the problem was complete [s]
 
-    def subject(self, limits: Limits) -> Subject:
+    def subject(self, limits: Limits) -> MotionConstraints:
         """What its motions are held against, by limits that are not shrunk."""
         p = self.problem
-        return Subject(
+        return MotionConstraints(
             p.robot, limits, p.parameters, p.options.uncertainty, p.options.boxes, p.clearance
         )
 
 
 @dataclass(frozen=True)
-class Design:
+class OptimizedDesign:
     """The best motion and all attempts, the best first."""
 
-    setting: Setting
+    setting: DesignSetup
     attempts: tuple[Attempt, ...]
 
     @property
-    def motion(self) -> Fourier:
+    def motion(self) -> FourierSeries:
         """The best periodic motion found."""
         return self.attempts[0].motion
 
@@ -74,16 +74,16 @@ class Design:
     def _final(self, attempt: Attempt) -> tuple[Array, Array]:
         """Times and best feasible objective of an attempt's last stage (the ones before smooth more)."""
         stage, worst = np.array(attempt.stage), np.array(attempt.worst)
-        last = (stage == stage.max()) & (worst <= sqp.FEASIBLE)
+        last = (stage == stage.max()) & (worst <= sqp.MAX_FEASIBLE_ROW_VALUE)
         values = np.where(last, np.array(attempt.values), np.inf)
         return np.array(attempt.time), np.minimum.accumulate(values)
 
 
-def check(options: Options) -> None:
+def check_options(options: DesignOptions) -> None:
     """Refuse options that contradict themselves; UnusableInput names the option and the remedy."""
     o = options
     if o.free_period is None:
-        whole_samples(o.period, o.rate)
+        samples_per_period(o.period, o.rate)
     if o.samples <= 2 * o.harmonics:
         raise UnusableInput(
             f"--samples {o.samples} cannot carry {o.harmonics} harmonics; use more than {2 * o.harmonics}"
@@ -112,7 +112,7 @@ def check(options: Options) -> None:
             )
 
 
-def whole_samples(period: float, rate: float) -> int:
+def samples_per_period(period: float, rate: float) -> int:
     """Samples in one period; UnusableInput when they are no whole number."""
     if not (np.isfinite(period) and np.isfinite(rate) and period > 0.0 and rate > 0.0):
         raise UnusableInput(
@@ -127,17 +127,17 @@ def whole_samples(period: float, rate: float) -> int:
     return round(count)
 
 
-def prepare(
+def set_up(
     robot: Robot,
     limits: Limits,
-    options: Options,
+    options: DesignOptions,
     given: Array | None = None,
-    apart: Apart | None = None,
+    apart: OverlapPenalty | None = None,
     clearance: Clearance | None = None,
     home: Array | None = None,
-) -> Setting:
+) -> DesignSetup:
     """Build the problem. given: information of earlier recordings in standard parameters. Shape (P, P). The others: see Problem."""
-    check(options)
+    check_options(options)
     if options.free_period is not None:
         options = dataclasses.replace(
             options, period=float(np.clip(options.period, *options.free_period))
@@ -152,16 +152,16 @@ def prepare(
         raise UnusableInput(f"--torque-noise should be {robot.n} positive numbers, one per joint")
     standard = inertial_parameters.standard(robot, limits, options.drive)
     found = base_parameters.find(robot, standard, limits)
-    noise = problem.noise_levels(limits, options.noise)
-    weights = criteria.weighting(options.criterion, found, noise, plain=options.plain)
+    noise = problem.torque_noise_levels(limits, options.noise)
+    weights = criteria.criterion_weighting(options.criterion, found, noise, plain=options.plain)
     count = options.periods * options.period * options.rate
     root = None if given is None else weights.root(given / count)
-    bare = problem.build(robot, limits, standard, weights, options, root)
+    bare = problem.build_problem(robot, limits, standard, weights, options, root)
     built = dataclasses.replace(bare, apart=apart, clearance=clearance, home=home)
-    return Setting(built, found, noise, time.perf_counter())
+    return DesignSetup(built, found, noise, time.perf_counter())
 
 
-def solve(setting: Setting, progress: Progress | None = None) -> Design:
+def solve(setting: DesignSetup, progress: Progress | None = None) -> OptimizedDesign:
     """Run all starts of a design and rank them; one seed gives one result, whatever the number of processes.
 
     Raises Infeasible or UnusableInput when no pose can be held under the limits.
@@ -169,32 +169,32 @@ def solve(setting: Setting, progress: Progress | None = None) -> Design:
     options = setting.problem.options
     # a second motion's starts are numbered on from the first's, so that they have random streams of their own
     first = 0 if setting.problem.apart is None else options.starts
-    results = multistart.run(
+    results = multistart.run_starts(
         setting.problem, setting.built, range(first, first + options.starts), progress
     )
     attempts = [r for r in results if isinstance(r, Attempt)]
     if not attempts:
         raise next(r for r in results if isinstance(r, ExciteError))
-    design = Design(setting, tuple(attempts))
+    design = OptimizedDesign(setting, tuple(attempts))
     return _fixed_period(design) if options.free_period is not None else design
 
 
-def improve(setting: Setting, motion: Fourier, number: int = 0) -> Attempt:
+def improve(setting: DesignSetup, motion: FourierSeries, number: int = 0) -> Attempt:
     """Optimise on from a motion that may break limits a little: it is first drawn in, if that makes it obey them."""
     with threadpoolctl.threadpool_limits(1):
         evaluator = Evaluator(setting.problem)
         x = setting.problem.variables(motion)
-        rest = initial_guess.at_rest(setting.problem, motion.offset)
+        rest = initial_guess.stationary_variables(setting.problem, motion.offset)
         for share in (1.0, *(1.0 - 0.5 ** np.arange(9, 1, -1)), 0.6, 0.45, 0.3, 0.2):
             drawn = rest + share * (x - rest)
             if evaluator.worst(drawn) <= 1.0:
                 break
         else:  # its middle pose can't be held, say: the solver finds its own way back
             drawn = x
-        return multistart.refine(evaluator, drawn, setting.built, number)
+        return multistart.optimize_from(evaluator, drawn, setting.built, number)
 
 
-def _fixed_period(design: Design) -> Design:
+def _fixed_period(design: OptimizedDesign) -> OptimizedDesign:
     """Round an optimised period to whole samples (and to the ramps' time grid) and settle the motion there."""
     old = design.setting.problem
     motion, rate = design.motion, old.options.rate
@@ -202,13 +202,13 @@ def _fixed_period(design: Design) -> Design:
     options = dataclasses.replace(old.options, period=period, free_period=None)
     rebuilt = dataclasses.replace(old, options=options)
     setting = dataclasses.replace(design.setting, problem=rebuilt)
-    stretched = Fourier(motion.sine, motion.cosine, motion.offset, period)
+    stretched = FourierSeries(motion.sine, motion.cosine, motion.offset, period)
     slower = motion.slowed(motion.period / period)
     best = min(
         (improve(setting, m, design.attempts[0].number) for m in (stretched, slower)),
         key=lambda a: a.objective,
     )
-    return Design(setting, (best, *design.attempts[1:]))
+    return OptimizedDesign(setting, (best, *design.attempts[1:]))
 
 
 def _whole_period(period: float, rate: float, bounds: tuple[float, float] | None) -> float:
@@ -226,21 +226,21 @@ def _whole_period(period: float, rate: float, bounds: tuple[float, float] | None
     )
 
 
-def tightened(
-    setting: Setting,
+def tighten(
+    setting: DesignSetup,
     limits: Limits,
     reserve: float,
     short: Mapping[str, float] | None = None,
     *,
     finer: bool = False,
-) -> Setting:
+) -> DesignSetup:
     """The same problem with a larger reserve on curved limits, for when the certificate finds a gap between samples.
 
     short: clearance that pairs of bodies lack [m]. finer: with samples twice as dense.
     """
     p, lacking = setting.problem, short or {}
     options = dataclasses.replace(p.options, samples=(1 + finer) * p.options.samples)
-    tighter = problem.rebuilt(p, limits, options, p.given, reserve)
+    tighter = problem.rebuild_problem(p, limits, options, p.given, reserve)
     if p.clearance is not None:
         more = np.array([lacking.get(pair, 0.0) for pair in p.clearance.names])
         tighter = dataclasses.replace(

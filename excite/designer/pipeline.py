@@ -16,54 +16,54 @@ from ..collision.workcell import NOT_CHECKED, Cell
 from ..errors import CheckFailed, Infeasible, UnusableInput
 from ..robot.limits import Limits
 from ..robot.robot import Robot
-from ..trajectory.trajectory_file import Trajectory, versions
+from ..trajectory.trajectory_file import Trajectory, package_versions
 from . import certificate as certificate_module
 from . import optimize, ramps
-from .certificate import CELL, CLEARANCE, Certificate
-from .motion_overlap import Apart
+from .certificate import CELL_KEY, CLEARANCE, Certificate
+from .motion_overlap import OverlapPenalty
 from .multistart import Progress
-from .optimize import Design
-from .problem import RESERVE, Options
+from .optimize import OptimizedDesign
+from .problem import LIMIT_RESERVE, DesignOptions
 
 Array = np.ndarray
 Whole = tuple[Trajectory, Certificate]
 
 
-MOST_RESERVE = 0.3
-TIGHTENINGS = 3
+MAX_LIMIT_RESERVE = 0.3
+MAX_TIGHTENINGS = 3
 """Times that a motion is improved on when its certificate fails."""
-COARSE = 5e-3
+MAX_CLEARANCE_DEFICIT = 5e-3
 """Clearance that a motion may lack between samples without these being too coarse for it [m]."""
-SINGULAR = 1e-24
+SINGULAR_EIGENVALUE_RATIO = 1e-24
 """Ratio of eigenvalues of the information below which a direction is rounding noise, not seen."""
 
 
 @dataclass(frozen=True)
-class Delivery:
+class CertifiedDesign:
     """A certified motion with how it came about. timing: seconds, the contract's keys."""
 
     trajectory: Trajectory
     certificate: Certificate
-    design: Design
+    design: OptimizedDesign
     timing: dict[str, float]
 
 
 @threadpoolctl.threadpool_limits.wrap(limits=1)  # type: ignore[untyped-decorator]  # small matrices: threads cost more than they bring
-def run(
+def design_trajectory(
     robot: Robot,
     limits: Limits,
-    options: Options,
+    options: DesignOptions,
     *,
     start: Array | None = None,
     given: Array | None = None,
-    apart: Apart | None = None,
+    apart: OverlapPenalty | None = None,
     cell: Cell | None = None,
     unchecked: str = NOT_CHECKED,
     notes: dict[str, Any] | None = None,
     speed: float = 1.0,
     force: bool = False,
     progress: Progress | None = None,
-) -> Delivery:
+) -> CertifiedDesign:
     """Design, smooth and certify a trajectory.
 
     start: pose at which the motion begins and ends at rest, or None. given: information of earlier recordings.
@@ -78,25 +78,25 @@ def run(
     if not 0.0 < speed <= 1.0:
         raise UnusableInput(f"--speed {speed:g} should be above 0 and at most 1")
     if options.free_period is None:
-        optimize.whole_samples(options.period / speed, options.rate)
+        optimize.samples_per_period(options.period / speed, options.rate)
     clearance = None if cell is None else clearance_builder.clearance(cell)
-    setting = optimize.prepare(robot, limits, options, given, apart, clearance, start)
+    setting = optimize.set_up(robot, limits, options, given, apart, clearance, start)
     if start is not None:  # before the optimisation, which begins within its sight
-        ramps.check_start(setting.subject(limits.reduced()), start)
+        ramps.check_start_pose(setting.subject(limits.reduced()), start)
     say(f"{robot.name}: {robot.n} joints, {setting.base.count} base parameters")
     found = optimize.solve(setting, progress)
     timing = {"build": setting.built - begun, **found.timing()}
-    facts = {**(notes or {}), **({} if cell is None else {CELL: cell.document()})}
+    facts = {**(notes or {}), **({} if cell is None else {CELL_KEY: cell.document()})}
 
-    def certified(found: Design) -> Whole:
+    def certified(found: OptimizedDesign) -> Whole:
         trajectory = _assemble(found, robot, limits, start, speed, facts, unchecked)
         return trajectory, certificate_module.verify(
             trajectory, robot, limits, cell, unchecked=unchecked
         )
 
     found, (trajectory, certificate) = _with_ramps(found, certified)
-    reserve = RESERVE
-    for _ in range(TIGHTENINGS):
+    reserve = LIMIT_RESERVE
+    for _ in range(MAX_TIGHTENINGS):
         if certificate.ok:
             break
         found, reserve = _tightened(found, limits, certificate, reserve, say)
@@ -109,7 +109,7 @@ def run(
         collision=certificate.collision,
         forced=not certificate.ok,
     )
-    return Delivery(trajectory, certificate, found, timing)
+    return CertifiedDesign(trajectory, certificate, found, timing)
 
 
 def _check(
@@ -121,19 +121,19 @@ def _check(
             f"{robot.source}: the designed motion fails its certificate: {certificate.reason()}; try another --seed or --force"
         )
     # what earlier recordings gave need not be shown again
-    if given is None and not trajectory.criteria["optimum"]["geometric"]["cond"] < 1.0 / SINGULAR:
+    if given is None and not trajectory.criteria["optimum"]["geometric"]["cond"] < 1.0 / SINGULAR_EIGENVALUE_RATIO:
         raise CheckFailed(
             f"{robot.source}: the motion found does not show all base parameters; try another --seed, fewer limits or a longer --period"
         )
 
 
-def _with_ramps(found: Design, certified: Callable[[Design], Whole]) -> tuple[Design, Whole]:
+def _with_ramps(found: OptimizedDesign, certified: Callable[[OptimizedDesign], Whole]) -> tuple[OptimizedDesign, Whole]:
     """The best attempt that ramps, approach and return go with. Raises what the best of all lacks where none has them."""
     lacks = None
     for one in found.attempts:
         if one.motion.period != found.motion.period:  # not settled on whole samples
             continue
-        first = Design(
+        first = OptimizedDesign(
             found.setting, (one, *(other for other in found.attempts if other is not one))
         )
         try:
@@ -145,25 +145,25 @@ def _with_ramps(found: Design, certified: Callable[[Design], Whole]) -> tuple[De
 
 
 def _tightened(
-    found: Design, limits: Limits, certificate: Certificate, reserve: float, say: Progress
-) -> tuple[Design, float]:
+    found: OptimizedDesign, limits: Limits, certificate: Certificate, reserve: float, say: Progress
+) -> tuple[OptimizedDesign, float]:
     """The design with more reserve or clearance, as its certificate found too little of them between samples; and the reserve."""
     worst, short = certificate.worst(), certificate.short_of_clearance()
     # things that are slipped through between samples are met on a finer grid, not by more clearance
-    finer = max(short.values(), default=0.0) > COARSE
+    finer = max(short.values(), default=0.0) > MAX_CLEARANCE_DEFICIT
     if worst.limit != CLEARANCE:
-        reserve = min(max(2.0 * reserve, reserve - 1.5 * worst.spare), MOST_RESERVE)
+        reserve = min(max(2.0 * reserve, reserve - 1.5 * worst.spare), MAX_LIMIT_RESERVE)
     say(f"between samples {worst.words()}; tightening")
-    lacking = {pair: 1.5 * min(missed, COARSE) for pair, missed in short.items()}
-    tighter = optimize.tightened(found.setting, limits, reserve, lacking, finer=finer)
-    return Design(
+    lacking = {pair: 1.5 * min(missed, MAX_CLEARANCE_DEFICIT) for pair, missed in short.items()}
+    tighter = optimize.tighten(found.setting, limits, reserve, lacking, finer=finer)
+    return OptimizedDesign(
         tighter,
         (optimize.improve(tighter, found.motion, found.attempts[0].number), *found.attempts[1:]),
     ), reserve
 
 
 def _assemble(
-    found: Design,
+    found: OptimizedDesign,
     robot: Robot,
     limits: Limits,
     start: Array | None,
@@ -174,8 +174,8 @@ def _assemble(
     """The file of a motion with its ramps, before its certificate."""
     setting = found.setting
     options = setting.problem.options
-    usable = ramps.with_derived(limits, found.motion).reduced()
-    whole = ramps.rest_to_rest(
+    usable = ramps.with_derived_limits(limits, found.motion).reduced()
+    whole = ramps.plan_rest_to_rest(
         setting.subject(usable), found.motion, options.periods, options.rate, start
     )
     if speed != 1.0:
@@ -196,15 +196,15 @@ def _assemble(
         robot={"name": robot.name, "source": robot.source, "sha256": robot.sha256, **robot.options},
         motion=whole,
         rate=options.rate,
-        limits=ramps.with_derived(limits, whole.fourier),
+        limits=ramps.with_derived_limits(limits, whole.fourier),
         noise=setting.noise,
         design=entry,
         criteria={},
         margins=[],
         collision=unchecked,
         seed=options.seed,
-        versions=versions(),
+        versions=package_versions(),
     )
     return dataclasses.replace(
-        draft, criteria=certificate_module.score(draft, robot, limits, setting.problem.parameters)
+        draft, criteria=certificate_module.recompute_criteria(draft, robot, limits, setting.problem.parameters)
     )

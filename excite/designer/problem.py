@@ -12,19 +12,19 @@ from ..collision.clearance_constraint import Clearance
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import Braking, Limits
 from ..robot.robot import Robot
-from ..trajectory.fourier import DENSITY, Fourier, basis, oversampling_bound
+from ..trajectory.fourier import VERIFICATION_DENSITY, FourierSeries, fourier_basis, oversampling_bound
 from . import casadi_model
-from .casadi_model import Functions
+from .casadi_model import DynamicsFunctions
 from .criteria import Criterion, Weighting
-from .motion_overlap import Apart
+from .motion_overlap import OverlapPenalty
 
 Array = np.ndarray
-RESERVE = 2e-3
+LIMIT_RESERVE = 2e-3
 """Share of each curved limit kept for the solver's tolerance and what happens between samples; the certificate decides."""
 
 
 @dataclass(frozen=True)
-class Box:
+class WorkspaceBox:
     """A frame's origin stays in a box of the base frame. lower, upper: Shape (3,) [m]."""
 
     frame: str
@@ -33,7 +33,7 @@ class Box:
 
 
 @dataclass(frozen=True)
-class Options:
+class DesignOptions:
     """What the user may choose of a design.
 
     criterion, plain: what is optimised, in the metric or Euclidean. drive: joint parameters besides the inertial ones.
@@ -55,7 +55,7 @@ class Options:
     rate: float = 100.0
     uncertainty: float = 0.1
     noise: tuple[float, ...] | None = None
-    boxes: tuple[Box, ...] = ()
+    boxes: tuple[WorkspaceBox, ...] = ()
     starts: int = 2
     seed: int = 0
     jobs: int = -1
@@ -63,7 +63,7 @@ class Options:
 
 
 @dataclass(frozen=True)
-class Problem:
+class DesignProblem:
     """Everything one start needs; picklable, so that starts run in other processes.
 
     limits, boxes: as the optimiser sees them, shrunk so that they hold between its samples.
@@ -79,13 +79,13 @@ class Problem:
     robot: Robot
     parameters: Parameters
     limits: Limits
-    boxes: tuple[Box, ...]
+    boxes: tuple[WorkspaceBox, ...]
     weighting: Weighting
     given: Array | None
-    options: Options
+    options: DesignOptions
     scale: Array
-    functions: Functions
-    apart: Apart | None = None
+    functions: DynamicsFunctions
+    apart: OverlapPenalty | None = None
     clearance: Clearance | None = None
     home: Array | None = None
 
@@ -94,11 +94,11 @@ class Problem:
         """Number of decision variables."""
         return self.scale.size + (self.options.free_period is not None)
 
-    def fourier(self, x: Array) -> Fourier:
+    def fourier(self, x: Array) -> FourierSeries:
         """The motion that the variables describe."""
         K = self.options.harmonics
         table = x[: self.scale.size].reshape(self.scale.shape) * self.scale
-        return Fourier(table[:, :K], table[:, K : 2 * K], table[:, 2 * K], self.period(x))
+        return FourierSeries(table[:, :K], table[:, K : 2 * K], table[:, 2 * K], self.period(x))
 
     def period(self, x: Array) -> float:
         """T [s]."""
@@ -108,7 +108,7 @@ class Problem:
             else self.options.period
         )
 
-    def variables(self, motion: Fourier) -> Array:
+    def variables(self, motion: FourierSeries) -> Array:
         """The inverse of `fourier`."""
         table = np.column_stack([motion.sine, motion.cosine, motion.offset])
         x: Array = (table / self.scale).ravel()
@@ -124,26 +124,26 @@ class Problem:
         t = np.arange(o.samples) * (o.period / o.samples)
         out = []
         for order in range(4):
-            a, b = basis(t, 2.0 * np.pi / o.period, o.harmonics, order)
+            a, b = fourier_basis(t, 2.0 * np.pi / o.period, o.harmonics, order)
             out.append(np.column_stack([a, b, np.full(len(t), float(order == 0))]))
         return tuple(out)
 
 
-def build(
+def build_problem(
     robot: Robot,
     limits: Limits,
     parameters: Parameters,
     weighting: Weighting,
-    options: Options,
+    options: DesignOptions,
     given: Array | None = None,
-    reserve: float = RESERVE,
-    functions: Functions | None = None,
-) -> Problem:
+    reserve: float = LIMIT_RESERVE,
+    functions: DynamicsFunctions | None = None,
+) -> DesignProblem:
     """Shrink the limits for what happens between samples and choose the variables' scales."""
     # The first factor bounds what the motion does between samples, exactly; the second is the certificate's own doubt.
     factor = 1.0 / (
         oversampling_bound(options.samples, K := options.harmonics)
-        * oversampling_bound(DENSITY * options.samples, K)
+        * oversampling_bound(VERIFICATION_DENSITY * options.samples, K)
     )
     bounded = np.isfinite(limits.position).all(axis=1)
     lower, upper = np.where(bounded[:, None], limits.position, 0.0).T
@@ -167,16 +167,16 @@ def build(
         harmonics
     )
     scale = np.column_stack([speed, speed, reach])
-    functions = functions or casadi_model.functions(robot, parameters)
+    functions = functions or casadi_model.dynamics_functions(robot, parameters)
     weighting = dataclasses.replace(weighting, support=functions.support)
-    return Problem(robot, parameters, shrunk, boxes, weighting, given, options, scale, functions)
+    return DesignProblem(robot, parameters, shrunk, boxes, weighting, given, options, scale, functions)
 
 
-def rebuilt(
-    old: Problem, limits: Limits, options: Options, given: Array | None, reserve: float = RESERVE
-) -> Problem:
+def rebuild_problem(
+    old: DesignProblem, limits: Limits, options: DesignOptions, given: Array | None, reserve: float = LIMIT_RESERVE
+) -> DesignProblem:
     """The same problem with other limits, options, earlier information or reserve; it keeps clear of and apart from the same."""
-    new = build(
+    new = build_problem(
         old.robot, limits, old.parameters, old.weighting, options, given, reserve, old.functions
     )
     return dataclasses.replace(new, apart=old.apart, clearance=old.clearance, home=old.home)
@@ -187,12 +187,12 @@ def _earlier(brake: Braking, reserve: float) -> Braking:
     return dataclasses.replace(brake, stop=(middle - half, middle + half))
 
 
-def _smaller(box: Box, reserve: float) -> Box:
+def _smaller(box: WorkspaceBox, reserve: float) -> WorkspaceBox:
     lower, upper = np.array(box.lower), np.array(box.upper)
     middle, half = 0.5 * (lower + upper), 0.5 * (1.0 - reserve) * (upper - lower)
-    return Box(box.frame, tuple(middle - half), tuple(middle + half))
+    return WorkspaceBox(box.frame, tuple(middle - half), tuple(middle + half))
 
 
-def noise_levels(limits: Limits, noise: Sequence[float] | None) -> Array:
+def torque_noise_levels(limits: Limits, noise: Sequence[float] | None) -> Array:
     """Torque standard deviation per joint [N m]: as given, else 1 % of each torque limit."""
     return np.asarray(noise, float) if noise is not None else 0.01 * limits.torque

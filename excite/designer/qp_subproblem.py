@@ -12,10 +12,10 @@ import casadi as ca
 import numpy as np
 
 Array = np.ndarray
-TIGHT = 0.04
+WORKING_SET_SLACK = 0.04
 """Rows with less room than this take part from the beginning."""
-PAD = 32
-TOLERANCE = 1e-6
+ROW_COUNT_STEP = 32
+FEASIBILITY_TOLERANCE = 1e-6
 # HiGHS now: highspy, which cvxpy imports, has another version under the same name, and CasADi would crash on that one.
 ca.load_conic("highs")
 _SETTINGS: dict[str, dict[str, object]] = {
@@ -71,7 +71,7 @@ _KEPT = _Kept()
 
 
 def _program(plugin: str, size: int, rows: int) -> _Program:
-    key = (plugin, size, PAD * (1 + rows // PAD))  # few distinct sizes
+    key = (plugin, size, ROW_COUNT_STEP * (1 + rows // ROW_COUNT_STEP))  # few distinct sizes
     if key not in _KEPT.programs:
         _KEPT.programs[key] = _Program(*key)
     return _KEPT.programs[key]
@@ -81,12 +81,12 @@ def solve(
     B: Array, g: Array, J: Array, room: Array, lower: Array, upper: Array
 ) -> tuple[Array, Array]:
     """The step d and the rows' multipliers (≥ 0). Shapes (n, n), (n,), (m, n), (m,), (n,), (n,) -> (n,), (m,)."""
-    taken = room < TIGHT
+    taken = room < WORKING_SET_SLACK
     while True:
         step, found = _robust(B, g, J[taken], room[taken], lower, upper)
         multipliers = np.zeros(len(room))
         multipliers[taken] = found
-        broken = (J @ step > room + TOLERANCE) & ~taken
+        broken = (J @ step > room + FEASIBILITY_TOLERANCE) & ~taken
         if not broken.any():
             return step, multipliers
         taken |= broken
@@ -106,6 +106,6 @@ def _robust(
         excess = max(
             (J @ step - bound).max(initial=0.0), (step - upper).max(), (lower - step).max()
         )
-        if excess < TOLERANCE:
+        if excess < FEASIBILITY_TOLERANCE:
             break
     return step, np.maximum(multipliers, 0.0)

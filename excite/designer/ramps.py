@@ -17,29 +17,29 @@ from ..errors import Infeasible, UnusableInput
 from ..robot.inertial_parameters import spread_poses
 from ..robot.limits import DERIVED, Limits
 from ..robot.samples import Samples
-from ..trajectory.fourier import Fourier
-from ..trajectory.rest_to_rest import Motion, Profile, Segment
+from ..trajectory.fourier import FourierSeries
+from ..trajectory.rest_to_rest import Motion, JerkProfile, MotionSegment
 from . import constraint_margins
-from .constraint_margins import Subject
+from .constraint_margins import MotionConstraints
 
 Array = np.ndarray
-SCALES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1)
-GENTLE = (0.3, 0.2, 0.1, 0.05)
+RAMP_SCALES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1)
+TRANSFER_SCALES = (0.3, 0.2, 0.1, 0.05)
 """Scales of approach and return, which show nothing and so need not hurry."""
-PHASES = 40
-KEPT = 1e-3
+PHASE_COUNT = 40
+EXTRA_CLEARANCE = 1e-3
 """Clearance beyond the margin that a ramp keeps [m]: what the certificate cannot resolve, twice."""
-LINE = 100
+POSES_PER_LINE = 100
 """Poses at which a straight line is looked at first."""
-VIAS = 64
-SEARCH = 300
+VIA_POSE_COUNT = 64
+MAX_ROADMAP_SEARCHES = 300
 """Legs that are tried at most to find a way round."""
-ROUND = 0.04
+TIME_GRID = 0.04
 """Segments last whole multiples of this [s] where the rate allows: also of 1, 2, 4, 8 and 20 ms, for other rates."""
 
 
 @dataclass(frozen=True)
-class State:
+class JointState:
     """Joint positions, velocities, accelerations at one moment. Shapes (n,)."""
 
     q: Array
@@ -47,16 +47,16 @@ class State:
     ddq: Array
 
     @staticmethod
-    def rest(q: Array) -> State:
+    def rest(q: Array) -> JointState:
         """Standing still at q."""
-        return State(q, np.zeros_like(q), np.zeros_like(q))
+        return JointState(q, np.zeros_like(q), np.zeros_like(q))
 
 
-STEEPEST = 1e3
+MAX_JERK_RATIO = 1e3
 """Jerk over acceleration beyond which more jerk buys nothing [1/s]: Ruckig's root finding fails at far larger ratios."""
 
 
-def with_derived(limits: Limits, fourier: Fourier) -> Limits:
+def with_derived_limits(limits: Limits, fourier: FourierSeries) -> Limits:
     """Limits with a stated acceleration and jerk where the maker gives none; they bind the ramps only.
 
     Acceleration: 4 v_max/s or 1.2 times the Fourier part's peak, if that is more; jerk: 10/s times that, or likewise. They follow from
@@ -77,22 +77,22 @@ def with_derived(limits: Limits, fourier: Fourier) -> Limits:
     return dataclasses.replace(limits, sources=sources, **arrays)  # type: ignore[arg-type]
 
 
-def step(rate: float) -> float:
+def time_grid(rate: float) -> float:
     """The time grid on which segments begin and end [s]."""
-    return ROUND if abs(ROUND * rate - round(ROUND * rate)) < 1e-9 else 1.0 / rate
+    return TIME_GRID if abs(TIME_GRID * rate - round(TIME_GRID * rate)) < 1e-9 else 1.0 / rate
 
 
-class Planner:
+class RampPlanner:
     """Ramps under the limits of `subject` (derived ones included), on the time grid of `rate` [Hz]."""
 
-    def __init__(self, subject: Subject, rate: float) -> None:
-        self.subject, self.rate, self.grid = subject, rate, step(rate)
+    def __init__(self, subject: MotionConstraints, rate: float) -> None:
+        self.subject, self.rate, self.grid = subject, rate, time_grid(rate)
         self.n = subject.robot.n
         self._ruckig = ruckig.Ruckig(self.n, self.grid)
         self.obstacle = ""
         """What the last stop that was tried would break."""
 
-    def _plan(self, begin: State, target: Array | None, scale: float) -> Profile | None:
+    def _plan(self, begin: JointState, target: Array | None, scale: float) -> JerkProfile | None:
         """Ruckig's profile from a state to rest at `target`, or to rest anywhere; None where it finds none."""
         limits = self.subject.limits
         request = ruckig.InputParameter(self.n)
@@ -109,7 +109,7 @@ class Planner:
         # 1e-3 keeps clear of the limits by more than rounding
         request.max_velocity = (1.0 - 1e-3) * limits.velocity * min(1.0, 1.5 * scale)
         request.max_acceleration = (1.0 - 1e-3) * limits.acceleration * scale
-        jerk = np.minimum(limits.jerk, STEEPEST * limits.acceleration)
+        jerk = np.minimum(limits.jerk, MAX_JERK_RATIO * limits.acceleration)
         request.max_jerk = (1.0 - 1e-3) * jerk * scale
         request.duration_discretization = ruckig.DurationDiscretization.Discrete
         found = ruckig.Trajectory(self.n)
@@ -121,28 +121,28 @@ class Planner:
             return None
         return _profile(begin, found)
 
-    def _passes(self, profile: Profile, duration: float) -> tuple[bool, str]:
+    def _passes(self, profile: JerkProfile, duration: float) -> tuple[bool, str]:
         """Whether a ramp keeps position, velocity, the loads and its distance; and what it breaks most."""
         count = max(int(np.ceil(duration / 0.004)), 4)
         t = np.linspace(0.0, duration, count + 1)
         motion = Samples(profile.at(t), profile.at(t, 1), profile.at(t, 2))
         demands = [
-            constraint_margins.symmetric(
+            constraint_margins.joint_quantity(
                 "position",
                 self.subject,
-                motion.q - constraint_margins.excess(motion.q),
-                motion.q + constraint_margins.excess(motion.q),
+                motion.q - constraint_margins.intersample_bound(motion.q),
+                motion.q + constraint_margins.intersample_bound(motion.q),
             ),
-            constraint_margins.symmetric(
+            constraint_margins.joint_quantity(
                 "velocity",
                 self.subject,
-                motion.dq - constraint_margins.excess(motion.dq),
-                motion.dq + constraint_margins.excess(motion.dq),
+                motion.dq - constraint_margins.intersample_bound(motion.dq),
+                motion.dq + constraint_margins.intersample_bound(motion.dq),
             ),
-            constraint_margins.symmetric("acceleration", self.subject, motion.ddq, motion.ddq),
+            constraint_margins.joint_quantity("acceleration", self.subject, motion.ddq, motion.ddq),
         ]
         if max(d.ratio() for d in demands) <= 1.0 - 1e-6:
-            demands = constraint_margins.loads(self.subject, motion)
+            demands = constraint_margins.model_quantities(self.subject, motion)
         worst = max(demands, key=lambda d: d.ratio())
         if worst.ratio() > 1.0 - 1e-4:
             return False, f"the {worst.limit} limits"
@@ -154,35 +154,35 @@ class Planner:
         if self.subject.clearance is None:
             return ""
         room, pair = self.subject.clearance.least(q)
-        room = room - constraint_margins.excess(room[:, None])[:, 0]
+        room = room - constraint_margins.intersample_bound(room[:, None])[:, 0]
         worst = int(np.argmin(room))
         return (
             ""
-            if room[worst] >= KEPT
+            if room[worst] >= EXTRA_CLEARANCE
             else f"the clearance of {self.subject.clearance.names[pair[worst]]}"
         )
 
-    def stop(self, begin: State, *, backwards: bool = False) -> Iterator[tuple[Profile, float]]:
+    def stop(self, begin: JointState, *, backwards: bool = False) -> Iterator[tuple[JerkProfile, float]]:
         """Ways to come to rest from a state, briskest first; all checked.
 
         backwards: ways to reach the state from rest instead. Such a ramp is a stop from the state with velocity
         reversed, run backwards in time; it is checked as it will run, for friction does not reverse with time.
         """
         if backwards:
-            begin = State(begin.q, -begin.dq, begin.ddq)
-        for scale in SCALES:
+            begin = JointState(begin.q, -begin.dq, begin.ddq)
+        for scale in RAMP_SCALES:
             profile = self._plan(begin, None, scale)
             if profile is None:
                 continue
             duration = _duration(profile, self.grid)
-            ramp = reverse(profile, duration) if backwards else profile
+            ramp = reverse_profile(profile, duration) if backwards else profile
             passes, self.obstacle = self._passes(ramp, duration)
             if passes:
                 yield ramp, duration
 
     def travel(
         self, begin: Array, end: Array, known: Array
-    ) -> tuple[list[tuple[Profile, float]], str]:
+    ) -> tuple[list[tuple[JerkProfile, float]], str]:
         """From rest to rest, straight in joint space or through poses at rest; and what forbids it where it is empty.
 
         known: poses that are clear. Shape (m, n). The shortest way over them is tried, leg by leg, and one that fails is
@@ -197,8 +197,8 @@ class Planner:
         length = np.abs((poses[:, None] - poses[None]) / self.subject.limits.velocity).max(axis=2)
         cost = length + 0.2 * float(np.median(length))  # every stop costs
         cost[0, 1] = cost[1, 0] = np.inf
-        legs: dict[tuple[int, int], tuple[Profile, float]] = {}
-        for _ in range(SEARCH):
+        legs: dict[tuple[int, int], tuple[JerkProfile, float]] = {}
+        for _ in range(MAX_ROADMAP_SEARCHES):
             total, before = csgraph.dijkstra(cost, indices=0, return_predecessors=True)
             if not np.isfinite(total[1]):
                 break
@@ -219,18 +219,18 @@ class Planner:
 
     def _open(self, known: Array) -> Array:
         """Poses to go through: known ones, and others that fill the joint ranges, as far as they are clear. Shape (m, n)."""
-        poses = np.vstack([known, spread_poses(self.subject.limits, VIAS)])
+        poses = np.vstack([known, spread_poses(self.subject.limits, VIA_POSE_COUNT)])
         clearance = self.subject.clearance
-        return poses if clearance is None else poses[clearance.least(poses)[0] >= KEPT]
+        return poses if clearance is None else poses[clearance.least(poses)[0] >= EXTRA_CLEARANCE]
 
-    def _leg(self, begin: Array, end: Array) -> tuple[tuple[Profile, float] | None, str]:
+    def _leg(self, begin: Array, end: Array) -> tuple[tuple[JerkProfile, float] | None, str]:
         # Ruckig's way is not straight, but near enough to spare it the hopeless ones
-        reason = self.blocked(begin + np.linspace(0.0, 1.0, LINE)[:, None] * (end - begin))
+        reason = self.blocked(begin + np.linspace(0.0, 1.0, POSES_PER_LINE)[:, None] * (end - begin))
         if reason:
             return None, reason
         reason = "the velocity limits"
-        for scale in GENTLE:
-            profile = self._plan(State.rest(begin), end, scale)
+        for scale in TRANSFER_SCALES:
+            profile = self._plan(JointState.rest(begin), end, scale)
             if profile is None:
                 continue
             passes, reason = self._passes(profile, _duration(profile, self.grid))
@@ -239,12 +239,12 @@ class Planner:
         return None, reason
 
 
-def _duration(profile: Profile, grid: float) -> float:
+def _duration(profile: JerkProfile, grid: float) -> float:
     longest = max(sum(d for d, _ in pieces) for pieces in profile.pieces)
     return max(round(longest / grid), 1) * grid
 
 
-def _profile(begin: State, found: ruckig.Trajectory) -> Profile:
+def _profile(begin: JointState, found: ruckig.Trajectory) -> JerkProfile:
     """Ruckig's profile as pieces of constant jerk."""
     rows = []
     for joint in found.profiles[0]:
@@ -253,12 +253,12 @@ def _profile(begin: State, found: ruckig.Trajectory) -> Profile:
             *zip(joint.t, joint.j, strict=True),
         ]
         rows.append(tuple((float(d), float(j)) for d, j in pieces if d > 0.0))
-    return Profile(
+    return JerkProfile(
         np.array(begin.q, float), np.array(begin.dq, float), np.array(begin.ddq, float), tuple(rows)
     )
 
 
-def reverse(profile: Profile, duration: float) -> Profile:
+def reverse_profile(profile: JerkProfile, duration: float) -> JerkProfile:
     """The same path run backwards in time: r(t) = p(duration − t)."""
     end = np.array([duration])
     rows = []
@@ -266,11 +266,11 @@ def reverse(profile: Profile, duration: float) -> Profile:
         rest = duration - sum(d for d, _ in pieces)
         padded = [*pieces, (rest, 0.0)] if rest > 1e-12 else list(pieces)
         rows.append(tuple((d, -j) for d, j in reversed(padded)))
-    return Profile(profile.at(end)[0], -profile.at(end, 1)[0], profile.at(end, 2)[0], tuple(rows))
+    return JerkProfile(profile.at(end)[0], -profile.at(end, 1)[0], profile.at(end, 2)[0], tuple(rows))
 
 
-def rest_to_rest(
-    subject: Subject, fourier: Fourier, periods: int, rate: float, start: Array | None = None
+def plan_rest_to_rest(
+    subject: MotionConstraints, fourier: FourierSeries, periods: int, rate: float, start: Array | None = None
 ) -> Motion:
     """The whole motion around `fourier`, which may begin at another phase than it was given with.
 
@@ -278,15 +278,15 @@ def rest_to_rest(
     start: pose to begin and end at, at rest; None: where the ramp-in begins.
     Raises Infeasible when no ramp obeys the limits, UnusableInput when `start` breaks one.
     """
-    planner = Planner(subject, rate)
+    planner = RampPlanner(subject, rate)
     shifted, ramp_in, ramp_out = _ramps(planner, fourier, start)
     ready = ramp_in[0].position
     halt = ramp_out[0].at(np.array([ramp_out[1]]))[0]
     home = ready if start is None else start
-    known = shifted.at(shifted.grid(PHASES))
+    known = shifted.at(shifted.grid(PHASE_COUNT))
     approach = [] if start is None else _connect(planner, home, ready, known, "approach")
     back = _connect(planner, halt, home, known, "return")
-    parts: list[tuple[str, Profile | None, float]] = [("approach", *leg) for leg in approach]
+    parts: list[tuple[str, JerkProfile | None, float]] = [("approach", *leg) for leg in approach]
     parts += [
         ("ramp_in", *ramp_in),
         ("fourier", None, periods * fourier.period),
@@ -296,13 +296,13 @@ def rest_to_rest(
     segments, ticks = [], 0
     for kind, profile, duration in parts:
         begin, ticks = ticks, ticks + round(duration * rate)
-        segments.append(Segment(kind, begin / rate, ticks / rate, profile))
+        segments.append(MotionSegment(kind, begin / rate, ticks / rate, profile))
     return Motion(subject.robot.joints, shifted, periods, tuple(segments))
 
 
 def _connect(
-    planner: Planner, begin: Array, end: Array, known: Array, what: str
-) -> list[tuple[Profile, float]]:
+    planner: RampPlanner, begin: Array, end: Array, known: Array, what: str
+) -> list[tuple[JerkProfile, float]]:
     if np.abs(begin - end).max() < 1e-12:
         return []
     legs, reason = planner.travel(begin, end, known)
@@ -315,18 +315,18 @@ def _connect(
 
 
 def _ramps(
-    planner: Planner, fourier: Fourier, start: Array | None
-) -> tuple[Fourier, tuple[Profile, float], tuple[Profile, float]]:
+    planner: RampPlanner, fourier: FourierSeries, start: Array | None
+) -> tuple[FourierSeries, tuple[JerkProfile, float], tuple[JerkProfile, float]]:
     """The phase at which ramping in and out is shortest among the slow ones, and both ramps there."""
     if start is not None:
-        check_start(planner.subject, start)
-    times = fourier.grid(PHASES)
+        check_start_pose(planner.subject, start)
+    times = fourier.grid(PHASE_COUNT)
     brisk = np.abs(fourier.at(times, 1) / planner.subject.limits.velocity).max(axis=1)
-    best: tuple[float, Fourier, tuple[Profile, float], tuple[Profile, float]] | None = None
+    best: tuple[float, FourierSeries, tuple[JerkProfile, float], tuple[JerkProfile, float]] | None = None
     for tried, index in enumerate(np.argsort(brisk)):
         shifted = fourier.shifted(float(times[index]))
         zero = np.zeros(1)
-        state = State(*(shifted.at(zero, order)[0] for order in range(3)))
+        state = JointState(*(shifted.at(zero, order)[0] for order in range(3)))
         out = next(planner.stop(state), None)
         into = next(planner.stop(state, backwards=True), None) if out is not None else None
         if out is not None and into is not None and (best is None or out[1] + into[1] < best[0]):
@@ -342,7 +342,7 @@ def _ramps(
     return best[1], best[2], best[3]
 
 
-def check_start(subject: Subject, start: Array) -> None:
+def check_start_pose(subject: MotionConstraints, start: Array) -> None:
     """Raise UnusableInput where a start pose cannot be held, or touches something."""
     robot, limits = subject.robot, subject.limits
     if start.shape != (robot.n,) or not np.isfinite(start).all():
@@ -358,7 +358,7 @@ def check_start(subject: Subject, start: Array) -> None:
         )
     if subject.clearance is not None:
         room, pair = subject.clearance.least(start[None])
-        if room[0] < KEPT:
+        if room[0] < EXTRA_CLEARANCE:
             near, k = 1e3 * (room[0] + subject.clearance.need[pair[0]]), pair[0]
             state = (
                 f"{near:.0f} mm apart, {1e3 * subject.clearance.need[k]:.0f} mm to keep"
@@ -369,7 +369,7 @@ def check_start(subject: Subject, start: Array) -> None:
                 f"{robot.source}: start pose: {subject.clearance.names[k]} are {state}; give another --start or clear the scene"
             )
     still = np.tile(start, (3, 1))
-    for demand in constraint_margins.loads(
+    for demand in constraint_margins.model_quantities(
         subject, Samples(still, np.zeros_like(still), np.zeros_like(still))
     ):
         if demand.ratio() > 1.0:

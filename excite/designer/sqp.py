@@ -14,12 +14,12 @@ import numpy as np
 
 from . import qp_subproblem
 from .criteria import Criterion
-from .evaluator import Evaluator, Rows
-from .problem import RESERVE
+from .evaluator import Evaluator, ConstraintRows
+from .problem import LIMIT_RESERVE
 
 Array = np.ndarray
-FEASIBLE = 1.0 + 0.5 * RESERVE
-NEAR = 0.25
+MAX_FEASIBLE_ROW_VALUE = 1.0 + 0.5 * LIMIT_RESERVE
+WORKING_SET_BAND = 0.25
 """Rows within this share of their limit enter the first subproblem; others when a step would break them."""
 
 
@@ -54,7 +54,7 @@ class Tolerances:
 
 
 @dataclass(frozen=True)
-class State:
+class SearchState:
     """Where a search stands: it can be put aside and resumed, in another process too, without a change in its result.
 
     x: the iterate; best: the best feasible one at this stage, of objective best_value (x and ∞ where there is none).
@@ -73,7 +73,7 @@ class State:
     done: bool = False
 
 
-def stages(criterion: Criterion) -> tuple[float, ...]:
+def sharpness_stages(criterion: Criterion) -> tuple[float, ...]:
     """Sharpness of the smooth criterion, rising: A and D are exact at once.
 
     The regressor's condition number has many local optima; starting near D leads to better ones (measured over 24
@@ -84,28 +84,28 @@ def stages(criterion: Criterion) -> tuple[float, ...]:
     return (0.3, 4.0, 40.0) if criterion is Criterion.COND_REGRESSOR else (4.0, 25.0)
 
 
-def gain(criterion: Criterion) -> float:
+def stopping_gain(criterion: Criterion) -> float:
     """Gain in the last stage over ten iterations below which a search ends; earlier stages end twenty times sooner."""
     return 2e-3 if criterion is Criterion.COND_REGRESSOR else 4e-3
 
 
-def begin(x: Array) -> State:
+def initial_state(x: Array) -> SearchState:
     """A search that starts at x."""
-    return State(x, x)
+    return SearchState(x, x)
 
 
 def advance(
     evaluator: Evaluator,
-    state: State,
+    state: SearchState,
     history: History,
     iterations: int | None = None,
     tolerances: Tolerances | None = None,
-) -> State:
+) -> SearchState:
     """Minimise the smooth criterion for some more iterations, or until ten of them gain next to nothing."""
     tolerances = tolerances or Tolerances()
     options = evaluator.problem.options
-    sharpnesses = stages(options.criterion)
-    least = gain(options.criterion) if tolerances.gain is None else tolerances.gain
+    sharpnesses = sharpness_stages(options.criterion)
+    least = stopping_gain(options.criterion) if tolerances.gain is None else tolerances.gain
     until = (
         options.iterations
         if iterations is None
@@ -121,7 +121,7 @@ def advance(
             else search.state()
         )
         if stalled and not state.done:
-            state = State(
+            state = SearchState(
                 state.best, state.best, stage=state.stage + 1, iterations=state.iterations
             )
     return state if state.iterations < options.iterations else dataclasses.replace(state, done=True)
@@ -133,7 +133,7 @@ class _Search:
     def __init__(
         self,
         evaluator: Evaluator,
-        state: State,
+        state: SearchState,
         sharpness: float,
         history: History,
         tolerances: Tolerances,
@@ -145,7 +145,7 @@ class _Search:
         self.f, self.gradient = evaluator.objective(self.x, sharpness)
         self.excess = max(evaluator.worst(self.x) - 1.0, 0.0)
         self.best, self.best_f = state.best, state.best_value
-        if 1.0 + self.excess <= FEASIBLE and self.f < self.best_f:
+        if 1.0 + self.excess <= MAX_FEASIBLE_ROW_VALUE and self.f < self.best_f:
             self.best, self.best_f = self.x, self.f
         self.radius = tolerances.first_radius if state.radius is None else state.radius
         self.penalty, self.trail, self.iterations = (
@@ -155,10 +155,10 @@ class _Search:
         )
         self._bounds = self._variable_bounds()
 
-    def state(self, done: bool = False) -> State:
+    def state(self, done: bool = False) -> SearchState:
         """What `advance` needs to go on."""
         B = self.B if self.scaled else None
-        return State(
+        return SearchState(
             self.x,
             self.best,
             self.best_f,
@@ -193,7 +193,7 @@ class _Search:
         return False
 
     def _iterate(self) -> None:
-        mask = self.evaluator.select(self.x, 1.0 - NEAR)
+        mask = self.evaluator.select(self.x, 1.0 - WORKING_SET_BAND)
         rows, jacobian, values = self._linearise(mask)
         step, multipliers = self._subproblem(jacobian, 1.0 - values)
         for _ in range(3):  # rows that the step would break, though they looked far
@@ -212,7 +212,7 @@ class _Search:
         if not self._try(corrected, rows, jacobian, multipliers):
             self.radius = 0.4 * min(self.radius, float(np.abs(step).max()))
 
-    def _linearise(self, mask: Array) -> tuple[Rows, Array, Array]:
+    def _linearise(self, mask: Array) -> tuple[ConstraintRows, Array, Array]:
         rows = self.evaluator.rows(mask)
         return (
             rows,
@@ -226,7 +226,7 @@ class _Search:
         upper = np.minimum(self.radius, self._bounds[1] - self.x)
         return qp_subproblem.solve(self.B, self.gradient, jacobian, room, lower, upper)
 
-    def _try(self, step: Array, rows: Rows, jacobian: Array, multipliers: Array) -> bool:
+    def _try(self, step: Array, rows: ConstraintRows, jacobian: Array, multipliers: Array) -> bool:
         """Take the step if the exact penalty function falls as the model says; update radius and B."""
         evaluator, x = self.evaluator, self.x + step
         excess = max(evaluator.worst(x) - 1.0, 0.0)
@@ -243,7 +243,7 @@ class _Search:
         active = np.flatnonzero(multipliers > 1e-9)
         change = gradient - self.gradient
         if len(active):
-            kept = Rows(
+            kept = ConstraintRows(
                 *(getattr(rows, name)[active] for name in ("kind", "sample", "joint", "sign"))
             )
             change = (
@@ -257,7 +257,7 @@ class _Search:
         elif ratio < 0.2:
             self.radius = 0.5 * max(length, 1e-12)
         self.x, self.f, self.gradient, self.excess = x, f, gradient, excess
-        if 1.0 + excess <= FEASIBLE and f < self.best_f:
+        if 1.0 + excess <= MAX_FEASIBLE_ROW_VALUE and f < self.best_f:
             self.best, self.best_f = x, f
         return True
 

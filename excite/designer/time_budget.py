@@ -22,39 +22,39 @@ from ..robot import dynamics
 from ..robot.base_parameters import Base
 from ..robot.limits import Limits
 from ..robot.robot import Robot
-from ..trajectory.fourier import Fourier
+from ..trajectory.fourier import FourierSeries
 from . import criteria, optimize, problem, ramps
 from .criteria import Criterion
-from .optimize import Setting
-from .pipeline import Delivery
-from .problem import Options
+from .optimize import DesignSetup
+from .pipeline import CertifiedDesign
+from .problem import DesignOptions
 
 Array = np.ndarray
-HARMONICS = 5
-PERIODS = 2
-HIGHEST = 1.25
+DEFAULT_HARMONICS = 5
+DEFAULT_PERIODS = 2
+MAX_FREQUENCY = 1.25
 """Highest frequency that is chosen for the user [Hz]: 5 harmonics of 4 s, a few times below where the drives of arms
 begin to swing, which rigid bodies do not model."""
-LONGEST = 30.0
-ROUND = 0.2
+MAX_PERIOD = 30.0
+PERIOD_STEP = 0.2
 """The rule's periods are multiples of this [s] where the rate allows, those that fill a budget of the ramps' 0.04 s."""
-FEWEST, MOST = 3, 12
+MIN_CHOSEN_HARMONICS, MAX_CHOSEN_HARMONICS = 3, 12
 """Harmonics that are chosen for a budget: fewer tell too little, more cost too long."""
-SHARE = 0.6
+REDUCED_HARMONICS_SHARE = 0.6
 """Besides as many harmonics as HIGHEST allows, this share of them is tried."""
-NEAREST = 4
+MAX_TRIED_PERIODS = 4
 """How many periods are tried for a budget, those nearest to the rule's."""
-ITERATIONS = 25
-TOLERANCE = 0.05
+TRIAL_ITERATIONS = 25
+DEVIATION_TOLERANCE = 0.05
 """The simplest candidate within this share of the least standard deviation is chosen: short runs scatter as much."""
-SPARE = 0.4
+RAMP_TIME_RESERVE = 0.4
 """Ramps of the final motion may take this much longer than those of a short run [s] and a fifth; more costs a second run."""
 
 
 # -- the rule ------------------------------------------------------------------------------------------------------
 
 
-def sweeps(limits: Limits) -> Array:
+def sweep_periods(limits: Limits) -> Array:
     """Per joint the period of the sinusoid that sweeps its range within its limits. Shape (n,) [s]."""
     half = np.minimum(0.5 * (limits.position[:, 1] - limits.position[:, 0]), np.pi)
     out: Array = (
@@ -63,14 +63,14 @@ def sweeps(limits: Limits) -> Array:
     return out
 
 
-def period(limits: Limits, harmonics: int = HARMONICS, rate: float = Options.rate) -> float:
+def choose_period(limits: Limits, harmonics: int = DEFAULT_HARMONICS, rate: float = DesignOptions.rate) -> float:
     """The period by the rule [s]: a whole number of samples at `rate` [Hz], no harmonic above HIGHEST."""
-    grid = ROUND if abs(ROUND * rate - round(ROUND * rate)) < 1e-9 else ramps.step(rate)
-    swept = grid * round(float(np.median(sweeps(limits))) / grid)
-    return round(max(min(swept, LONGEST), _up(harmonics / HIGHEST, grid)), 9)
+    grid = PERIOD_STEP if abs(PERIOD_STEP * rate - round(PERIOD_STEP * rate)) < 1e-9 else ramps.time_grid(rate)
+    swept = grid * round(float(np.median(sweep_periods(limits))) / grid)
+    return round(max(min(swept, MAX_PERIOD), _up(harmonics / MAX_FREQUENCY, grid)), 9)
 
 
-def samples(harmonics: int) -> int:
+def default_samples(harmonics: int) -> int:
     """The optimiser's grid over one period where none is given."""
     return 20 * max(harmonics, 3)
 
@@ -88,7 +88,7 @@ def _or(given: int | None, otherwise: int) -> int:
 
 
 @dataclass(frozen=True)
-class Wish:
+class MotionRequest:
     """What the user gave; None where the choice is free."""
 
     period: float | None = None
@@ -101,15 +101,15 @@ class Wish:
         """Names of what is left to choose."""
         return [name for name, value in dataclasses.asdict(self).items() if value is None]
 
-    def fill(self, options: Options, limits: Limits) -> Options:
+    def fill(self, options: DesignOptions, limits: Limits) -> DesignOptions:
         """The options with what was given, and the rest by the rule."""
-        harmonics = _or(self.harmonics, HARMONICS)
-        swept = period(limits, harmonics, options.rate) if self.period is None else self.period
-        return self.settle(options, swept, harmonics, _or(self.periods, PERIODS))
+        harmonics = _or(self.harmonics, DEFAULT_HARMONICS)
+        swept = choose_period(limits, harmonics, options.rate) if self.period is None else self.period
+        return self.settle(options, swept, harmonics, _or(self.periods, DEFAULT_PERIODS))
 
-    def settle(self, options: Options, period: float, harmonics: int, periods: int) -> Options:
+    def settle(self, options: DesignOptions, period: float, harmonics: int, periods: int) -> DesignOptions:
         """The options with this motion, on the grid that was given or that suits it."""
-        grid = _or(self.samples, samples(harmonics))
+        grid = _or(self.samples, default_samples(harmonics))
         return dataclasses.replace(
             options, period=period, harmonics=harmonics, periods=periods, samples=grid
         )
@@ -118,16 +118,16 @@ class Wish:
         """Numbers of harmonics to try for a period: as many as may be, and fewer."""
         if self.harmonics is not None:
             return [self.harmonics]
-        carried = MOST if self.samples is None else (self.samples - 1) // 2
-        most = max(min(int(HIGHEST * period + 1e-9), carried, MOST), 1)
-        return sorted({most, min(max(round(SHARE * most), FEWEST), most)})
+        carried = MAX_CHOSEN_HARMONICS if self.samples is None else (self.samples - 1) // 2
+        most = max(min(int(MAX_FREQUENCY * period + 1e-9), carried, MAX_CHOSEN_HARMONICS), 1)
+        return sorted({most, min(max(round(REDUCED_HARMONICS_SHARE * most), MIN_CHOSEN_HARMONICS), most)})
 
 
 # -- a budget of robot time ----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Candidate:
+class BudgetCandidate:
     """One way to spend the robot's time, judged by a short optimisation.
 
     robot_time: of the whole motion with its ramps [s]. value: the criterion per sample of the periodic part.
@@ -151,16 +151,16 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Plan:
+class BudgetPlan:
     """What was tried for a budget of robot time [s], and the place of the one chosen among it."""
 
     budget: float
-    wish: Wish
-    candidates: tuple[Candidate, ...]
+    wish: MotionRequest
+    candidates: tuple[BudgetCandidate, ...]
     chosen: int
 
     @property
-    def best(self) -> Candidate:
+    def best(self) -> BudgetCandidate:
         """The chosen candidate."""
         return self.candidates[self.chosen]
 
@@ -169,7 +169,7 @@ class Plan:
         listed = [dataclasses.asdict(c) for c in self.candidates]
         return {
             "budget": self.budget,
-            "tolerance": TOLERANCE,
+            "tolerance": DEVIATION_TOLERANCE,
             "candidates": listed,
             "chosen": self.chosen,
         }
@@ -193,17 +193,17 @@ class Plan:
         return f"{text}; standard deviations {', '.join(others[:3])}" if others else text
 
 
-def budgeted(
+def plan_for_budget(
     robot: Robot,
     limits: Limits,
-    options: Options,
-    wish: Wish,
+    options: DesignOptions,
+    wish: MotionRequest,
     budget: float,
     *,
     start: Array | None = None,
     given: Array | None = None,
     clearance: Clearance | None = None,
-) -> Plan:
+) -> BudgetPlan:
     """Choose what the wish leaves open, for a whole motion of at most `budget` [s] that shows as much as can be.
 
     Candidates that fill the budget are optimised for a few iterations each. Their information is that of a sample times the
@@ -215,14 +215,14 @@ def budgeted(
         raise UnusableInput(f"--time {budget:g} should be positive [s]")
     if options.free_period is not None:
         raise UnusableInput("--time and --optimise-period both choose the period; drop one of them")
-    optimize.check(wish.fill(options, limits))  # what was given makes sense from here on
-    grid, repeats = ramps.step(options.rate), wish.periods or PERIODS
-    shortest = wish.period or _up((wish.harmonics or FEWEST) / HIGHEST, grid)
+    optimize.check_options(wish.fill(options, limits))  # what was given makes sense from here on
+    grid, repeats = ramps.time_grid(options.rate), wish.periods or DEFAULT_PERIODS
+    shortest = wish.period or _up((wish.harmonics or MIN_CHOSEN_HARMONICS) / MAX_FREQUENCY, grid)
     # a first short run tells how long the ramps take
-    rule = period(limits, wish.harmonics or HARMONICS, options.rate)
+    rule = choose_period(limits, wish.harmonics or DEFAULT_HARMONICS, options.rate)
     swept = wish.period or max(min(rule, _down(budget / repeats, grid)), shortest)
-    short = dataclasses.replace(options, starts=1, iterations=min(ITERATIONS, options.iterations))
-    setting = optimize.prepare(
+    short = dataclasses.replace(options, starts=1, iterations=min(TRIAL_ITERATIONS, options.iterations))
+    setting = optimize.set_up(
         robot,
         limits,
         wish.settle(short, swept, wish.ladder(swept)[0], repeats),
@@ -231,11 +231,11 @@ def budgeted(
         home=start,
     )
     if start is not None:
-        ramps.check_start(setting.subject(limits.reduced()), start)
+        ramps.check_start_pose(setting.subject(limits.reduced()), start)
     pilot = _attempt(setting, limits, setting.problem.options, start)
     if isinstance(pilot, ExciteError):
         raise pilot
-    around = 1.2 * (pilot.robot_time - repeats * swept) + SPARE
+    around = 1.2 * (pilot.robot_time - repeats * swept) + RAMP_TIME_RESERVE
     if budget < repeats * shortest + around:
         raise _too_short(
             budget,
@@ -247,7 +247,7 @@ def budgeted(
     tried = joblib.Parallel(n_jobs=options.jobs)(
         joblib.delayed(_attempt)(setting, limits, one, start) for one in several
     )
-    fitting = tuple(c for c in tried if isinstance(c, Candidate) and c.robot_time <= budget + 1e-9)
+    fitting = tuple(c for c in tried if isinstance(c, BudgetCandidate) and c.robot_time <= budget + 1e-9)
     if not fitting:
         failed = [c for c in tried if isinstance(c, ExciteError)]
         raise (
@@ -255,17 +255,17 @@ def budgeted(
             if failed
             else _too_short(budget, "ramps take it to", min(c.robot_time for c in tried))
         )
-    return Plan(budget, wish, fitting, pick(fitting))
+    return BudgetPlan(budget, wish, fitting, choose_candidate(fitting))
 
 
-def pick(candidates: tuple[Candidate, ...]) -> int:
+def choose_candidate(candidates: tuple[BudgetCandidate, ...]) -> int:
     """The place of the candidate of the least effort within TOLERANCE of the least standard deviation."""
     least = min(c.deviation for c in candidates)
-    good = [k for k, c in enumerate(candidates) if c.deviation <= (1.0 + TOLERANCE) * least]
+    good = [k for k, c in enumerate(candidates) if c.deviation <= (1.0 + DEVIATION_TOLERANCE) * least]
     return min(good, key=lambda k: (candidates[k].effort, candidates[k].deviation))
 
 
-def deliver(plan: Plan, options: Options, run: Callable[[Options], Delivery]) -> Delivery:
+def run_plan(plan: BudgetPlan, options: DesignOptions, run: Callable[[DesignOptions], CertifiedDesign]) -> CertifiedDesign:
     """Run the chosen candidate in full. Where its ramps came out longer than the short run's, its period gives way, or a repeat.
 
     run: `workflow.run` with all but the options. Raises UnusableInput when nothing may give way.
@@ -278,8 +278,8 @@ def deliver(plan: Plan, options: Options, run: Callable[[Options], Delivery]) ->
         if duration <= plan.budget + 1e-9:
             return delivery
         if wish.period is None and swept > 0.8 * best.period:
-            swept = _down(swept - (duration - plan.budget) / repeats, ramps.step(options.rate))
-        elif wish.periods is None and repeats > PERIODS:
+            swept = _down(swept - (duration - plan.budget) / repeats, ramps.time_grid(options.rate))
+        elif wish.periods is None and repeats > DEFAULT_PERIODS:
             repeats -= 1
         else:
             raise _too_short(plan.budget, "the motion takes", duration)
@@ -292,7 +292,7 @@ def _too_short(budget: float, what: str, needed: float) -> UnusableInput:
 
 
 def _motions(
-    wish: Wish, rule: float, room: float, shortest: float, grid: float
+    wish: MotionRequest, rule: float, room: float, shortest: float, grid: float
 ) -> list[tuple[float, int]]:
     """Periods and repeats that fill `room` [s]: the NEAREST whose periods are nearest to the rule's, as a ratio."""
     if wish.period is not None:
@@ -300,13 +300,13 @@ def _motions(
     if wish.periods is not None:
         return [(_down(room / wish.periods, grid), wish.periods)]
     filling = [(_down(room / r, grid), r) for r in _repeats(int(room / shortest + 1e-9))]
-    usable = [(t, r) for t, r in filling if shortest <= t <= LONGEST]
-    return sorted(sorted(usable, key=lambda one: abs(np.log(one[0] / rule)))[:NEAREST])
+    usable = [(t, r) for t, r in filling if shortest <= t <= MAX_PERIOD]
+    return sorted(sorted(usable, key=lambda one: abs(np.log(one[0] / rule)))[:MAX_TRIED_PERIODS])
 
 
 def _repeats(most: int) -> Iterator[int]:
     """2, 3, 4, 6, 8, 12, 16, 24 …"""
-    number = PERIODS
+    number = DEFAULT_PERIODS
     while number <= most:
         yield number
         if 3 * number // 2 <= most and number > 1:
@@ -315,23 +315,23 @@ def _repeats(most: int) -> Iterator[int]:
 
 
 def _attempt(
-    setting: Setting, limits: Limits, options: Options, start: Array | None
-) -> Candidate | ExciteError:
+    setting: DesignSetup, limits: Limits, options: DesignOptions, start: Array | None
+) -> BudgetCandidate | ExciteError:
     """A short optimisation and its ramps; errors come back as values, out of any process."""
     begun = time.perf_counter()
     p = setting.problem
     given = None if p.given is None else p.given * np.sqrt(_count(p.options) / _count(options))
-    varied = dataclasses.replace(setting, problem=problem.rebuilt(p, limits, options, given))
+    varied = dataclasses.replace(setting, problem=problem.rebuild_problem(p, limits, options, given))
     try:
         motion = optimize.solve(varied).motion
-        usable = ramps.with_derived(limits, motion).reduced()
-        whole = ramps.rest_to_rest(
+        usable = ramps.with_derived_limits(limits, motion).reduced()
+        whole = ramps.plan_rest_to_rest(
             varied.subject(usable), motion, options.periods, options.rate, start
         )
     except ExciteError as error:
         return error
     value = _value(varied.problem, motion)
-    return Candidate(
+    return BudgetCandidate(
         period=options.period,
         harmonics=options.harmonics,
         samples=options.samples,
@@ -343,12 +343,12 @@ def _attempt(
     )
 
 
-def _count(options: Options) -> float:
+def _count(options: DesignOptions) -> float:
     """Samples recorded of the periodic part."""
     return options.periods * options.period * options.rate
 
 
-def _value(varied: problem.Problem, motion: Fourier) -> float:
+def _value(varied: problem.DesignProblem, motion: FourierSeries) -> float:
     """The criterion per sample, exactly."""
     options = varied.options
     rows = varied.weighting.rows(
@@ -356,9 +356,9 @@ def _value(varied: problem.Problem, motion: Fourier) -> float:
             varied.robot, varied.parameters, motion.samples(motion.grid(options.samples))
         )
     )
-    return criteria.value(
+    return criteria.criterion_value(
         options.criterion,
-        criteria.spectrum(rows if varied.given is None else np.vstack([rows, varied.given])),
+        criteria.information_eigenvalues(rows if varied.given is None else np.vstack([rows, varied.given])),
     )
 
 

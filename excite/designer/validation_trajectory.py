@@ -16,21 +16,21 @@ import numpy as np
 from ..robot import dynamics
 from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot
-from ..trajectory.fourier import Fourier
+from ..trajectory.fourier import FourierSeries
 from ..trajectory.trajectory_file import Trajectory
 from . import criteria
 from .criteria import Criterion
-from .motion_overlap import WEIGHT, WIDTH, Apart, Gauge, apart, overlap
-from .pipeline import Delivery
+from .motion_overlap import OVERLAP_WEIGHT, KERNEL_WIDTH, OverlapPenalty, StateScaling, penalise_overlap, motion_overlap
+from .pipeline import CertifiedDesign
 
 Array = np.ndarray
-FOLDER = "validation"
-COUNT = 400
+VALIDATION_FOLDER = "validation"
+CORRELATION_SAMPLES = 400
 """Samples of a period over which torques are correlated."""
 
 
 @dataclass(frozen=True)
-class Likeness:
+class MotionSimilarity:
     """How alike two motions are: ρ of `overlap`, and per joint the largest correlation of nominal torque. Shape (n,)."""
 
     overlap: float
@@ -38,22 +38,22 @@ class Likeness:
 
 
 @dataclass(frozen=True)
-class Validation:
+class ValidationDesign:
     """The second motion, how like the first it is, and how like the first its design's other starts came out, on average.
 
     independent: None where there was no other start. values: the criterion per sample of both.
     """
 
-    delivery: Delivery
-    alike: Likeness
-    independent: Likeness | None
+    delivery: CertifiedDesign
+    alike: MotionSimilarity
+    independent: MotionSimilarity | None
     values: tuple[float, float]
 
     def facts(self) -> dict[str, Any]:
         """What both trajectory files' `design` says of the pair."""
         joints = self.delivery.trajectory.joints
 
-        def words(one: Likeness) -> dict[str, Any]:
+        def words(one: MotionSimilarity) -> dict[str, Any]:
             return {
                 "overlap": one.overlap,
                 "torque_correlation": dict(zip(joints, one.torque.tolist(), strict=True)),
@@ -65,8 +65,8 @@ class Validation:
             **words(self.alike),
             "independent": independent,
             "criterion": values,
-            "weight": WEIGHT,
-            "width": WIDTH,
+            "weight": OVERLAP_WEIGHT,
+            "width": KERNEL_WIDTH,
         }
 
     def document(self) -> dict[str, Any]:
@@ -102,26 +102,26 @@ class Validation:
         return dataclasses.replace(own, design={**own.design, "validates": "../trajectory.json"})
 
 
-def second(first: Delivery, robot: Robot, run: Callable[[Apart], Delivery]) -> Validation:
+def design_validation(first: CertifiedDesign, robot: Robot, run: Callable[[OverlapPenalty], CertifiedDesign]) -> ValidationDesign:
     """Design a motion apart from the first. run: `workflow.run` for the same problem with that `apart`; raises what it raises."""
     limits, standard = first.trajectory.limits, first.design.setting.problem.parameters
-    motion, gauge = first.design.motion, Gauge.of(robot, limits)
-    delivery = run(apart(gauge, motion))
+    motion, gauge = first.design.motion, StateScaling.of(robot, limits)
+    delivery = run(penalise_overlap(gauge, motion))
 
-    def alike(other: Fourier) -> Likeness:
-        return Likeness(
-            overlap(gauge, motion, other), torque_correlation(robot, standard, motion, other)
+    def alike(other: FourierSeries) -> MotionSimilarity:
+        return MotionSimilarity(
+            motion_overlap(gauge, motion, other), torque_correlation(robot, standard, motion, other)
         )
 
     others = [alike(a.motion) for a in first.design.attempts[1:] if not a.stopped]
     mean = (
-        Likeness(
+        MotionSimilarity(
             float(np.mean([o.overlap for o in others])), np.mean([o.torque for o in others], axis=0)
         )
         if others
         else None
     )
-    return Validation(
+    return ValidationDesign(
         delivery,
         alike(delivery.design.motion),
         mean,
@@ -129,25 +129,25 @@ def second(first: Delivery, robot: Robot, run: Callable[[Apart], Delivery]) -> V
     )
 
 
-def torque_correlation(robot: Robot, standard: Parameters, first: Fourier, other: Fourier) -> Array:
+def torque_correlation(robot: Robot, standard: Parameters, first: FourierSeries, other: FourierSeries) -> Array:
     """Per joint the largest |correlation| of the nominal torques over all shifts by a phase; 0 for a constant torque. Shape (n,)."""
     spectra = []
     for motion in (first, other):
         torque = (
-            dynamics.regressor(robot, standard, motion.samples(motion.grid(COUNT)))
+            dynamics.regressor(robot, standard, motion.samples(motion.grid(CORRELATION_SAMPLES)))
             @ standard.nominal
         )
         torque -= torque.mean(axis=0)
         spectra.append(
             np.fft.rfft(torque / np.maximum(np.linalg.norm(torque, axis=0), 1e-300), axis=0)
         )
-    shifted = np.fft.irfft(spectra[0].conj() * spectra[1], n=COUNT, axis=0)
+    shifted = np.fft.irfft(spectra[0].conj() * spectra[1], n=CORRELATION_SAMPLES, axis=0)
     return np.asarray(np.abs(shifted).max(axis=0))
 
 
 def _value(trajectory: Trajectory) -> float:
     """The criterion per sample of the periodic part."""
     design = trajectory.design
-    return criteria.pick(
+    return criteria.select_criterion(
         trajectory.criteria["optimum"], Criterion(design["criterion"]), plain=bool(design["plain"])
     )

@@ -27,7 +27,7 @@ def needed_hertz(pieces: Sequence[Segment]) -> float:
     longest = max(pieces, key=len)
     if longest.rate <= 2.5 * BAND_HZ:
         return BAND_HZ
-    needed = REACH * segments.motion(longest)
+    needed = REACH * segments.motion_bandwidth(longest)
     least = max(BAND_HZ, min(needed, 0.4 * longest.rate / MOTION_BANDWIDTH_RATIO)) if needed < HIGHEST else BAND_HZ
     frequency, power = signal.welch(
         longest.torque, longest.rate, nperseg=min(len(longest), int(2.0 * longest.rate)), axis=0

@@ -9,19 +9,7 @@ import numpy as np
 
 from ..effects import BY_NAME, confused
 from . import search
-from .hypothesis import (
-    CANCELS,
-    SMALLEST,
-    Hypothesis,
-    agrees,
-    counts,
-    each_size,
-    meanwhile,
-    name,
-    ranked,
-    sizes,
-    who,
-)
+from .hypothesis import CANCELS, SMALLEST, Hypothesis, agrees, counts, each_size, meanwhile, name, ranked, sizes, who
 from .search import Built, Design, Trial, trial
 
 Array = np.ndarray

@@ -8,8 +8,8 @@ from functools import cache
 
 import numpy as np
 
-from ..effects import EFFECTS, track
-from ..effects.track import Track
+from ..effects import EFFECTS, recorded_motion
+from ..effects.recorded_motion import Track
 from ..identification.identification import Identification
 from . import equations, foretold, judge, late, noise, once, search, session_changes
 from .judge import Verdict
@@ -166,7 +166,7 @@ def _followed(begun: Course, every: Sequence[Track]) -> Course:
         ):
             break
         left = search.remaining(one, verdict.together.shapes) * scale
-        noisy = noise.repeated(noisy, every, track.split(left, every))
+        noisy = noise.repeated(noisy, every, recorded_motion.split(left, every))
         one, verdict, scale = _sharper(one, verdict, noisy, scale)
     return Course(one, once.kept(one, verdict, every, noisy.periods), noisy, scale)
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..effects import track
+from ..effects import recorded_motion
 from ..effects.effect import Shape
-from ..effects.track import Track
+from ..effects.recorded_motion import Track
 from ..errors import UnusableInput
 from ..identification import identification, segments, simulation_error
 from ..identification.identification import Identification
@@ -19,23 +19,7 @@ from ..recordings import Recording
 from ..robot.base_parameters import Base
 from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot
-from . import (
-    bandwidth,
-    belief,
-    course,
-    equations,
-    foretold,
-    gear_encoders,
-    hypothesis,
-    judge,
-    late,
-    noise,
-    residual_curves,
-    search,
-    session_changes,
-    unmodelled,
-    whole,
-)
+from . import bandwidth, belief, course, equations, foretold, gear_encoders, hypothesis, judge, late, noise, residual_curves, search, session_changes, unmodelled, whole
 from .course import Course, Progress
 from .gear_encoders import Gear
 from .judge import Finding, Verdict
@@ -248,8 +232,8 @@ def diagnose(
         robot, parameters, base, train, validate, settings, progress
     )
     psi = equations.kept(identified.psi, options.trusted)
-    fitted, model, theta = track.body(robot, parameters, psi), identified.model, base.matrix @ psi
-    halves = tuple(track.tracks(model, fitted, theta, parts, hertz) for parts in pieces)
+    fitted, model, theta = recorded_motion.body(robot, parameters, psi), identified.model, base.matrix @ psi
+    halves = tuple(recorded_motion.tracks(model, fitted, theta, parts, hertz) for parts in pieces)
     for group, own in zip((train, validate), halves, strict=True):
         if not own:
             raise UnusableInput(
@@ -316,7 +300,7 @@ def _refitted(
     refitted = identification.identify(
         model.robot, model.parameters, model.base, pure[0], pure[1], settings, lambda _: None
     )
-    body = track.body(model.robot, model.parameters, equations.kept(refitted.psi, options.trusted))
+    body = recorded_motion.body(model.robot, model.parameters, equations.kept(refitted.psi, options.trusted))
     again = [[dataclasses.replace(t, body=body) for t in own] for own in halves]
     named = {f.main.effect for f in verdict.findings}
     one, verdict = _again(
@@ -404,9 +388,9 @@ def _ahead(
     fitted: Identification, recordings: Sequence[Recording], hertz: float
 ) -> SimulationError | None:
     """Positions that a model predicts from recorded torque. Effects act as along the recorded motion: their torque is taken off it."""
-    groups, share = simulation_error.cut(list(segments.extract_segments(recordings, average=False)), hertz)
+    groups, share = simulation_error.cut_windows(list(segments.extract_segments(recordings, average=False)), hertz)
     return (
-        simulation_error.error(fitted.model, fitted.psi, fitted.psi, groups, share)
+        simulation_error.compute_simulation_error(fitted.model, fitted.psi, fitted.psi, groups, share)
         if groups
         else None
     )

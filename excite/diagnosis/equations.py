@@ -8,7 +8,7 @@ import numpy as np
 
 from ..effects import BY_NAME, EFFECTS
 from ..effects.effect import Shape
-from ..effects.track import Track
+from ..effects.recorded_motion import Track
 from ..identification import consistency
 from ..identification.identification import Identification
 from . import search, session_changes
@@ -81,10 +81,10 @@ def _known(
     base, prior = identified.model.base, identified.prior
     spread = (
         base.matrix
-        @ consistency.inverse(consistency.metric_matrix(identified.model.parameters, prior))
+        @ consistency.symmetric_pseudo_inverse(consistency.prior_information(identified.model.parameters, prior))
         @ base.matrix.T
     )
-    values, vectors = np.linalg.eigh(consistency.inverse(spread))
+    values, vectors = np.linalg.eigh(consistency.symmetric_pseudo_inverse(spread))
     root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
     rows = np.zeros((base.count, width))
     rows[:, : base.count] = root

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..effects.track import Track
+from ..effects.recorded_motion import Track
 from ..recordings import Recording
 from .blocks import sandwiched
 from .residual_curves import BLOCK, block_starts

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..effects.track import Track
+from ..effects.recorded_motion import Track
 from ..identification.identification import Identification
 from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid
-from ..identification.regression import Model, filtered
+from ..identification.regression import IdentificationModel, filtered_regressor
 from ..recordings import Recording, quantization
 from ..recordings.missing_values import runs
 from ..recordings.padding import reflected
@@ -313,7 +313,7 @@ def _reversing(one: Track) -> Array:
     )
 
 
-def stepped(model: Model, halves: Sequence[Sequence[Track]]) -> tuple[tuple[Array, Array], ...]:
+def stepped(model: IdentificationModel, halves: Sequence[Sequence[Track]]) -> tuple[tuple[Array, Array], ...]:
     """Residuals that coarse encoders alone would leave of the base model, of each half, drawn anew; none where all are fine.
 
     Which error each reading has is not known, only how errors come about: smooth positions are rounded once more, from another origin.
@@ -330,7 +330,7 @@ def _rounded(half: Sequence[Draw], rng: np.random.Generator) -> Array:
     return np.concatenate([draw(rng) for draw in half])
 
 
-def _misled(model: Model, one: Track) -> Draw:
+def _misled(model: IdentificationModel, one: Track) -> Draw:
     """What draws such residuals of a stretch: only what is rounded has to be filtered anew."""
     step = one.steps
     coarse = step > 0.0
@@ -341,7 +341,7 @@ def _misled(model: Model, one: Track) -> Draw:
         one.piece.q,
         one.band.transformed(one.piece.q).low(Grid.RECORDED, 0, MOTION_BANDWIDTH_RATIO),
     )
-    right = filtered(model, smooth, one.band)[0]
+    right = filtered_regressor(model, smooth, one.band)[0]
 
     def draw(rng: np.random.Generator) -> Array:
         told, origin = smooth.copy(), rng.uniform(size=one.n) * step
@@ -350,7 +350,7 @@ def _misled(model: Model, one: Track) -> Draw:
         ) - origin[coarse]
         for j in np.flatnonzero(one.piece.smoothed):
             told[:, j] = quantization.unrounded(told[:, j], float(step[j]), 1.0 / one.piece.rate)
-        wrong = filtered(model, told, one.band)[0]
+        wrong = filtered_regressor(model, told, one.band)[0]
         return np.asarray((right - wrong)[one.kept] @ one.theta)
 
     return draw

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..effects.track import Track, split
+from ..effects.recorded_motion import Track, split
 from . import judge, search
 from .foretold import BELIEVED
 from .judge import Finding, Verdict

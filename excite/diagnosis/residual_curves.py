@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..effects.track import Track
+from ..effects.recorded_motion import Track
 from ..identification.lowpass import Grid
 
 Array = np.ndarray

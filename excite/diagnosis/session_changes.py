@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..effects.effect import Shape, alone
-from ..effects.track import Track
+from ..effects.recorded_motion import Track
 from . import search
 from .blocks import sandwiched
 from .hypothesis import ranked

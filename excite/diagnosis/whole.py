@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from ..effects import BY_NAME, track
+from ..effects import BY_NAME, recorded_motion
 from ..effects.effect import Shape
-from ..effects.track import Track
-from ..identification.identified_model import FittedModel
+from ..effects.recorded_motion import Track
+from ..identification.identified_model import IdentifiedModel
 from ..identification.lowpass import Grid
 from ..identification.segments import Segment
 from ..recordings import Recording
@@ -100,12 +100,12 @@ def restored(stated: EffectDocument, robot: Robot) -> Part:
     return Part(shape, np.array(stated.coefficients, float))
 
 
-def predict(fitted: FittedModel, recording: Recording) -> tuple[Array, Array]:
+def predict(fitted: IdentifiedModel, recording: Recording) -> tuple[Array, Array]:
     """Torque along a recording at its own times, effects included: (times, torque). Shapes (N,) [s], (N, n) [N m]."""
     found = [restored(stated, fitted.robot) for stated in fitted.effects]
     if not found:
         return fitted.predict(recording)
-    body = track.body(fitted.robot, fitted.layout, fitted.psi)
+    body = recorded_motion.body(fitted.robot, fitted.layout, fitted.psi)
     own, late = (
         [part for part in found if (part.shape.values.get("measured", 0.0) > 0.0) is last]
         for last in (False, True)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .track import Track
+from .recorded_motion import Track
 
 Array = np.ndarray
 MULTIPLES = {2: "twice", 3: "thrice"}

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from .effect import Effect, Shape, alone, family, named, within
-from .track import STILL, Track
+from .recorded_motion import STILL, Track
 
 Array = np.ndarray
 FINE, FINEST, GRAINY = 0.01, 0.003, 3.0

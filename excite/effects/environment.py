@@ -11,7 +11,7 @@ from ..identification.lowpass import Grid
 from ..recordings.missing_values import runs
 from .effect import Effect, Knob, Shape, beside, family, named
 from .gear_dynamics import NEAR, SOFTEST, damped, oscillator, stepped
-from .track import Track
+from .recorded_motion import Track
 
 Array = np.ndarray
 PARTS = 40

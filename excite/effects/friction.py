@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .effect import Effect, Knobs, Shape, alone, amplitude, beside, family, named, positive, within
-from .track import Track, stroke
+from .recorded_motion import Track, stroke
 
 Array = np.ndarray
 STICKIEST, LEAST_STUCK = 5.0, 0.05

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..identification.lowpass import Grid
-from .track import Track
+from .recorded_motion import Track
 
 Array = np.ndarray
 LEAST_DAMPED, MOST_DAMPED = 0.008, 0.3

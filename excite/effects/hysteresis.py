@@ -10,7 +10,7 @@ import numpy as np
 
 from .effect import Effect, Shape, alone, beside, family, within
 from .friction import stickiest
-from .track import Track, stroke
+from .recorded_motion import Track, stroke
 
 Array = np.ndarray
 SPRINGS, APART, SLIPS = (3, 5), 3.0, 0.5

@@ -11,7 +11,7 @@ from ..identification.lowpass import Grid
 from ..robot.dynamics import regressor
 from ..robot.inertial_parameters import pseudo_inertia
 from .effect import Effect, Shape, alone, named
-from .track import Track
+from .recorded_motion import Track
 
 Array = np.ndarray
 FAR = 1.5

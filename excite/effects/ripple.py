@@ -8,7 +8,7 @@ import numpy as np
 
 from .._linear_algebra import factors
 from .effect import MULTIPLES, Effect, Knob, Shape, alone, multiples, waves
-from .track import Track
+from .recorded_motion import Track
 from .transmission import LEAST_TURN
 
 Array = np.ndarray

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..identification.lowpass import Grid
 from .effect import MULTIPLES, Effect, Shape, amplitude, beside, family, named, waves, within
-from .track import Track
+from .recorded_motion import Track
 
 Array = np.ndarray
 LATE = (0.003, 0.008, 0.02)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import UnusableInput
 from .effect import Effect, Shape, alone, family, named, within
-from .track import Track
+from .recorded_motion import Track
 
 Array = np.ndarray
 COLDEST = 3.0

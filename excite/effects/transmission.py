@@ -10,7 +10,7 @@ import numpy as np
 from ..identification.lowpass import Grid
 from .effect import Effect, Knob, Shape, alone, beside, family, named, within
 from .gear_dynamics import NEAR, damped, felt, launched, mass, played, wound
-from .track import Track, stroke
+from .recorded_motion import Track, stroke
 
 Array = np.ndarray
 

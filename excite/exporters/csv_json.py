@@ -90,7 +90,7 @@ def write_json(job: Job) -> Written:
 
 def read_json(path: Path) -> Columns:
     """Times, positions, velocities, accelerations at the file's own rate. Shapes (N,), (N, n)."""
-    trajectory = trajectory_file.read(path)
+    trajectory = trajectory_file.read_trajectory(path)
     t = trajectory.motion.grid(trajectory.rate)
     samples = trajectory.motion.samples(t)
     return t, samples.q, samples.dq, samples.ddq

@@ -18,19 +18,9 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import UnusableInput
-from ..trajectory.fourier import Fourier
-from ..trajectory.rest_to_rest import Motion, Profile, Segment
-from .file_format import (
-    Array,
-    Columns,
-    Job,
-    Written,
-    comment,
-    fixed,
-    notes,
-    require_joints,
-    require_rest,
-)
+from ..trajectory.fourier import FourierSeries
+from ..trajectory.rest_to_rest import Motion, JerkProfile, MotionSegment
+from .file_format import Array, Columns, Job, Written, comment, fixed, notes, require_joints, require_rest
 
 STEP_RATES = (500.0, 250.0, 125.0)
 LOOKAHEAD, GAIN = 0.1, 300
@@ -71,7 +61,7 @@ def _vector(values: Iterable[float]) -> str:
     return "[" + ", ".join(fixed(v, None) for v in values) + "]"
 
 
-def _pieces(profile: Profile, length: float) -> Iterator[tuple[float, Array]]:
+def _pieces(profile: JerkProfile, length: float) -> Iterator[tuple[float, Array]]:
     """Durations and jerks (n,) of all joints together, from the start of a segment to its end."""
     knots = np.unique(np.append(profile.knots(), length))
     knots = knots[knots <= length]
@@ -80,7 +70,7 @@ def _pieces(profile: Profile, length: float) -> Iterator[tuple[float, Array]]:
             yield end - begin, profile.at(np.array([(begin + end) / 2]), 3)[0]
 
 
-def _series(fourier: Fourier) -> Iterator[str]:
+def _series(fourier: FourierSeries) -> Iterator[str]:
     """The function that follows the periodic part: position amplitudes, one line a joint."""
     orders = range(1, fourier.harmonics + 1)
     k = fourier.omega * np.arange(1, fourier.harmonics + 1)
@@ -173,18 +163,18 @@ def replayed(text: str) -> Motion:
         raise ValueError("it is no program that excite wrote")
     table = np.array(rows)
     k = omega[0] * np.arange(1, table.shape[1] // 2 + 1)
-    fourier = Fourier(table[:, 1::2] * k, -table[:, 2::2] * k, table[:, 0], 2.0 * np.pi / omega[0])
-    segments: list[Segment] = []
+    fourier = FourierSeries(table[:, 1::2] * k, -table[:, 2::2] * k, table[:, 0], 2.0 * np.pi / omega[0])
+    segments: list[MotionSegment] = []
     kind = ""
     for line in lines:
         if line.startswith("# "):
             kind = line[2:]
         elif line.startswith("series("):
             start, end = _numbers(line)
-            segments.append(Segment(kind, start, end))
+            segments.append(MotionSegment(kind, start, end))
         elif line.startswith("enter("):
             start, *state = _numbers(line)
-            segments.append(Segment(kind, start, start, Profile(*_thirds(state), ((),) * 6)))
+            segments.append(MotionSegment(kind, start, start, JerkProfile(*_thirds(state), ((),) * 6)))
         elif line.startswith("piece("):
             segments[-1] = _extended(segments[-1], *_numbers(line))
     return Motion(tuple(f"joint {i}" for i in JOINTS), fourier, 1, tuple(segments))
@@ -199,16 +189,16 @@ def _coefficients(line: str) -> list[float]:
     return [float(found) for found in re.findall(r"\(([^)]*)\)", line)]
 
 
-def _extended(segment: Segment, duration: float, *jerk: float) -> Segment:
+def _extended(segment: MotionSegment, duration: float, *jerk: float) -> MotionSegment:
     if segment.profile is None:
         raise ValueError("a piece stands before the state it starts from")
     p = segment.profile
     pieces = tuple((*before, (duration, j)) for before, j in zip(p.pieces, jerk, strict=True))
-    return Segment(
+    return MotionSegment(
         segment.kind,
         segment.start,
         segment.end + duration,
-        Profile(p.position, p.velocity, p.acceleration, pieces),
+        JerkProfile(p.position, p.velocity, p.acceleration, pieces),
     )
 
 

@@ -13,12 +13,12 @@ import numpy as np
 
 from ..errors import UnusableInput
 from ..robot.inertial_parameters import Parameters, proper_body, pseudo_inertia
-from .inertia_distance import Distance, Frame, metrics, pseudo
+from .inertia_distance import Distance, NominalFrames, distance_metrics, pseudo_inertias
 
 Array = np.ndarray
-POSITIVE = ("rotor_inertia", "viscous", "coulomb")
-WEIGHTS = (1.0, 1e-1, 1e-2, 1e-3, 1e-4)
-FLOOR = 1e-6
+NONNEGATIVE_KINDS = ("rotor_inertia", "viscous", "coulomb")
+BARRIER_WEIGHTS = (1.0, 1e-1, 1e-2, 1e-3, 1e-4)
+MIN_PSEUDO_INERTIA = 1e-6
 """Every body keeps P ≻ FLOOR · P₀: one on the very edge of being none cannot be reckoned with."""
 STEPS = 60
 DECREMENT = 1e-8
@@ -51,7 +51,7 @@ class Prior:
 
 
 @dataclass(frozen=True)
-class Consistent:
+class ConsistentEstimate:
     """psi: ψ̂. Shape (P,). covariance: of ψ̂, data and prior together, (RᵀR + 2γG)⁻¹ at the solution. Shape (P, P).
 
     misfit: ½‖R(Bψ̂ − θ̂)‖², what consistency and the prior cost in log-likelihood. distance: d(ψ̂, ψ₀)². steps: Newton's.
@@ -64,29 +64,29 @@ class Consistent:
     steps: int
 
 
-def nominal_bodies(parameters: Parameters) -> Array:
+def consistent_nominal(parameters: Parameters) -> Array:
     """ψ₀ with every body made physically consistent by the stated rule, and negative friction 0. Shape (P,)."""
     psi, edge = parameters.nominal.copy(), 10 * parameters.bodies
     mass = float(np.maximum(psi[:edge:10], 0.0).sum()) or 1.0
     for i in range(0, edge, 10):
         psi[i : i + 10] = proper_body(psi[i : i + 10], mass)[0]
-    for kind in POSITIVE:
+    for kind in NONNEGATIVE_KINDS:
         if kind in parameters.drive:
             psi[parameters.block(kind)] = np.maximum(psi[parameters.block(kind)], 0.0)
     return psi
 
 
-def bodies_of(parameters: Parameters, psi: Array) -> Array:
+def inertial_rows(parameters: Parameters, psi: Array) -> Array:
     """The inertial part of ψ, a row a body. Shape (b, 10)."""
     out: Array = psi[: 10 * parameters.bodies].reshape(-1, 10)
     return out
 
 
-def metric_matrix(parameters: Parameters, prior: Prior) -> Array:
+def prior_information(parameters: Parameters, prior: Prior) -> Array:
     """2γG of the prior near ψ₀, the information it is worth. Shape (P, P)."""
     edge = 10 * parameters.bodies
     out = np.diag(np.concatenate([np.zeros(edge), 2.0 * prior.drives / prior.scales**2]))
-    for i, G in enumerate(metrics(prior.distance, bodies_of(parameters, prior.nominal))):
+    for i, G in enumerate(distance_metrics(prior.distance, inertial_rows(parameters, prior.nominal))):
         out[10 * i : 10 * i + 10, 10 * i : 10 * i + 10] = 2.0 * prior.bodies * G
     return out
 
@@ -105,7 +105,7 @@ class _Problem:
     ) -> None:
         self.parameters, self.root, self.target, self.prior = parameters, root, target, prior
         self.edge = 10 * parameters.bodies
-        self.frame = Frame(bodies_of(parameters, prior.nominal))
+        self.frame = NominalFrames(inertial_rows(parameters, prior.nominal))
         self.rows, self.levels = rows, levels  # rows ψ > levels
         self.scale = prior.scales
         self.information = root.T @ root
@@ -114,15 +114,15 @@ class _Problem:
         return np.asarray(self.rows @ psi - self.levels)
 
     def split(self, psi: Array) -> Array:
-        return bodies_of(self.parameters, psi)
+        return inertial_rows(self.parameters, psi)
 
     def value(self, psi: Array, weight: float) -> float:
         """∞ outside."""
         slack, bodies = self.slack(psi), self.split(psi)
-        if (slack.size and float(slack.min()) <= 0.0) or self.frame.least(bodies) <= FLOOR:
+        if (slack.size and float(slack.min()) <= 0.0) or self.frame.least(bodies) <= MIN_PSEUDO_INERTIA:
             return float("inf")
         misfit = self.root @ psi - self.target
-        inside = float(np.sum(np.log(slack))) - float(self.frame.barrier(bodies, FLOOR).value.sum())
+        inside = float(np.sum(np.log(slack))) - float(self.frame.barrier(bodies, MIN_PSEUDO_INERTIA).value.sum())
         return 0.5 * float(misfit @ misfit) + self.far(psi) - weight * inside
 
     def far(self, psi: Array) -> float:
@@ -143,7 +143,7 @@ class _Problem:
         hessian[index, index] += 2.0 * self.prior.drives / self.scale**2
         bodies = self.split(psi)
         parts = (
-            (weight, self.frame.barrier(bodies, FLOOR)),
+            (weight, self.frame.barrier(bodies, MIN_PSEUDO_INERTIA)),
             (self.prior.bodies, self.frame.squared(self.prior.distance, bodies)),
         )
         for factor, part in parts:
@@ -157,12 +157,12 @@ class _Problem:
         change, slack = self.rows @ step, self.slack(psi)
         falling = change < 0.0
         lines = float(np.min(-slack[falling] / change[falling])) if falling.any() else np.inf
-        return min(lines, self.frame.reach(self.split(psi), self.split(step), FLOOR))
+        return min(lines, self.frame.reach(self.split(psi), self.split(step), MIN_PSEUDO_INERTIA))
 
 
 def maximum_a_posteriori(
     parameters: Parameters, root: Array, target: Array, prior: Prior, bounds: Bounds | None = None
-) -> Consistent:
+) -> ConsistentEstimate:
     """ψ̂ = argmin ½‖root ψ − target‖² + γ d², physically consistent. root: R B. Shape (m, P). target: R θ̂. Shape (m,).
 
     Raises UnusableInput when bounds leave no body.
@@ -173,7 +173,7 @@ def maximum_a_posteriori(
     if rows.size and float(problem.slack(psi).min()) <= 0.0:
         raise UnusableInput("bounds of mass and centre leave no room for a body; widen them")
     steps, ridge = 0, 1e-13 * np.eye(parameters.count)  # below rounding
-    for weight in WEIGHTS:
+    for weight in BARRIER_WEIGHTS:
         for _ in range(STEPS):
             gradient, hessian = problem.derivatives(psi, weight)
             scale = 1.0 / np.sqrt(np.diag(hessian))
@@ -182,13 +182,13 @@ def maximum_a_posteriori(
             )
             decrement = -float(gradient @ step)
             steps += 1
-            if decrement < (DECREMENT if weight == WEIGHTS[-1] else 1e-3):
+            if decrement < (DECREMENT if weight == BARRIER_WEIGHTS[-1] else 1e-3):
                 break
             psi = _searched(problem, psi, step, decrement, weight)
     hessian = problem.derivatives(psi, 0.0)[1]
     misfit = root @ psi - target
     far = problem.far(psi) / prior.bodies if prior.bodies else 0.0
-    return Consistent(psi, inverse(hessian), 0.5 * float(misfit @ misfit), far, steps)
+    return ConsistentEstimate(psi, symmetric_pseudo_inverse(hessian), 0.5 * float(misfit @ misfit), far, steps)
 
 
 def _searched(problem: _Problem, psi: Array, step: Array, decrement: float, weight: float) -> Array:
@@ -200,7 +200,7 @@ def _searched(problem: _Problem, psi: Array, step: Array, decrement: float, weig
     return psi
 
 
-def inverse(hessian: Array) -> Array:
+def symmetric_pseudo_inverse(hessian: Array) -> Array:
     """Of a symmetric matrix whose rows have very different units; 0 where it has no information."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-300))
     values, vectors = np.linalg.eigh(hessian * np.outer(scale, scale))
@@ -220,7 +220,7 @@ def _halfspaces(parameters: Parameters, bounds: Bounds) -> tuple[Array, Array]:
         rows.append(row)
         levels.append(level)
 
-    for kind in POSITIVE:
+    for kind in NONNEGATIVE_KINDS:
         if kind in parameters.drive:
             for place in range(parameters.count)[parameters.block(kind)]:
                 add({place: 1.0})
@@ -245,7 +245,7 @@ def _link(parameters: Parameters, link: str) -> int:
 def _inside(parameters: Parameters, nominal: Array, bounds: Bounds) -> Array:
     """A point that obeys every constraint strictly, near the nominal one."""
     psi, edge = nominal.copy(), 10 * parameters.bodies
-    for kind in POSITIVE:
+    for kind in NONNEGATIVE_KINDS:
         if kind in parameters.drive:
             block = parameters.block(kind)
             psi[block] = np.maximum(psi[block], NEAR * np.diag(parameters.scale)[block])
@@ -281,23 +281,23 @@ def _inside(parameters: Parameters, nominal: Array, bounds: Bounds) -> Array:
 
 def is_consistent(parameters: Parameters, psi: Array) -> bool:
     """Whether every body's pseudo-inertia is positive definite and every friction and rotor inertia is not negative."""
-    bodies = bool((np.linalg.eigvalsh(pseudo(bodies_of(parameters, psi))) > 0.0).all())
+    bodies = bool((np.linalg.eigvalsh(pseudo_inertias(inertial_rows(parameters, psi))) > 0.0).all())
     return bodies and all(
         float(psi[parameters.block(kind)].min()) >= 0.0
-        for kind in POSITIVE
+        for kind in NONNEGATIVE_KINDS
         if kind in parameters.drive
     )
 
 
-def objective(
+def map_objective(
     parameters: Parameters, root: Array, target: Array, prior: Prior, psi: Array
 ) -> float:
     """½‖root ψ − target‖² + γ d(ψ, ψ₀)², what `maximum_a_posteriori` minimises. psi: physically consistent. Shape (P,)."""
     edge = 10 * parameters.bodies
     misfit = root @ psi - target
     bodies = (
-        Frame(bodies_of(parameters, prior.nominal))
-        .squared(prior.distance, bodies_of(parameters, psi))
+        NominalFrames(inertial_rows(parameters, prior.nominal))
+        .squared(prior.distance, inertial_rows(parameters, psi))
         .value
     )
     drives = ((psi - prior.nominal)[edge:] / prior.scales) ** 2

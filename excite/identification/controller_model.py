@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..robot.samples import Samples
-from .forward_dynamics import Mechanism
+from .forward_dynamics import RobotDynamics
 from .lowpass import FRICTION_BANDWIDTH_RATIO, Grid
 from .segments import Segment
 
@@ -28,7 +28,7 @@ LOST = 1.0
 
 
 @dataclass(frozen=True)
-class Law:
+class ControllerModel:
     """forward: a₁, a₂, a₃. Shape (3, n). gains: K_p, K_d, K_i. Shape (3, n). constant: of each piece. Shape (pieces, n) [N m].
 
     explained: share of the torque's variance below the band that the law explains. Shape (n,).
@@ -41,7 +41,7 @@ class Law:
 
 
 @dataclass(frozen=True)
-class Command:
+class ControllerCommand:
     """What a controller is told. motion: the reference. columns: torque per unit of `Law.forward`. Shape (3, N, n)."""
 
     motion: Samples
@@ -50,14 +50,14 @@ class Command:
     periodic: bool
 
 
-def commanded(mechanism: Mechanism, reference: Segment, hertz: float) -> Command:
+def controller_command(mechanism: RobotDynamics, reference: Segment, hertz: float) -> ControllerCommand:
     """The command along a reference motion, from a piece whose q is q_ref."""
     band = reference.band(hertz)
     motion = Samples(
         *(band.low(reference.q, Grid.RECORDED, order, reach=FRICTION_BANDWIDTH_RATIO) for order in range(3))
     )
     coulomb = mechanism.coulomb * np.tanh(motion.dq / mechanism.widths)
-    return Command(
+    return ControllerCommand(
         motion,
         np.stack([mechanism.rigid(motion), coulomb, motion.dq]),
         reference.rate,
@@ -65,7 +65,7 @@ def commanded(mechanism: Mechanism, reference: Segment, hertz: float) -> Command
     )
 
 
-def identified(commands: Sequence[Command], measured: Sequence[Segment], hertz: float) -> Law:
+def identify_controller(commands: Sequence[ControllerCommand], measured: Sequence[Segment], hertz: float) -> ControllerModel:
     """The law by bounded least squares, joint by joint; every piece has a constant of its own. commands, measured: piece by piece."""
     from scipy import optimize  # slow to import
 
@@ -91,10 +91,10 @@ def identified(commands: Sequence[Command], measured: Sequence[Segment], hertz: 
             for part in parts
         ]
     )
-    return Law(found[:3], found[3:], constant, explained)
+    return ControllerModel(found[:3], found[3:], constant, explained)
 
 
-def _columns(command: Command, piece: Segment, hertz: float) -> Array:
+def _columns(command: ControllerCommand, piece: Segment, hertz: float) -> Array:
     """The law's six columns and the torque, below the band. Shape (7, rows, n)."""
     band = piece.band(hertz)
     error = command.motion.q - piece.q
@@ -109,7 +109,7 @@ def _columns(command: Command, piece: Segment, hertz: float) -> Array:
     return np.stack(parts)[:, spoilt : len(parts[0]) - spoilt]
 
 
-def followed(mechanism: Mechanism, law: Law, command: Command, piece: int) -> Array | None:
+def simulate_tracking(mechanism: RobotDynamics, law: ControllerModel, command: ControllerCommand, piece: int) -> Array | None:
     """Positions of the robot under the law; of a period the second one, when the loop has settled. None where it loses the reference.
 
     Steps of at most STEP, implicit in the gains and linearly so in friction: stable whatever their size. piece: whose constant is
@@ -126,9 +126,9 @@ def followed(mechanism: Mechanism, law: Law, command: Command, piece: int) -> Ar
 
 
 def _run(
-    mechanism: Mechanism,
-    law: Law,
-    command: Command,
+    mechanism: RobotDynamics,
+    law: ControllerModel,
+    command: ControllerCommand,
     constant: Array,
     start: tuple[Array, Array, Array],
 ) -> tuple[Array, tuple[Array, Array, Array]] | None:

@@ -14,10 +14,10 @@ import numpy as np
 
 from ..errors import UnusableInput
 from .noise_spectrum import Colour, colour, covariance_root
-from .regression import Equations
+from .regression import TorqueEquations
 
 Array = np.ndarray
-HUBER = 1.345
+HUBER_THRESHOLD = 1.345
 """Standard deviations beyond which a residual counts by its size, not its square: 95 % efficient where noise is normal (Huber 1981)."""
 PASSES = 3
 ROBUST_PASSES = 30
@@ -68,7 +68,7 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Fit:
+class LeastSquaresFit:
     """Weighted least squares.
 
     theta: Shape (p,). half: H with H Hᵀ = (Σ ΓᵀΣ⁻¹Γ)⁺. Shape (p, r). inward: takes θ to the coordinates of H. Shape (r, p).
@@ -84,7 +84,7 @@ class Fit:
     hidden: Array
 
 
-def weighted(rows: Array, scale: Array) -> Array:
+def whiten(rows: Array, scale: Array) -> Array:
     """C⁻¹ times rows, over the joints. Shapes (N, n, …)."""
     inverse = np.linalg.inv(scale)
     if np.count_nonzero(inverse) == len(inverse):
@@ -92,7 +92,7 @@ def weighted(rows: Array, scale: Array) -> Array:
     return np.einsum("ij,tj...->ti...", inverse, rows)
 
 
-def triangles(equations: Equations) -> Array:
+def joint_triangular_factors(equations: TorqueEquations) -> Array:
     """R of each joint's own [Γ | τ], which any weights of the joints can be applied to. Shape (n, p + 1, p + 1)."""
     n, p = equations.n, equations.regressor.shape[2]
     out = np.zeros((n, p + 1, p + 1))
@@ -118,17 +118,17 @@ def _stacked(parts: Array) -> Array:
     return np.asarray(np.linalg.qr(parts.reshape(-1, parts.shape[2]), mode="r"))
 
 
-def triangle(equations: Equations, scale: Array) -> Array:
+def triangular_factor(equations: TorqueEquations, scale: Array) -> Array:
     """R of all weighted rows' [Γ | τ]. Shape (≤ p + 1, p + 1)."""
     white = dataclasses.replace(
         equations,
-        torque=weighted(equations.torque, scale),
-        regressor=weighted(equations.regressor, scale),
+        torque=whiten(equations.torque, scale),
+        regressor=whiten(equations.regressor, scale),
     )
-    return _stacked(triangles(white))
+    return _stacked(joint_triangular_factors(white))
 
 
-def _solved(joined: Array, parts: Array) -> Fit:
+def _solved(joined: Array, parts: Array) -> LeastSquaresFit:
     """Least squares by the triangle of all rows. parts: of each joint's weighted rows, for the leverages."""
     p = joined.shape[1] - 1
     root, right = joined[:p, :p].copy(), joined[:p, p]
@@ -142,7 +142,7 @@ def _solved(joined: Array, parts: Array) -> Fit:
     half = (Vt[:rank].T / s[:rank]) / size[:, None]
     theta = half @ (U[:, :rank].T @ right)
     inward = s[:rank, None] * Vt[:rank] * size
-    return Fit(
+    return LeastSquaresFit(
         theta,
         half,
         inward,
@@ -152,26 +152,26 @@ def _solved(joined: Array, parts: Array) -> Fit:
     )
 
 
-def least_squares(equations: Equations, scale: Array, weights: Array | None = None) -> Fit:
+def least_squares(equations: TorqueEquations, scale: Array, weights: Array | None = None) -> LeastSquaresFit:
     """argmin ‖W^½ C⁻¹(τ − Γθ)‖², of least norm in units of the columns' sizes where columns depend on one another."""
     if weights is None and np.count_nonzero(scale) == len(scale):
-        parts = triangles(equations) / np.diag(scale)[:, None, None]
+        parts = joint_triangular_factors(equations) / np.diag(scale)[:, None, None]
         return _solved(_stacked(parts), parts)
     white = dataclasses.replace(
         equations,
-        torque=weighted(equations.torque, scale),
-        regressor=weighted(equations.regressor, scale),
+        torque=whiten(equations.torque, scale),
+        regressor=whiten(equations.regressor, scale),
     )
     if weights is not None:
         root = np.sqrt(weights)
         white = dataclasses.replace(
             white, torque=white.torque * root, regressor=white.regressor * root[:, :, None]
         )
-    parts = triangles(white)
+    parts = joint_triangular_factors(white)
     return _solved(_stacked(parts), parts)
 
 
-def _reweighted(parts: Array, passes: int, rows: int) -> tuple[Fit, Array]:
+def _reweighted(parts: Array, passes: int, rows: int) -> tuple[LeastSquaresFit, Array]:
     """Least squares and the joints' noise in turn, from the joints' triangles alone: Fit, C diagonal."""
     scale = np.ones(len(parts))
     fit = _solved(_stacked(parts), parts)
@@ -186,7 +186,7 @@ def _reweighted(parts: Array, passes: int, rows: int) -> tuple[Fit, Array]:
 
 
 def estimate(
-    equations: Equations,
+    equations: TorqueEquations,
     method: Method = Method.WLS,
     *,
     instruments: Array | None = None,
@@ -207,7 +207,7 @@ def estimate(
             instruments = np.concatenate([instruments, nuisance], axis=2)
         return _marginal(estimate(wider, method, instruments=instruments), equations)
     fit, scale = _reweighted(
-        triangles(equations), 0 if method is Method.OLS else PASSES, len(equations)
+        joint_triangular_factors(equations), 0 if method is Method.OLS else PASSES, len(equations)
     )
     if method is Method.FULL:
         scale = covariance_root(equations.torque - equations.predicted(fit.theta), fit.leverage)
@@ -218,11 +218,11 @@ def estimate(
         if instruments is None:
             raise UnusableInput("instruments: the estimator needs some; see instruments.build")
         return _instrumental(equations, fit, scale, instruments)
-    left = weighted(equations.torque - equations.predicted(fit.theta), scale)
+    left = whiten(equations.torque - equations.predicted(fit.theta), scale)
     return _assembled(method, equations, fit, fit.theta, scale, left)
 
 
-def _marginal(wide: Estimate, equations: Equations) -> Estimate:
+def _marginal(wide: Estimate, equations: TorqueEquations) -> Estimate:
     """The estimate of the parameters alone, nuisances integrated out: their block of the covariance, and its inverse's root."""
     p = equations.regressor.shape[2]
     # information left in θ when the nuisances are free: rows of R that have no part in them
@@ -237,8 +237,8 @@ def _marginal(wide: Estimate, equations: Equations) -> Estimate:
 
 def _assembled(
     method: Method,
-    equations: Equations,
-    fit: Fit,
+    equations: TorqueEquations,
+    fit: LeastSquaresFit,
     theta: Array,
     scale: Array,
     score: Array,
@@ -246,17 +246,17 @@ def _assembled(
     outliers: float = 0.0,
 ) -> Estimate:
     """The estimate with its sandwich: in coordinates H the slope is `slope`, so the covariance is H S Hᵀ/slope²."""
-    inside = weighted(equations.regressor @ fit.half, scale)
+    inside = whiten(equations.regressor @ fit.half, scale)
     spectrum, spread = colour(equations, score, inside, scale)
     spread = spread / slope**2
     residual = equations.torque - equations.predicted(theta)
     root = np.linalg.solve(np.linalg.cholesky(spread), fit.inward)
-    covariance = opened(fit.half @ spread @ fit.half.T, fit)
+    covariance = with_unidentified_variances(fit.half @ spread @ fit.half.T, fit)
     freedom = float(score.size - fit.half.shape[1])
     return Estimate(method, theta, root, covariance, scale, spectrum, residual, freedom, outliers)
 
 
-def opened(covariance: Array, fit: Fit) -> Array:
+def with_unidentified_variances(covariance: Array, fit: LeastSquaresFit) -> Array:
     """The covariance with ∞ where a parameter has part in what the data doesn't show."""
     touched = np.any(np.abs(fit.hidden * fit.size) > 1e-6, axis=0)
     out = covariance.copy()
@@ -264,32 +264,32 @@ def opened(covariance: Array, fit: Fit) -> Array:
     return out
 
 
-def _huber(equations: Equations, fit: Fit, scale: Array) -> Estimate:
+def _huber(equations: TorqueEquations, fit: LeastSquaresFit, scale: Array) -> Estimate:
     """Iteratively reweighted, with a scale by the median so that outliers don't widen it."""
     theta = fit.theta
     for _ in range(ROBUST_PASSES):
-        left = weighted(equations.torque - equations.predicted(theta), scale)
+        left = whiten(equations.torque - equations.predicted(theta), scale)
         scale = scale * (np.median(np.abs(left), axis=0) / SPREAD)[:, None]
-        left = weighted(equations.torque - equations.predicted(theta), scale)
+        left = whiten(equations.torque - equations.predicted(theta), scale)
         found = least_squares(
-            equations, scale, np.minimum(1.0, HUBER / np.maximum(np.abs(left), 1e-300))
+            equations, scale, np.minimum(1.0, HUBER_THRESHOLD / np.maximum(np.abs(left), 1e-300))
         )
         moved, theta = found.theta - theta, found.theta
         if np.linalg.norm(found.inward @ moved) < 1e-4:
             break
-    left = weighted(equations.torque - equations.predicted(theta), scale)
+    left = whiten(equations.torque - equations.predicted(theta), scale)
     plain = least_squares(equations, scale)
     size = np.abs(left)
-    slope, outliers = float(np.mean(size <= HUBER)), float(np.mean(size > 2.0 * HUBER))
+    slope, outliers = float(np.mean(size <= HUBER_THRESHOLD)), float(np.mean(size > 2.0 * HUBER_THRESHOLD))
     return _assembled(
-        Method.HUBER, equations, plain, theta, scale, np.clip(left, -HUBER, HUBER), slope, outliers
+        Method.HUBER, equations, plain, theta, scale, np.clip(left, -HUBER_THRESHOLD, HUBER_THRESHOLD), slope, outliers
     )
 
 
-def _instrumental(equations: Equations, fit: Fit, scale: Array, instruments: Array) -> Estimate:
+def _instrumental(equations: TorqueEquations, fit: LeastSquaresFit, scale: Array, instruments: Array) -> Estimate:
     """θ̂ = (Σ Zᵀ Σ⁻¹ Γ)⁻¹ Σ Zᵀ Σ⁻¹ τ (Janot, Vandanjon & Gautier 2014), in coordinates H of what the recording shows."""
-    inside, Z = (weighted(x @ fit.half, scale) for x in (equations.regressor, instruments))
-    torque = weighted(equations.torque, scale)
+    inside, Z = (whiten(x @ fit.half, scale) for x in (equations.regressor, instruments))
+    torque = whiten(equations.torque, scale)
     product = np.einsum("tip,tiq->pq", Z, inside, optimize=True)
     values = np.linalg.svd(product, compute_uv=False)
     if values[-1] < RANK * values[0]:
@@ -297,12 +297,12 @@ def _instrumental(equations: Equations, fit: Fit, scale: Array, instruments: Arr
             "instruments: show less of the robot than its recorded motion does; take another estimator"
         )
     theta = fit.half @ np.linalg.solve(product, np.einsum("tip,ti->p", Z, torque, optimize=True))
-    left = weighted(equations.torque - equations.predicted(theta), scale)
+    left = whiten(equations.torque - equations.predicted(theta), scale)
     spectrum, scores = colour(equations, left, inside, scale, Z)
     inverse = np.linalg.inv(product)
     spread = inverse @ scores @ inverse.T
     root = np.linalg.solve(np.linalg.cholesky(spread), fit.inward)
-    covariance = opened(fit.half @ spread @ fit.half.T, fit)
+    covariance = with_unidentified_variances(fit.half @ spread @ fit.half.T, fit)
     residual = equations.torque - equations.predicted(theta)
     return Estimate(
         Method.IV,

@@ -15,20 +15,20 @@ import pinocchio as pin
 
 from ..robot.dynamics import regressor
 from ..robot.samples import Samples
-from .regression import Model
+from .regression import IdentificationModel
 
 Array = np.ndarray
 
 
 @dataclass(frozen=True)
-class Mechanism:
+class RobotDynamics:
     """A robot with values of its parameters. W states at once: arrays of shape (W, n) [rad, rad/s, N m].
 
     model: of the identification; body: Pinocchio's, with the identified bodies; data: its work space.
     inertia, viscous, coulomb, offset: of the drives. widths: of Coulomb friction [rad/s]. Shapes (n,).
     """
 
-    model: Model
+    model: IdentificationModel
     body: pin.Model
     data: Any
     inertia: Array
@@ -114,7 +114,7 @@ class Mechanism:
         return gamma
 
 
-def of(model: Model, psi: Array) -> Mechanism:
+def build_dynamics(model: IdentificationModel, psi: Array) -> RobotDynamics:
     """The robot with parameters ψ, which should be physically consistent: a mass matrix is inverted. psi: Shape (P,)."""
     parameters, n = model.parameters, model.robot.n
     body = model.robot.model.copy()
@@ -130,7 +130,7 @@ def of(model: Model, psi: Array) -> Mechanism:
         if "rotor_inertia" in parameters.drive
         else np.zeros(n)
     )
-    return Mechanism(
+    return RobotDynamics(
         model,
         body,
         body.createData(),
@@ -142,7 +142,7 @@ def of(model: Model, psi: Array) -> Mechanism:
     )
 
 
-def softened(mechanism: Mechanism, q: Array, step: float, stiffest: float = 2.0) -> Array:
+def stable_friction_widths(mechanism: RobotDynamics, q: Array, step: float, stiffest: float = 2.0) -> Array:
     """Widths of friction no narrower than an explicit step [s] carries: step · F_c (M⁻¹)_jj / width ≤ `stiffest` at poses q.
 
     stiffest: what the stability limit of classical Runge-Kutta, 2.78, leaves for other joints' part. Shapes (W, n) -> (n,).
@@ -151,6 +151,6 @@ def softened(mechanism: Mechanism, q: Array, step: float, stiffest: float = 2.0)
     return np.maximum(mechanism.widths, step * mechanism.coulomb * mobility / stiffest)
 
 
-def widened(model: Model, widths: Array) -> Model:
+def with_widths(model: IdentificationModel, widths: Array) -> IdentificationModel:
     """The model with other widths."""
     return dataclasses.replace(model, widths=widths)

@@ -9,22 +9,22 @@ import numpy as np
 
 from .estimators import Estimate
 from .lowpass import LowPassFilter, Grid, friction_speed
-from .regression import Equations, Model, kept_rows
-from .regression import friction as friction_of
+from .regression import TorqueEquations, IdentificationModel, kept_rows
+from .regression import filtered_friction as friction_of
 from .segments import Segment
 
 Array = np.ndarray
-CANDIDATES = 1e-4 * 1.3 ** np.arange(21)
+CANDIDATE_WIDTHS = 1e-4 * 1.3 ** np.arange(21)
 """From a tenth of a mrad/s (mm/s) to 19: a wider step is no Coulomb friction any more."""
 GAIN = 2.0
 """Log-likelihood, rows taken as independent, that a width must gain over the usual one."""
 FARTHEST = 0.4
 """Change of a width's logarithm in one step, at the most."""
-ENOUGH = 1 << 16
+MAX_WIDTH_SAMPLES = 1 << 16
 """Samples of a recording that settle the widths."""
 
 
-def fitted(model: Model, equations: Equations, pieces: Sequence[Segment]) -> Model:
+def fit_widths(model: IdentificationModel, equations: TorqueEquations, pieces: Sequence[Segment]) -> IdentificationModel:
     """The model with the widths that explain the equations best, joint by joint (Frisch & Waugh: the other columns projected out)."""
     friction = model.friction_columns()
     if not friction:
@@ -53,7 +53,7 @@ def fitted(model: Model, equations: Equations, pieces: Sequence[Segment]) -> Mod
 
 def _tried(pieces: Sequence[Segment], hertz: float) -> dict[float, Array]:
     """Filtered tanh(q̇/width) for every candidate at the rows of the equations."""
-    out: dict[float, list[Array]] = {float(width): [] for width in CANDIDATES}
+    out: dict[float, list[Array]] = {float(width): [] for width in CANDIDATE_WIDTHS}
     for piece in pieces:
         for part, kept, speed in _speeds(piece, hertz):
             for width, columns in out.items():
@@ -69,16 +69,16 @@ def _speeds(piece: Segment, hertz: float) -> Iterator[tuple[LowPassFilter, slice
         yield part, kept, friction_speed(piece.q[rows], part)
 
 
-def stepped(model: Model, data: Estimate) -> Model:
+def refine_widths(model: IdentificationModel, data: Estimate) -> IdentificationModel:
     """The model after a Gauss-Newton step of its widths: the slope's coefficient is the friction times the change of log width."""
     widths = model.widths.copy()
     for step, (k, joint) in zip(data.beside, model.friction_columns().items(), strict=True):
         if data.theta[k] > 0.0:
             widths[joint] *= np.exp(np.clip(step / data.theta[k], -FARTHEST, FARTHEST))
-    return dataclasses.replace(model, widths=np.clip(widths, CANDIDATES[0], CANDIDATES[-1]))
+    return dataclasses.replace(model, widths=np.clip(widths, CANDIDATE_WIDTHS[0], CANDIDATE_WIDTHS[-1]))
 
 
-def applied(model: Model, rows: Equations, pieces: Iterable[Segment]) -> Equations:
+def apply_widths(model: IdentificationModel, rows: TorqueEquations, pieces: Iterable[Segment]) -> TorqueEquations:
     """The same equations with the model's widths."""
     friction = model.friction_columns()
     if not friction:

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .estimators import Estimate, Fit, Method, estimate, least_squares, weighted
-from .regression import Equations
+from .estimators import Estimate, LeastSquaresFit, Method, estimate, least_squares, whiten
+from .regression import TorqueEquations
 
 Array = np.ndarray
 LEVEL = 0.05
@@ -27,7 +27,7 @@ NEGLIGIBLE = 1e-6
 
 
 @dataclass(frozen=True)
-class Endogeneity:
+class HausmanTest:
     """statistic: Wald's, χ² of `freedom` degrees of freedom where least squares isn't biased. p: its p-value.
 
     shift: largest difference of a base parameter by the two estimates, in standard deviations by instruments, and where. strength: smallest
@@ -64,10 +64,10 @@ class Endogeneity:
 def durbin_wu_hausman(
     ls: Estimate,
     iv: Estimate,
-    equations: Equations,
+    equations: TorqueEquations,
     instruments: Array,
     nuisance: Array | None = None,
-) -> Endogeneity:
+) -> HausmanTest:
     """Test least squares against instruments. ls, iv: estimates of the same equations by both. instruments, nuisance:
     as for `estimate`. Shapes (N, n, p) or (N, n, p + k), (N, n, k).
     """
@@ -85,7 +85,7 @@ def durbin_wu_hausman(
     tested = min(int(np.sum(power < POWER)) + 1, int(np.sum(sines > NEGLIGIBLE)))
     shift = _shift(ls, iv)
     if tested == 0:
-        return Endogeneity(0.0, 0, 1.0, shift, strength)
+        return HausmanTest(0.0, 0, 1.0, shift, strength)
     p = equations.regressor.shape[2]
     wide = dataclasses.replace(
         equations, regressor=np.concatenate([equations.regressor, V[:, :, :tested]], axis=2)
@@ -95,16 +95,16 @@ def durbin_wu_hausman(
     )
     extra = found.theta[p:]
     statistic = float(extra @ np.linalg.solve(found.covariance[p:, p:], extra))
-    return Endogeneity(statistic, tested, float(stats.chi2.sf(statistic, tested)), shift, strength)
+    return HausmanTest(statistic, tested, float(stats.chi2.sf(statistic, tested)), shift, strength)
 
 
 def _unexplained(
-    equations: Equations, fit: Fit, scale: Array, instruments: Array
+    equations: TorqueEquations, fit: LeastSquaresFit, scale: Array, instruments: Array
 ) -> tuple[Array, Array, float]:
     """V̂ in its principal directions, largest first. Shape (N, n, r); the sines that belong to them. Shape (r,); the smallest cosine."""
     r = fit.half.shape[1]
-    rows = weighted(equations.regressor @ fit.half, scale).reshape(-1, r)
-    Z = weighted(instruments, scale).reshape(len(rows), -1)
+    rows = whiten(equations.regressor @ fit.half, scale).reshape(-1, r)
+    Z = whiten(instruments, scale).reshape(len(rows), -1)
     size = np.linalg.norm(Z, axis=0)
     Z = Z[:, size > 0.0] / size[size > 0.0]
     Q, R = np.linalg.qr(Z)  # first, so that all that is long is done once

@@ -17,26 +17,15 @@ from ..recordings import Recording
 from ..robot.base_parameters import Base
 from ..robot.inertial_parameters import COULOMB_WIDTH, Parameters
 from ..robot.robot import Robot
-from . import (
-    consistency,
-    estimators,
-    friction_width,
-    instruments,
-    prior_weight,
-    regression,
-    segments,
-    simulation_error,
-    simulation_refinement,
-    torque_delay,
-)
-from .consistency import Bounds, Consistent, Prior
+from . import consistency, estimators, friction_width, instruments, prior_weight, regression, segments, simulation_error, simulation_refinement, torque_delay
+from .consistency import Bounds, ConsistentEstimate, Prior
 from .estimators import Estimate, Method
-from .hausman_test import Endogeneity, durbin_wu_hausman
+from .hausman_test import HausmanTest, durbin_wu_hausman
 from .inertia_distance import Distance
-from .regression import Equations, Model
+from .regression import TorqueEquations, IdentificationModel
 from .segments import Segment, TorqueSpectra
 from .simulation_error import SimulationError
-from .torque_delay import Delay
+from .torque_delay import TorqueDelay
 
 Array = np.ndarray
 Progress = Callable[[str], None]
@@ -61,7 +50,7 @@ class Options:
     distance: Distance = Distance.BREGMAN
     gamma: str | tuple[float, float] = "evidence"
     band: float | None = None
-    threshold: float = identifiability.THRESHOLD
+    threshold: float = identifiability.IDENTIFIABLE_VARIANCE
     bounds: Bounds = field(default_factory=Bounds)
     align: bool = False
     trusted: Mapping[int, float] = field(default_factory=dict)
@@ -112,23 +101,23 @@ class Identification:
     floor: standard deviation of torque noise below the band by repeated periods, None without. tried: (γ, held-out error) pairs.
     """
 
-    model: Model
+    model: IdentificationModel
     options: Options
     spectra: TorqueSpectra
-    equations: Equations
+    equations: TorqueEquations
     data: Estimate
-    posterior: Consistent
-    reduced: Consistent
+    posterior: ConsistentEstimate
+    reduced: ConsistentEstimate
     prior: Prior
     analysis: Identifiability
     metric: Parameters
     metric_base: Base
-    delay: Delay
+    delay: TorqueDelay
     floor: Array | None
     fits: tuple[Prediction, ...]
     validations: tuple[Prediction, ...]
     tried: tuple[tuple[float, float], ...] = ()
-    endogeneity: Endogeneity | None = None
+    endogeneity: HausmanTest | None = None
     simulation: SimulationError | None = None
 
     @property
@@ -145,11 +134,11 @@ class Identification:
     def decided(self) -> Array:
         """Share of each direction's value that the data decided: λ/(λ + 2γ), or with several γ what the prior says of θ. Shape (p,)."""
         base = self.model.base
-        values, vectors = identifiability.spectrum(self.data.root @ base.matrix, self.metric_base)
+        values, vectors = identifiability.eigenvalues_and_directions(self.data.root @ base.matrix, self.metric_base)
         ways = base.matrix @ self.metric_base.geometric @ vectors
-        known = consistency.metric_matrix(self.model.parameters, self.prior)
-        spread = base.matrix @ consistency.inverse(known) @ base.matrix.T
-        prior = np.einsum("ik,ij,jk->k", ways, consistency.inverse(spread), ways)
+        known = consistency.prior_information(self.model.parameters, self.prior)
+        spread = base.matrix @ consistency.symmetric_pseudo_inverse(known) @ base.matrix.T
+        prior = np.einsum("ik,ij,jk->k", ways, consistency.symmetric_pseudo_inverse(spread), ways)
         return np.asarray(values / np.maximum(values + prior, 1e-300))
 
 
@@ -157,11 +146,11 @@ class Identification:
 class _Data:
     """The recordings as equations, and the parameters by the data alone."""
 
-    model: Model
+    model: IdentificationModel
     parts: list[Segment]
-    rows: Equations
+    rows: TorqueEquations
     estimate: Estimate
-    delay: Delay
+    delay: TorqueDelay
 
 
 def identify(
@@ -175,7 +164,7 @@ def identify(
 ) -> Identification:
     """Parameters from recordings. Raises UnusableInput where a recording has no torque or is too short for the band."""
     options = options or Options()
-    model = Model(robot, parameters, base, np.full(robot.n, COULOMB_WIDTH))
+    model = IdentificationModel(robot, parameters, base, np.full(robot.n, COULOMB_WIDTH))
     parts = list(segments.extract_segments(recordings))
     if not parts:
         raise UnusableInput(
@@ -240,29 +229,29 @@ def identify(
     )
 
 
-def _data(model: Model, parts: list[Segment], hertz: float, options: Options) -> _Data:
+def _data(model: IdentificationModel, parts: list[Segment], hertz: float, options: Options) -> _Data:
     """Equations with friction as wide as the data has it, and θ̂ by the data alone."""
-    few = segments.leading_segments(parts, friction_width.ENOUGH)
-    rows = regression.build(model, few, hertz)
-    model = friction_width.fitted(model, rows, few)
+    few = segments.leading_segments(parts, friction_width.MAX_WIDTH_SAMPLES)
+    rows = regression.build_equations(model, few, hertz)
+    model = friction_width.fit_widths(model, rows, few)
     enough = sum(map(len, few)) == sum(map(len, parts))
     rows = (
-        friction_width.applied(model, rows, few)
+        friction_width.apply_widths(model, rows, few)
         if enough
-        else regression.build(model, parts, hertz)
+        else regression.build_equations(model, parts, hertz)
     )
     method = (
         Method.WLS if options.method is Method.IV else options.method
     )  # instruments need a model first
     data = estimators.estimate(rows, method, nuisance=_nuisance(model, rows))
     for _ in range(WIDTH_STEPS if enough else 0):
-        model = friction_width.stepped(model, data)
-        rows = friction_width.applied(model, rows, parts)
+        model = friction_width.refine_widths(model, data)
+        rows = friction_width.apply_widths(model, rows, parts)
         data = estimators.estimate(rows, method, nuisance=_nuisance(model, rows))
-    late = torque_delay.estimated(rows, data)
+    late = torque_delay.estimate_delay(rows, data)
     if options.align:
         parts = [_moved(piece, late.seconds) for piece in parts]
-        rows = regression.build(model, parts, hertz)
+        rows = regression.build_equations(model, parts, hertz)
         data = estimators.estimate(rows, method, nuisance=_nuisance(model, rows))
     return _Data(model, parts, rows, data, late)
 
@@ -278,7 +267,7 @@ def _predictor(
 
 def _posterior(
     parameters: Parameters, base: Base, data: Estimate, prior: Prior, options: Options
-) -> Consistent:
+) -> ConsistentEstimate:
     return consistency.maximum_a_posteriori(
         parameters, data.root @ base.matrix, data.root @ data.theta, prior, options.bounds
     )
@@ -286,9 +275,9 @@ def _posterior(
 
 def _instrumented(
     own: _Data, recordings: Sequence[Recording], psi: Array
-) -> tuple[Estimate, Endogeneity]:
+) -> tuple[Estimate, HausmanTest]:
     """θ̂ by instruments, and the test whether they are needed. Raises UnusableInput where a recording has no reference motion."""
-    found = instruments.build(own.model, recordings, own.rows.hertz, psi)
+    found = instruments.build_instruments(own.model, recordings, own.rows.hertz, psi)
     nuisance, its = _nuisance(own.model, own.rows), _nuisance(own.model, found.equations)
     rows = found.rows if its is None else np.concatenate([found.rows, its], axis=2)
     estimate = estimators.estimate(own.rows, Method.IV, instruments=rows, nuisance=nuisance)
@@ -296,21 +285,21 @@ def _instrumented(
 
 
 def _simulated(
-    own: _Data, data: Estimate, posterior: Consistent, prior: Prior, options: Options, hertz: float
-) -> tuple[Consistent, SimulationError | None]:
+    own: _Data, data: Estimate, posterior: ConsistentEstimate, prior: Prior, options: Options, hertz: float
+) -> tuple[ConsistentEstimate, SimulationError | None]:
     """Positions simulated ahead by the model, refined against them if asked; nothing where no window is long enough."""
-    groups, share = simulation_error.cut(own.parts, hertz)
+    groups, share = simulation_error.cut_windows(own.parts, hertz)
     if options.refine:
         refined = simulation_refinement.refine(
             own.model, groups, posterior.psi, data, prior, options.bounds
         )
         posterior = dataclasses.replace(posterior, psi=refined.psi)
-    return posterior, simulation_error.error(
+    return posterior, simulation_error.compute_simulation_error(
         own.model, posterior.psi, prior.nominal, groups, share
     ) if groups else None
 
 
-def _nuisance(model: Model, rows: Equations) -> Array | None:
+def _nuisance(model: IdentificationModel, rows: TorqueEquations) -> Array | None:
     """What errors of the friction's widths do to torque. Shape (N, n, n)."""
     joints = list(model.friction_columns().values())
     if not joints:
@@ -332,11 +321,11 @@ def _moved(piece: Segment, seconds: Array) -> Segment:
 
 
 def _prior(
-    parameters: Parameters, base: Base, rows: Equations, data: Estimate, options: Options
+    parameters: Parameters, base: Base, rows: TorqueEquations, data: Estimate, options: Options
 ) -> tuple[Prior, tuple[tuple[float, float], ...]]:
     """ψ₀ and γ: as given, by evidence, or by what predicts left-out blocks; what is trusted is held fast."""
-    nominal = consistency.nominal_bodies(parameters)
-    edge, scales = 10 * parameters.bodies, prior_weight.scales(parameters)
+    nominal = consistency.consistent_nominal(parameters)
+    edge, scales = 10 * parameters.bodies, prior_weight.joint_parameter_scales(parameters)
     for place, value in options.trusted.items():
         nominal[place] = value
     if options.trusted:
@@ -369,11 +358,11 @@ def _prior(
     return dataclasses.replace(prior, bodies=chosen), tuple(tried)
 
 
-def _folds(rows: Equations, data: Estimate) -> list[Array]:
+def _folds(rows: TorqueEquations, data: Estimate) -> list[Array]:
     """R and R θ̂ of each of FOLDS contiguous parts of the recordings: [R | z]. Shape (≤ p + 1, p + 1)."""
     edges = np.linspace(0, len(rows), FOLDS + 1).astype(int)
     parts = [rows.rows(slice(low, high)) for low, high in itertools.pairwise(edges)]
-    return [estimators.triangle(part, data.scale) for part in parts]
+    return [estimators.triangular_factor(part, data.scale) for part in parts]
 
 
 def _sized(parameters: Parameters, base: Base, psi: Array) -> tuple[Parameters, Base]:
@@ -391,9 +380,9 @@ def _sized(parameters: Parameters, base: Base, psi: Array) -> tuple[Parameters, 
 
 def _reduced(
     parameters: Parameters, base: Base, data: Estimate, prior: Prior, options: Options
-) -> Consistent:
+) -> ConsistentEstimate:
     """The estimate that takes identified directions from the data and all others from the nominal robot (Lee, Lee & Park 2021, 4.4)."""
-    values, vectors = identifiability.spectrum(data.root @ base.matrix, base)
+    values, vectors = identifiability.eigenvalues_and_directions(data.root @ base.matrix, base)
     seen = values * options.threshold >= 1.0
     # coordinates of θ in which the metric is 1 and the information diagonal
     frame = vectors[:, seen].T @ np.linalg.inv(base.matrix @ base.geometric)
@@ -407,21 +396,21 @@ def _reduced(
 
 
 def _predicted(
-    model: Model,
+    model: IdentificationModel,
     recording: Recording,
     *,
     hertz: float,
     psi: Array,
     nominal: Array,
     shift: Array | None,
-    rows: Equations | None = None,
+    rows: TorqueEquations | None = None,
 ) -> Prediction:
     """Measured and predicted torque of every row, not of mean periods; the noise floor where periods repeat."""
     if rows is None:
         parts = list(segments.extract_segments([recording], average=False))
         if shift is not None:
             parts = [_moved(piece, shift) for piece in parts]
-        rows = regression.build(model, parts, min(hertz, 0.45 * min(piece.rate for piece in parts)))
+        rows = regression.build_equations(model, parts, min(hertz, 0.45 * min(piece.rate for piece in parts)))
     floor = segments.noise_floor(list(segments.extract_segments([recording])), hertz, tapered=True)
     fitted, before = (rows.predicted(model.base.matrix @ one) for one in (psi, nominal))
     return Prediction(recording.source, rows.time, rows.torque, before, fitted, floor, rows.starts)

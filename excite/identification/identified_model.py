@@ -21,15 +21,15 @@ from ..schemas.effects import EffectDocument
 from ..schemas.model import SCHEMA, ModelDocument
 from ..trajectory import trajectory_file
 from . import confidence
-from .hausman_test import Endogeneity
+from .hausman_test import HausmanTest
 from .identification import Identification, Prediction
 from .lowpass import MOTION_BANDWIDTH_RATIO, LowPassFilter, Grid, friction_speed
-from .regression import BLOCK
+from .regression import BLOCK_ROWS
 from .simulation_error import SimulationError
-from .urdf_export import identified
+from .urdf_export import identified_urdf
 
 Array = np.ndarray
-UNITS = {"rotor_inertia": "kg m²", "viscous": "N m s/rad", "coulomb": "N m", "offset": "N m"}
+JOINT_PARAMETER_UNITS = {"rotor_inertia": "kg m²", "viscous": "N m s/rad", "coulomb": "N m", "offset": "N m"}
 INERTIAL_UNITS = (
     "kg",
     "kg m",
@@ -45,7 +45,7 @@ INERTIAL_UNITS = (
 
 
 @dataclass(frozen=True)
-class FittedModel:
+class IdentifiedModel:
     """What predicts torque. psi: standard parameters. Shape (P,). widths: of Coulomb friction. Shape (n,). hertz: the band of the
     recordings it was fitted to; motion is filtered accordingly. effects: what a diagnosis found beyond it, as stated."""
 
@@ -79,8 +79,8 @@ class FittedModel:
         smooth = self.psi.copy()
         if "coulomb" in self.drive:
             smooth[layout.block("coulomb")] = 0.0
-        for start in range(0, len(motion), BLOCK):
-            part = slice(start, start + BLOCK)
+        for start in range(0, len(motion), BLOCK_ROWS):
+            part = slice(start, start + BLOCK_ROWS)
             out[part] = regressor(
                 self.robot, layout, motion.rows(part)
             ) @ smooth + friction * np.tanh(speed[part] / self.widths)
@@ -124,7 +124,7 @@ class FittedModel:
         return np.concatenate(times), np.concatenate(torques)
 
 
-def document(found: Identification, recordings: Sequence[Recording]) -> dict[str, Any]:
+def model_document(found: Identification, recordings: Sequence[Recording]) -> dict[str, Any]:
     """The content of `model.json`."""
     robot, parameters = found.model.robot, found.model.parameters
     widths, edge = found.model.widths, 10 * parameters.bodies
@@ -132,13 +132,13 @@ def document(found: Identification, recordings: Sequence[Recording]) -> dict[str
     return {
         "schema": SCHEMA,
         "robot": {"name": robot.name, "source": robot.source, "sha256": robot.sha256, **stated},
-        "urdf": identified(robot, parameters, found.psi, widths),
+        "urdf": identified_urdf(robot, parameters, found.psi, widths),
         "joints": list(robot.joints),
         "links": list(parameters.links),
         "drive": list(parameters.drive),
         "standard_parameters": _standard(found),
         "coulomb_width": dict(zip(robot.joints, widths.tolist(), strict=True)),
-        "base_parameters": base_parameters(found),
+        "base_parameters": base_parameter_table(found),
         "directions": _directions(found),
         "identifiable": found.analysis.identifiable,
         "threshold": found.options.threshold,
@@ -170,14 +170,14 @@ def document(found: Identification, recordings: Sequence[Recording]) -> dict[str
             )
         },
         "recordings": [r.source for r in recordings],
-        "fit": [judged(p, robot.joints) for p in found.fits],
-        "validation": [judged(p, robot.joints) for p in found.validations],
+        "fit": [prediction_summary(p, robot.joints) for p in found.fits],
+        "validation": [prediction_summary(p, robot.joints) for p in found.validations],
         "endogeneity": None if found.endogeneity is None else _endogeneity(found.endogeneity),
         "simulation": None
         if found.simulation is None
         else _simulation(found.simulation, robot.joints),
         "effects": [],
-        "versions": trajectory_file.versions(),
+        "versions": trajectory_file.package_versions(),
     }
 
 
@@ -185,7 +185,7 @@ def _standard(found: Identification) -> list[dict[str, Any]]:
     parameters = found.model.parameters
     deviation = np.sqrt(np.maximum(np.diag(found.posterior.covariance), 0.0))
     drives = [
-        entry.unit(UNITS[kind]) for kind in parameters.drive for entry in found.model.robot.entries
+        entry.unit(JOINT_PARAMETER_UNITS[kind]) for kind in parameters.drive for entry in found.model.robot.entries
     ]
     units = [*INERTIAL_UNITS] * parameters.bodies + drives
     columns = (
@@ -201,7 +201,7 @@ def _standard(found: Identification) -> list[dict[str, Any]]:
     return [dict(zip(keys, row, strict=True)) for row in zip(*columns, strict=True)]
 
 
-def _endogeneity(test: Endogeneity) -> dict[str, Any]:
+def _endogeneity(test: HausmanTest) -> dict[str, Any]:
     facts = {
         "statistic": test.statistic,
         "freedom": test.freedom,
@@ -228,11 +228,11 @@ def _by_kind(found: Identification) -> dict[str, list[float]]:
     }
 
 
-def base_parameters(found: Identification) -> list[dict[str, Any]]:
+def base_parameter_table(found: Identification) -> list[dict[str, Any]]:
     """θ: nominal, by the data alone with its 95 % interval, and as the consistent model has it."""
     base, data = found.model.base, found.data
     names = [found.model.parameters.names[i] for i in base.independent]
-    half = confidence.half_widths(data, np.eye(base.count))
+    half = confidence.interval_half_widths(data, np.eye(base.count))
     deviation = np.sqrt(np.diag(data.covariance))
     value, nominal = base.matrix @ found.psi, base.matrix @ found.model.parameters.nominal
     return [
@@ -266,7 +266,7 @@ def _directions(found: Identification) -> list[dict[str, Any]]:
     ]
 
 
-def judged(prediction: Prediction, joints: Sequence[str]) -> dict[str, Any]:
+def prediction_summary(prediction: Prediction, joints: Sequence[str]) -> dict[str, Any]:
     """Torque errors of one recording, joint by joint."""
     errors = {
         key: (prediction.error(key), prediction.relative(key)) for key in ("fitted", "nominal")
@@ -284,7 +284,7 @@ def judged(prediction: Prediction, joints: Sequence[str]) -> dict[str, Any]:
     return {"recording": prediction.source, "joints": rows}
 
 
-def read(path: Path) -> FittedModel:
+def read_model(path: Path) -> IdentifiedModel:
     """Read `model.json`.
 
     Raises:
@@ -295,10 +295,10 @@ def read(path: Path) -> FittedModel:
     )
     content = file.json()
     file.schema(content, (SCHEMA,))
-    return of_document(file, content)
+    return model_from_document(file, content)
 
 
-def of_document(file: DocumentFile, content: Any) -> FittedModel:
+def model_from_document(file: DocumentFile, content: Any) -> IdentifiedModel:
     """The model of the plain values of a `model.json`; raises as `read` does."""
     document = file.converted(content, ModelDocument)
     with tempfile.TemporaryDirectory() as folder:
@@ -320,6 +320,6 @@ def of_document(file: DocumentFile, content: Any) -> FittedModel:
         )
     psi = np.array([entry.value for entry in document.standard_parameters], float)
     widths = np.array([document.coulomb_width[joint] for joint in robot.joints], float)
-    return FittedModel(
+    return IdentifiedModel(
         str(file.path), robot, drive, psi, widths, float(document.band_hz), tuple(document.effects)
     )

@@ -16,7 +16,7 @@ from ..robot.inertial_parameters import metric, pseudo_inertia
 
 Array = np.ndarray
 ROUNDING = 1e-12
-UNITS = np.array([pseudo_inertia(unit) for unit in np.eye(10)])
+PSEUDO_INERTIA_BASIS = np.array([pseudo_inertia(unit) for unit in np.eye(10)])
 """∂P/∂φ. Shape (10, 4, 4)."""
 
 
@@ -30,7 +30,7 @@ class Distance(enum.Enum):
 
 
 @dataclass(frozen=True)
-class Value:
+class BodyFunction:
     """A function of each body: values, gradients, Hessians. Shapes (b,), (b, 10), (b, 10, 10)."""
 
     value: Array
@@ -38,18 +38,18 @@ class Value:
     hessian: Array
 
 
-def pseudo(phi: Array) -> Array:
+def pseudo_inertias(phi: Array) -> Array:
     """P(φ) of every body. Shapes (b, 10) -> (b, 4, 4)."""
-    return np.einsum("bk,kij->bij", phi, UNITS)
+    return np.einsum("bk,kij->bij", phi, PSEUDO_INERTIA_BASIS)
 
 
-def metrics(kind: Distance, nominal: Array) -> Array:
+def distance_metrics(kind: Distance, nominal: Array) -> Array:
     """G with d² ≈ δᵀ G δ near the nominal bodies. Shape (b, 10, 10)."""
     return np.array([np.eye(10) if kind is Distance.EUCLIDEAN else metric(phi) for phi in nominal])
 
 
 @dataclass(frozen=True)
-class Frame:
+class NominalFrames:
     """Nominal bodies and the frames in which they are 1.
 
     nominal: physically consistent. Shape (b, 10). units: ∂M/∂φ. Shape (b, 10, 4, 4).
@@ -59,9 +59,9 @@ class Frame:
     units: Array = field(init=False)
 
     def __post_init__(self) -> None:
-        inverse = np.linalg.inv(np.linalg.cholesky(pseudo(self.nominal)))
+        inverse = np.linalg.inv(np.linalg.cholesky(pseudo_inertias(self.nominal)))
         object.__setattr__(
-            self, "units", inverse[:, None] @ UNITS @ np.swapaxes(inverse, 1, 2)[:, None]
+            self, "units", inverse[:, None] @ PSEUDO_INERTIA_BASIS @ np.swapaxes(inverse, 1, 2)[:, None]
         )
 
     def matrix(self, phi: Array) -> Array:
@@ -73,12 +73,12 @@ class Frame:
         values = np.linalg.eigvalsh(self.matrix(phi))
         return float(np.min(values[:, 0] - ROUNDING * values[:, -1]))
 
-    def barrier(self, phi: Array, floor: float = 0.0) -> Value:
+    def barrier(self, phi: Array, floor: float = 0.0) -> BodyFunction:
         """−log|M − floor|, infinite where a body ceases to be one, and convex."""
         M = self.matrix(phi) - floor * np.eye(4)
         scaled = np.linalg.inv(M)[:, None] @ self.units
         hessian = np.einsum("biac,bjca->bij", scaled, scaled, optimize=True)
-        return Value(-np.linalg.slogdet(M)[1], -np.trace(scaled, axis1=2, axis2=3), hessian)
+        return BodyFunction(-np.linalg.slogdet(M)[1], -np.trace(scaled, axis1=2, axis2=3), hessian)
 
     def reach(self, phi: Array, step: Array, floor: float = 0.0) -> float:
         """Largest α with M(φ + α·step) above `floor`; inf where there is none."""
@@ -88,24 +88,24 @@ class Frame:
         )
         return np.inf if lowest >= 0.0 else -1.0 / lowest
 
-    def squared(self, kind: Distance, phi: Array) -> Value:
+    def squared(self, kind: Distance, phi: Array) -> BodyFunction:
         """d² of each body from its nominal one, with derivatives with respect to φ."""
         if kind is Distance.BREGMAN:
             return self._bregman(phi)
         if kind is Distance.RIEMANNIAN:
             return self._riemannian(phi)
-        G = metrics(kind, self.nominal)
+        G = distance_metrics(kind, self.nominal)
         delta = phi - self.nominal
         change = np.einsum("bij,bj->bi", G, delta)
-        return Value(np.einsum("bi,bi->b", delta, change), 2.0 * change, 2.0 * G)
+        return BodyFunction(np.einsum("bi,bi->b", delta, change), 2.0 * change, 2.0 * G)
 
-    def _bregman(self, phi: Array) -> Value:
+    def _bregman(self, phi: Array) -> BodyFunction:
         own, trace = self.barrier(phi), np.trace(self.units, axis1=2, axis2=3)
-        return Value(
+        return BodyFunction(
             own.value + np.einsum("bk,bk->b", trace, phi) - 4.0, own.gradient + trace, own.hessian
         )
 
-    def _riemannian(self, phi: Array) -> Value:
+    def _riemannian(self, phi: Array) -> BodyFunction:
         """Spectral calculus (Daleckii & Krein): f = Σ h(dᵢ), h = ½ log² d, of the eigenvalues of M.
 
         The Hessian's divided differences of h' are kept above a tenth of 1/(dᵢdⱼ): far from the nominal body d² isn't convex in φ.
@@ -123,6 +123,6 @@ class Frame:
         )
         rise = np.maximum(rise, 0.1 / middle**2)
         hessian = np.einsum("bkij,bij,blij->bkl", changes, rise, changes, optimize=True)
-        return Value(
+        return BodyFunction(
             0.5 * np.sum(np.log(d) ** 2, axis=1), np.einsum("bkii,bi->bk", changes, rate), hessian
         )

@@ -19,16 +19,16 @@ import numpy as np
 from ..errors import UnusableInput
 from ..recordings import Recording
 from . import controller_model, forward_dynamics, regression, segments
-from .controller_model import Law
-from .forward_dynamics import Mechanism
+from .controller_model import ControllerModel
+from .forward_dynamics import RobotDynamics
 from .lowpass import Grid
-from .regression import Equations, Model
+from .regression import TorqueEquations, IdentificationModel
 from .segments import Segment
 
 Array = np.ndarray
 
 
-class Kind(enum.Enum):
+class InstrumentMotion(enum.Enum):
     """Along which motion instruments are computed."""
 
     AUXILIARY = "auxiliary model"
@@ -44,10 +44,10 @@ class Instruments:
     recorded one, inf where it was lost; behind: that of the reference. Shapes (n,) [rad or m], below the band. asked: the kind was.
     """
 
-    equations: Equations
+    equations: TorqueEquations
     pieces: tuple[Segment, ...]
-    kind: Kind
-    law: Law
+    kind: InstrumentMotion
+    law: ControllerModel
     delay: Array
     strayed: Array
     behind: Array
@@ -70,12 +70,12 @@ class Instruments:
         return f"instruments along the {self.kind.value}: {why}"
 
 
-def build(
-    model: Model,
+def build_instruments(
+    model: IdentificationModel,
     recordings: Sequence[Recording],
     hertz: float,
     psi: Array,
-    kind: Kind | None = None,
+    kind: InstrumentMotion | None = None,
     *,
     average: bool = True,
 ) -> Instruments:
@@ -93,7 +93,7 @@ def build(
             average=average,
         )
     )
-    body, best = forward_dynamics.of(model, psi), None
+    body, best = forward_dynamics.build_dynamics(model, psi), None
     for delay in (np.zeros(model.robot.n), _delay(measured, told, hertz)):
         late = [_later(piece, delay) for piece in told]
         trial = _trial(body, measured, late, hertz, kind, delay)
@@ -103,7 +103,7 @@ def build(
         raise UnusableInput(
             f"{recordings[0].source}: the model loses qref under the controller found; take the reference motion as instrument"
         )
-    rows = regression.build(model, best.pieces, hertz)
+    rows = regression.build_equations(model, best.pieces, hertz)
     return Instruments(
         rows,
         tuple(best.pieces),
@@ -119,35 +119,35 @@ def build(
 @dataclass(frozen=True)
 class _Trial:
     pieces: Sequence[Segment]
-    kind: Kind
-    law: Law
+    kind: InstrumentMotion
+    law: ControllerModel
     delay: Array
     strayed: Array
     behind: Array
 
     @property
     def distance(self) -> float:
-        return _mean(self.strayed if self.kind is Kind.AUXILIARY else self.behind)
+        return _mean(self.strayed if self.kind is InstrumentMotion.AUXILIARY else self.behind)
 
 
 def _trial(
-    body: Mechanism,
+    body: RobotDynamics,
     measured: Sequence[Segment],
     told: Sequence[Segment],
     hertz: float,
-    kind: Kind | None,
+    kind: InstrumentMotion | None,
     delay: Array,
 ) -> _Trial | None:
     """The better motion of one reference; None where the auxiliary one was asked for and is lost."""
-    commands = [controller_model.commanded(body, piece, hertz) for piece in told]
-    law = controller_model.identified(commands, measured, hertz)
+    commands = [controller_model.controller_command(body, piece, hertz) for piece in told]
+    law = controller_model.identify_controller(commands, measured, hertz)
     behind = _distance(measured, told, hertz)
-    moved = [] if kind is Kind.REFERENCE else _auxiliary(body, law, commands, told)
+    moved = [] if kind is InstrumentMotion.REFERENCE else _auxiliary(body, law, commands, told)
     strayed = _distance(measured, moved, hertz) if moved else np.full(len(behind), np.inf)
-    if kind is Kind.AUXILIARY and not moved:
+    if kind is InstrumentMotion.AUXILIARY and not moved:
         return None
-    chosen = kind or (Kind.AUXILIARY if _mean(strayed) < _mean(behind) else Kind.REFERENCE)
-    return _Trial(moved if chosen is Kind.AUXILIARY else told, chosen, law, delay, strayed, behind)
+    chosen = kind or (InstrumentMotion.AUXILIARY if _mean(strayed) < _mean(behind) else InstrumentMotion.REFERENCE)
+    return _Trial(moved if chosen is InstrumentMotion.AUXILIARY else told, chosen, law, delay, strayed, behind)
 
 
 def _delay(measured: Sequence[Segment], told: Sequence[Segment], hertz: float) -> Array:
@@ -192,12 +192,12 @@ def _require_reference(recording: Recording) -> None:
 
 
 def _auxiliary(
-    body: Mechanism, law: Law, commands: Sequence[controller_model.Command], told: Sequence[Segment]
+    body: RobotDynamics, law: ControllerModel, commands: Sequence[controller_model.ControllerCommand], told: Sequence[Segment]
 ) -> list[Segment]:
     """The pieces as the model under the law moves; none where it is lost in any."""
     out = []
     for k, (command, piece) in enumerate(zip(commands, told, strict=True)):
-        q = controller_model.followed(body, law, command, k)
+        q = controller_model.simulate_tracking(body, law, command, k)
         if q is None:
             return []
         out.append(dataclasses.replace(piece, q=q))

@@ -15,17 +15,17 @@ import numpy as np
 from ..errors import UnusableInput
 from ..robot.inertial_parameters import Parameters
 from . import consistency
-from .consistency import POSITIVE, Bounds, Consistent, Prior, bodies_of, metric_matrix, objective
-from .inertia_distance import UNITS, Distance, metrics, pseudo
+from .consistency import NONNEGATIVE_KINDS, Bounds, ConsistentEstimate, Prior, inertial_rows, prior_information, map_objective
+from .inertia_distance import PSEUDO_INERTIA_BASIS, Distance, distance_metrics, pseudo_inertias
 
 Array = np.ndarray
-AGREED = 1e-4
+AGREEMENT_TOLERANCE = 1e-4
 """Difference of the objective, relative to its size where that is above 1, up to which two solvers say the same, besides the barrier."""
 INSTALL = "pip install 'excite[lmi]'"
 
 
 @dataclass(frozen=True)
-class Check:
+class LmiCheck:
     """psi: by the conic solver. Shape (P,). objective: ½‖Rψ − z‖² + γ d² of it. own: the same of the estimate that is checked.
 
     barrier: what that one's barrier may cost, its last weight times the number of its terms (Boyd & Vandenberghe 2004, 11.2.2).
@@ -44,29 +44,29 @@ class Check:
     @property
     def agrees(self) -> bool:
         """Whether the two differ by no more than AGREED and, upwards, what the barrier may cost."""
-        return -AGREED <= self.gap <= AGREED + self.barrier / max(1.0, abs(self.objective))
+        return -AGREEMENT_TOLERANCE <= self.gap <= AGREEMENT_TOLERANCE + self.barrier / max(1.0, abs(self.objective))
 
 
-def check(
+def check_estimate(
     parameters: Parameters,
     root: Array,
     target: Array,
     prior: Prior,
-    found: Consistent,
+    found: ConsistentEstimate,
     bounds: Bounds | None = None,
-) -> Check:
+) -> LmiCheck:
     """Solve the problem of `consistent.maximum_a_posteriori` again and compare. Arguments as there; found: what it returned.
 
     Raises UnusableInput without cvxpy and Clarabel, for the Riemannian distance, and where no body obeys the bounds.
     """
-    psi = solve(parameters, root, target, prior, bounds)
-    lines = sum(len(parameters.joints) for kind in POSITIVE if kind in parameters.drive)
+    psi = solve_lmi(parameters, root, target, prior, bounds)
+    lines = sum(len(parameters.joints) for kind in NONNEGATIVE_KINDS if kind in parameters.drive)
     lines += 0 if bounds is None else 2 * len(bounds.mass) + 6 * len(bounds.centre)
-    theirs, own = (objective(parameters, root, target, prior, one) for one in (psi, found.psi))
-    return Check(psi, theirs, own, consistency.WEIGHTS[-1] * (4 * parameters.bodies + lines))
+    theirs, own = (map_objective(parameters, root, target, prior, one) for one in (psi, found.psi))
+    return LmiCheck(psi, theirs, own, consistency.BARRIER_WEIGHTS[-1] * (4 * parameters.bodies + lines))
 
 
-def solve(
+def solve_lmi(
     parameters: Parameters, root: Array, target: Array, prior: Prior, bounds: Bounds | None = None
 ) -> Array:
     """ψ̂ by Clarabel. root: R B. Shape (m, P). target: R θ̂. Shape (m,). Returns shape (P,). Raises UnusableInput as `check`."""
@@ -103,7 +103,7 @@ def _half(parameters: Parameters, root: Array, prior: Prior) -> Array:
     """H with ψ = ψ₀ + H x and a Hessian near 1 in x: left as it stands, the solver loses the digits of what only the prior decides."""
     scale = parameters.scale
     values, vectors = np.linalg.eigh(
-        scale.T @ (root.T @ root + metric_matrix(parameters, prior)) @ scale
+        scale.T @ (root.T @ root + prior_information(parameters, prior)) @ scale
     )
     return np.asarray(scale @ vectors / np.sqrt(np.maximum(values, 1e-16 * values[-1])))
 
@@ -111,7 +111,7 @@ def _half(parameters: Parameters, root: Array, prior: Prior) -> Array:
 def _distance(parameters: Parameters, prior: Prior, half: Array, psi: Any, x: Any) -> Any:
     import cvxpy as cp
 
-    edge, bodies = 10 * parameters.bodies, bodies_of(parameters, prior.nominal)
+    edge, bodies = 10 * parameters.bodies, inertial_rows(parameters, prior.nominal)
     units = np.sqrt(prior.drives) / prior.scales
     cost = cp.sum_squares((units[:, None] * half[edge:]) @ x) if parameters.drive else 0.0
     if prior.bodies == 0.0:
@@ -121,7 +121,7 @@ def _distance(parameters: Parameters, prior: Prior, half: Array, psi: Any, x: An
             scaled = _scaled(prior, psi, i)
             cost = cost + prior.bodies * (cp.trace(scaled) - cp.log_det(scaled) - 4.0)
         return cost
-    for i, G in enumerate(metrics(prior.distance, bodies)):
+    for i, G in enumerate(distance_metrics(prior.distance, bodies)):
         change = np.linalg.cholesky(G).T @ half[10 * i : 10 * i + 10]
         cost = cost + prior.bodies * cp.sum_squares(change @ x)
     return cost
@@ -132,18 +132,18 @@ def _scaled(prior: Prior, psi: Any, body: int) -> Any:
     import cvxpy as cp
 
     place = slice(10 * body, 10 * body + 10)
-    inverse = np.linalg.inv(np.linalg.cholesky(pseudo(prior.nominal[None, place])[0]))
-    units = inverse @ UNITS @ inverse.T
+    inverse = np.linalg.inv(np.linalg.cholesky(pseudo_inertias(prior.nominal[None, place])[0]))
+    units = inverse @ PSEUDO_INERTIA_BASIS @ inverse.T
     return cp.reshape(units.reshape(10, 16).T @ psi[place], (4, 4), order="C")
 
 
 def _limits(parameters: Parameters, prior: Prior, psi: Any, bounds: Bounds) -> list[Any]:
     """Bodies that are bodies by as much as `consistent` wants, friction that brakes, and the bounds given."""
     limits = [
-        _scaled(prior, psi, i) >> consistency.FLOOR * np.eye(4) for i in range(parameters.bodies)
+        _scaled(prior, psi, i) >> consistency.MIN_PSEUDO_INERTIA * np.eye(4) for i in range(parameters.bodies)
     ]
     scale = np.diag(parameters.scale)
-    for kind in POSITIVE:
+    for kind in NONNEGATIVE_KINDS:
         if kind in parameters.drive:
             block = parameters.block(kind)
             limits.append(psi[block] / scale[block] >= 0.0)

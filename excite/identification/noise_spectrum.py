@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .regression import Equations
+from .regression import TorqueEquations
 
 Array = np.ndarray
 RESOLUTION = 0.1
@@ -51,7 +51,7 @@ def covariance_root(residual: Array, leverage: Array) -> Array:
 
 
 def colour(
-    equations: Equations, series: Array, rows: Array, scale: Array, instruments: Array | None = None
+    equations: TorqueEquations, series: Array, rows: Array, scale: Array, instruments: Array | None = None
 ) -> tuple[Colour, Array]:
     """Densities of weighted residuals, and the covariance of the scores Σₜ Zₜᵀ uₜ that noise of such densities has (Parseval).
 
@@ -97,7 +97,7 @@ def colour(
     return found, np.einsum("fj,fjpq->pq", density, grams)
 
 
-def _windows(equations: Equations) -> Iterator[tuple[slice, int, tuple[int, Array | None]]]:
+def _windows(equations: TorqueEquations) -> Iterator[tuple[slice, int, tuple[int, Array | None]]]:
     """Stretches, long ones in parts that count as independent: their rows, how many, periods and deviations."""
     for stretch, periods, deviations in zip(
         equations.stretches(), equations.periods, equations.repeats, strict=True

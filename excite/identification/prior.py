@@ -17,7 +17,7 @@ from ..schemas.prior import PriorDocument
 from . import identified_model
 
 
-def trusted(path: Path, robot: Robot, parameters: Parameters) -> Mapping[int, float]:
+def read_trusted_parameters(path: Path, robot: Robot, parameters: Parameters) -> Mapping[int, float]:
     """Places in ψ -> values that are right as they stand: all inertial parameters and what is stated of the joints.
 
     A `model.json` serves too: all that it says.
@@ -50,7 +50,7 @@ def trusted(path: Path, robot: Robot, parameters: Parameters) -> Mapping[int, fl
 
 
 def _of_model(path: Path, robot: Robot, parameters: Parameters) -> Mapping[int, float]:
-    fitted = identified_model.read(path)
+    fitted = identified_model.read_model(path)
     if fitted.robot.joints != parameters.joints:
         raise UnusableInput(
             f"{path}: is a model of other joints ({', '.join(fitted.robot.joints)}); choose them with --joints"

@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..robot.inertial_parameters import Parameters
-from .consistency import Prior, inverse, metric_matrix
+from .consistency import Prior, symmetric_pseudo_inverse, prior_information
 
 Array = np.ndarray
 BODIES_OFF = 0.1
@@ -25,7 +25,7 @@ ROUNDS, SETTLED = 60, 1e-3
 RANGE = (1e-8, 1e8)
 
 
-def scales(parameters: Parameters) -> Array:
+def joint_parameter_scales(parameters: Parameters) -> Array:
     """Scales of the drive parameters in the prior. Those of rotor inertia may be far too small in a wrist, where the links weigh little
     and the rotor behind its gear is most of what moves. Shape (P − 10 bodies,)."""
     edge = 10 * parameters.bodies
@@ -47,7 +47,7 @@ def evidence(
 ) -> tuple[float, Array]:
     """The most likely γ of bodies, and of every drive parameter, alike within a kind. root: R B. Shape (m, P). target: R θ̂."""
     edge, n = 10 * parameters.bodies, len(parameters.joints)
-    unit = metric_matrix(parameters, start)
+    unit = prior_information(parameters, start)
     half: Array = np.zeros(unit.shape)  # ψ − ψ₀ = half x with x ~ N(0, 1/(2γ))
     for i in range(0, edge, 10):
         half[i : i + 10, i : i + 10] = np.linalg.inv(
@@ -61,7 +61,7 @@ def evidence(
     off = np.array([BODIES_OFF**2, *[DRIVES_OFF**2] * len(parameters.drive)])
     weights = 1.0 / off
     for _ in range(ROUNDS):
-        covariance = inverse(information + np.diag(weights[group]))
+        covariance = symmetric_pseudo_inverse(information + np.diag(weights[group]))
         x = covariance @ score
         told = np.bincount(group, 1.0 - weights[group] * np.diag(covariance), len(off))
         fresh = np.clip(

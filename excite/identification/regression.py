@@ -15,14 +15,14 @@ from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot
 from ..robot.samples import Samples
 from .lowpass import MOTION_BANDWIDTH_RATIO, LowPassFilter, Grid, friction_speed
-from .segments import Segment, chunks
+from .segments import Segment, split_into_chunks
 
 Array = np.ndarray
-BLOCK = 4096
+BLOCK_ROWS = 4096
 
 
 @dataclass(frozen=True)
-class Model:
+class IdentificationModel:
     """What an identification is about: a robot's parameters and which of them motion can show.
 
     widths: of each joint's smooth Coulomb friction tanh(q̇/width). Shape (n,) [rad/s or m/s].
@@ -46,7 +46,7 @@ class Model:
 
 
 @dataclass(frozen=True)
-class Equations:
+class TorqueEquations:
     """Rows of τ = Γ θ, twice the band a second.
 
     torque: Shape (N, n) [N m]. regressor: Γ. Shape (N, n, p). slopes: of torque by the log of Coulomb friction's width, over the
@@ -80,7 +80,7 @@ class Equations:
         for start, stop in zip(self.starts, (*self.starts[1:], len(self)), strict=True):
             yield slice(start, stop)
 
-    def rows(self, which: slice) -> Equations:
+    def rows(self, which: slice) -> TorqueEquations:
         """Some rows, as one stretch."""
         part = dataclasses.replace(
             self,
@@ -104,9 +104,9 @@ class Equations:
         return out
 
 
-def build(model: Model, pieces: Iterable[Segment], hertz: float) -> Equations:
+def build_equations(model: IdentificationModel, pieces: Iterable[Segment], hertz: float) -> TorqueEquations:
     """The equations of all stretches below `hertz`. Raises UnusableInput when no row is left."""
-    parts, starts, count, shortest = list[Equations](), list[tuple[int, Segment, int]](), 0, 0.0
+    parts, starts, count, shortest = list[TorqueEquations](), list[tuple[int, Segment, int]](), 0, 0.0
     for piece in pieces:
         band = piece.band(hertz)
         own = list(_chunked(model, piece, band))
@@ -119,7 +119,7 @@ def build(model: Model, pieces: Iterable[Segment], hertz: float) -> Equations:
         raise UnusableInput(
             f"recordings: no stretch is longer than the {shortest:.2g} s that a band of {hertz:g} Hz takes at its ends"
         )
-    return Equations(
+    return TorqueEquations(
         torque=np.concatenate([part.torque for part in parts]),
         regressor=np.concatenate([part.regressor for part in parts]),
         slopes=np.concatenate([part.slopes for part in parts]),
@@ -151,7 +151,7 @@ def _repeats(piece: Segment, rows: int) -> Array | None:
 def kept_rows(piece: Segment, band: LowPassFilter) -> Iterator[tuple[slice, slice]]:
     """Chunks of a stretch, and which of a chunk's kept rows count: not those that an end spoils or another chunk has."""
     step = band.steps(Grid.KEPT)
-    for rows, own in chunks(piece, 3 * band.margin, step):
+    for rows, own in split_into_chunks(piece, 3 * band.margin, step):
         low = max(own.start, band.margin if rows.start == 0 else 0)
         high = min(
             own.stop, len(piece) - rows.start - (band.margin if rows.stop == len(piece) else 0)
@@ -163,7 +163,7 @@ def kept_rows(piece: Segment, band: LowPassFilter) -> Iterator[tuple[slice, slic
             yield rows, kept
 
 
-def _chunked(model: Model, piece: Segment, band: LowPassFilter) -> Iterator[Equations]:
+def _chunked(model: IdentificationModel, piece: Segment, band: LowPassFilter) -> Iterator[TorqueEquations]:
     for rows, kept in kept_rows(piece, band):
         part = dataclasses.replace(band, count=rows.stop - rows.start)
         torque = part.low(piece.torque[rows], Grid.KEPT)[kept]
@@ -172,9 +172,9 @@ def _chunked(model: Model, piece: Segment, band: LowPassFilter) -> Iterator[Equa
             + rows.start / piece.rate
             + np.arange(part.samples(Grid.KEPT))[kept] / band.rate_of(Grid.KEPT)
         )
-        gamma, slopes, motion = filtered(model, piece.q[rows], part)
+        gamma, slopes, motion = filtered_regressor(model, piece.q[rows], part)
         stretch = ((0,), (piece.source,), (piece.periods,), (None,))
-        yield Equations(
+        yield TorqueEquations(
             torque,
             gamma[kept],
             slopes[kept],
@@ -186,28 +186,28 @@ def _chunked(model: Model, piece: Segment, band: LowPassFilter) -> Iterator[Equa
         )
 
 
-def filtered(model: Model, q: Array, band: LowPassFilter) -> tuple[Array, Array, Samples]:
+def filtered_regressor(model: IdentificationModel, q: Array, band: LowPassFilter) -> tuple[Array, Array, Samples]:
     """Γ along positions, filtered and thinned, friction's slopes and the motion at its rows. Shapes (M, n, p), (M, n), M rows."""
     position = band.transformed(q)
     samples = Samples(*(position.low(Grid.COARSE, order, MOTION_BANDWIDTH_RATIO) for order in range(3)))
     blocks = [
-        regressor(model.robot, model.parameters, samples.rows(slice(start, start + BLOCK)))[
+        regressor(model.robot, model.parameters, samples.rows(slice(start, start + BLOCK_ROWS)))[
             :, :, model.base.independent
         ]
-        for start in range(0, len(samples), BLOCK)
+        for start in range(0, len(samples), BLOCK_ROWS)
     ]
     gamma = band.low(np.concatenate(blocks), Grid.KEPT, of=Grid.COARSE)
     slopes = np.zeros(gamma.shape[:2])
     columns = model.friction_columns()
     if columns:  # from every sample of the recording: their steps are too short for the coarse grid
-        coulomb, slopes = friction(model.widths, friction_speed(q, band, position), band)
+        coulomb, slopes = filtered_friction(model.widths, friction_speed(q, band, position), band)
         for k, joint in columns.items():
             gamma[:, :, k] = 0.0
             gamma[:, joint, k] = coulomb[:, joint]
     return gamma, slopes, Samples(*(position.low(Grid.KEPT, order) for order in range(3)))
 
 
-def friction(widths: Array, speed: Array, band: LowPassFilter) -> tuple[Array, Array]:
+def filtered_friction(widths: Array, speed: Array, band: LowPassFilter) -> tuple[Array, Array]:
     """Filtered tanh(q̇/width), and its slope by log width: what an error of a width adds to a joint's torque. Shapes (M, n)."""
     step = np.tanh(speed / widths)
     both = band.low(np.concatenate([step, -(speed / widths) * (1.0 - step**2)], axis=1), Grid.KEPT)

@@ -17,14 +17,14 @@ from ..recordings.recording import SHORTEST
 from .lowpass import LowPassFilter
 
 Array = np.ndarray
-BAND_HZ = 20.0
-DROWNED = 4.0
+DEFAULT_BAND_HZ = 20.0
+MIN_TORQUE_TO_NOISE_POWER = 4.0
 """Power of torque over its noise, below which there is nothing left to fit."""
-REACH = 10.0
+TORQUE_BANDWIDTH_RATIO = 10.0
 """Torque reaches to this many times the highest frequency of the motion: products of joints, reversals of friction."""
-HIGHEST = 50.0
+MAX_BAND_HZ = 50.0
 """Above this a rigid body is no model of an arm [Hz]."""
-CHUNK = 1 << 17
+CHUNK_SAMPLES = 1 << 17
 """Rows of a long stretch that are worked on at a time."""
 
 
@@ -191,7 +191,7 @@ def torque_spectra(parts: Sequence[Segment], hertz: float | None = None) -> Torq
     """
     from scipy import signal  # slow to import
 
-    longest = leading_segments([max(parts, key=len)], CHUNK)[0]
+    longest = leading_segments([max(parts, key=len)], CHUNK_SAMPLES)[0]
     rate, size = longest.rate, _window(longest)
     frequency, torque = signal.welch(longest.torque, rate, nperseg=size, axis=0, detrend="linear")
     if longest.noise is not None:
@@ -201,12 +201,12 @@ def torque_spectra(parts: Sequence[Segment], hertz: float | None = None) -> Torq
         noise *= longest.periods / (longest.periods - 1)
     else:
         noise = np.tile(np.median(torque[frequency >= 0.25 * rate], axis=0), (len(frequency), 1))
-    moved = motion(longest)
+    moved = motion_bandwidth(longest)
     chosen = _chosen(frequency, torque, noise, moved, rate) if hertz is None else hertz
     return TorqueSpectra(frequency, torque, noise, moved, chosen)
 
 
-def motion(piece: Segment) -> float:
+def motion_bandwidth(piece: Segment) -> float:
     """The frequency below which 99 % of the joint velocities' power lies [Hz]."""
     from scipy import signal  # slow to import
 
@@ -224,18 +224,18 @@ def _window(piece: Segment) -> int:
 
 
 def _chosen(frequency: Array, torque: Array, noise: Array, motion: float, rate: float) -> float:
-    least = min(max(REACH * motion, 5.0), HIGHEST, 0.4 * rate)
-    above = (torque > DROWNED * noise).any(axis=1)
+    least = min(max(TORQUE_BANDWIDTH_RATIO * motion, 5.0), MAX_BAND_HZ, 0.4 * rate)
+    above = (torque > MIN_TORQUE_TO_NOISE_POWER * noise).any(axis=1)
     drowned = float(frequency[np.flatnonzero(above)[-1]]) if above.any() else least
-    return float(min(max(least, min(BAND_HZ, drowned)), 0.4 * rate, max(BAND_HZ, least)))
+    return float(min(max(least, min(DEFAULT_BAND_HZ, drowned)), 0.4 * rate, max(DEFAULT_BAND_HZ, least)))
 
 
-def chunks(piece: Segment, overlap: int, multiple: int) -> Iterator[tuple[slice, slice]]:
+def split_into_chunks(piece: Segment, overlap: int, multiple: int) -> Iterator[tuple[slice, slice]]:
     """Parts of a long stretch: the rows to work on, and of those the ones that are not overlap. Starts are multiples of `multiple`."""
-    if piece.periodic or len(piece) <= CHUNK + 2 * overlap:
+    if piece.periodic or len(piece) <= CHUNK_SAMPLES + 2 * overlap:
         yield slice(0, len(piece)), slice(0, len(piece))
         return
-    size, reach = CHUNK // multiple * multiple, -(-overlap // multiple) * multiple
+    size, reach = CHUNK_SAMPLES // multiple * multiple, -(-overlap // multiple) * multiple
     starts = list(range(0, len(piece), size))
     if len(piece) - starts[-1] <= 2 * overlap:
         starts.pop()

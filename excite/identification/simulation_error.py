@@ -15,9 +15,9 @@ import numpy as np
 
 from ..errors import UnusableInput
 from . import forward_dynamics
-from .forward_dynamics import Mechanism
+from .forward_dynamics import RobotDynamics
 from .lowpass import FRICTION_BANDWIDTH_RATIO, Grid
-from .regression import Model
+from .regression import IdentificationModel
 from .segments import Segment
 
 Array = np.ndarray
@@ -29,12 +29,12 @@ SAMPLES = 20
 """Positions compared in a window, besides the first."""
 STEP = 1e-3
 """Longest step of integration [s]."""
-LOST = 1.0
+LOST_DISTANCE = 1.0
 """Distance from the recording at which a window's simulation counts as lost, and what it counts then [rad or m]."""
 
 
 @dataclass(frozen=True)
-class Windows:
+class SimulationWindows:
     """Parts of recordings of one rate. states: q, q̇ at the start, filtered. Shape (W, 2n). torque: Shape (W, K + 1, n) [N m].
 
     q: as recorded, at times lag after the start, 0 the first. Shape (W, S + 1, n). every: samples of torque from one position to the
@@ -84,9 +84,9 @@ class SimulationError:
         )
 
 
-def cut(
+def cut_windows(
     pieces: Sequence[Segment], hertz: float, horizon: float = HORIZON, most: int = WINDOWS
-) -> tuple[list[Windows], float]:
+) -> tuple[list[SimulationWindows], float]:
     """Windows of all pieces, one set a rate, and the share of the recordings that they cover.
 
     Initial states come from positions below `EDGE` bands of `hertz`; what is too near to a piece's end to be filtered is left out.
@@ -104,7 +104,7 @@ def cut(
         starts[i]
         for i in np.unique(np.linspace(0, len(starts) - 1, min(most, len(starts))).astype(int))
     ]
-    groups: dict[float, list[Windows]] = {}
+    groups: dict[float, list[SimulationWindows]] = {}
     for k, piece in enumerate(pieces):
         if own := [begin for which, begin in chosen if which == k]:
             groups.setdefault(piece.rate, []).append(_windows(piece, own, hertz, horizon))
@@ -115,7 +115,7 @@ def _size(piece: Segment, horizon: float) -> int:
     return max(2, round(horizon * piece.rate))
 
 
-def _windows(piece: Segment, begins: list[int], hertz: float, horizon: float) -> Windows:
+def _windows(piece: Segment, begins: list[int], hertz: float, horizon: float) -> SimulationWindows:
     band = piece.band(hertz)
     states = np.concatenate(
         [band.low(piece.q, Grid.RECORDED, order, reach=FRICTION_BANDWIDTH_RATIO) for order in range(2)], axis=1
@@ -123,35 +123,35 @@ def _windows(piece: Segment, begins: list[int], hertz: float, horizon: float) ->
     size = _size(piece, horizon)
     every = max(1, size // SAMPLES)
     index = np.asarray(begins)[:, None] + np.arange(size // every * every + 1)
-    return Windows(
+    return SimulationWindows(
         states[begins], piece.torque[index], piece.q[index[:, ::every]], every, piece.rate
     )
 
 
-def _joined(parts: Sequence[Windows]) -> Windows:
+def _joined(parts: Sequence[SimulationWindows]) -> SimulationWindows:
     states, torque, q = (
         np.concatenate([getattr(part, name) for part in parts])
         for name in ("states", "torque", "q")
     )
-    return Windows(states, torque, q, parts[0].every, parts[0].rate)
+    return SimulationWindows(states, torque, q, parts[0].every, parts[0].rate)
 
 
-def softened(model: Model, psi: Array, groups: Sequence[Windows]) -> Model:
+def widen_friction(model: IdentificationModel, psi: Array, groups: Sequence[SimulationWindows]) -> IdentificationModel:
     """The model with friction as wide as the steps of integration need it."""
     widths, n = model.widths, model.robot.n
     for windows in groups:
-        body = forward_dynamics.of(model, psi)
+        body = forward_dynamics.build_dynamics(model, psi)
         widths = np.maximum(
             widths,
-            forward_dynamics.softened(
+            forward_dynamics.stable_friction_widths(
                 body, windows.states[:, :n], 1.0 / (windows.rate * windows.steps)
             ),
         )
-    return forward_dynamics.widened(model, widths)
+    return forward_dynamics.with_widths(model, widths)
 
 
-def error(
-    model: Model, psi: Array, nominal: Array, groups: Sequence[Windows], share: float = 1.0
+def compute_simulation_error(
+    model: IdentificationModel, psi: Array, nominal: Array, groups: Sequence[SimulationWindows], share: float = 1.0
 ) -> SimulationError:
     """How well ψ and, to compare, nominal parameters foresee positions, from the filtered initial states. psi, nominal: Shape (P,).
 
@@ -161,13 +161,13 @@ def error(
         raise UnusableInput(
             "simulation: no recording is as long as one window and the ends a filter spoils; take a shorter horizon"
         )
-    own = softened(model, psi, groups)
+    own = widen_friction(model, psi, groups)
     lags = np.unique(np.concatenate([np.round(g.lag[1:], 9) for g in groups]))
     found = []
     for one in (psi, nominal):
-        body = forward_dynamics.of(softened(own, one, groups), one)
+        body = forward_dynamics.build_dynamics(widen_friction(own, one, groups), one)
         parts = [
-            (g.lag[1:], np.clip(simulated(body, g, g.states) - g.q, -LOST, LOST)[:, 1:])
+            (g.lag[1:], np.clip(simulate_positions(body, g, g.states) - g.q, -LOST_DISTANCE, LOST_DISTANCE)[:, 1:])
             for g in groups
         ]
         square = np.array(
@@ -181,15 +181,15 @@ def error(
     return SimulationError(lags, found[0], found[1], sum(map(len, groups)), share)
 
 
-def simulated(body: Mechanism, windows: Windows, states: Array) -> Array:
+def simulate_positions(body: RobotDynamics, windows: SimulationWindows, states: Array) -> Array:
     """Positions that forward dynamics foresees from given states. Shape (W, S + 1, n); inf after a window is lost."""
     n = states.shape[1] // 2
     x, out = states.copy(), np.full(windows.q.shape, np.inf)
     alive, last = np.ones(len(x), bool), 0
     for at, h, torque in _march(windows):
         last = last if at is None else at
-        alive &= (np.abs(x[:, :n] - windows.q[:, last]).max(axis=1) < LOST) & (
-            h * np.abs(x[:, n:]).max(axis=1) < LOST
+        alive &= (np.abs(x[:, :n] - windows.q[:, last]).max(axis=1) < LOST_DISTANCE) & (
+            h * np.abs(x[:, n:]).max(axis=1) < LOST_DISTANCE
         )
         x[~alive] = states[~alive]  # any state will do
         if at is not None:
@@ -204,7 +204,7 @@ def simulated(body: Mechanism, windows: Windows, states: Array) -> Array:
     return out
 
 
-def linearised(body: Mechanism, windows: Windows, states: Array) -> tuple[Array, Array]:
+def simulate_sensitivities(body: RobotDynamics, windows: SimulationWindows, states: Array) -> tuple[Array, Array]:
     """The same with derivatives by the initial state and by θ. Shapes (W, S + 1, n), (W, S + 1, n, 2n + p)."""
     W, n = len(states), states.shape[1] // 2
     p = body.model.base.count
@@ -226,7 +226,7 @@ def linearised(body: Mechanism, windows: Windows, states: Array) -> tuple[Array,
 
 
 def _march(
-    windows: Windows,
+    windows: SimulationWindows,
 ) -> Iterator[tuple[int | None, float, tuple[Array, Array, Array] | None]]:
     """Steps: which position the state before it is, if any, its length, and torque at its start, middle and end (None: the end)."""
     steps = windows.steps
@@ -240,12 +240,12 @@ def _march(
     yield windows.q.shape[1] - 1, h, None
 
 
-def _rate(body: Mechanism, x: Array, torque: Array) -> Array:
+def _rate(body: RobotDynamics, x: Array, torque: Array) -> Array:
     n = torque.shape[1]
     return np.concatenate([x[:, n:], body.acceleration(x[:, :n], x[:, n:], torque)], axis=1)
 
 
-def _rates(body: Mechanism, x: Array, X: Array, torque: Array) -> tuple[Array, Array]:
+def _rates(body: RobotDynamics, x: Array, X: Array, torque: Array) -> tuple[Array, Array]:
     n = torque.shape[1]
     a, slopes = body.sensitive(x[:, :n], x[:, n:], torque)
     turned = slopes[:, :, : 2 * n] @ X

@@ -18,8 +18,8 @@ from ..errors import UnusableInput
 from . import consistency, forward_dynamics, simulation_error
 from .consistency import Bounds, Prior
 from .estimators import Estimate
-from .regression import Model
-from .simulation_error import Windows
+from .regression import IdentificationModel
+from .simulation_error import SimulationWindows
 
 Array = np.ndarray
 STEPS = 8
@@ -50,8 +50,8 @@ class _Iterate:
 class _Task:
     """What stays the same from step to step. weights: of position errors, by group. Shape (n,) [1/rad or 1/m]."""
 
-    model: Model
-    groups: Sequence[Windows]
+    model: IdentificationModel
+    groups: Sequence[SimulationWindows]
     root: Array
     target: Array
     prior: Prior
@@ -59,25 +59,25 @@ class _Task:
     weights: tuple[Array, ...]
 
     def cost(self, x: _Iterate) -> float:
-        body, total = forward_dynamics.of(self.model, x.psi), 0.0
+        body, total = forward_dynamics.build_dynamics(self.model, x.psi), 0.0
         for windows, states, weight in zip(self.groups, x.states, self.weights, strict=True):
             total += 0.5 * float(
                 np.sum(
-                    (weight * (simulation_error.simulated(body, windows, states) - windows.q)) ** 2
+                    (weight * (simulation_error.simulate_positions(body, windows, states) - windows.q)) ** 2
                 )
             )
-        return total + consistency.objective(
+        return total + consistency.map_objective(
             self.model.parameters, self.root, self.target, self.prior, x.psi
         )
 
     def step(self, x: _Iterate) -> _Iterate:
         """The minimum of the problem linearised at x."""
         B = self.model.base.matrix
-        theta, body = B @ x.psi, forward_dynamics.of(self.model, x.psi)
+        theta, body = B @ x.psi, forward_dynamics.build_dynamics(self.model, x.psi)
         rows, target, moves = [self.root], [self.target], []
         for windows, states, weight in zip(self.groups, x.states, self.weights, strict=True):
             left, slopes, move = _eliminated(
-                *simulation_error.linearised(body, windows, states), windows.q, weight
+                *simulation_error.simulate_sensitivities(body, windows, states), windows.q, weight
             )
             R: Array = np.linalg.qr(np.column_stack([slopes, slopes @ theta - left]), mode="r")  # type: ignore[assignment]
             rows.append(R[:, :-1] @ B)
@@ -93,8 +93,8 @@ class _Task:
 
 
 def refine(
-    model: Model,
-    groups: Sequence[Windows],
+    model: IdentificationModel,
+    groups: Sequence[SimulationWindows],
     start: Array,
     data: Estimate,
     prior: Prior,
@@ -113,8 +113,8 @@ def refine(
         raise UnusableInput(
             "refinement: no recording is as long as one window and the ends a filter spoils; take a shorter horizon"
         )
-    soft = simulation_error.softened(model, start, groups)
-    body = forward_dynamics.of(soft, start)
+    soft = simulation_error.widen_friction(model, start, groups)
+    body = forward_dynamics.build_dynamics(soft, start)
     for windows in groups:
         if (joint := _lost(body, windows)) is not None:
             raise UnusableInput(
@@ -135,9 +135,9 @@ def refine(
     return Refinement(x.psi, tuple(costs), x.states)
 
 
-def _lost(body: forward_dynamics.Mechanism, windows: Windows) -> int | None:
+def _lost(body: forward_dynamics.RobotDynamics, windows: SimulationWindows) -> int | None:
     """The joint that is furthest off in the last position before the first window is lost; None where none is."""
-    errors = np.abs(simulation_error.simulated(body, windows, windows.states) - windows.q)
+    errors = np.abs(simulation_error.simulate_positions(body, windows, windows.states) - windows.q)
     first = int(np.isfinite(errors).all(axis=2).sum(axis=1).min())
     if first == errors.shape[1]:
         return None
@@ -177,10 +177,10 @@ def _eliminated(
     return left[:, 0], left[:, 1:], (moves[:, :, 0], moves[:, :, 1:])
 
 
-def _weight(body: forward_dynamics.Mechanism, windows: Windows) -> Array:
+def _weight(body: forward_dynamics.RobotDynamics, windows: SimulationWindows) -> Array:
     """Weight of a position error of each joint. Shape (n,)."""
     n = windows.q.shape[2]
-    q, slopes = simulation_error.linearised(body, windows, windows.states)
+    q, slopes = simulation_error.simulate_sensitivities(body, windows, windows.states)
     left, _, _ = _eliminated(q, slopes, windows.q, np.ones(n))
     errors = left.reshape(windows.q.shape)
     out = np.empty(n)

@@ -31,7 +31,7 @@ SUBSTANTIAL = 0.05
 """Least standard deviation of the nominal torque, over that of the measured one, for a sign to be judged by."""
 
 
-def checked(recording: Recording, robot: Robot, limits: Limits) -> Recording:
+def check_torque(recording: Recording, robot: Robot, limits: Limits) -> Recording:
     """Check a recording's torque.
 
     Args:

@@ -9,7 +9,7 @@ import numpy as np
 
 from .estimators import Estimate, least_squares
 from .lowpass import LowPassFilter, Grid
-from .regression import Equations
+from .regression import TorqueEquations
 
 Array = np.ndarray
 MOST = 20_000
@@ -17,7 +17,7 @@ MOST = 20_000
 
 
 @dataclass(frozen=True)
-class Delay:
+class TorqueDelay:
     """seconds: how much later torque was recorded than its position, per joint. deviation: its standard error. Shapes (n,)."""
 
     seconds: Array
@@ -30,7 +30,7 @@ class Delay:
         return float(weight @ self.seconds / weight.sum()), float(weight.sum() ** -0.5)
 
 
-def estimated(equations: Equations, estimate: Estimate) -> Delay:
+def estimate_delay(equations: TorqueEquations, estimate: Estimate) -> TorqueDelay:
     """Delays from columns −dτ̂/dt added to the regressor, one a joint."""
     equations = equations if len(equations) <= MOST else equations.rows(slice(0, MOST))
     n, p = equations.n, equations.regressor.shape[2]
@@ -46,4 +46,4 @@ def estimated(equations: Equations, estimate: Estimate) -> Delay:
         equations, regressor=np.concatenate([equations.regressor, added], axis=2)
     )
     fit = least_squares(wider, estimate.scale)
-    return Delay(fit.theta[p:], np.linalg.norm(fit.half[p:], axis=1))
+    return TorqueDelay(fit.theta[p:], np.linalg.norm(fit.half[p:], axis=1))

@@ -21,7 +21,7 @@ from ..robot.robot import Robot, locate
 Array = np.ndarray
 
 
-def identified(robot: Robot, parameters: Parameters, psi: Array, widths: Array) -> str:
+def identified_urdf(robot: Robot, parameters: Parameters, psi: Array, widths: Array) -> str:
     """URDF text of `robot` with parameters ψ. Loaded again with the same joints, it gives the same torque."""
     path = locate(robot.source)
     raw = xml_file.read_text(path, "a URDF")

@@ -1,4 +1,4 @@
-"""`report.html`: what people look at. Each section's heading is a question, then its answer, then the plot that shows it."""
+"""Reports for people: each section asks a question, answers it, and shows the evidence."""
 
 from __future__ import annotations
 

@@ -94,4 +94,6 @@ def _drawn(told: Sequence[Mapping[str, Any]]) -> str:
         units = " or ".join(dict.fromkeys(one[kind]["unit"] for one in told))
         axes.set_title(f"change of {_WORDS[kind]} [{units}]", loc="left", fontweight="bold", pad=3)
 
-    return render_panels("What of the drives differs between recordings", list(_WORDS), draw, _HEIGHT)
+    return render_panels(
+        "What of the drives differs between recordings", list(_WORDS), draw, _HEIGHT
+    )

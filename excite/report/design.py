@@ -1,4 +1,4 @@
-"""The report of a design: does the motion obey its limits, what will it show, and how did it come about."""
+"""The report of a design: limits, torque, clearance, identifiability, and how it was found."""
 
 from __future__ import annotations
 
@@ -7,41 +7,41 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from ..collision.continuous_check import Near
 from ..collision.workcell import Cell
 from ..designer.certificate import CLEARANCE
-from ..designer.experiment_comparison import Scenario, what_would_help
+from ..designer.experiment_comparison import Scenario, compare_scenarios
 from ..designer.identifiability import Identifiability
 from ..robot.base_parameters import Base
 from ..robot.dynamics import band, regressor
 from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot
-from ..trajectory.trajectory_file import Trajectory, versions
-from .collision import collision_section
+from ..trajectory.trajectory_file import Trajectory, package_versions
+from .content import Banner, ReportContent, Section, Table, TableCell
+from .design_provenance import criteria_section, history_section, provenance_section
 from .design_record import DesignRecord
-from .figures import trajectory as trajectory_module
+from .figures import collision as collision_figures
+from .figures import time_budget as time_budget_figure
+from .figures import trajectory as trajectory_figures
+from .figures import validation_motion as validation_figure
 from .figures.drawing import COMPACT_LAYOUT_JOINTS
-from .figures.trajectory import Scene
-from .identifiability import headline, sections
-from .origin import criteria_section, history_section, made_section
-from .page import (
-    Section,
-    banner,
-    cards,
-    escape,
-    figure,
-    folded,
-    meter,
-    number,
-    page,
-    paragraph,
-    plural,
-    table,
-)
-from .pair import plan_section, validation_section
+from .figures.trajectory import MotionScene
+from .formatting import capitalized, number, plural
+from .identifiability import identifiability_sections, key_figures
+from .render import render
 
-_ROUNDING = 1e-9
+ROUNDING = 1e-9
+"""Relative margin below zero that is rounding, not a violation."""
+NO_MARGIN = 5e-4
+"""Relative margin below which a value is said to be at its bound."""
+LISTED_MARGINS = 12
+"""Margins that are listed before the others are folded."""
+LISTED_PAIRS = 8
+"""Pairs of bodies that are listed before the others are folded."""
+LARGE_OVERLAP = 0.7
+"""Overlap above which more than half of the variance of a model error recurs in the second motion."""
 _UNITS = {
     "position": "rad",
     "velocity": "rad/s",
@@ -50,8 +50,7 @@ _UNITS = {
     "torque": "N m",
     "braking": "rad",
 }
-_CLOSEST = 12
-CRITERIA = {
+_CRITERIA = {
     "a": "A, sum of variances (lower is better)",
     "d": "D, log volume (higher is better)",
     "e": "E, least eigenvalue (higher is better)",
@@ -61,21 +60,21 @@ CRITERIA = {
 
 
 @dataclass(frozen=True)
-class Design:
-    """What the report is about."""
+class _Subject:
+    """A design and what it was made for."""
 
     trajectory: Trajectory
     robot: Robot
     parameters: Parameters
     base: Base
-    found: Identifiability
+    identifiability: Identifiability
     record: DesignRecord
     cell: Cell | None = None
 
     @property
-    def scene(self) -> Scene:
-        """What the figures of the motion need."""
-        return Scene(self.trajectory.motion, self.trajectory.limits, self.robot, self.cell)
+    def scene(self) -> MotionScene:
+        """The motion with what its figures need."""
+        return MotionScene(self.trajectory.motion, self.trajectory.limits, self.robot, self.cell)
 
 
 def design_page(
@@ -91,66 +90,65 @@ def design_page(
     cell: Cell | None = None,
     near: Sequence[Near] = (),
 ) -> str:
-    """The report of a design as HTML. cases: what `what_would_help` found; None: computed here. second: for validation.
+    """Render the report of a design as HTML.
 
-    cell, near: what must not be touched, and the least distances, where collisions were checked.
+    Args:
+        trajectory: The designed motion with its certificate.
+        robot: The robot.
+        parameters: Its nominal parameters.
+        base: Its base parameters.
+        identifiability: Analysis of the motion.
+        record: Course of the optimisation.
+        cases: Results of `compare_scenarios`; None: computed here.
+        second: A second motion for validation.
+        cell: Bodies that must not touch, where clearances were checked.
+        near: Least distances of the pairs of bodies, the most critical first.
     """
-    subject = Design(trajectory, robot, parameters, base, identifiability, record, cell)
+    subject = _Subject(trajectory, robot, parameters, base, identifiability, record, cell)
     if cases is None:
-        cases = what_would_help(
-            robot, parameters, base, trajectory.limits, trajectory.motion,
-            noise=trajectory.noise, rate=trajectory.rate, threshold=identifiability.threshold,
-        )  # fmt: skip
-    parts = [
-        limits_section(subject),
-        torque_section(subject),
-        collision_section(trajectory, cell, near),
-        *sections(identifiability, parameters, cases),
-        path_section(subject),
-        *([] if second is None else [validation_section(trajectory, second, robot)]),
-        *([plan_section(trajectory.design["plan"])] if "plan" in trajectory.design else []),
+        cases = compare_scenarios(
+            robot,
+            parameters,
+            base,
+            trajectory.limits,
+            trajectory.motion,
+            noise=trajectory.noise,
+            rate=trajectory.rate,
+            threshold=identifiability.threshold,
+        )
+    sections = [
+        _limits_section(subject),
+        _torque_section(subject),
+        _collision_section(trajectory, cell, near),
+        *identifiability_sections(identifiability, parameters, cases),
+        _path_section(subject),
+        *([] if second is None else [_validation_section(trajectory, second, robot)]),
+        *([_plan_section(trajectory.design["plan"])] if "plan" in trajectory.design else []),
         history_section(record),
         criteria_section(trajectory),
-        made_section(trajectory, robot, parameters, record),
+        provenance_section(trajectory, robot, parameters, record),
     ]
-    lede = "An excitation trajectory for identification: what it obeys, what it will show, and how it was found."
-    return page(
-        f"Excitation of {robot.name}",
-        lede,
-        _head(subject),
-        parts,
-        f"excite {versions()['excite']}, seed {trajectory.seed}",
+    content = ReportContent(
+        title=f"Excitation of {robot.name}",
+        subtitle="An excitation trajectory for identification: whether it may be run, what it will "
+        "identify, and how it was found.",
+        banners=[
+            _limits_banner(trajectory),
+            _clearance_banner(trajectory),
+            _identifiability_banner(identifiability),
+            *(Banner(text, "warn") for text in _warnings(subject)),
+        ],
+        cards=_cards(subject),
+        sections=sections,
+        footer=f"excite {package_versions()['excite']}, seed {trajectory.seed}",
     )
-
-
-# -- header --------------------------------------------------------------------------------------------------
-
-
-def _head(subject: Design) -> str:
-    t = subject.trajectory
-    motion = t.motion
-    name = str(t.design.get("criterion", "a"))
-    value = criterion_value(t.criteria, name, bool(t.design.get("plain", False)))
-    what = CRITERIA.get(name, name)
-    entries = [
-        *headline(subject.found, subject.robot, subject.base),
-        (
-            f"{motion.duration:.1f} s",
-            f"from rest to rest, {motion.periods} periods of {motion.fourier.period:g} s",
-        ),
-        (number(value), f"criterion: {what}, per sample"),
-    ]
-    return (
-        cards(entries)
-        + _verdict(t)
-        + "".join(banner(text, "warn") for text in warnings_of(subject))
-    )
+    return render("design", content)
 
 
 def criterion_value(
     criteria: Mapping[str, Any], name: str, plain: bool, part: str = "optimum"
 ) -> float | None:
-    """One number of a trajectory's `criteria`, None where it is absent."""
+    """Look up a value of a trajectory's `criteria`; None where it is absent."""
     entries = criteria.get(part, {})
     value = (
         entries.get(name)
@@ -160,12 +158,17 @@ def criterion_value(
     return None if value is None else float(value)
 
 
-def rooms(trajectory: Trajectory) -> list[tuple[float, Mapping[str, Any]]]:
-    """Every margin with its room, a share of the half width of the allowed range; the closest first."""
-    return sorted(((_room(m, trajectory), m) for m in trajectory.margins), key=lambda pair: pair[0])
+def relative_margins(trajectory: Trajectory) -> list[tuple[float, Mapping[str, Any]]]:
+    """Every margin of a trajectory with its relative size, the smallest first.
+
+    The relative size is the distance to the bound over the half width of the allowed range.
+    """
+    sized = ((_relative_margin(m, trajectory), m) for m in trajectory.margins)
+    return sorted(sized, key=lambda pair: pair[0])
 
 
-def _room(margin: Mapping[str, Any], trajectory: Trajectory) -> float:
+def _relative_margin(margin: Mapping[str, Any], trajectory: Trajectory) -> float:
+    """Relative size of a margin, computed where the file does not state it."""
     if margin.get("margin") is not None:
         return float(margin["margin"])
     value, bound = float(margin["value"]), float(margin["bound"])
@@ -175,134 +178,161 @@ def _room(margin: Mapping[str, Any], trajectory: Trajectory) -> float:
     return 1.0 - value / bound if bound else -value
 
 
-def _verdict(trajectory: Trajectory) -> str:
-    """Both parts of the certificate, clearance and limits, as banners."""
-    return _clearance_banner(trajectory) + _limits_banner(trajectory)
+# -- first screen ----------------------------------------------------------------------------------
 
 
-def _limits_banner(trajectory: Trajectory) -> str:
-    closest = [(room, margin) for room, margin in rooms(trajectory) if margin["limit"] != CLEARANCE]
-    if not closest:
-        return banner("Limits: not checked.", "bad")
-    room, worst = closest[0]
-    broken = sum(1 for r, _ in closest if r < -_ROUNDING)
-    if broken:
-        reason = f"{plural(broken, 'limit')} broken, worst the {worst['limit']} of {worst['joint']}"
-        return banner(f"Limits: FAILED. {reason}. Do not run this motion.", "bad")
+def _cards(subject: _Subject) -> list[tuple[str, str]]:
+    """Key figures of a design."""
+    trajectory = subject.trajectory
+    motion = trajectory.motion
+    name = str(trajectory.design.get("criterion", "a"))
+    is_plain = bool(trajectory.design.get("plain", False))
+    value = criterion_value(trajectory.criteria, name, is_plain)
+    return [
+        *key_figures(subject.identifiability, subject.robot, subject.base),
+        (
+            f"{motion.duration:.1f} s",
+            f"from rest to rest, {motion.periods} periods of {motion.fourier.period:g} s",
+        ),
+        (number(value), f"criterion: {_CRITERIA.get(name, name)}, per sample"),
+    ]
+
+
+def _limits_banner(trajectory: Trajectory) -> Banner:
+    """The verdict on the limits of the joints."""
+    margins = [(r, m) for r, m in relative_margins(trajectory) if m["limit"] != CLEARANCE]
+    if not margins:
+        return Banner("Limits: not checked. Check the motion before running it.", "warn")
+    violated = sum(relative < -ROUNDING for relative, _ in margins)
+    relative, worst = margins[0]
+    if violated:
+        which = f"the worst is the {worst['limit']} of {worst['joint']}"
+        text = f"Limits: FAILED. {plural(violated, 'limit')} violated; {which}."
+        return Banner(f"{text} Do not run this motion.", "bad")
     if trajectory.forced:
-        return banner("Written although a check failed (--force). Do not run this motion.", "bad")
-    text = f"Limits: certified. All {len(closest)} hold; the closest is the {worst['limit']} of {worst['joint']}, {_room_words(room)}."
-    return banner(text, "good")
+        return Banner("Written although a check failed (--force). Do not run this motion.", "bad")
+    text = f"Limits: certified. All {len(margins)} hold; the closest is the {worst['limit']} of "
+    return Banner(f"{text}{worst['joint']}, {_margin_words(relative)}.", "good")
 
 
-def _room_words(room: float) -> str:
-    return "right at its bound" if room < 5e-4 else f"with {100.0 * room:.2g} % to spare"
+def _margin_words(relative: float) -> str:
+    """A relative margin as the end of a sentence."""
+    if relative < NO_MARGIN:
+        return "at its bound"
+    return f"with a margin of {100.0 * relative:.2g} %"
 
 
-def _clearance_banner(trajectory: Trajectory) -> str:
+def _clearance_banner(trajectory: Trajectory) -> Banner:
+    """The verdict on the clearances."""
     text = trajectory.collision
     if "not checked" in text:
-        more = "The motion was not tested against the robot's own body or its surroundings. Watch the first run at low speed."
-        return banner(f"Clearance: not checked; {text}. {more}", "warn")
-    short = any(
-        room < -_ROUNDING for room, margin in rooms(trajectory) if margin["limit"] == CLEARANCE
+        advice = (
+            "The motion was not tested against the robot's own links or its surroundings. "
+            "Watch the first run at low speed."
+        )
+        return Banner(f"Clearance: not checked; {text}. {advice}", "warn")
+    is_violated = any(
+        relative < -ROUNDING and margin["limit"] == CLEARANCE
+        for relative, margin in relative_margins(trajectory)
     )
-    if short or text.startswith("COLLISION"):
-        return banner(f"Clearance: FAILED; {text}. Do not run this motion.", "bad")
-    return banner(f"Clearance: certified; {text}.", "good")
+    if is_violated or text.startswith("COLLISION"):
+        return Banner(f"Clearance: FAILED; {text}. Do not run this motion.", "bad")
+    return Banner(f"Clearance: certified; {text}.", "good")
 
 
-def warnings_of(subject: Design) -> list[str]:
-    """What a user should know before running the motion."""
-    out = list(subject.record.notes)
+def _identifiability_banner(identifiability: Identifiability) -> Banner:
+    """The verdict on what the motion will identify."""
+    seen, count = identifiability.identifiable, len(identifiability.directions)
+    text = f"Identifiability: {seen} of {plural(count, 'direction')} of the base parameters"
+    threshold = float(np.sqrt(identifiability.threshold))
+    text += f" will be known to ±{100.0 * threshold:.2g} % or better."
+    return Banner(text, "good" if seen == count else "warn")
+
+
+def _warnings(subject: _Subject) -> list[str]:
+    """Further warnings to read before the motion is run."""
+    warnings = list(subject.record.notes)
+    limits = subject.trajectory.limits
     if subject.parameters.repaired:
-        out.append(
-            f"No proper body in {', '.join(subject.parameters.repaired)}: the metric uses a substitute for its inertia."
+        links = ", ".join(subject.parameters.repaired)
+        warnings.append(
+            f"The inertia of {links} in the URDF is not physically consistent: the metric uses a "
+            "substitute."
         )
-    missing = [
-        q
-        for q in ("acceleration", "jerk")
-        if not np.isfinite(getattr(subject.trajectory.limits, q)).all()
-    ]
-    if missing:
-        out.append(
-            f"No {' or '.join(missing)} limit is stated for some joints; none was enforced there."
+    optional = ("acceleration", "jerk")
+    absent = [q for q in optional if not np.isfinite(getattr(limits, q)).all()]
+    if absent:
+        warnings.append(
+            f"No {' or '.join(absent)} limit is stated for some joints; none was enforced there."
         )
-    derived = [
-        q
-        for q in ("acceleration", "jerk")
-        if "derived" in subject.trajectory.limits.sources.get(q, ())
-    ]
+    derived = [q for q in optional if "derived" in limits.sources.get(q, ())]
     if derived:
-        text = f"The {' and '.join(derived)} limits are derived from the motion, for the ramps only"
-        out.append(f"{text}: neither the URDF nor a limits file states any.")
-    return out
-
-
-# -- limits --------------------------------------------------------------------------------------------------
-
-
-def limits_section(subject: Design) -> Section:
-    """(b) Does it stay within its limits?"""
-    trajectory = subject.trajectory
-    every = rooms(trajectory)
-    kinematic = [(r, m) for r, m in every if m["limit"] != "torque"]
-    answer = _limits_answer(kinematic)
-    body = "".join(figure(svg) for svg in trajectory_module.kinematics(subject.scene))
-    head = ("limit", "joint", "at [s]", "value", "bound", "room", "used")
-    listing = [_margin_row(room, m, subject.robot) for room, m in every]
-    body += f"<h3>The {min(_CLOSEST, len(listing))} closest margins</h3>" + table(
-        head, listing[:_CLOSEST], (2, 3, 4, 5)
-    )
-    if len(listing) > _CLOSEST:
-        body += folded(
-            f"{len(listing) - _CLOSEST} more margins", table(head, listing[_CLOSEST:], (2, 3, 4, 5))
+        warnings.append(
+            f"The {' and '.join(derived)} limits are derived from the motion, for the ramps only: "
+            "neither the URDF nor a limits file states any."
         )
-    body += paragraph(
-        "Room is the distance to the bound as a share of the half width of the allowed range, at the worst moment of the motion.",
-        "note",
-    )
-    return Section(
-        "limits",
-        "Does it stay within its limits?",
-        answer,
-        body,
-        "bad" if answer.startswith("No") else "",
-    )
+    return warnings
 
 
-def _limits_answer(margins: Sequence[tuple[float, Mapping[str, Any]]]) -> str:
+# -- limits, torque, path --------------------------------------------------------------------------
+
+
+def _limits_section(subject: _Subject) -> Section:
+    """Margins to the limits of position, velocity, acceleration, jerk and torque."""
+    margins = relative_margins(subject.trajectory)
+    answer, tone = _limits_answer([(r, m) for r, m in margins if m["limit"] != "torque"])
+    head = ("limit", "joint", "at [s]", "value", "bound", "margin", "used")
+    rows = [_margin_row(relative, m, subject.robot) for relative, m in margins]
+    closest, others = Table(head, rows, (2, 3, 4, 5)).split(LISTED_MARGINS)
+    figures = trajectory_figures.draw_kinematics(subject.scene)
+    data = {
+        "figures": [(title, Markup(svg)) for title, svg in figures],
+        "closest": closest,
+        "others": others,
+        "others_summary": plural(len(others.rows), "more margin"),
+    }
+    return Section("limits", "Does it stay within its limits?", answer, data, tone)
+
+
+def _limits_answer(margins: Sequence[tuple[float, Mapping[str, Any]]]) -> tuple[str, str]:
+    """Answer and tone."""
     if not margins:
-        return "No limit of position, velocity, acceleration or jerk was checked."
-    broken = [m for r, m in margins if r < -_ROUNDING]
-    if broken:
-        worst = broken[0]
-        return f"No: {plural(len(broken), 'limit')} broken, worst the {worst['limit']} of {worst['joint']} at {worst['time']:.2f} s."
-    room, worst = margins[0]
-    return f"Yes; closest is the {worst['limit']} of {worst['joint']} at {worst['time']:.2f} s, {_room_words(room)}."
+        return "No limit of position, velocity, acceleration or jerk was checked.", ""
+    violated = [m for relative, m in margins if relative < -ROUNDING]
+    relative, worst = margins[0]
+    place = f"the {worst['limit']} of {worst['joint']} at {worst['time']:.2f} s"
+    if violated:
+        return f"No: {plural(len(violated), 'limit')} violated, the worst {place}.", "bad"
+    return f"Yes; closest is {place}, {_margin_words(relative)}.", ""
 
 
-def _margin_row(room: float, margin: Mapping[str, Any], robot: Robot) -> tuple[str, ...]:
+def _margin_row(
+    relative: float, margin: Mapping[str, Any], robot: Robot
+) -> tuple[str | TableCell, ...]:
+    """Row of the table of margins."""
     limit, joint = str(margin["limit"]), str(margin["joint"])
     unit = _UNITS.get(limit, "m")
     if joint in robot.joints:
         unit = robot.entries[robot.joints.index(joint)].unit(unit)
+    is_violated = relative < -ROUNDING
+    size = f"{number(100.0 * relative, 2) if abs(relative) >= 1e-4 else '0'} %"
     return (
-        escape(limit),
-        escape(joint),
+        limit,
+        joint,
         f"{float(margin['time']):.2f}",
         number(float(margin["value"])),
         f"{number(float(margin['bound']))} {unit}",
-        f'<span class="{"bad" if room < -_ROUNDING else ""}">{number(100.0 * room, 2) if abs(room) >= 1e-4 else "0"} %</span>',
-        meter(1.0 - room, broken=room < -_ROUNDING),
+        TableCell(size, tone="bad" if is_violated else ""),
+        TableCell("", share=1.0 - relative, exceeded=is_violated),
     )
 
 
-def torque_section(subject: Design) -> Section:
-    """(c) Are the drives strong enough, for uncertain parameters too?"""
+def _torque_section(subject: _Subject) -> Section:
+    """Torques with their limits, for uncertain parameters too."""
     trajectory, robot = subject.trajectory, subject.robot
     radius = float(trajectory.design.get("uncertainty", 0.0))
-    t = trajectory_module.dense(trajectory.motion, 1000 if robot.n <= COMPACT_LAYOUT_JOINTS else 600)
+    at_most = 1000 if robot.n <= COMPACT_LAYOUT_JOINTS else 600
+    t = trajectory_figures.sample_times(trajectory.motion, at_most)
     nominal, width = band(
         regressor(robot, subject.parameters, trajectory.motion.samples(t)),
         subject.parameters,
@@ -310,29 +340,178 @@ def torque_section(subject: Design) -> Section:
     )
     ratio = (np.abs(nominal) + width).max(axis=0) / trajectory.limits.torque
     worst = int(np.argmax(ratio))
-    answer = f"The most loaded drive is {robot.joints[worst]}: up to {100.0 * ratio[worst]:.0f} % of its torque limit"
+    answer = (
+        f"The most heavily loaded joint is {robot.joints[worst]}: it needs up to "
+        f"{100.0 * ratio[worst]:.0f} % of its torque limit, "
+    )
     answer += (
-        f", for any robot within {number(radius)} of the nominal parameters."
+        f"for any robot within {number(radius)} of the nominal parameters."
         if radius
-        else ", for the nominal parameters."
+        else "for the nominal parameters."
     )
-    note = (
-        f"The band holds the torque of every robot within r = {number(radius)} of the nominal parameters in the metric, exactly "
-        f"(r = {number(radius)} is a change of one mass by about {100 * radius * np.sqrt(2.0):.0f} %)."
-        if radius
-        else "No uncertainty of the robot's parameters was asked for."
-    )
-    svg = trajectory_module.torques(t, nominal, width, subject.scene)
+    data = {
+        "figure": Markup(trajectory_figures.draw_torques(t, nominal, width, subject.scene)),
+        "radius": number(radius) if radius else "",
+        "mass_change": f"{100 * radius * np.sqrt(2.0):.0f} %",
+    }
     return Section(
-        "torque", "Are the drives strong enough?", answer, figure(svg) + paragraph(note, "note")
+        "torque",
+        "Are the torque limits sufficient?",
+        answer,
+        data,
+        "bad" if ratio[worst] > 1 else "",
     )
 
 
-def path_section(subject: Design) -> Section:
-    """(h) Where in space does it move?"""
-    svg, extent = trajectory_module.path(subject.scene)
-    size, single = extent[1] - extent[0], len(trajectory_module.branch_ends(subject.robot)) == 1
-    box = " × ".join(f"{length:.2f}" for length in size)
-    answer = f"The {'end of the robot stays' if single else 'ends of the robot stay'} in a box of {box} m, "
-    answer += f"between {number(float(extent[0, 2]), 3)} and {number(float(extent[1, 2]), 3)} m above the base's origin."
-    return Section("path", "Where in space does it move?", answer, figure(svg))
+def _path_section(subject: _Subject) -> Section:
+    """The space that the motion needs."""
+    svg, extent = trajectory_figures.draw_path(subject.scene)
+    is_single = len(trajectory_figures.branch_ends(subject.robot)) == 1
+    box = " × ".join(f"{length:.2f}" for length in extent[1] - extent[0])
+    answer = (
+        f"The {'end of the robot stays' if is_single else 'ends of the robot stay'} in a box of "
+        f"{box} m, between {number(float(extent[0, 2]), 3)} and {number(float(extent[1, 2]), 3)} m "
+        "above the base's origin."
+    )
+    return Section("path", "Where in space does it move?", answer, {"figure": Markup(svg)})
+
+
+# -- collision -------------------------------------------------------------------------------------
+
+
+def _collision_section(
+    trajectory: Trajectory, cell: Cell | None, nearest: Sequence[Near]
+) -> Section:
+    """Least distances, and what was not checked."""
+    question, answer = "Does it touch anything?", f"{capitalized(trajectory.collision)}."
+    if cell is None:
+        return Section("collision", question, answer, {"is_checked": False}, "bad")
+    figures = []
+    if nearest:
+        figures = [
+            collision_figures.draw_distances(cell, nearest, trajectory.motion),
+            collision_figures.draw_nearest_moment(cell, nearest[0]),
+        ]
+    others = nearest[LISTED_PAIRS:]
+    excepted = plural(len(cell.excepted), "pair")
+    data = {
+        "is_checked": True,
+        "figures": [Markup(svg) for svg in figures],
+        "nearest": _distance_table("least distance [mm]", nearest[:LISTED_PAIRS]),
+        "others": _distance_table("distance at least [mm]", others),
+        "others_summary": plural(len(others), "more pair"),
+        "excepted": Table(
+            ("body", "body", "reason"), [(e.first, e.second, e.why) for e in cell.excepted]
+        ),
+        "excepted_summary": f"{excepted} without the clearance of {1e3 * cell.margin:g} mm",
+        "notes": list(cell.notes),
+    }
+    is_violated = any(entry.proven < entry.pair.margin for entry in nearest)
+    return Section("collision", question, answer, data, "bad" if is_violated else "")
+
+
+def _distance_table(distance: str, nearest: Sequence[Near]) -> Table:
+    """Table of the distances between pairs of bodies."""
+    rows = [
+        (
+            entry.names,
+            f"{1e3 * entry.proven:.1f}",
+            f"{1e3 * entry.pair.margin:.1f}",
+            f"{entry.time:.2f}",
+        )
+        for entry in nearest
+    ]
+    return Table(("bodies", distance, "required [mm]", "at [s]"), rows, (1, 2, 3))
+
+
+# -- validation motion, time budget ----------------------------------------------------------------
+
+
+def _validation_section(first: Trajectory, second: Trajectory, robot: Robot) -> Section:
+    """Overlap of a second motion with the first."""
+    facts = first.design["validation"]
+    independent = facts["independent"]
+    overlap = float(facts["overlap"])
+    reference = (
+        f"; another start of the design has {float(independent['overlap']):.2f}"
+        if independent
+        else ""
+    )
+    answer = (
+        f"{'Yes' if overlap <= LARGE_OVERLAP else 'Only in part'}: the overlap of the motions is "
+        f"{overlap:.2f} (0: nothing in common, 1: the same{reference}), and the criterion of the "
+        f"second is {_compared(first, facts['criterion'])}."
+    )
+    rows = [
+        (
+            joint,
+            f"{correlation:.2f}",
+            *((f"{independent['torque_correlation'][joint]:.2f}",) if independent else ()),
+        )
+        for joint, correlation in facts["torque_correlation"].items()
+    ]
+    head = ("joint", "torque correlation", *(("another start",) if independent else ()))
+    data = {
+        "figure": Markup(validation_figure.draw_motion_pair(first, second, robot)),
+        "table": Table(head, rows, (1, 2)),
+        "width": f"{100 * facts['width']:.0f} %",
+    }
+    question = "Is the validation motion independent of the first?"
+    return Section("validation", question, answer, data)
+
+
+def _compared(trajectory: Trajectory, values: Mapping[str, float]) -> str:
+    """Criterion of the second motion relative to the first, in words."""
+    name = str(trajectory.design["criterion"])
+    before, after = float(values["first"]), float(values["second"])
+    if after == before:
+        return "the same"
+    is_worse = (after < before) == (name in ("d", "e"))
+    difference = abs(after - before)
+    size = f"{difference:.2g}" if name == "d" else f"{100.0 * abs(after / before - 1.0):.2g} %"
+    return f"{size} {'worse' if is_worse else 'better'}"
+
+
+def _plan_section(plan: Mapping[str, Any]) -> Section:
+    """Choice of the period and the harmonics for a budget of robot time."""
+    candidates = plan["candidates"]
+    chosen = candidates[plan["chosen"]]
+    least = min(float(c["deviation"]) for c in candidates)
+    excess = [100.0 * (float(c["deviation"]) / least - 1.0) for c in candidates]
+    above = excess[plan["chosen"]]
+    answer = (
+        f"{plan['budget']:g} s hold {chosen['repeats']} periods of {chosen['period']:g} s; with "
+        f"{chosen['harmonics']} harmonics they predict "
+        f"{f'within {above:.1f} % of the' if above > 0.0 else 'the'} least standard deviation of "
+        f"the {len(candidates)} candidates."
+    )
+    head = (
+        "period [s]",
+        "harmonics",
+        "repeats",
+        "samples",
+        "robot time [s]",
+        "criterion per sample",
+        "standard deviation",
+    )
+    rows = [
+        (
+            f"{c['period']:g}",
+            f"{c['harmonics']}{' ← chosen' if c is chosen else ''}",
+            f"{c['repeats']}",
+            f"{c['samples']}",
+            f"{c['robot_time']:.2f}",
+            number(float(c["value"])),
+            f"+{more:.1f} %",
+        )
+        for c, more in zip(candidates, excess, strict=True)
+    ]
+    svg = time_budget_figure.draw_candidates(
+        candidates, excess, plan["chosen"], float(plan["tolerance"])
+    )
+    data = {
+        "figure": Markup(svg),
+        "table": Table(head, rows, (0, 2, 3, 4, 5, 6)),
+        "tolerance": f"{100 * plan['tolerance']:.0f} %",
+    }
+    return Section("plan", "Why this period and these harmonics?", answer, data)

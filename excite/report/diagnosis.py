@@ -15,7 +15,7 @@ from ..diagnosis.residual_atlas import SIGNIFICANT, Atlas
 from ..effects import BY_NAME, EFFECTS
 from ..recordings import Remark
 from ..robot.parameter_names import listed, percent, some
-from ..trajectory.trajectory_file import versions
+from ..trajectory.trajectory_file import package_versions
 from . import changes, diagnosis_tables, gears, unnamed
 from . import remarks as remarked
 from .figures import diagnosis as diagnosis_module
@@ -87,7 +87,7 @@ def diagnosis_page(
         lede,
         _head(found, stated),
         sections,
-        f"excite {versions()['excite']}",
+        f"excite {package_versions()['excite']}",
     )
 
 
@@ -331,7 +331,7 @@ def _where(found: Diagnosis, looked: Atlas) -> Section:
         )
     else:
         answer = f"Nowhere: none of {plural(len(looked.panels), 'curve')} of the held-out residual differs from noise."
-    body = figure(atlas_figures.overview(looked, robot.joints))
+    body = figure(atlas_figures.draw_overview(looked, robot.joints))
     body += paragraph(
         f"Shade: share of the joint's held-out residual that repeats with it; blank: may be noise (p ≥ {SIGNIFICANT:g} with every look "
         "counted). "
@@ -352,8 +352,8 @@ def _where(found: Diagnosis, looked: Atlas) -> Section:
     pictures = {
         j: f"<h3>{escape(robot.joints[j])}</h3>"
         + figure(
-            atlas_figures.joint_figure(
-                looked.of(j), robot.joints[j], units[j], float(found.floor[j]), changed=changed
+            atlas_figures.draw_joint(
+                looked.of(j), robot.joints[j], units[j], float(found.floor[j]), has_findings=changed
             )
         )
         for j in [*loud, *rest]
@@ -516,7 +516,7 @@ def _made(found: Diagnosis, looked: Atlas, remarks: Sequence[Remark]) -> Section
         ),
         "noise floor": _FLOORS.get(found.method, found.method),
         "p-values": f"{atlas.DRAWS} nulls by random signs of {looked.blocks} blocks; the largest of {len(looked.panels)} counts",
-        "versions": ", ".join(f"{k} {v}" for k, v in versions().items()),
+        "versions": ", ".join(f"{k} {v}" for k, v in package_versions().items()),
     }
     body = table(
         ("what", "value"), [(escape(k), escape(v)) for k, v in facts.items()]

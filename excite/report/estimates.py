@@ -8,14 +8,14 @@ import numpy as np
 
 from ..identification import confidence, consistency
 from ..identification.identification import Identification
-from ..identification.identified_model import UNITS, base_parameters
+from ..identification.identified_model import JOINT_PARAMETER_UNITS, base_parameter_table
 from ..robot.parameter_names import percent, spoken
 from .figures import inertia_ellipsoids, information_spectrum
 from .figures import parameters as parameters_module
 from .figures.inertia_ellipsoids import Body, Change
 from .figures.parameters import Moved
 from .figures.trajectory import is_prismatic
-from .identifiability import bare
+from .identifiability import without_verdict as bare
 from .page import Section, bullets, escape, figure, folded, number, paragraph, plural, table
 
 Array = np.ndarray
@@ -33,7 +33,7 @@ _KINDS = {
 def parameters_section(found: Identification) -> Section:
     """What were the parameters, what are they now?"""
     parameters, base = found.model.parameters, found.model.base
-    entries = base_parameters(found)
+    entries = base_parameter_table(found)
     scale = np.sqrt(found.metric.norms(base.matrix))
     edge = 10 * parameters.bodies
     moved = [
@@ -108,7 +108,7 @@ def _row(entry: dict[str, Any], parameters: Any) -> tuple[str, ...]:
 def _drives(found: Identification) -> str:
     """Drive parameters of every joint with what data and prior together leave open."""
     robot, parameters = found.model.robot, found.model.parameters
-    half = confidence.quantile(found.data.freedom) * np.sqrt(
+    half = confidence.student_quantile(found.data.freedom) * np.sqrt(
         np.maximum(np.diag(found.posterior.covariance), 0.0)
     )
     scale = np.diag(found.metric.scale)
@@ -125,7 +125,10 @@ def _drives(found: Identification) -> str:
         rows.append(cells)
     sliding = is_prismatic(robot)
     told = robot.entries[0].unit if all(sliding) else str
-    head = ["joint", *(f"{_KINDS[kind]} [{told(UNITS[kind])}]" for kind in parameters.drive)]
+    head = [
+        "joint",
+        *(f"{_KINDS[kind]} [{told(JOINT_PARAMETER_UNITS[kind])}]" for kind in parameters.drive),
+    ]
     text = "± is 95 % of what data and prior together leave open. 'Not shown': neither narrows the value down, "
     text += "though its sum with others may be known."
     if any(sliding) and not all(sliding):
@@ -143,7 +146,7 @@ def directions_section(found: Identification) -> Section:
     sharp = percent(float(np.sqrt(analysis.threshold)))
     answer = f"The recording identifies {analysis.identifiable} of {plural(count, 'direction')} to ±{sharp} or better; "
     answer += f"of all, the data decided {ours}, the prior {'none' if ours == count else f'the other {count - ours}'}."
-    body = figure(information_spectrum.spectrum(analysis)) + figure(
+    body = figure(information_spectrum.draw_spectrum(analysis)) + figure(
         parameters_module.decided(shares)
     )
     body += paragraph(
@@ -164,7 +167,7 @@ def directions_section(found: Identification) -> Section:
                 f"{len(lines) - _SHOWN} more that are not identified", bullets(lines[_SHOWN:])
             )
     body += "<h3>Links and joints</h3>" + figure(
-        information_spectrum.shares(analysis.links, analysis.joints)
+        information_spectrum.draw_shares(analysis.links, analysis.joints)
     )
     return Section(
         "directions",
@@ -181,8 +184,8 @@ def body_changes(found: Identification) -> list[Change]:
     """Each link's body as the nominal robot has it and as identified."""
     parameters = found.model.parameters
     before, after = (
-        consistency.bodies_of(parameters, psi)
-        for psi in (consistency.nominal_bodies(parameters), found.psi)
+        consistency.inertial_rows(parameters, psi)
+        for psi in (consistency.consistent_nominal(parameters), found.psi)
     )
     shown = {s.name: s.identifiable_share for s in found.analysis.links}
     return [

@@ -13,10 +13,10 @@ from ..identification.identification import Identification
 from ..recordings import Remark
 from ..robot.inertial_parameters import DRIVE
 from ..robot.parameter_names import percent
-from ..trajectory.trajectory_file import versions
+from ..trajectory.trajectory_file import package_versions
 from . import estimates, noise, prediction
 from . import remarks as remarked
-from .identifiability import bare
+from .identifiability import without_verdict as bare
 from .page import (
     Section,
     banner,
@@ -73,7 +73,7 @@ def identification_page(
         lede,
         _head(found),
         sections,
-        f"excite {versions()['excite']}",
+        f"excite {package_versions()['excite']}",
     )
 
 
@@ -215,7 +215,7 @@ def made_section(
         "bounds": _bounds(found),
         "delay": "removed (--align)" if options.align else "left as recorded",
         **stated,
-        "versions": ", ".join(f"{k} {v}" for k, v in versions().items()),
+        "versions": ", ".join(f"{k} {v}" for k, v in package_versions().items()),
     }
     body = table(("what", "value"), [(escape(k), escape(v)) for k, v in facts.items()])
     body += remarked.listed(remarks)

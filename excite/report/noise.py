@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..identification.friction_width import CANDIDATES
+from ..identification.friction_width import CANDIDATE_WIDTHS
 from ..identification.identification import Identification
 from ..identification.lowpass import TAPER_FRACTION
-from ..identification.segments import BAND_HZ
+from ..identification.segments import DEFAULT_BAND_HZ
 from ..robot.parameter_names import listed, percent
 from .figures import noise as noise_module
 from .figures.noise import INTERVAL, Densities
@@ -79,7 +79,7 @@ def section(found: Identification) -> Section:
         robot.joints,
         found.delay,
         found.model.widths,
-        (CANDIDATES[0], CANDIDATES[-1]),
+        (CANDIDATE_WIDTHS[0], CANDIDATE_WIDTHS[-1]),
         is_prismatic(robot),
     )
     body = (
@@ -101,10 +101,10 @@ def _band_words(found: Identification) -> str:
     spectra = found.spectra
     if found.options.band is not None:
         return "as asked for"
-    if np.isclose(spectra.hertz, BAND_HZ):
+    if np.isclose(spectra.hertz, DEFAULT_BAND_HZ):
         return "as usual"
     slow = "beyond it torque drowns in its noise, or the recording's rate allows no more"
-    why = "the motion is fast" if spectra.hertz > BAND_HZ else slow
+    why = "the motion is fast" if spectra.hertz > DEFAULT_BAND_HZ else slow
     return f"chosen from the data: {why} (99 % of the motion's power lies below {number(spectra.motion, 3)} Hz)"
 
 
@@ -146,9 +146,9 @@ def _table(found: Identification, slant: Array, periods: int) -> str:
 
 
 def _edge(width: float) -> str:
-    if np.isclose(width, CANDIDATES[0]):
+    if np.isclose(width, CANDIDATE_WIDTHS[0]):
         return " or less"
-    return " or more" if np.isclose(width, CANDIDATES[-1]) else ""
+    return " or more" if np.isclose(width, CANDIDATE_WIDTHS[-1]) else ""
 
 
 def _delay_words(found: Identification) -> str:

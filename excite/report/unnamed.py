@@ -46,4 +46,6 @@ def _curves(unknown: Sequence[Mapping[str, Any]], units: Mapping[str, str]) -> s
         axes.set_xlabel(response["over"])
         limit_ticks(axes, 5, 4)
 
-    return render_panels("What is left without a name, over what foresees it", unknown, draw, _HEIGHT)
+    return render_panels(
+        "What is left without a name, over what foresees it", unknown, draw, _HEIGHT
+    )

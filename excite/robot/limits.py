@@ -15,18 +15,7 @@ import numpy as np
 
 from ..errors import ExciteWarning, MissingLimit, UnusableInput
 from ..schemas.document_file import DocumentFile, written
-from ..schemas.limits import (
-    MOVEIT_UNUSED,
-    MOVEIT_VALUES,
-    BrakingDocument,
-    BuiltinLimitsFile,
-    JointLimits,
-    LimitsFile,
-    MoveItSwitchesFile,
-    MoveItValues,
-    MoveItValuesFile,
-    StatedLimits,
-)
+from ..schemas.limits import MOVEIT_UNUSED, MOVEIT_VALUES, BrakingDocument, BuiltinLimitsFile, JointLimits, LimitsFile, MoveItSwitchesFile, MoveItValues, MoveItValuesFile, StatedLimits
 from .robot import Follower, Robot, builtin_names
 
 Array = np.ndarray

@@ -4,17 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from .quantities import (
-    AccelerationLimit,
-    JerkLimit,
-    Length,
-    Position,
-    Share,
-    Text,
-    TorqueLimit,
-    VelocityLimit,
-    VelocityOffset,
-)
+from .quantities import AccelerationLimit, JerkLimit, Length, Position, Share, Text, TorqueLimit, VelocityLimit, VelocityOffset
 
 
 class BrakingDocument(msgspec.Struct, forbid_unknown_fields=True):

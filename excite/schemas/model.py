@@ -7,22 +7,7 @@ from typing import Literal
 import msgspec
 
 from .effects import EffectDocument
-from .quantities import (
-    Band,
-    CoulombFriction,
-    FilePath,
-    FrictionWidth,
-    Gravity,
-    InertialParameter,
-    Mass,
-    Name,
-    RotorInertia,
-    Sha256,
-    Text,
-    Torque,
-    ViscousFriction,
-    shown,
-)
+from .quantities import Band, CoulombFriction, FilePath, FrictionWidth, Gravity, InertialParameter, Mass, Name, RotorInertia, Sha256, Text, Torque, ViscousFriction, shown
 from .trajectory import Drive
 
 SCHEMA = "excite.model/1"

@@ -11,30 +11,7 @@ import msgspec
 
 from .cell import CellDocument
 from .limits import StatedLimits
-from .quantities import (
-    Acceleration,
-    AngularFrequency,
-    FilePath,
-    Gravity,
-    Inertia,
-    Jerk,
-    Length,
-    Name,
-    Period,
-    Position,
-    PositiveMass,
-    Rate,
-    Sha256,
-    Share,
-    Speed,
-    Statistic,
-    Text,
-    Time,
-    TorqueNoise,
-    Uncertainty,
-    Velocity,
-    shown,
-)
+from .quantities import Acceleration, AngularFrequency, FilePath, Gravity, Inertia, Jerk, Length, Name, Period, Position, PositiveMass, Rate, Sha256, Share, Speed, Statistic, Text, Time, TorqueNoise, Uncertainty, Velocity, shown
 
 SCHEMA = "excite.trajectory/1"
 SegmentKind = Literal["approach", "ramp_in", "fourier", "ramp_out", "return"]

@@ -153,7 +153,7 @@ class ClosedLoop:
         error = self.speed_gain * (v + gains.position * (q - measured) - self.omega)
         wanted = feedforward + error + self.integral_torque
         bounded = np.minimum(np.maximum(wanted, -self.torque_limit), self.torque_limit)
-        # anti-windup: joints at their torque limit do not integrate
+        # the integrator of a joint at its torque limit is held
         self.integral_torque = self.integral_torque + gains.integral * self.step * error * (
             wanted == bounded
         )

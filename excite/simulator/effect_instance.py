@@ -1,4 +1,4 @@
-"""Effects with chosen parameters: from the command line, from a random draw, or from a truth file."""
+"""Effects with chosen parameters: from the command line, a random draw or a truth file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rigid-body dynamics by MuJoCo: mass matrix, bias torque, inverse dynamics, Jacobian and energy."""
+"""Rigid-body dynamics by MuJoCo: mass matrix, bias, inverse dynamics, Jacobian and energy."""
 
 from __future__ import annotations
 
@@ -152,7 +152,8 @@ def build_dynamics(
         model = mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
     except ValueError as error:
         raise UnusableInput(
-            f"{tree.source}: MuJoCo cannot compile it ({' '.join(str(error).split())}); correct the URDF"
+            f"{tree.source}: MuJoCo cannot compile it ({' '.join(str(error).split())}); "
+            "correct the URDF"
         ) from error
     model.opt.gravity[:] = gravity
     for body in range(1, model.nbody):

@@ -112,7 +112,7 @@ def _body_columns(
 
 
 def _wrench(w: FloatArray, alpha: FloatArray, a: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return force and moment at the frame's origin per unit parameter, in the body frame, shapes (N, 3, 10)."""
+    """Return force and moment at a body frame's origin per unit parameter, shapes (N, 3, 10)."""
     force, moment = np.zeros((len(w), 3, 10)), np.zeros((len(w), 3, 10))
     force[:, :, 0] = a
     turning = _skew(alpha) + _skew(w) @ _skew(w)

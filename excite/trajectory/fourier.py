@@ -12,12 +12,12 @@ import numpy as np
 from ..robot.samples import Samples
 
 Array = np.ndarray
-DENSITY = 10
+VERIFICATION_DENSITY = 10
 """The certificate's grid is this many times denser than the optimiser's."""
 
 
 @dataclass(frozen=True)
-class Fourier:
+class FourierSeries:
     """A periodic motion of n joints with K harmonics.
 
     sine, cosine: the velocity amplitudes a, b. Shape (n, K) [rad/s].
@@ -45,7 +45,7 @@ class Fourier:
     def at(self, t: Array, order: int = 0) -> Array:
         """The order-th time derivative at times t [s]. Shape (len(t), n)."""
         t = np.asarray(t, float)
-        a, b = basis(t, self.omega, self.harmonics, order)
+        a, b = fourier_basis(t, self.omega, self.harmonics, order)
         out: Array = a @ self.sine.T + b @ self.cosine.T
         return out + self.offset if order == 0 else out
 
@@ -77,24 +77,24 @@ class Fourier:
         np.maximum.at(out, joint, refined)
         return out
 
-    def shifted(self, time: float) -> Fourier:
+    def shifted(self, time: float) -> FourierSeries:
         """The same motion started at `time`: shifted(s).at(t) = at(t + s)."""
         phase = self.omega * np.arange(1, self.harmonics + 1) * time
         c, s = np.cos(phase), np.sin(phase)
         # a sin(x+φ) − b cos(x+φ) = (a c + b s) sin x − (b c − a s) cos x
-        return Fourier(
+        return FourierSeries(
             self.sine * c + self.cosine * s,
             self.cosine * c - self.sine * s,
             self.offset,
             self.period,
         )
 
-    def slowed(self, speed: float) -> Fourier:
+    def slowed(self, speed: float) -> FourierSeries:
         """The same path at `speed` times the speed."""
-        return Fourier(self.sine * speed, self.cosine * speed, self.offset, self.period / speed)
+        return FourierSeries(self.sine * speed, self.cosine * speed, self.offset, self.period / speed)
 
 
-def basis(t: Array, omega: float, harmonics: int, order: int) -> tuple[Array, Array]:
+def fourier_basis(t: Array, omega: float, harmonics: int, order: int) -> tuple[Array, Array]:
     """Factors of a and b in the order-th derivative of the series. Two arrays of shape (len(t), K)."""
     k = omega * np.arange(1, harmonics + 1)
     phase = np.multiply.outer(t, k)

@@ -11,13 +11,13 @@ import numpy as np
 from ..errors import UnusableInput
 from ..robot.samples import Samples
 from ..schemas.trajectory import SegmentDocument
-from .fourier import Fourier
+from .fourier import FourierSeries
 
 Array = np.ndarray
 
 
 @dataclass(frozen=True)
-class Profile:
+class JerkProfile:
     """Joint motions of piecewise constant jerk, replayable without the planner that found them.
 
     position, velocity, acceleration: the state at the start. Shape (n,).
@@ -100,13 +100,13 @@ def _quadratic_roots(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True)
-class Segment:
+class MotionSegment:
     """One part of a motion, from `start` to `end` [s]; its profile, or None for the Fourier part."""
 
     kind: str
     start: float
     end: float
-    profile: Profile | None = None
+    profile: JerkProfile | None = None
 
 
 @dataclass(frozen=True)
@@ -114,9 +114,9 @@ class Motion:
     """Segments in order of time; the Fourier part repeats `periods` times."""
 
     joints: tuple[str, ...]
-    fourier: Fourier
+    fourier: FourierSeries
     periods: int
-    segments: tuple[Segment, ...]
+    segments: tuple[MotionSegment, ...]
 
     @property
     def duration(self) -> float:
@@ -132,7 +132,7 @@ class Motion:
             return begin, self.fourier.at(np.zeros(1))[0]
         return begin, last.profile.at(np.array([last.end - last.start]))[0]
 
-    def segment(self, kind: str) -> Segment:
+    def segment(self, kind: str) -> MotionSegment:
         """The segment of that kind; KeyError where the motion has none."""
         for segment in self.segments:
             if segment.kind == kind:
@@ -181,17 +181,17 @@ class Motion:
                 pieces = tuple(
                     tuple((d / speed, j * speed**3) for d, j in row) for row in s.profile.pieces
                 )
-                profile = Profile(
+                profile = JerkProfile(
                     s.profile.position,
                     s.profile.velocity * speed,
                     s.profile.acceleration * speed**2,
                     pieces,
                 )
-            parts.append(Segment(s.kind, s.start / speed, s.end / speed, profile))
+            parts.append(MotionSegment(s.kind, s.start / speed, s.end / speed, profile))
         return Motion(self.joints, self.fourier.slowed(speed), self.periods, tuple(parts))
 
 
-def segment_document(motion: Motion) -> list[dict[str, Any]]:
+def segments_to_document(motion: Motion) -> list[dict[str, Any]]:
     """The segments as `trajectory.json` holds them."""
     out: list[dict[str, Any]] = []
     for s in motion.segments:
@@ -210,9 +210,9 @@ def segment_document(motion: Motion) -> list[dict[str, Any]]:
     return out
 
 
-def read_segments(
+def segments_from_document(
     document: Sequence[SegmentDocument], joints: tuple[str, ...]
-) -> tuple[Segment, ...]:
+) -> tuple[MotionSegment, ...]:
     """The inverse of `segment_document`."""
     out = []
     for entry in document:
@@ -225,6 +225,6 @@ def read_segments(
                 np.array(values, float)
                 for values in (stated.position, stated.velocity, stated.acceleration)
             ]
-            profile = Profile(state[0], state[1], state[2], pieces)
-        out.append(Segment(entry.kind, float(entry.start), float(entry.end), profile))
+            profile = JerkProfile(state[0], state[1], state[2], pieces)
+        out.append(MotionSegment(entry.kind, float(entry.start), float(entry.end), profile))
     return tuple(out)

@@ -17,8 +17,8 @@ from ..robot.limits import Limits
 from ..robot.robot import Payload, Robot, load
 from ..schemas.document_file import DocumentFile
 from ..schemas.trajectory import SCHEMA, TrajectoryDocument
-from .fourier import Fourier
-from .rest_to_rest import Motion, read_segments, segment_document
+from .fourier import FourierSeries
+from .rest_to_rest import Motion, segments_from_document, segments_to_document
 
 Array = np.ndarray
 
@@ -64,7 +64,7 @@ class Trajectory:
             "sine": f.sine.tolist(),
             "cosine": f.cosine.tolist(),
             "offset": f.offset.tolist(),
-            "segments": segment_document(self.motion),
+            "segments": segments_to_document(self.motion),
             "rate": self.rate,
             "limits": self.limits.document(),
             "torque_noise": dict(zip(self.joints, self.noise.tolist(), strict=True)),
@@ -75,7 +75,7 @@ class Trajectory:
             "collision": self.collision,
             "forced": self.forced,
             "seed": self.seed,
-            "versions": dict(self.versions) or versions(),
+            "versions": dict(self.versions) or package_versions(),
         }
 
     def load_robot(self, source: str | None = None) -> Robot:
@@ -104,24 +104,24 @@ def _payload(stated: Mapping[str, Any]) -> Payload:
     return Payload(str(stated["link"]), float(stated["mass"]), numbers[0], numbers[1])  # type: ignore[arg-type]
 
 
-def versions() -> dict[str, str]:
+def package_versions() -> dict[str, str]:
     """Versions of what computed a file."""
     return {"excite": __version__} | {
         name: metadata.version(name) for name in ("casadi", "pin", "numpy", "scipy", "ruckig")
     }
 
 
-def read(path: Path) -> Trajectory:
+def read_trajectory(path: Path) -> Trajectory:
     """Read `trajectory.json`.
 
     Raises:
         UnusableInput: The file is missing, is of another schema, or breaks a rule of
             `schemas.trajectory`.
     """
-    return parse(_document_file(path).json(), path)
+    return parse_trajectory(_document_file(path).json(), path)
 
 
-def parse(content: Any, path: Path) -> Trajectory:
+def parse_trajectory(content: Any, path: Path) -> Trajectory:
     """The trajectory of the plain values of a `trajectory.json`; path: of the file, for messages. Raises as `read` does."""
     file = _document_file(path)
     file.schema(content, (SCHEMA,))
@@ -138,8 +138,8 @@ def _from_document(document: TrajectoryDocument, content: Mapping[str, Any]) -> 
     """The trajectory of a validated document. content: the same as plain values, with keys that the schema does not know."""
     joints: tuple[str, ...] = tuple(document.joints)
     arrays = [np.array(rows, float) for rows in (document.sine, document.cosine, document.offset)]
-    fourier = Fourier(arrays[0], arrays[1], arrays[2], float(document.period))
-    motion = Motion(joints, fourier, document.periods, read_segments(document.segments, joints))
+    fourier = FourierSeries(arrays[0], arrays[1], arrays[2], float(document.period))
+    motion = Motion(joints, fourier, document.periods, segments_from_document(document.segments, joints))
     return Trajectory(
         robot=content["robot"],
         motion=motion,

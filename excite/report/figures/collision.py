@@ -8,38 +8,40 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from ..._types import FloatArray
 from ...collision.continuous_check import Near
 from ...collision.distance_query import Body
 from ...collision.geometry import Kind, Shape
 from ...collision.workcell import Cell
 from ...trajectory.rest_to_rest import Motion
 from .drawing import BLUE, GREY, INK, RED, axes_grid, limit_ticks, render_svg
-from .small_multiples import Panel, small_multiples
+from .small_multiples import CurvePanel, draw_curves
 
-Array = np.ndarray
 VIEWS = (((0, 2), "side (x–z)"), ((1, 2), "front (y–z)"), ((0, 1), "top (x–y)"))
-ROUND = np.linspace(0.0, 2.0 * np.pi, 25)[:-1]
-SHOWN = 6
-TIMES = 500
+CIRCLE_ANGLES = np.linspace(0.0, 2.0 * np.pi, 25)[:-1]
+"""Corners of the polygon that stands for a circle [rad]."""
+DRAWN_PAIRS = 6
+DISTANCE_SAMPLES = 500
+"""Times at which distances are drawn."""
 
 
-def distances(cell: Cell, near: Sequence[Near], motion: Motion) -> str:
-    """Distance of the nearest pairs over time, with what they have to keep [mm]."""
-    t = np.linspace(0.0, motion.duration, TIMES)
-    shown, probe = near[:SHOWN], cell.probe()
-    numbers = [cell.pairs.index(one.pair) for one in shown]
+def draw_distances(cell: Cell, nearest: Sequence[Near], motion: Motion) -> str:
+    """Draw the distance of the nearest pairs over time, with the clearance to keep [mm]."""
+    t = np.linspace(0.0, motion.duration, DISTANCE_SAMPLES)
+    drawn, probe = nearest[:DRAWN_PAIRS], cell.probe()
+    numbers = [cell.pairs.index(entry.pair) for entry in drawn]
     values = 1e3 * np.array([[probe.to(q).distance(k) for k in numbers] for q in motion.at(t)])
     panels = [
-        Panel(f"{one.names} [mm]", t, values[:, i], (1e3 * one.pair.margin, np.inf))
-        for i, one in enumerate(shown)
+        CurvePanel(f"{entry.names} [mm]", t, values[:, i], (1e3 * entry.pair.margin, np.inf))
+        for i, entry in enumerate(drawn)
     ]
-    return small_multiples(
+    return draw_curves(
         "Distance of the nearest pairs of bodies over time", panels, motion, columns=2, height=80.0
     )
 
 
-def closest(cell: Cell, near: Near) -> str:
-    """The robot among its surroundings at the moment when a pair is nearest."""
+def draw_nearest_moment(cell: Cell, near: Near) -> str:
+    """Draw the robot in its surroundings at the moment when a pair of bodies is nearest."""
     pair = {near.pair.first, near.pair.second}
 
     def draw(figure: Any) -> None:
@@ -48,19 +50,19 @@ def closest(cell: Cell, near: Near) -> str:
         for axes, (view, name) in zip(panels.flat, VIEWS, strict=True):
             for number, body in enumerate(cell.bodies):
                 color = RED if number in pair else GREY if body.around else BLUE
-                fill(
+                fill_polygons(
                     axes,
                     outlines(cell, body, near.pose, view),
                     color,
                     0.55 if number in pair else 0.3,
                 )
-            window(axes, middle, reach, view, name)
+            set_view(axes, middle, reach, view, name)
 
     return render_svg(f"The moment when {near.names} are nearest, seen from three sides", 3.9, draw)
 
 
-def window(axes: Any, middle: Array, reach: float, view: tuple[int, int], name: str) -> None:
-    """A view's extent and labels."""
+def set_view(axes: Any, middle: FloatArray, reach: float, view: tuple[int, int], name: str) -> None:
+    """Set the extent and the labels of a view."""
     a, b = view
     axes.set_xlim(middle[a] - reach, middle[a] + reach)
     axes.set_ylim(middle[b] - reach, middle[b] + reach)
@@ -71,10 +73,10 @@ def window(axes: Any, middle: Array, reach: float, view: tuple[int, int], name: 
     axes.set_ylabel(f"{'xyz'[b]} [m]", labelpad=1)
 
 
-def fill(axes: Any, polygons: Iterator[Array], color: str, alpha: float) -> None:
-    """Draw filled outlines."""
+def fill_polygons(axes: Any, polygons: Iterator[FloatArray], color: str, alpha: float) -> None:
+    """Fill polygons with a thin outline."""
     for polygon in polygons:
-        axes.fill(
+        axes.fill_polygons(
             polygon[:, 0],
             polygon[:, 1],
             facecolor=color,
@@ -85,14 +87,14 @@ def fill(axes: Any, polygons: Iterator[Array], color: str, alpha: float) -> None
         )
 
 
-def outlines(cell: Cell, body: Body, q: Array, view: tuple[int, int]) -> Iterator[Array]:
-    """Outlines of a body's shapes, as convex polygons in a view. Shape (m, 2) each [m]."""
+def outlines(cell: Cell, body: Body, q: FloatArray, view: tuple[int, int]) -> Iterator[FloatArray]:
+    """Convex outlines of a body's shapes in a view. Shape (m, 2) each [m]."""
     from scipy.spatial import ConvexHull, QhullError
 
     data = cell.robot.model.createData()
     pin.forwardKinematics(cell.robot.model, data, cell.robot.expand(q))
-    for one, placement in zip(body.shapes, body.placements, strict=True):
-        if one.kind is Kind.FLOOR:
+    for shape, placement in zip(body.shapes, body.placements, strict=True):
+        if shape.kind is Kind.FLOOR:
             if 2 in view:
                 height = float(placement.translation[2])
                 yield np.array(
@@ -100,9 +102,9 @@ def outlines(cell: Cell, body: Body, q: Array, view: tuple[int, int]) -> Iterato
                 )
             continue
         at = data.oMi[body.joint] * placement
-        points = (_points(one) @ at.rotation.T + at.translation)[:, view]
-        if one.kind in (Kind.SPHERE, Kind.CAPSULE):
-            ring = one.size[0] * np.column_stack([np.cos(ROUND), np.sin(ROUND)])
+        points = (_points(shape) @ at.rotation.T + at.translation)[:, view]
+        if shape.kind in (Kind.SPHERE, Kind.CAPSULE):
+            ring = shape.size[0] * np.column_stack([np.cos(CIRCLE_ANGLES), np.sin(CIRCLE_ANGLES)])
             points = (points[:, None] + ring).reshape(-1, 2)
         try:
             yield points[ConvexHull(points).vertices]
@@ -110,19 +112,20 @@ def outlines(cell: Cell, body: Body, q: Array, view: tuple[int, int]) -> Iterato
             yield points
 
 
-def _points(one: Shape) -> Array:
-    if one.kind is Kind.SPHERE:
+def _points(shape: Shape) -> FloatArray:
+    """Points whose convex hull, widened by the radius where it is round, is the shape. Shape (m, 3)."""
+    if shape.kind is Kind.SPHERE:
         return np.zeros((1, 3))
-    if one.kind is Kind.CAPSULE:
-        return np.array([[0.0, 0.0, -0.5 * one.size[1]], [0.0, 0.0, 0.5 * one.size[1]]])
-    return one.triangles().reshape(-1, 3)
+    if shape.kind is Kind.CAPSULE:
+        return np.array([[0.0, 0.0, -0.5 * shape.size[1]], [0.0, 0.0, 0.5 * shape.size[1]]])
+    return shape.triangles().reshape(-1, 3)
 
 
-def _frame(cell: Cell, q: Array) -> tuple[Array, float]:
-    """Middle and half width of a cube around the robot's own bodies. Shapes (n,) -> (3,), ()."""
-    own = [body for body in cell.bodies if not body.around]
+def _frame(cell: Cell, q: FloatArray) -> tuple[FloatArray, float]:
+    """Middle, shape (3,), and half width of a cube around the robot at a pose q, shape (n,) [m]."""
+    robot_bodies = [body for body in cell.bodies if not body.around]
     side, top = (
-        np.vstack([p for body in own for p in outlines(cell, body, q, view)])
+        np.vstack([p for body in robot_bodies for p in outlines(cell, body, q, view)])
         for view in ((0, 2), (0, 1))
     )
     low, high = (

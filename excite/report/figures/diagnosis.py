@@ -10,10 +10,20 @@ import numpy as np
 
 from ...diagnosis.diagnosis import Diagnosis
 from ...diagnosis.isolability import Isolability
-from ...effects.track import split
+from ...effects.recorded_motion import split
 from ...identification.identification import Prediction
-from .drawing import BLUE, GREY, INK, COMPACT_LAYOUT_JOINTS, ORANGE, SOFT, limit_ticks, render_svg, thin_curve
-from .heatmap import Heat, heat
+from .drawing import (
+    BLUE,
+    COMPACT_LAYOUT_JOINTS,
+    GREY,
+    INK,
+    ORANGE,
+    SOFT,
+    limit_ticks,
+    render_svg,
+    thin_curve,
+)
+from .heatmap import Heatmap, draw_heatmap
 from .torque_fit import SURE, window
 from .trajectory import short, torque_units
 
@@ -91,7 +101,9 @@ def predictions(found: Diagnosis) -> Iterator[Prediction]:
 def traces(one: Prediction, found: Diagnosis, points: int) -> str:
     """Torque measured and predicted of every joint, and below it both residuals with the noise's band."""
     robot, changed = found.identified.model.robot, bool(found.verdict.chosen)
-    columns = 1 if robot.n == 1 else 2 if robot.n <= 4 else 3 if robot.n <= COMPACT_LAYOUT_JOINTS else 5
+    columns = (
+        1 if robot.n == 1 else 2 if robot.n <= 4 else 3 if robot.n <= COMPACT_LAYOUT_JOINTS else 5
+    )
     rows = -(-robot.n // columns)
     step = _TORQUE + _RESIDUAL + _GAP
     height, span, units = 0.3 + rows * step, window(one), torque_units(robot)
@@ -142,7 +154,9 @@ def traces(one: Prediction, found: Diagnosis, points: int) -> str:
                 lower.set_ylabel("residual")
         _legend(figure, changed)
 
-    return render_svg(f"Measured and predicted torque on {one.source}, before and after", height, draw)
+    return render_svg(
+        f"Measured and predicted torque on {one.source}, before and after", height, draw
+    )
 
 
 def _curves(
@@ -207,9 +221,9 @@ def alike(one: Isolability, joint: int, name: str) -> str:
     words = [
         [None if np.isnan(v) else f"{v:.2f}".replace("0.", ".") for v in row] for row in values
     ]
-    return heat(
+    return draw_heatmap(
         f"How alike effects at {name} are",
-        Heat(names[1:], names[:-1], values[1:, :-1], words[1:]),
+        Heatmap(names[1:], names[:-1], values[1:, :-1], words[1:]),
         cell=(34.0, 17.0),
     )
 

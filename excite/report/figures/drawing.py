@@ -1,40 +1,54 @@
-"""Matplotlib figures as small inline SVG. Matplotlib is imported only when something is drawn, and never its pyplot."""
+"""Draw matplotlib figures as small inline SVG.
+
+Matplotlib is imported only when a figure is drawn, and its pyplot never.
+"""
 
 from __future__ import annotations
 
 import io
 import itertools
-import re
 import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
 
-from ..page import escape, power_of_ten
+from ..._types import FloatArray
+from ..formatting import power_of_ten
+from . import svg
 
-Array = np.ndarray
 T = TypeVar("T")
-BLUE, ORANGE, GREY, RED, GREEN, INK, SOFT = (
-    "#2f6fb5",
-    "#d9822b",
-    "#9aa4af",
-    "#b3261e",
-    "#1f7a4d",
-    "#1c2530",
-    "#5b6775",
-)
-SHADES = {"approach": "#e3e8ee", "ramp_in": "#fbe6cc", "ramp_out": "#fbe6cc", "return": "#e3e8ee"}
+
+BLUE = "#2f6fb5"
+ORANGE = "#d9822b"
+GREY = "#9aa4af"
+RED = "#b3261e"
+GREEN = "#1f7a4d"
+INK = "#1c2530"
+"""Colour of texts and of measured signals."""
+SOFT = "#5b6775"
+"""Colour of secondary texts."""
+GRID_COLOR = "#eef1f4"
+
+SEGMENT_COLORS = {
+    "approach": "#e3e8ee",
+    "ramp_in": "#fbe6cc",
+    "ramp_out": "#fbe6cc",
+    "return": "#e3e8ee",
+}
+"""Background of the segments of a motion; the excitation itself has none."""
 SEGMENT_WORDS = {"approach": "approach and return", "ramp_in": "ramps", "fourier": "excitation"}
+
 FIGURE_WIDTH = 10.6
-"""Width of a figure [in]; 72 units of the SVG each."""
-_ACROSS = 3
-"""Small panels in a row."""
+"""Width of a figure [in]."""
+PANELS_PER_ROW = 3
+"""Small panels side by side in `render_panels`."""
 COMPACT_LAYOUT_JOINTS = 10
-"""Robots with more joints than this get one figure per quantity."""
+"""Robots with more joints than this get smaller panels and one figure per quantity."""
+
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
-    "text.parse_math": False,  # a name may have a $; nothing here is typeset as mathematics
+    "text.parse_math": False,  # a name may contain a $; no text is typeset as mathematics
     "font.size": 8.0,
     "font.family": "DejaVu Sans",
     "axes.titlesize": 8.5,
@@ -63,48 +77,29 @@ _STYLE: dict[Any, Any] = {
 }
 
 
-def render_svg(label: str, height: float, draw: Callable[[Any], None], width: float = FIGURE_WIDTH) -> str:
-    """Draw on a figure of `width` x `height` inches and return its SVG; `label` is what a screen reader says."""
+def render_svg(
+    label: str, height: float, draw: Callable[[Any], None], width: float = FIGURE_WIDTH
+) -> str:
+    """Draw a figure and return its SVG, the same from run to run.
+
+    Args:
+        label: Description for screen readers.
+        height: Height [in].
+        draw: Draws on the matplotlib figure.
+        width: Width [in].
+    """
     import matplotlib
     from matplotlib.figure import Figure
 
-    # the salt keeps the ids of one figure from those of another, and the same from run to run
+    # the salt makes ids unique among the figures of a page and equal from run to run
     with matplotlib.rc_context({**_STYLE, "svg.hashsalt": label}), warnings.catch_warnings():
-        # text stays text in the SVG; matplotlib's own font only measures it
+        # the browser sets the text; matplotlib's own font is only used to measure it
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
-        canvas = Figure(figsize=(width, height))
-        draw(canvas)
+        figure = Figure(figsize=(width, height))
+        draw(figure)
         buffer = io.StringIO()
-        canvas.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    return _slim(buffer.getvalue(), label, width)
-
-
-def _slim(svg: str, label: str, width: float) -> str:
-    """Matplotlib's SVG without what HTML does not need: prolog, metadata, ids of groups, excess digits, its own fonts."""
-    svg = svg[svg.index("<svg") :]
-    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.S)
-    svg = re.sub(r"<!--.*?-->", "", svg, flags=re.S)
-    svg = re.sub(r"<[^>]*>", _slim_tag, svg)
-    box = re.search(r'viewBox="[^"]*"', svg)
-    head = f'<svg {box[0] if box else ""} role="img" aria-label="{escape(label)}" style="max-width:{width * 96:.0f}px">'
-    svg = head + svg[svg.index(">") + 1 :]
-    return re.sub(r">\s+<", "><", svg).strip()
-
-
-def _slim_tag(tag: re.Match[str]) -> str:
-    """One tag without ids, excess digits and fonts; text between tags, such as names, stays."""
-    text = re.sub(r'^<g id="[^"]*"', "<g", tag[0]).replace("xlink:href", "href")
-    text = re.sub(
-        r'(?<= d=")[^"]*', lambda m: re.sub(r"-?\d+\.\d+", _short, " ".join(m[0].split())), text
-    )
-    text = re.sub(r"\d+\.\d{3,}", lambda m: f"{float(m[0]):.2f}", text)
-    text = re.sub(r"font-family:[^;\"]*", "font-family: sans-serif", text)
-    return re.sub(r"(font: [^;\"]*?px) [^;\"]*", r"\1 sans-serif", text)
-
-
-def _short(match: re.Match[str]) -> str:
-    text = f"{float(match[0]):.1f}"
-    return text[:-2] if text.endswith(".0") else text
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    return svg.shorten(buffer.getvalue(), label, width)
 
 
 def axes_grid(
@@ -114,44 +109,66 @@ def axes_grid(
     *,
     margins: Sequence[float],
     gaps: tuple[float, float] = (0.45, 0.3),
-    share: str = "",
 ) -> Any:
-    """Axes in a grid, margins (left, right, top, bottom) and gaps (between columns, rows) in inches. Shape (rows, columns)."""
+    """Add axes in a grid.
+
+    Args:
+        figure: Matplotlib figure.
+        rows: Number of rows.
+        columns: Number of columns.
+        margins: Left, right, top and bottom margin [in].
+        gaps: Gap between columns and between rows [in].
+
+    Returns:
+        Array of axes, shape (rows, columns).
+    """
     width, height = figure.get_size_inches()
     left, right, top, bottom = margins
     cell = (
         (width - left - right - gaps[0] * (columns - 1)) / columns,
         (height - top - bottom - gaps[1] * (rows - 1)) / rows,
     )
-    out = np.empty((rows, columns), object)
+    axes = np.empty((rows, columns), object)
     for i in range(rows):
         for j in range(columns):
             x, y = left + j * (cell[0] + gaps[0]), height - top - cell[1] - i * (cell[1] + gaps[1])
-            first = out[0, 0] if "x" in share and (i or j) else None
-            out[i, j] = figure.add_axes(
-                (x / width, y / height, cell[0] / width, cell[1] / height), sharex=first
-            )
-    return out
+            axes[i, j] = figure.add_axes((x / width, y / height, cell[0] / width, cell[1] / height))
+    return axes
 
 
-def render_panels(title: str, things: Sequence[T], draw: Callable[[Any, T], None], height: float) -> str:
-    """A small panel of each thing, three in a row. draw: onto axes. height: of a panel's axes [inches]."""
-    rows = -(-len(things) // _ACROSS)
+def render_panels(
+    label: str, entries: Sequence[T], draw: Callable[[Any, T], None], height: float
+) -> str:
+    """Draw a small panel for each entry, three in a row.
 
-    def every(figure: Any) -> None:
+    Args:
+        label: Description for screen readers.
+        entries: Data of each panel.
+        draw: Draws one entry on its axes.
+        height: Height of a panel's axes [in].
+    """
+    rows = -(-len(entries) // PANELS_PER_ROW)
+
+    def draw_all(figure: Any) -> None:
         cells = axes_grid(
-            figure, rows, _ACROSS, margins=(0.55, 0.1, 0.25, 0.45), gaps=(0.55, 0.7)
+            figure, rows, PANELS_PER_ROW, margins=(0.55, 0.1, 0.25, 0.45), gaps=(0.55, 0.7)
         ).ravel()
-        for axes, thing in zip(cells, things, strict=False):
-            draw(axes, thing)
-        for axes in cells[len(things) :]:
+        for axes, entry in zip(cells, entries, strict=False):
+            draw(axes, entry)
+        for axes in cells[len(entries) :]:
             axes.set_axis_off()
 
-    return render_svg(title, rows * (height + 0.7), every)
+    return render_svg(label, rows * (height + 0.7), draw_all)
 
 
-def thin_curve(t: Array, y: Array, count: int) -> tuple[Array, Array]:
-    """At most `count` points of a curve that keep the extremes of every stretch of it."""
+def thin_curve(t: FloatArray, y: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    """Reduce a curve to about `count` points that keep the extremes of every stretch of it.
+
+    Args:
+        t: Abscissae, ascending. Shape (N,).
+        y: Ordinates. Shape (N,).
+        count: Number of points to keep.
+    """
     if len(t) <= count:
         return t, y
     edges = np.linspace(0, len(t), count // 2 + 1).astype(int)
@@ -163,17 +180,17 @@ def thin_curve(t: Array, y: Array, count: int) -> tuple[Array, Array]:
 
 
 def limit_ticks(axes: Any, x: int = 4, y: int = 3) -> None:
-    """Ticks that fit a small panel."""
+    """Set at most so many ticks as fit a small panel, with a light grid."""
     from matplotlib.ticker import MaxNLocator
 
     axes.xaxis.set_major_locator(MaxNLocator(x))
     axes.yaxis.set_major_locator(MaxNLocator(y))
-    axes.grid(visible=True, color="#eef1f4", linewidth=0.5)
+    axes.grid(visible=True, color=GRID_COLOR, linewidth=0.5)
     axes.set_axisbelow(True)
 
 
 def set_decade_ticks(axes: Any) -> None:
-    """A light grid at decades, without minor ticks."""
+    """Set ticks at the decades of logarithmic axes, with a light horizontal grid."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     for axis in (axes.xaxis, axes.yaxis):
@@ -181,12 +198,11 @@ def set_decade_ticks(axes: Any) -> None:
             axis.set_major_locator(LogLocator(10.0, numticks=9))
             axis.set_minor_locator(NullLocator())
             # plain text: matplotlib's own labels go through its slow mathematics typesetter
-            axis.set_major_formatter(
-                FuncFormatter(
-                    lambda value, _: (
-                        power_of_ten(int(np.rint(np.log10(value)))) if value > 0.0 else ""
-                    )
-                )
-            )
-    axes.grid(visible=True, axis="y", color="#eef1f4", linewidth=0.5)
+            axis.set_major_formatter(FuncFormatter(_decade_label))
+    axes.grid(visible=True, axis="y", color=GRID_COLOR, linewidth=0.5)
     axes.set_axisbelow(True)
+
+
+def _decade_label(value: float, _: int) -> str:
+    """Label of a tick on a logarithmic axis."""
+    return power_of_ten(int(np.rint(np.log10(value)))) if value > 0.0 else ""

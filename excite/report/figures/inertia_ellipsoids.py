@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...identification.inertia_distance import Distance, Frame
+from ...identification.inertia_distance import Distance, NominalFrames
 from ...robot.inertial_parameters import pseudo_inertia
 from .drawing import BLUE, GREY, INK, SOFT, render_svg
 from .trajectory import short
@@ -75,7 +75,7 @@ class Change:
         return float(
             np.sqrt(
                 max(
-                    Frame(self.before.phi[None])
+                    NominalFrames(self.before.phi[None])
                     .squared(Distance.RIEMANNIAN, self.after.phi[None])
                     .value[0],
                     0.0,
@@ -114,7 +114,9 @@ def ellipsoids(changes: Sequence[Change]) -> str:
                     _scale_bar(axes, half)
         _legend(figure)
 
-    return render_svg("Inertia ellipsoid of every link before and after, in three views", height, draw)
+    return render_svg(
+        "Inertia ellipsoid of every link before and after, in three views", height, draw
+    )
 
 
 def _heading(change: Change) -> str:

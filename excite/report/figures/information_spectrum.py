@@ -1,4 +1,4 @@
-"""What the recording will tell, as pictures: spectrum, links, base parameters, scenarios, and the optimiser's history."""
+"""Figures on identifiability: spectrum, links, base parameters, scenarios, optimiser's history."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from ..._types import FloatArray
 from ...designer.experiment_comparison import Scenario
-from ...designer.identifiability import Identifiability, Share
+from ...designer.identifiability import Identifiability, IdentifiableShare
 from ...robot.parameter_names import percent
 from ..design_record import DesignRecord
 from .drawing import (
@@ -26,7 +27,6 @@ from .drawing import (
 )
 from .trajectory import short
 
-Array = np.ndarray
 _KINDS = (
     ("mass and centre of mass", ("m",), BLUE),
     ("inertia", ("I",), GREEN),
@@ -34,12 +34,12 @@ _KINDS = (
 )
 
 
-def spectrum(found: Identifiability) -> str:
-    """Scale-free variance of every direction, the best seen first, on a logarithmic scale with the threshold."""
-    variances = np.array([d.variance for d in found.directions])
-    good = np.array([d.identifiable for d in found.directions])
+def draw_spectrum(identifiability: Identifiability) -> str:
+    """Draw the dimensionless variance of every direction, the most accurate first."""
+    variances = np.array([d.variance for d in identifiability.directions])
+    good = np.array([d.identifiable for d in identifiability.directions])
     finite = variances[np.isfinite(variances)]
-    top = 10.0 * float(max(finite.max(initial=0.0), found.threshold))
+    top = 10.0 * float(max(finite.max(initial=0.0), identifiability.threshold))
     shown, rank = np.where(np.isfinite(variances), variances, top), np.arange(1, len(variances) + 1)
 
     def draw(figure: Any) -> None:
@@ -54,7 +54,7 @@ def spectrum(found: Identifiability) -> str:
                 continue
             axes.vlines(
                 rank[chosen],
-                min(shown.min(), found.threshold) / 3.0,
+                min(shown.min(), identifiability.threshold) / 3.0,
                 shown[chosen],
                 color=color,
                 alpha=0.25,
@@ -78,30 +78,31 @@ def spectrum(found: Identifiability) -> str:
                 markersize=6,
                 label=f"not excited at all ({int(unseen.sum())})",
             )
-        axes.axhline(found.threshold, color=INK, linewidth=0.9, dashes=(4, 2))
-        text = f"threshold ±{percent(np.sqrt(found.threshold))}"
+        axes.axhline(identifiability.threshold, color=INK, linewidth=0.9, dashes=(4, 2))
+        text = f"threshold ±{percent(np.sqrt(identifiability.threshold))}"
         axes.annotate(
             text,
-            (0.0, found.threshold),
+            (0.0, identifiability.threshold),
             (4, 3),
             axes.get_yaxis_transform(),
             textcoords="offset points",
             fontsize=7.5,
         )
         axes.set_ylim(
-            min(shown.min(), found.threshold) / 3.0, 3.0 * max(shown.max(), found.threshold)
+            min(shown.min(), identifiability.threshold) / 3.0,
+            3.0 * max(shown.max(), identifiability.threshold),
         )
         axes.set_xlim(0.2, len(rank) + 0.8)
-        axes.set_xlabel("direction of the parameters, the best seen first")
-        axes.set_ylabel("scale-free variance 1/λ")
+        axes.set_xlabel("direction of the parameters, the most accurate first")
+        axes.set_ylabel("dimensionless variance 1/λ")
         axes.legend(loc="lower right")
         _deviation_axis(axes)
 
-    return render_svg("Scale-free variance of every direction", 3.1, draw)
+    return render_svg("Dimensionless variance of every direction", 3.1, draw)
 
 
 def _deviation_axis(axes: Any) -> None:
-    """The same scale as a relative standard deviation, on the right."""
+    """Add the same scale as a standard deviation, on the right."""
     low, high = axes.get_ylim()
     ticks = [k for k in range(-8, 9, 1 if high / low < 1e16 else 2) if low < 100.0**k < high]
     right = axes.secondary_yaxis("right")
@@ -112,12 +113,12 @@ def _deviation_axis(axes: Any) -> None:
     right.set_ylabel("standard deviation in the metric", color=SOFT)
 
 
-def shares(links: Sequence[Share], joints: Sequence[Share]) -> str:
-    """One bar per link, and per joint for its drive: how much of what can be known the recording shows."""
+def draw_shares(links: Sequence[IdentifiableShare], joints: Sequence[IdentifiableShare]) -> str:
+    """Draw the identifiable share of each link, and of each joint's drive parameters."""
     columns = [("links: mass, centre of mass, inertia", links)]
     if joints:
         columns.append(("joints: rotor inertia, friction, offset", joints))
-    most = max(len(links), len(joints))
+    rows = max(len(links), len(joints))
 
     def draw(figure: Any) -> None:
         width, height = figure.get_size_inches()
@@ -132,7 +133,7 @@ def shares(links: Sequence[Share], joints: Sequence[Share]) -> str:
                 axes.barh(row, 1.0, color="#edf0f3", height=0.7)
                 if value is not None:
                     axes.barh(row, value, color=BLUE, height=0.7)
-                text = "nothing to see" if value is None else f"{100 * value:.0f} %"
+                text = "not observable" if value is None else f"{100 * value:.0f} %"
                 axes.text(
                     1.015,
                     row,
@@ -152,14 +153,14 @@ def shares(links: Sequence[Share], joints: Sequence[Share]) -> str:
                 axes.spines[side].set_visible(False)
             axes.set_title(title, loc="left")
 
-    return render_svg("Share of each link and joint that is identifiable", 0.45 + 0.21 * most, draw)
+    return render_svg("Share of each link and joint that is identifiable", 0.45 + 0.21 * rows, draw)
 
 
-def deviations(found: Identifiability) -> str:
-    """Predicted standard deviation of each base parameter against its nominal size, both on logarithmic scales."""
-    names = [b.name for b in found.base_parameters]
-    size = np.abs([b.nominal for b in found.base_parameters])
-    std = np.array([b.std for b in found.base_parameters])
+def draw_deviations(identifiability: Identifiability) -> str:
+    """Draw the predicted standard deviation of each base parameter against its nominal value."""
+    names = [b.name for b in identifiability.base_parameters]
+    size = np.abs([b.nominal for b in identifiability.base_parameters])
+    std = np.array([b.std for b in identifiability.base_parameters])
     usable = np.isfinite(std) & (std > 0.0)
     known = size > 1e-9 * max(size.max(initial=0.0), 1e-30)
     span = size[known & usable]
@@ -238,22 +239,25 @@ def deviations(found: Identifiability) -> str:
 
 
 def _kind(name: str) -> str:
-    """'m', 'I' (inertia), 'F' (friction and rotor inertia) or 't' (offset)."""
+    """Kind of a parameter: 'm', 'I' (inertia), 'F' (friction, rotor inertia) or 't' (offset)."""
     return "F" if name.startswith("Ia") else name[0]
 
 
-def _label_worst(axes: Any, names: Sequence[str], x: Array, y: Array, ratio: Array) -> None:
-    taken: list[tuple[float, float]] = []
+def _label_worst(
+    axes: Any, names: Sequence[str], x: FloatArray, y: FloatArray, ratio: FloatArray
+) -> None:
+    """Name the points of largest ratio, as far as there is room."""
+    labelled: list[tuple[float, float]] = []
     for k in np.argsort(-ratio)[:12]:
         place = (float(np.log10(x[k])), float(np.log10(y[k])))
-        free = all(abs(place[0] - a) > 0.4 or abs(place[1] - b) > 0.5 for a, b in taken)
-        if ratio[k] > 0.1 and free and len(taken) < 6:
-            taken.append(place)
+        free = all(abs(place[0] - a) > 0.4 or abs(place[1] - b) > 0.5 for a, b in labelled)
+        if ratio[k] > 0.1 and free and len(labelled) < 6:
+            labelled.append(place)
             axes.annotate(names[k], (x[k], y[k]), (4, 3), textcoords="offset points", fontsize=7)
 
 
-def scenarios(cases: Sequence[Scenario], threshold: float) -> str:
-    """Sorted variances as the motion is, and with each change."""
+def draw_scenarios(cases: Sequence[Scenario], threshold: float) -> str:
+    """Draw the sorted variances of the motion as it is, and of each scenario."""
     names = {"now": "as designed", "time": "twice the time", "speed": "twice the speed"}
 
     def draw(figure: Any) -> None:
@@ -283,21 +287,17 @@ def scenarios(cases: Sequence[Scenario], threshold: float) -> str:
             fontsize=7.5,
         )
         axes.set_xlim(0.2, len(cases[0].eigenvalues) + 0.8)
-        axes.set_xlabel("direction of the parameters, the best seen first")
-        axes.set_ylabel("scale-free variance 1/λ")
+        axes.set_xlabel("direction of the parameters, the most accurate first")
+        axes.set_ylabel("dimensionless variance 1/λ")
         axes.legend(loc="upper left")
 
     return render_svg("Variances with twice the time and twice the speed", 2.9, draw)
 
 
-def history(record: DesignRecord) -> str:
-    """Objective against time for all starts, and where each of them ended.
-
-    Against iterations where starts waited for each other, so that they can be compared.
-    """
+def draw_history(record: DesignRecord) -> str:
+    """Draw the objective of all starts against iterations, and their final values."""
 
     several = len(record.starts) > 1
-    waited = any(s.get("stopped") for s in record.starts)
     final = max(max(s.get("stage") or [0]) for s in record.starts)
 
     def draw(figure: Any) -> None:
@@ -313,24 +313,24 @@ def history(record: DesignRecord) -> str:
         order = [k for k in range(len(record.starts)) if k != record.chosen] + [record.chosen]
         for k in order:
             start, best = record.starts[k], k == record.chosen
-            stage = np.array(start.get("stage") or [0] * len(start["time"]), int)
+            stage = np.array(start.get("stage") or [0] * len(start["objective"]), int)
             last = stage == final
-            time, value, worst = (
-                np.array(start[key], float)[last] for key in ("time", "objective", "worst")
-            )
-            time = np.flatnonzero(last) if waited else time
+            value, worst = (np.array(start[key], float)[last] for key in ("objective", "worst"))
+            iteration = np.flatnonzero(last)
             inside = worst <= 1.0 + 1e-3
             color = BLUE if best else GREY
             left.plot(
-                time,
+                iteration,
                 value,
                 color=color,
                 linewidth=1.5 if best else 0.8,
                 zorder=3 if best else 2,
                 label="chosen start" if best else None,
             )
-            left.plot(time[~inside], value[~inside], "x", color=color, markersize=3.5, zorder=3)
-        left.set_xlabel("iterations" if waited else "time since the problem was built [s]")
+            left.plot(
+                iteration[~inside], value[~inside], "x", color=color, markersize=3.5, zorder=3
+            )
+        left.set_xlabel("iteration")
         left.set_ylabel("log of the criterion (lower is better)")
         left.set_title("Every start; × marks iterates outside a limit", loc="left")
         left.legend(loc="upper right")
@@ -343,10 +343,11 @@ def history(record: DesignRecord) -> str:
             )
         limit_ticks(left, 6, 5)
 
-    return render_svg("Objective of every start against time", 3.0, draw)
+    return render_svg("Objective of every start against iterations", 3.0, draw)
 
 
 def _ends(axes: Any, record: DesignRecord) -> None:
+    """Draw the final value of each start above the best."""
     values = np.array([float(s["value"]) for s in record.starts])
     excess = 100.0 * np.expm1(np.minimum(values - values.min(), 20.0))
     for place, k in enumerate(np.argsort(values, kind="stable"), start=1):
@@ -362,8 +363,10 @@ def _ends(axes: Any, record: DesignRecord) -> None:
             markerfacecolor=fill,
             markersize=4 if len(values) <= 40 else 2.5,
         )
-    some = any(s.get("stopped") for s in record.starts)
-    axes.set_title("Where they ended" + (" (○ stopped)" if some else ", sorted"), loc="left")
+    any_stopped = any(s.get("stopped") for s in record.starts)
+    axes.set_title(
+        "Final values" + (" (○ stopped early)" if any_stopped else ", sorted"), loc="left"
+    )
     axes.set_xlabel("start, the best first")
     axes.set_ylabel("% above the best")
     axes.set_xlim(0.3, len(values) + 0.7)

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from ...identification.torque_delay import Delay
+from ...identification.torque_delay import TorqueDelay
 from .drawing import (
     BLUE,
+    COMPACT_LAYOUT_JOINTS,
     GREY,
     INK,
-    COMPACT_LAYOUT_JOINTS,
     ORANGE,
     RED,
     SOFT,
@@ -48,7 +48,15 @@ def spectra(
     words: str,
 ) -> str:
     """Torque, its noise and the residual of every joint over frequency. hertz: the band. words: what `noise` is."""
-    columns = 1 if len(joints) == 1 else 2 if len(joints) <= 4 else 3 if len(joints) <= COMPACT_LAYOUT_JOINTS else 5
+    columns = (
+        1
+        if len(joints) == 1
+        else 2
+        if len(joints) <= 4
+        else 3
+        if len(joints) <= COMPACT_LAYOUT_JOINTS
+        else 5
+    )
     rows = -(-len(joints) // columns)
     far = min(4.0 * hertz, float(torque.frequency[-1]))
 
@@ -105,7 +113,7 @@ def _joint(
 
 def clock(
     joints: Sequence[str],
-    delay: Delay,
+    delay: TorqueDelay,
     widths: Array,
     edges: tuple[float, float],
     prismatic: Sequence[bool],

@@ -29,7 +29,9 @@ def torque_with_and_without_effects(
         axes = axes_grid(figure, len(joints), 2, margins=(0.65, 0.15, 0.45, 0.4), gaps=(0.6, 0.22))
         for j, joint in enumerate(joints):
             left, right = axes[j]
-            left.plot(*thin_curve(t, recording.tau[:, j], DRAWN_POINTS), color=BLUE, label="recorded")
+            left.plot(
+                *thin_curve(t, recording.tau[:, j], DRAWN_POINTS), color=BLUE, label="recorded"
+            )
             left.plot(
                 *thin_curve(t, plain[:, j], DRAWN_POINTS),
                 color=ORANGE,

@@ -1,4 +1,4 @@
-"""Small multiples of curves over time, written as SVG directly: a robot of 30 joints needs 150 of them, too many for matplotlib."""
+"""Grids of small panels: curves over time with their limits, and curves in a phase plane."""
 
 from __future__ import annotations
 
@@ -7,338 +7,357 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..._types import FloatArray
 from ...trajectory.rest_to_rest import Motion
-from ..page import escape
+from . import svg
 from .drawing import (
     BLUE,
     FIGURE_WIDTH,
     GREY,
+    GRID_COLOR,
     INK,
     ORANGE,
     RED,
+    SEGMENT_COLORS,
     SEGMENT_WORDS,
-    SHADES,
     SOFT,
     thin_curve,
 )
 
-Array = np.ndarray
-_UNITS = 72.0
-_LEFT, _RIGHT, _GAP, _TITLE, _FOOT = 30.0, 6.0, 32.0, 15.0, 30.0
-_OFF_SCALE = 5.0
+_TOTAL_WIDTH = FIGURE_WIDTH * svg.UNITS_PER_INCH
+_LEFT_MARGIN = 30.0
+_RIGHT_MARGIN = 6.0
+_COLUMN_GAP = 32.0
+_TITLE_HEIGHT = 15.0
+_FOOT_HEIGHT = 30.0
+"""Room below the last row for the time axis and its label."""
+_LETTER_WIDTH = 4.4
+"""Mean width of a letter of the legend; all lengths in units of the SVG."""
+MAX_LIMIT_DISTANCE = 5.0
 """Limits further from the curve's middle than this many of its half ranges are named, not drawn."""
+NEAR_LIMIT_SHARE = 0.3
+"""Limits of a phase plane are drawn within this share of the curves' range beyond it."""
 
 
 @dataclass(frozen=True)
-class Panel:
-    """One curve with its limits. t, y: Shape (N,). band: half width around y, Shape (N,), or None."""
+class CurvePanel:
+    """A curve over time with its limits.
+
+    Attributes:
+        title: Title; the panel has none where it is empty.
+        t: Time [s]. Shape (N,).
+        y: Values. Shape (N,).
+        limits: Lower and upper limit; infinite where there is none.
+        band: Half width of a band around the curve. Shape (N,).
+    """
 
     title: str
-    t: Array
-    y: Array
+    t: FloatArray
+    y: FloatArray
     limits: tuple[float, float]
-    band: Array | None = None
+    band: FloatArray | None = None
 
 
 @dataclass(frozen=True)
-class Plane:
-    """Two closed curves in a plane with its limits. first, second: Shape (N, 2). across, up: limits of the two axes."""
+class PhasePlane:
+    """Two closed curves in a plane.
+
+    Attributes:
+        title: Title of the panel.
+        first: Points of the first curve. Shape (N, 2).
+        second: Points of the second curve. Shape (N, 2).
+        horizontal_limits: Limits of the horizontal quantity.
+        vertical_limits: Limits of the vertical quantity.
+    """
 
     title: str
-    first: Array
-    second: Array
-    across: tuple[float, float]
-    up: tuple[float, float]
+    first: FloatArray
+    second: FloatArray
+    horizontal_limits: tuple[float, float]
+    vertical_limits: tuple[float, float]
 
 
 @dataclass(frozen=True)
-class _Cell:
-    """A panel's place in units of the SVG, and the scales from data to there."""
+class _Axes:
+    """A panel's place in units of the SVG, and the ranges of its two axes."""
 
     x: float
     y: float
     width: float
     height: float
-    span: tuple[float, float]
-    low: float
-    high: float
+    x_range: tuple[float, float]
+    y_range: tuple[float, float]
 
-    def across(self, t: float) -> float:
-        return self.x + self.width * (t - self.span[0]) / (self.span[1] - self.span[0])
+    @property
+    def right(self) -> float:
+        return self.x + self.width
 
-    def up(self, value: float) -> float:
-        return self.y + self.height * (1.0 - (value - self.low) / (self.high - self.low))
+    @property
+    def bottom(self) -> float:
+        return self.y + self.height
+
+    def x_of(self, value: float) -> float:
+        """Horizontal place of a value."""
+        low, high = self.x_range
+        return self.x + self.width * (value - low) / (high - low)
+
+    def y_of(self, value: float) -> float:
+        """Vertical place of a value."""
+        low, high = self.y_range
+        return self.y + self.height * (1.0 - (value - low) / (high - low))
+
+    def points(self, x: FloatArray, y: FloatArray) -> list[str]:
+        """Points of a path."""
+        across, up = self.x_of(0.0), self.y_of(0.0)
+        return svg.points_of(across + (self.x_of(1.0) - across) * x, up + (self.y_of(1.0) - up) * y)
 
 
-def small_multiples(
+def draw_curves(
     label: str,
-    panels: Sequence[Panel],
+    panels: Sequence[CurvePanel],
     motion: Motion,
     *,
     columns: int,
     height: float,
     heads: Sequence[str] = (),
 ) -> str:
-    """A grid of panels, filled row by row, as SVG. height: of one panel's axes. heads: a heading above each column."""
-    total = FIGURE_WIDTH * _UNITS
-    width = (total - _LEFT - _RIGHT - _GAP * (columns - 1)) / columns
+    """Draw panels of curves over the time of a motion, filled row by row.
+
+    Args:
+        label: Description for screen readers.
+        panels: The panels.
+        motion: Its segments are shaded.
+        columns: Panels in a row.
+        height: Height of a panel's axes [units of the SVG].
+        heads: Heading above each column.
+    """
+    width = _panel_width(columns)
     top, rows = 18.0 + (14.0 if heads else 0.0), -(-len(panels) // columns)
     points = 400 if columns <= 3 else 320 if len(panels) <= 40 else 200
-    parts = _legend(motion, total, banded=any(p.band is not None for p in panels))
+    elements = _curve_legend(motion, banded=any(p.band is not None for p in panels))
     for k, head in enumerate(heads):
-        parts.append(
-            _text(_LEFT + k * (width + _GAP) + 0.5 * width, 28.0, head, size=8.5, anchor="middle")
-        )
+        middle = _LEFT_MARGIN + k * (width + _COLUMN_GAP) + 0.5 * width
+        elements.append(svg.text(middle, 28.0, head, size=8.5, anchor="middle"))
     for k, panel in enumerate(panels):
         row, column = divmod(k, columns)
-        low, high, drawn = _range(panel)
-        place = (_LEFT + column * (width + _GAP), top + row * (height + _TITLE + 8.0) + _TITLE)
-        cell = _Cell(*place, width, height, (0.0, motion.duration), low, high)
-        parts += _panel(panel, cell, motion, drawn, points)
-        parts += _time_axis(cell, labelled=k + columns >= len(panels))
-    bottom = top + rows * (height + _TITLE + 8.0) - 8.0 + _FOOT
-    head = f'<svg viewBox="0 0 {_short(total)} {_short(bottom)}" role="img" aria-label="{escape(label)}" '
-    return f'{head}style="max-width:{FIGURE_WIDTH * 96:.0f}px" font-family="sans-serif" fill="{INK}">{"".join(parts)}</svg>'
+        low, high, visible_limits = _curve_range(panel)
+        axes = _Axes(
+            _LEFT_MARGIN + column * (width + _COLUMN_GAP),
+            top + row * (height + _TITLE_HEIGHT + 8.0) + _TITLE_HEIGHT,
+            width,
+            height,
+            (0.0, motion.duration),
+            (low, high),
+        )
+        elements += _draw_curve_panel(panel, axes, motion, visible_limits, points)
+        elements += _time_axis(axes, labelled=k + columns >= len(panels))
+    bottom = top + rows * (height + _TITLE_HEIGHT + 8.0) - 8.0 + _FOOT_HEIGHT
+    return svg.picture(label, _TOTAL_WIDTH, bottom, elements, INK)
 
 
-def planes(
+def draw_phase_planes(
     label: str,
-    panels: Sequence[Plane],
+    panels: Sequence[PhasePlane],
     names: tuple[str, str],
-    axes: str,
+    axes_words: str,
     *,
     columns: int,
     height: float,
 ) -> str:
-    """A grid of planes as SVG. names: of the two curves. axes: what is drawn against what, said once."""
-    total = FIGURE_WIDTH * _UNITS
-    width = (total - _LEFT - _RIGHT - _GAP * (columns - 1)) / columns
+    """Draw phase planes, filled row by row.
+
+    Args:
+        label: Description for screen readers.
+        panels: The panels.
+        names: Names of the two curves.
+        axes_words: Quantities of the axes of all panels, stated once.
+        columns: Panels in a row.
+        height: Height of a panel's axes [units of the SVG].
+    """
+    width = _panel_width(columns)
     entries = [("line", BLUE, names[0]), ("line", ORANGE, names[1]), ("dashed", RED, "limit")]
-    parts = [_text(_LEFT, 10.0, axes, size=7.5, color=SOFT), *_key(entries, total)]
-    step = height + _TITLE + 20.0
+    elements = [
+        svg.text(_LEFT_MARGIN, 10.0, axes_words, size=7.5, color=SOFT),
+        *_legend(entries),
+    ]
+    step = height + _TITLE_HEIGHT + 20.0
     for k, panel in enumerate(panels):
         row, column = divmod(k, columns)
         x, y = (
-            _extent(np.concatenate([panel.first[:, i], panel.second[:, i]]), limits)
-            for i, limits in enumerate((panel.across, panel.up))
+            _plane_range(np.concatenate([panel.first[:, i], panel.second[:, i]]), limits)
+            for i, limits in enumerate((panel.horizontal_limits, panel.vertical_limits))
         )
-        place = (_LEFT + column * (width + _GAP), 18.0 + row * step + _TITLE)
-        cell = _Cell(*place, width, height, (x[0], x[1]), y[0], y[1])
-        parts += _plane(panel, cell, x[2], y[2])
+        axes = _Axes(
+            _LEFT_MARGIN + column * (width + _COLUMN_GAP),
+            18.0 + row * step + _TITLE_HEIGHT,
+            width,
+            height,
+            (x[0], x[1]),
+            (y[0], y[1]),
+        )
+        elements += _draw_plane(panel, axes, x[2], y[2])
     bottom = 18.0 + -(-len(panels) // columns) * step
-    head = f'<svg viewBox="0 0 {_short(total)} {_short(bottom)}" role="img" aria-label="{escape(label)}" '
-    return f'{head}style="max-width:{FIGURE_WIDTH * 96:.0f}px" font-family="sans-serif" fill="{INK}">{"".join(parts)}</svg>'
+    return svg.picture(label, _TOTAL_WIDTH, bottom, elements, INK)
 
 
-def _extent(values: Array, limits: tuple[float, float]) -> tuple[float, float, list[float]]:
-    """Lower and upper end of an axis, and the limits near enough to be in sight."""
+def _panel_width(columns: int) -> float:
+    """Width of a panel's axes."""
+    free = _TOTAL_WIDTH - _LEFT_MARGIN - _RIGHT_MARGIN - _COLUMN_GAP * (columns - 1)
+    return free / columns
+
+
+def _plane_range(
+    values: FloatArray, limits: tuple[float, float]
+) -> tuple[float, float, list[float]]:
+    """Lower and upper end of an axis, and the limits near enough to be drawn."""
     low, high = float(values.min()), float(values.max())
-    drawn = [
-        v
-        for v in limits
-        if np.isfinite(v) and low - 0.3 * (high - low) <= v <= high + 0.3 * (high - low)
-    ]
-    low, high = min([low, *drawn]), max([high, *drawn])
+    near = NEAR_LIMIT_SHARE * (high - low)
+    visible = [v for v in limits if np.isfinite(v) and low - near <= v <= high + near]
+    low, high = min([low, *visible]), max([high, *visible])
     pad = 0.06 * max(high - low, 1e-9)
-    return low - pad, high + pad, drawn
+    return low - pad, high + pad, visible
 
 
-def _plane(panel: Plane, cell: _Cell, across: list[float], up: list[float]) -> list[str]:
-    left, right, top, bottom = cell.x, cell.x + cell.width, cell.y, cell.y + cell.height
-    parts = [_text(left, top - 4.0, panel.title, size=8.0, weight=600)]
-    for tick in ticks(*cell.span, 3):
-        x = cell.across(tick)
-        parts += [
-            _line(x, top, x, bottom, "#eef1f4"),
-            _text(x, bottom + 10.0, _tick(tick), size=7.0, anchor="middle", color=SOFT),
-        ]
-    for tick in ticks(cell.low, cell.high, 3):
-        y = cell.up(tick)
-        parts += [
-            _line(left, y, right, y, "#eef1f4"),
-            _text(left - 3.0, y + 2.4, _tick(tick), size=7.0, anchor="end", color=SOFT),
-        ]
-    parts += [_line(cell.across(v), top, cell.across(v), bottom, RED, dashed=True) for v in across]
-    parts += [_line(left, cell.up(v), right, cell.up(v), RED, dashed=True) for v in up]
-    for curve, color in ((panel.first, BLUE), (panel.second, ORANGE)):
-        points = "L".join(f"{_short(cell.across(x))} {_short(cell.up(y))}" for x, y in curve)
-        parts.append(f'<path d="M{points}Z" fill="none" stroke="{color}" stroke-linejoin="round"/>')
-    return [*parts, _line(left, bottom, right, bottom, GREY), _line(left, top, left, bottom, GREY)]
-
-
-def _tick(value: float) -> str:
-    return f"{value:.6g}".replace("-", "−")
-
-
-def _range(panel: Panel) -> tuple[float, float, list[float]]:
-    """Lower and upper end of the axis, and the limits that are in sight."""
+def _curve_range(panel: CurvePanel) -> tuple[float, float, list[float]]:
+    """Lower and upper end of the axis, and the limits near enough to be drawn."""
     half = 0.0 if panel.band is None else panel.band
     low, high = float((panel.y - half).min()), float((panel.y + half).max())
     middle, reach = 0.5 * (low + high), max(0.5 * (high - low), 1e-9)
-    drawn = [v for v in panel.limits if np.isfinite(v) and abs(v - middle) <= _OFF_SCALE * reach]
-    low, high = min([low, *drawn]), max([high, *drawn])
+    visible = [
+        v for v in panel.limits if np.isfinite(v) and abs(v - middle) <= MAX_LIMIT_DISTANCE * reach
+    ]
+    low, high = min([low, *visible]), max([high, *visible])
     pad = 0.08 * max(high - low, 1e-9)
-    return low - pad, high + pad, drawn
+    return low - pad, high + pad, visible
 
 
-def _panel(panel: Panel, cell: _Cell, motion: Motion, drawn: list[float], points: int) -> list[str]:
-    parts = [_text(cell.x, cell.y - 4.0, panel.title, size=8.0, weight=600)] if panel.title else []
-    shaded = [
-        (cell.across(s.start), cell.across(s.end), SHADES[s.kind])
-        for s in motion.segments
-        if s.kind in SHADES and s.end > s.start
-    ]
-    parts += [
-        _rectangle(start, cell.y, end - start, cell.height, color) for start, end, color in shaded
-    ]
-    for tick in ticks(cell.low, cell.high, 3):
-        y = cell.up(tick)
-        parts.append(_line(cell.x, y, cell.x + cell.width, y, "#eef1f4"))
-        parts.append(_text(cell.x - 3.0, y + 2.4, _tick(tick), size=7.0, anchor="end", color=SOFT))
+def _draw_plane(
+    panel: PhasePlane, axes: _Axes, x_limits: list[float], y_limits: list[float]
+) -> list[str]:
+    """Elements of a phase plane."""
+    elements = [svg.text(axes.x, axes.y - 4.0, panel.title, size=8.0, weight=600)]
+    for tick in svg.round_ticks(*axes.x_range, 3):
+        x = axes.x_of(tick)
+        elements += [
+            svg.line(x, axes.y, x, axes.bottom, GRID_COLOR),
+            svg.text(x, axes.bottom + 10.0, _tick(tick), size=7.0, anchor="middle", color=SOFT),
+        ]
+    elements += _horizontal_grid(axes)
+    for value in x_limits:
+        x = axes.x_of(value)
+        elements.append(svg.line(x, axes.y, x, axes.bottom, RED, dashed=True))
+    elements += _limit_lines(axes, y_limits)
+    for points, color in ((panel.first, BLUE), (panel.second, ORANGE)):
+        elements.append(svg.curve(axes.points(points[:, 0], points[:, 1]), color, closed=True))
+    return [*elements, *_frame(axes)]
+
+
+def _draw_curve_panel(
+    panel: CurvePanel, axes: _Axes, motion: Motion, visible_limits: list[float], points: int
+) -> list[str]:
+    """Elements of a panel over time, without its time axis."""
+    elements = []
+    if panel.title:
+        elements.append(svg.text(axes.x, axes.y - 4.0, panel.title, size=8.0, weight=600))
+    for segment in motion.segments:
+        if segment.kind in SEGMENT_COLORS and segment.end > segment.start:
+            start, end = axes.x_of(segment.start), axes.x_of(segment.end)
+            color = SEGMENT_COLORS[segment.kind]
+            elements.append(svg.rectangle(start, axes.y, end - start, axes.height, color))
+    elements += _horizontal_grid(axes)
     if panel.band is not None:
         above, below = (
-            _points(cell, *thin_curve(panel.t, panel.y + sign * panel.band, points))
+            axes.points(*thin_curve(panel.t, panel.y + sign * panel.band, points))
             for sign in (1.0, -1.0)
         )
-        parts.append(
-            f'<path d="M{"L".join([*above, *reversed(below)])}Z" fill="{BLUE}" fill-opacity=".25"/>'
-        )
-    curve = _points(cell, *thin_curve(panel.t, panel.y, points))
-    parts.append(
-        f'<path d="M{"L".join(curve)}" fill="none" stroke="{BLUE}" stroke-linejoin="round"/>'
-    )
-    parts += [
-        _line(cell.x, cell.up(v), cell.x + cell.width, cell.up(v), RED, dashed=True) for v in drawn
-    ]
-    hidden = [v for v in panel.limits if np.isfinite(v) and v not in drawn]
+        elements.append(svg.polygon([*above, *reversed(below)], BLUE, 0.25))
+    elements.append(svg.curve(axes.points(*thin_curve(panel.t, panel.y, points)), BLUE))
+    elements += _limit_lines(axes, visible_limits)
+    hidden = [v for v in panel.limits if np.isfinite(v) and v not in visible_limits]
     if hidden:
-        both = len(hidden) == 2 and np.isclose(hidden[0], -hidden[1])
-        text = (
-            f"limit ±{hidden[1]:.4g}" if both else "limit " + ", ".join(f"{v:.4g}" for v in hidden)
+        symmetric = len(hidden) == 2 and np.isclose(hidden[0], -hidden[1])
+        words = f"±{hidden[1]:.4g}" if symmetric else ", ".join(f"{v:.4g}" for v in hidden)
+        words = f"limit {words}".replace("-", "−")
+        elements.append(
+            svg.text(axes.right, axes.y - 4.0, words, size=6.5, anchor="end", color=RED)
         )
-        parts.append(
-            _text(
-                cell.x + cell.width,
-                cell.y - 4.0,
-                text.replace("-", "−"),
-                size=6.5,
-                anchor="end",
-                color=RED,
-            )
-        )
-    return parts
+    return elements
 
 
-def _time_axis(cell: _Cell, *, labelled: bool) -> list[str]:
-    bottom = cell.y + cell.height
-    parts = [
-        _line(cell.x, bottom, cell.x + cell.width, bottom, GREY),
-        _line(cell.x, cell.y, cell.x, bottom, GREY),
+def _horizontal_grid(axes: _Axes) -> list[str]:
+    """Grid lines and labels of the vertical axis."""
+    elements = []
+    for tick in svg.round_ticks(*axes.y_range, 3):
+        y = axes.y_of(tick)
+        elements += [
+            svg.line(axes.x, y, axes.right, y, GRID_COLOR),
+            svg.text(axes.x - 3.0, y + 2.4, _tick(tick), size=7.0, anchor="end", color=SOFT),
+        ]
+    return elements
+
+
+def _limit_lines(axes: _Axes, limits: Sequence[float]) -> list[str]:
+    """Dashed lines at limits of the vertical quantity."""
+    return [
+        svg.line(axes.x, axes.y_of(v), axes.right, axes.y_of(v), RED, dashed=True) for v in limits
     ]
-    for tick in ticks(*cell.span, 3):
-        parts.append(_line(cell.across(tick), bottom, cell.across(tick), bottom + 2.5, GREY))
+
+
+def _frame(axes: _Axes) -> list[str]:
+    """The two axes."""
+    return [
+        svg.line(axes.x, axes.bottom, axes.right, axes.bottom, GREY),
+        svg.line(axes.x, axes.y, axes.x, axes.bottom, GREY),
+    ]
+
+
+def _tick(value: float) -> str:
+    """Label of a tick."""
+    return f"{value:.6g}".replace("-", "−")
+
+
+def _time_axis(axes: _Axes, *, labelled: bool) -> list[str]:
+    """Axes of a panel over time; only those of the lowest panels are labelled."""
+    elements = _frame(axes)
+    bottom = axes.bottom
+    for tick in svg.round_ticks(*axes.x_range, 3):
+        x = axes.x_of(tick)
+        elements.append(svg.line(x, bottom, x, bottom + 2.5, GREY))
         if labelled:
-            parts.append(
-                _text(
-                    cell.across(tick),
-                    bottom + 10.5,
-                    f"{tick:g}",
-                    size=7.0,
-                    anchor="middle",
-                    color=SOFT,
-                )
+            elements.append(
+                svg.text(x, bottom + 10.5, f"{tick:g}", size=7.0, anchor="middle", color=SOFT)
             )
     if labelled:
-        parts.append(
-            _text(cell.x + 0.5 * cell.width, bottom + 22.0, "time [s]", size=7.5, anchor="middle")
-        )
-    return parts
+        middle = axes.x + 0.5 * axes.width
+        elements.append(svg.text(middle, bottom + 22.0, "time [s]", size=7.5, anchor="middle"))
+    return elements
 
 
-def _legend(motion: Motion, total: float, *, banded: bool) -> list[str]:
-    """What lines and shades mean, once, at the top right."""
+def _curve_legend(motion: Motion, *, banded: bool) -> list[str]:
+    """Meaning of lines and shades, once, at the top right."""
     kinds = {s.kind for s in motion.segments if s.end > s.start}
     entries = [("line", BLUE, "nominal robot" if banded else "motion"), ("dashed", RED, "limit")]
     if banded:
-        entries.insert(1, ("box", BLUE, "every robot in the ball"))
+        entries.insert(1, ("box", BLUE, "range over uncertain parameters"))
     if kinds & {"ramp_in", "ramp_out"}:
-        entries.append(("box", SHADES["ramp_in"], SEGMENT_WORDS["ramp_in"]))
+        entries.append(("box", SEGMENT_COLORS["ramp_in"], SEGMENT_WORDS["ramp_in"]))
     if kinds & {"approach", "return"}:
-        entries.append(("box", SHADES["approach"], SEGMENT_WORDS["approach"]))
-    return _key(entries, total)
+        entries.append(("box", SEGMENT_COLORS["approach"], SEGMENT_WORDS["approach"]))
+    return _legend(entries)
 
 
-def _key(entries: Sequence[tuple[str, str, str]], total: float) -> list[str]:
-    """Shape, colour and word of each entry, set from the right."""
-    x, parts = total - _RIGHT, list[str]()
-    for shape, color, label in reversed(entries):
-        x -= 4.4 * len(label)
-        parts.append(_text(x, 10.0, label, size=7.5))
+def _legend(entries: Sequence[tuple[str, str, str]]) -> list[str]:
+    """Legend at the top right; entries: shape ("line", "dashed" or "box"), colour and words."""
+    x, elements = _TOTAL_WIDTH - _RIGHT_MARGIN, list[str]()
+    for shape, color, words in reversed(entries):
+        x -= _LETTER_WIDTH * len(words)
+        elements.append(svg.text(x, 10.0, words, size=7.5))
         x -= 18.0
         if shape == "box":
-            parts.append(_rectangle(x, 4.5, 14.0, 6.0, color, 0.25 if color == BLUE else 1.0))
+            opacity = 0.25 if color == BLUE else 1.0
+            elements.append(svg.rectangle(x, 4.5, 14.0, 6.0, color, opacity=opacity))
         else:
-            parts.append(_line(x, 7.5, x + 14.0, 7.5, color, dashed=shape == "dashed", width=1.2))
+            dashed = shape == "dashed"
+            elements.append(svg.line(x, 7.5, x + 14.0, 7.5, color, width=1.2, dashed=dashed))
         x -= 12.0
-    return parts
-
-
-def ticks(low: float, high: float, least: int) -> list[float]:
-    """Round numbers inside a range, 1, 2 or 5 times a power of ten apart: as few as there can be, but at least `least`."""
-    power = 10.0 ** np.ceil(np.log10(high - low))
-    for step in (s * power * scale for scale in (1.0, 0.1, 0.01) for s in (1.0, 0.5, 0.2)):
-        count = np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1.0)
-        if len(count) >= least:
-            break
-    return [float(v) for v in count * step + 0.0]
-
-
-def _short(value: float) -> str:
-    text = f"{value:.1f}"
-    return text[:-2] if text.endswith(".0") else text
-
-
-def _points(cell: _Cell, t: Array, y: Array) -> list[str]:
-    across, up = cell.across(0.0), cell.up(0.0)
-    xs = across + (cell.across(1.0) - across) * t
-    ys = up + (cell.up(1.0) - up) * y
-    return [f"{_short(a)} {_short(b)}" for a, b in zip(xs, ys, strict=True)]
-
-
-def _line(
-    x1: float,
-    y1: float,
-    x2: float,
-    y2: float,
-    color: str,
-    *,
-    dashed: bool = False,
-    width: float = 0.8,
-) -> str:
-    dash = ' stroke-dasharray="4 2"' if dashed else ""
-    return f'<path d="M{_short(x1)} {_short(y1)}L{_short(x2)} {_short(y2)}" stroke="{color}" stroke-width="{width}"{dash}/>'
-
-
-def _rectangle(
-    x: float, y: float, width: float, height: float, color: str, opacity: float = 1.0
-) -> str:
-    alpha = "" if opacity == 1.0 else f' fill-opacity="{opacity}"'
-    return f'<rect x="{_short(x)}" y="{_short(y)}" width="{width:.1f}" height="{height:.1f}" fill="{color}"{alpha}/>'
-
-
-def _text(
-    x: float,
-    y: float,
-    text: str,
-    *,
-    size: float,
-    anchor: str = "",
-    color: str = "",
-    weight: int = 0,
-) -> str:
-    extra = f' text-anchor="{anchor}"' if anchor else ""
-    extra += f' fill="{color}"' if color else ""
-    extra += f' font-weight="{weight}"' if weight else ""
-    return (
-        f'<text x="{_short(x)}" y="{_short(y)}" font-size="{size:g}"{extra}>{escape(text)}</text>'
-    )
+    return elements

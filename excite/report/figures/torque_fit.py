@@ -12,7 +12,17 @@ import numpy as np
 from ...identification.identification import Prediction
 from ...robot.parameter_names import multiple, percent
 from ...robot.robot import Robot
-from .drawing import BLUE, GREY, INK, COMPACT_LAYOUT_JOINTS, ORANGE, SOFT, limit_ticks, render_svg, thin_curve
+from .drawing import (
+    BLUE,
+    COMPACT_LAYOUT_JOINTS,
+    GREY,
+    INK,
+    ORANGE,
+    SOFT,
+    limit_ticks,
+    render_svg,
+    thin_curve,
+)
 from .trajectory import short, torque_units
 
 Array = np.ndarray
@@ -52,7 +62,9 @@ def window(prediction: Prediction) -> tuple[float, float]:
 
 def traces(prediction: Prediction, robot: Robot, points: int) -> str:
     """Torque measured, before and after, and the residual below it with its noise's band. points: of a curve at the most."""
-    columns = 1 if robot.n == 1 else 2 if robot.n <= 4 else 3 if robot.n <= COMPACT_LAYOUT_JOINTS else 5
+    columns = (
+        1 if robot.n == 1 else 2 if robot.n <= 4 else 3 if robot.n <= COMPACT_LAYOUT_JOINTS else 5
+    )
     size = _Row(1.5, 0.8) if columns <= 2 else _Row(1.05, 0.55)
     rows = -(-robot.n // columns)
     height = 0.3 + rows * (size.torque + size.residual + size.gap)

@@ -1,4 +1,4 @@
-"""What the motion looks like: joint curves, torques, the path in space."""
+"""Figures of a motion: joint curves, torques, and the path in space."""
 
 from __future__ import annotations
 
@@ -8,23 +8,38 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from ..._types import FloatArray
 from ...collision.workcell import Cell
 from ...robot.limits import Limits
 from ...robot.robot import Robot
 from ...trajectory.rest_to_rest import Motion
-from ..page import escape
-from .collision import VIEWS, fill, outlines, window
-from .drawing import BLUE, GREY, INK, COMPACT_LAYOUT_JOINTS, ORANGE, SEGMENT_WORDS, axes_grid, render_svg
-from .small_multiples import Panel, small_multiples
+from .collision import VIEWS, fill_polygons, outlines, set_view
+from .drawing import (
+    BLUE,
+    COMPACT_LAYOUT_JOINTS,
+    GREY,
+    INK,
+    ORANGE,
+    SEGMENT_WORDS,
+    axes_grid,
+    render_svg,
+)
+from .small_multiples import CurvePanel, draw_curves
 
-Array = np.ndarray
 QUANTITIES = ("position", "velocity", "acceleration", "jerk")
 _UNITS = {"position": "{}", "velocity": "{}/s", "acceleration": "{}/s²", "jerk": "{}/s³"}
 
 
 @dataclass(frozen=True)
-class Scene:
-    """What is drawn: a motion, the limits it should obey, the robot that moves, and all bodies where their shapes are known."""
+class MotionScene:
+    """A motion and what it is drawn with.
+
+    Attributes:
+        motion: The motion.
+        limits: Limits of the joints.
+        robot: The robot that moves.
+        cell: Bodies of the robot and its surroundings, where their shapes are known.
+    """
 
     motion: Motion
     limits: Limits
@@ -32,34 +47,39 @@ class Scene:
     cell: Cell | None = None
 
 
-def dense(motion: Motion, most: int) -> Array:
-    """Times that cover the whole motion, at most `most` [s]."""
+def sample_times(motion: Motion, at_most: int) -> FloatArray:
+    """Times at which a motion is drawn, 200 a second but no more than `at_most`. Shape (N,) [s]."""
     return np.linspace(
-        0.0, motion.duration, int(min(most, max(400, np.ceil(motion.duration * 200.0))))
+        0.0, motion.duration, int(min(at_most, max(400, np.ceil(motion.duration * 200.0))))
     )
 
 
 def is_prismatic(robot: Robot) -> list[bool]:
-    """Which of the moving joints slide."""
+    """For each moving joint, whether it slides."""
     return [entry.kind == "prismatic" for entry in robot.entries]
 
 
 def torque_units(robot: Robot) -> list[str]:
-    """What the torque of each moving joint is measured in."""
+    """Unit of each moving joint's torque: N m, or N where it slides."""
     return [entry.unit("N m") for entry in robot.entries]
 
 
-def kinematics(scene: Scene) -> list[str]:
-    """Position, velocity, acceleration and jerk of every joint with their limits: one figure, or one per quantity."""
+def draw_kinematics(scene: MotionScene) -> list[tuple[str, str]]:
+    """Draw position, velocity, acceleration and jerk of every joint with their limits.
+
+    Returns:
+        One figure without a title, or for robots of many joints one per quantity: (title, SVG).
+    """
     motion, robot = scene.motion, scene.robot
-    t = dense(motion, 4000)[1:-1]  # jerk is not defined at the two ends
+    t = sample_times(motion, 4000)[1:-1]  # jerk is not defined at the two ends
     curves = [motion.at(t, order) for order in range(4)]
     sliding = is_prismatic(robot)
     unit = "m" if all(sliding) else "rad" if not any(sliding) else "rad or m"
     heads = [f"{quantity} [{_UNITS[quantity].format(unit)}]" for quantity in QUANTITIES]
 
-    def panel(order: int, j: int, title: str) -> Panel:
-        return Panel(title, t, curves[order][:, j], _bounds(scene.limits, QUANTITIES[order], j))
+    def panel(order: int, j: int, title: str) -> CurvePanel:
+        limits = _bounds(scene.limits, QUANTITIES[order], j)
+        return CurvePanel(title, t, curves[order][:, j], limits)
 
     names = [
         f"{short(joint)} (m)" if slides and not all(sliding) else short(joint)
@@ -71,30 +91,25 @@ def kinematics(scene: Scene) -> list[str]:
             for j in range(robot.n)
             for order in range(4)
         ]
-        return [
-            small_multiples(
-                "Position, velocity, acceleration and jerk of every joint",
-                cells,
-                motion,
-                columns=4,
-                height=62.0,
-                heads=heads,
-            )
-        ]
+        label = "Position, velocity, acceleration and jerk of every joint"
+        return [("", draw_curves(label, cells, motion, columns=4, height=62.0, heads=heads))]
     return [
-        f"<h3>{escape(heads[order].capitalize())}</h3>"
-        + small_multiples(
-            heads[order],
-            [panel(order, j, names[j]) for j in range(robot.n)],
-            motion,
-            columns=5,
-            height=48.0,
+        (
+            heads[order].capitalize(),
+            draw_curves(
+                heads[order],
+                [panel(order, j, names[j]) for j in range(robot.n)],
+                motion,
+                columns=5,
+                height=48.0,
+            ),
         )
         for order in range(4)
     ]
 
 
 def _bounds(limits: Limits, quantity: str, joint: int) -> tuple[float, float]:
+    """Lower and upper limit of a joint's quantity."""
     value = getattr(limits, quantity)[joint]
     return (
         (float(value[0]), float(value[1]))
@@ -103,46 +118,62 @@ def _bounds(limits: Limits, quantity: str, joint: int) -> tuple[float, float]:
     )
 
 
-def short(name: str, most: int = 26) -> str:
-    """A long name with its middle left out."""
-    return name if len(name) <= most else f"{name[: most // 2]}…{name[-(most // 2 - 1) :]}"
+def short(name: str, length: int = 26) -> str:
+    """Shorten a long name by leaving out its middle."""
+    if len(name) <= length:
+        return name
+    return f"{name[: length // 2]}…{name[-(length // 2 - 1) :]}"
 
 
-def torques(t: Array, nominal: Array, width: Array, scene: Scene) -> str:
-    """Torque of every joint, the band of uncertain robots around it, and the limits."""
+def draw_torques(t: FloatArray, nominal: FloatArray, width: FloatArray, scene: MotionScene) -> str:
+    """Draw the torque of every joint with its limits.
+
+    Args:
+        t: Time [s]. Shape (N,).
+        nominal: Torque of the nominal robot [N m or N]. Shape (N, n).
+        width: Half width of the band over uncertain parameters. Shape (N, n).
+        scene: The motion and its limits.
+    """
     robot = scene.robot
-    columns = 1 if robot.n == 1 else 2 if robot.n <= 4 else 3 if robot.n <= COMPACT_LAYOUT_JOINTS else 5
+    columns = (
+        1 if robot.n == 1 else 2 if robot.n <= 4 else 3 if robot.n <= COMPACT_LAYOUT_JOINTS else 5
+    )
     banded, cells = bool(np.any(width > 0.0)), []
     for j, (joint, unit) in enumerate(zip(robot.joints, torque_units(robot), strict=True)):
         limit = float(scene.limits.torque[j])
         title = f"{short(joint, 22)} [{unit}]"
         cells.append(
-            Panel(title, t, nominal[:, j], (-limit, limit), width[:, j] if banded else None)
+            CurvePanel(title, t, nominal[:, j], (-limit, limit), width[:, j] if banded else None)
         )
     height = 52.0 if robot.n > COMPACT_LAYOUT_JOINTS else 90.0
-    return small_multiples(
+    return draw_curves(
         "Torque of every joint with its limits", cells, scene.motion, columns=columns, height=height
     )
 
 
-# -- the path in space ---------------------------------------------------------------------------------------
-
-
 def branch_ends(robot: Robot) -> list[int]:
-    """Per branch of the tree the frame that ends it: of the last joint's frames the furthest from the joint."""
+    """Index of the frame at the end of each branch: the last joint's frame furthest from the joint."""
     model = robot.model
     parents = {model.parents[i] for i in range(1, model.njoints)}
     tips = []
     for joint in (i for i in range(1, model.njoints) if i not in parents):
-        owned = [k for k, frame in enumerate(model.frames) if frame.parentJoint == joint]
+        frames = [k for k, frame in enumerate(model.frames) if frame.parentJoint == joint]
         tips.append(
-            max(owned, key=lambda k: float(np.linalg.norm(model.frames[k].placement.translation)))
+            max(frames, key=lambda k: float(np.linalg.norm(model.frames[k].placement.translation)))
         )
     return tips
 
 
-def skeleton(robot: Robot, q: Array) -> tuple[Array, Array]:
-    """Joint origins (base first) and the ends of all branches at each pose. Shapes (N, n) -> (N, njoints, 3), (N, m, 3) [m]."""
+def skeleton(robot: Robot, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Compute joint origins and branch ends at each pose.
+
+    Args:
+        robot: The robot.
+        q: Joint positions. Shape (N, n).
+
+    Returns:
+        Joint origins, the base first, shape (N, njoints, 3), and branch ends, shape (N, m, 3) [m].
+    """
     model, data, ends_of = robot.model, robot.model.createData(), branch_ends(robot)
     joints, ends = np.empty((len(q), model.njoints, 3)), np.empty((len(q), len(ends_of), 3))
     for k, configuration in enumerate(robot.expand(q)):
@@ -152,11 +183,14 @@ def skeleton(robot: Robot, q: Array) -> tuple[Array, Array]:
     return joints, ends
 
 
-def path(scene: Scene) -> tuple[str, Array]:
-    """Three views of the path of each branch's end with the robot as sticks, its bodies and surroundings where these are known;
-    and the extent of it [m]. Shape (2, 3)."""
+def draw_path(scene: MotionScene) -> tuple[str, FloatArray]:
+    """Draw the path of each branch's end in three views, with the robot and its surroundings.
+
+    Returns:
+        The SVG, and the least and largest coordinates of the path. Shape (2, 3) [m].
+    """
     motion, robot = scene.motion, scene.robot
-    t = dense(motion, 700)
+    t = sample_times(motion, 700)
     _, ends = skeleton(robot, motion.at(t))
     part = motion.segment("fourier")
     poses = motion.at(part.start + motion.fourier.period * np.arange(4) / 4.0)
@@ -174,7 +208,7 @@ def path(scene: Scene) -> tuple[str, Array]:
         for axes, ((a, b), name) in zip(panels.flat, VIEWS, strict=True):
             if scene.cell is not None:
                 for body in scene.cell.bodies:
-                    fill(
+                    fill_polygons(
                         axes,
                         outlines(scene.cell, body, poses[0], (a, b)),
                         GREY,
@@ -183,8 +217,8 @@ def path(scene: Scene) -> tuple[str, Array]:
             for k in range(len(poses)):
                 _sticks(axes, robot, (joints[k], tips[k]), (a, b), 1.0 if k == 0 else 0.28)
             for m in range(ends.shape[1]):
-                _path(axes, ends[:, m, a], ends[:, m, b], kinds)
-            window(axes, middle, reach, (a, b), name)
+                _draw_path(axes, ends[:, m, a], ends[:, m, b], kinds)
+            set_view(axes, middle, reach, (a, b), name)
         _path_legend(figure)
 
     return render_svg("The path in space, seen from three sides", 4.0, draw), np.array(
@@ -192,7 +226,8 @@ def path(scene: Scene) -> tuple[str, Array]:
     )
 
 
-def _path(axes: Any, x: Array, y: Array, kinds: Array) -> None:
+def _draw_path(axes: Any, x: FloatArray, y: FloatArray, kinds: Any) -> None:
+    """Draw a path with its ramps in another colour; kinds: segment at each point. Shape (N,)."""
     for color, chosen, width in (
         (ORANGE, kinds != "fourier", 2.4),
         (BLUE, kinds == "fourier", 0.9),
@@ -207,8 +242,13 @@ def _path(axes: Any, x: Array, y: Array, kinds: Array) -> None:
 
 
 def _sticks(
-    axes: Any, robot: Robot, points: tuple[Array, Array], view: tuple[int, int], alpha: float
+    axes: Any,
+    robot: Robot,
+    points: tuple[FloatArray, FloatArray],
+    view: tuple[int, int],
+    alpha: float,
 ) -> None:
+    """Draw the robot as sticks; points: joint origins and branch ends."""
     (a, b), (joints, tips) = view, points
     parents, leaves = (
         list(robot.model.parents),
@@ -231,13 +271,14 @@ def _sticks(
 
 
 def _path_legend(figure: Any) -> None:
+    """Legend of the path."""
     from matplotlib.lines import Line2D
 
     entries = (
         (BLUE, f"path, {SEGMENT_WORDS['fourier']}", 1.2),
         (ORANGE, "path, ramps, approach and return", 1.2),
         (INK, "robot at the start of a period", 2.0),
-        (GREY, "a quarter of the period later each", 2.0),
+        (GREY, "a quarter, half and three quarters of a period later", 2.0),
     )
     handles = [
         Line2D([], [], color=color, linewidth=width, label=label) for color, label, width in entries

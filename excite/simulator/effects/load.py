@@ -96,7 +96,8 @@ class DisplacedFrame(PhysicalEffect):
         following = tree.following_joints(self.joint)
         if not following:
             raise UnusableInput(
-                f"{tree.source}: joint '{self.joint}' carries no further joint; name a joint that does"
+                f"{tree.source}: joint '{self.joint}' carries no further joint; "
+                "name a joint that does"
             )
         for name in following:
             tree = tree.with_moved_frame(

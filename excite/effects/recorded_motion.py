@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, LowPassFilter, Grid, friction_speed
-from ..identification.regression import Model, filtered
+from ..identification.regression import IdentificationModel, filtered_regressor
 from ..identification.segments import Segment
 from ..recordings.missing_values import runs
 from ..robot.inertial_parameters import Parameters
@@ -323,7 +323,7 @@ def split(rows: Array, stretches: Sequence[Track]) -> list[Array]:
 
 
 def tracks(
-    model: Model, fitted: Body, theta: Array, pieces: Sequence[Segment], hertz: float
+    model: IdentificationModel, fitted: Body, theta: Array, pieces: Sequence[Segment], hertz: float
 ) -> list[Track]:
     """Every stretch that is long enough for the band."""
     out = []
@@ -333,7 +333,7 @@ def tracks(
         kept = slice(margin // step, -(-(len(piece) - margin) // step))
         if len(piece) <= 2 * margin + 8 * step:
             continue
-        gamma, slopes, _ = filtered(model, piece.q, band)
+        gamma, slopes, _ = filtered_regressor(model, piece.q, band)
         torque = band.low(piece.torque, Grid.KEPT)
         time = piece.start + np.arange(len(torque)) * step / piece.rate
         out.append(

@@ -1,0 +1,49 @@
+"""Numbers and counts as reports print them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """Format a number with significant digits: '1.234', '−0.05', '3.1·10⁻⁷'; '–' for None and NaN."""
+    if value is None or np.isnan(value):
+        return "–"
+    if np.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    text = f"{value:.{digits}g}"
+    if "e" in text:
+        mantissa, exponent = text.split("e")
+        text = f"{mantissa}·{power_of_ten(int(exponent))}"
+    return text.replace("-", "−")
+
+
+def power_of_ten(exponent: int) -> str:
+    """Format a power of ten with superscript digits: '10⁻³'."""
+    return "10" + "".join("⁻⁰¹²³⁴⁵⁶⁷⁸⁹"["-0123456789".index(c)] for c in str(exponent))
+
+
+def plural(count: int, noun: str) -> str:
+    """Format a count with its noun: '1 joint', '3 joints'."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def capitalized(text: str) -> str:
+    """Raise the first letter and keep all others, unlike `str.capitalize`."""
+    return text[:1].upper() + text[1:]
+
+
+def uncapitalized(text: str) -> str:
+    """Lower the first letter, so that the text may stand inside a sentence."""
+    return text[:1].lower() + text[1:]
+
+
+def value_with_error(value: float, std: float | None, unit: str) -> str:
+    """Format a value with its standard error and unit: '1.85 ± 0.46 N m'."""
+    error = "" if std is None else f" ± {number(std, 2)}"
+    return f"{number(value, 3)}{error} {'' if unit == '1' else unit}".rstrip()
+
+
+def seconds_between(start: float, end: float) -> str:
+    """Format an interval of time: '1 to 1.12'."""
+    return f"{number(start)} to {number(end)}"

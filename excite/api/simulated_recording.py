@@ -112,7 +112,7 @@ def simulate(
         trusted: With `severity`: nothing is refit, as with a trusted prior.
         like: `.truth.json` of another recording: the same robot, and effects of the same size.
         periods: Repeats of the excitation; None: as the trajectory states.
-        **setting: Fields of the simulator's `Setting`: seed, rate, noise, colour, jitter, encoder,
+        **setting: Fields of the simulator's `ExperimentSettings`: seed, rate, noise, colour, jitter, encoder,
             model_error.
 
     Raises:
@@ -144,7 +144,10 @@ def simulate(
             raise UnusableInput(
                 f"{like}: has joints {', '.join(sibling.joints)}; give the robot that it is of"
             )
-        if recording_file.json_text(recording_file.truth_document(plant, chain, {})["bodies"]) != sibling.bodies:
+        if (
+            recording_file.json_text(recording_file.truth_document(plant, chain, {})["bodies"])
+            != sibling.bodies
+        ):
             raise UnusableInput(
                 f"{like}: its bodies are not those of {source}; give the URDF that it was recorded with"
             )
@@ -159,12 +162,14 @@ def simulate(
             for effect in hidden
         )
     disturbed = effect_instance.with_effects(plant, hidden)
-    undisturbed = plant.run(motion)
+    undisturbed = plant.follow(motion)
     session = experiment.run_session(
-        disturbed, motion, chosen, run=undisturbed if not hidden else None
+        disturbed, motion, chosen, motion=undisturbed if not hidden else None
     )
-    refit = severities.evaluate_severity(session.run, plant, motion, session.chain)
-    unfitted = severities.evaluate_severity(session.run, plant, motion, session.chain, trusted=True)
+    refit = severities.evaluate_severity(session.motion, plant, motion, session.chain)
+    unfitted = severities.evaluate_severity(
+        session.motion, plant, motion, session.chain, trusted=True
+    )
     facts = {
         "robot": {"name": str(robot), "source": str(source)},
         "trajectory": str(trajectory),
@@ -213,7 +218,7 @@ def _read_sibling(path: Path, asked: dict[str, Any]) -> _Sibling:
     return _Sibling(
         tuple(document.joints),
         bodies,
-        experiment.ExperimentSettings.stated(truth["setting"]),
+        experiment.ExperimentSettings.from_document(truth["setting"]),
         effects,
     )
 

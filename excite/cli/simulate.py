@@ -58,6 +58,6 @@ def _effect_words(effect: Any) -> str:
     place = "" if effect.joint is None else f" in {effect.joint}"
     values = [
         f"{q.name} {effect.values[q.name]:.4g}{'' if q.unit == '1' else ' ' + q.unit}"
-        for q in effect.kind.parameters
+        for q in effect.effect_type.parameters
     ]
     return f"{effect.name}{place}: {', '.join(values)}"

@@ -57,7 +57,8 @@ def read_reference(path: Path, periods: int | None = None) -> ReferenceTrajector
         document = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
         raise UnusableInput(
-            f"{path}: cannot be read as a trajectory ({error}); give the trajectory.json of 'excite design'"
+            f"{path}: cannot be read as a trajectory ({error}); "
+            "give the trajectory.json of 'excite design'"
         ) from error
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:
         raise UnusableInput(
@@ -111,7 +112,7 @@ def _reference(document: Mapping[str, Any], periods: int | None) -> ReferenceTra
 def fourier_series(
     sine: FloatArray, cosine: FloatArray, offset: FloatArray, period: float
 ) -> Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]]:
-    """Return q = q₀ + Σ a/(ωk) sin ωkt − b/(ωk) cos ωkt with its derivatives, as a function of time.
+    """Return q = q₀ + Σ a/(ωk) sin ωkt − b/(ωk) cos ωkt and its derivatives as a function of t.
 
     Args:
         sine: Coefficients a, shape (n, K) [rad/s].
@@ -172,7 +173,7 @@ def blended_fourier(
 ) -> ReferenceTrajectory:
     """Return a Fourier motion that starts and ends at rest at the centre of its range.
 
-    All such references with the same arguments `period`, `periods` and `ramp` have the same duration.
+    References with the same `period`, `periods` and `ramp` have the same duration.
 
     Args:
         joints: Names of the n joints.

@@ -185,7 +185,8 @@ class UrdfTree:
         )
         if min(values) <= 0.0:
             raise UnusableInput(
-                f"{self.source}: joint '{joint}' has no velocity or torque limit; a simulated joint needs both in its <limit>"
+                f"{self.source}: joint '{joint}' has no velocity or torque limit; "
+                "a simulated joint needs both in its <limit>"
             )
         return values[0], values[1]
 
@@ -224,7 +225,8 @@ def read_urdf(path: Path) -> UrdfTree:
     for joint in root.findall("joint"):
         if joint.find("mimic") is not None:
             raise UnusableInput(
-                f"{path}: joint '{joint.get('name')}' is a mimic joint, which cannot be simulated; make it fixed in the URDF"
+                f"{path}: joint '{joint.get('name')}' is a mimic joint, "
+                "which cannot be simulated; make it fixed in the URDF"
             )
     return tree
 

@@ -1,0 +1,1 @@
+"""excite._system."""

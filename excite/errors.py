@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 
 class ExciteError(Exception):
     """Base of every error this package raises on purpose. `exit_code` is the command line's."""
@@ -13,6 +15,12 @@ class UnusableInput(ExciteError):
     """A file, an option or a number that cannot be used as given."""
 
 
+def toml_key(name: str) -> str:
+    """A name as a key of TOML: in quotes unless it has only letters, digits, _ and - of ASCII."""
+    bare = name.isascii() and bool(name) and name.replace("_", "a").replace("-", "a").isalnum()
+    return name if bare else json.dumps(name, ensure_ascii=False)
+
+
 class MissingLimit(UnusableInput):
     """A joint has no usable limit of a kind that the design needs."""
 
@@ -22,7 +30,7 @@ class MissingLimit(UnusableInput):
         super().__init__(
             f"{source}: joint '{joint}' has no usable {quantity} limit; "
             f"set it in the URDF's <limit> or with --limits FILE.toml "
-            f"([joints.{joint}] {quantity} = …)"
+            f"([joints.{toml_key(joint)}] {quantity} = …)"
         )
 
 

@@ -46,8 +46,8 @@ from excite.errors import ExciteError, ExciteWarning, UnusableInput
 from excite.robot import dynamics, limits, robot
 from excite.robot.limits import Limits
 from excite.robot.robot import Robot
+from excite.robot.samples import Samples
 from excite.trajectory import trajectory_file
-from excite.trajectory.fourier import Samples
 
 Array = np.ndarray
 Job = tuple[

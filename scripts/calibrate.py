@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from concealed_trial import commitment
+from concealed_trial.score import equal, whole
 from scipy.optimize import minimize
 
 from excite.diagnosis.interval import FORM
 from excite.effects import BY_NAME
-from excite.trial import seal
-from excite.trial.score import equal, whole
 
 Array = np.ndarray
 RIDGE = 0.02
@@ -34,7 +34,7 @@ effects covers nine in ten of an effect's parameters: a law that nobody has seen
 
 def findings(folder: Path, analyst: str) -> list[tuple[dict[str, Any], dict[str, Any]]]:
     """Every finding, doubted ones too, with its case."""
-    cases = seal.unlock(
+    cases = commitment.unlock(
         folder / "key", (folder / "sealed.sha256").read_text(encoding="utf-8").strip()
     )
     out = []

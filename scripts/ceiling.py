@@ -20,18 +20,18 @@ from typing import Any
 
 import joblib
 import numpy as np
+from concealed_trial import commitment, generate_cases
+from concealed_trial.case_plan import Spec
+from concealed_trial.score import equal
 from scipy.stats import norm
 
 from excite import recordings
 from excite.diagnosis import diagnosis
 from excite.robot import base_parameters, inertial_parameters, limits, robot
 from excite.simulator import severity
-from excite.trial import conceal, seal
-from excite.trial.plan import Spec
-from excite.trial.score import equal
 
 Array = np.ndarray
-MODELS = Path(robot.__file__).parent / "models"
+MODELS = robot.locate("two_link").parent
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def ceiling(name: str, key: dict[str, Any], folder: Path) -> Ceiling:
         field: tuple(value) if isinstance(value, list) else value
         for field, value in key["spec"].items()
     }
-    bench = conceal.bench(Spec(**stated), MODELS)
+    bench = generate_cases.bench(Spec(**stated), MODELS)
     machine = robot.load(str(folder / "robot.urdf"))
     table = limits.resolve(machine)
     standard = inertial_parameters.standard(machine, table)
@@ -111,7 +111,7 @@ def main() -> int:
     )
     parser.add_argument("--jobs", type=int, default=-1, metavar="N")
     given = parser.parse_args()
-    keys = seal.unlock(
+    keys = commitment.unlock(
         given.folder / "key", (given.folder / "sealed.sha256").read_text(encoding="utf-8").strip()
     )
     single = {

@@ -27,8 +27,8 @@ from excite.designer.pipeline import Delivery
 from excite.designer.problem import Options
 from excite.identification.regression import Model
 from excite.robot.limits import Limits, resolve
-from excite.robot.robot import Robot, load
-from excite.trajectory.fourier import Samples
+from excite.robot.robot import Robot, load, locate
+from excite.robot.samples import Samples
 
 settings.register_profile(
     "excite",
@@ -192,7 +192,7 @@ def loaded(text: str, **options: object) -> Robot:
 
 
 def text_of(name: str) -> str:
-    return (Path(pipeline.__file__).parent / "models" / f"{name}.urdf").read_text(encoding="utf-8")
+    return locate(name).read_text(encoding="utf-8")
 
 
 # -- the same physics, told otherwise ------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from excite.effects import environment
 from excite.effects.base_dynamics import Afloat, afloat
 from excite.effects.effect import Shape
 from excite.robot import robot
-from excite.trajectory.fourier import Samples
+from excite.robot.samples import Samples
 
 Array = np.ndarray
 

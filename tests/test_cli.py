@@ -3,14 +3,14 @@
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from excite.cli import main as main_module
+from excite.robot.robot import locate
 
-MODELS = Path(main_module.__file__).parent / "models"
+MODELS = locate("two_link").parent
 QUICK = ["--starts", "1", "--iterations", "15", "--harmonics", "3", "--samples", "60"]
 
 
@@ -353,27 +353,27 @@ def test_unreadable_urdf(capsys, tmp_path, text, words):
         (["nowhere.urdf"], ("nowhere.urdf", "no such file")),
         (["two_link", "--joints", "joint_9"], ("joint_9", "joint_1")),
         (["two_link", "--lock", "joint_1=0,", "--joints", "joint_2"], ("--lock",)),
-        (["two_link", "--lock", "joint_1=nan"], ("--lock", "finite")),
+        (["two_link", "--lock", "joint_1=nan"], ("--lock", "from -1e+06 to 1e+06 rad or m")),
         (["two_link", "--lock", "joint_1=0", "--lock", "joint_2=0"], ("locked",)),
         (["two_link", "--period", "3.1415"], ("--period", "whole number of samples", "3.14")),
         (["two_link", "--period", "nan"], ("--period",)),
         (["two_link", "--start", "9,9"], ("start pose", "joint_1", "outside")),
         (["two_link", "--start", "0"], ("--start", "2")),
         (["two_link", "--time", "2"], ("--time 2", "too short", "at least --time")),
-        (["two_link", "--time", "-3"], ("--time", "positive")),
+        (["two_link", "--time", "-3"], ("--time", "from 0.001 to 1e+06 s")),
         (["two_link", "--time", "20", "--optimise-period", "2,5"], ("--time", "--optimise-period")),
-        (["two_link", "--harmonics", "0"], ("--harmonics", "positive")),
-        (["two_link", "--rate", "nan"], ("--rate", "positive number")),
-        (["two_link", "--threshold", "0"], ("--threshold", "positive number")),
-        (["two_link", "--jobs", "0"], ("--jobs", "one per core")),
-        (["two_link", "--seed", "-1"], ("--seed", "0 or more")),
+        (["two_link", "--harmonics", "0"], ("--harmonics", "from 1 to 1000")),
+        (["two_link", "--rate", "nan"], ("--rate", "from 0.001 to 100000 Hz")),
+        (["two_link", "--threshold", "0"], ("--threshold", "from 1e-12")),
+        (["two_link", "--jobs", "0"], ("--jobs", "not 0")),
+        (["two_link", "--seed", "-1"], ("--seed", "whole number from 0")),
         (["two_link", "--harmonics", "40", "--samples", "60"], ("--samples", "harmonics")),
         (["two_link", "--periods", "1"], ("--periods", "2")),
         (["two_link", "--box", "tipp:0,1,0,1,0,1"], ("tipp", "tip")),
         (["two_link", "--box", "tip:1,0,0,1,0,1"], ("--box",)),
-        (["two_link", "--torque-noise", "-1"], ("--torque-noise", "positive")),
+        (["two_link", "--torque-noise", "-1"], ("--torque-noise", "from 1e-09")),
         (["two_link", "--payload", "nolink:1"], ("nolink",)),
-        (["two_link", "--payload", "tip:-1"], ("tip", "positive")),
+        (["two_link", "--payload", "tip:-1"], ("--payload", "from 0 to 1e+06 kg")),
         (["two_link", "--without", "nothing"], ("nothing", "viscous")),
         (["two_link", "--gravity", "0,0"], ("--gravity",)),
         (["two_link", "--criterion", "best"], ("--criterion",)),

@@ -28,7 +28,7 @@ from excite.designer.constraint_margins import Subject
 from excite.designer.evaluator import Evaluator
 from excite.errors import Infeasible, UnusableInput
 from excite.robot.limits import resolve
-from excite.robot.robot import load
+from excite.robot.robot import load, locate
 
 BOX = Shape("block", Kind.BOX, (0.1, 0.6, 0.3), (0.75, 0.0, 0.45))
 """In reach of the two links' tip, not of the first link."""
@@ -401,7 +401,7 @@ def test_no_pose_is_refused_with_what_is_in_the_way():
 
 def test_shapes_of_a_urdf_are_pinocchios():
     robot = load("panda")
-    path = str(Path(urdf_geometry.__file__).parent.parent / "models" / "panda.urdf")
+    path = str(locate("panda"))
     model = pin.buildModelFromUrdf(path)
     theirs = sorted(
         pin.buildGeomFromUrdf(model, path, pin.COLLISION).geometryObjects,

@@ -280,8 +280,9 @@ wait
 """
 BUILD = """
 import os, signal, sys, time
-from excite import limits, parameters, symbolic
-from excite.robot import load
+from excite.designer import casadi_model as symbolic
+from excite.robot import inertial_parameters as parameters, limits
+from excite.robot.robot import load
 robot = load("two_link")
 functions = symbolic.functions(robot, parameters.standard(robot, limits.resolve(robot), ()))
 assert functions.library is not None

@@ -190,9 +190,9 @@ def test_a_resonance_between_two_tried_frequencies_is_found(frequency):
 
     def swing(damping: float):  # type: ignore[no-untyped-def]
         def shape(hertz: float) -> Shape:
-            kin = lambda: beside(
+            kin = lambda: beside(  # noqa: E731
                 hertz, gear_dynamics.NEAR, map(swing, gear_dynamics.damped(damping))
-            )  # noqa: E731
+            )
             return Shape(
                 "base_compliance", 0, nothing, {"frequency": hertz, "damping": damping}, kin=kin
             )

@@ -18,7 +18,7 @@ from excite.robot.dynamics import regressor
 from excite.robot.inertial_parameters import DRIVE, Parameters, metric
 from excite.robot.limits import Limits, resolve
 from excite.robot.robot import Robot, load
-from excite.trajectory.fourier import Samples
+from excite.robot.samples import Samples
 
 GEOMETRIC = ("a", "d", "e", "cond")
 

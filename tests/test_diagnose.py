@@ -22,7 +22,8 @@ from excite.effects import BY_NAME, EFFECTS
 from excite.errors import UnusableInput
 from excite.identification.regression import Model
 from excite.recordings import Recording
-from excite.trajectory.fourier import Fourier, Samples
+from excite.robot.samples import Samples
+from excite.trajectory.fourier import Fourier
 
 Array = np.ndarray
 Plant = Callable[

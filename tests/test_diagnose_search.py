@@ -22,7 +22,7 @@ from excite.effects import BY_NAME, track
 from excite.effects.effect import Shape, beside, family
 from excite.recordings import Recording
 from excite.robot import dynamics
-from excite.trajectory.fourier import Samples
+from excite.robot.samples import Samples
 
 Array = np.ndarray
 

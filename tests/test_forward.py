@@ -8,7 +8,6 @@ import pytest
 from conftest import loaded, off, random_urdf, slope, states
 from made import simulated
 
-import excite
 from excite.errors import UnusableInput
 from excite.identification import (
     consistency,
@@ -26,8 +25,8 @@ from excite.identification.simulation_error import Windows
 from excite.recordings import Recording
 from excite.recordings.sidecar import Sidecar
 from excite.robot import base_parameters, dynamics, inertial_parameters, limits, robot
+from excite.robot.robot import locate
 
-FOLDER = Path(excite.__file__).parent
 WIDTH = 0.02
 
 
@@ -182,10 +181,10 @@ def known() -> Known:
     pytest.importorskip("mujoco")
     from excite.simulator import experiment
 
-    path = FOLDER / "models/two_link.urdf"
+    path = locate("two_link")
     session = experiment.simulate(
         path,
-        FOLDER.parent / "trajectories/two_link.json",
+        Path(__file__).parents[1] / "trajectories/two_link.json",
         experiment.Setting(seed=5, noise=1e-3),
         periods=2,
     )

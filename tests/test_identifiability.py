@@ -22,8 +22,9 @@ from excite.robot import base_parameters as base_parameters_module
 from excite.robot import dynamics, inertial_parameters, limits, robot
 from excite.robot.base_parameters import Base
 from excite.robot.parameter_names import percent, spoken
+from excite.robot.samples import Samples
 from excite.trajectory import trajectory_file
-from excite.trajectory.fourier import Fourier, Samples
+from excite.trajectory.fourier import Fourier
 from excite.trajectory.rest_to_rest import Motion, Segment
 
 RNG_SEED = 3

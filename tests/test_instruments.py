@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from made import simulated
 
-import excite
 from excite.errors import UnusableInput
 from excite.identification import (
     consistency,
@@ -25,9 +24,9 @@ from excite.identification.regression import Model
 from excite.recordings import Recording
 from excite.recordings.sidecar import Sidecar
 from excite.robot import base_parameters, inertial_parameters, limits, robot
+from excite.robot.robot import locate
 
 HERTZ = 20.0
-FOLDER = Path(excite.__file__).parent
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,8 +45,8 @@ def bench(encoder: float, step: float) -> Bench:
 
     setting = experiment.Setting(seed=3, encoder=encoder, control=Control(step=step))
     session = experiment.simulate(
-        FOLDER / "models/two_link.urdf",
-        FOLDER.parent / "trajectories/two_link.json",
+        locate("two_link"),
+        Path(__file__).parents[1] / "trajectories/two_link.json",
         setting,
         periods=2,
     )

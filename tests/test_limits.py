@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from conftest import LIMIT, loaded, pendulum
@@ -11,6 +12,8 @@ from hypothesis import strategies as st
 from excite.errors import ExciteWarning, MissingLimit, UnusableInput
 from excite.robot.limits import QUANTITIES, Limits, from_document, resolve
 from excite.robot.robot import load
+from excite.schemas import quantities
+from excite.schemas.limits import StatedLimits
 
 MOVEIT = """
 joint_limits:
@@ -37,6 +40,10 @@ def written(tmp_path: Path, text: str, name: str = "limits.toml") -> Path:
     path = tmp_path / name
     path.write_text(text)
     return path
+
+
+def stated(limits: Limits) -> StatedLimits:
+    return msgspec.convert(limits.document(), StatedLimits, dec_hook=quantities.converted)
 
 
 def test_urdf_limits_are_taken_and_their_source_told():
@@ -125,23 +132,30 @@ def test_moveit_yaml_of_a_bigger_robot_warns_of_joints_it_ignores(tmp_path):
         ("[joints.knee]\nvelocity = 1\n", "no joint 'knee' in .* there are: swing"),
         (
             "[joints.swing]\nspeed = 1\n",
-            "'swing' has an unknown key 'speed'; known are position, velocity",
+            "joints.swing: has the unknown key 'speed'; it may have position, velocity",
         ),
-        ("[joints.swing]\nvelocity = 0\n", "'swing': velocity = 0 should be one positive"),
-        ("[joints.swing]\nvelocity = -1\n", "should be one positive"),
-        ("[joints.swing]\nvelocity = nan\n", "should be one positive"),
-        ("[joints.swing]\nvelocity = [1, 2]\n", "should be one positive"),
-        ("[joints.swing]\nvelocity = 'fast'\n", "'fast' is no limit"),
-        ("[joints.swing]\nposition = 2\n", "should be .lower, upper."),
-        ("[joints.swing]\nposition = [1, nan]\n", "should be .lower, upper."),
+        ("[joints.swing]\nvelocity = 0\n", "joints.swing.velocity: 0 should be from 1e-09 to"),
+        ("[joints.swing]\nvelocity = -1\n", "joints.swing.velocity: -1 should be from"),
+        ("[joints.swing]\nvelocity = nan\n", "joints.swing.velocity: the number is not finite"),
+        (
+            "[joints.swing]\nvelocity = [1, 2]\n",
+            "joints.swing.velocity: a list of 2 should be a number",
+        ),
+        ("[joints.swing]\nvelocity = 'fast'\n", "joints.swing.velocity: 'fast' should be a number"),
+        ("[joints.swing]\nposition = 2\n", "joints.swing.position: 2 should be a list"),
+        (
+            "[joints.swing]\nposition = [1, nan]\n",
+            r"joints.swing.position\[1\]: the number is not finite",
+        ),
         (
             "[joints.swing]\nposition = [2, 1]\n",
-            "'swing': position limits contradict each other: lower 2 is not below upper 1",
+            "joints.swing.position: the lower bound 2 is not below the upper bound 1; swap",
         ),
-        ("[joints.swing]\nbraking = {offset = 1}\n", "'swing': braking = .* is no limit"),
-        ("velocity = 1\n", "no .joints.<name>. tables; write one per joint"),
-        ("[joints]\nswing = 1\n", "no .joints.<name>. tables"),
-        ("[joints.swing\n", "not valid TOML"),
+        ("[joints.swing]\nbraking = {offset = 1}\n", "joints.swing.braking: has no 'rate'"),
+        ("velocity = 1\n", "has the unknown key 'velocity'; it may have joints, margin"),
+        ("", "no .joints.<name>. tables; write one per joint"),
+        ("[joints]\nswing = 1\n", "joints.swing: 1 should be a table"),
+        ("[joints.swing\n", "cannot be read as a limits file"),
     ],
 )
 def test_a_toml_that_contradicts_itself_is_refused_with_the_joint(text, part, tmp_path):
@@ -154,17 +168,27 @@ def test_a_toml_that_contradicts_itself_is_refused_with_the_joint(text, part, tm
 @pytest.mark.parametrize(
     ("text", "part"),
     [
-        ("joint_limits: 3\n", "no MoveIt"),
-        ("{}", "no MoveIt"),
-        ("", "no MoveIt"),
-        ("joint_limits: {swing: 3}\n", "'swing' has no map"),
+        ("joint_limits: 3\n", "joint_limits: 3 should be a table"),
+        ("{}", "has no 'joint_limits'"),
+        ("", "null should be a table"),
+        ("joint_limits: {swing: 3}\n", "joint_limits.swing: 3 should be a table"),
+        (
+            MOVEIT.replace("    max_velocity: 1.25\n", ""),
+            "joint_limits.swing: has no 'max_velocity', but has_velocity_limits is true",
+        ),
+        (
+            MOVEIT.replace("max_velocity", "max_velocty"),
+            "joint_limits.swing: has the unknown key 'max_velocty'",
+        ),
+        (MOVEIT.replace("1.25", "&v 1.25").replace("7.0", "*v"), "the alias .v is not read"),
+        (MOVEIT + "    max_effort: 1.0\n", "the key 'max_effort' occurs twice"),
         (
             MOVEIT.replace("min_position: -1.0", "min_position: 2.0"),
-            "'swing': position limits contradict each other",
+            "joint_limits.swing.position: the lower bound 2 is not below",
         ),
         (
             MOVEIT.replace("max_velocity: 1.25", "max_velocity: -1.25"),
-            "'swing': velocity = -1.25 should be one positive",
+            "joint_limits.swing.max_velocity: -1.25 should be from",
         ),
     ],
 )
@@ -190,7 +214,7 @@ def test_builtin_table_overrides_its_urdf_and_is_the_source():
 @pytest.mark.parametrize("name", ["fr3", "two_link"])
 def test_limits_survive_their_document(name):
     limits = resolve(load(name))
-    again = from_document(limits.document(), limits.joints)
+    again = from_document(stated(limits), limits.joints)
     assert all(np.array_equal(getattr(again, q), getattr(limits, q)) for q in QUANTITIES)
     assert (again.braking, dict(again.sources)) == (limits.braking, dict(limits.sources))
 
@@ -203,7 +227,7 @@ def test_an_absent_limit_is_absent_in_the_document():
     limits = of('<limit velocity="3" effort="40"/>', kind="continuous")
     document = limits.document()
     assert (document["position"], document["jerk"], "braking" in document) == ({}, {}, False)
-    assert np.isinf(from_document(document, limits.joints).position).all()
+    assert np.isinf(from_document(stated(limits), limits.joints).position).all()
 
 
 @given(st.floats(0.1, 10))

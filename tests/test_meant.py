@@ -9,12 +9,13 @@ import pytest
 
 pytest.importorskip("mujoco")
 
+from concealed_trial.score import mark, whole
+
 from excite.simulator.actuator import Drive
 from excite.simulator.effect_instance import Effect
 from excite.simulator.effects import FAMILIES, KINDS
 from excite.simulator.effects.effect_type import Site, sign
 from excite.simulator.physical_effect import Instant, Law
-from excite.trial.score import mark, whole
 
 Array = np.ndarray
 ONE = np.ones(1)

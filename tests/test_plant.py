@@ -14,6 +14,7 @@ from scipy import signal
 pytest.importorskip("mujoco")
 
 from excite.errors import UnusableInput
+from excite.robot.robot import locate
 from excite.simulator import effect_instance as effects
 from excite.simulator import experiment, reference_trajectory, regressor, severity
 from excite.simulator import mujoco_dynamics as arms
@@ -27,7 +28,7 @@ from excite.simulator.recording_file import ten
 from excite.simulator.reference_trajectory import Reference
 
 MODELS, TRAJECTORIES = (
-    Path(arms.__file__).parents[1] / "models",
+    locate("two_link").parent,
     Path(__file__).parents[1] / "trajectories",
 )
 

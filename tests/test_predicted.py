@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 from made import WIDTH, perturbed
@@ -12,8 +15,15 @@ from excite.effects import track
 from excite.errors import UnusableInput
 from excite.identification.identified_model import FittedModel
 from excite.identification.regression import Model
+from excite.schemas.document_file import DocumentFile
+from excite.schemas.effects import EffectDocument
 
 Array = np.ndarray
+
+
+def validated(effect: dict[str, Any]) -> EffectDocument:
+    file = DocumentFile(Path("model.json"), "a model", "diagnose again", "a model.json")
+    return file.converted(effect, EffectDocument)
 
 
 def test_what_was_found_is_predicted_and_gone_from_the_recording(subject):
@@ -27,7 +37,7 @@ def test_what_was_found_is_predicted_and_gone_from_the_recording(subject):
     hidden = one.band.low(validate.torque - clean.torque, track.Grid.KEPT)[one.kept]
     assert np.sqrt(np.mean(apart**2)) < 0.25 * np.sqrt(np.mean(hidden**2))
     again = [
-        whole.restored(whole.entry(part, subject.robot), subject.robot, "model.json")
+        whole.restored(validated(whole.entry(part, subject.robot)), subject.robot)
         for part in result.parts
     ]
     np.testing.assert_allclose(whole.torque(again, one), whole.torque(result.parts, one))
@@ -39,22 +49,29 @@ def test_what_was_found_is_predicted_and_gone_from_the_recording(subject):
     )
 
 
-def fitted_with(subject: Model, effects: tuple[dict[str, object], ...]) -> FittedModel:
+def fitted_with(subject: Model, effects: tuple[dict[str, Any], ...]) -> FittedModel:
+    documents = tuple(validated(effect) for effect in effects)
     psi = perturbed(subject.parameters, np.random.default_rng(4))
     return FittedModel(
-        "model.json", subject.robot, subject.parameters.drive, psi, np.full(2, WIDTH), 20.0, effects
+        "model.json",
+        subject.robot,
+        subject.parameters.drive,
+        psi,
+        np.full(2, WIDTH),
+        20.0,
+        documents,
     )
 
 
 def stated(
     effect: str, joint: str | None, values: dict[str, float], *coefficients: float
-) -> dict[str, object]:
+) -> dict[str, Any]:
     return {
         "effect": effect,
         "joint": joint,
         "from": None,
         "values": values,
-        "coefficients": coefficients,
+        "coefficients": list(coefficients),
         "time": None,
         "recording": None,
     }
@@ -73,18 +90,24 @@ def test_a_measured_delay_is_predicted_from_what_is_predicted(subject, seconds):
     assert np.all(left < 0.1 * np.sqrt(np.mean((early - expected)[inside] ** 2, axis=0)))
 
 
-def test_a_model_of_an_earlier_version_is_refused_in_one_line(subject):
-    _, along = recordings_of(subject, None)
-    with pytest.raises(UnusableInput, match=r"model\.json.*'hold'.*diagnose again"):
-        whole.predict(
-            fitted_with(subject, (stated("backlash", "joint_1", {"width": 1e-3}, 1.0),)), along
-        )
-    untimed = {
-        key: value for key, value in stated("drag", "joint_1", {}, 1.0).items() if key != "time"
-    }
-    with pytest.raises(
-        UnusableInput, match=r"model\.json: effect 'drag' has no 'time'.*diagnose again"
-    ):
-        whole.predict(fitted_with(subject, (untimed,)), along)
-    with pytest.raises(UnusableInput, match=r"model\.json.*diagnose again"):
-        whole.predict(fitted_with(subject, (stated("drag", "joint_1", {}, 1.0, 2.0),)), along)
+@pytest.mark.parametrize(
+    ("effect", "problem"),
+    [
+        (
+            stated("backlash", "joint_1", {"width": 1e-3}, 1.0),
+            "values: 'backlash' should have width, hold, not width",
+        ),
+        (
+            {key: v for key, v in stated("drag", "joint_1", {}, 1.0).items() if key != "time"},
+            "has no 'time'",
+        ),
+        (
+            stated("drag", "joint_1", {}, 1.0, 2.0),
+            "coefficients: 'drag' should have 1 of them, not 2",
+        ),
+        (stated("slack", "joint_1", {}, 1.0), "effect: this version has no effect 'slack'"),
+    ],
+)
+def test_a_model_of_an_earlier_version_is_refused_in_one_line(effect, problem):
+    with pytest.raises(UnusableInput, match=rf"model\.json: {problem}; diagnose again"):
+        validated(effect)

@@ -207,7 +207,7 @@ def test_files_that_are_no_recordings(two_link, tmp_path):
     refused(tmp_path / "nowhere.csv", two_link, "no such file")
     for name, content, word in (
         ("empty.csv", b"", "no column 't' but nothing"),
-        ("binary.csv", b"\xff\xfe\x00\x81", "is no text"),
+        ("binary.csv", b"\xff\xfe\x00\x81", "is no UTF-8 text"),
         ("other.csv", b"time,angle\n0,1\n", "'time', 'angle'"),
         ("header.csv", b"t,q.joint_1,q.joint_2\n", "has no rows"),
         ("one.csv", b"t,q.joint_1,q.joint_2\n0,1,2\n", "has 1 rows"),
@@ -263,11 +263,22 @@ def test_archives_that_do_not_fit(two_link, tmp_path):
 @pytest.mark.parametrize(
     ("text", "word"),
     [
-        ("{", "is no JSON"),
+        ("{", "cannot be read as the sidecar of a recording (line 1, column 2"),
         ("{}", '"schema": "excite.recording/1"'),
         ('{"schema": "excite.recording/2"}', "excite.recording/1"),
         ('{"schema": "excite.recording/1", "drive_gain": 3}', "drive_gain"),
-        ('{"schema": "excite.recording/1", "drive_gain": {"joint_1": 0}}', "joint 'joint_1'"),
+        (
+            '{"schema": "excite.recording/1", "drive_gain": {"joint_1": 0}}',
+            "drive_gain.joint_1: 0 should be",
+        ),
+        (
+            '{"schema": "excite.recording/1", "drive_gain": {"nobody": 1}}',
+            "drive_gain: 'nobody' is no joint of two_link",
+        ),
+        (
+            '{"schema": "excite.recording/1", "period": 4, "periodic": [0, 1]}',
+            "periodic: a window of 1 s is much shorter",
+        ),
         ('{"schema": "excite.recording/1", "period": -1}', "period"),
         ('{"schema": "excite.recording/1", "periodic": [3, 1]}', "start < end"),
         ('{"schema": "excite.recording/1", "motor_side": 1}', "motor_side"),

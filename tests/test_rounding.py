@@ -12,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made import simulated
 
-import excite
 from excite import recordings
 from excite.diagnosis import noise
 from excite.effects import track
@@ -21,8 +20,8 @@ from excite.identification.lowpass import Band, Grid
 from excite.identification.regression import Model
 from excite.recordings import encoder, quantization
 from excite.robot import base_parameters, inertial_parameters, limits, robot
+from excite.robot.robot import locate
 
-FOLDER = Path(excite.__file__).parent
 RATE, SECONDS, STEP = 500.0, 12.0, 2.0 * np.pi / 2**16
 
 
@@ -156,8 +155,8 @@ def test_what_steps_are_said_to_feign_is_of_the_size_of_what_they_do(tmp_path):
     standard = inertial_parameters.standard(machine, table)
     setting = experiment.Setting(seed=3)
     fine = experiment.simulate(
-        FOLDER / "models/two_link.urdf",
-        FOLDER.parent / "trajectories/two_link.json",
+        locate("two_link"),
+        Path(__file__).parents[1] / "trajectories/two_link.json",
         setting,
         periods=1,
     )

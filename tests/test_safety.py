@@ -19,9 +19,8 @@ from excite.cli import main as main_module
 from excite.collision import scene_file
 from excite.designer import certificate, pipeline
 from excite.designer.problem import Options
-from excite.robot import limits
 from excite.robot.limits import resolve
-from excite.robot.robot import load
+from excite.robot.robot import load, locate
 from excite.trajectory import trajectory_file
 
 FAST = ("--starts", "1", "--iterations", "40", "--period", "4")
@@ -296,7 +295,7 @@ def test_no_link_comes_below_its_clearance_over_the_mounting_plane(name):
     trajectory = trajectory_file.read(
         Path(__file__).resolve().parents[1] / "trajectories" / f"{name}.json"
     )
-    path = Path(limits.__file__).parent / "models" / f"{name}.urdf"
+    path = locate(name)
     model = pin.buildModelFromUrdf(str(path))
     geometry = pin.buildGeomFromUrdf(model, str(path), pin.COLLISION)
     data, placed = model.createData(), geometry.createData()

@@ -15,7 +15,8 @@ from excite.diagnosis import diagnosis, interval, whole
 from excite.effects import BY_NAME
 from excite.effects.effect import Delay, Knobs, Shape
 from excite.recordings import Recording
-from excite.trajectory.fourier import Fourier, Samples
+from excite.robot.samples import Samples
+from excite.trajectory.fourier import Fourier
 
 Array = np.ndarray
 HEIGHT, VELOCITY, CREEP = 1.5, 0.12, 0.15

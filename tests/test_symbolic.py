@@ -15,7 +15,7 @@ from excite.robot import dynamics, inertial_parameters
 from excite.robot.inertial_parameters import COULOMB_WIDTH, Parameters
 from excite.robot.limits import resolve
 from excite.robot.robot import Robot, load
-from excite.trajectory.fourier import Samples
+from excite.robot.samples import Samples
 
 MIMICS = {2: (0, -1.7, 0.3)}
 STEP = 0.02 * COULOMB_WIDTH

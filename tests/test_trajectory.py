@@ -3,6 +3,7 @@ from __future__ import annotations
 import dataclasses
 import json
 
+import msgspec
 import numpy as np
 import pytest
 from conftest import off, slope
@@ -11,6 +12,8 @@ from hypothesis import strategies as st
 
 from excite.designer.ramps import reverse
 from excite.errors import UnusableInput
+from excite.schemas import quantities
+from excite.schemas.trajectory import SegmentDocument
 from excite.trajectory.fourier import Fourier, oversampling_bound
 from excite.trajectory.rest_to_rest import Motion, Profile, Segment, read_segments, segment_document
 
@@ -227,7 +230,12 @@ def test_grid_ends_at_or_after_the_motion(delivery):
 
 def test_segments_survive_json_exactly(delivery):
     motion = delivery.trajectory.motion
-    segments = read_segments(json.loads(json.dumps(segment_document(motion))), motion.joints)
+    document = msgspec.convert(
+        json.loads(json.dumps(segment_document(motion))),
+        list[SegmentDocument],
+        dec_hook=quantities.converted,
+    )
+    segments = read_segments(document, motion.joints)
     again = dataclasses.replace(motion, segments=segments)
     t = motion.grid(1000.0)
     assert all(np.array_equal(again.at(t, order), motion.at(t, order)) for order in range(4))

@@ -13,13 +13,14 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from excite.errors import UnusableInput
-from excite.trial import answer, conceal, plan, run, seal
-from excite.trial.answer import Analyst
-from excite.trial.plan import Plan, Spec
-from excite.trial.score import Mark, calibration, equal, mark, score
+from concealed_trial import case_plan, commitment, generate_cases, run, run_analyst
+from concealed_trial.case_plan import Plan, Spec
+from concealed_trial.run_analyst import Analyst
+from concealed_trial.score import Mark, calibration, equal, mark, score
 
-SCRIPT = Path(__file__).parents[1] / "scripts" / "concealed_trial.py"
+from excite.errors import UnusableInput
+
+SCRIPT = Path(__file__).parents[1] / "scripts" / "concealed_trial"
 
 
 # -- the plan ------------------------------------------------------------------------------------------------------
@@ -29,9 +30,9 @@ def test_300_cases_hold_60_nulls_with_every_trap_and_every_name():
     specs = Plan(300, 1, "scored").specs()
     nulls = [s for s in specs if s.sort == "null"]
     assert len(specs) == 300 and len(nulls) >= 60
-    assert {s.trap for s in nulls} == set(plan.TRAPS)
+    assert {s.trap for s in nulls} == set(case_plan.TRAPS)
     singles = [s.names[0] for s in specs if s.sort == "single"]
-    assert set(singles) == set(plan.REFIT + plan.PRIOR_ONLY)
+    assert set(singles) == set(case_plan.REFIT + case_plan.PRIOR_ONLY)
     assert {s.severities[0] for s in specs if s.severities} == {1.0, 3.0, 10.0, 30.0}
     assert {s.sort for s in specs} == {"null", "single", "pair", "outsider"}
     assert len({s.name for s in specs}) == 300 and all(len(s.name) == 6 for s in specs)
@@ -53,7 +54,10 @@ def test_a_classifier_that_sees_metadata_alone_stays_at_chance():
     """Nearest neighbours on all that a listing shows of a case, taught on 1000 cases, tried on 1000 more."""
     specs = Plan(2000, 4, "scored").specs()
     seen = np.array(
-        [[s.number % 1000, int(s.name, 16), plan.ROBOTS.index(s.robot), s.trusted] for s in specs],
+        [
+            [s.number % 1000, int(s.name, 16), case_plan.ROBOTS.index(s.robot), s.trusted]
+            for s in specs
+        ],
         float,
     )
     seen = (seen - seen.mean(axis=0)) / seen.std(axis=0)
@@ -109,7 +113,7 @@ class Fixed(Plan):
 def place(tmp_path_factory: pytest.TempPathFactory) -> run.Place:
     place = run.Place(tmp_path_factory.mktemp("trial"))
     run.conceal(place, Fixed(3, 0, "tuning"), 1, lambda _: None)
-    run.answer(place, [answer.baselines()], 1, lambda _: None)
+    run.answer(place, [run_analyst.baseline_analysts()], 1, lambda _: None)
     return place
 
 
@@ -145,7 +149,7 @@ def test_files_of_all_cases_look_the_same(place):
 
 
 def test_the_same_case_is_the_same_to_the_last_byte(place):
-    again = conceal.given(conceal.bench(SPECS[1], run.MODELS))
+    again = generate_cases.given(generate_cases.bench(SPECS[1], run.MODELS))
     assert all(
         (place.cases / SPECS[1].name / name).read_text(encoding="utf-8") == text
         for name, text in again.items()
@@ -154,19 +158,21 @@ def test_the_same_case_is_the_same_to_the_last_byte(place):
 
 def test_what_a_trap_hides_altogether_is_made_without_it():
     """A robot that crawls has no drag: there is no truth to be found."""
-    case = conceal.bench(spec(3, "0d0d0d", "single", ("drag",), trap="poor_excitation"), run.MODELS)
-    assert case.spec.trap == "none" and case.hidden[0][1] > conceal.SHOWS
+    case = generate_cases.bench(
+        spec(3, "0d0d0d", "single", ("drag",), trap="poor_excitation"), run.MODELS
+    )
+    assert case.spec.trap == "none" and case.hidden[0][1] > generate_cases.SHOWS
     assert (
-        conceal._drawn(
+        generate_cases._drawn(
             spec(3, "0d0d0d", "single", ("drag",), trap="poor_excitation"), run.MODELS, 0.0
         ).hidden[0][1]
-        < conceal.SHOWS
+        < generate_cases.SHOWS
     )
 
 
 def test_on_another_day_friction_is_another_and_nothing_else():
     plain, later = (
-        conceal.bench(spec(4, "0e0e0e", "null", trap=trap), run.MODELS)
+        generate_cases.bench(spec(4, "0e0e0e", "null", trap=trap), run.MODELS)
         for trap in ("none", "another_day")
     )
     assert plain.sessions[0].recording.csv() == later.sessions[0].recording.csv()
@@ -199,14 +205,14 @@ def test_friction_of_another_day_is_no_unknown_physics():
 
 def test_the_key_is_sealed_and_a_changed_one_voids_the_trial(place, tmp_path):
     sealed = place.sealed.read_text().strip()
-    assert seal.digest(place.key / "key.json") == sealed and len(sealed) == 64
-    cases = seal.unlock(place.key, sealed)
+    assert commitment.digest(place.key / "key.json") == sealed and len(sealed) == 64
+    cases = commitment.unlock(place.key, sealed)
     assert cases["0b0b0b"]["effects"][0]["effect"] == "load_friction"
     (tmp_path / "key.json").write_text(
         (place.key / "key.json").read_text().replace("load_friction", "drag")
     )
     with pytest.raises(UnusableInput, match="void"):
-        seal.unlock(tmp_path, sealed)
+        commitment.unlock(tmp_path, sealed)
 
 
 def test_an_interrupted_trial_goes_on_where_it_was(place, tmp_path):
@@ -217,14 +223,14 @@ def test_an_interrupted_trial_goes_on_where_it_was(place, tmp_path):
     (copy.answers / "greedy" / "0b0b0b.json").unlink()
     said: list[str] = []
     run.conceal(copy, Fixed(3, 0, "tuning"), 1, said.append)
-    run.answer(copy, [answer.baselines()], 1, said.append)
+    run.answer(copy, [run_analyst.baseline_analysts()], 1, said.append)
     assert len(said) == 1 and said[0].startswith("answered 2 of 3")
     assert copy.sealed.read_text() == place.sealed.read_text()
 
 
 def test_an_answer_before_the_seal_is_refused(tmp_path):
     with pytest.raises(UnusableInput, match="not sealed"):
-        run.answer(run.Place(tmp_path), [answer.baselines()], 1, lambda _: None)
+        run.answer(run.Place(tmp_path), [run_analyst.baseline_analysts()], 1, lambda _: None)
 
 
 def test_an_analyst_sees_a_copy_of_the_case_and_nothing_else(place, tmp_path):
@@ -236,7 +242,7 @@ def test_an_analyst_sees_a_copy_of_the_case_and_nothing_else(place, tmp_path):
     )
     (tmp_path / "spy.py").write_text(code)
     spy = Analyst(("spy",), f"{sys.executable} {tmp_path / 'spy.py'} {{case}} {{out}}")
-    assert answer.ask(spy, place.cases / "0c0c0c", tmp_path / "answers") is not None
+    assert run_analyst.ask(spy, place.cases / "0c0c0c", tmp_path / "answers") is not None
     seen = json.loads((tmp_path / "answers" / "spy" / "0c0c0c.json").read_text())["answer"]
     files = [
         f"case/{name}"
@@ -254,16 +260,16 @@ def test_an_analyst_sees_a_copy_of_the_case_and_nothing_else(place, tmp_path):
 
 def test_an_analyst_that_fails_has_given_no_answer(place, tmp_path):
     broken = Analyst(("broken",), f"{sys.executable} -c 'raise SystemExit(3)'")
-    answer.ask(broken, place.cases / "0a0a0a", tmp_path)
+    run_analyst.ask(broken, place.cases / "0a0a0a", tmp_path)
     entry = json.loads((tmp_path / "broken" / "0a0a0a.json").read_text())
-    found = mark(seal.unlock(place.key, place.sealed.read_text().strip())["0a0a0a"], entry)
+    found = mark(commitment.unlock(place.key, place.sealed.read_text().strip())["0a0a0a"], entry)
     assert (
         not found.answered and not found.silent and score([found])["false_alarms"]["value"] == 1.0
     )
 
 
 def test_baselines_answer_in_the_contracts_words_and_the_greedy_one_knows_a_plain_case(place):
-    for name in answer.BASELINES:
+    for name in run_analyst.BASELINES:
         document = json.loads((place.answers / name / "0b0b0b.json").read_text())["answer"]
         assert document["schema"] == "excite.diagnosis/1"
         assert set(document["joints"]) == {"joint_1", "joint_2"}
@@ -275,7 +281,7 @@ def test_baselines_answer_in_the_contracts_words_and_the_greedy_one_knows_a_plai
 
 
 def test_the_oracle_knows_more_than_the_base_model(place):
-    cases = seal.unlock(place.key, place.sealed.read_text().strip())
+    cases = commitment.unlock(place.key, place.sealed.read_text().strip())
     held = cases["0b0b0b"]["held_out"]
     assert max(held["before"]) > 2.0 * max(held["oracle"])
     null = cases["0a0a0a"]["held_out"]

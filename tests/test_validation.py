@@ -16,7 +16,8 @@ from excite.designer.validation_trajectory import Validation, torque_correlation
 from excite.robot import base_parameters, dynamics, inertial_parameters
 from excite.robot.limits import Limits
 from excite.robot.robot import Robot
-from excite.trajectory.fourier import Fourier, Samples
+from excite.robot.samples import Samples
+from excite.trajectory.fourier import Fourier
 from excite.trajectory.rest_to_rest import Motion
 
 OPTIONS = Options(period=5.2, starts=2, iterations=80, jobs=1)

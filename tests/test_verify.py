@@ -19,7 +19,7 @@ from excite.designer.problem import Box
 from excite.errors import UnusableInput
 from excite.robot import dynamics, inertial_parameters
 from excite.robot.limits import Limits, resolve
-from excite.robot.robot import Payload, load
+from excite.robot.robot import Payload, load, locate
 from excite.trajectory import trajectory_file
 from excite.trajectory.fourier import Fourier, oversampling_bound
 from excite.trajectory.trajectory_file import Trajectory
@@ -33,7 +33,8 @@ def any_delivery(request: pytest.FixtureRequest) -> Delivery:
 
 
 def reread(document: dict) -> Trajectory:
-    return trajectory_file._from_document(json.loads(trajectory_file.dumps(document)))
+    content = json.loads(trajectory_file.dumps(document))
+    return trajectory_file.parse(content, Path("trajectory.json"))
 
 
 def certificate(document: dict) -> Certificate:
@@ -142,6 +143,11 @@ def odd_rate(d: dict) -> None:
 
 def once(d: dict) -> None:
     d["periods"] = 1
+    part = next(i for i, segment in enumerate(d["segments"]) if segment["kind"] == "fourier")
+    d["segments"][part]["end"] -= d["period"]
+    for segment in d["segments"][part + 1 :]:
+        segment["start"] -= d["period"]
+        segment["end"] -= d["period"]
 
 
 def flattered(d: dict) -> None:
@@ -151,7 +157,6 @@ def flattered(d: dict) -> None:
 TAMPERED = {
     "coefficient": (coefficient, "criterion optimum.|jumps"),
     "jump": (jump, "position of joint_2 jumps by 1e-06 from approach to ramp_in"),
-    "gap": (gap, "ramp_out ends at .* but return starts at"),
     "moving start": (moving_start, "joint_1 is not at rest at the start"),
     "moving end": (moving_end, "joint_2 is not at rest at the end"),
     "odd rate": (odd_rate, "the period 2 s is no whole number of samples at 99.3 Hz"),
@@ -255,9 +260,7 @@ def test_a_spike_between_two_samples_is_found(delivery, length):
 
 def test_another_urdf_is_refused(delivery, tmp_path: Path):
     other = tmp_path / "two_link.urdf"
-    other.write_text(
-        Path(pipeline.__file__).with_name("models").joinpath("two_link.urdf").read_text() + "\n"
-    )
+    other.write_text(locate("two_link").read_text() + "\n")
     with pytest.raises(UnusableInput, match=r"sha256 differs.* --robot"):
         delivery.trajectory.load_robot(str(other))
 
@@ -265,12 +268,16 @@ def test_another_urdf_is_refused(delivery, tmp_path: Path):
 @pytest.mark.parametrize(
     ("change", "part"),
     [
-        (lambda d: d.pop("sine"), "KeyError"),
-        (lambda d: d["sine"].pop(), "do not fit"),
-        (lambda d: d["offset"].__setitem__(0, None), "malformed"),
-        (lambda d: d.update(base_frequency=1.0), "disagree"),
+        (lambda d: d.pop("sine"), "has no 'sine'"),
+        (lambda d: d["sine"].pop(), "sine: should hold 2 rows, one a joint, not 1"),
+        (lambda d: d["offset"].__setitem__(0, None), r"offset\[0\]: null should be a number"),
+        (
+            lambda d: d.update(base_frequency=1.0),
+            "base_frequency: 1 rad/s is not 2π over the period of 2 s",
+        ),
         (lambda d: d.update(schema="excite.trajectory/9"), "its schema is 'excite.trajectory/9'"),
-        (lambda d: d["torque_noise"].clear(), "KeyError"),
+        (lambda d: d["torque_noise"].clear(), "torque_noise: has no entry for the joint 'joint_1'"),
+        (gap, "start: .* is not where ramp_out ends"),
     ],
 )
 def test_a_broken_file_is_unusable_input(delivery, change, part, tmp_path: Path):

@@ -1,1 +1,1 @@
-"""excite._system."""
+"""The process and its surroundings: streams, signals, output files, private directories."""

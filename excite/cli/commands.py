@@ -33,14 +33,15 @@ from ..designer.motion_overlap import Apart
 from ..designer.problem import Box, Options, noise_levels
 from ..designer.validation_trajectory import Validation
 from ..errors import CheckFailed, UnusableInput
+from ..exporters import csv_json, file_format
 from ..report.record import DesignRecord
 from ..robot import base_parameters, dynamics, inertial_parameters
 from ..robot import limits as limit_tables
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import Limits
 from ..robot.robot import Robot, builtin_names, load
+from ..robot.samples import Samples
 from ..trajectory import trajectory_file
-from ..trajectory.fourier import Samples
 from . import options as told
 
 Array = np.ndarray
@@ -52,33 +53,16 @@ MOTION_FILES = ("trajectory.json", "trajectory.csv")
 # -- arguments -----------------------------------------------------------------------------------------------------
 
 
-def _box(text: str) -> Box:
-    frame, separator, numbers = text.rpartition(":")
-    if not separator:
-        raise UnusableInput(f"--box {text}: should read FRAME:XMIN,XMAX,YMIN,YMAX,ZMIN,ZMAX")
-    v = told.floats("--box", numbers, (6,))
-    return Box(frame, (v[0], v[2], v[4]), (v[1], v[3], v[5]))
-
-
 def _options(arguments: argparse.Namespace, robot: Robot) -> Options:
     """What the user chose, but for the motion, which is the plan's matter."""
-    free = (
-        told.floats("--optimise-period", arguments.optimise_period, (2,))
-        if arguments.optimise_period
-        else None
-    )
-    if free is not None and not 0.0 < free[0] < free[1]:
-        raise UnusableInput(
-            f"--optimise-period {arguments.optimise_period}: should be MIN,MAX with 0 < MIN < MAX"
-        )
-    boxes = tuple(_box(text) for text in arguments.box)
+    boxes = tuple(Box(frame, (v[0], v[2], v[4]), (v[1], v[3], v[5])) for frame, v in arguments.box)
     for box in boxes:
         robot.frame(box.frame)
     return Options(
         criterion=Criterion(arguments.criterion),
         plain=arguments.plain,
         drive=told.drive(arguments),
-        free_period=None if free is None else (free[0], free[1]),
+        free_period=arguments.optimise_period,
         rate=arguments.rate,
         uncertainty=arguments.uncertainty,
         noise=told.noise(arguments, robot),
@@ -150,9 +134,7 @@ def _design(arguments: argparse.Namespace) -> Outcome:
     )
     options = wish.fill(_options(arguments, robot), table)
     start = (
-        None
-        if not arguments.start
-        else np.array(told.floats("--start", arguments.start, (robot.n,)))
+        None if not arguments.start else np.array(told.of_joints("--start", arguments.start, robot))
     )
     standard = (
         inertial_parameters.standard(robot, table, options.drive) if arguments.given else None
@@ -271,7 +253,7 @@ def workflow_files(
 def _motion_files(
     trajectory: trajectory_file.Trajectory, robot: Robot, standard: Parameters
 ) -> dict[str, str]:
-    job = exports.sheet.Job(
+    job = file_format.Job(
         trajectory,
         trajectory.motion,
         "csv",
@@ -282,7 +264,7 @@ def _motion_files(
     )
     return {
         "trajectory.json": trajectory_file.dumps(trajectory.document()),
-        "trajectory.csv": exports.table.write_csv(job).text,
+        "trajectory.csv": csv_json.write_csv(job).text,
     }
 
 
@@ -393,7 +375,7 @@ def export(arguments: argparse.Namespace) -> Outcome:
         raise UnusableInput(
             f"--format {arguments.format}: no such format; there are {', '.join(exports.FORMATS)}"
         )
-    exports.sheet.check_options(arguments.speed, arguments.rate)
+    file_format.check_options(arguments.speed, arguments.rate)
     output_files(
         Path(arguments.out), inputs=[Path(arguments.trajectory)]
     )  # before the certificate, which takes its time

@@ -12,7 +12,7 @@ from .._system.output_files import output_folder
 from ..diagnosis import diagnosis, residual_atlas, whole
 from ..diagnosis.diagnosis_file import document
 from ..diagnosis.session_changes import KINDS
-from ..identification import identified_model
+from ..identification import identified_model, torque_check
 from ..identification import prior as prior_module
 from ..robot import base_parameters, inertial_parameters
 from ..trajectory import trajectory_file
@@ -28,12 +28,15 @@ def diagnose(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outco
     table = told.limits(arguments, robot)
     standard = inertial_parameters.standard(robot, table, inertial_parameters.DRIVE)
     found = base_parameters.find(robot, standard, table)
+    known = prior_module.trusted(Path(arguments.prior), robot, standard) if arguments.prior else {}
     both = (arguments.recordings, arguments.validate)
     train, held_out = (
         [recordings.read(Path(path), robot, table) for path in paths] for paths in both
     )
     recordings.refuse_same(train, held_out)
-    known = prior_module.trusted(Path(arguments.prior), robot, standard) if arguments.prior else {}
+    train, held_out = (
+        [torque_check.checked(one, robot, table) for one in some] for some in (train, held_out)
+    )
     result = diagnosis.diagnose(
         robot, standard, found, train, held_out, diagnosis.Options(arguments.band, known), say
     )

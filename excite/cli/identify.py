@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import csv
 import dataclasses
 import io
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from .. import recordings
 from .._system.output_files import output_files, output_folder
 from ..diagnosis import whole
 from ..errors import UnusableInput
-from ..identification import consistency, identification, identified_model, lmi_check
+from ..identification import consistency, identification, identified_model, lmi_check, torque_check
 from ..identification import prior as prior_module
 from ..identification.consistency import Bounds
 from ..identification.estimators import Method
@@ -27,6 +27,8 @@ from ..robot import base_parameters, inertial_parameters
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import Limits
 from ..robot.robot import Robot
+from ..schemas.bounds import BoundsFile
+from ..schemas.document_file import DocumentFile
 from ..trajectory import trajectory_file
 from . import options as told
 
@@ -44,16 +46,18 @@ def identify(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outco
     standard = inertial_parameters.standard(robot, table, told.drive(arguments))
     found = base_parameters.find(robot, standard, table)
     window = (arguments.period, arguments.window)
+    known = prior_module.trusted(Path(arguments.prior), robot, standard) if arguments.prior else {}
+    options = _options(arguments, standard, known)
     say(f"reading {', '.join([*arguments.recordings, *arguments.validate])}")
     train, held_out = (
         [_read(Path(path), robot, table, *window) for path in paths]
         for paths in (arguments.recordings, arguments.validate)
     )
     recordings.refuse_same(train, held_out)
-    known = prior_module.trusted(Path(arguments.prior), robot, standard) if arguments.prior else {}
-    result = identification.identify(
-        robot, standard, found, train, held_out, _options(arguments, standard, known), say
+    train, held_out = (
+        [torque_check.checked(one, robot, table) for one in some] for some in (train, held_out)
     )
+    result = identification.identify(robot, standard, found, train, held_out, options, say)
     document = identified_model.document(result, train)
     checked = _lmi(result) if arguments.check_lmi else None
     if checked is not None:
@@ -79,12 +83,16 @@ def identify(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outco
 
 
 def _read(
-    path: Path, robot: Robot, table: Limits, period: float | None, window: str | None
+    path: Path,
+    robot: Robot,
+    table: Limits,
+    period: float | None,
+    window: tuple[float, float] | None,
 ) -> Recording:
     recording = recordings.read(path, robot, table)
     if window and period is None:
         raise UnusableInput(
-            f"--window {window}: needs --period S, the time after which the motion repeats"
+            f"--window {window[0]:g},{window[1]:g}: needs --period S, the time after which the motion repeats"
         )
     if period is None:
         return recording
@@ -92,24 +100,20 @@ def _read(
         raise UnusableInput(
             f"--period {period:g}: should be shorter than the recording; {path} is {np.ptp(recording.t):.6g} s long"
         )
-    periodic = None
-    if window:
-        first, last = told.floats("--window", window, (2,))
-        periodic = first, last
+    recording.check_period(period, window, "--period" if window is None else "--period, --window")
     return dataclasses.replace(
-        recording, sidecar=dataclasses.replace(recording.sidecar, period=period, periodic=periodic)
+        recording, sidecar=dataclasses.replace(recording.sidecar, period=period, periodic=window)
     )
 
 
 def _options(
     arguments: argparse.Namespace, standard: Parameters, known: Mapping[int, float]
 ) -> Options:
-    gamma: str | tuple[float, float] = arguments.gamma
-    if arguments.gamma not in ("evidence", "heldout"):
-        values = told.floats("--gamma", arguments.gamma, (1, 2))
-        if min(values) <= 0.0:
-            raise UnusableInput(f"--gamma {arguments.gamma}: should be positive")
-        gamma = (values[0], values[-1])
+    gamma = (
+        arguments.gamma
+        if isinstance(arguments.gamma, str)
+        else (arguments.gamma[0], arguments.gamma[-1])
+    )
     return Options(
         method=Method(arguments.estimator),
         distance=Distance(arguments.distance),
@@ -126,51 +130,24 @@ def _options(
 
 
 def _bounds(path: Path, standard: Parameters) -> Bounds:
-    """Bounds of masses and centres from TOML. Raises UnusableInput for what is no such thing."""
-    try:
-        stated = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise UnusableInput(
-            f"{path}: cannot be read as bounds ({error}); give TOML with [links.NAME] mass = [least, most]"
-        ) from error
-    links = stated.get("links")
-    if (
-        set(stated) != {"links"}
-        or not isinstance(links, dict)
-        or not all(isinstance(entries, dict) for entries in links.values())
-    ):
-        raise UnusableInput(
-            f"{path}: should have [links.NAME] tables and nothing else, each with mass = [least, most] or centre"
-        )
+    """Bounds of masses and centres of mass from a TOML file.
+
+    Raises:
+        UnusableInput: The file is missing, breaks a rule of `schemas.bounds`, or names a link that does not move.
+    """
+    file = DocumentFile(
+        path, "bounds", "correct it", "a TOML file with [links.NAME] mass = [least, most]"
+    )
     mass, centre = {}, {}
-    for link, entries in links.items():
+    for link, entry in file.converted(file.toml(), BoundsFile).links.items():
         if link not in standard.links:
-            raise UnusableInput(
-                f"{path}: no moving link '{link}'; there are {', '.join(standard.links)}"
+            raise file.error(
+                f"no moving link '{link}'; there are {', '.join(standard.links)}", "links"
             )
-        if unknown := set(entries) - {"mass", "centre"}:
-            raise UnusableInput(
-                f"{path}: link '{link}' has an unknown key '{min(unknown)}'; known are mass, centre"
-            )
-        for key, shape in (("mass", (2,)), ("centre", (2, 3))):
-            if key not in entries:
-                continue
-            try:
-                values = np.array(entries[key], float)
-            except (TypeError, ValueError):
-                values = np.empty(0)
-            if (
-                values.shape != shape
-                or not np.isfinite(values).all()
-                or not (values[0] < values[1]).all()
-            ):
-                raise UnusableInput(
-                    f"{path}: link '{link}': {key} should be [least, most], each number the smaller first"
-                )
-            if key == "mass":
-                mass[link] = (float(values[0]), float(values[1]))
-            else:
-                centre[link] = values
+        if entry.mass is not None:
+            mass[link] = (float(entry.mass[0]), float(entry.mass[1]))
+        if entry.centre is not None:
+            centre[link] = np.array(entry.centre, float)
     return Bounds(mass, centre)
 
 
@@ -204,7 +181,8 @@ def _text(found: Identification, facts: Sequence[str], written: Sequence[Path]) 
                 prediction.error()[i],
                 prediction.relative()[i],
             )
-            lines.append(f"{joint:25}{before:11.4g}{after:12.4g}{floor:>11}{100 * share:9.2f}%")
+            percent = f"{100 * share:.2f}%" if np.isfinite(share) else "-"
+            lines.append(f"{joint:25}{before:11.4g}{after:12.4g}{floor:>11}{percent:>10}")
     common, spread = found.delay.common
     if abs(common) > 3.0 * spread and not found.options.align:
         order = "after" if common > 0 else "before"
@@ -221,8 +199,15 @@ def predict(arguments: argparse.Namespace) -> Outcome:
     fitted = identified_model.read(inputs[0])
     recording = recordings.read(inputs[1], fitted.robot)
     times, torque = whole.predict(fitted, recording)
+    if not np.isfinite(torque).all():
+        joint = fitted.robot.joints[int(np.argmin(np.isfinite(torque).all(axis=0)))]
+        raise UnusableInput(
+            f"{arguments.model}: the torque that it predicts at joint '{joint}' is not finite; "
+            "identify again"
+        )
     stream = io.StringIO()
-    stream.write(",".join(["t", *(f"tau.{joint}" for joint in fitted.robot.joints)]) + "\n")
+    header = ["t", *(f"tau.{joint}" for joint in fitted.robot.joints)]
+    csv.writer(stream, lineterminator="\n").writerow(header)
     np.savetxt(stream, np.column_stack([times, torque]), fmt="%.9g", delimiter=",")
     written = output.replace({path.name: stream.getvalue()})[0]
     return 0, {"file": str(written), "rows": len(times)}, f"wrote {written}"

@@ -14,7 +14,7 @@ clearance = 0.03
 
 from __future__ import annotations
 
-import tomllib
+import os.path
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -26,6 +26,8 @@ from ..errors import UnusableInput
 from ..robot.inertial_parameters import spread_poses
 from ..robot.limits import Limits, mounting_plane
 from ..robot.robot import Robot
+from ..schemas.document_file import DocumentFile
+from ..schemas.scene import Mesh, SceneFile, StatedShape
 from . import batch_kinematics, capsule_cover, urdf_geometry
 from . import geometry as shape_documents
 from . import workcell as cells
@@ -34,7 +36,6 @@ from .workcell import Cell, Recipe
 
 Array = np.ndarray
 KINDS = tuple(kind.value for kind in WORDS)
-PLACING = {"name", "position", "rotation", "link", "ignore"}
 POSES = 200
 HANGING = 0.95
 """Share of random poses that reach below the assumed floor, from which on the robot is taken to hang [1]."""
@@ -85,107 +86,45 @@ class Scene:
 
 
 def read(path: Path) -> Scene:
-    """Read a scene file. Raises UnusableInput that names the entry and what is wrong with it."""
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise UnusableInput(
-            f"{path}: cannot be read as a scene ({error}); give a TOML file"
-        ) from error
-    unknown = set(table) - {*KINDS, "floor", "clearance"}
-    if unknown:
-        raise UnusableInput(
-            f"{path}: '{min(unknown)}' is nothing a scene has; it has {', '.join(KINDS)}, floor and clearance"
-        )
+    """Read a scene file.
+
+    Raises:
+        UnusableInput: The file is missing, breaks a rule of `schemas.scene`, names two shapes alike, or names a mesh that is not there.
+    """
+    file = DocumentFile(
+        path, "a scene", "correct it", "a TOML file of shapes, [[box]], [[sphere]], …"
+    )
+    stated = file.converted(file.toml(), SceneFile)
     shapes, ignored = list[Shape](), list[tuple[str, str]]()
     for kind in KINDS:
-        for number, entry in enumerate(_list(path, kind, table.get(kind, []))):
-            one = _shape(path, kind, entry, f"{kind} {number + 1}")
+        for number, entry in enumerate(getattr(stated, kind)):
+            one = _shape(file, kind, number, entry)
             if one.name in {other.name for other in shapes}:
-                raise UnusableInput(f"{path}: two shapes are named '{one.name}'; rename one")
+                raise file.error(
+                    f"'{one.name}' is the name of another shape too", f"{kind}[{number}].name"
+                )
             shapes.append(one)
-            ignored += [
-                (one.name, str(other))
-                for other in _list(path, f"{one.name}: ignore", entry.get("ignore", []))
-            ]
-    clearance = _positive(path, "clearance", table.get("clearance"))
+            ignored += [(one.name, str(other)) for other in entry.ignore]
+    floor = stated.floor if stated.floor is None or stated.floor is False else float(stated.floor)
+    clearance = None if stated.clearance is None else float(stated.clearance)
     return Scene(
-        tuple(shapes),
-        tuple(ignored),
-        _floor(path, table.get("floor")),
-        clearance,
-        str(path),
-        file=str(path.resolve()),
+        tuple(shapes), tuple(ignored), floor, clearance, str(path), file=str(path.resolve())
     )
 
 
-def _list(path: Path, what: str, value: Any) -> list[Any]:
-    if not isinstance(value, list):
-        raise UnusableInput(f"{path}: {what} should be a list; write [[{what}]]")
-    return value
-
-
-def _floor(path: Path, value: Any) -> float | bool | None:
-    if value is None or value is False:
-        return value
-    return _vector(path, "floor", [value], 1)[0]
-
-
-def _positive(path: Path, what: str, value: Any) -> float | None:
-    if value is None:
-        return None
-    number = _vector(path, what, [value], 1)[0]
-    if number < 0.0:
-        raise UnusableInput(f"{path}: {what} = {value} should be 0 or more metres")
-    return number
-
-
-def _shape(path: Path, kind: str, entry: Any, unnamed: str) -> Shape:
-    if not isinstance(entry, Mapping):
-        raise UnusableInput(f"{path}: {unnamed} is no table; write [[{kind}]]")
-    name = str(entry.get("name", unnamed))
-    words = WORDS[Kind(kind)]
-    own = PLACING | {*words} | ({"file"} if kind == "mesh" else set())
-    unknown = set(entry) - own
-    if unknown:
-        raise UnusableInput(
-            f"{path}: '{name}': a {kind} has no '{min(unknown)}'; it has {', '.join(sorted(own))}"
-        )
-    file = None
-    if kind == "mesh":
-        file = path.parent / str(entry.get("file", ""))
-        if not file.is_file():
-            raise UnusableInput(f"{path}: '{name}': its mesh {file} is not there; correct 'file'")
-        size = _vector(path, f"'{name}': scale", entry.get("scale", [1.0, 1.0, 1.0]), 3)
-    elif kind == "box":
-        size = _vector(path, f"'{name}': size", entry.get("size"), 3)
-    else:
-        size = _vector(
-            path,
-            f"'{name}': {' and '.join(words)}",
-            [entry.get(word) for word in words],
-            len(words),
-        )
-    if min(size) <= 0.0:
-        raise UnusableInput(f"{path}: '{name}': its size {list(size)} should be positive")
-    position, rotation = (
-        _vector(path, f"'{name}': {key}", entry.get(key, [0.0] * 3), 3)
-        for key in ("position", "rotation")
-    )
-    link = entry.get("link")
+def _shape(file: DocumentFile, kind: str, number: int, entry: StatedShape) -> Shape:
+    """A shape of a scene; one without a name is named after its kind and place in the file."""
+    name = str(entry.name or f"{kind} {number + 1}")
+    mesh = None
+    if isinstance(entry, Mesh):
+        mesh = file.path.parent / entry.file
+        if not os.path.isfile(mesh):
+            raise file.error(f"the mesh {mesh} is not there", f"{kind}[{number}].file")
+    position, rotation = (tuple(map(float, values)) for values in (entry.position, entry.rotation))
     return Shape(
-        name, Kind(kind), size, position, rotation,  # type: ignore[arg-type]
-        None if link is None else str(link), None if file is None else str(file.resolve()),
+        name, Kind(kind), tuple(map(float, entry.dimensions)), position, rotation,  # type: ignore[arg-type]
+        None if entry.link is None else str(entry.link), None if mesh is None else str(mesh.resolve()),
     )  # fmt: skip
-
-
-def _vector(path: Path, what: str, value: Any, count: int) -> tuple[float, ...]:
-    numbers = isinstance(value, list) and all(
-        isinstance(v, int | float) and not isinstance(v, bool) for v in value
-    )
-    if not numbers or len(value) != count or not np.isfinite(value).all():
-        raise UnusableInput(f"{path}: {what} should be {count} finite number(s), not {value}")
-    return tuple(float(v) for v in value)
 
 
 def known(

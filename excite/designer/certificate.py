@@ -21,7 +21,8 @@ from ..collision.workcell import NOT_CHECKED, Cell
 from ..robot import base_parameters, dynamics, inertial_parameters
 from ..robot.limits import DERIVED, QUANTITIES, WITH_MARGIN, Limits, from_sources
 from ..robot.robot import Robot
-from ..trajectory.fourier import DENSITY, Samples, oversampling_bound
+from ..robot.samples import Samples
+from ..trajectory.fourier import DENSITY, oversampling_bound
 from ..trajectory.rest_to_rest import Motion, Segment
 from ..trajectory.trajectory_file import Trajectory
 from . import constraint_margins, criteria

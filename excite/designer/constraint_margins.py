@@ -11,7 +11,7 @@ from ..robot import dynamics
 from ..robot.inertial_parameters import COULOMB_WIDTH, Parameters
 from ..robot.limits import Braking, Limits
 from ..robot.robot import Robot
-from ..trajectory.fourier import Samples
+from ..robot.samples import Samples
 from .problem import Box
 
 Array = np.ndarray

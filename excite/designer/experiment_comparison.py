@@ -12,7 +12,8 @@ from ..robot.inertial_parameters import Parameters
 from ..robot.limits import DERIVED, Limits
 from ..robot.parameter_names import listed
 from ..robot.robot import Robot
-from ..trajectory.fourier import Fourier, Samples
+from ..robot.samples import Samples
+from ..trajectory.fourier import Fourier
 from ..trajectory.rest_to_rest import Motion
 from .identifiability import THRESHOLD, information_root, spectrum
 

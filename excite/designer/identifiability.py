@@ -17,7 +17,7 @@ from ..robot.dynamics import regressor
 from ..robot.inertial_parameters import Parameters, proper_body, pseudo_inertia
 from ..robot.parameter_names import SMALLEST_SHARE, sentence
 from ..robot.robot import Robot
-from ..trajectory.fourier import Samples
+from ..robot.samples import Samples
 
 Array = np.ndarray
 SCHEMA = "excite.identifiability/1"

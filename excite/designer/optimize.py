@@ -12,8 +12,7 @@ import threadpoolctl
 
 from ..collision.clearance_constraint import Clearance
 from ..errors import ExciteError, UnusableInput
-from ..robot import base_parameters as base_parameters
-from ..robot import inertial_parameters
+from ..robot import base_parameters, inertial_parameters
 from ..robot.base_parameters import Base
 from ..robot.limits import Limits
 from ..robot.robot import Robot

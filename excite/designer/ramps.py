@@ -16,7 +16,8 @@ import ruckig
 from ..errors import Infeasible, UnusableInput
 from ..robot.inertial_parameters import spread_poses
 from ..robot.limits import DERIVED, Limits
-from ..trajectory.fourier import Fourier, Samples
+from ..robot.samples import Samples
+from ..trajectory.fourier import Fourier
 from ..trajectory.rest_to_rest import Motion, Profile, Segment
 from . import constraint_margins
 from .constraint_margins import Subject

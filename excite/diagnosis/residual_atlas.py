@@ -18,9 +18,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .._linear_algebra import inverse
 from . import residual_curves
 from .diagnosis import Diagnosis
-from .half import inverse
 from .residual_curves import Kind, Look, Rows
 from .search import mean_square
 

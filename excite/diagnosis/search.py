@@ -431,8 +431,8 @@ def turned(one: Design, chosen: Sequence[int], sweeps: int, since: int = 0) -> l
             if asked not in one.turned:
                 small = afresh(one, others)
                 one.turned[asked] = shape.knob.turned(
-                    lambda other, small=small: _beside(small, other)
-                )  # type: ignore[misc]
+                    lambda other, small=small: _beside(small, other)  # type: ignore[misc]
+                )
             best = one.turned[asked]
             columns = None if best.values == shape.values else one.build(best)
             now[place] = now[place] if columns is None else (best, columns)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,17 +12,15 @@ import numpy as np
 from ..effects import BY_NAME, track
 from ..effects.effect import Shape
 from ..effects.track import Track
-from ..errors import UnusableInput
 from ..identification.identified_model import FittedModel
 from ..identification.lowpass import Grid
 from ..identification.segments import Piece
 from ..recordings import Recording
 from ..robot.robot import Robot
+from ..schemas.effects import EffectDocument
 from .search import Design, Trial
 
 Array = np.ndarray
-KEYS = {"effect", "joint", "from", "values", "coefficients", "time", "recording"}
-"""Of an effect in `model.json`."""
 
 
 @dataclass(frozen=True)
@@ -83,40 +81,28 @@ def entry(part: Part, robot: Robot) -> dict[str, Any]:
     }
 
 
-def restored(stated: Mapping[str, Any], robot: Robot, source: str) -> Part:
-    """The same read back. Raises UnusableInput where it names what is not there, or was written by another version."""
-    name, joints = stated.get("effect"), robot.joints
-    if missing := KEYS - set(stated):
-        raise UnusableInput(
-            f"{source}: effect '{name}' has no '{min(missing)}', as in another version; diagnose again"
-        )
-    if name not in BY_NAME or any(
-        stated[key] is not None and stated[key] not in joints for key in ("joint", "from")
-    ):
-        raise UnusableInput(
-            f"{source}: effect '{name}' of joint '{stated['joint']}' is not of this version or robot; diagnose again"
-        )
+def restored(stated: EffectDocument, robot: Robot) -> Part:
+    """The fitted shape of a validated effect of `model.json`."""
     joint, other = (
-        None if stated[key] is None else joints.index(stated[key]) for key in ("joint", "from")
+        None if name is None else robot.joints.index(name) for name in (stated.joint, stated.other)
     )
-    interval = (
-        None if stated["time"] is None else (float(stated["time"][0]), float(stated["time"][1]))
-    )
+    interval = None if stated.time is None else (float(stated.time[0]), float(stated.time[1]))
+    values = {key: float(value) for key, value in stated.values.items()}
     shape = Shape(
-        name,
+        stated.effect,
         joint,
-        BY_NAME[name].add,
-        dict(stated["values"]),
+        BY_NAME[stated.effect].add,
+        values,
         other,
         interval,
-        stated["recording"] or "",
+        stated.recording or "",
     )
-    return Part(shape, np.array(stated["coefficients"], float))
+    return Part(shape, np.array(stated.coefficients, float))
 
 
 def predict(fitted: FittedModel, recording: Recording) -> tuple[Array, Array]:
     """Torque along a recording at its own times, effects included: (times, torque). Shapes (N,) [s], (N, n) [N m]."""
-    found = [restored(stated, fitted.robot, fitted.source) for stated in fitted.effects]
+    found = [restored(stated, fitted.robot) for stated in fitted.effects]
     if not found:
         return fitted.predict(recording)
     body = track.body(fitted.robot, fitted.layout, fitted.psi)
@@ -158,9 +144,4 @@ def predict(fitted: FittedModel, recording: Recording) -> tuple[Array, Array]:
             )
         return added
 
-    try:
-        return fitted.predict(recording, beyond)
-    except (KeyError, ValueError) as error:
-        raise UnusableInput(
-            f"{fitted.source}: says an effect otherwise than this version ({error}); diagnose again"
-        ) from error
+    return fitted.predict(recording, beyond)

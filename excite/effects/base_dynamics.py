@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..robot.robot import Robot
-from ..trajectory.fourier import Samples
+from ..robot.samples import Samples
 
 Array = np.ndarray
 AXES = (

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from ..diagnosis.half import factors
+from .._linear_algebra import factors
 from .effect import MULTIPLES, Effect, Knob, Shape, alone, multiples, waves
 from .track import Track
 from .transmission import LEAST_TURN

@@ -129,9 +129,9 @@ def _by_temperature(tracks: Sequence[Track], j: int) -> Iterator[Shape]:
     size = float(np.mean(np.abs(np.concatenate([t.fine.dq[:, j] for t in tracks])))) * viscous
     for dry in (coulomb, 0.0):  # grease thins, and dry friction may go with it or not
         share = (dry + size) / (coulomb + size)
-        told = lambda c, share=share: {
+        told = lambda c, share=share: {  # noqa: E731
             "change": float(c[0] * share * span / (1.0 - c[0] * share * below))
-        }  # noqa: E731
+        }
         fixed = {"reference": mean, "coulomb": dry, "viscous": viscous}
         words = "friction changes with temperature"
         yield Shape(

@@ -16,7 +16,7 @@ from ..identification.segments import Piece
 from ..recordings.missing_values import runs
 from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot
-from ..trajectory.fourier import Samples
+from ..robot.samples import Samples
 from .base_dynamics import Afloat, afloat
 
 Array = np.ndarray

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import UnusableInput
-from ..trajectory.fourier import Samples
+from ..robot.samples import Samples
 from ..trajectory.rest_to_rest import Motion
 from ..trajectory.trajectory_file import Trajectory
 
@@ -124,7 +124,16 @@ def notes(job: Job, details: Sequence[str], tried: bool) -> list[str]:
         lines.append(UNTRIED)
     if job.trajectory.forced:
         lines.append(FORCED)
-    return [" ".join(line.split()).encode("ascii", "replace").decode() for line in lines]
+    return [comment(line) for line in lines]
+
+
+def comment(text: str) -> str:
+    """A text as it may stand in a comment of any format: one line of printable ASCII.
+
+    Every text from a trajectory that enters a file for a controller passes through here.
+    """
+    line = " ".join(text.split()).encode("ascii", "replace").decode()
+    return "".join(letter if letter.isprintable() else "?" for letter in line)
 
 
 def fixed(value: float, decimals: int | None = DECIMALS) -> str:

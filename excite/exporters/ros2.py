@@ -36,6 +36,18 @@ def _list(values: Array) -> str:
     return "[" + ", ".join(fixed(value) for value in values) + "]"
 
 
+def _quoted(text: str) -> str:
+    """A text in double quotes that JSON and YAML read alike.
+
+    Beyond the basic multilingual plane JSON would escape surrogates, which YAML takes for two
+    characters, so letters stay as they are; what a YAML reader refuses is escaped.
+    """
+    return "".join(
+        letter if letter.isprintable() or ord(letter) > 0xFFFF else f"\\u{ord(letter):04x}"
+        for letter in json.dumps(text, ensure_ascii=False)
+    )
+
+
 def _trajectory(job: Job) -> str:
     """A JointTrajectory, one point a line; efforts are empty, for controllers refuse them without an effort interface."""
     t, samples = sampled(job, job.rate or KNOTS)
@@ -46,12 +58,11 @@ def _trajectory(job: Job) -> str:
         for time, q, dq, ddq in zip(t.tolist(), samples.q, samples.dq, samples.ddq, strict=True)
     ]
     # The header's frame is not used by joint controllers, and is the one text that the message has.
+    names = ", ".join(map(_quoted, job.joints))
     frame = FORCED if job.trajectory.forced else ""
     return (
-        f'{{"header": {{"stamp": {{"sec": 0, "nanosec": 0}}, "frame_id": {json.dumps(frame)}}},\n'
-        f'"joint_names": {json.dumps(list(job.joints))},\n"points": [\n'
-        + ",\n".join(points)
-        + "\n]}"
+        f'{{"header": {{"stamp": {{"sec": 0, "nanosec": 0}}, "frame_id": {_quoted(frame)}}},\n'
+        f'"joint_names": [{names}],\n"points": [\n' + ",\n".join(points) + "\n]}"
     )
 
 

@@ -20,7 +20,17 @@ import numpy as np
 from ..errors import UnusableInput
 from ..trajectory.fourier import Fourier
 from ..trajectory.rest_to_rest import Motion, Profile, Segment
-from .file_format import Array, Columns, Job, Written, fixed, notes, require_joints, require_rest
+from .file_format import (
+    Array,
+    Columns,
+    Job,
+    Written,
+    comment,
+    fixed,
+    notes,
+    require_joints,
+    require_rest,
+)
 
 STEP_RATES = (500.0, 250.0, 125.0)
 LOOKAHEAD, GAIN = 0.1, 300
@@ -97,7 +107,7 @@ def _series(fourier: Fourier) -> Iterator[str]:
 
 def _run(motion: Motion) -> Iterator[str]:
     for segment in motion.segments:
-        yield f"  # {segment.kind}"
+        yield f"  # {comment(segment.kind)}"
         if segment.profile is None:
             yield f"  series({fixed(segment.start, None)}, {fixed(segment.end, None)})"
             continue

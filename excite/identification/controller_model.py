@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..trajectory.fourier import Samples
+from ..robot.samples import Samples
 from .forward_dynamics import Mechanism
 from .lowpass import EDGE, Grid
 from .segments import Piece

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..robot.dynamics import regressor
-from ..trajectory.fourier import Samples
+from ..robot.samples import Samples
 from .regression import Model
 
 Array = np.ndarray

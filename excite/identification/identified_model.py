@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,8 +15,11 @@ from ..recordings import Recording
 from ..robot.dynamics import regressor
 from ..robot.inertial_parameters import DRIVE, Parameters
 from ..robot.robot import Robot, load
+from ..robot.samples import Samples
+from ..schemas.document_file import DocumentFile
+from ..schemas.effects import EffectDocument
+from ..schemas.model import SCHEMA, ModelDocument
 from ..trajectory import trajectory_file
-from ..trajectory.fourier import Samples
 from . import confidence
 from .hausman_test import Endogeneity
 from .identification import Identification, Prediction
@@ -26,7 +29,6 @@ from .simulation_error import SimulationError
 from .urdf_export import identified
 
 Array = np.ndarray
-SCHEMA = "excite.model/1"
 UNITS = {"rotor_inertia": "kg m²", "viscous": "N m s/rad", "coulomb": "N m", "offset": "N m"}
 INERTIAL_UNITS = (
     "kg",
@@ -53,7 +55,7 @@ class FittedModel:
     psi: Array
     widths: Array
     hertz: float
-    effects: tuple[Mapping[str, Any], ...] = ()
+    effects: tuple[EffectDocument, ...] = ()
 
     @property
     def layout(self) -> Parameters:
@@ -283,26 +285,41 @@ def judged(prediction: Prediction, joints: Sequence[str]) -> dict[str, Any]:
 
 
 def read(path: Path) -> FittedModel:
-    """Read `model.json`. Raises UnusableInput when it is missing, broken or of another schema."""
-    stated = trajectory_file.stated(path, (SCHEMA,), "model", "the model.json of 'excite identify'")
-    try:
-        return _from_document(path, stated)
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise UnusableInput(
-            f"{path}: is incomplete or malformed ({type(error).__name__}: {error}); identify again"
-        ) from error
+    """Read `model.json`.
+
+    Raises:
+        UnusableInput: The file is missing, is of another schema, breaks a rule of `schemas.model`, or its URDF is none.
+    """
+    file = DocumentFile(
+        path, "a model", "identify or diagnose again", "the model.json of 'excite identify'"
+    )
+    content = file.json()
+    file.schema(content, (SCHEMA,))
+    return of_document(file, content)
 
 
-def _from_document(path: Path, stated: Mapping[str, Any]) -> FittedModel:
+def of_document(file: DocumentFile, content: Any) -> FittedModel:
+    """The model of the plain values of a `model.json`; raises as `read` does."""
+    document = file.converted(content, ModelDocument)
     with tempfile.TemporaryDirectory() as folder:
-        urdf = Path(folder) / f"{path.stem}.urdf"
-        urdf.write_text(stated["urdf"], encoding="utf-8")
-        robot = load(str(urdf), joints=stated["joints"], gravity=stated["robot"]["gravity"])
-    psi = np.array([entry["value"] for entry in stated["standard_parameters"]], float)
-    drive = tuple(kind for kind in DRIVE if kind in stated["drive"])
-    if len(psi) != 10 * len(robot.links) + robot.n * len(drive) or not np.isfinite(psi).all():
-        raise ValueError("the parameters do not fit the robot")
-    widths = np.array([stated["coulomb_width"][joint] for joint in robot.joints], float)
+        urdf = Path(folder) / "identified.urdf"
+        urdf.write_text(document.urdf, encoding="utf-8")
+        try:
+            robot = load(str(urdf), joints=document.joints, gravity=document.robot.gravity)
+        except UnusableInput as error:
+            raise file.error(str(error).replace(str(urdf), "the URDF in it"), "urdf") from error
+    drive = tuple(kind for kind in DRIVE if kind in document.drive)
+    if (
+        list(robot.joints) != document.joints
+        or list(robot.links) != document.links
+        or list(drive) != document.drive
+    ):
+        raise file.error(
+            "its joints, links and joint parameters are not those of the URDF in it, in their order",
+            "urdf",
+        )
+    psi = np.array([entry.value for entry in document.standard_parameters], float)
+    widths = np.array([document.coulomb_width[joint] for joint in robot.joints], float)
     return FittedModel(
-        str(path), robot, drive, psi, widths, float(stated["band_hz"]), tuple(stated["effects"])
+        str(file.path), robot, drive, psi, widths, float(document.band_hz), tuple(document.effects)
     )

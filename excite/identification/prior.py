@@ -2,86 +2,51 @@
 
 from __future__ import annotations
 
-import math
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from ..errors import ExciteWarning, UnusableInput
-from ..robot.inertial_parameters import DRIVE, Parameters
+from ..errors import UnusableInput
+from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot
-from ..trajectory import trajectory_file
+from ..schemas import prior
+from ..schemas.document_file import DocumentFile
+from ..schemas.model import SCHEMA as MODEL_SCHEMA
+from ..schemas.prior import PriorDocument
 from . import identified_model
-
-SCHEMA = "excite.prior/1"
-KEYS = ("schema", "trust_prior", "joints")
 
 
 def trusted(path: Path, robot: Robot, parameters: Parameters) -> Mapping[int, float]:
     """Places in ψ -> values that are right as they stand: all inertial parameters and what is stated of the joints.
 
-    A `model.json` serves too: all that it says. Raises UnusableInput for a file that cannot be read or does not fit the robot.
+    A `model.json` serves too: all that it says.
+
+    Raises:
+        UnusableInput: The file is missing, breaks a rule of `schemas.prior` or `schemas.model`, or does not fit the robot.
     """
-    stated = trajectory_file.stated(
-        path,
-        (SCHEMA, identified_model.SCHEMA),
-        "prior",
-        f"{{'schema': '{SCHEMA}', …}} or a model.json",
+    file = DocumentFile(
+        path, "a prior", "correct it", f"{{'schema': '{prior.SCHEMA}', …}} or a model.json"
     )
-    if stated["schema"] == identified_model.SCHEMA:
+    content = file.json()
+    if file.schema(content, (prior.SCHEMA, MODEL_SCHEMA)) == MODEL_SCHEMA:
         return _of_model(path, robot, parameters)
-    if stated.get("trust_prior") is not True:
+    document = file.converted(content, PriorDocument)
+    if not document.trust_prior:
         raise UnusableInput(
-            f'{path}: says "trust_prior": {stated.get("trust_prior")!r}; leave --prior out where the URDF is a guess'
-        )
-    if unknown := set(stated) - {*KEYS, "notes"}:
-        warnings.warn(
-            f"{path}: '{min(unknown)}' is no key of a prior, which has {', '.join(KEYS)}; ignored",
-            ExciteWarning,
-            stacklevel=2,
+            f'{path}: says "trust_prior": false; leave --prior out where the URDF is a guess'
         )
     known = dict(enumerate(parameters.nominal[: 10 * parameters.bodies].tolist()))
-    for joint, values in _joints(path, stated, parameters).items():
-        for kind, value in values.items():
-            known[parameters.block(kind).start + parameters.joints.index(joint)] = value
-    return known
-
-
-def _joints(
-    path: Path, stated: Mapping[str, Any], parameters: Parameters
-) -> dict[str, dict[str, float]]:
-    out: dict[str, dict[str, float]] = {}
-    joints = stated.get("joints", {})
-    if not isinstance(joints, dict) or not all(
-        isinstance(values, dict) for values in joints.values()
-    ):
-        raise UnusableInput(
-            f'{path}: "joints" should be {{"<joint>": {{"coulomb": …, "viscous": …}}}}; correct it'
-        )
-    for joint, values in joints.items():
+    for joint, values in document.joints.items():
         if joint not in parameters.joints:
-            raise UnusableInput(
-                f"{path}: no joint '{joint}'; there are {', '.join(parameters.joints)}"
+            raise file.error(
+                f"no joint '{joint}'; there are {', '.join(parameters.joints)}", "joints"
             )
-        for kind, value in values.items():
-            if kind not in DRIVE:
-                raise UnusableInput(
-                    f"{path}: joint '{joint}': no parameter '{kind}'; there are {', '.join(DRIVE)}"
-                )
-            if (
-                isinstance(value, bool)
-                or not isinstance(value, int | float)
-                or not math.isfinite(value)
-            ):
-                raise UnusableInput(
-                    f"{path}: joint '{joint}', {kind}: {value!r} is no number; correct it"
-                )
-            if kind in parameters.drive:
-                out.setdefault(joint, {})[kind] = float(value)
-    return out
+        for kind in parameters.drive:
+            value = getattr(values, kind)
+            if value is not None:
+                known[parameters.block(kind).start + parameters.joints.index(joint)] = float(value)
+    return known
 
 
 def _of_model(path: Path, robot: Robot, parameters: Parameters) -> Mapping[int, float]:

@@ -13,7 +13,7 @@ from ..robot.base_parameters import Base
 from ..robot.dynamics import regressor
 from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot
-from ..trajectory.fourier import Samples
+from ..robot.samples import Samples
 from .lowpass import WIDER, Band, Grid, friction_speed
 from .segments import Piece, chunks
 

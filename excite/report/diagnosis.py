@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..diagnosis import residual_atlas
+from ..diagnosis import residual_atlas as atlas
 from ..diagnosis.diagnosis import QUIET, Diagnosis
 from ..diagnosis.isolability import ALIKE, Candidate, isolability
 from ..diagnosis.residual_atlas import SIGNIFICANT, Atlas
@@ -19,7 +19,7 @@ from ..trajectory.trajectory_file import versions
 from . import changes, diagnosis_tables, gears, unnamed
 from . import remarks as remarked
 from .figures import diagnosis as diagnosis_module
-from .figures import residual_atlas
+from .figures import residual_atlas as atlas_figures
 from .figures.diagnosis import told
 from .figures.torque_fit import EXCERPT, drawn_points
 from .figures.trajectory import torque_units
@@ -331,7 +331,7 @@ def _where(found: Diagnosis, looked: Atlas) -> Section:
         )
     else:
         answer = f"Nowhere: none of {plural(len(looked.panels), 'curve')} of the held-out residual differs from noise."
-    body = figure(residual_atlas.overview(looked, robot.joints))
+    body = figure(atlas_figures.overview(looked, robot.joints))
     body += paragraph(
         f"Shade: share of the joint's held-out residual that repeats with it; blank: may be noise (p ≥ {SIGNIFICANT:g} with every look "
         "counted). "
@@ -352,7 +352,7 @@ def _where(found: Diagnosis, looked: Atlas) -> Section:
     pictures = {
         j: f"<h3>{escape(robot.joints[j])}</h3>"
         + figure(
-            residual_atlas.joint_figure(
+            atlas_figures.joint_figure(
                 looked.of(j), robot.joints[j], units[j], float(found.floor[j]), changed=changed
             )
         )
@@ -515,7 +515,7 @@ def _made(found: Diagnosis, looked: Atlas, remarks: Sequence[Remark]) -> Section
             else "all refit"
         ),
         "noise floor": _FLOORS.get(found.method, found.method),
-        "p-values": f"{residual_atlas.DRAWS} nulls by random signs of {looked.blocks} blocks; the largest of {len(looked.panels)} counts",
+        "p-values": f"{atlas.DRAWS} nulls by random signs of {looked.blocks} blocks; the largest of {len(looked.panels)} counts",
         "versions": ", ".join(f"{k} {v}" for k, v in versions().items()),
     }
     body = table(

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import ExciteWarning
-from ..trajectory.fourier import Samples
 from .dynamics import regressor
 from .inertial_parameters import Parameters, spread_poses
 from .limits import Limits
 from .robot import Robot
+from .samples import Samples
 from .structural_count import base_count
 
 Array = np.ndarray

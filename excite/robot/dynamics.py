@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from ..trajectory.fourier import Samples
 from .inertial_parameters import COULOMB_WIDTH, Parameters
 from .robot import Robot
+from .samples import Samples
 
 Array = np.ndarray
 

@@ -4,17 +4,29 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import tomllib
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from ..errors import ExciteWarning, MissingLimit, UnusableInput
+from ..schemas.document_file import DocumentFile, written
+from ..schemas.limits import (
+    MOVEIT_UNUSED,
+    MOVEIT_VALUES,
+    BrakingDocument,
+    BuiltinLimitsFile,
+    JointLimits,
+    LimitsFile,
+    MoveItSwitchesFile,
+    MoveItValues,
+    MoveItValuesFile,
+    StatedLimits,
+)
 from .robot import Follower, Robot, builtin_names
 
 Array = np.ndarray
@@ -28,11 +40,14 @@ WITH_MARGIN = ("velocity", "acceleration", "jerk", "torque")
 DEFAULT_MARGIN = 0.02
 """Share of these limits that a design keeps free unless told otherwise [1]: a controller stops the robot at the limit itself, and
 its tracking overshoots the commanded motion. `--margin` and the limits file's [margin] table change it."""
-_EXAMPLES = {
-    "position": "[-2.9, 2.9]",
-    "braking": "{ offset = 0.2, rate = 7.0, stop = [-2.9, 2.9] }",
+TomlLimits = TypeVar("TomlLimits", bound=LimitsFile)
+MOVEIT = {
+    "max_velocity": "velocity",
+    "max_acceleration": "acceleration",
+    "max_jerk": "jerk",
+    "max_effort": "torque",
 }
-"""What a limits file would say, of limits that are no number."""
+"""Our names of MoveIt's limits."""
 
 
 @dataclass(frozen=True)
@@ -107,38 +122,29 @@ class Limits:
         return out
 
 
-def from_document(document: Mapping[str, Any], joints: tuple[str, ...]) -> Limits:
-    """Read back what `Limits.document` wrote."""
+def from_document(document: StatedLimits, joints: tuple[str, ...]) -> Limits:
+    """The limits that a trajectory states; an absent limit is infinite."""
     sources: dict[str, tuple[str, ...]] = {}
     arrays: dict[str, Array] = {}
     for quantity in QUANTITIES:
         absent: Any = [-math.inf, math.inf] if quantity == "position" else math.inf
-        entries = document.get(quantity, {})
+        entries = getattr(document, quantity)
         arrays[quantity] = np.array(
-            [entries[j]["value"] if j in entries else absent for j in joints], float
+            [entries[j].value if j in entries else absent for j in joints], float
         )
-        sources[quantity] = tuple(
-            str(entries[j].get("source", "")) if j in entries else "" for j in joints
-        )
-    stated = document.get("braking", {})
-    braking = tuple(_braking(stated[j]) if j in stated else None for j in joints)
+        sources[quantity] = tuple(str(entries[j].source) if j in entries else "" for j in joints)
+    braking = tuple(
+        _braking(document.braking[j]) if j in document.braking else None for j in joints
+    )
     return Limits(joints=joints, braking=braking, sources=sources, **arrays)  # type: ignore[arg-type]
 
 
-def _braking(entry: Mapping[str, Any]) -> Braking:
+def _braking(document: BrakingDocument) -> Braking:
     return Braking(
-        float(entry["offset"]),
-        float(entry["rate"]),
-        (float(entry["stop"][0]), float(entry["stop"][1])),
+        float(document.offset),
+        float(document.rate),
+        (float(document.stop[0]), float(document.stop[1])),
     )
-
-
-def _sensible(brake: Braking) -> Braking:
-    if not np.isfinite([brake.offset, brake.rate, *brake.stop]).all():
-        raise ValueError("not finite")
-    if brake.offset < 0.0 or brake.rate <= 0.0 or brake.stop[0] >= brake.stop[1]:
-        raise ValueError("offset ≥ 0, rate > 0 and stop = [lower, upper] are needed")
-    return brake
 
 
 def resolve(robot: Robot, file: Path | None = None, margin: float | None = None) -> Limits:
@@ -165,9 +171,23 @@ def resolve(robot: Robot, file: Path | None = None, margin: float | None = None)
             if value is not None:
                 table[entry.name][quantity] = (value, "urdf")
     if robot.source in builtin_names():
-        _merge(robot, table, _builtin_table(robot), f"{robot.source}.toml")
+        table_file = _builtin_table(robot)
+        _merge(
+            robot,
+            table,
+            table_file,
+            _read_toml(table_file, BuiltinLimitsFile).joints,
+            table_file.name,
+        )
+    shares = dict.fromkeys(WITH_MARGIN, DEFAULT_MARGIN)
     if file is not None:
-        _merge(robot, table, file, str(file.resolve()))
+        stated = LimitsFile(_read_yaml(file)) if _is_yaml(file) else _read_toml(file, LimitsFile)
+        _merge(robot, table, file, stated.joints, str(file.resolve()))
+        shares |= {
+            kind: float(share)
+            for kind in WITH_MARGIN
+            if (share := getattr(stated.margin, kind, None)) is not None
+        }
     for follower in robot.followers:
         _tighten(table[follower.master], follower)
     for entry in robot.entries:
@@ -176,9 +196,6 @@ def resolve(robot: Robot, file: Path | None = None, margin: float | None = None)
                 quantity == "position" and entry.kind == "continuous"
             ):
                 raise MissingLimit(entry.name, quantity, robot.source)
-    shares = dict.fromkeys(WITH_MARGIN, DEFAULT_MARGIN) | (
-        {} if file is None else _stated_margin(file)
-    )
     if margin is not None:
         shares = dict.fromkeys(WITH_MARGIN, margin)
     return dataclasses.replace(_assemble(robot, table), margin=shares)
@@ -225,28 +242,12 @@ def mounting_plane(robot: Robot) -> float | None:
     """Height of the plane that a built-in model's base stands on, in the base frame [m]; None where no built-in table states it."""
     if robot.source not in builtin_names():
         return None
-    table = tomllib.loads(_read_text(_builtin_table(robot)))
-    floor = table.get("mounting", {}).get("floor")
-    return None if floor is None else float(floor)
+    mounting = _read_toml(_builtin_table(robot), BuiltinLimitsFile).mounting
+    return None if mounting is None else float(mounting.floor)
 
 
 def _builtin_table(robot: Robot) -> Path:
-    return Path(str(resources.files("excite") / "models" / f"{robot.source}.toml"))
-
-
-def _stated_margin(file: Path) -> dict[str, float]:
-    """The [margin] table of a TOML limits file; empty where there is none."""
-    if file.suffix in (".yaml", ".yml"):
-        return {}
-    stated = tomllib.loads(_read_text(file)).get("margin", {})
-    if not isinstance(stated, dict) or set(stated) - set(WITH_MARGIN):
-        raise UnusableInput(f"{file}: [margin] should hold {', '.join(WITH_MARGIN)}; correct it")
-    for kind, share in stated.items():
-        if not isinstance(share, int | float) or isinstance(share, bool) or not 0.0 <= share < 1.0:
-            raise UnusableInput(
-                f"{file}: [margin] {kind} = {share!r} should be a share of the limit, at least 0 and below 1"
-            )
-    return {kind: float(share) for kind, share in stated.items()}
+    return Path(str(resources.files("excite.robot") / "models" / f"{robot.source}.toml"))
 
 
 def _tighten(entries: dict[str, tuple[Any, str]], follower: Follower) -> None:
@@ -291,13 +292,17 @@ def _assemble(robot: Robot, table: Mapping[str, Mapping[str, tuple[Any, str]]]) 
 
 
 def _merge(
-    robot: Robot, table: dict[str, dict[str, tuple[Any, str]]], file: Path, source: str
+    robot: Robot,
+    table: dict[str, dict[str, tuple[Any, str]]],
+    file: Path,
+    stated: Mapping[str, JointLimits],
+    source: str,
 ) -> None:
-    stated = _read_yaml(file) if file.suffix in (".yaml", ".yml") else _read_toml(file)
+    """Enter the limits of a file into the table, over those that are there."""
     known = {*robot.options["locked"], *robot.joints, *robot.mimics}  # type: ignore[misc]
-    for joint, entries in stated.items():
+    for joint, entry in stated.items():
         if joint not in known:
-            if file.suffix == ".toml":
+            if not _is_yaml(file):
                 raise UnusableInput(
                     f"{file}: no joint '{joint}' in {robot.source}; there are: {', '.join(robot.joints)}"
                 )
@@ -307,113 +312,83 @@ def _merge(
                 stacklevel=4,
             )
         if joint in table:
+            values = {quantity: getattr(entry, quantity) for quantity in QUANTITIES}
+            values["braking"] = None if entry.braking is None else _braking(entry.braking)
             table[joint].update(
-                {q: (_checked(file, joint, q, value), source) for q, value in entries.items()}
+                {
+                    quantity: (value, source)
+                    for quantity, value in values.items()
+                    if value is not None
+                }
             )
 
 
-def _read_text(file: Path) -> str:
-    try:
-        return file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UnusableInput(
-            f"{file}: cannot be read as a limits file ({error}); give a TOML or MoveIt YAML"
-        ) from error
+def _is_yaml(file: Path) -> bool:
+    return file.suffix in (".yaml", ".yml")
 
 
-def _read_toml(file: Path) -> dict[str, dict[str, Any]]:
-    try:
-        joints = tomllib.loads(_read_text(file)).get("joints")
-    except tomllib.TOMLDecodeError as error:
-        raise UnusableInput(f"{file}: is not valid TOML ({error}); correct it") from error
-    if not isinstance(joints, dict) or not all(
-        isinstance(entry, dict) for entry in joints.values()
-    ):
-        raise UnusableInput(
-            f"{file}: has no [joints.<name>] tables; write one per joint, e.g. [joints.elbow] velocity = 2.0"
-        )
-    for joint, entries in joints.items():
-        unknown = set(entries) - {*QUANTITIES, "braking"}
-        if unknown:
-            raise UnusableInput(
-                f"{file}: joint '{joint}' has an unknown key '{min(unknown)}'; known are {', '.join(QUANTITIES)}, braking"
-            )
-    return joints
+def _document(file: Path) -> DocumentFile:
+    return DocumentFile(
+        file,
+        "a limits file",
+        "correct it",
+        "a TOML file with [joints.<name>] tables, or a MoveIt joint_limits.yaml",
+    )
 
 
-def _yaml_loader() -> Any:
-    """The safe loader, and the tags !degrees and !radians that Universal Robots' own files use."""
-    import yaml
-
-    class Loader(yaml.SafeLoader):  # type: ignore[misc]
-        pass
-
-    for tag, unit in (("!degrees", math.pi / 180.0), ("!radians", 1.0)):
-        Loader.add_constructor(
-            tag, lambda loader, node, unit=unit: unit * float(loader.construct_scalar(node))
-        )
-    return Loader
+def _read_toml(file: Path, schema: type[TomlLimits]) -> TomlLimits:
+    document = _document(file)
+    return document.converted(document.toml(), schema)
 
 
-def _read_yaml(file: Path) -> dict[str, dict[str, Any]]:
-    """MoveIt's joint_limits.yaml: has_<x>_limits switches and max_<x> values, min/max_position."""
-    import yaml
+def _read_yaml(file: Path) -> dict[str, JointLimits]:
+    """MoveIt's joint_limits.yaml: has_<x>_limits switches, and max_<x>, min_position and max_position where they are on.
 
-    try:
-        document = yaml.load(_read_text(file), _yaml_loader())
-        joints = dict(document["joint_limits"])
-    except (yaml.YAMLError, TypeError, KeyError, ValueError) as error:
-        raise UnusableInput(
-            f"{file}: is no MoveIt joint_limits.yaml (a 'joint_limits:' map); correct it"
-        ) from error
-    out: dict[str, dict[str, Any]] = {}
-    for joint, entry in joints.items():
-        if not isinstance(entry, dict):
-            raise UnusableInput(
-                f"{file}: joint '{joint}' has no map of limits; write has_velocity_limits, max_velocity, …"
-            )
-        found: dict[str, Any] = {}
-        for quantity, key in (
-            ("velocity", "velocity"),
-            ("acceleration", "acceleration"),
-            ("jerk", "jerk"),
-            ("torque", "effort"),
-        ):
-            if entry.get(f"has_{key}_limits") and f"max_{key}" in entry:
-                found[quantity] = entry[f"max_{key}"]
-        if entry.get("has_position_limits") and "min_position" in entry and "max_position" in entry:
-            found["position"] = [entry["min_position"], entry["max_position"]]
-        out[str(joint)] = found
-    return out
+    Raises:
+        UnusableInput: The file is none; a switch is on and its value is missing; or a key looks like a limit and is none.
+    """
+    document = _document(file)
+    content = document.yaml()
+    switches = document.converted(content, MoveItSwitchesFile).joint_limits
+    if not switches:
+        raise document.error("names no joint", "joint_limits")
+    known = {
+        *MOVEIT_VALUES,
+        *MOVEIT_UNUSED,
+        *(value for values in MOVEIT_VALUES.values() for value in values),
+    }
+    values: dict[str, dict[str, Any]] = {}
+    for joint, entry in content["joint_limits"].items():
+        for key in entry:
+            if key.startswith(("has_", "min_", "max_")) and key not in known:
+                known_keys = ", ".join(sorted(known))
+                raise document.error(
+                    f"has the unknown key '{key}'; it may have {known_keys}",
+                    written(("joint_limits", joint)),
+                )
+        wanted = [
+            (switch, key)
+            for switch, keys in MOVEIT_VALUES.items()
+            if getattr(switches[joint], switch)
+            for key in keys
+        ]
+        for switch, key in wanted:
+            if entry.get(key) is None:
+                raise document.error(
+                    f"has no '{key}', but {switch} is true", written(("joint_limits", joint))
+                )
+        values[joint] = {key: entry[key] for _, key in wanted}
+    stated = document.converted({"joint_limits": values}, MoveItValuesFile).joint_limits
+    return {joint: _of_moveit(entry) for joint, entry in stated.items()}
 
 
-def _checked(file: Path, joint: str, quantity: str, value: Any) -> Any:
-    """One stated value as numbers that make sense, or the line that says why not."""
-    where = f"{file}: joint '{joint}': {quantity}"
-    try:
-        if quantity == "braking":
-            return _sensible(_braking(value))
-        if any(isinstance(v, (bool, str)) for v in (value if isinstance(value, list) else [value])):
-            raise ValueError("not a number")
-        numbers = np.array(value, float)
-    except (TypeError, ValueError, KeyError, IndexError) as error:
-        raise UnusableInput(
-            f"{where} = {value!r} is no limit; write e.g. {_EXAMPLES.get(quantity, '3.0')}"
-        ) from error
-    if quantity == "position":
-        if numbers.shape != (2,) or np.isnan(numbers).any():
-            raise UnusableInput(f"{where} = {value!r} should be [lower, upper]")
-        if not numbers[0] < numbers[1]:
-            raise UnusableInput(
-                f"{where} limits contradict each other: lower {numbers[0]:g} is not below upper {numbers[1]:g}; swap or widen them"
-            )
-        if np.isfinite(numbers).sum() == 1:
-            raise UnusableInput(f"{where} = {value!r} is open at one end; give both bounds")
-        return (float(numbers[0]), float(numbers[1]))
-    if numbers.shape != () or not numbers > 0.0:
-        raise UnusableInput(f"{where} = {value!r} should be one positive number")
-    if not np.isfinite(numbers).all() and quantity in REQUIRED:
-        raise UnusableInput(
-            f"{where} = {value!r} is not finite; give a number, the design needs it"
-        )
-    return float(numbers)
+def _of_moveit(entry: MoveItValues) -> JointLimits:
+    """The limits of one joint under our names."""
+    position = (
+        None
+        if entry.min_position is None or entry.max_position is None
+        else (entry.min_position, entry.max_position)
+    )
+    return JointLimits(
+        position=position, **{ours: getattr(entry, theirs) for theirs, ours in MOVEIT.items()}
+    )

@@ -148,7 +148,12 @@ def parse(text: str, plant: Plant) -> Effect:
 
 
 def stated(truth: Mapping[str, Any]) -> tuple[Effect, ...]:
-    """The effects of a truth: see `Effect.document`. Raises KeyError, TypeError or ValueError where there are no such effects."""
+    """The effects of a truth: see `Effect.document`.
+
+    Raises:
+        KeyError: There is no effect of that name.
+        ValueError: The effect has no such form, parameter, value or joint.
+    """
     out = []
     for one in truth["effects"]:
         values = {
@@ -157,9 +162,16 @@ def stated(truth: Mapping[str, Any]) -> tuple[Effect, ...]:
         kind = KINDS[one["effect"]]
         if one["family"] not in kind.forms or set(values) != {q.name for q in kind.quantities}:
             raise ValueError(f"no {kind.name} of this form with these parameters")
-        if one["joint"] not in (None, *truth["joints"]):
-            raise ValueError(f"{kind.name} in joint {one['joint']}, which is not among its joints")
-        out.append(Effect(kind.name, one["joint"], one["family"], values, one.get("from")))
+        for quantity in kind.quantities:
+            if not quantity.accepts(values[quantity.name]):
+                raise ValueError(f"{kind.name} with {quantity.name} {values[quantity.name]:g}")
+        joint, source = one["joint"], one.get("from")
+        placed = {"joint": joint is not None, "robot": joint is None}.get(kind.place, True)
+        if not placed or joint not in (None, *truth["joints"]):
+            raise ValueError(f"{kind.name} in joint {joint}, which is not among its joints")
+        if kind.name == "coupling" and (source == joint or source not in truth["joints"]):
+            raise ValueError(f"{kind.name} from joint {source}, which is not another of its joints")
+        out.append(Effect(kind.name, joint, one["family"], values, source))
     return tuple(out)
 
 
@@ -193,9 +205,10 @@ def _number(text: str, quantity: Quantity, value: str) -> float:
         number = float(value)
     except ValueError as error:
         raise UnusableInput(f"--effect {text}: {quantity.name}={value} is no number") from error
-    if not np.isfinite(number) or (quantity.low > 0.0 and number < 0.0):
+    if not quantity.accepts(number):
         raise UnusableInput(
-            f"--effect {text}: {quantity.name}={value} should be finite and not below 0 [{quantity.unit}]"
+            f"--effect {text}: {quantity.name}={value} should be finite and "
+            f"{'not below' if quantity.power > 0.0 else 'above'} 0 [{quantity.unit}]"
         )
     return number
 

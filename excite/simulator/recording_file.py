@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -37,12 +39,12 @@ class Recording:
 
     def csv(self) -> str:
         """The contract's columns; every number takes equally many characters."""
-        header = ",".join(
-            ["t", *(f"{kind}.{joint}" for kind in ("q", "tau", "qref") for joint in self.joints)]
-        )
+        stream = io.StringIO()
+        names = [f"{kind}.{joint}" for kind in ("q", "tau", "qref") for joint in self.joints]
+        csv.writer(stream, lineterminator="\n").writerow(["t", *names])
         row = "%012.6f" + ",%+.9e" * (3 * len(self.joints)) + "\n"
         table = np.hstack([self.t[:, None], self.q, self.tau, self.qref])
-        return header + "\n" + "".join(row % tuple(values) for values in table.tolist())
+        return stream.getvalue() + "".join(row % tuple(values) for values in table.tolist())
 
     def sidecar(self) -> dict[str, Any]:
         """`excite.recording/1`."""

@@ -9,25 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..robot.samples import Samples
+
 Array = np.ndarray
 DENSITY = 10
 """The certificate's grid is this many times denser than the optimiser's."""
-
-
-@dataclass(frozen=True)
-class Samples:
-    """Positions, velocities, accelerations at N times. Shapes (N, n) [rad, rad/s, rad/s²; m for prismatic joints]."""
-
-    q: Array
-    dq: Array
-    ddq: Array
-
-    def __len__(self) -> int:
-        return len(self.q)
-
-    def rows(self, which: Array | slice) -> Samples:
-        """The samples that `which` selects."""
-        return Samples(self.q[which], self.dq[which], self.ddq[which])
 
 
 @dataclass(frozen=True)

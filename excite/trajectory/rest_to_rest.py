@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from ..errors import UnusableInput
-from .fourier import Fourier, Samples
+from ..robot.samples import Samples
+from ..schemas.trajectory import SegmentDocument
+from .fourier import Fourier
 
 Array = np.ndarray
-KINDS = ("approach", "ramp_in", "fourier", "ramp_out", "return")
 
 
 @dataclass(frozen=True)
@@ -209,18 +210,21 @@ def segment_document(motion: Motion) -> list[dict[str, Any]]:
     return out
 
 
-def read_segments(document: list[dict[str, Any]], joints: tuple[str, ...]) -> tuple[Segment, ...]:
+def read_segments(
+    document: Sequence[SegmentDocument], joints: tuple[str, ...]
+) -> tuple[Segment, ...]:
     """The inverse of `segment_document`."""
     out = []
     for entry in document:
-        profile, stated = None, entry.get("profile")
+        profile, stated = None, entry.profile
         if stated is not None:
             pieces = tuple(
-                tuple((float(d), float(j)) for d, j in stated["pieces"][joint]) for joint in joints
+                tuple((float(d), float(j)) for d, j in stated.pieces[joint]) for joint in joints
             )
             state = [
-                np.array(stated[key], float) for key in ("position", "velocity", "acceleration")
+                np.array(values, float)
+                for values in (stated.position, stated.velocity, stated.acceleration)
             ]
             profile = Profile(state[0], state[1], state[2], pieces)
-        out.append(Segment(str(entry["kind"]), float(entry["start"]), float(entry["end"]), profile))
+        out.append(Segment(entry.kind, float(entry.start), float(entry.end), profile))
     return tuple(out)

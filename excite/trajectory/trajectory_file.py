@@ -18,11 +18,12 @@ from ..errors import UnusableInput
 from ..robot import limits
 from ..robot.limits import Limits
 from ..robot.robot import Payload, Robot, load
+from ..schemas.document_file import DocumentFile
+from ..schemas.trajectory import SCHEMA, TrajectoryDocument
 from .fourier import Fourier
 from .rest_to_rest import Motion, read_segments, segment_document
 
 Array = np.ndarray
-SCHEMA = "excite.trajectory/1"
 
 
 @dataclass(frozen=True)
@@ -133,57 +134,46 @@ def dumps(document: Any) -> str:
     return json.dumps(plain(document), indent=1, allow_nan=False, ensure_ascii=False)
 
 
-def stated(path: Path, schemas: tuple[str, ...], what: str, remedy: str) -> dict[str, Any]:
-    """A JSON document of one of some schemas. Raises UnusableInput, saying `what` it is no good as and the `remedy`."""
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise UnusableInput(
-            f"{path}: cannot be read as a {what} ({error}); give {remedy}"
-        ) from error
-    found = document.get("schema") if isinstance(document, dict) else None
-    if not isinstance(document, dict) or found not in schemas:
-        raise UnusableInput(f"{path}: its schema is {found!r}, not {schemas[0]!r}; give {remedy}")
-    return document
-
-
 def read(path: Path) -> Trajectory:
-    """Read `trajectory.json`. Raises UnusableInput when it is missing, broken or of another schema."""
-    document = stated(path, (SCHEMA,), "trajectory", "the trajectory.json of 'excite design'")
-    try:
-        return _from_document(document)
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise UnusableInput(
-            f"{path}: is incomplete or malformed ({type(error).__name__}: {error}); design it again"
-        ) from error
+    """Read `trajectory.json`.
+
+    Raises:
+        UnusableInput: The file is missing, is of another schema, or breaks a rule of
+            `schemas.trajectory`.
+    """
+    return parse(_document_file(path).json(), path)
 
 
-def _from_document(document: dict[str, Any]) -> Trajectory:
-    joints = tuple(str(j) for j in document["joints"])
-    arrays = [np.array(document[key], float) for key in ("sine", "cosine", "offset")]
-    shape = (len(joints), int(document["harmonics"]))
-    if arrays[0].shape != shape or arrays[1].shape != shape or arrays[2].shape != shape[:1]:
-        raise ValueError("the coefficients do not fit the joints and harmonics")
-    if not all(np.isfinite(a).all() for a in arrays):
-        raise ValueError("a coefficient is not finite")
-    period = float(document["period"])
-    if abs(2.0 * np.pi / period - float(document["base_frequency"])) > 1e-9 / period:
-        raise ValueError("base_frequency and period disagree")
-    fourier = Fourier(arrays[0], arrays[1], arrays[2], period)
-    motion = Motion(
-        joints, fourier, int(document["periods"]), read_segments(document["segments"], joints)
+def parse(content: Any, path: Path) -> Trajectory:
+    """The trajectory of the plain values of a `trajectory.json`; path: of the file, for messages. Raises as `read` does."""
+    file = _document_file(path)
+    file.schema(content, (SCHEMA,))
+    return _from_document(file.converted(content, TrajectoryDocument), content)
+
+
+def _document_file(path: Path) -> DocumentFile:
+    return DocumentFile(
+        path, "a trajectory", "design it again", "the trajectory.json of 'excite design'"
     )
+
+
+def _from_document(document: TrajectoryDocument, content: Mapping[str, Any]) -> Trajectory:
+    """The trajectory of a validated document. content: the same as plain values, with keys that the schema does not know."""
+    joints: tuple[str, ...] = tuple(document.joints)
+    arrays = [np.array(rows, float) for rows in (document.sine, document.cosine, document.offset)]
+    fourier = Fourier(arrays[0], arrays[1], arrays[2], float(document.period))
+    motion = Motion(joints, fourier, document.periods, read_segments(document.segments, joints))
     return Trajectory(
-        robot=document["robot"],
+        robot=content["robot"],
         motion=motion,
-        rate=float(document["rate"]),
-        limits=limits.from_document(document["limits"], joints),
-        noise=np.array([document["torque_noise"][j] for j in joints], float),
-        design=document.get("design", {}),
-        criteria=document["criteria"],
-        margins=document["margins"],
-        collision=document["collision"],
-        seed=int(document["seed"]),
-        forced=bool(document.get("forced", False)),
-        versions=document["versions"],
+        rate=float(document.rate),
+        limits=limits.from_document(document.limits, joints),
+        noise=np.array([document.torque_noise[joint] for joint in joints], float),
+        design=content.get("design", {}),
+        criteria=content["criteria"],
+        margins=content["margins"],
+        collision=str(document.collision),
+        seed=document.seed,
+        forced=document.forced,
+        versions=content["versions"],
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import itertools
 import re
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
@@ -34,6 +35,7 @@ MANY = 10
 """Robots with more joints than this get one figure per quantity."""
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
+    "text.parse_math": False,  # a name may have a $; nothing here is typeset as mathematics
     "font.size": 8.0,
     "font.family": "DejaVu Sans",
     "axes.titlesize": 8.5,
@@ -69,7 +71,9 @@ def render(label: str, height: float, draw: Callable[[Any], None], width: float 
 
     label = displayable(label)  # it may name a file
     # the salt keeps the ids of one figure from those of another, and the same from run to run
-    with matplotlib.rc_context({**_STYLE, "svg.hashsalt": label}):
+    with matplotlib.rc_context({**_STYLE, "svg.hashsalt": label}), warnings.catch_warnings():
+        # text stays text in the SVG; matplotlib's own font only measures it
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         canvas = Figure(figsize=(width, height))
         draw(canvas)
         buffer = io.StringIO()
@@ -82,18 +86,22 @@ def _slim(svg: str, label: str, width: float) -> str:
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.S)
     svg = re.sub(r"<!--.*?-->", "", svg, flags=re.S)
-    svg = re.sub(r'<g id="[^"]*"', "<g", svg)
-    svg = svg.replace("xlink:href", "href")
-    svg = re.sub(
-        r'(?<= d=")[^"]*', lambda m: re.sub(r"-?\d+\.\d+", _short, " ".join(m[0].split())), svg
-    )
-    svg = re.sub(r"\d+\.\d{3,}", lambda m: f"{float(m[0]):.2f}", svg)
-    svg = re.sub(r"font-family:[^;\"]*", "font-family: sans-serif", svg)
-    svg = re.sub(r"(font: [^;\"]*?px) [^;\"]*", r"\1 sans-serif", svg)
+    svg = re.sub(r"<[^>]*>", _slim_tag, svg)
     box = re.search(r'viewBox="[^"]*"', svg)
     head = f'<svg {box[0] if box else ""} role="img" aria-label="{escape(label)}" style="max-width:{width * 96:.0f}px">'
     svg = head + svg[svg.index(">") + 1 :]
     return re.sub(r">\s+<", "><", svg).strip()
+
+
+def _slim_tag(tag: re.Match[str]) -> str:
+    """One tag without ids, excess digits and fonts; text between tags, such as names, stays."""
+    text = re.sub(r'^<g id="[^"]*"', "<g", tag[0]).replace("xlink:href", "href")
+    text = re.sub(
+        r'(?<= d=")[^"]*', lambda m: re.sub(r"-?\d+\.\d+", _short, " ".join(m[0].split())), text
+    )
+    text = re.sub(r"\d+\.\d{3,}", lambda m: f"{float(m[0]):.2f}", text)
+    text = re.sub(r"font-family:[^;\"]*", "font-family: sans-serif", text)
+    return re.sub(r"(font: [^;\"]*?px) [^;\"]*", r"\1 sans-serif", text)
 
 
 def _short(match: re.Match[str]) -> str:

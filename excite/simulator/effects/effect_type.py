@@ -72,6 +72,15 @@ class Quantity:
         most = float(getattr(site.drive, self.within)[site.j]) if self.within else self.most
         return float((most / size) ** (1.0 / self.power)) if np.isfinite(most) and size else np.inf
 
+    def accepts(self, value: float) -> bool:
+        """Whether a value is finite and of a sign that the quantity can have.
+
+        An amplitude may be 0; a shape, such as the velocity over which friction falls, may not.
+        """
+        if not np.isfinite(value) or self.low <= 0.0:
+            return bool(np.isfinite(value))
+        return value > 0.0 or (value == 0.0 and self.power > 0.0)
+
     def sized(self, value: float, size: float) -> float:
         """The parameter of the effect made `size` > 0 times as large."""
         return value if self.power == 0.0 else self.about + (value - self.about) * size**self.power

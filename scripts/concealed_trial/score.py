@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..simulator.effects import FAMILIES, KINDS
+from excite.simulator.effects import FAMILIES, KINDS
 
 Array = np.ndarray
 BINS = ((0.0, 0.7), (0.7, 2.0), (2.0, 6.0), (6.0, 18.0), (18.0, np.inf))

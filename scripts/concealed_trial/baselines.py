@@ -1,12 +1,13 @@
 """Three analysts to be beaten: a greedy F-test and BIC search, "Stribeck, always", and a flexible black box.
 
-`python -m excite.trial.baselines CASE -o DIR` writes DIR/<analyst>.json, each an `excite.diagnosis/1`.
+`python scripts/concealed_trial baselines CASE -o DIR` writes DIR/<analyst>.json, each an `excite.diagnosis/1`.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,9 +15,9 @@ from typing import Any
 import numpy as np
 from scipy import linalg, stats
 
-from . import fit
-from .candidates import Candidate, candidates
-from .scene import Problem, load
+from . import baseline_fit
+from .baseline_candidates import Candidate, candidates
+from .baseline_data import Problem, load
 
 Array = np.ndarray
 STEPS, LEVEL = 4, 1e-3
@@ -170,7 +171,9 @@ def _solve(problem: Problem, columns: Array) -> tuple[Array, Array]:
     """Coefficients that explain the training residual, and their standard deviations. Shapes (P,), (P,)."""
     if not columns.shape[2]:
         return np.zeros(0), np.zeros(0)
-    basis, solve = fit.span((columns / problem.noise[:, None]).reshape(-1, columns.shape[2]))
+    basis, solve = baseline_fit.span(
+        (columns / problem.noise[:, None]).reshape(-1, columns.shape[2])
+    )
     return solve @ (basis.T @ (problem.rest[0] / problem.noise).ravel()), np.sqrt(
         np.square(solve).sum(axis=1)
     )
@@ -179,7 +182,7 @@ def _solve(problem: Problem, columns: Array) -> tuple[Array, Array]:
 def _document(
     problem: Problem, findings: list[dict[str, Any]], unknown: list[dict[str, Any]], after: Array
 ) -> dict[str, Any]:
-    before, left = fit.rmse(problem.rest[1]), fit.rmse(after)
+    before, left = baseline_fit.rmse(problem.rest[1]), baseline_fit.rmse(after)
     joints = {
         name: {
             "noise_floor": None,
@@ -198,7 +201,7 @@ def _document(
         "joints": joints,
         "unknown": unknown,
         "considered": [],
-        "band_hz": fit.BAND,
+        "band_hz": baseline_fit.BAND,
     }
 
 
@@ -272,18 +275,15 @@ def answers(folder: Path) -> dict[str, dict[str, Any]]:
     }
 
 
-def main() -> None:
-    """The command line of the three."""
+def main(argv: Sequence[str] | None = None) -> int:
+    """The command line of the three baselines."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("case", type=Path)
     parser.add_argument("-o", dest="out", type=Path, required=True)
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(argv)
     arguments.out.mkdir(parents=True, exist_ok=True)
     for name, document in answers(arguments.case).items():
         (arguments.out / f"{name}.json").write_text(
             json.dumps(document, indent=1), encoding="utf-8"
         )
-
-
-if __name__ == "__main__":
-    main()
+    return 0

@@ -1,8 +1,8 @@
 #!/usr/bin/env python
 """A trial that can't be cheated: conceal physics in simulated robots, let analysts answer from the recordings alone, open the key, score.
 
-    scripts/concealed_trial.py run --quick -o out/quick
-    scripts/concealed_trial.py run --family scored --cases 300 --seed 1 -o out/scored \\
+    scripts/concealed_trial run --quick -o out/quick
+    scripts/concealed_trial run --family scored --cases 300 --seed 1 -o out/scored \\
         --analyst 'excite=excite diagnose {robot} {train} --validate {validate} {prior} -o {out}'
 
 `run` is `conceal` (a process of its own), `answer` and `score`, one after the other; each goes on where it was interrupted.
@@ -15,11 +15,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+sys.path.insert(
+    0, str(Path(__file__).resolve().parent.parent)
+)  # to be run as `python scripts/concealed_trial`
+
+from concealed_trial import baselines, run
+from concealed_trial.case_plan import ROBOTS, Plan
+from concealed_trial.run_analyst import BASELINES, Analyst, baseline_analysts
 from excite.designer.cluster import BACKENDS, backend
 from excite.errors import ExciteError, UnusableInput
-from excite.trial import run
-from excite.trial.answer import BASELINES, Analyst, baselines
-from excite.trial.plan import ROBOTS, Plan
 
 QUICK = 24
 
@@ -29,7 +33,7 @@ def say(text: str) -> None:
 
 
 def analysts(arguments: argparse.Namespace) -> list[Analyst]:
-    out = [] if arguments.no_baselines else [baselines()]
+    out = [] if arguments.no_baselines else [baseline_analysts()]
     for text in arguments.analyst:
         name, separator, command = text.partition("=")
         if not separator or not name.isidentifier() or name in BASELINES:
@@ -60,7 +64,7 @@ def everything(arguments: argparse.Namespace) -> None:
     analysts(arguments)  # a wrong --analyst is found before an hour of concealing
     words = sys.argv[1:]
     words[words.index("run")] = "conceal"
-    done = subprocess.run([sys.executable, __file__, *words], check=False)
+    done = subprocess.run([sys.executable, str(Path(__file__).parent), *words], check=False)
     if done.returncode != 0:
         raise UnusableInput(
             "the concealing process failed; see above, then run the same command again"
@@ -73,6 +77,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
+    if sys.argv[1:2] == ["baselines"]:
+        return baselines.main(sys.argv[2:])
     parser.add_argument("act", choices=("run", "conceal", "answer", "score"))
     parser.add_argument("-o", dest="out", type=Path, required=True, metavar="DIR")
     parser.add_argument("--cases", type=int, metavar="N", help="default 300")

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..simulator.effects import CATALOGUE, OUTSIDERS
+from excite.simulator.effects import CATALOGUE, OUTSIDERS
 
 T = TypeVar("T")
 ROBOTS = ("two_link", "tx40", "ur10e", "panda")

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ..errors import UnusableInput
+from excite.errors import UnusableInput
 
 
 def close(folder: Path, names: Sequence[str]) -> str:

@@ -9,10 +9,11 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ..simulator import mujoco_dynamics as arms
-from ..simulator.regressor import bodies
-from .fit import OUT
-from .scene import Problem, Scene
+from excite.simulator import mujoco_dynamics as arms
+from excite.simulator.regressor import bodies
+
+from .baseline_data import Problem, Scene
+from .baseline_fit import OUT
 
 Array = np.ndarray
 

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 from scipy import linalg, signal
 
-from ..simulator import mujoco_dynamics as arms
-from ..simulator import urdf_tree as trees
-from ..simulator.mujoco_dynamics import Arm
-from ..simulator.regressor import bodies, drives
+from excite.simulator import mujoco_dynamics as arms
+from excite.simulator import urdf_tree as trees
+from excite.simulator.mujoco_dynamics import Arm
+from excite.simulator.regressor import bodies, drives
 
 Array = np.ndarray
 BAND, MOTION_BAND, RATE, OUT = 20.0, 60.0, 250.0, 50.0

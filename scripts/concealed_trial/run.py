@@ -6,21 +6,23 @@ import json
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from importlib import resources
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import joblib
 
-from ..errors import UnusableInput
-from . import answer as answers
-from . import conceal as concealing
-from . import seal
-from .answer import Analyst
-from .plan import Plan, Spec
+from excite.errors import UnusableInput
+
+from . import commitment
+from . import generate_cases as concealing
+from . import run_analyst as answers
+from .case_plan import Plan, Spec
+from .run_analyst import Analyst
 from .score import Mark, confusion, mark, score
 
-MODELS = Path(__file__).resolve().parents[1] / "models"
+MODELS = Path(str(resources.files("excite") / "robot" / "models"))
 Say = Callable[[str], None]
 BATCH = 24
 
@@ -71,7 +73,7 @@ def conceal(place: Place, plan: Plan, jobs: int, say: Say) -> str:
         _spread(_conceal_one, ((place, spec) for spec in missing), jobs), start=1
     ):
         say(f"concealed {number} of {len(missing)}, {taken:.1f} s")
-    sealed = seal.close(place.key, [spec.name for spec in specs])
+    sealed = commitment.close(place.key, [spec.name for spec in specs])
     if place.sealed.exists() and place.sealed.read_text(encoding="utf-8").strip() != sealed:
         raise UnusableInput(
             f"{place.sealed}: another key was published here before; start a trial in a new folder"
@@ -120,7 +122,7 @@ def _spread(task: Callable[..., Any], work: Iterable[tuple[Any, ...]], jobs: int
 
 def marks(place: Place) -> dict[str, list[Mark]]:
     """Marks of every analyst that answered, once the key is open."""
-    cases = seal.unlock(place.key, place.sealed.read_text(encoding="utf-8").strip())
+    cases = commitment.unlock(place.key, place.sealed.read_text(encoding="utf-8").strip())
     out: dict[str, list[Mark]] = {}
     for folder in sorted(place.answers.iterdir()):
         paths = {path.stem: path for path in folder.glob("*.json")}
@@ -138,23 +140,23 @@ def marks(place: Place) -> dict[str, list[Mark]]:
 
 def report(place: Place) -> str:
     """Score, tables and pictures, written beside the answers; returns the table in Markdown."""
-    from . import pictures
+    from . import figures
 
     found = marks(place)
     scores = {name: score(of) for name, of in found.items()}
     tables = {name: confusion(of) for name, of in found.items()}
     text = table(scores)
     document = {
-        "schema": "excite.trial/1",
+        "schema": "concealed_trial/1",
         "sealed": place.sealed.read_text(encoding="utf-8").strip(),
         "scores": scores,
         "confusion": tables,
     }
     (place.root / "score.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
     (place.root / "score.md").write_text(text + "\n", encoding="utf-8")
-    (place.root / "confusion.svg").write_text(pictures.confusion(tables), encoding="utf-8")
+    (place.root / "confusion.svg").write_text(figures.confusion(tables), encoding="utf-8")
     (place.root / "reliability.svg").write_text(
-        pictures.reliability({name: of["calibration"] for name, of in scores.items()}),
+        figures.reliability({name: of["calibration"] for name, of in scores.items()}),
         encoding="utf-8",
     )
     place.log("scored")

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..simulator.effects import CATALOGUE, OUTSIDERS
+from excite.simulator.effects import CATALOGUE, OUTSIDERS
+
 from .score import NO_ANSWER, NOTHING, UNKNOWN
 
 Array = np.ndarray

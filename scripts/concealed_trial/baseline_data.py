@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from ..simulator import urdf_tree as trees
-from ..simulator.mujoco_dynamics import Arm
-from . import fit
-from .fit import Data
+from excite.simulator import urdf_tree as trees
+from excite.simulator.mujoco_dynamics import Arm
+
+from . import baseline_fit
+from .baseline_fit import Data
 
 Array = np.ndarray
 
@@ -34,7 +35,7 @@ class Scene:
 
     def low(self, x: Array) -> Array:
         """Below 20 Hz, at 50 Hz."""
-        return fit.low(x, self.data.t)
+        return baseline_fit.low(x, self.data.t)
 
 
 @dataclass(frozen=True)
@@ -59,30 +60,30 @@ class Problem:
 
 def scene(arm: Arm, limit: Array, path: Path) -> Scene:
     """Read a recording."""
-    data = fit.ordered(fit.read(path), arm.joints)
+    data = baseline_fit.ordered(baseline_fit.read(path), arm.joints)
     every = 5
     coarse = np.array(
         [np.diag(arm.terms(q, v)[0]) for q, v in zip(data.q[::every], data.v[::every], strict=True)]
     )
     mass = np.column_stack([np.interp(data.t, data.t[::every], column) for column in coarse.T])
-    return Scene(arm, limit, data, mass, data.tau, np.full(arm.n, fit.WIDTHS[1]))
+    return Scene(arm, limit, data, mass, data.tau, np.full(arm.n, baseline_fit.WIDTHS[1]))
 
 
 def load(folder: Path) -> Problem:
     """A case's folder: robot.urdf, train.csv, validate.csv, and prior.json where there is one."""
     tree = trees.read(folder / "robot.urdf")
-    arm = fit.arm_of(folder / "robot.urdf", tree.joints)
+    arm = baseline_fit.arm_of(folder / "robot.urdf", tree.joints)
     limit = np.array([tree.limits(name)[1] for name in arm.joints])
     first, second = (scene(arm, limit, folder / f"{name}.csv") for name in ("train", "validate"))
     prior = folder / "prior.json"
     if prior.exists():
         return _trusted(first, second, json.loads(prior.read_text(encoding="utf-8"))["joints"])
-    width = fit.best_width(arm, first.data, first.low(first.data.tau))
+    width = baseline_fit.best_width(arm, first.data, first.low(first.data.tau))
     first, second = replace(first, width=width), replace(second, width=width)
-    wide = [fit.columns(arm, one.data, width) for one in (first, second)]
+    wide = [baseline_fit.columns(arm, one.data, width) for one in (first, second)]
     y, held = (one.low(all_) for one, all_ in zip((first, second), wide, strict=True))
     tau, other = (one.low(one.data.tau) for one in (first, second))
-    base = fit.fit(y, tau)
+    base = baseline_fit.fit(y, tau)
     first, second = (
         replace(one, load=base.predict(all_))
         for one, all_ in zip((first, second), wide, strict=True)
@@ -111,10 +112,10 @@ def _trusted(first: Scene, second: Scene, prior: dict[str, Any]) -> Problem:
         )
 
     tried = [
-        fit.rmse(first.low(first.data.tau - model(first, np.full(arm.n, width))))
-        for width in fit.WIDTHS
+        baseline_fit.rmse(first.low(first.data.tau - model(first, np.full(arm.n, width))))
+        for width in baseline_fit.WIDTHS
     ]
-    width = np.array(fit.WIDTHS)[np.argmin(np.array(tried), axis=0)]
+    width = np.array(baseline_fit.WIDTHS)[np.argmin(np.array(tried), axis=0)]
     scenes = [replace(one, load=model(one, width), width=width) for one in (first, second)]
     rest = [one.low(one.data.tau - one.load) for one in scenes]
     noise = 1.4826 * np.median(np.abs(np.diff(rest[0], axis=0)), axis=0) / np.sqrt(2.0)

@@ -29,10 +29,11 @@ class Analyst:
     command: str
 
 
-def baselines() -> Analyst:
+def baseline_analysts() -> Analyst:
     """The three baselines, in one process."""
     return Analyst(
-        BASELINES, f"{shlex.quote(sys.executable)} -m excite.trial.baselines {{case}} -o {{out}}"
+        BASELINES,
+        f"{shlex.quote(sys.executable)} {shlex.quote(str(Path(__file__).parent))} baselines {{case}} -o {{out}}",
     )
 
 

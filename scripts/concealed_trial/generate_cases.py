@@ -13,19 +13,20 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import UnusableInput
-from ..simulator import effect_instance as effects
-from ..simulator import experiment, recording_file, severity
-from ..simulator import urdf_tree as trees
-from ..simulator.actuator import Control, Drive
-from ..simulator.effect_instance import Effect
-from ..simulator.effects import KINDS
-from ..simulator.experiment import Session, Setting
-from ..simulator.reference_trajectory import Reference
-from ..simulator.simulated_robot import Plant
-from . import motion
-from .fit import oracle
-from .plan import Spec
+from excite.errors import UnusableInput
+from excite.simulator import effect_instance as effects
+from excite.simulator import experiment, recording_file, severity
+from excite.simulator import urdf_tree as trees
+from excite.simulator.actuator import Control, Drive
+from excite.simulator.effect_instance import Effect
+from excite.simulator.effects import KINDS
+from excite.simulator.experiment import Session, Setting
+from excite.simulator.reference_trajectory import Reference
+from excite.simulator.simulated_robot import Plant
+
+from . import random_excitation
+from .baseline_fit import oracle
+from .case_plan import Spec
 
 Array = np.ndarray
 NOISE, COARSE, JITTER, STEP = 0.002, 2.0 * np.pi / 2**16, 5e-5, 2e-3
@@ -107,7 +108,8 @@ def _drawn(spec: Spec, models: Path, least: float) -> Bench:
         np.random.default_rng([spec.seed, 4]),
     ]
     short, train, validate = (
-        motion.draw(plant, n, state, poor=poor) for n, state in zip((1, 2, 1), states, strict=True)
+        random_excitation.draw(plant, n, state, poor=poor)
+        for n, state in zip((1, 2, 1), states, strict=True)
     )
     hidden: list[tuple[Effect, float]] = []
     for name, level in zip(spec.names, spec.severities, strict=True):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..simulator import reference_trajectory
-from ..simulator.mujoco_dynamics import build
-from ..simulator.reference_trajectory import Reference
-from ..simulator.simulated_robot import Plant
-from ..simulator.urdf_tree import Tree
+from excite.simulator import reference_trajectory
+from excite.simulator.mujoco_dynamics import build
+from excite.simulator.reference_trajectory import Reference
+from excite.simulator.simulated_robot import Plant
+from excite.simulator.urdf_tree import Tree
 
 Array = np.ndarray
 PERIOD, RAMP, HARMONICS = 8.0, 1.0, 5

@@ -1,0 +1,76 @@
+"""The cell in a trajectory: shapes of the robot and of what stands around it, and which of them need not keep apart."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+
+from .quantities import Angle, Clearance, FilePath, Length, Name, Sha256, Size, Text, shown
+
+ShapeKind = Literal["sphere", "capsule", "cylinder", "box", "mesh", "floor"]
+SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "box": 3, "mesh": 3, "floor": 0}
+"""How many numbers the size of each kind of shape has."""
+
+
+class ShapeDocument(msgspec.Struct):
+    """A shape in the frame of a link, or in the base frame; a mesh has its file and that file's digest."""
+
+    name: Name
+    kind: ShapeKind
+    size: list[Size]
+    position: tuple[Length, Length, Length]
+    rotation: tuple[Angle, Angle, Angle]
+    link: Name | None = None
+    file: FilePath | None = None
+    sha256: Sha256 | None = None
+
+    def __post_init__(self) -> None:
+        if len(self.size) != SIZES[self.kind]:
+            raise ValueError(
+                f"the size of a {self.kind} should hold {SIZES[self.kind]} values, not {len(self.size)}"
+            )
+        if self.kind == "mesh" and (self.file is None or self.sha256 is None):
+            raise ValueError("a mesh should state its file and the file's sha256")
+        if self.kind != "mesh" and self.file is not None:
+            raise ValueError(f"a {self.kind} has no file")
+
+
+def check_floor(floor: float | bool | None) -> None:
+    """Raise ValueError for a floor that is neither a height nor false. msgspec has no union of a bool with a `Length`."""
+    if floor is True or not (floor is None or floor is False or Length.accepted.accepts(floor)):
+        raise ValueError(
+            f"floor: {shown(floor)} should be a height {Length.accepted}, or false for none"
+        )
+
+
+class ExceptedDocument(msgspec.Struct):
+    """A pair of bodies that is not held to the clearance, and why."""
+
+    first: Name
+    second: Name
+    why: Text
+
+
+class RecipeDocument(msgspec.Struct):
+    """From which files and options a cell was made."""
+
+    packages: list[FilePath] = []
+    scene: FilePath | None = None
+    srdf: FilePath | None = None
+    floor: float | bool | None = None
+    clearance: Clearance | None = None
+
+    def __post_init__(self) -> None:
+        check_floor(self.floor)
+
+
+class CellDocument(msgspec.Struct):
+    """A cell; `collision.cell.Cell.document` writes it."""
+
+    margin: Clearance
+    shapes: list[ShapeDocument]
+    disabled: list[tuple[Name, Name]] = []
+    excepted: list[ExceptedDocument] = []
+    notes: list[Text] = []
+    recipe: RecipeDocument | None = None

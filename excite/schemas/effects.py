@@ -1,0 +1,251 @@
+"""The effects in a model: which nonlinear parameters each may have, in which ranges, and how many coefficients.
+
+The forms below are those of the catalogue in `diagnose`; tests/test_document_schemas.py compares every shape of the catalogue with them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import msgspec
+
+from .. import physical_ranges as ranges
+from ..physical_ranges import Range
+from .quantities import ClockTime, Coefficient, Name, Text, shown
+
+Values = Mapping[str, float]
+FLAG = Range(1.0, 1.0, "1")
+"""A form that is stated by the presence of its key."""
+SWITCH = Range(0.0, 1.0, "1")
+COUNT = Range(1.0, 100.0, "1")
+POSITIVE = Range(1e-12, 1e9, "1")
+EXPONENT = Range(1e-2, 1e2, "1")
+SPATIAL_FREQUENCY = Range(1e-6, 1e6, "1/rad or 1/m")
+SECONDS = Range(1e-9, 1e6, "s")
+DELAY = Range(-10.0, 10.0, "s")
+FREQUENCY = Range(1e-3, 1e5, "Hz")
+FRICTION_SPEED = Range(1e-12, ranges.VELOCITY.upper, "rad/s or m/s")
+POSITION = ranges.POSITION
+TORQUE = Range(1e-12, ranges.EFFORT.upper, "N m or N")
+COULOMB = Range(0.0, ranges.COULOMB_FRICTION.upper, "N m or N")
+VISCOUS = Range(0.0, ranges.VISCOUS_FRICTION.upper, "N m s/rad or N s/m")
+STIFFNESS = Range(1e-6, 1e12, "N m/rad or N/m")
+DAMPING_RATIO = Range(1e-6, 10.0, "1")
+WAVE_MULTIPLES = {"twice": FLAG, "thrice": FLAG}
+DELAYED = {"late": DELAY, "lagging": FLAG, "late_joint": Range(0.0, 1000.0, "1")}
+"""What any effect may have whose torque is recorded later than the position."""
+INTEGERS = ("late_joint", "waves", "knots", "springs", "way", "form", "link", "count")
+"""Values that are whole numbers."""
+AXES_OF_WAYS = (2, 2, 1, 1, 1)
+"""How many coordinates each way has in which a base can move."""
+COLUMNS_OF_FORMS = (1, 2, 2, 3, 4)
+"""How many columns each form of a spring has."""
+
+
+@dataclass(frozen=True)
+class EffectForm:
+    """One form of an effect.
+
+    Attributes:
+        needed: Nonlinear parameters that it has, with their ranges.
+        optional: Further ones that it may have.
+        coefficients: How many coefficients it has, given its values.
+        joint: Whether it needs a joint, True; must have none, False; or may have one, None.
+        other: Whether it comes from another joint.
+        interval: Whether it needs an interval of time and a recording.
+    """
+
+    needed: Mapping[str, Range] = field(default_factory=dict)
+    optional: Mapping[str, Range] = field(default_factory=dict)
+    coefficients: Callable[[Values], int] = lambda values: 1
+    joint: bool | None = True
+    other: bool = False
+    interval: bool = False
+
+
+def _waves(values: Values) -> int:
+    """A cosine and a sine of the order and of each multiple that is stated."""
+    return 2 * (1 + len(WAVE_MULTIPLES.keys() & values.keys()))
+
+
+_LOAD = {"scale": TORQUE, "power": EXPONENT}
+_SETTLED = {"velocity": FRICTION_SPEED, "exponent": EXPONENT}
+FORMS: Mapping[str, tuple[EffectForm, ...]] = {
+    "torque_offset": (EffectForm(),),
+    "torque_gain": (EffectForm(),),
+    "torque_saturation": (
+        EffectForm({"power": EXPONENT, "largest": TORQUE}, {"measured": SWITCH}),
+        EffectForm({"level": TORQUE, "bend": EXPONENT, "largest": TORQUE}, {"measured": SWITCH}),
+    ),
+    "asymmetric_viscous": (EffectForm(),),
+    "stribeck": (
+        EffectForm(_SETTLED, {"rational": FLAG}),
+        EffectForm(
+            {**_SETTLED, "width": FRICTION_SPEED, "usual": FRICTION_SPEED},
+            {"rational": FLAG},
+            lambda values: 2,
+        ),
+    ),
+    "nonlinear_viscous": (EffectForm({"exponent": EXPONENT}),),
+    "drag": (EffectForm(),),
+    "load_friction": (
+        EffectForm(_LOAD, {"driven": FLAG}),
+        EffectForm({**_LOAD, **_SETTLED}, {"driven": FLAG}, lambda values: 2),
+    ),
+    "position_friction": (
+        EffectForm(
+            {"order": SPATIAL_FREQUENCY, "waves": COUNT, "low": POSITION, "high": POSITION},
+            coefficients=lambda values: 2 * int(values["waves"]),
+        ),
+    ),
+    "friction": (EffectForm(coefficients=lambda values: 2),),
+    "hysteresis": (
+        EffectForm({"reach": POSITIVE}),
+        EffectForm(
+            {"reach": POSITIVE, "springs": COUNT},
+            coefficients=lambda values: int(values["springs"]),
+        ),
+    ),
+    "thermal_drift": (
+        EffectForm(
+            {"time_constant": SECONDS, "coulomb": COULOMB, "viscous": VISCOUS}, {"power": POSITIVE}
+        ),
+        EffectForm(
+            {"reference": Range(-273.15, 1e4, "°C"), "coulomb": COULOMB, "viscous": VISCOUS}
+        ),
+    ),
+    "elasticity": (
+        EffectForm({"stiffness": STIFFNESS, "damping": DAMPING_RATIO, "rests": SWITCH}),
+    ),
+    "backlash": (
+        EffectForm({"width": Range(1e-12, 1e2, "rad or m"), "hold": Range(0.0, 1e3, "Hz")}),
+    ),
+    "spring": (
+        EffectForm(
+            {"form": Range(0.0, 4.0, "1")},
+            coefficients=lambda values: COLUMNS_OF_FORMS[int(values["form"])],
+        ),
+        EffectForm({"order": SPATIAL_FREQUENCY, "about": POSITION}, coefficients=lambda values: 3),
+        EffectForm({"bend": POSITION}, coefficients=lambda values: 2),
+    ),
+    "coupling": (
+        EffectForm({"ratio": Range(-1e6, 1e6, "1")}, coefficients=lambda values: 3, other=True),
+        EffectForm(
+            {"ratio": Range(-1e6, 1e6, "1"), "light": FLAG},
+            coefficients=lambda values: 2,
+            other=True,
+        ),
+    ),
+    "torque_ripple": (EffectForm({"order": SPATIAL_FREQUENCY}, WAVE_MULTIPLES, _waves),),
+    "encoder_error": (EffectForm({"order": SPATIAL_FREQUENCY}, WAVE_MULTIPLES, _waves),),
+    "delay": (
+        EffectForm({"measured": SWITCH}, joint=None),
+        EffectForm({"seconds": Range(1e-9, 10.0, "s")}, {"lagging": FLAG}, joint=None),
+    ),
+    "payload": (
+        EffectForm(
+            {"link": Range(0.0, 1000.0, "1"), "count": Range(4.0, 10.0, "1")},
+            coefficients=lambda values: int(values["count"]),
+        ),
+    ),
+    "gravity_tilt": (
+        EffectForm(
+            {"large": SWITCH}, coefficients=lambda values: 2 + (values["large"] > 0.0), joint=False
+        ),
+    ),
+    "rotor_inertia": (EffectForm(),),
+    "kinematic_error": (
+        EffectForm({"angle": SWITCH, "whole": SWITCH}, coefficients=lambda values: 3),
+    ),
+    "base_compliance": (
+        EffectForm(
+            {
+                "frequency": FREQUENCY,
+                "damping": DAMPING_RATIO,
+                "way": Range(0.0, len(AXES_OF_WAYS) - 1.0, "1"),
+                "stand": POSITIVE,
+                "apart": Range(1e-2, 1e2, "1"),
+            },
+            coefficients=lambda values: AXES_OF_WAYS[int(values["way"])],
+            joint=False,
+        ),
+    ),
+    "contact": (
+        EffectForm(
+            {"swells": SWITCH, "knots": Range(0.0, 1000.0, "1")},
+            coefficients=lambda values: 3 * max(int(values["knots"]), 1),
+            interval=True,
+        ),
+    ),
+}
+"""The forms of every effect of the catalogue, by its name."""
+
+
+class EffectDocument(msgspec.Struct):
+    """An effect in a model: a shape of the catalogue with its coefficients."""
+
+    effect: Name
+    joint: Name | None
+    other: Name | None = msgspec.field(name="from")
+    values: dict[str, float]
+    coefficients: list[Coefficient]
+    time: tuple[ClockTime, ClockTime] | None
+    recording: Text | None
+
+    def __post_init__(self) -> None:
+        if self.effect not in FORMS:
+            raise ValueError(f"effect: this version has no effect {shown(self.effect)}")
+        form = _form(self.effect, self.values)
+        _check_values(self.values, form)
+        needed = form.coefficients(self.values)
+        if len(self.coefficients) != needed:
+            raise ValueError(
+                f"coefficients: '{self.effect}' should have {needed} of them, not {len(self.coefficients)}"
+            )
+        if form.joint is not None and form.joint != (self.joint is not None):
+            raise ValueError(
+                f"joint: '{self.effect}' {'needs a joint' if form.joint else 'has no joint'}, not {shown(self.joint)}"
+            )
+        if form.other != (self.other is not None) or (form.other and self.other == self.joint):
+            raise ValueError(
+                f"from: '{self.effect}' {'comes from another joint' if form.other else 'has none'}, not {shown(self.other)}"
+            )
+        if form.interval != (self.time is not None):
+            raise ValueError(
+                f"time: '{self.effect}' {'needs an interval' if form.interval else 'has no interval'}, not {shown(self.time)}"
+            )
+        if self.time is not None and not (self.time[0] < self.time[1] and self.recording):
+            raise ValueError(
+                "time: should be [start, end] with start < end, of a recording that is named"
+            )
+
+
+def _form(effect: str, values: Values) -> EffectForm:
+    """The form that has the given values. Raises ValueError where none has."""
+    forms = FORMS[effect]
+    for form in forms:
+        if form.needed.keys() <= values.keys() <= {*form.needed, *form.optional, *DELAYED}:
+            return form
+    known = {key for form in forms for key in (*form.needed, *form.optional)} | DELAYED.keys()
+    for key in values:
+        if key not in known:
+            raise ValueError(f"values: '{effect}' has no {shown(key)}")
+    choices = " or ".join(", ".join(form.needed) or "none" for form in forms)
+    raise ValueError(f"values: '{effect}' should have {choices}, not {', '.join(values) or 'none'}")
+
+
+def _check_values(values: Values, form: EffectForm) -> None:
+    """Raise ValueError for a value outside its range, or for two that contradict each other."""
+    accepted = {**DELAYED, **form.optional, **form.needed}
+    for key, value in values.items():
+        if not accepted[key].accepts(value):
+            raise ValueError(f"values.{key}: {shown(value)} should be {accepted[key]}")
+        if key in INTEGERS and value != round(value):
+            raise ValueError(f"values.{key}: {shown(value)} should be a whole number")
+    if ("lagging" in values or "late_joint" in values) and not {"late", "seconds"} & values.keys():
+        raise ValueError("values: states a delay without 'late'")
+    if "low" in values and not values["low"] < values["high"]:
+        raise ValueError(f"values.low: {values['low']:g} should be below high, {values['high']:g}")
+    if "count" in values and int(values["count"]) not in (4, 10):
+        raise ValueError(f"values.count: {shown(values['count'])} should be 4 or 10")

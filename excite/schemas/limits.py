@@ -1,0 +1,183 @@
+"""Limits of joints: in a trajectory, in a TOML limits file, and in MoveIt's `joint_limits.yaml`."""
+
+from __future__ import annotations
+
+import msgspec
+
+from .quantities import (
+    AccelerationLimit,
+    JerkLimit,
+    Length,
+    Position,
+    Share,
+    Text,
+    TorqueLimit,
+    VelocityLimit,
+    VelocityOffset,
+)
+
+
+class BrakingDocument(msgspec.Struct, forbid_unknown_fields=True):
+    """A velocity limit that falls towards a position stop, |q̇| ≤ −offset + √(rate · distance to the stop)."""
+
+    offset: VelocityOffset
+    rate: AccelerationLimit
+    stop: tuple[Position, Position]
+
+    def __post_init__(self) -> None:
+        ordered("stop", self.stop)
+
+
+class PositionEntry(msgspec.Struct):
+    """A position limit of a trajectory, and where it came from."""
+
+    value: tuple[Position, Position]
+    source: Text = Text("")
+
+    def __post_init__(self) -> None:
+        ordered("value", self.value)
+
+
+class VelocityEntry(msgspec.Struct):
+    """A velocity limit of a trajectory, and where it came from."""
+
+    value: VelocityLimit
+    source: Text = Text("")
+
+
+class AccelerationEntry(msgspec.Struct):
+    """An acceleration limit of a trajectory, and where it came from."""
+
+    value: AccelerationLimit
+    source: Text = Text("")
+
+
+class JerkEntry(msgspec.Struct):
+    """A jerk limit of a trajectory, and where it came from."""
+
+    value: JerkLimit
+    source: Text = Text("")
+
+
+class TorqueEntry(msgspec.Struct):
+    """A torque limit of a trajectory, and where it came from."""
+
+    value: TorqueLimit
+    source: Text = Text("")
+
+
+class StatedLimits(msgspec.Struct):
+    """The limits in a trajectory, joint by joint; `limits.Limits.document` writes them. An absent limit is absent."""
+
+    position: dict[str, PositionEntry] = {}
+    velocity: dict[str, VelocityEntry] = {}
+    acceleration: dict[str, AccelerationEntry] = {}
+    jerk: dict[str, JerkEntry] = {}
+    torque: dict[str, TorqueEntry] = {}
+    braking: dict[str, BrakingDocument] = {}
+
+
+class JointLimits(msgspec.Struct, forbid_unknown_fields=True):
+    """The limits of one joint in a TOML file; None where it states none."""
+
+    position: tuple[Position, Position] | None = None
+    velocity: VelocityLimit | None = None
+    acceleration: AccelerationLimit | None = None
+    jerk: JerkLimit | None = None
+    torque: TorqueLimit | None = None
+    braking: BrakingDocument | None = None
+
+    def __post_init__(self) -> None:
+        if self.position is not None:
+            ordered("position", self.position)
+
+
+class Margin(msgspec.Struct, forbid_unknown_fields=True):
+    """Shares of the limits that a design keeps free; None where the file states none."""
+
+    velocity: Share | None = None
+    acceleration: Share | None = None
+    jerk: Share | None = None
+    torque: Share | None = None
+
+
+class LimitsFile(msgspec.Struct, forbid_unknown_fields=True):
+    """A TOML limits file: `[joints.<name>] velocity = 2.0`, …, and `[margin] torque = 0.05`."""
+
+    joints: dict[str, JointLimits] = {}
+    margin: Margin | None = None
+
+    def __post_init__(self) -> None:
+        if not self.joints and self.margin is None:
+            raise ValueError(
+                "has no [joints.<name>] tables; write one per joint, e.g. [joints.elbow] velocity = 2.0"
+            )
+
+
+class Mounting(msgspec.Struct, forbid_unknown_fields=True):
+    """How a built-in model stands. floor: height of the plane under its base, in the base frame."""
+
+    floor: Length
+
+
+class BuiltinLimitsFile(LimitsFile, forbid_unknown_fields=True):
+    """The table of a built-in model, which states its mounting too."""
+
+    mounting: Mounting | None = None
+
+
+class MoveItSwitches(msgspec.Struct):
+    """The switches of one joint of MoveIt's `joint_limits.yaml`: a value binds where its switch is on."""
+
+    has_position_limits: bool = False
+    has_velocity_limits: bool = False
+    has_acceleration_limits: bool = False
+    has_jerk_limits: bool = False
+    has_effort_limits: bool = False
+
+
+class MoveItValues(msgspec.Struct):
+    """The values of one joint of MoveIt's `joint_limits.yaml` that are switched on."""
+
+    min_position: Position | None = None
+    max_position: Position | None = None
+    max_velocity: VelocityLimit | None = None
+    max_acceleration: AccelerationLimit | None = None
+    max_jerk: JerkLimit | None = None
+    max_effort: TorqueLimit | None = None
+
+    def __post_init__(self) -> None:
+        if self.min_position is not None and self.max_position is not None:
+            ordered("position", (self.min_position, self.max_position))
+
+
+class MoveItSwitchesFile(msgspec.Struct):
+    """The switches of all joints of a `joint_limits.yaml`."""
+
+    joint_limits: dict[str, MoveItSwitches]
+
+
+class MoveItValuesFile(msgspec.Struct):
+    """The values of all joints of a `joint_limits.yaml` that are switched on."""
+
+    joint_limits: dict[str, MoveItValues]
+
+
+MOVEIT_VALUES = {
+    "has_position_limits": ("min_position", "max_position"),
+    "has_velocity_limits": ("max_velocity",),
+    "has_acceleration_limits": ("max_acceleration",),
+    "has_jerk_limits": ("max_jerk",),
+    "has_effort_limits": ("max_effort",),
+}
+"""The values that each switch of MoveIt's `joint_limits.yaml` turns on."""
+MOVEIT_UNUSED = ("has_deceleration_limits", "max_deceleration", "has_soft_limits")
+"""Further switches and values of MoveIt and ros2_control, which nothing here uses. Other keys that begin like a limit are misspelt."""
+
+
+def ordered(key: str, pair: tuple[float, float]) -> None:
+    """Raise ValueError unless the first of two bounds is below the second."""
+    if not pair[0] < pair[1]:
+        raise ValueError(
+            f"{key}: the lower bound {pair[0]:g} is not below the upper bound {pair[1]:g}; swap or widen them"
+        )

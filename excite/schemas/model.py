@@ -1,0 +1,111 @@
+"""`model.json`, schema excite.model/1: an identified robot."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+
+from .effects import EffectDocument
+from .quantities import (
+    Band,
+    CoulombFriction,
+    FilePath,
+    FrictionWidth,
+    Gravity,
+    InertialParameter,
+    Mass,
+    Name,
+    RotorInertia,
+    Sha256,
+    Text,
+    Torque,
+    ViscousFriction,
+    shown,
+)
+from .trajectory import Drive
+
+SCHEMA = "excite.model/1"
+TEN = 10
+"""Inertial parameters of a link: mass, three first moments, six elements of the inertia tensor."""
+DRIVE_RANGES = {
+    "rotor_inertia": RotorInertia.accepted,
+    "viscous": ViscousFriction.accepted,
+    "coulomb": CoulombFriction.accepted,
+    "offset": Torque.accepted,
+}
+
+
+class ModelRobotDocument(msgspec.Struct):
+    """The robot that was identified; locked joints and the payload are in the model's own URDF."""
+
+    name: Name
+    source: FilePath
+    sha256: Sha256
+    gravity: tuple[Gravity, Gravity, Gravity]
+
+
+class ParameterDocument(msgspec.Struct):
+    """A standard parameter: its name, what it belongs to, and its identified value."""
+
+    name: Text
+    value: InertialParameter
+    of: Text = Text("")
+
+
+class ModelDocument(msgspec.Struct):
+    """What a prediction reads of the file.
+
+    urdf: the identified robot. standard_parameters: ten of each link, then those of each kind in `drive`, joint by joint.
+    """
+
+    schema: Literal["excite.model/1"]
+    robot: ModelRobotDocument
+    urdf: str
+    joints: list[Name]
+    links: list[Name]
+    drive: list[Drive]
+    standard_parameters: list[ParameterDocument]
+    coulomb_width: dict[str, FrictionWidth]
+    band_hz: Band
+    effects: list[EffectDocument]
+
+    def __post_init__(self) -> None:
+        if not self.joints or len(set(self.joints)) < len(self.joints):
+            raise ValueError("joints: should hold the name of each joint once")
+        for joint in self.joints:
+            if joint not in self.coulomb_width:
+                raise ValueError(f"coulomb_width: has no entry for the joint {shown(joint)}")
+        _check_parameters(self)
+        for i, effect in enumerate(self.effects):
+            for key, named in (("joint", effect.joint), ("from", effect.other)):
+                if named is not None and named not in self.joints:
+                    raise ValueError(f"effects[{i}].{key}: {shown(named)} is none of the joints")
+            if effect.values.get("late_joint", 0.0) >= len(self.joints):
+                raise ValueError(
+                    f"effects[{i}].values.late_joint: {effect.values['late_joint']:g} is the number of no joint"
+                )
+            if effect.values.get("link", 0.0) >= len(self.links):
+                raise ValueError(
+                    f"effects[{i}].values.link: {effect.values['link']:g} is the number of no link"
+                )
+
+
+def _check_parameters(document: ModelDocument) -> None:
+    """Raise ValueError unless the standard parameters fit the links and joints, masses positive and friction resisting."""
+    if len(set(document.drive)) < len(document.drive):
+        raise ValueError("drive: a parameter is named twice")
+    edge, n = TEN * len(document.links), len(document.joints)
+    count, stated = edge + n * len(document.drive), document.standard_parameters
+    if len(stated) != count:
+        raise ValueError(
+            f"standard_parameters: should hold {count} values for these links and joints, not {len(stated)}"
+        )
+    accepted = {i: Mass.accepted for i in range(0, edge, TEN)}
+    for k, kind in enumerate(document.drive):
+        accepted |= dict.fromkeys(range(edge + k * n, edge + (k + 1) * n), DRIVE_RANGES[kind])
+    for i, allowed in accepted.items():
+        if not allowed.accepts(stated[i].value):
+            raise ValueError(
+                f"standard_parameters[{i}].value: {shown(stated[i].value)} should be {allowed}"
+            )

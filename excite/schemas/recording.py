@@ -1,0 +1,40 @@
+"""The sidecar of a recording, schema excite.recording/1: what its columns cannot say."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+
+from .quantities import ClockTime, DriveGain, Name, Period, Text
+
+SCHEMA = "excite.recording/1"
+SHORTEST_WINDOW = 0.5
+"""Shortest window over the period [1]. A recording of one period may lack its transient; half of it
+is no window in which anything repeats."""
+
+
+class SidecarDocument(msgspec.Struct):
+    """The whole file; keys that are not known are reported and ignored."""
+
+    schema: Literal["excite.recording/1"]
+    drive_gain: dict[str, DriveGain] = {}
+    period: Period | None = None
+    periodic: tuple[ClockTime, ClockTime] | None = None
+    motor_side: bool = False
+    effort: Literal["torque", "current"] | None = None
+    topic: Name | None = None
+    notes: Text = Text("")
+
+    def __post_init__(self) -> None:
+        if self.periodic is None:
+            return
+        length = self.periodic[1] - self.periodic[0]
+        if not length > 0.0:
+            raise ValueError(
+                f"periodic: [{self.periodic[0]:g}, {self.periodic[1]:g}] should be [start, end] with start < end"
+            )
+        if self.period is not None and length < SHORTEST_WINDOW * self.period:
+            raise ValueError(
+                f"periodic: a window of {length:g} s is much shorter than the period, {self.period:g} s"
+            )

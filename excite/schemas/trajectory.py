@@ -1,0 +1,298 @@
+"""`trajectory.json`, schema excite.trajectory/1: a motion with all that is needed to replay and to check it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from itertools import pairwise
+from typing import Any, Literal, get_args
+
+import msgspec
+
+from .cell import CellDocument
+from .limits import StatedLimits
+from .quantities import (
+    Acceleration,
+    AngularFrequency,
+    FilePath,
+    Gravity,
+    Inertia,
+    Jerk,
+    Length,
+    Name,
+    Period,
+    Position,
+    PositiveMass,
+    Rate,
+    Sha256,
+    Share,
+    Speed,
+    Statistic,
+    Text,
+    Time,
+    TorqueNoise,
+    Uncertainty,
+    Velocity,
+    shown,
+)
+
+SCHEMA = "excite.trajectory/1"
+SegmentKind = Literal["approach", "ramp_in", "fourier", "ramp_out", "return"]
+"""Kinds of segments of a motion."""
+ORDER: tuple[str, ...] = get_args(SegmentKind)
+"""The order in which they may follow each other; approach and return may take several segments."""
+Drive = Literal["rotor_inertia", "viscous", "coulomb", "offset"]
+MOST_HARMONICS = 100
+"""Most harmonics of a series. Designs use 3 to 10; the optimiser's matrices grow with their square."""
+MOST_PERIODS = 100_000
+"""Most repeats of the period."""
+MOST_SAMPLES = 20_000
+"""Most samples of the optimiser's grid, over which the criterion is computed again. Designs use 40 to 400."""
+MOST_ROWS = 1_000_000
+"""Most rows of the exported motion, over which the criterion is computed again: a regressor of 6 joints then takes 3 GB."""
+TIMING = 1e-6
+"""By how much times of a file may differ from what they should be [s]: half the shortest control cycle is 60 µs."""
+FREQUENCY = 1e-9
+"""By which share `base_frequency` may differ from 2π over `period` [1]."""
+
+
+class PayloadDocument(msgspec.Struct):
+    """A body at a link."""
+
+    link: Name
+    mass: PositiveMass
+    centre: tuple[Length, Length, Length]
+    inertia: tuple[Inertia, Inertia, Inertia, Inertia, Inertia, Inertia]
+
+
+class RobotDocument(msgspec.Struct):
+    """The robot that a document is about, and how it was loaded."""
+
+    name: Name
+    source: FilePath
+    sha256: Sha256
+    locked: dict[str, Position]
+    payload: PayloadDocument | None
+    gravity: tuple[Gravity, Gravity, Gravity]
+
+
+class ProfileDocument(msgspec.Struct):
+    """A ramp of piecewise constant jerk: the state at its start, and (duration, jerk) of each piece, joint by joint."""
+
+    position: list[Position]
+    velocity: list[Velocity]
+    acceleration: list[Acceleration]
+    pieces: dict[str, list[tuple[Time, Jerk]]]
+
+
+class SegmentDocument(msgspec.Struct):
+    """One part of a motion; the Fourier part has no profile."""
+
+    kind: SegmentKind
+    start: Time
+    end: Time
+    profile: ProfileDocument | None = None
+
+    def __post_init__(self) -> None:
+        if (self.profile is None) != (self.kind == "fourier"):
+            raise ValueError(
+                "the Fourier part has no profile"
+                if self.kind == "fourier"
+                else f"the {self.kind} has no profile"
+            )
+        if self.end < self.start:
+            raise ValueError(f"it ends at {self.end:g} s, before it starts at {self.start:g} s")
+
+
+class BoxDocument(msgspec.Struct):
+    """A box that the origin of a frame stays in."""
+
+    frame: Name
+    lower: tuple[Length, Length, Length]
+    upper: tuple[Length, Length, Length]
+
+
+class DesignDocument(msgspec.Struct):
+    """What verification reads of the options of a design; whatever else a design notes is left as it is."""
+
+    criterion: Literal["a", "d", "e", "cond", "cond_regressor"] | None = None
+    plain: bool = False
+    drive: list[Drive] | None = None
+    samples: int | None = None
+    uncertainty: Uncertainty = Uncertainty(0.0)
+    margin: dict[str, Share] = {}
+    speed: Speed = Speed(1.0)
+    boxes: list[BoxDocument] = []
+    cell: CellDocument | None = None
+
+    def __post_init__(self) -> None:
+        if self.samples is not None and not 1 <= self.samples <= MOST_SAMPLES:
+            raise ValueError(f"samples: {shown(self.samples)} should be from 1 to {MOST_SAMPLES}")
+        if self.drive is not None and len(set(self.drive)) < len(self.drive):
+            raise ValueError("drive: a parameter is named twice")
+
+
+class ScoresDocument(msgspec.Struct):
+    """One family of criteria; null where the information is singular."""
+
+    a: Statistic | None
+    d: Statistic | None
+    e: Statistic | None
+    cond: Statistic | None
+
+
+class PartCriteriaDocument(msgspec.Struct):
+    """The criteria of one part of a motion."""
+
+    geometric: ScoresDocument
+    plain: ScoresDocument
+    cond_regressor: Statistic | None
+
+
+class CriteriaDocument(msgspec.Struct):
+    """The criteria of the Fourier part and of the motion as exported."""
+
+    optimum: PartCriteriaDocument
+    exported: PartCriteriaDocument
+
+
+class MarginDocument(msgspec.Struct):
+    """How near a joint comes to a limit."""
+
+    limit: Text
+    joint: Text
+    time: Statistic | None
+    value: Statistic | None
+    bound: Statistic | None
+    margin: Statistic | None
+
+
+class TrajectoryDocument(msgspec.Struct):
+    """The whole file."""
+
+    schema: Literal["excite.trajectory/1"]
+    robot: RobotDocument
+    joints: list[Name]
+    base_frequency: AngularFrequency
+    harmonics: int
+    period: Period
+    periods: int
+    sine: list[list[Velocity]]
+    cosine: list[list[Velocity]]
+    offset: list[Position]
+    segments: list[SegmentDocument]
+    rate: Rate
+    limits: StatedLimits
+    torque_noise: dict[str, TorqueNoise]
+    criteria: CriteriaDocument
+    margins: list[MarginDocument]
+    collision: Text
+    seed: int
+    versions: dict[str, Text]
+    design: DesignDocument = msgspec.field(default_factory=DesignDocument)
+    forced: bool = False
+
+    def __post_init__(self) -> None:
+        _check_joints(self.joints)
+        _check_series(self)
+        _check_segments(self)
+        _check_limits(self.limits, self.joints)
+        _check_keys("torque_noise", self.torque_noise, self.joints)
+        for key in set(self.design.margin) - {"velocity", "acceleration", "jerk", "torque"}:
+            raise ValueError(f"design.margin: {shown(key)} is no kind of limit")
+        if not 0 <= self.seed < 1 << 63:
+            raise ValueError(f"seed: {shown(self.seed)} should be a whole number of at least 0")
+        if self.segments[-1].end * self.rate > MOST_ROWS:
+            raise ValueError(
+                f"rate: {self.segments[-1].end:.4g} s at {self.rate:g} Hz are more than {MOST_ROWS} rows"
+            )
+
+
+def _check_joints(joints: Sequence[str]) -> None:
+    if not joints:
+        raise ValueError("joints: is empty")
+    if len(set(joints)) < len(joints):
+        raise ValueError(
+            f"joints: {shown(next(j for j in joints if joints.count(j) > 1))} is named twice"
+        )
+
+
+def _check_series(document: TrajectoryDocument) -> None:
+    """Raise ValueError unless the coefficients fit the joints and harmonics, and the frequency the period."""
+    n = len(document.joints)
+    if not 1 <= document.harmonics <= MOST_HARMONICS:
+        raise ValueError(
+            f"harmonics: {shown(document.harmonics)} should be from 1 to {MOST_HARMONICS}"
+        )
+    if not 1 <= document.periods <= MOST_PERIODS:
+        raise ValueError(f"periods: {shown(document.periods)} should be from 1 to {MOST_PERIODS}")
+    for key, rows in (("sine", document.sine), ("cosine", document.cosine)):
+        if len(rows) != n:
+            raise ValueError(f"{key}: should hold {n} rows, one a joint, not {len(rows)}")
+        for i, row in enumerate(rows):
+            if len(row) != document.harmonics:
+                raise ValueError(
+                    f"{key}[{i}]: should hold {document.harmonics} numbers, one a harmonic, not {len(row)}"
+                )
+    if len(document.offset) != n:
+        raise ValueError(
+            f"offset: should hold {n} numbers, one a joint, not {len(document.offset)}"
+        )
+    if abs(document.base_frequency * document.period / (2.0 * math.pi) - 1.0) > FREQUENCY:
+        raise ValueError(
+            f"base_frequency: {document.base_frequency:g} rad/s is not 2π over the period of {document.period:g} s"
+        )
+
+
+def _check_segments(document: TrajectoryDocument) -> None:
+    """Raise ValueError unless the segments follow each other, from time 0, with one Fourier part of whole periods."""
+    segments, expected = document.segments, document.periods * document.period
+    parts = [i for i, segment in enumerate(segments) if segment.kind == "fourier"]
+    if len(parts) != 1:
+        raise ValueError(f"segments: should hold one Fourier part, not {len(parts)}")
+    if abs(segments[0].start) > TIMING:
+        raise ValueError(f"segments[0].start: {segments[0].start:g} s should be 0")
+    for i, (before, after) in enumerate(pairwise(segments), start=1):
+        if ORDER.index(after.kind) < ORDER.index(before.kind):
+            raise ValueError(f"segments[{i}].kind: {after.kind} cannot follow {before.kind}")
+        if abs(after.start - before.end) > TIMING:
+            raise ValueError(
+                f"segments[{i}].start: {after.start:g} s is not where {before.kind} ends, {before.end:g} s"
+            )
+    length = segments[parts[0]].end - segments[parts[0]].start
+    if abs(length - expected) > TIMING:
+        stated = f"{document.periods} periods of {document.period:g} s"
+        raise ValueError(
+            f"segments[{parts[0]}]: lasts {length:g} s, but {stated} last {expected:g} s"
+        )
+    for i, segment in enumerate(segments):
+        if segment.profile is not None:
+            _check_profile(f"segments[{i}].profile", segment.profile, document.joints)
+
+
+def _check_profile(where: str, profile: ProfileDocument, joints: Sequence[str]) -> None:
+    for key in ("position", "velocity", "acceleration"):
+        if len(getattr(profile, key)) != len(joints):
+            raise ValueError(
+                f"{where}.{key}: should hold {len(joints)} numbers, one a joint, not {len(getattr(profile, key))}"
+            )
+    _check_keys(f"{where}.pieces", profile.pieces, joints)
+
+
+def _check_limits(limits: StatedLimits, joints: Sequence[str]) -> None:
+    """Raise ValueError unless every joint has its limits; a continuous joint has none of position."""
+    for quantity in ("position", "velocity", "acceleration", "jerk", "torque", "braking"):
+        optional = quantity in ("position", "braking")
+        _check_keys(f"limits.{quantity}", getattr(limits, quantity), joints, optional=optional)
+
+
+def _check_keys(
+    where: str, table: dict[str, Any], joints: Collection[str], *, optional: bool = False
+) -> None:
+    """Raise ValueError for a joint that a table does not name, or a name in it that is no joint."""
+    for name in table:
+        if name not in joints:
+            raise ValueError(f"{where}: {shown(name)} is none of the joints")
+    for joint in joints:
+        if joint not in table and not optional:
+            raise ValueError(f"{where}: has no entry for the joint {shown(joint)}")

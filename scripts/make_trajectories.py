@@ -6,11 +6,12 @@ import argparse
 import sys
 from pathlib import Path
 
-from excite import _files, _json
+from excite._system.output_files import output_files
 from excite.collision import scene_file
 from excite.designer import pipeline, time_budget
 from excite.designer.problem import DesignOptions
 from excite.robot import limits, robot
+from excite import _json
 
 FOLDER = Path(__file__).resolve().parent.parent / "trajectories"
 
@@ -28,8 +29,10 @@ def main() -> None:
         delivery = pipeline.design_trajectory(
             machine, table, options, cell=cell, progress=lambda text: print(text, file=sys.stderr)
         )
-        written = _files.write_all(
-            arguments.out, {f"{name}.json": _json.dumps(delivery.trajectory.document())}
+        arguments.out.mkdir(parents=True, exist_ok=True)
+        file = f"{name}.json"
+        written = output_files(arguments.out / file).replace(
+            {file: _json.dumps(delivery.trajectory.document())}
         )
         value = delivery.trajectory.criteria["optimum"]["geometric"]["a"]
         length, spent = delivery.trajectory.motion.duration, delivery.timing["total"]

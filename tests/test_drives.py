@@ -11,7 +11,7 @@ from made import EMPTY, halved, nothing, on_one
 from test_diagnose import on, recordings_of
 from test_predicted import fitted_with, stated
 
-from excite.diagnosis import diagnosis, equations, hypothesis, search, whole
+from excite.diagnosis import diagnosis, equations, hypothesis, search, fitted_effects
 from excite.diagnosis.measured import Measured
 from excite.effects import BY_NAME, electrical
 from excite.effects.effect import Shape
@@ -75,9 +75,9 @@ def test_a_drive_that_loses_torque_is_told_by_what_was_measured(subject):
 def test_a_measured_loss_is_predicted_from_what_is_predicted(subject):
     _, along = recordings_of(subject, None)
     lossy = stated("torque_saturation", "joint_1", LOSS | {"measured": 1.0}, 0.15)
-    t, torque = whole.predict(fitted_with(subject, ()), along)
-    assert np.allclose(t, whole.predict(fitted_with(subject, (lossy,)), along)[0])
-    recorded_as = whole.predict(fitted_with(subject, (lossy,)), along)[1]
+    t, torque = fitted_effects.predict(fitted_with(subject, ()), along)
+    assert np.allclose(t, fitted_effects.predict(fitted_with(subject, (lossy,)), along)[0])
+    recorded_as = fitted_effects.predict(fitted_with(subject, (lossy,)), along)[1]
     expected = drawn(torque[:, 0], 0.15)
     inner = slice(100, -100)
     assert (

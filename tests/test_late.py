@@ -9,7 +9,7 @@ import pytest
 from scipy import signal
 from test_diagnose import PLANTED, found, on, recordings_of, slips
 
-from excite.diagnosis import diagnosis, interval, late, search, whole
+from excite.diagnosis import diagnosis, interval, late, search, fitted_effects
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.effects import BY_NAME
 from excite.effects.effect import Delay
@@ -128,11 +128,11 @@ def test_torque_that_was_filtered_is_told_as_that_and_hides_nothing(subject, eff
     )  # of steps, not of the continuous filter
     assert (result.after < 1.6 * result.expected).all()
     again = [
-        whole.restored(whole.entry(part, subject.robot), subject.robot, "model.json")
+        fitted_effects.restored(fitted_effects.entry(part, subject.robot), subject.robot, "model.json")
         for part in result.parts
     ]
     along = result.tracks[1][0]
-    np.testing.assert_allclose(whole.torque(again, along), whole.torque(result.parts, along))
+    np.testing.assert_allclose(fitted_effects.torque(again, along), fitted_effects.torque(result.parts, along))
 
 
 @pytest.mark.parametrize(
@@ -164,11 +164,11 @@ def test_an_effect_that_comes_late_with_all_the_rest_is_named_beside_the_delay(
         if s.effect != "delay"
     ]
     again = [
-        whole.restored(whole.entry(part, subject.robot), subject.robot, "model.json")
+        fitted_effects.restored(fitted_effects.entry(part, subject.robot), subject.robot, "model.json")
         for part in result.parts
     ]
     along = result.tracks[1][0]
-    np.testing.assert_allclose(whole.torque(again, along), whole.torque(result.parts, along))
+    np.testing.assert_allclose(fitted_effects.torque(again, along), fitted_effects.torque(result.parts, along))
     assert ways and ways == pytest.approx([value] * len(ways), rel=0.15)
 
 

@@ -10,7 +10,7 @@ import pytest
 from made import WIDTH, perturbed
 from test_diagnose import PLANTED, found, recordings_of
 
-from excite.diagnosis import whole
+from excite.diagnosis import fitted_effects
 from excite.effects import recorded_motion
 from excite.errors import UnusableInput
 from excite.identification.identified_model import IdentifiedModel
@@ -30,17 +30,17 @@ def test_what_was_found_is_predicted_and_gone_from_the_recording(subject):
     result = found(subject, PLANTED["stribeck"][0])
     assert result.parts and result.refitted is not None
     _, validate = recordings_of(subject, PLANTED["stribeck"][0])
-    bare = whole.removed(result.parts, validate, result.tracks[1])
+    bare = fitted_effects.removed(result.parts, validate, result.tracks[1])
     _, clean = recordings_of(subject, None)
     one = result.tracks[1][0]
     apart = one.band.low(bare.torque - clean.torque, recorded_motion.Grid.KEPT)[one.kept]
     hidden = one.band.low(validate.torque - clean.torque, recorded_motion.Grid.KEPT)[one.kept]
     assert np.sqrt(np.mean(apart**2)) < 0.25 * np.sqrt(np.mean(hidden**2))
     again = [
-        whole.restored(validated(whole.entry(part, subject.robot)), subject.robot)
+        fitted_effects.restored(validated(fitted_effects.entry(part, subject.robot)), subject.robot)
         for part in result.parts
     ]
-    np.testing.assert_allclose(whole.torque(again, one), whole.torque(result.parts, one))
+    np.testing.assert_allclose(fitted_effects.torque(again, one), fitted_effects.torque(result.parts, one))
     before, after = result.ahead
     assert (
         before is not None
@@ -82,8 +82,8 @@ def test_a_measured_delay_is_predicted_from_what_is_predicted(subject, seconds):
     _, along = recordings_of(subject, None)
     spring = stated("spring", "joint_2", {"form": 0.0}, 5.0)
     late_model = fitted_with(subject, (spring, stated("delay", None, {"measured": 1.0}, seconds)))
-    t, early = whole.predict(fitted_with(subject, (spring,)), along)
-    _, late = whole.predict(late_model, along)
+    t, early = fitted_effects.predict(fitted_with(subject, (spring,)), along)
+    _, late = fitted_effects.predict(late_model, along)
     expected = np.column_stack([np.interp(t - seconds, t, column) for column in early.T])
     inside = slice(200, -200)
     left = np.sqrt(np.mean((late - expected)[inside] ** 2, axis=0))

@@ -11,7 +11,7 @@ from made import WIDTH, motion, nothing, perturbed, recorded
 from scipy.interpolate import CubicSpline
 from test_diagnose import on
 
-from excite.diagnosis import diagnosis, interval, whole
+from excite.diagnosis import diagnosis, interval, fitted_effects
 from excite.effects import BY_NAME
 from excite.effects.effect import Delay, Knobs, Shape
 from excite.recordings import Recording
@@ -76,11 +76,11 @@ def test_a_joint_that_creeps_as_it_turns_back_tells_how_high_stribecks_curve_is(
     assert told["amplitude"][0] == pytest.approx(HEIGHT, rel=0.05)
     assert told["velocity"][0] == pytest.approx(VELOCITY, rel=0.05)
     again = [
-        whole.restored(whole.entry(part, subject.robot), subject.robot, "model.json")
+        fitted_effects.restored(fitted_effects.entry(part, subject.robot), subject.robot, "model.json")
         for part in result.parts
     ]
     np.testing.assert_allclose(
-        whole.torque(again, result.tracks[1][0]), whole.torque(result.parts, result.tracks[1][0])
+        fitted_effects.torque(again, result.tracks[1][0]), fitted_effects.torque(result.parts, result.tracks[1][0])
     )
 
 

@@ -11,7 +11,7 @@ from scipy import integrate
 from test_diagnose import found, on, recordings_of
 from test_predicted import fitted_with, stated
 
-from excite.diagnosis import diagnosis, interval, whole
+from excite.diagnosis import diagnosis, interval, fitted_effects
 from excite.diagnosis.diagnosis_file import document
 from excite.effects import BY_NAME, thermal
 from excite.effects.effect import Shape
@@ -82,10 +82,10 @@ def test_a_prediction_needs_the_temperature_that_friction_depends_on(subject):
         fitted_with(subject, (stated("thermal_drift", "joint_1", values, PER_DEGREE),)),
         days(subject, True)[1],
     )
-    bare = whole.predict(fitted_with(subject, ()), warm)[1]
-    assert np.abs(whole.predict(model, warm)[1] - bare).max() > 0.05
+    bare = fitted_effects.predict(fitted_with(subject, ()), warm)[1]
+    assert np.abs(fitted_effects.predict(model, warm)[1] - bare).max() > 0.05
     with pytest.raises(UnusableInput, match=r"5\.csv: has no temp\.joint_1"):
-        whole.predict(model, dataclasses.replace(warm, temperature=None))
+        fitted_effects.predict(model, dataclasses.replace(warm, temperature=None))
 
 
 def test_a_joint_that_its_own_friction_heats_cools_where_it_slows_down(subject):

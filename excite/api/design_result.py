@@ -10,14 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from .. import _files, _json, recordings
+from .. import _json, recordings
+from .._system.output_files import output_files, output_folder
 from .._types import FloatArray
 from ..collision import clearance_builder, scene_file
 from ..collision.workcell import NOT_CHECKED, Cell
 from ..designer import experiment_comparison, identifiability, pipeline, time_budget
 from ..designer import validation_trajectory as validation
 from ..designer.motion_overlap import OverlapPenalty
-from ..designer.problem import WorkspaceBox, DesignOptions, torque_noise_levels
+from ..designer.problem import DesignOptions, torque_noise_levels
 from ..errors import UnusableInput
 from ..exporters import csv_json, file_format
 from ..report.design_record import DesignRecord
@@ -31,6 +32,14 @@ from ..trajectory.trajectory_file import Trajectory
 from .robots import RobotSource, load_robot, resolve_limits
 
 Progress = Callable[[str], None]
+MOTION_FILES = ("trajectory.json", "trajectory.csv")
+DESIGN_FILES = (
+    *MOTION_FILES,
+    "identifiability.json",
+    "report.html",
+    *(f"{validation.FOLDER}/{name}" for name in MOTION_FILES),
+)
+"""Files of a design; a validation motion of an earlier design is removed with it."""
 THRESHOLD = 1e-2
 """Largest scale-free variance of a direction that counts as identifiable [1]: about 10 % (Lee, Lee and Park 2021)."""
 
@@ -168,12 +177,12 @@ class DesignResult:
 
     def save(self, folder: str | Path) -> list[Path]:
         """Write `trajectory.json`, `trajectory.csv`, `identifiability.json` and `report.html`; return their paths."""
-        return _files.write_all(Path(folder), self.contents())
+        return output_folder(Path(folder), DESIGN_FILES).replace(self.contents())
 
     def report(self, path: str | Path) -> Path:
         """Write the report alone."""
         path = Path(path)
-        return _files.write_all(path.parent, {path.name: self.html()})[0]
+        return output_files(path).replace({path.name: self.html()})[0]
 
     def document(self) -> dict[str, Any]:
         """Return what `excite design --json` prints."""

@@ -8,8 +8,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from .. import _files, _json
-from ..diagnosis import diagnosis, residual_atlas, whole
+from .. import _json
+from .._system.output_files import output_files, output_folder
+from ..diagnosis import diagnosis, fitted_effects, residual_atlas
 from ..diagnosis.diagnosis_file import document as diagnosis_document
 from ..identification import identified_model
 from ..identification import prior as prior_module
@@ -19,6 +20,7 @@ from ..robot.limits import Limits
 from .identification_result import RecordingSource, _read_both
 from .robots import RobotSource, load_robot, resolve_limits
 
+DIAGNOSIS_FILES = ("diagnosis.json", "model.json", "report.html")
 Progress = Callable[[str], None]
 
 
@@ -60,7 +62,9 @@ class DiagnosisResult:
         """Return the content of `model.json`: the findings, and the parameters without them."""
         plain = self.diagnosis.identified
         out = identified_model.model_document(self.diagnosis.refitted or plain, self.recordings)
-        out["effects"] = [whole.entry(part, plain.model.robot) for part in self.diagnosis.parts]
+        out["effects"] = [
+            fitted_effects.entry(part, plain.model.robot) for part in self.diagnosis.parts
+        ]
         out["without_effects"] = dict(
             zip(plain.model.parameters.names, plain.psi.tolist(), strict=True)
         )
@@ -86,12 +90,12 @@ class DiagnosisResult:
 
     def save(self, folder: str | Path) -> list[Path]:
         """Write `diagnosis.json`, `model.json` and `report.html`; return their paths."""
-        return _files.write_all(Path(folder), self.contents())
+        return output_folder(Path(folder), DIAGNOSIS_FILES).replace(self.contents())
 
     def report(self, path: str | Path) -> Path:
         """Write the report alone."""
         path = Path(path)
-        return _files.write_all(path.parent, {path.name: self.html()})[0]
+        return output_files(path).replace({path.name: self.html()})[0]
 
     def __repr__(self) -> str:
         robot, document = self.diagnosis.identified.model.robot, self._document
@@ -130,7 +134,9 @@ def diagnose(
     table = resolve_limits(loaded, limits)
     standard = inertial_parameters.standard(loaded, table, inertial_parameters.DRIVE)
     base = base_parameters.find(loaded, standard, table)
-    known = {} if prior is None else prior_module.read_trusted_parameters(Path(prior), loaded, standard)
+    known = (
+        {} if prior is None else prior_module.read_trusted_parameters(Path(prior), loaded, standard)
+    )
     train, held_out = _read_both(loaded, table, recordings, validate)
     say = progress or (lambda text: None)
     options = diagnosis.Options(band, known)

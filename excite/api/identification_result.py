@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import io
 from collections.abc import Callable, Mapping, Sequence
@@ -11,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from .. import _files, _json, recordings
+from .. import _json, recordings
+from .._system.output_files import output_files, output_folder
 from .._types import FloatArray
-from ..diagnosis import whole
+from ..diagnosis import fitted_effects
 from ..errors import UnusableInput
-from ..identification import consistency, identification, identified_model, lmi_check
+from ..identification import consistency, identification, identified_model, lmi_check, torque_check
 from ..identification import prior as prior_module
 from ..identification.consistency import Bounds
 from ..identification.identification import Identification, Options
@@ -28,6 +30,7 @@ from ..schemas.bounds import BoundsFile
 from ..schemas.document_file import DocumentFile
 from .robots import RobotSource, load_robot, resolve_limits
 
+IDENTIFICATION_FILES = ("model.json", "identified.urdf", "report.html")
 Progress = Callable[[str], None]
 RecordingSource = str | Path | Recording
 
@@ -81,12 +84,12 @@ class IdentificationResult:
 
     def save(self, folder: str | Path) -> list[Path]:
         """Write `model.json`, `identified.urdf` and `report.html`; return their paths."""
-        return _files.write_all(Path(folder), self.contents())
+        return output_folder(Path(folder), IDENTIFICATION_FILES).replace(self.contents())
 
     def report(self, path: str | Path) -> Path:
         """Write the report alone."""
         path = Path(path)
-        return _files.write_all(path.parent, {path.name: self.html()})[0]
+        return output_files(path).replace({path.name: self.html()})[0]
 
     def __repr__(self) -> str:
         found = self.identification
@@ -111,14 +114,15 @@ class PredictedTorque:
     def csv(self) -> str:
         """Return the rows `t,tau.<joint>…`."""
         stream = io.StringIO()
-        stream.write(",".join(["t", *(f"tau.{joint}" for joint in self.joints)]) + "\n")
+        header = ["t", *(f"tau.{joint}" for joint in self.joints)]
+        csv.writer(stream, lineterminator="\n").writerow(header)
         np.savetxt(stream, np.column_stack([self.time, self.torque]), fmt="%.9g", delimiter=",")
         return stream.getvalue()
 
     def save(self, path: str | Path) -> Path:
         """Write the rows as CSV."""
         path = Path(path)
-        return _files.write_all(path.parent, {path.name: self.csv()})[0]
+        return output_files(path).replace({path.name: self.csv()})[0]
 
     def __repr__(self) -> str:
         return f"<PredictedTorque of {len(self.joints)} joints at {len(self.time)} times>"
@@ -213,7 +217,9 @@ def identify(
     table = resolve_limits(loaded, limits)
     standard = inertial_parameters.standard(loaded, table, drive)
     base = base_parameters.find(loaded, standard, table)
-    known = {} if prior is None else prior_module.read_trusted_parameters(Path(prior), loaded, standard)
+    known = (
+        {} if prior is None else prior_module.read_trusted_parameters(Path(prior), loaded, standard)
+    )
     limits_of_bodies = bounds if isinstance(bounds, Bounds) else read_bounds(bounds, standard)
     chosen = dataclasses.replace(options, bounds=limits_of_bodies, trusted=known, **choices)
     say = progress or (lambda text: None)
@@ -237,7 +243,12 @@ def predict(model: str | Path, recording: RecordingSource) -> PredictedTorque:
     """
     fitted = identified_model.read_model(Path(model))
     motion = read_recording(recording, fitted.robot)
-    time, torque = whole.predict(fitted, motion)
+    time, torque = fitted_effects.predict(fitted, motion)
+    if not np.isfinite(torque).all():
+        joint = fitted.robot.joints[int(np.argmin(np.isfinite(torque).all(axis=0)))]
+        raise UnusableInput(
+            f"{model}: the torque that it predicts at joint '{joint}' is not finite; identify again"
+        )
     return PredictedTorque(fitted.robot.joints, time, torque)
 
 
@@ -283,7 +294,10 @@ def _read_both(
         for paths in (train, held_out)
     ]
     recordings.refuse_same(*both)
-    return both[0], both[1]
+    train_set, held_out_set = (
+        [torque_check.checked(one, robot, limits) for one in some] for some in both
+    )
+    return train_set, held_out_set
 
 
 def _compare_lmi(found: Identification) -> lmi_check.LmiCheck:

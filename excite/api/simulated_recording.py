@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from .. import _files
+from .._system.output_files import OutputFiles, output_files
 from ..errors import UnusableInput
 from ..robot.robot import locate
 from ..schemas.document_file import DocumentFile
@@ -68,12 +68,12 @@ class SimulatedRecording:
     def save(self, path: str | Path) -> list[Path]:
         """Write the CSV, its sidecar, its truth and a picture; return their paths."""
         path = checked_path(path)
-        return _files.write_all(path.parent, self.contents(path.name))
+        return recording_files(path).replace(self.contents(path.name))
 
     def report(self, path: str | Path) -> Path:
         """Write the picture alone."""
         path = Path(path)
-        return _files.write_all(path.parent, {path.name: self.picture()})[0]
+        return output_files(path).replace({path.name: self.picture()})[0]
 
     def __repr__(self) -> str:
         hidden = ", ".join(effect.name for effect in self.effects) or "nothing hidden"
@@ -88,6 +88,12 @@ def checked_path(path: str | Path) -> Path:
             f"-o {path}: should end in .csv; its sidecar, truth and plot take the same name"
         )
     return path
+
+
+def recording_files(path: Path, inputs: Sequence[Path] = ()) -> OutputFiles:
+    """Return the files of a recording, checked to be writable and none of the inputs."""
+    siblings = (f"{path.stem}.json", f"{path.stem}.truth.json", f"{path.stem}.svg")
+    return output_files(path, siblings, inputs)
 
 
 def simulate(

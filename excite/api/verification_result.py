@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .. import _files, _json
+from .. import _json
 from .. import exporters as formats
+from .._system.output_files import output_files, output_folder
 from ..designer import certificate as certificates
-from ..designer.certificate import Certificate, CertificateVerdict
+from ..designer.certificate import Certificate
 from ..errors import CheckFailed, UnusableInput
 from ..exporters import file_format
 from ..robot import inertial_parameters
@@ -60,12 +61,12 @@ class VerificationResult:
     def save(self, folder: str | Path) -> list[Path]:
         """Write `certificate.json`; return its path."""
         contents = {"certificate.json": _json.dumps(self.document())}
-        return _files.write_all(Path(folder), contents)
+        return output_folder(Path(folder), tuple(contents)).replace(contents)
 
     def report(self, path: str | Path) -> Path:
         """Write the table of margins as a text file."""
         path = Path(path)
-        return _files.write_all(path.parent, {path.name: self.text() + "\n"})[0]
+        return output_files(path).replace({path.name: self.text() + "\n"})[0]
 
     def __repr__(self) -> str:
         clearance, limits = self.certificate.clearance.value, self.certificate.limits.value
@@ -167,6 +168,9 @@ def export(
         known = ", ".join(formats.FORMATS)
         raise UnusableInput(f"--format {format}: no such format; there are {known}")
     file_format.check_options(speed, rate)
+    output_files(
+        Path(path), inputs=[Path(trajectory)]
+    )  # refused before the certificate, which takes time
     found = verify(trajectory, robot=robot, limits=limits, packages=packages)
     certificate, verdict = found.certificate, list(found.certificate.lines())
     broken = None

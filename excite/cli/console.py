@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import sys
 import time
 from dataclasses import dataclass, field
+
+from .._system.console import say
 
 
 @dataclass
 class Console:
     """Standard error of a command.
 
-    On a terminal, progress is one line that is written over; elsewhere, each message is a line of its own.
+    On a terminal, progress is one line that is written over; elsewhere, each message is a line.
 
     Attributes:
         quiet: Print neither progress nor warnings.
@@ -30,21 +33,31 @@ class Console:
             return
         if self.verbose:
             text = f"{time.perf_counter() - self._begun:7.2f} s  {text}"
-        if sys.stderr.isatty() and not self.verbose:
+        elif _is_terminal():
             width = shutil.get_terminal_size().columns
-            print(f"\r\x1b[K{text[: width - 1]}", end="", file=sys.stderr, flush=True)
+            self._write(f"\r\x1b[K{text[: width - 1]}")
             self._is_open = True
-        else:
-            print(text, file=sys.stderr, flush=True)
+            return
+        say(text)
 
     def warn(self, text: str) -> None:
         """Print a warning on a line of its own."""
         if not self.quiet:
             self.finish()
-            print(f"warning: {text}", file=sys.stderr, flush=True)
+            say(f"warning: {text}")
 
     def finish(self) -> None:
         """Remove a progress line that is still open."""
         if self._is_open:
-            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+            self._write("\r\x1b[K")
             self._is_open = False
+
+    @staticmethod
+    def _write(text: str) -> None:
+        with contextlib.suppress(OSError, ValueError):  # cut off or closed
+            sys.stderr.write(text)
+            sys.stderr.flush()
+
+
+def _is_terminal() -> bool:
+    return sys.stderr is not None and not sys.stderr.closed and sys.stderr.isatty()

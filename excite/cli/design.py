@@ -6,11 +6,12 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from .. import _files, api
-from ..api.design_result import CellOptions
+from .. import api
+from .._system.output_files import output_folder
+from ..api.design_result import DESIGN_FILES, CellOptions
 from ..designer import cluster, criteria
 from ..designer.criteria import Criterion
-from ..designer.problem import WorkspaceBox, DesignOptions
+from ..designer.problem import DesignOptions, WorkspaceBox
 from ..errors import UnusableInput
 from ..robot.robot import Robot
 from . import options as shared
@@ -26,6 +27,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
 def _design(arguments: argparse.Namespace) -> Outcome:
     robot = shared.robot(arguments)
     limits = shared.limits(arguments, robot)
+    output = output_folder(Path(arguments.out), DESIGN_FILES)
     result = api.design(
         robot,
         limits=limits,
@@ -46,7 +48,7 @@ def _design(arguments: argparse.Namespace) -> Outcome:
         notes={"parameters": arguments.parameters},
     )
     arguments.console.progress("writing the report")
-    written = _files.write_all(Path(arguments.out), result.contents())
+    written = output.replace(result.contents())
     document = with_files(result.document(), written)
     return (0 if result.ok else 1), document, _text(result, document, written)
 

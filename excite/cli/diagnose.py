@@ -6,7 +6,9 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from .. import _files, api
+from .. import api
+from .._system.output_files import output_folder
+from ..api.diagnosis_result import DIAGNOSIS_FILES
 from ..diagnosis.session_changes import KINDS
 from . import options as shared
 from .outcome import Outcome, with_files, written_lines
@@ -14,6 +16,7 @@ from .outcome import Outcome, with_files, written_lines
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Read recordings, diagnose, report."""
+    output = output_folder(Path(arguments.out), DIAGNOSIS_FILES)
     robot = shared.robot(arguments)
     result = api.diagnose(
         robot,
@@ -25,7 +28,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         with_report=not arguments.no_report,
         progress=arguments.console.progress,
     )
-    written = _files.write_all(Path(arguments.out), result.contents())
+    written = output.replace(result.contents())
     document = result.document()
     return 0, with_files(document, written), _text(document, written)
 

@@ -6,8 +6,8 @@ import argparse
 import json
 from pathlib import Path
 
-from .. import _files
 from .._json import dumps
+from .._system.output_files import output_folder
 from ..api.design_result import compare_experiments, motion_samples
 from ..designer import experiment_comparison, identifiability
 from ..designer.problem import torque_noise_levels
@@ -20,13 +20,16 @@ def run(arguments: argparse.Namespace) -> Outcome:
     """Analyse which directions of the parameters a motion reveals."""
     from .. import report
 
+    output = output_folder(Path(arguments.out), ("identifiability.json", "report.html"))
     robot = shared.robot(arguments)
     limits = shared.limits(arguments, robot)
     standard = inertial_parameters.standard(robot, limits, shared.drive(arguments))
     base = base_parameters.find(robot, standard, limits)
     samples, trajectory = motion_samples(Path(arguments.motion), robot)
     stated = shared.noise(arguments, robot)
-    noise = torque_noise_levels(limits, stated) if trajectory is None or stated else trajectory.noise
+    noise = (
+        torque_noise_levels(limits, stated) if trajectory is None or stated else trajectory.noise
+    )
     root = identifiability.information_root(robot, standard, samples, noise)
     analysis = identifiability.analyse_root(
         standard, base, root, noise, robot, threshold=arguments.threshold, samples=len(samples)
@@ -39,7 +42,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     )
     text = dumps(analysis.document())
     contents = {"identifiability.json": text, "report.html": page}
-    written = _files.write_all(Path(arguments.out), contents)
+    written = output.replace(contents)
     document = json.loads(text)
     known = sum(bool(direction["identifiable"]) for direction in document["directions"])
     line = f"{robot.name}: {known} of {base.count} directions practically identifiable"

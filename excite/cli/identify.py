@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import _files, api
+from .. import api
+from .._system.output_files import output_folder
+from ..api.identification_result import IDENTIFICATION_FILES
 from ..identification.estimators import Method
 from ..identification.identification import Identification, Options
 from ..identification.inertia_distance import Distance
@@ -18,6 +20,7 @@ from .outcome import Outcome, with_files, written_lines
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Read recordings, identify, report."""
+    output = output_folder(Path(arguments.out), IDENTIFICATION_FILES)
     robot = shared.robot(arguments)
     result = api.identify(
         robot,
@@ -34,7 +37,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         progress=arguments.console.progress,
     )
     document = result.document()
-    written = _files.write_all(Path(arguments.out), result.contents(document))
+    written = output.replace(result.contents(document))
     tests = (result.identification.endogeneity, result.identification.simulation)
     facts = [test.words for test in tests if test is not None]
     lmi = result.lmi

@@ -9,7 +9,9 @@ import sys
 import warnings
 from collections.abc import Callable, Sequence
 
-from ..errors import ExciteError, ExciteWarning
+from .._system import process
+from .._system.console import emit
+from ..errors import ExciteWarning
 from .console import Console
 from .parser import parser
 
@@ -31,43 +33,35 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run a command.
 
     Args:
-        argv: Its arguments; those of the process when None.
+        argv: Its arguments; those of the process where None, which ends after the command then.
 
     Returns:
-        The exit code: 0 done, 1 a check failed or nothing is feasible, 2 unusable input.
+        The exit code: 0 done, 1 a check failed or nothing is feasible, 2 unusable input, 70 an
+        unforeseen error.
     """
-    console = Console()
+    stated = sys.argv[1:] if argv is None else list(argv)
+    return process.run(lambda: _execute(stated), stated, owns_process=argv is None)
+
+
+def _execute(argv: Sequence[str]) -> int:
+    """Run a command and print its result; return the exit code."""
+    arguments = parser().parse_args(argv or ["--help"])
+    console = arguments.console = Console(arguments.quiet, arguments.verbose)
     with warnings.catch_warnings():
         warnings.simplefilter("always", ExciteWarning)
         warnings.showwarning = _WarningPrinter(console)  # type: ignore[assignment]
-        try:
-            words = sys.argv[1:] if argv is None else list(argv)
-            arguments = parser().parse_args(words or ["--help"])
-            console = arguments.console = Console(arguments.quiet, arguments.verbose)
-            warnings.showwarning = _WarningPrinter(console)  # type: ignore[assignment]
-            from threadpoolctl import threadpool_limits
+        from threadpoolctl import threadpool_limits
 
-            module = importlib.import_module(f"{__package__}.{arguments.command}")
-            run: Callable[[argparse.Namespace], tuple[int, object, str]] = module.run
+        module = importlib.import_module(f"{__package__}.{arguments.command}")
+        run: Callable[[argparse.Namespace], tuple[int, object, str]] = module.run
+        try:
             with threadpool_limits(1):  # small matrices: BLAS threads cost more than they bring
                 code, document, text = run(arguments)
+        finally:
             console.finish()
-        except ExciteError as error:
-            console.finish()
-            print(f"excite: {' '.join(str(error).split())}", file=sys.stderr)
-            return error.exit_code
-        except KeyboardInterrupt:
-            print("excite: interrupted; nothing was written", file=sys.stderr)
-            return 1
-    try:
-        if arguments.json:
-            from .._json import plain
+    if arguments.json:
+        from .._json import plain
 
-            json.dump(plain(document), sys.stdout, allow_nan=False)
-            print()
-        else:
-            print(text)
-        sys.stdout.flush()
-    except BrokenPipeError:
-        sys.stderr.close()
+        text = json.dumps(plain(document), allow_nan=False)
+    emit(f"{text}\n")
     return code

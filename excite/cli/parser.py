@@ -10,6 +10,7 @@ from typing import Any, NoReturn, TypeAlias
 
 from .. import __version__
 from .. import physical_ranges as ranges
+from .._system.console import emit
 from ..errors import UnusableInput
 from ..physical_ranges import Range
 from .option_types import NamedNumbers, Number, Numbers, WordOrNumbers
@@ -45,6 +46,9 @@ examples:
 
 class _Parser(argparse.ArgumentParser):
     """Wrong use is one line, exit code 2."""
+
+    def _print_message(self, message: str, file: object = None) -> None:
+        emit(message)  # --help, --version
 
     def error(self, message: str) -> NoReturn:
         # the name of the program stands before every message

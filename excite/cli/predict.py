@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from .. import api
+from .._system.output_files import output_files
 from .outcome import Outcome
 
 
 def run(arguments: argparse.Namespace) -> Outcome:
     """Predict torque at the recording's own times."""
+    path = Path(arguments.out)
+    inputs = [Path(arguments.model), Path(arguments.recording)]
+    output = output_files(path, inputs=inputs)
     result = api.predict(arguments.model, arguments.recording)
-    path = result.save(arguments.out)
+    path = output.replace({path.name: result.csv()})[0]
     return 0, {"file": str(path), "rows": len(result.time)}, f"wrote {path}"

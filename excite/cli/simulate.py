@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from .. import _files, api
-from ..api.simulated_recording import checked_path
+from .. import api
+from ..api.simulated_recording import checked_path, recording_files
 from .outcome import Outcome, written_lines
 
 SETTINGS = ("seed", "rate", "noise", "colour", "jitter", "encoder", "model_error")
@@ -17,6 +17,8 @@ SETTINGS = ("seed", "rate", "noise", "colour", "jitter", "encoder", "model_error
 def run(arguments: argparse.Namespace) -> Outcome:
     """Simulate, measure, write the recording, its sidecar, its truth and a picture."""
     path = checked_path(arguments.out)
+    inputs = (arguments.robot, arguments.trajectory, arguments.like)
+    output = recording_files(path, [Path(name) for name in inputs if name is not None])
     result = api.simulate(
         arguments.robot,
         arguments.trajectory,
@@ -27,7 +29,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         periods=arguments.periods,
         **{name: getattr(arguments, name) for name in SETTINGS},
     )
-    written = _files.write_all(path.parent, result.contents(path.name))
+    written = output.replace(result.contents(path.name))
     keys = ("robot", "trajectory", "effects", "severity", "severity_trusted")
     document = {
         "files": [str(path) for path in written],

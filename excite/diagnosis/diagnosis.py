@@ -19,14 +19,14 @@ from ..recordings import Recording
 from ..robot.base_parameters import Base
 from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot
-from . import bandwidth, belief, course, equations, foretold, gear_encoders, hypothesis, judge, late, noise, residual_curves, search, session_changes, unmodelled, whole
+from . import bandwidth, belief, course, equations, foretold, gear_encoders, hypothesis, judge, late, noise, residual_curves, search, session_changes, unmodelled, fitted_effects
 from .course import Course, Progress
 from .gear_encoders import Gear
 from .judge import Finding, Verdict
 from .search import Design
 from .session_changes import Change
 from .unmodelled import Sight
-from .whole import Part
+from .fitted_effects import Part
 
 Array = np.ndarray
 QUIET = 1.2
@@ -98,7 +98,7 @@ class Diagnosis:
     @property
     def parts(self) -> tuple[Part, ...]:
         """What was found, as it adds to the base model."""
-        return whole.parts(self.design, self.verdict.together)
+        return fitted_effects.parts(self.design, self.verdict.together)
 
     @property
     def real(self) -> tuple[Finding, ...]:
@@ -274,7 +274,7 @@ def diagnose(
     if out.refitted is None:
         return out
     progress("simulating ahead")
-    bare = [whole.removed(out.parts, r, halves[1]) for r in validate]
+    bare = [fitted_effects.removed(out.parts, r, halves[1]) for r in validate]
     return dataclasses.replace(
         out, ahead=(_ahead(identified, validate, hertz), _ahead(out.refitted, bare, hertz))
     )
@@ -292,9 +292,9 @@ def _refitted(
     scale: Array,
 ) -> tuple[Design, Verdict, Identification]:
     """The base model of the recordings without what was found, and the findings with columns of that model."""
-    model, found = identified.model, whole.parts(one, verdict.together)
+    model, found = identified.model, fitted_effects.parts(one, verdict.together)
     pure = [
-        [whole.removed(found, r, own) for r in group]
+        [fitted_effects.removed(found, r, own) for r in group]
         for group, own in zip(recordings, halves, strict=True)
     ]
     refitted = identification.identify(

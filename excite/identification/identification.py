@@ -337,7 +337,7 @@ def _prior(
         return dataclasses.replace(
             start, bodies=options.gamma[0], drives=options.gamma[1] * start.drives
         ), ()
-    bodies, drives = prior_weight.evidence(
+    bodies, drives = prior_weight.gamma_by_evidence(
         parameters, data.root @ base.matrix, data.root @ data.theta, start
     )
     prior = dataclasses.replace(start, bodies=bodies, drives=drives)

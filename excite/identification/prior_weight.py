@@ -42,7 +42,7 @@ def joint_parameter_scales(parameters: Parameters) -> Array:
     return own
 
 
-def evidence(
+def gamma_by_evidence(
     parameters: Parameters, root: Array, target: Array, start: Prior
 ) -> tuple[float, Array]:
     """The most likely γ of bodies, and of every drive parameter, alike within a kind. root: R B. Shape (m, P). target: R θ̂."""

@@ -23,21 +23,7 @@ from .figures import residual_atlas as atlas_figures
 from .figures.diagnosis import told
 from .figures.torque_fit import EXCERPT, drawn_points
 from .figures.trajectory import torque_units
-from .page import (
-    Section,
-    banner,
-    bullets,
-    cards,
-    escape,
-    figure,
-    folded,
-    meter,
-    number,
-    page,
-    paragraph,
-    plural,
-    table,
-)
+from .page import Section, banner, bullets, cards, escape, figure, folded, meter, number, page, paragraph, plural, table
 
 Array = np.ndarray
 Stated = Mapping[str, Any]

@@ -12,17 +12,7 @@ from ...diagnosis.diagnosis import Diagnosis
 from ...diagnosis.isolability import Isolability
 from ...effects.recorded_motion import split
 from ...identification.identification import Prediction
-from .drawing import (
-    BLUE,
-    COMPACT_LAYOUT_JOINTS,
-    GREY,
-    INK,
-    ORANGE,
-    SOFT,
-    limit_ticks,
-    render_svg,
-    thin_curve,
-)
+from .drawing import BLUE, COMPACT_LAYOUT_JOINTS, GREY, INK, ORANGE, SOFT, limit_ticks, render_svg, thin_curve
 from .heatmap import Heatmap, draw_heatmap
 from .torque_fit import SURE, window
 from .trajectory import short, torque_units

@@ -195,5 +195,3 @@ def export(
     written = formats.write(content, format, Path(path), speed=speed, rate=rate, tau=torque)
     return ExportedFile(written, format, tuple(verdict), certificate, content.forced)
 
-
-__all__ = ["ExportedFile", "Verdict", "VerificationResult", "export", "verify"]

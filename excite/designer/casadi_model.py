@@ -19,7 +19,7 @@ Pair = tuple[ca.SX, ca.SX]
 
 
 @dataclass(frozen=True)
-class Functions:
+class DynamicsFunctions:
     """CasADi functions of one sample of motion (q, dq, ddq), each of shape (n,).
 
     regressor: -> Yᵀ (P, n), dense; transposed, so that samples side by side are rows of a C array (N, n, P).
@@ -170,7 +170,7 @@ def _inverse_dynamics(robot: Robot, kin: _Kinematics, motion: _Velocities, phi: 
     return ca.mtimes(_clean(robot.spread).T, torque)
 
 
-def functions(robot: Robot, parameters: Parameters) -> Functions:
+def dynamics_functions(robot: Robot, parameters: Parameters) -> DynamicsFunctions:
     """Build the functions of one sample that the optimiser needs, all with exact derivatives."""
     n = robot.n
     q, dq, ddq = (ca.SX.sym(name, n) for name in ("q", "dq", "ddq"))
@@ -205,12 +205,12 @@ def functions(robot: Robot, parameters: Parameters) -> Functions:
         "row", [q, dq, ddq, weight, pick], [ca.densify(g) for g in ca.vertsplit(along, n)]
     )
     support = tuple(np.array(Y[j, :].sparsity().get_col(), int) for j in range(n))
-    return Functions(
+    return DynamicsFunctions(
         regressor, adjoint, row, casadi_batch.library((regressor, adjoint, row)), support
     )
 
 
-def position(robot: Robot, frame: str) -> ca.Function:
+def frame_position(robot: Robot, frame: str) -> ca.Function:
     """Origin of a frame in the base frame and its Jacobian: q (n,) -> (3,), (3, n) [m]."""
     q = ca.SX.sym("q", robot.n)
     kin = _kinematics(robot, q)

@@ -1,4 +1,4 @@
-"""Strict JSON, which every parser of the standard reads, with numbers that read back exactly."""
+"""Strict JSON: what a parser of the standard reads everywhere, with numbers that read back exactly."""
 
 from __future__ import annotations
 
@@ -9,27 +9,22 @@ from typing import Any
 
 import numpy as np
 
-from ._system.text import displayable
-
 
 def plain(value: Any) -> Any:
-    """Convert a value to what strict JSON holds: arrays to lists, what is not finite to null.
-
-    Lone surrogates, which names of files that are not UTF-8 have, are replaced.
-    """
-    if isinstance(value, str):
-        return displayable(value)
+    """A value as strict JSON holds it: arrays as lists, what is not finite as null."""
     if isinstance(value, Mapping):
-        return {plain(str(k)): plain(v) for k, v in value.items()}
+        return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain(v) for v in value]
-    if isinstance(value, (np.ndarray, np.generic)):
+    if isinstance(value, np.ndarray):
         return plain(value.tolist())
+    if isinstance(value, np.generic):
+        return plain(value.item())
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
 
 
 def dumps(document: Any) -> str:
-    """Write strict JSON: keys in the order given, numbers that read back exactly."""
+    """Strict JSON, keys in the order given, numbers that read back exactly."""
     return json.dumps(plain(document), indent=1, allow_nan=False, ensure_ascii=False)

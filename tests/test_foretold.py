@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from excite.diagnosis import foretold, judge, search
+from excite.diagnosis import held_out, judge, search
 from excite.diagnosis.columns import Columns
 from excite.diagnosis.half import Half, whitened
 from excite.effects.effect import Shape
@@ -52,7 +52,7 @@ def halved(
 
 
 def left_by(one: search.Design) -> judge.Verdict:
-    return foretold.tested(one, judge.said(one, [0, 1]), EVERY, np.ones(2))
+    return held_out.tested(one, judge.said(one, [0, 1]), EVERY, np.ones(2))
 
 
 ODD = {"moved": 1.0, "spread": 0.01, "bent": -60.0}
@@ -75,7 +75,7 @@ def test_what_only_the_difference_between_halves_shows_and_makes_held_out_torque
     assert (
         refuted.main.joint == 1
         and refuted.probability < 0.5
-        and refuted.evidence["foretold"] > foretold.WORSE
+        and refuted.evidence["foretold"] > held_out.WORSE
     )
     gains = {f.main.joint: f.gain for f in before.findings}
     assert gains[1] > 100.0 and verdict.findings[0].gain == pytest.approx(gains[0], rel=0.05)
@@ -86,7 +86,7 @@ def test_what_the_first_half_does_not_tell_refutes_nothing(monkeypatch):
         1.0, spread=0.01, bent=-8.0
     )  # two standard deviations from what the other half has
     assert not left_by(one).doubted
-    monkeypatch.setattr(foretold, "CHANCE", 0.0)
+    monkeypatch.setattr(held_out, "CHANCE", 0.0)
     assert [f.main.joint for f in left_by(one).doubted] == [1]
 
 
@@ -96,7 +96,7 @@ def test_a_column_of_nothing_is_no_matter():
     wider = search.appended(
         dataclasses.replace(one, build=lambda _: (NOTHING, NOTHING)), [Shape("contact", 1, nothing)]
     )
-    assert not foretold.tested(wider, judge.said(wider, [0, 1, 2]), EVERY, np.ones(2)).doubted
+    assert not held_out.tested(wider, judge.said(wider, [0, 1, 2]), EVERY, np.ones(2)).doubted
 
 
 def test_a_touch_excuses_nobody():
@@ -105,7 +105,7 @@ def test_a_touch_excuses_nobody():
     touch[:20, 1] = 1.0
     wider = dataclasses.replace(one, build=lambda _: (NOTHING, Columns.of(touch)))
     wider = search.appended(wider, [Shape("contact", 1, nothing, interval=(1.0, 2.0))])
-    verdict = foretold.tested(wider, judge.said(wider, [0, 1, 2]), EVERY, np.ones(2))
+    verdict = held_out.tested(wider, judge.said(wider, [0, 1, 2]), EVERY, np.ones(2))
     assert "drag" in {f.main.effect for f in verdict.doubted if f.main.joint == 1}
 
 
@@ -115,13 +115,13 @@ def test_what_happens_once_is_not_to_be_foretold():
 
 def test_residuals_are_those_of_the_first_halfs_fit():
     one = halved(0.0)
-    before, after = foretold.residuals(one, search.trial(one, [0, 1]), np.array([1.0, 2.0]))
+    before, after = held_out.residuals(one, search.trial(one, [0, 1]), np.array([1.0, 2.0]))
     assert before.std(axis=0) == pytest.approx([np.sqrt(10.0), 2.0 * np.sqrt(10.0)], rel=0.15)
     assert after.std(axis=0) == pytest.approx([1.0, 2.0], rel=0.15)
-    assert np.array_equal(foretold.residuals(one, None, np.ones(2))[1], before / [1.0, 2.0])
+    assert np.array_equal(held_out.residuals(one, None, np.ones(2))[1], before / [1.0, 2.0])
 
 
 def test_a_design_without_findings_has_nothing_to_test():
-    assert foretold.tested(
+    assert held_out.tested(
         halved(0.0), judge.Verdict((), None, ()), EVERY, np.ones(2)
     ) == judge.Verdict((), None, ())

@@ -18,7 +18,7 @@ from ..collision.workcell import NOT_CHECKED, Cell
 from ..designer import experiment_comparison, identifiability, pipeline, time_budget
 from ..designer import validation_trajectory as validation
 from ..designer.motion_overlap import OverlapPenalty
-from ..designer.problem import DesignOptions, torque_noise_levels
+from ..designer.problem import DesignOptions, WorkspaceBox, torque_noise_levels
 from ..errors import UnusableInput
 from ..exporters import csv_json, file_format
 from ..report.design_record import DesignRecord
@@ -37,7 +37,7 @@ DESIGN_FILES = (
     *MOTION_FILES,
     "identifiability.json",
     "report.html",
-    *(f"{validation.VALIDATION_FOLDER}/{name}" for name in MOTION_FILES),
+    *(f"{validation.FOLDER}/{name}" for name in MOTION_FILES),
 )
 """Files of a design; a validation motion of an earlier design is removed with it."""
 THRESHOLD = 1e-2
@@ -425,3 +425,5 @@ def _record(delivery: pipeline.CertifiedDesign) -> DesignRecord:
     ]
     return DesignRecord(starts=starts, chosen=0)
 
+
+__all__ = ["WorkspaceBox", "CellOptions", "DesignResult", "design"]

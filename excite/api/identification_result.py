@@ -20,7 +20,7 @@ from ..errors import UnusableInput
 from ..identification import consistency, identification, identified_model, lmi_check, torque_check
 from ..identification import prior as prior_module
 from ..identification.consistency import Bounds
-from ..identification.identification import Identification, Options
+from ..identification.identification import Identification, IdentificationOptions
 from ..recordings import Recording
 from ..robot import base_parameters, inertial_parameters
 from ..robot.inertial_parameters import Parameters
@@ -187,7 +187,7 @@ def identify(
     prior: str | Path | None = None,
     period: float | None = None,
     window: tuple[float, float] | None = None,
-    options: Options = Options(),  # noqa: B008  # immutable
+    options: IdentificationOptions = IdentificationOptions(),  # noqa: B008  # immutable
     check_lmi: bool = False,
     progress: Progress | None = None,
     **choices: Any,
@@ -295,7 +295,7 @@ def _read_both(
     ]
     recordings.refuse_same(*both)
     train_set, held_out_set = (
-        [torque_check.check_torque(one, robot, limits) for one in some] for some in both
+        [torque_check.checked(one, robot, limits) for one in some] for some in both
     )
     return train_set, held_out_set
 

@@ -12,7 +12,7 @@ from .. import _json
 from .. import exporters as formats
 from .._system.output_files import output_files, output_folder
 from ..designer import certificate as certificates
-from ..designer.certificate import Certificate
+from ..designer.certificate import Certificate, CertificateVerdict
 from ..errors import CheckFailed, UnusableInput
 from ..exporters import file_format
 from ..robot import inertial_parameters
@@ -195,3 +195,5 @@ def export(
     written = formats.write(content, format, Path(path), speed=speed, rate=rate, tau=torque)
     return ExportedFile(written, format, tuple(verdict), certificate, content.forced)
 
+
+__all__ = ["ExportedFile", "CertificateVerdict", "VerificationResult", "export", "verify"]

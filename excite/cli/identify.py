@@ -12,7 +12,7 @@ from .. import api
 from .._system.output_files import output_folder
 from ..api.identification_result import IDENTIFICATION_FILES
 from ..identification.estimators import Method
-from ..identification.identification import Identification, Options
+from ..identification.identification import Identification, IdentificationOptions
 from ..identification.inertia_distance import Distance
 from . import options as shared
 from .outcome import Outcome, with_files, written_lines
@@ -48,9 +48,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
     return code, with_files(document, written), _text(result.identification, facts, written)
 
 
-def _options(arguments: argparse.Namespace) -> Options:
+def _options(arguments: argparse.Namespace) -> IdentificationOptions:
     gamma = arguments.gamma
-    return Options(
+    return IdentificationOptions(
         method=Method(arguments.estimator),
         distance=Distance(arguments.distance),
         gamma=gamma if isinstance(gamma, str) else (gamma[0], gamma[-1]),

@@ -15,7 +15,7 @@ from ..robot.inertial_parameters import COULOMB_WIDTH, Parameters
 from ..robot.robot import Robot
 from . import casadi_batch
 
-Pair = tuple[ca.SX, ca.SX]
+SpatialVector = tuple[ca.SX, ca.SX]
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def _body(w: ca.SX, dw: ca.SX, a: ca.SX) -> ca.SX:
 class _Kinematics:
     rotation: list[ca.SX]  # parent from child
     lever: list[ca.SX]  # child's origin in the parent's frame
-    axis: list[Pair]  # (angular, linear) motion axis, child frame
+    axis: list[SpatialVector]  # (angular, linear) motion axis, child frame
     parent: list[int]
 
 
@@ -131,7 +131,7 @@ def _inertial_regressor(robot: Robot, kin: _Kinematics, motion: _Velocities) -> 
     count = robot.model.nv
     Y = ca.SX(count, 10 * count)
     carried: list[
-        dict[int, Pair]
+        dict[int, SpatialVector]
     ] = []  # per body the axes of itself and its ancestors, in its frame
     for i, up in enumerate(kin.parent):
         back = kin.rotation[i].T

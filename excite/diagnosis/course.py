@@ -11,7 +11,7 @@ import numpy as np
 from ..effects import EFFECTS, recorded_motion
 from ..effects.recorded_motion import Track
 from ..identification.identification import Identification
-from . import equations, foretold, judge, late, noise, once, search, session_changes
+from . import equations, held_out, judge, late, noise, once, search, session_changes
 from .judge import Verdict
 from .noise import Noise
 from .search import Design
@@ -52,7 +52,7 @@ class Course:
     @property
     def later(self) -> Array:
         """What is left of the held-out torque, over the scale. Shape (N, n)."""
-        return foretold.residuals(self.one, self.verdict.together, np.ones(len(self.scale)))[1]
+        return held_out.residuals(self.one, self.verdict.together, np.ones(len(self.scale)))[1]
 
     def explained(self, moves: Array) -> bool:
         """Whether no joint's torque is left louder than noise, of all recordings or of those held out. moves: rows of these that count."""
@@ -73,7 +73,7 @@ class Course:
             return True
         left, by = self.later, self.scale / scale
         return session_changes.differs_later(
-            left, foretold.levelled(other(), left * by) / by, moves, self._expected
+            left, held_out.levelled(other(), left * by) / by, moves, self._expected
         )
 
     @property
@@ -81,7 +81,7 @@ class Course:
         """Mean square over the scale that a right model would leave of the held-out torque. Shape (n,)."""
         return np.asarray(
             (self.noisy.quiet / self.scale) ** 2
-            + foretold.reach(self.one, np.ones(len(self.scale))) ** 2
+            + held_out.reach(self.one, np.ones(len(self.scale))) ** 2
         )
 
 

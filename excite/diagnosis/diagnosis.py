@@ -19,7 +19,7 @@ from ..recordings import Recording
 from ..robot.base_parameters import Base
 from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot
-from . import bandwidth, belief, course, equations, foretold, gear_encoders, hypothesis, judge, late, noise, residual_curves, search, session_changes, unmodelled, fitted_effects
+from . import bandwidth, belief, course, equations, held_out as held_out_module, gear_encoders, hypothesis, judge, late, noise, residual_curves, search, session_changes, unmodelled, fitted_effects
 from .course import Course, Progress
 from .gear_encoders import Gear
 from .judge import Finding, Verdict
@@ -159,7 +159,7 @@ class Diagnosis:
             (named > LOUD * self.quiet) | (self.doubted > DOUBTED * self.floor),
             self.floor.copy(),
         )
-        loud |= (self.after**2 > foretold.WORSE * self.before**2) & (
+        loud |= (self.after**2 > held_out_module.WORSE * self.before**2) & (
             self.same > LOUD * self.expected
         )
         loud |= self.acts & (
@@ -246,7 +246,7 @@ def diagnose(
     )
     one, noisy, scale = found.one, found.noisy, found.scale
     verdict, refitted = (
-        foretold.tested(one, found.verdict, _moves(halves[1]), (noisy.floor / scale) ** 2),
+        held_out_module.tested(one, found.verdict, _moves(halves[1]), (noisy.floor / scale) ** 2),
         None,
     )
     if verdict.findings:
@@ -326,9 +326,9 @@ def _judged(
         found, verdict=belief.weighed(one, found.verdict, (floor / scale) ** 2, noisy.bounds)
     )
     verdict = found.verdict
-    before, after = foretold.residuals(one, verdict.together, scale)
+    before, after = held_out_module.residuals(one, verdict.together, scale)
     fitted = course.rms(one, (), scale), course.rms(one, verdict.named, scale)
-    quiet, expected = noisy.quiet, np.sqrt(noisy.quiet**2 + foretold.reach(one, scale) ** 2)
+    quiet, expected = noisy.quiet, np.sqrt(noisy.quiet**2 + held_out_module.reach(one, scale) ** 2)
     moves = _moves(tracks[1])
     rms = [np.sqrt(search.mean_square(r, moves)) for r in (before, after)]
     told = (identified, options, hertz, tracks, one, verdict, floor, noisy.method)
@@ -350,7 +350,7 @@ def _judged(
     doubted = np.sqrt(np.maximum(fitted[1] ** 2 - every**2, 0.0))
     judged = (rms[0], rms[1], (before, after), refitted if verdict.findings else None)
     differs = session_changes.changes(one, found.shapes, tracks) if found.differing else ()
-    same = search.mean_square(foretold.levelled(one, after / scale) * scale, moves)
+    same = search.mean_square(held_out_module.levelled(one, after / scale) * scale, moves)
     known = {
         "expected": expected,
         "fitted": fitted,

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..effects.recorded_motion import Track, split
 from . import judge, search
-from .foretold import BELIEVED
+from .held_out_test import BELIEVED
 from .judge import Finding, Verdict
 from .noise import Period, shifted
 from .search import Design

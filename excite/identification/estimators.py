@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..errors import UnusableInput
-from .noise_spectrum import Colour, colour, covariance_root
+from .noise_spectrum import NoiseSpectrum, noise_spectrum, covariance_root
 from .regression import TorqueEquations
 
 Array = np.ndarray
@@ -55,7 +55,7 @@ class Estimate:
     root: Array
     covariance: Array
     scale: Array
-    colour: Colour
+    colour: NoiseSpectrum
     residual: Array
     freedom: float
     outliers: float = 0.0
@@ -247,7 +247,7 @@ def _assembled(
 ) -> Estimate:
     """The estimate with its sandwich: in coordinates H the slope is `slope`, so the covariance is H S Hᵀ/slope²."""
     inside = whiten(equations.regressor @ fit.half, scale)
-    spectrum, spread = colour(equations, score, inside, scale)
+    spectrum, spread = noise_spectrum(equations, score, inside, scale)
     spread = spread / slope**2
     residual = equations.torque - equations.predicted(theta)
     root = np.linalg.solve(np.linalg.cholesky(spread), fit.inward)
@@ -298,7 +298,7 @@ def _instrumental(equations: TorqueEquations, fit: LeastSquaresFit, scale: Array
         )
     theta = fit.half @ np.linalg.solve(product, np.einsum("tip,ti->p", Z, torque, optimize=True))
     left = whiten(equations.torque - equations.predicted(theta), scale)
-    spectrum, scores = colour(equations, left, inside, scale, Z)
+    spectrum, scores = noise_spectrum(equations, left, inside, scale, Z)
     inverse = np.linalg.inv(product)
     spread = inverse @ scores @ inverse.T
     root = np.linalg.solve(np.linalg.cholesky(spread), fit.inward)

@@ -39,7 +39,7 @@ FREE = 1e-14
 
 
 @dataclass(frozen=True)
-class Options:
+class IdentificationOptions:
     """method: how rows are weighted. distance: of the prior. gamma: (bodies, drives), or how to choose: "evidence" or
     "heldout". band: [Hz], from the data if None. threshold: largest scale-free variance that counts as identified.
     bounds: further constraints. align: torque is moved by the delay found. trusted: parameter -> value that is right as it stands.
@@ -102,7 +102,7 @@ class Identification:
     """
 
     model: IdentificationModel
-    options: Options
+    options: IdentificationOptions
     spectra: TorqueSpectra
     equations: TorqueEquations
     data: Estimate
@@ -159,11 +159,11 @@ def identify(
     base: Base,
     recordings: Sequence[Recording],
     validate: Sequence[Recording] = (),
-    options: Options | None = None,
+    options: IdentificationOptions | None = None,
     progress: Progress = lambda _: None,
 ) -> Identification:
     """Parameters from recordings. Raises UnusableInput where a recording has no torque or is too short for the band."""
-    options = options or Options()
+    options = options or IdentificationOptions()
     model = IdentificationModel(robot, parameters, base, np.full(robot.n, COULOMB_WIDTH))
     parts = list(segments.extract_segments(recordings))
     if not parts:
@@ -229,7 +229,7 @@ def identify(
     )
 
 
-def _data(model: IdentificationModel, parts: list[Segment], hertz: float, options: Options) -> _Data:
+def _data(model: IdentificationModel, parts: list[Segment], hertz: float, options: IdentificationOptions) -> _Data:
     """Equations with friction as wide as the data has it, and θ̂ by the data alone."""
     few = segments.leading_segments(parts, friction_width.MAX_WIDTH_SAMPLES)
     rows = regression.build_equations(model, few, hertz)
@@ -257,7 +257,7 @@ def _data(model: IdentificationModel, parts: list[Segment], hertz: float, option
 
 
 def _predictor(
-    own: _Data, psi: Array, nominal: Array, options: Options
+    own: _Data, psi: Array, nominal: Array, options: IdentificationOptions
 ) -> Callable[..., Prediction]:
     shift = own.delay.seconds if options.align else None
     return functools.partial(
@@ -266,7 +266,7 @@ def _predictor(
 
 
 def _posterior(
-    parameters: Parameters, base: Base, data: Estimate, prior: Prior, options: Options
+    parameters: Parameters, base: Base, data: Estimate, prior: Prior, options: IdentificationOptions
 ) -> ConsistentEstimate:
     return consistency.maximum_a_posteriori(
         parameters, data.root @ base.matrix, data.root @ data.theta, prior, options.bounds
@@ -285,7 +285,7 @@ def _instrumented(
 
 
 def _simulated(
-    own: _Data, data: Estimate, posterior: ConsistentEstimate, prior: Prior, options: Options, hertz: float
+    own: _Data, data: Estimate, posterior: ConsistentEstimate, prior: Prior, options: IdentificationOptions, hertz: float
 ) -> tuple[ConsistentEstimate, SimulationError | None]:
     """Positions simulated ahead by the model, refined against them if asked; nothing where no window is long enough."""
     groups, share = simulation_error.cut_windows(own.parts, hertz)
@@ -321,7 +321,7 @@ def _moved(piece: Segment, seconds: Array) -> Segment:
 
 
 def _prior(
-    parameters: Parameters, base: Base, rows: TorqueEquations, data: Estimate, options: Options
+    parameters: Parameters, base: Base, rows: TorqueEquations, data: Estimate, options: IdentificationOptions
 ) -> tuple[Prior, tuple[tuple[float, float], ...]]:
     """ψ₀ and γ: as given, by evidence, or by what predicts left-out blocks; what is trusted is held fast."""
     nominal = consistency.consistent_nominal(parameters)
@@ -354,7 +354,7 @@ def _prior(
         left = folds[fold][:, :-1] @ (base.matrix @ found.psi) - folds[fold][:, -1]
         return float(left @ left)
 
-    chosen, tried = prior_weight.held_out(fit, bodies, FOLDS)
+    chosen, tried = prior_weight.gamma_by_validation(fit, bodies, FOLDS)
     return dataclasses.replace(prior, bodies=chosen), tuple(tried)
 
 
@@ -379,7 +379,7 @@ def _sized(parameters: Parameters, base: Base, psi: Array) -> tuple[Parameters, 
 
 
 def _reduced(
-    parameters: Parameters, base: Base, data: Estimate, prior: Prior, options: Options
+    parameters: Parameters, base: Base, data: Estimate, prior: Prior, options: IdentificationOptions
 ) -> ConsistentEstimate:
     """The estimate that takes identified directions from the data and all others from the nominal robot (Lee, Lee & Park 2021, 4.4)."""
     values, vectors = identifiability.eigenvalues_and_directions(data.root @ base.matrix, base)

@@ -30,7 +30,7 @@ DOUBT = 1e-3
 
 
 @dataclass(frozen=True)
-class Colour:
+class NoiseSpectrum:
     """Densities of n series of weighted noise; their mean up to half the rate of rows is the variance.
 
     frequency: Shape (F,) [Hz]. density: Shape (F, n). repeated: joints for which repeated periods bear it out. Shape (n,).
@@ -50,9 +50,9 @@ def covariance_root(residual: Array, leverage: Array) -> Array:
     return np.linalg.cholesky(unit.T @ unit / len(residual)) * deviation[:, None]
 
 
-def colour(
+def noise_spectrum(
     equations: TorqueEquations, series: Array, rows: Array, scale: Array, instruments: Array | None = None
-) -> tuple[Colour, Array]:
+) -> tuple[NoiseSpectrum, Array]:
     """Densities of weighted residuals, and the covariance of the scores Σₜ Zₜᵀ uₜ that noise of such densities has (Parseval).
 
     rows: weighted regressor in coordinates where the information is 1. Shape (N, n, r). instruments: Z where it is another. Shape
@@ -93,7 +93,7 @@ def colour(
             np.add.at(repeats, where[1 : 1 + between.shape[1]], float(periods - 1))
     alike = _alike(power, freedom, spread, repeats)
     density = _smoothed(power + alike * spread, freedom + alike * repeats)
-    found = Colour((np.arange(count) + 0.5) * 0.5 * rate / count, density, alike)
+    found = NoiseSpectrum((np.arange(count) + 0.5) * 0.5 * rate / count, density, alike)
     return found, np.einsum("fj,fjpq->pq", density, grams)
 
 

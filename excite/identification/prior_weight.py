@@ -73,7 +73,7 @@ def gamma_by_evidence(
     return float(weights[0] / 2.0), weights[1:].repeat(n) / 2.0
 
 
-def held_out(
+def gamma_by_validation(
     fit: Callable[[float, int], float], start: float, folds: int
 ) -> tuple[float, list[tuple[float, float]]]:
     """γ with the least error on blocks left out, and every (γ, error) tried. fit: (γ, fold) -> squared error there."""

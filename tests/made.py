@@ -12,8 +12,8 @@ from conftest import loaded
 
 from excite.diagnosis.columns import Columns
 from excite.diagnosis.half import Half, whitened
-from excite.effects.effect import Shape
-from excite.effects.recorded_motion import Track
+from excite.effects.effect import CandidateModel
+from excite.effects.recorded_motion import RecordedMotion
 from excite.identification import consistency
 from excite.identification.regression import IdentificationModel
 from excite.recordings import Recording, Sidecar
@@ -141,7 +141,7 @@ def written(recording: Recording, path: Path, decimals: int = 9) -> Path:
 EMPTY = (np.zeros((0, 1)), np.zeros(0))
 
 
-def nothing(track: Track, shape: Shape) -> Array:
+def nothing(track: RecordedMotion, shape: CandidateModel) -> Array:
     raise AssertionError("not asked for")
 
 

@@ -11,8 +11,8 @@ from scipy import integrate, linalg
 from test_diagnose import found
 
 from excite.effects import environment
-from excite.effects.base_dynamics import Afloat, afloat
-from excite.effects.effect import Shape
+from excite.effects.base_dynamics import FloatingBaseDynamics, floating_base_dynamics
+from excite.effects.effect import CandidateModel
 from excite.robot import robot
 from excite.robot.samples import Samples
 
@@ -25,9 +25,9 @@ def arm() -> robot.Robot:
 
 
 @pytest.fixture(scope="module")
-def moved(arm) -> tuple[Samples, Afloat]:
+def moved(arm) -> tuple[Samples, FloatingBaseDynamics]:
     motion = Samples(*(np.random.default_rng(seed).normal(size=(4, arm.n)) for seed in range(3)))
-    return motion, afloat(arm, arm.model, motion)
+    return motion, floating_base_dynamics(arm, arm.model, motion)
 
 
 def torque(arm: robot.Robot, motion: Samples, row: int, base: tuple[Array, Array, Array]) -> Array:
@@ -151,7 +151,7 @@ def test_a_bases_spring_is_the_same_in_every_recording(monkeypatch):
 
     monkeypatch.setattr(environment, "_carried", seen)
     fixed = {"frequency": 5.0, "damping": 0.1, "way": 1.0, "stand": 0.2, "apart": 1.5}
-    rocks = Shape("base_compliance", None, environment._swung, fixed)
+    rocks = CandidateModel("base_compliance", None, environment._swung, fixed)
     every = [one for half in result.tracks for one in half]
     for one in every:
         one.__dict__["afloat"] = dataclasses.replace(one.afloat, by_place=0.0 * one.afloat.by_place)

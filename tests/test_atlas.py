@@ -46,7 +46,7 @@ def found(extra: str = "") -> Diagnosis:
     for seed, name in ((1, "train.csv"), (2, "validate.csv")):
         one = recorded(model, psi, motion(2, seed, 9.0), 2.5, NOISE, period=None, periodic=None)
         both.append(plant(dataclasses.replace(one, source=name), extra))
-    options = diagnosis.Options(names=("drag",))
+    options = diagnosis.DiagnosisOptions(names=("drag",))
     done = diagnosis.diagnose(
         model.robot, model.parameters, model.base, both[:1], both[1:], options
     )

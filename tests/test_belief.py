@@ -11,9 +11,9 @@ import pytest
 
 from excite.diagnosis import belief, hypothesis, judge, search
 from excite.diagnosis.measured import Measured
-from excite.effects import BY_NAME, confused
-from excite.effects.effect import Shape
-from excite.effects.recorded_motion import Track
+from excite.effects import EFFECTS_BY_NAME, are_confusable
+from excite.effects.effect import CandidateModel
+from excite.effects.recorded_motion import RecordedMotion
 
 Array = np.ndarray
 SURE = (np.ones(1), np.ones(1))
@@ -21,7 +21,7 @@ SURE = (np.ones(1), np.ones(1))
 TRIED = search.Trial((0,), np.ones(1), (np.ones(1), np.ones(1)), 50.0, True)
 
 
-def nothing(track: Track, shape: Shape) -> Array:
+def nothing(track: RecordedMotion, shape: CandidateModel) -> Array:
     raise NotImplementedError
 
 
@@ -49,7 +49,7 @@ def shares(
     places = tuple(range(len(effects)))
     intervals = [(1.0, 2.0) if happens else None for happens in once or [False] * len(effects)]
     shapes = tuple(
-        Shape(name, 0, nothing, interval=own) for name, own in zip(effects, intervals, strict=True)
+        CandidateModel(name, 0, nothing, interval=own) for name, own in zip(effects, intervals, strict=True)
     )
     tried = search.Trial(places, np.ones(len(effects)), (np.ones(1), np.ones(1)), 50.0, True)
     findings = tuple(
@@ -67,7 +67,7 @@ def shares(
 
 
 def told_of(
-    shapes: Sequence[Shape],
+    shapes: Sequence[CandidateModel],
     verdict: judge.Verdict,
     joints: int = 1,
     bounds: tuple[float, float] = (1.0, 1.0),
@@ -155,7 +155,7 @@ def test_what_no_fault_feigns_vouches_for_what_says_the_same(monkeypatch):
     said = []
     rivals = {"hysteresis": 30.0}
     for here in (frozenset[str](), frozenset(rivals)):  # another joint's does not vouch for it
-        shapes = tuple(Shape(effect, 0, nothing) for effect in ("delay", *rivals))
+        shapes = tuple(CandidateModel(effect, 0, nothing) for effect in ("delay", *rivals))
         one = types.SimpleNamespace(shapes=shapes, measured=Measured({("delay", 0): 45.0}))
         alone = only("delay")
         verdict = dataclasses.replace(
@@ -199,15 +199,15 @@ def test_what_stands_beside_a_sure_name_is_likelier_a_name_too(monkeypatch, left
 def test_equivalents_are_the_names_within_reach_of_a_wrong_form():
     (finding,) = only("nonlinear_viscous").findings
     finding = judge.Finding(finding.parts, 100.0, {"drag": 99.0, "spring": 80.0, "stribeck": 20.0})
-    assert tuple(belief.alike(finding, 0.1, BY_NAME)) == ("drag", "spring")
-    assert tuple(belief.alike(finding, 0.002, BY_NAME)) == ("drag",)
+    assert tuple(belief.alike(finding, 0.1, EFFECTS_BY_NAME)) == ("drag", "spring")
+    assert tuple(belief.alike(finding, 0.002, EFFECTS_BY_NAME)) == ("drag",)
 
 
 def test_what_is_barely_told_is_told_with_all_that_it_is_taken_for():
     (finding,) = only("elasticity").findings
     finding = judge.Finding(finding.parts, 100.0, {"base_compliance": 10.0, "torque_ripple": 15.0})
-    assert tuple(belief.alike(finding, 0.3, BY_NAME)) == ()
-    barely = belief.alike(finding, 0.5, BY_NAME)
+    assert tuple(belief.alike(finding, 0.3, EFFECTS_BY_NAME)) == ()
+    barely = belief.alike(finding, 0.5, EFFECTS_BY_NAME)
     assert tuple(barely) == (
         "backlash",
         "base_compliance",
@@ -220,7 +220,7 @@ def test_what_is_barely_told_is_told_with_all_that_it_is_taken_for():
 def test_what_is_told_with_a_name_brings_what_it_is_taken_for_itself():
     (finding,) = only("torque_ripple").findings
     finding = judge.Finding(finding.parts, 100.0, {"base_compliance": 50.0})
-    assert not confused("torque_ripple", "backlash")
+    assert not are_confusable("torque_ripple", "backlash")
     tried = ("spring", "backlash", "base_compliance", "elasticity", "drag")
     assert set(belief.alike(finding, 0.55, tried)) == {"base_compliance", "backlash", "elasticity"}
 
@@ -233,7 +233,7 @@ def test_what_another_law_may_leave_is_no_further_effect_though_it_is_taken_whol
     monkeypatch, strong, left, told
 ):
     """A ripple beside a spring at the same joint, of less or more than springs usually leave, and what is left then."""
-    shapes = tuple(Shape(name, 0, nothing) for name in ("spring", "torque_ripple"))
+    shapes = tuple(CandidateModel(name, 0, nothing) for name in ("spring", "torque_ripple"))
     tried = search.Trial((0, 1), np.ones(2), (np.ones(1), np.ones(1)), 50.0, True)
     findings = tuple(
         judge.Finding((hypothesis.Hypothesis(s.effect, 0, i, tried, 1.0, True),), 50.0, {})
@@ -267,5 +267,5 @@ def test_a_joint_where_nothing_is_taken_speaks_against_who_acts_there(monkeypatc
             "level",
             lambda _, chosen, second=second: np.array([1.2, 30.0] if chosen else [50.0, second]),
         )
-        told += told_of((Shape("base_compliance", None, nothing),), verdict, 2)
+        told += told_of((CandidateModel("base_compliance", None, nothing),), verdict, 2)
     assert told == pytest.approx([0.37, 0.37], abs=0.02)

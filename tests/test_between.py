@@ -12,7 +12,7 @@ from test_diagnose import PLANTED, recordings_of
 
 from excite.diagnosis import course, diagnosis, equations, residual_atlas, search, session_changes
 from excite.diagnosis.blocks import sandwiched
-from excite.diagnosis.diagnosis import Diagnosis, Options
+from excite.diagnosis.diagnosis import Diagnosis, DiagnosisOptions
 from excite.diagnosis.diagnosis_file import document
 from excite.report import diagnosis_page
 
@@ -37,7 +37,7 @@ def found(name: str | None, more: float = 1.0, names: tuple[str, ...] = ()) -> D
     rubs = more * MORE * (coulomb * np.tanh(speed / WIDTH) + viscous * speed)
     other = dataclasses.replace(held_out, tau=held_out.torque + rubs)
     return diagnosis.diagnose(
-        subject.robot, subject.parameters, subject.base, [train], [other], Options(names=names)
+        subject.robot, subject.parameters, subject.base, [train], [other], DiagnosisOptions(names=names)
     )
 
 
@@ -177,7 +177,7 @@ def test_a_change_is_as_sure_as_its_recording_is_long() -> None:
             subject.base,
             noisy[:1],
             noisy[1:],
-            Options(names=("drag",)),
+            DiagnosisOptions(names=("drag",)),
         )
         halves = [
             equations.half(half, one.identified, {}, one.floor, one.tracks) for half in one.tracks

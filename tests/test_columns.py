@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from excite.diagnosis import search
 from excite.diagnosis.columns import Columns
 from excite.diagnosis.half import Half, whitened
-from excite.effects.effect import Shape
+from excite.effects.effect import CandidateModel
 
 Array = np.ndarray
 
@@ -59,7 +59,7 @@ def test_products_are_those_of_columns_less_what_the_base_takes():
     halves = halved(rng, 30), halved(rng, 40)
     felt = [(0,), (1,), (0, 2), (0, 1, 2)]
     made = [[drawn(rng, samples, 3, [own, own]) for samples in (30, 40)] for own in felt]
-    shapes = [Shape("drag", k, lambda t, s: np.zeros(0)) for k in range(len(felt))]
+    shapes = [CandidateModel("drag", k, lambda t, s: np.zeros(0)) for k in range(len(felt))]
     one = search.design(
         halves, shapes, lambda shape: (made[shape.place][0][0], made[shape.place][1][0])
     )

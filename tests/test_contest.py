@@ -14,7 +14,7 @@ from excite.diagnosis.columns import Columns
 from excite.diagnosis.half import Half, whitened
 from excite.diagnosis.measured import Measured
 from excite.effects import environment, gear_dynamics
-from excite.effects.effect import Shape, beside, family
+from excite.effects.effect import CandidateModel, beside, family
 
 Array = np.ndarray
 RNG = np.random.default_rng(5)
@@ -30,14 +30,14 @@ def wave(order: float, number: int) -> Array:
     return np.asarray(np.cos(order * PLACES[number]))
 
 
-def designed(columns: list[Array], torque: list[Array], grid: tuple[float, float]) -> search.Design:
+def designed(columns: list[Array], torque: list[Array], grid: tuple[float, float]) -> search.EffectRegression:
     """A spring with a column of its own, and ripples whose order lies between those of a grid."""
     halves = [
         halved(g, (g @ [1.0, -2.0] + t + n)[:, None], KNOWN)
         for g, t, n in zip(BASE, torque, NOISE, strict=True)
     ]
 
-    def build(shape: Shape) -> tuple[Columns, Columns]:
+    def build(shape: CandidateModel) -> tuple[Columns, Columns]:
         rows = (
             columns
             if shape.effect == "spring"
@@ -45,11 +45,11 @@ def designed(columns: list[Array], torque: list[Array], grid: tuple[float, float
         )
         return on_one(*(row[:, None] for row in rows))
 
-    def ripple(order: float) -> Shape:
-        return Shape("torque_ripple", 0, nothing, {"order": order})
+    def ripple(order: float) -> CandidateModel:
+        return CandidateModel("torque_ripple", 0, nothing, {"order": order})
 
     return search.design(
-        (halves[0], halves[1]), [Shape("spring", 0, nothing), *family(grid, ripple)], build
+        (halves[0], halves[1]), [CandidateModel("spring", 0, nothing), *family(grid, ripple)], build
     )
 
 
@@ -73,7 +73,7 @@ def test_all_are_tuned_only_with_what_tuned_alone_is_nearly_as_good(monkeypatch,
     real, asked = search.turned, list[int]()
 
     def turned(
-        design: search.Design, chosen: Sequence[int], sweeps: int, since: int = 0
+        design: search.EffectRegression, chosen: Sequence[int], sweeps: int, since: int = 0
     ) -> list[search.Built]:
         asked.append(since)
         return real(design, chosen, sweeps, since)
@@ -160,7 +160,7 @@ def test_of_names_as_good_as_each_other_the_plain_one_is_told(apart, told):
         halved(g, (g @ [1.0, -2.0] + 1.5 * x + n)[:, None], KNOWN)
         for g, x, n in zip(BASE, STRONG, NOISE, strict=True)
     ]
-    shapes = [Shape(name, 0, nothing) for name in columns]
+    shapes = [CandidateModel(name, 0, nothing) for name in columns]
     one = search.design(
         (halves[0], halves[1]),
         shapes,
@@ -189,17 +189,17 @@ def test_a_resonance_between_two_tried_frequencies_is_found(frequency):
     ]
 
     def swing(damping: float):  # type: ignore[no-untyped-def]
-        def shape(hertz: float) -> Shape:
+        def shape(hertz: float) -> CandidateModel:
             kin = lambda: beside(  # noqa: E731
                 hertz, gear_dynamics.NEAR, map(swing, gear_dynamics.damped(damping))
             )
-            return Shape(
+            return CandidateModel(
                 "base_compliance", 0, nothing, {"frequency": hertz, "damping": damping}, kin=kin
             )
 
         return shape
 
-    def build(shape: Shape) -> tuple[Columns, Columns]:
+    def build(shape: CandidateModel) -> tuple[Columns, Columns]:
         return on_one(
             *(
                 swings(shape.values["frequency"], shape.values["damping"], n)[:, None]
@@ -234,18 +234,18 @@ def test_shapes_that_take_each_other_off_are_no_finding():
     known = (1e-2 * np.eye(2), np.zeros(2))
     first, second = (halved(g, t[:, None], known) for g, t in zip(gammas, torques, strict=True))
 
-    def build(shape: Shape) -> tuple[Columns, Columns]:
+    def build(shape: CandidateModel) -> tuple[Columns, Columns]:
         return on_one(*(own[shape.effect][:, None] for own in columns))
 
     one = search.design(
-        (first, second), [Shape("drag", 0, nothing), Shape("stribeck", 0, nothing)], build
+        (first, second), [CandidateModel("drag", 0, nothing), CandidateModel("stribeck", 0, nothing)], build
     )
     one = dataclasses.replace(one, prior=np.full(2, 1e-6))
     assert search.trial(one, [0, 1]).gain > 200.0
     assert not list(hypothesis.ranked(one, (0,))) and not judge.judged(one)[1].findings
 
 
-def two_joints(blurred: float = 1.0, mend: str = "spring") -> search.Design:
+def two_joints(blurred: float = 1.0, mend: str = "spring") -> search.EffectRegression:
     """A strong drag at one of two joints, of a form that a blurred spring mends, or another effect; and a slight one at the other."""
     rng = np.random.default_rng(0)
     strong, rest, other = ([rng.normal(size=300) for _ in range(2)] for _ in range(3))
@@ -263,11 +263,11 @@ def two_joints(blurred: float = 1.0, mend: str = "spring") -> search.Design:
         }
         columns.append({**joints, ("stribeck", 1): np.column_stack([0.0 * o, o])})
 
-    def build(shape: Shape) -> tuple[Columns, Columns]:
+    def build(shape: CandidateModel) -> tuple[Columns, Columns]:
         first, second = (Columns.of(own[shape.effect, shape.joint][:, :, None]) for own in columns)
         return first, second
 
-    shapes = [Shape(effect, joint, nothing) for effect, joint in columns[0]]
+    shapes = [CandidateModel(effect, joint, nothing) for effect, joint in columns[0]]
     one = search.design((halves[0], halves[1]), shapes, build)
     return dataclasses.replace(one, measured=Measured(noise=np.ones(2)))
 
@@ -326,7 +326,7 @@ def test_beside_another_a_strong_effect_may_need_another_of_its_shapes():
         halved(np.ones((400, 1)), t[:, None] + rng.normal(size=(400, 1)), EMPTY) for t in torques
     ]
 
-    def build(shape: Shape) -> tuple[Columns, Columns]:
+    def build(shape: CandidateModel) -> tuple[Columns, Columns]:
         if shape.effect == "stribeck":
             first, second = (own / (1.0 + np.abs(own)) for own in x)
         else:
@@ -334,10 +334,10 @@ def test_beside_another_a_strong_effect_may_need_another_of_its_shapes():
         return on_one(first[:, None], second[:, None])
 
     powers = [
-        Shape("drag", 0, nothing, {"exponent": k}, plausible=lambda c: bool(c[0] > 0.0))
+        CandidateModel("drag", 0, nothing, {"exponent": k}, plausible=lambda c: bool(c[0] > 0.0))
         for k in (2.0, 2.5, 3.0)
     ]
-    shapes = [*powers, Shape("stribeck", 0, nothing, plausible=lambda c: bool(c[0] > 0.0))]
+    shapes = [*powers, CandidateModel("stribeck", 0, nothing, plausible=lambda c: bool(c[0] > 0.0))]
     one = dataclasses.replace(
         search.design((halves[0], halves[1]), shapes, build), measured=Measured(noise=np.ones(1))
     )
@@ -364,14 +364,14 @@ def test_the_best_of_each_law_is_looked_at():
         ratio: [t + 0.1 * ratio * rng.normal(size=200) for t in truth] for ratio in range(1, 8)
     }
 
-    def build(shape: Shape) -> tuple[Columns, Columns]:
+    def build(shape: CandidateModel) -> tuple[Columns, Columns]:
         first, second = (x[:, None] for x in blurred[int(shape.values["ratio"])])
         return on_one(first, second)
 
-    heavy = [Shape("coupling", 0, nothing, {"ratio": float(ratio)}, 1) for ratio in range(1, 7)]
+    heavy = [CandidateModel("coupling", 0, nothing, {"ratio": float(ratio)}, 1) for ratio in range(1, 7)]
     one = search.design(
         (halves[0], halves[1]),
-        [*heavy, Shape("coupling", 0, nothing, {"ratio": 7.0, "light": 1.0}, 1)],
+        [*heavy, CandidateModel("coupling", 0, nothing, {"ratio": 7.0, "light": 1.0}, 1)],
         build,
     )
     assert [shape.values["ratio"] for shape in one.shapes] == [1.0, 2.0, 3.0, 4.0, 7.0]
@@ -382,7 +382,7 @@ def test_halves_agree_about_what_both_see():
     a, b, noise_ = ([rng.normal(size=200) for _ in range(2)] for _ in range(3))
     slight = 0.01  # of the second column, the first half sees next to nothing
 
-    def designed(first: float, second: float) -> search.Design:
+    def designed(first: float, second: float) -> search.EffectRegression:
         """b's coefficient in either half, of columns a and b."""
         seen = (slight, 1.0)
         columns = [np.column_stack([x, by * y]) for x, y, by in zip(a, b, seen, strict=True)]
@@ -392,7 +392,7 @@ def test_halves_agree_about_what_both_see():
         halves = [halved(np.ones((200, 1)), t[:, None], EMPTY, 0.1) for t in own]
         return search.design(
             (halves[0], halves[1]),
-            [Shape("drag", 0, nothing)],
+            [CandidateModel("drag", 0, nothing)],
             lambda _: on_one(columns[0] / 0.1, columns[1] / 0.1),
         )
 

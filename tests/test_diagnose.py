@@ -16,9 +16,9 @@ from scipy.interpolate import CubicSpline
 
 from excite.cli import main as main_module
 from excite.diagnosis import belief, diagnosis, interval
-from excite.diagnosis.diagnosis import Diagnosis, Options
+from excite.diagnosis.diagnosis import Diagnosis, DiagnosisOptions
 from excite.diagnosis.diagnosis_file import document
-from excite.effects import BY_NAME, EFFECTS
+from excite.effects import EFFECTS_BY_NAME, EFFECTS
 from excite.errors import UnusableInput
 from excite.identification.regression import IdentificationModel
 from excite.recordings import Recording
@@ -52,7 +52,7 @@ def found(subject: IdentificationModel, plant: Plant | None, **options: object) 
         subject.base,
         [train],
         [held_out],
-        Options(**options),  # type: ignore[arg-type]
+        DiagnosisOptions(**options),  # type: ignore[arg-type]
     )
 
 
@@ -320,10 +320,10 @@ def test_a_trusted_prior_shows_what_a_refit_absorbs(subject):
 
 
 def test_the_catalogue_is_the_contracts():
-    assert sorted(BY_NAME) == sorted(EFFECT_NAMES) and len(EFFECTS) == len(EFFECT_NAMES)
+    assert sorted(EFFECTS_BY_NAME) == sorted(EFFECT_NAMES) and len(EFFECTS) == len(EFFECT_NAMES)
     for effect in EFFECTS:
         assert effect.units and effect.signature and effect.experiment and effect.source
-        assert set(effect.confused) <= set(EFFECT_NAMES)
+        assert set(effect.are_confusable) <= set(EFFECT_NAMES)
 
 
 def test_every_shape_gives_finite_columns_and_named_parameters(subject):
@@ -336,7 +336,7 @@ def test_every_shape_gives_finite_columns_and_named_parameters(subject):
     assert seen >= set(EFFECT_NAMES) - {"contact", "kinematic_error"}
     for shape, place in zip(result.design.shapes, result.design.places, strict=True):
         values = shape.parameters(np.full(place.stop - place.start, 0.3))
-        assert set(values) <= set(BY_NAME[shape.effect].units), shape.effect
+        assert set(values) <= set(EFFECTS_BY_NAME[shape.effect].units), shape.effect
 
 
 def test_the_document_is_the_contracts(subject):

@@ -9,7 +9,7 @@ import pytest
 
 from excite import recordings
 from excite.diagnosis import diagnosis, interval
-from excite.diagnosis.diagnosis import Diagnosis, Options
+from excite.diagnosis.diagnosis import Diagnosis, DiagnosisOptions
 from excite.errors import ExciteWarning
 from excite.identification import prior as prior_module
 from excite.robot import base_parameters, inertial_parameters, limits, robot
@@ -40,7 +40,7 @@ def diagnosed(
         base_parameters.find(machine, standard, table),
         first,
         last,
-        Options(band, known),
+        DiagnosisOptions(band, known),
     )
 
 

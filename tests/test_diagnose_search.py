@@ -18,8 +18,8 @@ from excite.diagnosis import diagnosis, equations, hypothesis, interval, judge, 
 from excite.diagnosis.columns import Columns
 from excite.diagnosis.diagnosis_file import document
 from excite.diagnosis.half import whitened
-from excite.effects import BY_NAME, recorded_motion
-from excite.effects.effect import Shape, beside, family
+from excite.effects import EFFECTS_BY_NAME, recorded_motion
+from excite.effects.effect import CandidateModel, beside, family
 from excite.recordings import Recording
 from excite.robot import dynamics
 from excite.robot.samples import Samples
@@ -48,7 +48,7 @@ def test_the_gain_is_the_quotient_of_marginal_likelihoods():
     ]
     known = (1e-2 * np.eye(p), np.zeros(p))  # a proper prior, so that densities exist
     first, second = (halved(g, t[:, None], known) for g, t in zip(gammas, torques, strict=True))
-    one = search.design((first, second), [Shape("drag", 0, nothing)], lambda _: on_one(*columns))
+    one = search.design((first, second), [CandidateModel("drag", 0, nothing)], lambda _: on_one(*columns))
     gain = search.trial(one, [0]).gain
 
     def evidence(parts: tuple[int, ...], wide: bool) -> float:
@@ -76,7 +76,7 @@ def test_all_gains_at_once_are_those_of_one_after_the_other():
     )
     columns = {width: [rng.normal(size=(m, width)) for m in (60, 50)] for width in (1, 2, 4)}
     columns[5] = [np.column_stack([4.0 * c, c[:, :1]]) for c in columns[4]]  # the same once more
-    shapes = [Shape("spring", 0, nothing, {"width": float(width)}) for width in columns]
+    shapes = [CandidateModel("spring", 0, nothing, {"width": float(width)}) for width in columns]
     one = search.design(
         (first, second), shapes, lambda shape: on_one(*columns[shape.values["width"]])
     )
@@ -95,10 +95,10 @@ def test_another_residual_is_judged_as_if_it_had_been_measured():
     gammas, columns, torques = ([rng.normal(size=(m, k)) for m in (50, 30)] for k in (3, 2, 1))
     known = (np.eye(3), np.zeros(3))
 
-    def designed(own: list[Array]) -> search.Design:
+    def designed(own: list[Array]) -> search.EffectRegression:
         first, second = (halved(g, t, known) for g, t in zip(gammas, own, strict=True))
         return search.design(
-            (first, second), [Shape("drag", 0, nothing)], lambda _: on_one(*columns)
+            (first, second), [CandidateModel("drag", 0, nothing)], lambda _: on_one(*columns)
         )
 
     others = [c[:, :1] - g[:, :1] for c, g in zip(columns, gammas, strict=True)]
@@ -128,7 +128,7 @@ def test_what_an_encoder_feigns_at_one_joint_raises_the_bar_there_and_a_little_e
     first, second = (
         halved(q[:, :2], rng.normal(size=(len(q), 1)), (np.eye(2), np.zeros(2))) for q in apart
     )
-    shapes = [Shape("drag", 0, nothing), Shape("drag", 1, nothing), Shape("spring", 1, nothing)]
+    shapes = [CandidateModel("drag", 0, nothing), CandidateModel("drag", 1, nothing), CandidateModel("spring", 1, nothing)]
     columns = {
         judge.who(shape): [q[:, 2 + k : 3 + k] for q in apart] for k, shape in enumerate(shapes)
     }
@@ -174,7 +174,7 @@ def test_what_remains_is_what_least_squares_leaves():
     first, second = (
         halved(g, t, (np.zeros((0, 3)), np.zeros(0))) for g, t in zip(gammas, torques, strict=True)
     )
-    one = search.design((first, second), [Shape("drag", 0, nothing)], lambda _: on_one(*columns))
+    one = search.design((first, second), [CandidateModel("drag", 0, nothing)], lambda _: on_one(*columns))
     y = np.concatenate(torques)
     for chosen, wide in (
         ((), gammas),
@@ -212,12 +212,12 @@ def test_a_grid_is_left_for_the_value_between_its_neighbours(monkeypatch):
         )
     ] * 2
 
-    def build(shape: Shape) -> tuple[Columns, Columns]:
+    def build(shape: CandidateModel) -> tuple[Columns, Columns]:
         column = x[:, None] ** shape.values["power"] / 0.1
         return on_one(column, column)
 
     shapes = list(
-        family((1.0, 1.4, 2.0, 2.8), lambda power: Shape("drag", 0, nothing, {"power": power}))
+        family((1.0, 1.4, 2.0, 2.8), lambda power: CandidateModel("drag", 0, nothing, {"power": power}))
     )
     one = search.design((halves[0], halves[1]), shapes, build)
     coarse = max(range(4), key=lambda i: search.trial(one, [i]).gain)
@@ -246,10 +246,10 @@ def test_a_value_that_no_grid_has_is_found_from_kin_to_kin():
         )
     ] * 2
 
-    def rung(damping: float) -> Callable[[float], Shape]:
-        def shape(speed: float) -> Shape:
+    def rung(damping: float) -> Callable[[float], CandidateModel]:
+        def shape(speed: float) -> CandidateModel:
             near = (0.5 * damping, 2.0 * damping)
-            return Shape(
+            return CandidateModel(
                 "drag",
                 0,
                 nothing,
@@ -259,7 +259,7 @@ def test_a_value_that_no_grid_has_is_found_from_kin_to_kin():
 
         return shape
 
-    def build(shape: Shape) -> tuple[Columns, Columns]:
+    def build(shape: CandidateModel) -> tuple[Columns, Columns]:
         column = (
             np.exp(-shape.values["damping"] * x[:, None])
             * np.sin(shape.values["speed"] * x[:, None])
@@ -284,7 +284,7 @@ def test_options_name_what_is_looked_for(subject):
         subject.base,
         [train],
         [validate],
-        diagnosis.Options(names=("drag",)),
+        diagnosis.DiagnosisOptions(names=("drag",)),
     )
     assert {shape.effect for shape in done.design.shapes} == {"drag"}
 
@@ -383,7 +383,7 @@ def test_what_is_trusted_is_kept_to_the_digit(subject):
         return dataclasses.replace(recording, tau=recording.tau + band_free)
 
     train, held_out = (more(one) for one in recordings_of(subject, None))
-    options = diagnosis.Options(trusted=dict(enumerate(psi.tolist())))
+    options = diagnosis.DiagnosisOptions(trusted=dict(enumerate(psi.tolist())))
     result = diagnosis.diagnose(
         subject.robot, subject.parameters, subject.base, [train], [held_out], options
     )
@@ -416,7 +416,7 @@ def test_a_base_that_leans_is_told_with_its_sign(subject, roll, pitch):
         )
 
     train, held_out = (leant(one) for one in recordings_of(subject, None))
-    options = diagnosis.Options(trusted=dict(enumerate(psi.tolist())), names=("gravity_tilt",))
+    options = diagnosis.DiagnosisOptions(trusted=dict(enumerate(psi.tolist())), names=("gravity_tilt",))
     result = diagnosis.diagnose(
         subject.robot, subject.parameters, subject.base, [train], [held_out], options
     )
@@ -432,7 +432,7 @@ def test_a_base_that_leans_is_told_with_its_sign(subject, roll, pitch):
 
 def test_gravity_may_be_turned_but_not_longer():
     large = next(
-        shape for shape in BY_NAME["gravity_tilt"].shapes([Upright()]) if shape.values["large"]
+        shape for shape in EFFECTS_BY_NAME["gravity_tilt"].shapes([Upright()]) if shape.values["large"]
     )
     leans = large.plausible
     roll, pitch = 0.3, -0.2
@@ -455,13 +455,13 @@ def test_rows_that_do_not_count_change_nothing():
     )
     counts = np.arange(60) % 4 > 0
 
-    def designed(g: Array, c: Array, t: Array, seen: Array) -> search.Design:
+    def designed(g: Array, c: Array, t: Array, seen: Array) -> search.EffectRegression:
         half = whitened(
             [g[:, None, :]], [t], [seen[:, None]], np.ones(1), (np.zeros((0, 3)), np.zeros(0))
         )
         return search.design(
             (half, half),
-            [Shape("drag", 0, nothing)],
+            [CandidateModel("drag", 0, nothing)],
             lambda _: on_one(c * seen[:, None], c * seen[:, None]),
         )
 
@@ -479,11 +479,11 @@ def test_columns_of_listed_shapes_are_made_once_and_no_more_are_kept_than_there_
 ):
     one_track, calls = found(subject, None).tracks[0][0], list[str]()
 
-    def add(t: recorded_motion.Track, s: Shape) -> Array:
+    def add(t: recorded_motion.RecordedMotion, s: CandidateModel) -> Array:
         calls.append(s.effect)
         return np.ones((len(t), t.n, 1)) * s.values["x"]
 
-    one, other, nothing = (Shape("drag", 0, add, {"x": x}) for x in (1.0, 2.0, 0.0))
+    one, other, nothing = (CandidateModel("drag", 0, add, {"x": x}) for x in (1.0, 2.0, 0.0))
     build = equations.builder(([one_track], [one_track]), np.ones(one_track.n), [one, nothing])
     assert (
         build(one) is build(one)

@@ -58,7 +58,7 @@ def found(amplitude: float) -> Diagnosis:
             [0.0 * dq, amplitude * np.exp(-((dq / 0.3) ** 2)) * np.tanh(dq / WIDTH)]
         )
         both.append(dataclasses.replace(one, source=name, tau=one.tau + extra))
-    options = diagnosis.Options(names=("stribeck", "drag", "asymmetric_viscous", "delay", "spring"))
+    options = diagnosis.DiagnosisOptions(names=("stribeck", "drag", "asymmetric_viscous", "delay", "spring"))
     return diagnosis.diagnose(
         model.robot, model.parameters, model.base, both[:1], both[1:], options
     )
@@ -189,7 +189,7 @@ def test_nothing_missing_is_said_and_nothing_else_is_claimed() -> None:
 
 
 def test_what_a_refit_absorbs_is_named_and_names_that_are_markup_stay_text() -> None:
-    one = dataclasses.replace(found(2.0), options=diagnosis.Options())
+    one = dataclasses.replace(found(2.0), options=diagnosis.DiagnosisOptions())
     model = one.identified.model
     evil = dataclasses.replace(model.robot, name="<b>x</b>")
     changed = dataclasses.replace(one.identified, model=dataclasses.replace(model, robot=evil))

@@ -13,16 +13,16 @@ from test_predicted import fitted_with, stated
 
 from excite.diagnosis import diagnosis, equations, hypothesis, search, fitted_effects
 from excite.diagnosis.measured import Measured
-from excite.effects import BY_NAME, electrical
-from excite.effects.effect import Shape
-from excite.effects.recorded_motion import Track
+from excite.effects import EFFECTS_BY_NAME, electrical
+from excite.effects.effect import CandidateModel
+from excite.effects.recorded_motion import RecordedMotion
 from excite.identification.regression import IdentificationModel
 
 Array = np.ndarray
 
 
 @pytest.fixture(scope="module")
-def calm(subject: IdentificationModel) -> Track:
+def calm(subject: IdentificationModel) -> RecordedMotion:
     """Of a robot with nothing missing."""
     train, validate = recordings_of(subject, None)
     return diagnosis.diagnose(
@@ -31,7 +31,7 @@ def calm(subject: IdentificationModel) -> Track:
         subject.base,
         [train],
         [validate],
-        diagnosis.Options(names=("drag",)),
+        diagnosis.DiagnosisOptions(names=("drag",)),
     ).tracks[0][0]
 
 
@@ -134,7 +134,7 @@ def test_of_its_usual_torque_a_drive_loses_little(calm, bend, rests):
     )
     shapes = [
         s
-        for s in BY_NAME["torque_saturation"].shapes([track])
+        for s in EFFECTS_BY_NAME["torque_saturation"].shapes([track])
         if s.joint == 0 and s.values.get("bend") == bend
     ]
     usual = float(np.median(np.abs(drawn[len(drawn) * 2 // 3 if rests else 0 :, 0])))
@@ -151,7 +151,7 @@ def test_noise_in_a_column_of_measured_torque_is_no_saturation():
     halves = [halved(way[:, None], x[:, None], EMPTY, 0.018) for x in measured]
 
     def found(slope: float) -> list[bool]:
-        shape = Shape("torque_saturation", 0, nothing, noisy=lambda c: abs(float(c[0])) * slope)
+        shape = CandidateModel("torque_saturation", 0, nothing, noisy=lambda c: abs(float(c[0])) * slope)
         one = search.design(
             (halves[0], halves[1]),
             [shape],

@@ -10,7 +10,7 @@ from made import motion, perturbed, recorded
 
 from excite.cli.diagnose import _text
 from excite.diagnosis import diagnosis, gear_encoders, residual_atlas
-from excite.diagnosis.diagnosis import Options
+from excite.diagnosis.diagnosis import DiagnosisOptions
 from excite.diagnosis.diagnosis_file import document
 from excite.identification.regression import IdentificationModel
 from excite.recordings import Recording
@@ -41,7 +41,7 @@ def both(subject: IdentificationModel, *, linked: bool = True, stiff: bool = Fal
 
 
 def found(subject: IdentificationModel, pair: list[Recording]) -> diagnosis.Diagnosis:
-    options = Options(names=("stribeck",))
+    options = DiagnosisOptions(names=("stribeck",))
     return diagnosis.diagnose(
         subject.robot, subject.parameters, subject.base, [pair[0]], [pair[1]], options
     )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from excite.diagnosis import unmodelled
-from excite.diagnosis.residual_curves import Rows
+from excite.diagnosis.residual_curves import MotionRows
 from excite.diagnosis.unmodelled import FORESEEN, SURE
 
 RATE, SECONDS = 50.0, 40.0
@@ -31,7 +31,7 @@ def half(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     )  # type: ignore[return-value]
 
 
-def rows(joints: int = 2, linear: bool = False, size: float = 1.0) -> Rows:
+def rows(joints: int = 2, linear: bool = False, size: float = 1.0) -> MotionRows:
     """Two recordings of 40 s, one after the other. size: of all torque."""
     q, dq, ddq = (np.concatenate(pair)[:, :joints] for pair in zip(half(1), half(2), strict=True))
     clock = np.tile(np.arange(COUNT) / RATE, 2)
@@ -39,7 +39,7 @@ def rows(joints: int = 2, linear: bool = False, size: float = 1.0) -> Rows:
     load = size * (3.0 * np.sin(q) + 0.5 * ddq)
     none, moves, starts = np.zeros_like(q), np.ones(q.shape, bool), np.array([0, COUNT])
     motor, still = load + 0.5 * size * np.sign(dq), (linear,) * joints
-    return Rows(
+    return MotionRows(
         time, clock, q, dq, ddq, load, motor, none, none, moves, starts, starts, RATE, 20.0, still
     )
 
@@ -64,7 +64,7 @@ def coloured(rng: np.random.Generator) -> np.ndarray:
     return white / white.std()
 
 
-def seen(residual: np.ndarray, made: Rows | None = None) -> unmodelled.Sight:
+def seen(residual: np.ndarray, made: MotionRows | None = None) -> unmodelled.ResidualPrediction:
     first = np.arange(2 * COUNT) < COUNT
     return unmodelled.seen(made or rows(), (first, ~first), residual, 0)
 

@@ -7,24 +7,24 @@ import dataclasses
 import numpy as np
 import pytest
 
-from excite.diagnosis import held_out, judge, search
+from excite.diagnosis import held_out_test, judge, search
 from excite.diagnosis.columns import Columns
 from excite.diagnosis.half import Half, whitened
-from excite.effects.effect import Shape
-from excite.effects.recorded_motion import Track
+from excite.effects.effect import CandidateModel
+from excite.effects.recorded_motion import RecordedMotion
 
 Array = np.ndarray
 ROWS = 300
 EVERY, NOTHING = np.ones((ROWS, 2), bool), Columns.of(np.zeros((ROWS, 2, 1)))
 
 
-def nothing(track: Track, shape: Shape) -> Array:
+def nothing(track: RecordedMotion, shape: CandidateModel) -> Array:
     raise NotImplementedError
 
 
 def halved(
     moved: float, spread: float = 1.0, bent: float = 3.0, once: bool = False
-) -> search.Design:
+) -> search.EffectRegression:
     """A drag at either joint, and an offset that the base model has. At the second joint the drag's column is `moved` more in the other
     half and varies by `spread` in either, and the torque by three times that; in the first half by `bent` times. once: for some of
     the time."""
@@ -40,19 +40,19 @@ def halved(
         )
         columns.append([x * [1.0, 0.0], (x + np.array([0.0, moved * number])) * [0.0, 1.0]])
 
-    def build(shape: Shape) -> tuple[Columns, Columns]:
+    def build(shape: CandidateModel) -> tuple[Columns, Columns]:
         first, second = (Columns.of(own[shape.place][:, :, None]) for own in columns)
         return first, second
 
     shapes = [
-        Shape("drag", 0, nothing),
-        Shape("drag", 1, nothing, interval=(1.0, 2.0) if once else None),
+        CandidateModel("drag", 0, nothing),
+        CandidateModel("drag", 1, nothing, interval=(1.0, 2.0) if once else None),
     ]
     return search.design((halves[0], halves[1]), shapes, build)
 
 
-def left_by(one: search.Design) -> judge.Verdict:
-    return held_out.tested(one, judge.said(one, [0, 1]), EVERY, np.ones(2))
+def left_by(one: search.EffectRegression) -> judge.Verdict:
+    return held_out_test.tested(one, judge.said(one, [0, 1]), EVERY, np.ones(2))
 
 
 ODD = {"moved": 1.0, "spread": 0.01, "bent": -60.0}
@@ -75,7 +75,7 @@ def test_what_only_the_difference_between_halves_shows_and_makes_held_out_torque
     assert (
         refuted.main.joint == 1
         and refuted.probability < 0.5
-        and refuted.evidence["foretold"] > held_out.WORSE
+        and refuted.evidence["foretold"] > held_out_test.WORSE
     )
     gains = {f.main.joint: f.gain for f in before.findings}
     assert gains[1] > 100.0 and verdict.findings[0].gain == pytest.approx(gains[0], rel=0.05)
@@ -86,7 +86,7 @@ def test_what_the_first_half_does_not_tell_refutes_nothing(monkeypatch):
         1.0, spread=0.01, bent=-8.0
     )  # two standard deviations from what the other half has
     assert not left_by(one).doubted
-    monkeypatch.setattr(held_out, "CHANCE", 0.0)
+    monkeypatch.setattr(held_out_test, "CHANCE", 0.0)
     assert [f.main.joint for f in left_by(one).doubted] == [1]
 
 
@@ -94,9 +94,9 @@ def test_a_column_of_nothing_is_no_matter():
     """Of a force, for one, in a direction that no joint feels."""
     one = halved(0.0)
     wider = search.appended(
-        dataclasses.replace(one, build=lambda _: (NOTHING, NOTHING)), [Shape("contact", 1, nothing)]
+        dataclasses.replace(one, build=lambda _: (NOTHING, NOTHING)), [CandidateModel("contact", 1, nothing)]
     )
-    assert not held_out.tested(wider, judge.said(wider, [0, 1, 2]), EVERY, np.ones(2)).doubted
+    assert not held_out_test.tested(wider, judge.said(wider, [0, 1, 2]), EVERY, np.ones(2)).doubted
 
 
 def test_a_touch_excuses_nobody():
@@ -104,8 +104,8 @@ def test_a_touch_excuses_nobody():
     one, touch = halved(**ODD), np.zeros((ROWS, 2, 1))
     touch[:20, 1] = 1.0
     wider = dataclasses.replace(one, build=lambda _: (NOTHING, Columns.of(touch)))
-    wider = search.appended(wider, [Shape("contact", 1, nothing, interval=(1.0, 2.0))])
-    verdict = held_out.tested(wider, judge.said(wider, [0, 1, 2]), EVERY, np.ones(2))
+    wider = search.appended(wider, [CandidateModel("contact", 1, nothing, interval=(1.0, 2.0))])
+    verdict = held_out_test.tested(wider, judge.said(wider, [0, 1, 2]), EVERY, np.ones(2))
     assert "drag" in {f.main.effect for f in verdict.doubted if f.main.joint == 1}
 
 
@@ -115,13 +115,13 @@ def test_what_happens_once_is_not_to_be_foretold():
 
 def test_residuals_are_those_of_the_first_halfs_fit():
     one = halved(0.0)
-    before, after = held_out.residuals(one, search.trial(one, [0, 1]), np.array([1.0, 2.0]))
+    before, after = held_out_test.residuals(one, search.trial(one, [0, 1]), np.array([1.0, 2.0]))
     assert before.std(axis=0) == pytest.approx([np.sqrt(10.0), 2.0 * np.sqrt(10.0)], rel=0.15)
     assert after.std(axis=0) == pytest.approx([1.0, 2.0], rel=0.15)
-    assert np.array_equal(held_out.residuals(one, None, np.ones(2))[1], before / [1.0, 2.0])
+    assert np.array_equal(held_out_test.residuals(one, None, np.ones(2))[1], before / [1.0, 2.0])
 
 
 def test_a_design_without_findings_has_nothing_to_test():
-    assert held_out.tested(
+    assert held_out_test.tested(
         halved(0.0), judge.Verdict((), None, ()), EVERY, np.ones(2)
     ) == judge.Verdict((), None, ())

@@ -11,8 +11,8 @@ from test_diagnose import PLANTED, found, on, recordings_of, slips
 
 from excite.diagnosis import diagnosis, interval, late, search, fitted_effects
 from excite.diagnosis.diagnosis import Diagnosis
-from excite.effects import BY_NAME
-from excite.effects.effect import Delay
+from excite.effects import EFFECTS_BY_NAME
+from excite.effects.effect import RecordingDelay
 from excite.identification.lowpass import LowPassFilter, Grid
 from excite.identification.regression import IdentificationModel
 from excite.recordings import Recording
@@ -57,9 +57,9 @@ def test_what_is_late_at_one_joint_is_in_time_at_others(nothing):
     every = dataclasses.replace(
         one, to=Grid.RECORDED, kept=slice(0, len(one.piece)), time=one.clock
     )
-    shapes = list(BY_NAME["elasticity"].shapes([one]))
+    shapes = list(EFFECTS_BY_NAME["elasticity"].shapes([one]))
     shape = next(s for s in shapes if s.joint == 0)
-    now, then = shape.columns(every), shape.late(Delay(seconds), 0).columns(every)
+    now, then = shape.columns(every), shape.late(RecordingDelay(seconds), 0).columns(every)
     moved = np.column_stack(
         [np.interp(one.clock - seconds, one.clock, column) for column in now[:, 0].T]
     )
@@ -78,14 +78,14 @@ def test_what_a_track_remembers_is_found_once_for_all_that_see_it_later(nothing)
 
 
 def test_what_is_turned_stays_as_late(nothing):
-    shape = next(s for s in BY_NAME["hysteresis"].shapes(nothing.tracks[0]) if s.joint == 1)
-    then = shape.late(Delay(0.004), 1)
+    shape = next(s for s in EFFECTS_BY_NAME["hysteresis"].shapes(nothing.tracks[0]) if s.joint == 1)
+    then = shape.late(RecordingDelay(0.004), 1)
     assert then.knob is not None
     kin = [knob.at(knob.value) for knob in then.kin()]
     for other in (
         then.knob.at(1.3 * then.knob.value),
         *kin,
-        *(own.late(Delay(0.004), None) for own in kin),
+        *(own.late(RecordingDelay(0.004), None) for own in kin),
     ):
         assert other.values["late"] == 0.004
     assert kin and {other.values["springs"] for other in kin} == {3.0, 5.0}
@@ -185,5 +185,5 @@ def test_a_delay_that_friction_s_memory_bends_to_is_tried(nothing):
         i for i, shape in enumerate(one.shapes) if shape.effect == "hysteresis" and shape.joint == 1
     )
     told = late._hidden(one, search.trial(one, [hysteresis]))
-    assert late._worth(told, {0, 1}) == {1: Delay(late.USUAL)}
+    assert late._worth(told, {0, 1}) == {1: RecordingDelay(late.USUAL)}
     assert late._worth(told, {0}) == {} == late._hidden(one, search.trial(one, []))

@@ -116,7 +116,7 @@ def test_a_clock_that_wavers_is_louder_where_momentum_is_more(subject, by, most)
 
 
 def test_noise_lies_between_none_and_twice_of_what_encoders_make():
-    told = noise.Noise(
+    told = noise.NoiseEstimate(
         np.array([1.0, 2.0]),
         "periods",
         np.array([0.0, 2.0]),

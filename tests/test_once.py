@@ -71,7 +71,7 @@ def test_a_touch_that_lasts_for_longer_than_a_period_is_not_what_comes_again(sub
                 source=f"{seed}.csv",
             )
         )
-    options = diagnosis.Options(names=("contact", "hysteresis", "load_friction"))
+    options = diagnosis.DiagnosisOptions(names=("contact", "hysteresis", "load_friction"))
     result = diagnosis.diagnose(
         subject.robot, subject.parameters, subject.base, pair[:1], pair[1:], options
     )

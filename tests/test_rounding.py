@@ -166,7 +166,7 @@ def test_what_steps_are_said_to_feign_is_of_the_size_of_what_they_do(tmp_path):
     )
     theta, body = model.base.matrix @ true, recorded_motion.body(machine, standard, true)
 
-    def tracked(resolution: float) -> list[recorded_motion.Track]:
+    def tracked(resolution: float) -> list[recorded_motion.RecordedMotion]:
         chain = dataclasses.replace(fine.chain, encoder=resolution)
         told = dataclasses.replace(
             fine.recording, q=chain.positions(fine.run.told(fine.recording.t)[0])

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from excite.effects import BY_NAME
-from excite.effects.effect import Shape
+from excite.effects import EFFECTS_BY_NAME
+from excite.effects.effect import CandidateModel
 from excite.effects.friction import TOLD
-from excite.effects.recorded_motion import Track
+from excite.effects.recorded_motion import RecordedMotion
 
 Array = np.ndarray
 
@@ -37,11 +37,11 @@ class Turning:
         )
         self.fine = types.SimpleNamespace(dq=turns * speed, ddq=most * hastens)
         self.body = types.SimpleNamespace(drive=lambda kind: np.ones(3))
-        self.stays: Array = vars(Track)["stays"].found(self)
+        self.stays: Array = vars(RecordedMotion)["stays"].found(self)
 
 
-def shapes(effect: str, tracks: Sequence[Any]) -> list[Shape]:
-    return list(BY_NAME[effect].shapes(tracks))
+def shapes(effect: str, tracks: Sequence[Any]) -> list[CandidateModel]:
+    return list(EFFECTS_BY_NAME[effect].shapes(tracks))
 
 
 STEPS = {"bits": st.integers(10, 20), "turns": st.floats(0.5, 20.0)}

@@ -12,8 +12,8 @@ from scipy.interpolate import CubicSpline
 from test_diagnose import on
 
 from excite.diagnosis import diagnosis, interval, fitted_effects
-from excite.effects import BY_NAME
-from excite.effects.effect import Delay, Knobs, Shape
+from excite.effects import EFFECTS_BY_NAME
+from excite.effects.effect import RecordingDelay, NonlinearParameterSet, CandidateModel
 from excite.recordings import Recording
 from excite.robot.samples import Samples
 from excite.trajectory.fourier import FourierSeries
@@ -88,21 +88,21 @@ def test_values_that_make_up_for_each_other_are_turned_together():
     """Along a narrow ridge, one by one, they would hardly move."""
     asked = []
 
-    def gain(shape: Shape) -> float:
+    def gain(shape: CandidateModel) -> float:
         x, y = np.log([shape.values["a"], shape.values["b"]])
         asked.append(shape)
         return -1e3 * (x + y - 0.5) ** 2 - 2.0 * (x - y + 1.0) ** 2
 
-    def shape(values: Mapping[str, float]) -> Shape:
-        return Shape("drag", 0, nothing, dict(values))
+    def shape(values: Mapping[str, float]) -> CandidateModel:
+        return CandidateModel("drag", 0, nothing, dict(values))
 
-    best, most = Knobs({"a": (2.0, 0.1, 4.0), "b": (1.0, 0.1, 4.0)}, shape).best(gain, -1e9)
+    best, most = NonlinearParameterSet({"a": (2.0, 0.1, 4.0), "b": (1.0, 0.1, 4.0)}, shape).best(gain, -1e9)
     assert most > -0.1 and len(asked) < 150
     assert np.log([best.values["a"], best.values["b"]]) == pytest.approx([-0.25, 0.75], abs=0.05)
-    bounded, _ = Knobs({"a": (2.0, 1.0, 4.0), "b": (1.0, 0.1, 4.0)}, shape).best(gain, -1e9)
+    bounded, _ = NonlinearParameterSet({"a": (2.0, 1.0, 4.0), "b": (1.0, 0.1, 4.0)}, shape).best(gain, -1e9)
     assert bounded.values["a"] == pytest.approx(1.0, abs=0.02)
     where = shape({"a": 2.0, "b": 1.0})
-    assert Knobs({"a": (2.0, 0.1, 4.0), "b": (1.0, 0.1, 4.0)}, shape).best(gain, 1.0) == (
+    assert NonlinearParameterSet({"a": (2.0, 0.1, 4.0), "b": (1.0, 0.1, 4.0)}, shape).best(gain, 1.0) == (
         where,
         1.0,
     )
@@ -113,12 +113,12 @@ def test_stribecks_curve_turned_is_as_late_and_has_no_width_that_an_encoder_hide
     tracks = diagnosis.diagnose(
         subject.robot, subject.parameters, subject.base, [train], [held_out]
     ).tracks[0]
-    first = next(s for s in BY_NAME["stribeck"].shapes(tracks))
+    first = next(s for s in EFFECTS_BY_NAME["stribeck"].shapes(tracks))
     assert [set(near.here.values) for near in first.kin()] == [
         {"velocity", "exponent", "width", "usual"},
         {"velocity", "exponent", "width", "usual", "rational"},
     ]
-    late = first.late(Delay(0.004), 0)
+    late = first.late(RecordingDelay(0.004), 0)
     assert all(
         near.here.values["late"] == 0.004 and near.here.knob.at(0.1).values["late"] == 0.004
         for near in late.kin()
@@ -127,7 +127,7 @@ def test_stribecks_curve_turned_is_as_late_and_has_no_width_that_an_encoder_hide
         dataclasses.replace(t, piece=dataclasses.replace(t.piece, encoder=np.full(2, 1e-3)))
         for t in tracks
     ]
-    hidden = next(s for s in BY_NAME["stribeck"].shapes(coarse))
+    hidden = next(s for s in EFFECTS_BY_NAME["stribeck"].shapes(coarse))
     assert [set(near.here.values) for near in hidden.kin()] == [
         {"velocity", "exponent"},
         {"velocity", "exponent", "rational"},

@@ -13,9 +13,9 @@ from test_predicted import fitted_with, stated
 
 from excite.diagnosis import diagnosis, interval, fitted_effects
 from excite.diagnosis.diagnosis_file import document
-from excite.effects import BY_NAME, thermal
-from excite.effects.effect import Shape
-from excite.effects.recorded_motion import Grid, Track
+from excite.effects import EFFECTS_BY_NAME, thermal
+from excite.effects.effect import CandidateModel
+from excite.effects.recorded_motion import Grid, RecordedMotion
 from excite.errors import UnusableInput
 from excite.identification.regression import IdentificationModel
 from excite.recordings import Recording
@@ -129,9 +129,9 @@ def test_a_joint_that_its_own_friction_heats_cools_where_it_slows_down(subject):
     assert result.after[0] < 1.3 * result.floor[0]
 
 
-def heated(subject: IdentificationModel, constant: float) -> tuple[Track, Shape]:
+def heated(subject: IdentificationModel, constant: float) -> tuple[RecordedMotion, CandidateModel]:
     track = found(subject, None).tracks[0][0]
-    shapes = BY_NAME["thermal_drift"].shapes([track])
+    shapes = EFFECTS_BY_NAME["thermal_drift"].shapes([track])
     return track, next(s for s in shapes if s.joint == 0 and "power" in s.values).knob.at(constant)
 
 
@@ -143,7 +143,7 @@ def test_friction_of_a_heated_joint_never_falls_far_below_nothing(subject, const
     slow = len(q) // 3
     q[slow:] = q[slow] + 0.1 * (q[slow:] - q[slow])
     uneven = dataclasses.replace(track, piece=dataclasses.replace(track.piece, q=q))
-    shapes = BY_NAME["thermal_drift"].shapes([uneven])
+    shapes = EFFECTS_BY_NAME["thermal_drift"].shapes([uneven])
     shape = next(s for s in shapes if s.joint == 0 and "power" in s.values).knob.at(constant)
     warm = thermal._heated(uneven, shape)
     for c in np.linspace(-4.0, -0.01, 200):

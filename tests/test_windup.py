@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 from test_diagnose import found
 
 from excite.diagnosis import interval
-from excite.effects import BY_NAME, gear_dynamics, hysteresis
+from excite.effects import EFFECTS_BY_NAME, gear_dynamics, hysteresis
 from excite.effects.recorded_motion import Grid
 
 Array = np.ndarray
@@ -140,7 +140,7 @@ def test_a_spring_that_swings_beyond_the_band_is_told_where_its_coefficient_is_o
     for track, least in ((calm, 0.0), (shaken, 0.02)):
         knob = next(
             s
-            for s in BY_NAME["elasticity"].shapes([track])
+            for s in EFFECTS_BY_NAME["elasticity"].shapes([track])
             if s.joint == 1 and not s.values["rests"]
         ).knob
         stiffness = (
@@ -173,11 +173,11 @@ def test_a_link_winds_up_from_where_it_was_when_its_motor_began(subject, rests):
 
 def test_play_whose_load_never_turns_is_none(subject):
     every = [one for half in found(subject, None).tracks for one in half]
-    assert {shape.joint for shape in BY_NAME["backlash"].shapes(every)} == {0, 1}
+    assert {shape.joint for shape in EFFECTS_BY_NAME["backlash"].shapes(every)} == {0, 1}
     pressed = [dataclasses.replace(one) for one in every]
     for one in pressed:
         one.__dict__["rigid"] = one.rigid + np.array([1e4, 0.0])
-    assert {shape.joint for shape in BY_NAME["backlash"].shapes(pressed)} == {1}
+    assert {shape.joint for shape in EFFECTS_BY_NAME["backlash"].shapes(pressed)} == {1}
 
 
 def _step_by_step(q: Array, step: Callable[[float, float], float]) -> Array:

@@ -37,7 +37,7 @@ DESIGN_FILES = (
     *MOTION_FILES,
     "identifiability.json",
     "report.html",
-    *(f"{validation.FOLDER}/{name}" for name in MOTION_FILES),
+    *(f"{validation.VALIDATION_FOLDER}/{name}" for name in MOTION_FILES),
 )
 """Files of a design; a validation motion of an earlier design is removed with it."""
 THRESHOLD = 1e-2

@@ -139,6 +139,6 @@ def diagnose(
     )
     train, held_out = _read_both(loaded, table, recordings, validate)
     say = progress or (lambda text: None)
-    options = diagnosis.Options(band, known)
+    options = diagnosis.DiagnosisOptions(band, known)
     found = diagnosis.diagnose(loaded, standard, base, train, held_out, options, say)
     return DiagnosisResult(found, tuple(train), tuple(held_out), with_report)

@@ -16,10 +16,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..effects import BY_NAME, confused
+from ..effects import EFFECTS_BY_NAME, are_confusable
 from . import hypothesis, judge, search
 from .judge import Finding, Verdict
-from .search import Design
+from .search import EffectRegression
 
 Array = np.ndarray
 LEAVES, SPREAD = -4.2, 1.5
@@ -65,12 +65,12 @@ def share(left: float, taken: float) -> float:
 
 def odds(effect: str, x: float) -> float:
     """Of an effect that leaves a share x: that it is right to that it is wrong."""
-    z = max((np.log(x) - LEAVES - BY_NAME[effect].loose) / SPREAD, 0.0)
+    z = max((np.log(x) - LEAVES - EFFECTS_BY_NAME[effect].loose) / SPREAD, 0.0)
     return float(RIGHT * np.exp(-0.5 * z * z) / (SPREAD * np.sqrt(2.0 * np.pi)) / x)
 
 
 def shares(
-    one: Design, verdict: Verdict, noise: Array, bounds: tuple[Array, Array]
+    one: EffectRegression, verdict: Verdict, noise: Array, bounds: tuple[Array, Array]
 ) -> list[tuple[float, float]]:
     """What each finding leaves, where it acts, of what it should explain; and how many times what the laws of others at its joint usually
     leave it is about, ∞ where there are none. noise: mean square over the scale. bounds: between which it may lie, over that. Shapes (n,).
@@ -90,7 +90,7 @@ def shares(
         ]
     )
     taken = np.where(acts, np.maximum(without - left, 0.0), 0.0)
-    usual = taken * np.exp([[LEAVES + BY_NAME[f.main.effect].loose] for f in verdict.findings])
+    usual = taken * np.exp([[LEAVES + EFFECTS_BY_NAME[f.main.effect].loose] for f in verdict.findings])
     of_all, crowd = usual.sum(axis=0), acts.sum(axis=0)
     joints = [f.main.joint for f in verdict.findings]
     out = []
@@ -162,7 +162,7 @@ def alike(finding: Finding, x: float, tried: Iterable[str]) -> dict[str, float]:
     ]
     if x > BARELY:
         taken = [
-            n for n in ranking if n not in out and any(confused(n, other) for other in (main, *out))
+            n for n in ranking if n not in out and any(are_confusable(n, other) for other in (main, *out))
         ]
         out += [name for name in taken if chances[name] > AS_LIKELY * best][
             : MOST_BARELY - len(out)
@@ -175,7 +175,7 @@ def probability(chance: float) -> float:
     return float(np.clip(1.0 / (1.0 + np.exp(-BIAS - SLOPE * np.log(chance))), LEAST, MOST))
 
 
-def weighed(one: Design, verdict: Verdict, noise: Array, bounds: tuple[Array, Array]) -> Verdict:
+def weighed(one: EffectRegression, verdict: Verdict, noise: Array, bounds: tuple[Array, Array]) -> Verdict:
     """The verdict with probabilities. What is less likely right than wrong by name still predicts, and stays in the model beside what is
     asserted. noise, bounds: see `shares`."""
     if not verdict.findings:
@@ -207,7 +207,7 @@ def weighed(one: Design, verdict: Verdict, noise: Array, bounds: tuple[Array, Ar
 
 
 def _chance(
-    one: Design, finding: Finding, told: tuple[float, float], others: dict[str, float]
+    one: EffectRegression, finding: Finding, told: tuple[float, float], others: dict[str, float]
 ) -> float:
     """Odds of a finding by itself. told: see `shares`; others: see `alike`: what one of them says for sure is there, whichever it is."""
     main, (x, times) = finding.main, told
@@ -229,6 +229,6 @@ def unsure(verdict: Verdict, n: int) -> Array:
     return doubt(verdict, n) > 1.0 - ASSERTED
 
 
-def genuine(one: Design, effect: str, joint: int | None, gain: float) -> float:
+def genuine(one: EffectRegression, effect: str, joint: int | None, gain: float) -> float:
     """Share of a gain that faults of the measurement, such as an encoder's steps, do not feign."""
     return float(np.clip(1.0 - one.measured.feigns(effect, joint) / max(gain, 1e-9), LEAST, 1.0))

@@ -7,10 +7,10 @@ from itertools import islice, takewhile
 
 import numpy as np
 
-from ..effects import BY_NAME, confused
+from ..effects import EFFECTS_BY_NAME, are_confusable
 from . import search
 from .hypothesis import CANCELS, SMALLEST, Hypothesis, agrees, counts, each_size, meanwhile, name, ranked, sizes, who
-from .search import Built, Design, Trial, trial
+from .search import Built, EffectRegression, Trial, trial
 
 Array = np.ndarray
 SHARE, SAME, LIKE, MOSTLY, ELSEWHERE = 0.04, 0.02, 0.005, 0.5, 0.5
@@ -29,7 +29,7 @@ FRONT = 24
 """Effects that are tried in pairs."""
 
 
-def searched(one: Design, chosen: list[int]) -> tuple[Design, list[int]]:
+def searched(one: EffectRegression, chosen: list[int]) -> tuple[EffectRegression, list[int]]:
     """Shapes that predict best together: those chosen, then more while each is worth it, all tuned and looked at again."""
     looked, seen = set[int | None](), set[frozenset[int]]()
     for _ in range(2 * MOST):  # one more, or another, each time
@@ -59,7 +59,7 @@ def searched(one: Design, chosen: list[int]) -> tuple[Design, list[int]]:
     return one, chosen
 
 
-def _tuned(one: Design, shapes: Sequence[int]) -> tuple[list[Built], Trial | None]:
+def _tuned(one: EffectRegression, shapes: Sequence[int]) -> tuple[list[Built], Trial | None]:
     """Shapes where they predict best together, and what they do then; None where that is no physics, or the last is none that counts."""
     built = search.turned(one, shapes, 1)
     small = search.afresh(one, built)
@@ -74,7 +74,7 @@ def _tuned(one: Design, shapes: Sequence[int]) -> tuple[list[Built], Trial | Non
     return built, found if good else None
 
 
-def _contested(one: Design, chosen: list[int]) -> tuple[Design, list[int]]:
+def _contested(one: EffectRegression, chosen: list[int]) -> tuple[EffectRegression, list[int]]:
     """One of the names that were tuned replaced by another that predicts better when it is tuned as well: a grid has it not at its best."""
     now = trial(one, chosen).gain
     for i in chosen:
@@ -102,16 +102,16 @@ def _contested(one: Design, chosen: list[int]) -> tuple[Design, list[int]]:
 def _plainer(effect: str, other: str) -> bool:
     """Whether an effect is what a trusted prior may simply have wrong, and another is not: no law need be bent to say that a joint has
     friction."""
-    return BY_NAME[effect].prior_only and not BY_NAME[other].prior_only
+    return EFFECTS_BY_NAME[effect].prior_only and not EFFECTS_BY_NAME[other].prior_only
 
 
-def _stays(one: Design, found: Trial) -> bool:
+def _stays(one: EffectRegression, found: Trial) -> bool:
     """Whether the last of some shapes is believed beside the others, or by itself."""
     others = found.shapes[:-1]
     return _earns(one, others, found, trial(one, others).gain)
 
 
-def _further(one: Design, chosen: list[int]) -> tuple[Design, list[int] | None]:
+def _further(one: EffectRegression, chosen: list[int]) -> tuple[EffectRegression, list[int] | None]:
     """Those chosen and what predicts best beside them, if it is worth it; or beside one of them in another of its shapes: what is told
     alone bends to take what is another's. What is not worth it as a grid has it may be, where all are tuned together."""
     now = trial(one, chosen).gain
@@ -131,7 +131,7 @@ def _further(one: Design, chosen: list[int]) -> tuple[Design, list[int] | None]:
     return one, None
 
 
-def _beside(one: Design, chosen: list[int], now: float) -> Iterator[Trial]:
+def _beside(one: EffectRegression, chosen: list[int], now: float) -> Iterator[Trial]:
     """Those chosen beside one more at the end, the best first. now: their gain."""
     yield from (
         h.trial
@@ -140,7 +140,7 @@ def _beside(one: Design, chosen: list[int], now: float) -> Iterator[Trial]:
     )
 
 
-def _bent(one: Design, chosen: list[int]) -> Iterator[Trial]:
+def _bent(one: EffectRegression, chosen: list[int]) -> Iterator[Trial]:
     """The best of those chosen with one of them in another shape, beside one more at the end."""
     if len(chosen) > BENT:
         return
@@ -158,7 +158,7 @@ def _bent(one: Design, chosen: list[int]) -> Iterator[Trial]:
         yield max(found, key=lambda one: one.gain)
 
 
-def _siblings(one: Design, i: int, chosen: Sequence[int]) -> list[int]:
+def _siblings(one: EffectRegression, i: int, chosen: Sequence[int]) -> list[int]:
     """Other shapes of the same effect at the same joint, not chosen themselves."""
     own = one.shapes[i]
     if own.interval is not None:
@@ -170,7 +170,7 @@ def _siblings(one: Design, i: int, chosen: Sequence[int]) -> list[int]:
     ]
 
 
-def _earns(one: Design, others: Sequence[int], wider: Trial, rest: float) -> bool:
+def _earns(one: EffectRegression, others: Sequence[int], wider: Trial, rest: float) -> bool:
     """Whether the last of some shapes adds enough to the gain of others, `rest`: a share of it, lest it mend their form, or most of what
     they leave.
 
@@ -202,7 +202,7 @@ def _earns(one: Design, others: Sequence[int], wider: Trial, rest: float) -> boo
     return bool(1.0 - after[joint] / rested[joint] > MOSTLY)
 
 
-def _believed(one: Design, wider: Trial, rest: float) -> bool:
+def _believed(one: EffectRegression, wider: Trial, rest: float) -> bool:
     """Whether what the last of some shapes adds to a gain `rest` of the others is no noise. What a fault of the measurement may feign is
     believed too, of the usual gain, where another name at its joint is believed and adds less, and nothing beside it: something is there,
     and this says it better."""
@@ -221,14 +221,14 @@ def _believed(one: Design, wider: Trial, rest: float) -> bool:
     return False
 
 
-def _mends(one: Design, others: Sequence[int], shape: int) -> bool:
+def _mends(one: EffectRegression, others: Sequence[int], shape: int) -> bool:
     """Whether a shape's effect is taken for one that is at its joint already: it could mend that one's form whatever it leaves."""
     own = one.shapes[shape]
     there = {one.shapes[i].effect for i in others if one.shapes[i].joint == own.joint}
-    return any(confused(own.effect, other) for other in there)
+    return any(are_confusable(own.effect, other) for other in there)
 
 
-def _replaced(one: Design, chosen: list[int]) -> list[int]:
+def _replaced(one: EffectRegression, chosen: list[int]) -> list[int]:
     """Each shape in turn replaced by what predicts best beside the others, or left out where it is not worth it, until none is."""
     for _ in range(3):
         before = list(chosen)
@@ -253,7 +253,7 @@ def _replaced(one: Design, chosen: list[int]) -> list[int]:
     return chosen
 
 
-def begun(one: Design, alone: Sequence[Hypothesis]) -> tuple[Design, list[int]]:
+def begun(one: EffectRegression, alone: Sequence[Hypothesis]) -> tuple[EffectRegression, list[int]]:
     """The single that predicts best, or the best pair where that predicts more than it does when it is tuned: two on a grid may say between
     them what one says off it. alone: singles, the best first."""
     single, pair = [alone[0].shape], _best_pair(one, alone)
@@ -263,7 +263,7 @@ def begun(one: Design, alone: Sequence[Hypothesis]) -> tuple[Design, list[int]]:
     return (finer, tuned) if trial(finer, tuned).gain > trial(one, pair).gain else (one, pair)
 
 
-def _best_pair(one: Design, alone: Sequence[Hypothesis]) -> list[int] | None:
+def _best_pair(one: EffectRegression, alone: Sequence[Hypothesis]) -> list[int] | None:
     """The pair that predicts best, if it predicts enough better than the best single and both parts are of a size that counts."""
     single = alone[0].trial.gain
     beside = islice(ranked(one, (alone[0].shape,)), FRONT // 2)

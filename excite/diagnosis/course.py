@@ -9,12 +9,12 @@ from functools import cache
 import numpy as np
 
 from ..effects import EFFECTS, recorded_motion
-from ..effects.recorded_motion import Track
+from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
-from . import equations, held_out, judge, late, noise, once, search, session_changes
+from . import equations, held_out_test, judge, late, noise, once, search, session_changes
 from .judge import Verdict
-from .noise import Noise
-from .search import Design
+from .noise import NoiseEstimate
+from .search import EffectRegression
 from .session_changes import Halves
 
 Array = np.ndarray
@@ -33,9 +33,9 @@ class Course:
     """What a search came to. scale: that torque is told over. Shape (n,) [N m]. differing: whether drives differ between recordings, so
     that each after the first has its own."""
 
-    one: Design
+    one: EffectRegression
     verdict: Verdict
-    noisy: Noise
+    noisy: NoiseEstimate
     scale: Array
     differing: bool = False
 
@@ -52,7 +52,7 @@ class Course:
     @property
     def later(self) -> Array:
         """What is left of the held-out torque, over the scale. Shape (N, n)."""
-        return held_out.residuals(self.one, self.verdict.together, np.ones(len(self.scale)))[1]
+        return held_out_test.residuals(self.one, self.verdict.together, np.ones(len(self.scale)))[1]
 
     def explained(self, moves: Array) -> bool:
         """Whether no joint's torque is left louder than noise, of all recordings or of those held out. moves: rows of these that count."""
@@ -63,7 +63,7 @@ class Course:
         )
 
     def otherwise(
-        self, other: Callable[[], Design], scale: Array, every: Sequence[Track], moves: Array
+        self, other: Callable[[], EffectRegression], scale: Array, every: Sequence[RecordedMotion], moves: Array
     ) -> bool:
         """Whether what is left of all recordings, or of those held out, says that drives differ. other: makes the design where they do,
         over a scale."""
@@ -73,7 +73,7 @@ class Course:
             return True
         left, by = self.later, self.scale / scale
         return session_changes.differs_later(
-            left, held_out.levelled(other(), left * by) / by, moves, self._expected
+            left, held_out_test.levelled(other(), left * by) / by, moves, self._expected
         )
 
     @property
@@ -81,14 +81,14 @@ class Course:
         """Mean square over the scale that a right model would leave of the held-out torque. Shape (n,)."""
         return np.asarray(
             (self.noisy.quiet / self.scale) ** 2
-            + held_out.reach(self.one, np.ones(len(self.scale))) ** 2
+            + held_out_test.reach(self.one, np.ones(len(self.scale))) ** 2
         )
 
 
 def run(
     identified: Identification,
     halves: Halves,
-    noisy: Noise,
+    noisy: NoiseEstimate,
     trusted: Mapping[int, float],
     names: Collection[str],
     progress: Progress,
@@ -105,7 +105,7 @@ def run(
     listed = equations.shapes(halves, bool(trusted), noisy.floor, names)
     build = equations.builder(halves, scale, listed)
 
-    def bare(differing: Halves | None) -> Design:
+    def bare(differing: Halves | None) -> EffectRegression:
         first, second = (
             equations.half(half, identified, trusted, scale, differing) for half in halves
         )
@@ -149,14 +149,14 @@ def run(
     return found if float(other.left.sum()) > float(found.left.sum()) else other
 
 
-def _begun(one: Design, noisy: Noise, scale: Array) -> Course:
+def _begun(one: EffectRegression, noisy: NoiseEstimate, scale: Array) -> Course:
     """What is found first over a coarse scale, then over what that leaves."""
     one, verdict = judge.judged(_warned(one, noisy, scale))
     one, verdict, scale = _sharper(one, verdict, noisy, scale)
     return Course(one, verdict, noisy, scale)
 
 
-def _followed(begun: Course, every: Sequence[Track]) -> Course:
+def _followed(begun: Course, every: Sequence[RecordedMotion]) -> Course:
     """The same with all late that a delay delays, and over noise without what touched the robot once."""
     noisy = begun.noisy
     one, verdict, scale = _sharper(*late.followed(begun.one, begun.verdict), noisy, begun.scale)
@@ -166,17 +166,17 @@ def _followed(begun: Course, every: Sequence[Track]) -> Course:
         ):
             break
         left = search.remaining(one, verdict.together.shapes) * scale
-        noisy = noise.repeated(noisy, every, recorded_motion.split(left, every))
+        noisy = noise.repeated(noisy, every, recorded_motion.split_by_motion(left, every))
         one, verdict, scale = _sharper(one, verdict, noisy, scale)
     return Course(one, once.kept(one, verdict, every, noisy.periods), noisy, scale)
 
 
-def _scale(noisy: Noise, left: Array) -> Array:
+def _scale(noisy: NoiseEstimate, left: Array) -> Array:
     """Noise, and a share of an RMS residual for a form that is not quite the catalogue's. Shape (n,) [N m]."""
     return np.asarray(np.sqrt(noisy.floor**2 + (MISFIT[noisy.method] * left) ** 2))
 
 
-def _warned(one: Design, noisy: Noise, scale: Array) -> Design:
+def _warned(one: EffectRegression, noisy: NoiseEstimate, scale: Array) -> EffectRegression:
     """The design that knows what the encoders' steps feign, and samples that are too rare."""
     steps, sharpened = (
         [((a / scale).ravel(), (b / scale).ravel()) for a, b in own]
@@ -193,8 +193,8 @@ def _warned(one: Design, noisy: Noise, scale: Array) -> Design:
 
 
 def _sharper(
-    one: Design, verdict: Verdict, noisy: Noise, scale: Array
-) -> tuple[Design, Verdict, Array]:
+    one: EffectRegression, verdict: Verdict, noisy: NoiseEstimate, scale: Array
+) -> tuple[EffectRegression, Verdict, Array]:
     """Looked at again over the scale that is left with what was found: a slight effect beside a strong one drowns in the first."""
     for _ in range(AGAIN):
         if verdict.together is None:
@@ -208,6 +208,6 @@ def _sharper(
     return one, verdict, scale
 
 
-def rms(one: Design, shapes: Sequence[int], scale: Array) -> Array:
+def rms(one: EffectRegression, shapes: Sequence[int], scale: Array) -> Array:
     """RMS of what is left of all recordings when base and shapes are fitted to them. Shape (n,) [N m]."""
     return np.asarray(np.sqrt(search.level(one, shapes)) * scale)

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..effects import recorded_motion
-from ..effects.effect import Shape
-from ..effects.recorded_motion import Track
+from ..effects.effect import CandidateModel
+from ..effects.recorded_motion import RecordedMotion
 from ..errors import UnusableInput
 from ..identification import identification, segments, simulation_error
 from ..identification.identification import Identification
@@ -19,14 +19,14 @@ from ..recordings import Recording
 from ..robot.base_parameters import Base
 from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot
-from . import bandwidth, belief, course, equations, held_out as held_out_module, gear_encoders, hypothesis, judge, late, noise, residual_curves, search, session_changes, unmodelled, fitted_effects
+from . import bandwidth, belief, course, equations, held_out_test, gear_encoders, hypothesis, judge, late, noise, residual_curves, search, session_changes, unmodelled, fitted_effects
 from .course import Course, Progress
-from .gear_encoders import Gear
+from .gear_encoders import GearEstimate
 from .judge import Finding, Verdict
-from .search import Design
-from .session_changes import Change
-from .unmodelled import Sight
-from .fitted_effects import Part
+from .search import EffectRegression
+from .session_changes import SessionChange
+from .unmodelled import ResidualPrediction
+from .fitted_effects import FittedEffect
 
 Array = np.ndarray
 QUIET = 1.2
@@ -49,7 +49,7 @@ what a right model would leave, of held-out torque."""
 
 
 @dataclass(frozen=True)
-class Options:
+class DiagnosisOptions:
     """band: [Hz], None: by the data. trusted: parameter -> value that is right as it stands (a prior); nothing of it is refit.
     names: effects to look for."""
 
@@ -74,10 +74,10 @@ class Diagnosis:
     """
 
     identified: Identification
-    options: Options
+    options: DiagnosisOptions
     hertz: float
-    tracks: tuple[list[Track], list[Track]]
-    design: Design
+    tracks: tuple[list[RecordedMotion], list[RecordedMotion]]
+    design: EffectRegression
     verdict: Verdict
     floor: Array
     method: str
@@ -89,14 +89,14 @@ class Diagnosis:
     expected: Array = field(default_factory=lambda: np.zeros(0))
     fitted: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
     quiet: Array = field(default_factory=lambda: np.zeros(0))
-    sights: Mapping[int, Sight] = field(default_factory=dict)
+    sights: Mapping[int, ResidualPrediction] = field(default_factory=dict)
     doubted: Array = field(default_factory=lambda: np.zeros(0))
-    gears: tuple[Gear, ...] = ()
-    changes: tuple[Change, ...] = ()
+    gears: tuple[GearEstimate, ...] = ()
+    changes: tuple[SessionChange, ...] = ()
     taken: Array = field(default_factory=lambda: np.zeros(1))
 
     @property
-    def parts(self) -> tuple[Part, ...]:
+    def parts(self) -> tuple[FittedEffect, ...]:
         """What was found, as it adds to the base model."""
         return fitted_effects.parts(self.design, self.verdict.together)
 
@@ -159,7 +159,7 @@ class Diagnosis:
             (named > LOUD * self.quiet) | (self.doubted > DOUBTED * self.floor),
             self.floor.copy(),
         )
-        loud |= (self.after**2 > held_out_module.WORSE * self.before**2) & (
+        loud |= (self.after**2 > held_out_test.WORSE * self.before**2) & (
             self.same > LOUD * self.expected
         )
         loud |= self.acts & (
@@ -216,11 +216,11 @@ def diagnose(
     base: Base,
     train: Sequence[Recording],
     validate: Sequence[Recording],
-    options: Options | None = None,
+    options: DiagnosisOptions | None = None,
     progress: Progress = lambda _: None,
 ) -> Diagnosis:
     """Find what the base model leaves out. Raises UnusableInput where there is nothing to judge by."""
-    options = options or Options()
+    options = options or DiagnosisOptions()
     if not validate:
         raise UnusableInput(
             "--validate: a diagnosis needs a recording to judge by; give one that is not among those it is fitted to"
@@ -246,7 +246,7 @@ def diagnose(
     )
     one, noisy, scale = found.one, found.noisy, found.scale
     verdict, refitted = (
-        held_out_module.tested(one, found.verdict, _moves(halves[1]), (noisy.floor / scale) ** 2),
+        held_out_test.tested(one, found.verdict, _moves(halves[1]), (noisy.floor / scale) ** 2),
         None,
     )
     if verdict.findings:
@@ -281,16 +281,16 @@ def diagnose(
 
 
 def _refitted(
-    one: Design,
+    one: EffectRegression,
     verdict: Verdict,
     identified: Identification,
-    halves: Sequence[list[Track]],
+    halves: Sequence[list[RecordedMotion]],
     recordings: tuple[Sequence[Recording], Sequence[Recording]],
     settings: identification.Options,
-    options: Options,
+    options: DiagnosisOptions,
     floor: Array,
     scale: Array,
-) -> tuple[Design, Verdict, Identification]:
+) -> tuple[EffectRegression, Verdict, Identification]:
     """The base model of the recordings without what was found, and the findings with columns of that model."""
     model, found = identified.model, fitted_effects.parts(one, verdict.together)
     pure = [
@@ -316,8 +316,8 @@ def _judged(
     found: Course,
     identified: Identification,
     refitted: Identification | None,
-    tracks: tuple[list[Track], list[Track]],
-    options: Options,
+    tracks: tuple[list[RecordedMotion], list[RecordedMotion]],
+    options: DiagnosisOptions,
     hertz: float,
 ) -> Diagnosis:
     """Probabilities, and what the held-out recordings say of what is asserted."""
@@ -326,9 +326,9 @@ def _judged(
         found, verdict=belief.weighed(one, found.verdict, (floor / scale) ** 2, noisy.bounds)
     )
     verdict = found.verdict
-    before, after = held_out_module.residuals(one, verdict.together, scale)
+    before, after = held_out_test.residuals(one, verdict.together, scale)
     fitted = course.rms(one, (), scale), course.rms(one, verdict.named, scale)
-    quiet, expected = noisy.quiet, np.sqrt(noisy.quiet**2 + held_out_module.reach(one, scale) ** 2)
+    quiet, expected = noisy.quiet, np.sqrt(noisy.quiet**2 + held_out_test.reach(one, scale) ** 2)
     moves = _moves(tracks[1])
     rms = [np.sqrt(search.mean_square(r, moves)) for r in (before, after)]
     told = (identified, options, hertz, tracks, one, verdict, floor, noisy.method)
@@ -350,7 +350,7 @@ def _judged(
     doubted = np.sqrt(np.maximum(fitted[1] ** 2 - every**2, 0.0))
     judged = (rms[0], rms[1], (before, after), refitted if verdict.findings else None)
     differs = session_changes.changes(one, found.shapes, tracks) if found.differing else ()
-    same = search.mean_square(held_out_module.levelled(one, after / scale) * scale, moves)
+    same = search.mean_square(held_out_test.levelled(one, after / scale) * scale, moves)
     known = {
         "expected": expected,
         "fitted": fitted,
@@ -362,7 +362,7 @@ def _judged(
     return Diagnosis(*told, *judged, **known, changes=differs)
 
 
-def _real(one: Design, verdict: Verdict) -> tuple[Finding, ...]:
+def _real(one: EffectRegression, verdict: Verdict) -> tuple[Finding, ...]:
     """What is doubted for its name, and nothing that an encoder's steps may feign."""
     return tuple(
         f
@@ -372,8 +372,8 @@ def _real(one: Design, verdict: Verdict) -> tuple[Finding, ...]:
 
 
 def _sights(
-    left: Array, tracks: tuple[list[Track], list[Track]], joints: Iterable[int]
-) -> dict[int, Sight]:
+    left: Array, tracks: tuple[list[RecordedMotion], list[RecordedMotion]], joints: Iterable[int]
+) -> dict[int, ResidualPrediction]:
     """What a flexible model foresees of what is left of both halves' torque at some joints. left: Shape (N, n) [N m]."""
     rows = residual_curves.rows([*tracks[0], *tracks[1]])
     first = np.arange(len(rows)) < sum(len(one) for one in tracks[0])
@@ -397,8 +397,8 @@ def _ahead(
 
 
 def _again(
-    one: Design, verdict: Verdict, shapes: Sequence[Shape], build: search.Build
-) -> tuple[Design, Verdict]:
+    one: EffectRegression, verdict: Verdict, shapes: Sequence[CandidateModel], build: search.Build
+) -> tuple[EffectRegression, Verdict]:
     """The same findings with columns of a base model that they no longer distort, or those of them that predict better then; as they were,
     where that finds others."""
     assert verdict.together is not None
@@ -422,7 +422,7 @@ def _again(
     return wider, judge.instead(wider, verdict, range(start, len(wider.shapes)))
 
 
-def _moves(half: Sequence[Track]) -> Array:
+def _moves(half: Sequence[RecordedMotion]) -> Array:
     """Rows of one half that are judged. Shape (N, n)."""
     return np.concatenate([one.moves for one in half])
 

@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from ..effects import BY_NAME
-from ..effects.effect import Shape
+from ..effects import EFFECTS_BY_NAME
+from ..effects.effect import CandidateModel
 from ..robot.parameter_names import percent
 from . import session_changes
 from .belief import doubt, unsure
 from .diagnosis import DOUBTED, Diagnosis
-from .gear_encoders import Gear
+from .gear_encoders import GearEstimate
 from .hypothesis import Hypothesis
 from .interval import finding_parameters
 from .judge import Finding
 from .residual_atlas import Atlas
-from .session_changes import Change
+from .session_changes import SessionChange
 from .unmodelled import BASES
 
 RIVALS = 5
@@ -92,7 +92,7 @@ def _simulation(found: Diagnosis) -> dict[str, Any] | None:
     }
 
 
-def _change(found: Diagnosis, change: Change) -> dict[str, Any]:
+def _change(found: Diagnosis, change: SessionChange) -> dict[str, Any]:
     """By how much a drive differs in a recording from what it was in the first."""
     entry = found.identified.model.robot.entries[change.joint]
     units = (entry.unit("N m"), entry.unit("N m s/rad"), entry.unit("N m"))
@@ -112,7 +112,7 @@ def _change(found: Diagnosis, change: Change) -> dict[str, Any]:
     return {"recording": change.source, "joint": _joint(found, change.joint), **of_each}
 
 
-def _gear(found: Diagnosis, gear: Gear) -> dict[str, Any]:
+def _gear(found: Diagnosis, gear: GearEstimate) -> dict[str, Any]:
     """What two encoders say of the gear between them, and RMS of their difference, held out, without and with it."""
     unit = found.identified.model.robot.entries[gear.joint].unit
 
@@ -160,10 +160,10 @@ def _joint(found: Diagnosis, joint: int | None) -> str | None:
     return None if joint is None else found.identified.model.robot.joints[joint]
 
 
-def _where(found: Diagnosis, shape: Shape) -> dict[str, Any]:
+def _where(found: Diagnosis, shape: CandidateModel) -> dict[str, Any]:
     place = "all joints" if shape.joint is None else f"joint '{_joint(found, shape.joint)}'"
     where: dict[str, Any] = {
-        "statement": f"{place}: {shape.words or BY_NAME[shape.effect].signature}",
+        "statement": f"{place}: {shape.words or EFFECTS_BY_NAME[shape.effect].signature}",
         "regime": "temperature"
         if "reference" in shape.values
         else REGIMES.get(shape.effect, "all"),
@@ -177,7 +177,7 @@ def _where(found: Diagnosis, shape: Shape) -> dict[str, Any]:
 def _finding(found: Diagnosis, number: int, looked: Atlas | None) -> dict[str, Any]:
     finding = found.verdict.findings[number]
     hypothesis = finding.main
-    shape, effect = found.design.shapes[hypothesis.shape], BY_NAME[hypothesis.effect]
+    shape, effect = found.design.shapes[hypothesis.shape], EFFECTS_BY_NAME[hypothesis.effect]
     values = finding_parameters(found.design, found.verdict, number)
     out: dict[str, Any] = {
         "effect": hypothesis.effect,
@@ -204,10 +204,10 @@ def _finding(found: Diagnosis, number: int, looked: Atlas | None) -> dict[str, A
 
 
 def _told(
-    found: Diagnosis, shape: Shape, values: Mapping[str, tuple[float, float | None]]
+    found: Diagnosis, shape: CandidateModel, values: Mapping[str, tuple[float, float | None]]
 ) -> dict[str, dict[str, Any]]:
     """Parameters in the units of the joint: a slide has N and m. An angle is one wherever it is."""
-    units = dict(BY_NAME[shape.effect].units)
+    units = dict(EFFECTS_BY_NAME[shape.effect].units)
     if shape.joint is not None:
         entry = found.identified.model.robot.entries[shape.joint]
         units |= {key: entry.unit(unit) for key, unit in units.items() if key != "angle"}
@@ -243,7 +243,7 @@ def _chance(looked: Atlas | None, hypothesis: Hypothesis) -> float | None:
 
 
 def _considered(found: Diagnosis, hypothesis: Hypothesis) -> dict[str, Any]:
-    shape, effect = found.design.shapes[hypothesis.shape], BY_NAME[hypothesis.effect]
+    shape, effect = found.design.shapes[hypothesis.shape], EFFECTS_BY_NAME[hypothesis.effect]
     values = shape.parameters(hypothesis.trial.coefficients)
     return {
         "effect": hypothesis.effect,
@@ -286,7 +286,7 @@ def _unknown(found: Diagnosis, joint: int) -> dict[str, Any]:
     if doubted and found.doubted[joint] > DOUBTED * found.floor[joint]:
         likest = max(doubted, key=lambda f: f.probability).main.effect
         where["statement"] += f"; likest to {likest}, and not enough so"
-        experiment = BY_NAME[likest].experiment
+        experiment = EFFECTS_BY_NAME[likest].experiment
     if sight.counts:
         where["statement"] += f"; {sight.regime} foresees {percent(sight.share)} of it, held out"
         where |= {"regime": sight.regime, "foreseen": sight.share}

@@ -6,9 +6,9 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
-from ..effects import BY_NAME, EFFECTS
-from ..effects.effect import Shape
-from ..effects.recorded_motion import Track
+from ..effects import EFFECTS_BY_NAME, EFFECTS
+from ..effects.effect import CandidateModel
+from ..effects.recorded_motion import RecordedMotion
 from ..identification import consistency
 from ..identification.identification import Identification
 from . import search, session_changes
@@ -30,7 +30,7 @@ def kept(psi: Array, trusted: Mapping[int, float]) -> Array:
 
 
 def half(
-    tracks: list[Track],
+    tracks: list[RecordedMotion],
     identified: Identification,
     trusted: Mapping[int, float],
     scale: Array,
@@ -94,14 +94,14 @@ def _known(
 
 
 def shapes(
-    halves: Sequence[list[Track]], trusted: bool, floor: Array, names: Collection[str] = ()
-) -> list[Shape]:
+    halves: Sequence[list[RecordedMotion]], trusted: bool, floor: Array, names: Collection[str] = ()
+) -> list[CandidateModel]:
     """Every shape of the effects that are looked for, where noise is not too loud for it. floor: of the noise. Shape (n,) [N m]."""
     every = [*halves[0], *halves[1]]
     wanted = [
         effect
         for effect in EFFECTS
-        if (trusted or not effect.prior_only) and effect.name in (names or BY_NAME)
+        if (trusted or not effect.prior_only) and effect.name in (names or EFFECTS_BY_NAME)
     ]
     grain = floor / np.maximum(
         np.sqrt(np.mean(np.concatenate([one.torque for one in every]) ** 2, axis=0)), 1e-300
@@ -113,7 +113,7 @@ def shapes(
 
 
 def builder(
-    halves: Sequence[list[Track]], scale: Array, listed: Sequence[Shape] = ()
+    halves: Sequence[list[RecordedMotion]], scale: Array, listed: Sequence[CandidateModel] = ()
 ) -> search.Build:
     """Columns of a shape on both halves, over the scale. listed: shapes that will be asked for again, beside what was found or other
     drives; theirs are kept, as far as there is room."""
@@ -123,7 +123,7 @@ def builder(
         ROOM,
     )
 
-    def build(shape: Shape) -> tuple[Columns, Columns] | None:
+    def build(shape: CandidateModel) -> tuple[Columns, Columns] | None:
         nonlocal room
         key = search.key(shape)
         if key in made:
@@ -134,7 +134,7 @@ def builder(
             made[key], room = out, room - size
         return out
 
-    def make(shape: Shape) -> tuple[Columns, Columns] | None:
+    def make(shape: CandidateModel) -> tuple[Columns, Columns] | None:
         first, second = (
             Columns.of(
                 np.concatenate(

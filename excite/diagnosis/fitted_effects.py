@@ -9,37 +9,37 @@ from typing import Any
 
 import numpy as np
 
-from ..effects import BY_NAME, recorded_motion
-from ..effects.effect import Shape
-from ..effects.recorded_motion import Track
+from ..effects import EFFECTS_BY_NAME, recorded_motion
+from ..effects.effect import CandidateModel
+from ..effects.recorded_motion import RecordedMotion
 from ..identification.identified_model import IdentifiedModel
 from ..identification.lowpass import Grid
 from ..identification.segments import Segment
 from ..recordings import Recording
 from ..robot.robot import Robot
 from ..schemas.effects import EffectDocument
-from .search import Design, Trial
+from .search import EffectRegression, Trial
 
 Array = np.ndarray
 
 
 @dataclass(frozen=True)
-class Part:
+class FittedEffect:
     """A fitted shape. coefficients: Shape (k,)."""
 
-    shape: Shape
+    shape: CandidateModel
     coefficients: Array
 
 
-def parts(one: Design, together: Trial | None) -> tuple[Part, ...]:
+def parts(one: EffectRegression, together: Trial | None) -> tuple[FittedEffect, ...]:
     """The shapes of a fit, each with its own coefficients."""
     if together is None:
         return ()
-    split = one.split(together.shapes, together.coefficients)
-    return tuple(Part(one.shapes[i], c) for i, c in zip(together.shapes, split, strict=True))
+    split_by_motion = one.split(together.shapes, together.coefficients)
+    return tuple(FittedEffect(one.shapes[i], c) for i, c in zip(together.shapes, split_by_motion, strict=True))
 
 
-def torque(found: Sequence[Part], along: Track) -> Array:
+def torque(found: Sequence[FittedEffect], along: RecordedMotion) -> Array:
     """What was found adds, below the band, at every sample of a track's piece. Shape (M, n) [N m]."""
     piece = along.piece
     every = dataclasses.replace(
@@ -54,7 +54,7 @@ def torque(found: Sequence[Part], along: Track) -> Array:
     return out
 
 
-def removed(found: Sequence[Part], recording: Recording, tracks: Sequence[Track]) -> Recording:
+def removed(found: Sequence[FittedEffect], recording: Recording, tracks: Sequence[RecordedMotion]) -> Recording:
     """A recording whose torque is without what was found, where there are tracks of it."""
     tau = recording.torque.copy()
     for one in tracks:
@@ -67,7 +67,7 @@ def removed(found: Sequence[Part], recording: Recording, tracks: Sequence[Track]
 # -- in model.json ---------------------------------------------------------------------------------------------------
 
 
-def entry(part: Part, robot: Robot) -> dict[str, Any]:
+def entry(part: FittedEffect, robot: Robot) -> dict[str, Any]:
     """An element of the model's "effects"."""
     shape = part.shape
     return {
@@ -81,23 +81,23 @@ def entry(part: Part, robot: Robot) -> dict[str, Any]:
     }
 
 
-def restored(stated: EffectDocument, robot: Robot) -> Part:
+def restored(stated: EffectDocument, robot: Robot) -> FittedEffect:
     """The fitted shape of a validated effect of `model.json`."""
     joint, other = (
         None if name is None else robot.joints.index(name) for name in (stated.joint, stated.other)
     )
     interval = None if stated.time is None else (float(stated.time[0]), float(stated.time[1]))
     values = {key: float(value) for key, value in stated.values.items()}
-    shape = Shape(
+    shape = CandidateModel(
         stated.effect,
         joint,
-        BY_NAME[stated.effect].add,
+        EFFECTS_BY_NAME[stated.effect].add,
         values,
         other,
         interval,
         stated.recording or "",
     )
-    return Part(shape, np.array(stated.coefficients, float))
+    return FittedEffect(shape, np.array(stated.coefficients, float))
 
 
 def predict(fitted: IdentifiedModel, recording: Recording) -> tuple[Array, Array]:
@@ -111,7 +111,7 @@ def predict(fitted: IdentifiedModel, recording: Recording) -> tuple[Array, Array
         for last in (False, True)
     )
     late.sort(
-        key=lambda part: list(BY_NAME).index(part.shape.effect)
+        key=lambda part: list(EFFECTS_BY_NAME).index(part.shape.effect)
     )  # a drive's loss before a clock's delay, as the catalogue has them
     nothing = np.zeros((0, fitted.robot.n))
 
@@ -123,7 +123,7 @@ def predict(fitted: IdentifiedModel, recording: Recording) -> tuple[Array, Array
         )
         band = piece.band(min(fitted.hertz, 0.45 * piece.rate))
         empty = nothing[:, :, None]
-        along = Track(
+        along = RecordedMotion(
             piece,
             band,
             body,
@@ -137,7 +137,7 @@ def predict(fitted: IdentifiedModel, recording: Recording) -> tuple[Array, Array
         )
         added = torque(own, along)
         for part in late:
-            recorded = BY_NAME[part.shape.effect].recorded
+            recorded = EFFECTS_BY_NAME[part.shape.effect].recorded
             assert recorded is not None  # a shape of measured torque has one
             added += band.low(
                 recorded(along, part.shape, part.coefficients, along.motor + added), Grid.RECORDED

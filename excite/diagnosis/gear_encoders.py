@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..effects.recorded_motion import Track
+from ..effects.recorded_motion import RecordedMotion
 from ..recordings import Recording
 from .blocks import sandwiched
 from .residual_curves import BLOCK, block_starts
@@ -29,7 +29,7 @@ SURE = 2.0
 
 
 @dataclass(frozen=True)
-class Gear:
+class GearEstimate:
     """Between the encoders of one joint. Each value with its standard deviation; joint: its index.
 
     compliance: 1/K [rad/(N m)]. play: b [rad], None where none is seen, or torque keeps its sign. apart: d [s]. before, after: RMS of
@@ -71,8 +71,8 @@ class _Rows:
 
 
 def gears(
-    tracks: Sequence[Sequence[Track]], recordings: Sequence[Sequence[Recording]]
-) -> tuple[Gear, ...]:
+    tracks: Sequence[Sequence[RecordedMotion]], recordings: Sequence[Sequence[Recording]]
+) -> tuple[GearEstimate, ...]:
     """Every joint that has two encoders. Both: those fitted, those held out. Empty where no recording has `qlink`."""
     entries = tracks[0][0].body.robot.entries
     found = []
@@ -84,7 +84,7 @@ def gears(
     return tuple(gear for gear in found if gear is not None)
 
 
-def _stretches(tracks: Sequence[Track], recordings: Sequence[Recording], joint: int) -> list[_Rows]:
+def _stretches(tracks: Sequence[RecordedMotion], recordings: Sequence[Recording], joint: int) -> list[_Rows]:
     linked = {one.source: one for one in recordings if one.qlink is not None}
     rows = (
         _rows(track, linked[track.piece.source], joint)
@@ -94,7 +94,7 @@ def _stretches(tracks: Sequence[Track], recordings: Sequence[Recording], joint: 
     return [one for one in rows if one is not None]
 
 
-def _rows(track: Track, recording: Recording, joint: int) -> _Rows | None:
+def _rows(track: RecordedMotion, recording: Recording, joint: int) -> _Rows | None:
     """None where the joint has no second encoder, or does not move."""
     if (
         not recording.has("qlink", recording.joints[joint])
@@ -131,7 +131,7 @@ def _columns(rows: _Rows, load: float, speed: float) -> Array:
 
 def _gear(
     joint: int, linear: bool, train: Sequence[_Rows], held_out: Sequence[_Rows]
-) -> Gear | None:
+) -> GearEstimate | None:
     """None where there is too little of it to tell errors by."""
     if not train or not held_out:
         return None
@@ -166,7 +166,7 @@ def _gear(
     )
     centred, gear = np.concatenate([c - c.mean(axis=0) for c in columns]), [0, 1]
     told = [(float(value), float(error)) for value, error in zip(x, std, strict=True)]
-    return Gear(
+    return GearEstimate(
         joint,
         told[0],
         told[1] if x[1] > SURE * std[1] else None,

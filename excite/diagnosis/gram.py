@@ -28,7 +28,7 @@ class Gram:
 
 
 @dataclass(frozen=True)
-class Beside:
+class AddedProducts:
     """New columns of a recording set. products: of all columns, these at the end, with them. Shape (K, k). shadow: what the base takes of
     them, in its basis. Shape (r, k). score: of them with its residual. Shape (k,)."""
 
@@ -36,14 +36,14 @@ class Beside:
     shadow: Array
     score: Array
 
-    def __add__(self, other: Beside) -> Beside:
+    def __add__(self, other: AddedProducts) -> AddedProducts:
         """The same of two sets that share a base fit."""
-        return Beside(
+        return AddedProducts(
             self.products + other.products, self.shadow + other.shadow, self.score + other.score
         )
 
 
-def grown(gram: Gram, new: Beside) -> Gram:
+def grown(gram: Gram, new: AddedProducts) -> Gram:
     """Products with further columns, free of the base: CᵀC less what the base takes of either."""
     shadow, old = np.hstack([gram.shadow, new.shadow]), len(gram.matrix)
     cross = new.products - shadow.T @ new.shadow

@@ -8,7 +8,7 @@ import numpy as np
 
 from . import hypothesis, judge, search
 from .judge import Finding, Verdict
-from .search import Design, Trial
+from .search import EffectRegression, Trial
 
 Array = np.ndarray
 WORSE, SHOWN = 1.05, 0.1
@@ -21,7 +21,7 @@ BELIEVED = 0.12
 """Probability of a finding that is refuted."""
 
 
-def residuals(one: Design, together: Trial | None, scale: Array) -> tuple[Array, Array]:
+def residuals(one: EffectRegression, together: Trial | None, scale: Array) -> tuple[Array, Array]:
     """Torque of the second half that the base model fitted to the first leaves, and with some shapes. Shapes (N, n) [N m]."""
     before = one.across.reshape(-1, len(scale)) * scale
     if together is None:
@@ -37,7 +37,7 @@ def residuals(one: Design, together: Trial | None, scale: Array) -> tuple[Array,
     return before, before - added.reshape(before.shape) * scale
 
 
-def reach(one: Design, scale: Array) -> Array:
+def reach(one: EffectRegression, scale: Array) -> Array:
     """RMS by which the held-out torque is off because the first half does not tell the base parameters better. Shape (n,) [N m].
 
     Drives of the second half's own (`between`) are not among them.
@@ -50,7 +50,7 @@ def reach(one: Design, scale: Array) -> Array:
     )
 
 
-def tested(one: Design, verdict: Verdict, moves: Array, noise: Array) -> Verdict:
+def tested(one: EffectRegression, verdict: Verdict, moves: Array, noise: Array) -> Verdict:
     """The verdict without what the held-out torque speaks against, one finding after the other, the worst first.
 
     moves: rows of the second half that are judged, Shape (N, n). noise: mean square over the scale, Shape (n,).
@@ -68,7 +68,7 @@ def tested(one: Design, verdict: Verdict, moves: Array, noise: Array) -> Verdict
 
 
 def _ratios(
-    one: Design, verdict: Verdict, finding: Finding, moves: Array, noise: Array
+    one: EffectRegression, verdict: Verdict, finding: Finding, moves: Array, noise: Array
 ) -> tuple[float, float]:
     """Held-out mean square over noise, where a finding acts: with all findings over that without this one, or without any, whichever is
     more; less what may be chance, and as it is. 0 of what happened once, not to be foretold, and of what a half shows by itself."""
@@ -95,7 +95,7 @@ def _ratios(
     return max(beyond), spent[0] / max(min(spent[1:]), 1e-300)
 
 
-def levelled(one: Design, left: Array) -> Array:
+def levelled(one: EffectRegression, left: Array) -> Array:
     """What is left of the second half's torque without what drives of its own may take (`between`): no finding makes that better or worse.
     As it is, where drives are the same in all recordings. Shape (N, n)."""
     own, second = _own(one), one.halves[1]
@@ -108,13 +108,13 @@ def levelled(one: Design, left: Array) -> Array:
     return np.asarray(left - taken.reshape(left.shape))
 
 
-def _own(one: Design) -> Array:
+def _own(one: EffectRegression) -> Array:
     """Base columns that only the second half's recordings have. Shape (p,)."""
     first, second = one.halves
     return ~first.gamma[first.rows].any(axis=0) & second.gamma[second.rows].any(axis=0)
 
 
-def _unsure(one: Design, found: Trial, moves: Array) -> Array:
+def _unsure(one: EffectRegression, found: Trial, moves: Array) -> Array:
     """Mean square by which the second half's torque is off because the first half does not tell coefficients better. Shape (n,)."""
     which = one.which(
         [i for i in found.shapes if one.shapes[i].interval is None]

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..effects.effect import Shape
+from ..effects.effect import CandidateModel
 from . import search
-from .search import Design, Trial, trial
+from .search import EffectRegression, Trial, trial
 
 Array = np.ndarray
 ALONE, SMALLEST = 0.24, 0.3
@@ -37,16 +37,16 @@ class Hypothesis:
     shows: bool
 
 
-def who(shape: Shape) -> tuple[str, int | None]:
+def who(shape: CandidateModel) -> tuple[str, int | None]:
     return shape.effect, shape.joint
 
 
-def name(shape: Shape) -> str:
+def name(shape: CandidateModel) -> str:
     return shape.effect
 
 
 def ranked(
-    one: Design, beside: tuple[int, ...] = (), each: Callable[[Shape], object] = who
+    one: EffectRegression, beside: tuple[int, ...] = (), each: Callable[[CandidateModel], object] = who
 ) -> Iterator[Hypothesis]:
     """Every effect at every joint in its best plausible shape, alone or beside shapes that are there already, the best first.
 
@@ -76,12 +76,12 @@ def ranked(
             )
 
 
-def each_size(one: Design, found: Trial) -> list[float]:
+def each_size(one: EffectRegression, found: Trial) -> list[float]:
     """The size of each of the fitted shapes. Far larger than what the base model leaves, they can only take each other off."""
     return [size(one, found, number) for number in range(len(found.shapes))]
 
 
-def counts(one: Design, found: Trial, large: Sequence[float]) -> bool:
+def counts(one: EffectRegression, found: Trial, large: Sequence[float]) -> bool:
     """Whether the last of some fitted shapes is of a size that counts: noise in columns of measured torque is in the residual too. large:
     the size of each."""
     shape, noise = one.shapes[found.shapes[-1]], one.measured.noise
@@ -91,7 +91,7 @@ def counts(one: Design, found: Trial, large: Sequence[float]) -> bool:
     return bool(large[-1] > max(least, ABOVE * own * known))
 
 
-def meanwhile(one: Design, i: int, beside: Sequence[int]) -> bool:
+def meanwhile(one: EffectRegression, i: int, beside: Sequence[int]) -> bool:
     """Whether a shape lasts for some of the time, and another at another joint is there meanwhile: one touch, not two that fight."""
     own = one.shapes[i]
     if own.interval is None:
@@ -109,24 +109,24 @@ def meanwhile(one: Design, i: int, beside: Sequence[int]) -> bool:
     )
 
 
-def sizes(one: Design, found: Trial, number: int) -> Array:
+def sizes(one: EffectRegression, found: Trial, number: int) -> Array:
     """RMS torque of one of the fitted shapes beyond the base, over the floor, on each joint. Shape (n,)."""
     shape, c = found.shapes[number], one.split(found.shapes, found.coefficients)[number]
     return np.asarray(np.sqrt(np.maximum(np.einsum("i,jik,k->j", c, one.power[shape], c), 0.0)))
 
 
-def size(one: Design, found: Trial, number: int) -> float:
+def size(one: EffectRegression, found: Trial, number: int) -> float:
     """The same on the joint where it is largest."""
     return float(sizes(one, found, number).max())
 
 
-def acting(one: Design, found: Trial, shape: int) -> Array:
+def acting(one: EffectRegression, found: Trial, shape: int) -> Array:
     """Joints that feel one of the fitted shapes. Shape (n,)."""
     where = sizes(one, found, found.shapes.index(shape))
     return np.asarray(where > ACTS * where.max())
 
 
-def agrees(one: Design, found: Trial) -> bool:
+def agrees(one: EffectRegression, found: Trial) -> bool:
     """Whether the two halves say the same of the torque: what both say together, and what each says, explain most of the same in it.
 
     What a half does not see, it need not know. What happens only then has no second time to be compared with.

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..effects import BY_NAME
-from ..effects.effect import Effect, Shape
+from ..effects import EFFECTS_BY_NAME
+from ..effects.effect import Effect, CandidateModel
 from . import search
 from .hypothesis import acting
 from .judge import Verdict
-from .search import Design
+from .search import EffectRegression
 
 Array = np.ndarray
 FORM = 0.1
@@ -38,7 +38,7 @@ MIDDLE = 15.87, 84.13
 
 
 @dataclass(frozen=True)
-class Spread:
+class FitCovariance:
     """How fitted shapes may vary together. root: of the covariance of all coefficients, then of the logarithms of turned values, of unit
     noise. places: of those in `root`, by the number of the shape; none of a shape whose value is not turned. Shape (K + m, K + m).
     """
@@ -48,24 +48,24 @@ class Spread:
 
 
 def finding_parameters(
-    one: Design, verdict: Verdict, number: int
+    one: EffectRegression, verdict: Verdict, number: int
 ) -> dict[str, tuple[float, float]]:
     """The contract's parameters of a finding that the recordings show: value and standard deviation. How far a planar arm's base leans out
     of its plane, none does."""
     together, finding = verdict.together, verdict.findings[number]
     assert together is not None
-    effect = BY_NAME[finding.main.effect]
+    effect = EFFECTS_BY_NAME[finding.main.effect]
     alike = [together.shapes.index(part.shape) for part in finding.parts]
 
-    def parts(c: Array, turned: Array | None = None) -> list[tuple[Shape, Array]]:
-        split = one.split(together.shapes, c)
+    def parts(c: Array, turned: Array | None = None) -> list[tuple[CandidateModel, Array]]:
+        split_by_motion = one.split(together.shapes, c)
         shapes = {k: one.shapes[together.shapes[k]] for k in alike}
         if turned is not None:
             shapes = {
                 k: _turned(shape, turned[spread.places[k]] if k in spread.places else 0.0)
                 for k, shape in shapes.items()
             }
-        return [(shapes[k], split[k]) for k in alike]
+        return [(shapes[k], split_by_motion[k]) for k in alike]
 
     spread = spreads(one, verdict)
     fitted = parts(together.coefficients)
@@ -105,7 +105,7 @@ def finding_parameters(
 
 
 def _hidden(
-    effect: Effect, fitted: Sequence[tuple[Shape, Array]], which: Sequence[Array]
+    effect: Effect, fitted: Sequence[tuple[CandidateModel, Array]], which: Sequence[Array]
 ) -> set[str]:
     """Parameters that hang on coefficients which no joint feels. which: those that one does. Shapes (k,)."""
     out, value = set[str](), effect.told(fitted)
@@ -123,7 +123,7 @@ def _felt(prior: Array) -> Array:
     return np.asarray(prior >= UNFELT**2 * prior.max())
 
 
-def _turned(shape: Shape, by: float) -> Shape:
+def _turned(shape: CandidateModel, by: float) -> CandidateModel:
     """A shape whose value's logarithm is another."""
     return (
         shape
@@ -132,7 +132,7 @@ def _turned(shape: Shape, by: float) -> Shape:
     )
 
 
-def spreads(one: Design, verdict: Verdict) -> Spread:
+def spreads(one: EffectRegression, verdict: Verdict) -> FitCovariance:
     """The covariance of everything that was fitted."""
     together = verdict.together
     assert together is not None
@@ -167,7 +167,7 @@ def spreads(one: Design, verdict: Verdict) -> Spread:
     for rows, c in zip(own, one.split(together.shapes, together.coefficients), strict=True):
         _unfelt(G, rows, one.prior[which[rows]], c)
     values, vectors = np.linalg.eigh(G)
-    return Spread(vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1])), places)
+    return FitCovariance(vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1])), places)
 
 
 def _unfelt(G: Array, rows: Array, prior: Array, c: Array) -> None:
@@ -179,7 +179,7 @@ def _unfelt(G: Array, rows: Array, prior: Array, c: Array) -> None:
         G[places, places] = 1.0 / max(float(np.mean(c[~unfelt] ** 2)), 1e-300)
 
 
-def misfit(one: Design, verdict: Verdict, number: int) -> float:
+def misfit(one: EffectRegression, verdict: Verdict, number: int) -> float:
     """Norm of what the fit leaves beyond unit noise where a finding acts."""
     together, main = verdict.together, verdict.findings[number].main
     assert together is not None

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .search import Design, gains
+from .search import EffectRegression, gains
 
 Array = np.ndarray
 RANK = 1e-9
@@ -16,7 +16,7 @@ ALIKE = 0.9
 
 
 @dataclass(frozen=True)
-class Candidate:
+class EffectAtJoint:
     """An effect at a joint, in the shape that fits best. joint: None where it is nobody's."""
 
     effect: str
@@ -28,14 +28,14 @@ class Candidate:
 class Isolability:
     """matrix: largest canonical correlation of each two candidates' torques, 0 to 1. Shape (m, m)."""
 
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[EffectAtJoint, ...]
     matrix: Array
 
     def of(self, joint: int) -> list[int]:
         """Candidates at a joint, or at none in particular."""
         return [k for k, c in enumerate(self.candidates) if c.joint in (joint, None)]
 
-    def pairs(self, least: float = ALIKE) -> list[tuple[Candidate, Candidate, float]]:
+    def pairs(self, least: float = ALIKE) -> list[tuple[EffectAtJoint, EffectAtJoint, float]]:
         """Two names that are alike, the most alike first."""
         couples = [
             (a, b, float(self.matrix[i, k]))
@@ -45,7 +45,7 @@ class Isolability:
         return sorted(couples, key=lambda pair: -pair[2])
 
 
-def isolability(one: Design) -> Isolability:
+def isolability(one: EffectRegression) -> Isolability:
     """Canonical correlations over both recording sets of what the base model leaves of every effect's columns."""
     best: dict[tuple[str, int | None], tuple[float, int]] = {}
     for i, (shape, gain) in enumerate(zip(one.shapes, gains(one).tolist(), strict=True)):
@@ -53,7 +53,7 @@ def isolability(one: Design) -> Isolability:
         if key not in best or gain > best[key][0]:
             best[key] = gain, i
     gram = one.grams[0].matrix + one.grams[1].matrix
-    candidates, parts = list[Candidate](), list[Array]()
+    candidates, parts = list[EffectAtJoint](), list[Array]()
     for (effect, joint), (_, i) in best.items():
         place = one.places[i]
         values, vectors = np.linalg.eigh(gram[place, place])
@@ -62,7 +62,7 @@ def isolability(one: Design) -> Isolability:
             continue
         part = np.zeros((len(gram), int(kept.sum())))
         part[place] = vectors[:, kept] / np.sqrt(values[kept])
-        candidates.append(Candidate(effect, joint, i))
+        candidates.append(EffectAtJoint(effect, joint, i))
         parts.append(part)
     matrix = np.eye(len(parts))
     if parts:

@@ -9,12 +9,12 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..effects.effect import Shape
+from ..effects.effect import CandidateModel
 from . import search
 from .contest import begun, searched
 from .hypothesis import Hypothesis, name, ranked, size, who
 from .measured import Measured
-from .search import Design, Trial, trial
+from .search import EffectRegression, Trial, trial
 
 Array = np.ndarray
 T = TypeVar("T")
@@ -67,12 +67,12 @@ class Verdict:
 
 
 def warned(
-    one: Design,
+    one: EffectRegression,
     steps: Sequence[tuple[Array, Array]],
     sharpened: tuple[Array, Array],
     stepped: float,
     noise: Array | None,
-) -> Design:
+) -> EffectRegression:
     """The design that knows what each effect gains from residuals that an encoder alone, drawn anew, or rare samples may leave
     (`search.pretended`); the encoder's share of the noise; and the noise, if it is known from a motion made again."""
     drawn, rare = _most(one, steps, who), _most(one, [sharpened], name)
@@ -84,7 +84,7 @@ def warned(
 
 
 def _most(
-    one: Design, residuals: Sequence[tuple[Array, Array]], each: Callable[[Shape], T]
+    one: EffectRegression, residuals: Sequence[tuple[Array, Array]], each: Callable[[CandidateModel], T]
 ) -> dict[T, float]:
     """What each effect, or each at a joint, gains from the residual that gives it most; none where nothing is gained."""
     out: dict[T, float] = {}
@@ -95,7 +95,7 @@ def _most(
     return {key: gain for key, gain in out.items() if gain > 0.0}
 
 
-def judged(one: Design, chosen: Sequence[int] = ()) -> tuple[Design, Verdict]:
+def judged(one: EffectRegression, chosen: Sequence[int] = ()) -> tuple[EffectRegression, Verdict]:
     """Names at joints, or none; and the design with the shapes that were found. chosen: shapes to begin with, else the best."""
     if not chosen:
         alone = list(ranked(one))
@@ -110,7 +110,7 @@ def judged(one: Design, chosen: Sequence[int] = ()) -> tuple[Design, Verdict]:
     return one, replace(verdict, considered=tuple(islice(others, CONSIDERED)))
 
 
-def said(one: Design, chosen: Sequence[int]) -> Verdict:
+def said(one: EffectRegression, chosen: Sequence[int]) -> Verdict:
     """What some shapes say together: the findings that they are parts of."""
     if not chosen:
         return Verdict((), None, ())
@@ -129,7 +129,7 @@ def said(one: Design, chosen: Sequence[int]) -> Verdict:
     return Verdict(tuple(sorted(findings, key=lambda f: -f.gain)), together, ())
 
 
-def moved(one: Design, verdict: Verdict, better: Verdict, start: int) -> Verdict:
+def moved(one: EffectRegression, verdict: Verdict, better: Verdict, start: int) -> Verdict:
     """The verdict with the parts of another about the same names, whose shapes stand in a design from `start`."""
     assert better.together is not None
     place = {shape: start + k for k, shape in enumerate(better.together.shapes)}
@@ -145,7 +145,7 @@ def moved(one: Design, verdict: Verdict, better: Verdict, start: int) -> Verdict
     )
 
 
-def refused(one: Design, verdict: Verdict, refuted: Sequence[Finding]) -> Verdict:
+def refused(one: EffectRegression, verdict: Verdict, refuted: Sequence[Finding]) -> Verdict:
     """The verdict without some of its findings, which are doubted from now on."""
     assert verdict.together is not None
     left = instead(
@@ -156,7 +156,7 @@ def refused(one: Design, verdict: Verdict, refuted: Sequence[Finding]) -> Verdic
     return replace(left, doubted=(*verdict.doubted, *refuted))
 
 
-def instead(one: Design, verdict: Verdict, chosen: Sequence[int]) -> Verdict:
+def instead(one: EffectRegression, verdict: Verdict, chosen: Sequence[int]) -> Verdict:
     """What other shapes say together, after all that was considered and doubted for a verdict."""
     return replace(said(one, chosen), considered=verdict.considered, doubted=verdict.doubted)
 
@@ -165,7 +165,7 @@ def without(shapes: Sequence[int], parts: Sequence[Hypothesis]) -> list[int]:
     return [i for i in shapes if all(i != part.shape for part in parts)]
 
 
-def _finding(one: Design, together: Trial, parts: tuple[Hypothesis, ...]) -> Finding:
+def _finding(one: EffectRegression, together: Trial, parts: tuple[Hypothesis, ...]) -> Finding:
     """With what other names would gain in its place."""
     others = without(together.shapes, parts)
     effect, rest = parts[0].effect, trial(one, others).gain

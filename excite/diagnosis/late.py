@@ -12,11 +12,11 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from ..effects.effect import Delay, Shape
+from ..effects.effect import RecordingDelay, CandidateModel
 from . import judge, search
 from .contest import CLEARLY
 from .judge import Verdict
-from .search import Design, Trial
+from .search import EffectRegression, Trial
 
 LEAST, SETTLED, PASSES = 5e-4, 0.05, 2
 """Of a delay, from which it is one [s]; how far off it was, over itself, to be looked at again; and how often that is."""
@@ -24,10 +24,10 @@ FURTHEST, TRIED = 3.0, 5
 """How many times as long, or as short, a delay may be as it was told at first; and how many between are tried."""
 USUAL = 0.01
 """Of a delay that is not known at all [s]."""
-Delays = dict[int | None, Delay]
+Delays = dict[int | None, RecordingDelay]
 
 
-def followed(one: Design, verdict: Verdict, again: bool = False) -> tuple[Design, Verdict]:
+def followed(one: EffectRegression, verdict: Verdict, again: bool = False) -> tuple[EffectRegression, Verdict]:
     """The design and the verdict with all late that a delay delays, where that predicts better. again: what could be one was looked at
     before, beside nearly the same base."""
     if verdict.together is None:
@@ -35,7 +35,7 @@ def followed(one: Design, verdict: Verdict, again: bool = False) -> tuple[Design
     together, loud = verdict.together, _loud(one, verdict.together)
     told, tuned = (
         _worth(_delays(one, together) or ({} if again else _hidden(one, together)), loud),
-        list[Shape](),
+        list[CandidateModel](),
     )
     if told:
         told, tuned = _timed(one, together, told, again)
@@ -63,22 +63,22 @@ def followed(one: Design, verdict: Verdict, again: bool = False) -> tuple[Design
     return one, verdict
 
 
-def renewed(one: Design, together: Trial, shapes: Iterable[Shape]) -> list[Shape]:
+def renewed(one: EffectRegression, together: Trial, shapes: Iterable[CandidateModel]) -> list[CandidateModel]:
     """Shapes made anew, as late as those that were fitted."""
     late = [values for i in together.shapes if "late" in (values := one.shapes[i].values)]
     told = {
-        int(v["late_joint"]) if "late_joint" in v else None: Delay(v["late"], "lagging" in v)
+        int(v["late_joint"]) if "late_joint" in v else None: RecordingDelay(v["late"], "lagging" in v)
         for v in late
     }
     return _like(shapes, told)
 
 
-def _delays(one: Design, together: Trial) -> Delays:
+def _delays(one: EffectRegression, together: Trial) -> Delays:
     """Delays that were found beside something that they delay [s]."""
     chosen = [one.shapes[i] for i in together.shapes]
     fitted = zip(chosen, one.split(together.shapes, together.coefficients), strict=True)
     found = {
-        s.joint: Delay(s.values.get("seconds", float(c[0])), "lagging" in s.values)
+        s.joint: RecordingDelay(s.values.get("seconds", float(c[0])), "lagging" in s.values)
         for s, c in fitted
         if s.effect == "delay"
     }
@@ -89,15 +89,15 @@ def _delays(one: Design, together: Trial) -> Delays:
     }
 
 
-def _hidden(one: Design, together: Trial) -> Delays:
+def _hidden(one: EffectRegression, together: Trial) -> Delays:
     """Delays that may be behind friction's memory: its springs bend to the most of one [s]."""
     bent = {one.shapes[i].joint for i in together.shapes if one.shapes[i].effect == "hysteresis"}
     return dict.fromkeys(
-        bent & {shape.joint for shape in one.listed if shape.effect == "delay"}, Delay(USUAL)
+        bent & {shape.joint for shape in one.listed if shape.effect == "delay"}, RecordingDelay(USUAL)
     )
 
 
-def _loud(one: Design, together: Trial) -> set[int]:
+def _loud(one: EffectRegression, together: Trial) -> set[int]:
     """Joints where more is left than noise, or may be."""
     left, noise = search.level(one, together.shapes), one.measured.noise
     return {
@@ -111,7 +111,7 @@ def _worth(told: Delays, loud: set[int]) -> Delays:
     return {joint: d for joint, d in told.items() if joint in loud or (joint is None and loud)}
 
 
-def _follows(shape: Shape, joint: int | None) -> bool:
+def _follows(shape: CandidateModel, joint: int | None) -> bool:
     """Whether what a shape adds comes as late as a joint's torque, or all: not a delay, nor what is made of torque that is late already."""
     return (
         shape.effect != "delay"
@@ -120,7 +120,7 @@ def _follows(shape: Shape, joint: int | None) -> bool:
     )
 
 
-def _moved(shape: Shape, told: Delays) -> Shape | None:
+def _moved(shape: CandidateModel, told: Delays) -> CandidateModel | None:
     """A shape as late as it comes; itself, where that is in time. None of a delay told by the slope of all that was measured, or of what is
     no longer in time."""
     if shape.effect == "delay" and shape.joint in told and "seconds" not in shape.values:
@@ -131,19 +131,19 @@ def _moved(shape: Shape, told: Delays) -> Shape | None:
     return shape
 
 
-def _like(shapes: Iterable[Shape], told: Delays) -> list[Shape]:
+def _like(shapes: Iterable[CandidateModel], told: Delays) -> list[CandidateModel]:
     """All shapes as late as they come."""
     return [moved for shape in shapes if (moved := _moved(shape, told)) is not None]
 
 
-def _timed(one: Design, together: Trial, told: Delays, nearly: bool) -> tuple[Delays, list[Shape]]:
+def _timed(one: EffectRegression, together: Trial, told: Delays, nearly: bool) -> tuple[Delays, list[CandidateModel]]:
     """Each delay where what was found predicts best, all of it as late, by a clock or a filter: turned as well for the best of a few, of
     those next to it where it is `nearly` right, then as it is. And what was found, turned so."""
     from scipy.optimize import minimize_scalar  # slow to import
 
     bare, out, chosen = search.only(one, ()), dict(told), [one.shapes[i] for i in together.shapes]
 
-    def fitted(delays: Delays, sweeps: int) -> tuple[Design, Trial]:
+    def fitted(delays: Delays, sweeps: int) -> tuple[EffectRegression, Trial]:
         others = [shape for shape in chosen if shape.effect != "delay" or shape.joint not in delays]
         fixed = [
             dataclasses.replace(_by(one.listed, joint, d), knob=None) for joint, d in delays.items()
@@ -155,7 +155,7 @@ def _timed(one: Design, together: Trial, told: Delays, nearly: bool) -> tuple[De
     for joint, d in told.items():
         tries = np.linspace(-1.0, 1.0, TRIED)
         ways = [
-            Delay(float(d.seconds * FURTHEST**x), lagging)
+            RecordingDelay(float(d.seconds * FURTHEST**x), lagging)
             for x in (tries[1:-1] if nearly else tries)
             for lagging in (False, True)
         ]
@@ -164,7 +164,7 @@ def _timed(one: Design, together: Trial, told: Delays, nearly: bool) -> tuple[De
         chosen = [finer.shapes[i] for i in best.shapes]
         step, middle = 2.0 / (TRIED - 1) * np.log(FURTHEST), np.log(about.seconds)
 
-        def cost(x: float, joint: int | None = joint, about: Delay = about) -> float:
+        def cost(x: float, joint: int | None = joint, about: RecordingDelay = about) -> float:
             return -fitted({**out, joint: about._replace(seconds=float(np.exp(x)))}, 0)[1].gain
 
         best_x = minimize_scalar(cost, bounds=(middle - step, middle + step), method="bounded").x
@@ -175,8 +175,8 @@ def _timed(one: Design, together: Trial, told: Delays, nearly: bool) -> tuple[De
 
 
 def _later(
-    one: Design, together: Trial, told: Delays, loud: set[int], tuned: list[Shape]
-) -> tuple[Design, list[int]]:
+    one: EffectRegression, together: Trial, told: Delays, loud: set[int], tuned: list[CandidateModel]
+) -> tuple[EffectRegression, list[int]]:
     """The design with what comes late, where something is left or was found; and what to begin with: the delays, and what was found and
     tuned with them, or where it was not, what was found elsewhere."""
     where = {
@@ -184,7 +184,7 @@ def _later(
         *(one.shapes[i].joint for i in together.shapes if one.shapes[i].effect != "delay"),
     }
 
-    def moved(shape: Shape) -> Shape | None:
+    def moved(shape: CandidateModel) -> CandidateModel | None:
         return _moved(shape, told) if shape.effect == "delay" or shape.joint in where else shape
 
     listed = [late for shape in one.listed if (late := moved(shape)) is not None]
@@ -201,7 +201,7 @@ def _later(
     return wider, [*range(len(wider.shapes) - len(first), len(wider.shapes)), *there]
 
 
-def _by(listed: Iterable[Shape], joint: int | None, delay: Delay) -> Shape:
+def _by(listed: Iterable[CandidateModel], joint: int | None, delay: RecordingDelay) -> CandidateModel:
     """The delay of a joint, or of all, by so much."""
     alike = (
         s

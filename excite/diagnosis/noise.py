@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..effects.recorded_motion import Track
+from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
 from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid
 from ..identification.regression import IdentificationModel, filtered_regressor
@@ -45,7 +45,7 @@ EDGE = 32
 
 
 @dataclass(frozen=True)
-class Noise:
+class NoiseEstimate:
     """What a perfect model would leave below the band, per joint [N m], and how it was found: "periods" or "differences".
 
     clock: mean square beyond the floor's that a wavering clock makes where momentum is more than where the floor was seen. steps: the
@@ -77,8 +77,8 @@ class Noise:
 
 
 def measured(
-    identified: Identification, halves: Sequence[Sequence[Track]], recordings: Sequence[Recording]
-) -> Noise:
+    identified: Identification, halves: Sequence[Sequence[RecordedMotion]], recordings: Sequence[Recording]
+) -> NoiseEstimate:
     """The noise of recordings: from what does not repeat, else from the torque's density above the motion, a lower bound."""
     every = [one for half in halves for one in half]
     above = _above(identified, every[0].band.hertz)
@@ -90,7 +90,7 @@ def measured(
     )
     steps = np.sqrt(np.mean(rows**2, axis=0))
     periods = {recording.source: found for recording in recordings if (found := _period(recording))}
-    nothing_repeats = Noise(
+    nothing_repeats = NoiseEstimate(
         _with(above, steps),
         "differences",
         np.zeros(len(above)),
@@ -102,7 +102,7 @@ def measured(
     return repeated(nothing_repeats, every, [one.left for one in every])
 
 
-def repeated(noisy: Noise, every: Sequence[Track], left: Sequence[Array]) -> Noise:
+def repeated(noisy: NoiseEstimate, every: Sequence[RecordedMotion], left: Sequence[Array]) -> NoiseEstimate:
     """The noise by what repeats of the torque that a model leaves of every stretch; as it was, where nothing does. left: Shapes (N, n)."""
     periods = noisy.periods
     pairs = [
@@ -144,7 +144,7 @@ class _Again:
     square: Array
 
 
-def _repeats(track: Track, left: Array, period: float, window: tuple[float, float]) -> list[_Again]:
+def _repeats(track: RecordedMotion, left: Array, period: float, window: tuple[float, float]) -> list[_Again]:
     """Of a recording that repeats for long enough, else nothing. left: Shape (N, n) [N m]."""
     low, high = window
     rate = 1.0 / (track.time[1] - track.time[0])
@@ -160,7 +160,7 @@ def _repeats(track: Track, left: Array, period: float, window: tuple[float, floa
     return [_steady(change, track, inside)]
 
 
-def _momentum(track: Track) -> Array:
+def _momentum(track: RecordedMotion) -> Array:
     """Squared momentum of what a joint moves, rotor included. Shape (N, n) [(kg m²/s)²].
 
     Read δ late, positions are off by q̇ δ, and torque by (M q̇ δ)¨ to first order: in the band, as if white, by momentum.
@@ -170,7 +170,7 @@ def _momentum(track: Track) -> Array:
     return np.square(track.reduce(carried, Grid.COARSE))
 
 
-def _steady(change: Array, track: Track, inside: Array) -> _Again:
+def _steady(change: Array, track: RecordedMotion, inside: Array) -> _Again:
     """A change between periods, without what friction that warms up makes of it."""
     t = np.linspace(-1.0, 1.0, len(change))[:, None]
     groups = []
@@ -193,7 +193,7 @@ def _steady(change: Array, track: Track, inside: Array) -> _Again:
     return _Again(rest, _momentum(track)[: len(inside)][inside], usual, square)
 
 
-def _clock(again: Sequence[_Again], tracks: Sequence[Track]) -> Array:
+def _clock(again: Sequence[_Again], tracks: Sequence[RecordedMotion]) -> Array:
     """What a clock that wavers may make of all recordings beyond what it makes of the floor. Shape (n,).
 
     Its noise grows with the square of momentum, and does not repeat.
@@ -295,7 +295,7 @@ def _refined(q: Array, rows: int, step: int) -> float:
     return float(near[i] + 0.5 * (a - c) / max(a - 2.0 * b + c, 1e-300))
 
 
-def _sharpened(halves: Sequence[Sequence[Track]]) -> tuple[Array, Array]:
+def _sharpened(halves: Sequence[Sequence[RecordedMotion]]) -> tuple[Array, Array]:
     """The residual of either half if speed turned more sharply than its samples can tell: friction makes it turn where it reverses.
 
     Where a reversal falls on a sample, its sign is then another; and a motion that repeats in step with the samples repeats that.
@@ -304,7 +304,7 @@ def _sharpened(halves: Sequence[Sequence[Track]]) -> tuple[Array, Array]:
     return first, second
 
 
-def _reversing(one: Track) -> Array:
+def _reversing(one: RecordedMotion) -> Array:
     """F_c (tanh(v/w) − tanh(q̇/w)), v = q̇ − Δ²q̇: of a stretch, below the band. Shape (N, n) [N m]."""
     speed, ends = one.fine.dq, np.zeros((1, one.n))
     sharper = speed - BENT * np.vstack([ends, np.diff(speed, 2, axis=0), ends])
@@ -313,7 +313,7 @@ def _reversing(one: Track) -> Array:
     )
 
 
-def stepped(model: IdentificationModel, halves: Sequence[Sequence[Track]]) -> tuple[tuple[Array, Array], ...]:
+def stepped(model: IdentificationModel, halves: Sequence[Sequence[RecordedMotion]]) -> tuple[tuple[Array, Array], ...]:
     """Residuals that coarse encoders alone would leave of the base model, of each half, drawn anew; none where all are fine.
 
     Which error each reading has is not known, only how errors come about: smooth positions are rounded once more, from another origin.
@@ -330,7 +330,7 @@ def _rounded(half: Sequence[Draw], rng: np.random.Generator) -> Array:
     return np.concatenate([draw(rng) for draw in half])
 
 
-def _misled(model: IdentificationModel, one: Track) -> Draw:
+def _misled(model: IdentificationModel, one: RecordedMotion) -> Draw:
     """What draws such residuals of a stretch: only what is rounded has to be filtered anew."""
     step = one.steps
     coarse = step > 0.0

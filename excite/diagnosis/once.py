@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..effects.recorded_motion import Track, split
+from ..effects.recorded_motion import RecordedMotion, split_by_motion
 from . import judge, search
 from .held_out_test import BELIEVED
 from .judge import Finding, Verdict
 from .noise import Period, shifted
-from .search import Design
+from .search import EffectRegression
 
 Array = np.ndarray
 LASTS = 0.05
@@ -24,7 +24,7 @@ SEEN = 0.5
 
 
 def kept(
-    one: Design, verdict: Verdict, every: Sequence[Track], periods: Mapping[str, Period]
+    one: EffectRegression, verdict: Verdict, every: Sequence[RecordedMotion], periods: Mapping[str, Period]
 ) -> Verdict:
     """The verdict without touches that come again. every: stretches of both halves; periods: see `Noise`."""
     refuted = list[Finding]()
@@ -36,10 +36,10 @@ def kept(
 
 
 def _again(
-    one: Design,
+    one: EffectRegression,
     verdict: Verdict,
     finding: Finding,
-    every: Sequence[Track],
+    every: Sequence[RecordedMotion],
     periods: Mapping[str, Period],
 ) -> float:
     """How much of a touch's torque is in what all else leaves a period later or earlier; 0 where that is not known."""
@@ -52,7 +52,7 @@ def _again(
         int(one.both.joint.max()) + 1,
         dict(zip(together.shapes, one.split(together.shapes, together.coefficients), strict=True)),
     )
-    left = split(
+    left = split_by_motion(
         search.remaining(one, [i for i in together.shapes if i not in touches]).reshape(-1, n),
         every,
     )
@@ -64,7 +64,7 @@ def _again(
             np.concatenate([own.picked(one.which([part.shape])).full() for own in one.columns])
             @ values[part.shape]
         )
-        for track, own, rest in zip(every, split(torque.reshape(-1, n), every), left, strict=True):
+        for track, own, rest in zip(every, split_by_motion(torque.reshape(-1, n), every), left, strict=True):
             found[2] += float(np.sum(own**2))
             if track.piece.source in periods and own.any():
                 then = _elsewhere(track, own, rest, *periods[track.piece.source])
@@ -74,7 +74,7 @@ def _again(
 
 
 def _elsewhere(
-    track: Track, own: Array, rest: Array, period: float, window: tuple[float, float]
+    track: RecordedMotion, own: Array, rest: Array, period: float, window: tuple[float, float]
 ) -> Array:
     """What is left a period later, else a period earlier, at every row; NaN where the motion was not made then, or the same touch lasts
     until then: it is not what comes again. Shapes (N, n)."""

@@ -21,7 +21,7 @@ import numpy as np
 from .._linear_algebra import inverse
 from . import residual_curves
 from .diagnosis import Diagnosis
-from .residual_curves import Kind, Look, Rows
+from .residual_curves import CurveKind, ResidualCurve, MotionRows
 from .search import mean_square
 
 Array = np.ndarray
@@ -33,7 +33,7 @@ CHUNK = 4096
 
 
 @dataclass(frozen=True)
-class Panel:
+class AtlasCurve:
     """One curve of one joint. joint: its index. centres, mean_before, mean_after, error: Shape (b,) [`unit`; N m]; amplitudes have no sign.
 
     error: standard error of mean_before over blocks. p_before, p_after: see the module. score_before: the statistic in null
@@ -43,7 +43,7 @@ class Panel:
     joint: int
     against: str
     unit: str
-    kind: Kind
+    kind: CurveKind
     centres: Array
     mean_before: Array
     mean_after: Array
@@ -59,15 +59,15 @@ class Panel:
 class Atlas:
     """All curves of all joints that move. blocks: how many the held-out recordings have."""
 
-    panels: tuple[Panel, ...]
+    panels: tuple[AtlasCurve, ...]
     blocks: int
 
-    def of(self, joint: int) -> list[Panel]:
+    def of(self, joint: int) -> list[AtlasCurve]:
         """The curves of a joint."""
         return [p for p in self.panels if p.joint == joint]
 
     @property
-    def shown(self) -> list[Panel]:
+    def shown(self) -> list[AtlasCurve]:
         """Curves that are not noise before the findings, the one that explains most of its joint's residual first."""
         return sorted(
             (p for p in self.panels if p.p_before < SIGNIFICANT), key=lambda p: -p.share_before
@@ -120,10 +120,10 @@ def look(found: Diagnosis, *, draws: int = DRAWS, seed: int = 0) -> Atlas:
             strict=True,
         )
         error = _amplitude(one, curves[0][k].error) / (
-            np.sqrt(2.0) if one.kind is Kind.AMPLITUDE else 1.0
+            np.sqrt(2.0) if one.kind is CurveKind.AMPLITUDE else 1.0
         )
         panels.append(
-            Panel(
+            AtlasCurve(
                 one.joint,
                 one.against,
                 one.unit,
@@ -142,11 +142,11 @@ def look(found: Diagnosis, *, draws: int = DRAWS, seed: int = 0) -> Atlas:
     return Atlas(tuple(panels), len(rows.starts))
 
 
-def _told(one: Look, curve: _Curve, null: _Null) -> tuple[Array, float]:
+def _told(one: ResidualCurve, curve: _Curve, null: _Null) -> tuple[Array, float]:
     """A curve and the share of the joint's power that it explains, what noise adds to it taken off."""
     power = float(np.mean(null.residual[:, one.joint] ** 2))
     mean, noise = _amplitude(one, curve.mean), _amplitude(one, curve.error)
-    if one.kind is Kind.AMPLITUDE:
+    if one.kind is CurveKind.AMPLITUDE:
         squares = np.maximum(mean**2 - noise**2, 0.0)
         explained = (
             0.5 * float((squares * one.counts).max()) / len(null.residual)
@@ -160,9 +160,9 @@ def _told(one: Look, curve: _Curve, null: _Null) -> tuple[Array, float]:
     return mean, min(explained / max(power, 1e-300), 1.0)
 
 
-def _amplitude(one: Look, cells: Array) -> Array:
+def _amplitude(one: ResidualCurve, cells: Array) -> Array:
     """Of each centre: the value itself, or of cosine and sine."""
-    if one.kind is not Kind.AMPLITUDE:
+    if one.kind is not CurveKind.AMPLITUDE:
         return cells
     half = len(cells) // 2
     return np.hypot(cells[:half], cells[half:]) * one.size
@@ -171,7 +171,7 @@ def _amplitude(one: Look, cells: Array) -> Array:
 # -- nulls -----------------------------------------------------------------------------------------------------------
 
 
-def _nulls(found: Diagnosis, scale: Array, rows: Rows) -> tuple[_Null, _Null]:
+def _nulls(found: Diagnosis, scale: Array, rows: MotionRows) -> tuple[_Null, _Null]:
     """How noise becomes the residual of the base model, and of the model with the findings."""
     design, n = found.design, len(scale)
     fitted, held_out = design.halves
@@ -219,10 +219,10 @@ def _limited(residual: Array, starts: Array, floor: Array | None) -> Array:
     return residual * np.repeat(np.minimum(1.0, limit / np.maximum(rms, 1e-300)), counts, axis=0)
 
 
-def _curve(one: Look, null: _Null, rows: Rows, signs: tuple[Array, Array]) -> _Curve:
+def _curve(one: ResidualCurve, null: _Null, rows: MotionRows, signs: tuple[Array, Array]) -> _Curve:
     """The curve of the data, its errors, and its statistic under every draw of signs."""
     j, count = one.joint, len(rows.starts)
-    cells = one.centres.size * (2 if one.kind is Kind.AMPLITUDE else 1)
+    cells = one.centres.size * (2 if one.kind is CurveKind.AMPLITUDE else 1)
     blocks, shares = np.empty((count, cells)), np.empty((count, cells))
     mean, entering = np.zeros(cells), np.zeros((cells, null.gamma.shape[2]))
     for first, last in _chunks(rows.starts, len(rows)):
@@ -233,7 +233,7 @@ def _curve(one: Look, null: _Null, rows: Rows, signs: tuple[Array, Array]) -> _C
         shares[first:last] = np.add.reduceat(weights**2, inner, axis=0)
         mean += weights.T @ null.residual[part, j]
         entering += weights.T @ null.gamma[part, j]
-    if one.kind is Kind.AMPLITUDE:
+    if one.kind is CurveKind.AMPLITUDE:
         half = cells // 2
         shares = np.tile(shares[:, :half] + shares[:, half:], 2)
     shares /= np.maximum(shares.sum(axis=0), 1e-300)
@@ -266,7 +266,7 @@ def _chunks(starts: Array, count: int) -> list[tuple[int, int]]:
     return [(k, min(k + size, len(starts))) for k in range(0, len(starts), size)]
 
 
-def _statistic(one: Look, z: Array) -> Array:
+def _statistic(one: ResidualCurve, z: Array) -> Array:
     """Of each row of z. Shape (d, c) -> (d,)."""
     squares = z**2
     if one.against == "order":

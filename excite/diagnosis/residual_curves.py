@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..effects.recorded_motion import Track
+from ..effects.recorded_motion import RecordedMotion
 from ..identification.lowpass import Grid
 
 Array = np.ndarray
@@ -35,7 +35,7 @@ NEAR = 3
 TEN = 10
 
 
-class Kind(enum.Enum):
+class CurveKind(enum.Enum):
     """What a curve shows: the mean residual; its part along the motion (friction: positive brakes); or an amplitude."""
 
     MEAN = "mean"
@@ -44,7 +44,7 @@ class Kind(enum.Enum):
 
 
 @dataclass(frozen=True)
-class Look:
+class ResidualCurve:
     """One joint's residual against one thing. centres: Shape (b,). weights: of some rows, Shape (rows, b), of amplitudes (rows, 2b):
     cosines, then sines. size: by which an amplitude is multiplied for [N m]. Shape (b,). counts: rows of a bin. centred: the mean over all
     bins is taken off, so that a curve is what varies; that mean shows against time and direction.
@@ -53,7 +53,7 @@ class Look:
     joint: int
     against: str
     unit: str
-    kind: Kind
+    kind: CurveKind
     centres: Array
     weights: Callable[[slice], Array]
     size: Array
@@ -63,7 +63,7 @@ class Look:
 
 
 @dataclass(frozen=True)
-class Rows:
+class MotionRows:
     """What the robot did at every row. time: [s], one recording after the other. clock: [s] since a recording's start. Shape (N,).
 
     q, dq, ddq, load, motor, distance: Shape (N, n). temperature: the same, NaN where not recorded. moves: where a joint is judged.
@@ -104,7 +104,7 @@ class Rows:
         return np.repeat(np.arange(len(self.starts)), np.diff([*self.starts, len(self)]))
 
 
-def rows(tracks: Sequence[Track]) -> Rows:
+def rows(tracks: Sequence[RecordedMotion]) -> MotionRows:
     """Everything that looks need of some stretches."""
     parts: dict[str, list[Array]] = {}
     starts, begins, at, elapsed, length = list[Array](), list[int](), 0, 0.0, block_length(tracks)
@@ -120,7 +120,7 @@ def rows(tracks: Sequence[Track]) -> Rows:
     first = tracks[0]
     linear = tuple(entry.kind == "prismatic" for entry in first.body.robot.entries)
     rate = first.band.rate_of(Grid.KEPT)
-    return Rows(
+    return MotionRows(
         **joined,
         starts=np.concatenate(starts),
         begins=np.array(begins),
@@ -130,7 +130,7 @@ def rows(tracks: Sequence[Track]) -> Rows:
     )
 
 
-def block_length(tracks: Sequence[Track]) -> float:
+def block_length(tracks: Sequence[RecordedMotion]) -> float:
     """Length of a block [s]: about 1 s; less of a short recording, which would else have too few of them."""
     total = sum(float(track.time[-1] - track.time[0]) for track in tracks)
     return float(min(BLOCK, max(total / BLOCKS, SHORTEST / tracks[0].band.hertz)))
@@ -142,7 +142,7 @@ def block_starts(clock: Array, length: float) -> Array:
     return np.unique(np.searchsorted(clock, np.arange(count) * length))
 
 
-def _motion(track: Track) -> dict[str, Array]:
+def _motion(track: RecordedMotion) -> dict[str, Array]:
     s = track.coarse
     t = track.piece.start + np.arange(len(s)) / track.band.rate_of(Grid.COARSE)
 
@@ -181,7 +181,7 @@ def _since_reversal(q: Array, dq: Array) -> Array:
 # -- the looks -------------------------------------------------------------------------------------------------------
 
 
-def looks(rows: Rows, joints: Sequence[str]) -> Iterator[Look]:
+def looks(rows: MotionRows, joints: Sequence[str]) -> Iterator[ResidualCurve]:
     """Every look at every joint that moves."""
     for j in range(rows.n):
         if float(np.ptp(rows.q[:, j])) < 1e-6:
@@ -223,7 +223,7 @@ def looks(rows: Rows, joints: Sequence[str]) -> Iterator[Look]:
 
 
 def _binned(
-    rows: Rows,
+    rows: MotionRows,
     joint: int,
     against: str,
     unit: str,
@@ -232,7 +232,7 @@ def _binned(
     *,
     bins: int = BINS,
     logarithmic: bool = False,
-) -> Look | None:
+) -> ResidualCurve | None:
     """Means in bins of as many rows each; None where x is not known or does not vary. way: direction, for the part along the motion."""
     use = (
         rows.moves[:, joint]
@@ -257,14 +257,14 @@ def _binned(
 
 
 def _averaged(
-    rows: Rows,
+    rows: MotionRows,
     joint: int,
     names: tuple[str, str],
     index: Array,
     x: Array,
     way: Array | None = None,
     logarithmic: bool = False,
-) -> Look | None:
+) -> ResidualCurve | None:
     """Means over the rows of each bin that has enough. index: of each row, −1 for none."""
     kept = [
         b
@@ -278,9 +278,9 @@ def _averaged(
     counts = inside.sum(axis=0)
     weights = inside / counts * (1.0 if way is None else way[:, None])
     centres = np.array([x[index == b].mean() for b in kept])
-    kind = Kind.MEAN if way is None else Kind.ALONG
+    kind = CurveKind.MEAN if way is None else CurveKind.ALONG
     centred = way is not None or names[0].startswith("speed of ")
-    return Look(
+    return ResidualCurve(
         joint,
         *names,
         kind,
@@ -293,7 +293,7 @@ def _averaged(
     )
 
 
-def _phase(rows: Rows, joint: int) -> Look | None:
+def _phase(rows: MotionRows, joint: int) -> ResidualCurve | None:
     """Down and up, slowing and speeding up: −2, −1, 1, 2."""
     way = rows.direction(joint)
     speeding = np.sign(rows.ddq[:, joint]) == way
@@ -303,7 +303,7 @@ def _phase(rows: Rows, joint: int) -> Look | None:
     return _averaged(rows, joint, ("direction", ""), index, x)
 
 
-def _orders(rows: Rows, joint: int) -> Look | None:
+def _orders(rows: MotionRows, joint: int) -> ResidualCurve | None:
     """Amplitude at each order of the joint's own angle, by the rows where it lies below the band."""
     q, speed = rows.q[:, joint], np.abs(rows.dq[:, joint])
     step = 2.0 * np.pi / float(np.ptp(q)) / 1.5
@@ -327,12 +327,12 @@ def _orders(rows: Rows, joint: int) -> Look | None:
 
     name = ("order", "cycles/m") if rows.linear[joint] else ("order", "cycles/turn")
     centres = grid / (2.0 * np.pi) if rows.linear[joint] else grid
-    return Look(
-        joint, *name, Kind.AMPLITUDE, centres, weights, np.ones(len(grid)), seen, logarithmic=True
+    return ResidualCurve(
+        joint, *name, CurveKind.AMPLITUDE, centres, weights, np.ones(len(grid)), seen, logarithmic=True
     )
 
 
-def _frequencies(rows: Rows, joint: int) -> Look | None:
+def _frequencies(rows: MotionRows, joint: int) -> ResidualCurve | None:
     """What of the residual goes with the model's torque, in phase or out of it, by bands: a delay, a resonance or a gain shows here."""
     torque = rows.motor[:, joint] - rows.motor[:, joint].mean()
     ends = [*rows.starts[1:], len(rows)]
@@ -367,11 +367,11 @@ def _frequencies(rows: Rows, joint: int) -> Look | None:
     # RMS torque of the band: Hann's window takes 3/8 of the power
     rms = np.sqrt(2.0 * power[kept] / (0.375 * duration * rows.rate * length))
     centres = np.sqrt(edges[kept] * edges[kept + 1])
-    return Look(
+    return ResidualCurve(
         joint,
         "frequency",
         "Hz",
-        Kind.AMPLITUDE,
+        CurveKind.AMPLITUDE,
         centres,
         weights.__getitem__,
         rms,

@@ -16,16 +16,16 @@ from functools import cached_property
 
 import numpy as np
 
-from ..effects.effect import Shape
+from ..effects.effect import CandidateModel
 from .columns import Columns
-from .gram import Beside, Gram, grown, powers
+from .gram import AddedProducts, Gram, grown, powers
 from .half import Half, facing, stacked
 from .measured import Measured
 
 Array = np.ndarray
-Build = Callable[[Shape], tuple[Columns, Columns] | None]
+Build = Callable[[CandidateModel], tuple[Columns, Columns] | None]
 """A shape's columns over the scale at the recorded rows of both halves; None where it says nothing."""
-Built = tuple[Shape, tuple[Columns, Columns]]
+Built = tuple[CandidateModel, tuple[Columns, Columns]]
 USUAL = 30.0
 """Standard deviation of an effect's torque over the noise, before anything is seen: what is looked for is 1 to 100."""
 NATS = 25.0
@@ -37,7 +37,7 @@ anew feign gains 57 at the most, in 46 simulated robots with coarse encoders and
 
 
 @dataclass(frozen=True)
-class Design:
+class EffectRegression:
     """Two halves with all shapes' columns, and the products that fits are made of.
 
     places: of each shape's columns. both: the halves stacked. columns: of each half, at its recorded rows. left: the residual of each half
@@ -47,7 +47,7 @@ class Design:
     turned: a shape where it predicts best, by itself and those that it is beside: it is asked for again and again.
     """
 
-    shapes: tuple[Shape, ...]
+    shapes: tuple[CandidateModel, ...]
     places: tuple[slice, ...]
     halves: tuple[Half, Half]
     both: Half
@@ -61,8 +61,8 @@ class Design:
     prior: Array
     build: Build
     measured: Measured = field(default_factory=Measured)
-    listed: tuple[Shape, ...] = ()
-    turned: dict[tuple[object, ...], Shape] = field(default_factory=dict, compare=False)
+    listed: tuple[CandidateModel, ...] = ()
+    turned: dict[tuple[object, ...], CandidateModel] = field(default_factory=dict, compare=False)
 
     @cached_property
     def loudest(self) -> float:
@@ -127,12 +127,12 @@ FEW, SEVERAL, BESIDE = 4, 6, 3
 best of each law, if it is not among them."""
 
 
-def design(halves: tuple[Half, Half], shapes: Sequence[Shape], build: Build) -> Design:
+def design(halves: tuple[Half, Half], shapes: Sequence[CandidateModel], build: Build) -> EffectRegression:
     """All products that the search needs, of the shapes that say something, the best of each effect at each joint."""
     return filled(bare(halves, build), shapes)
 
 
-def bare(halves: tuple[Half, Half], build: Build) -> Design:
+def bare(halves: tuple[Half, Half], build: Build) -> EffectRegression:
     """A design without shapes."""
     (first, second), both = halves, stacked(halves)
     n, carried = int(both.joint.max()) + 1, second.gamma @ (first.inverse @ first.torque)
@@ -142,15 +142,15 @@ def bare(halves: tuple[Half, Half], build: Build) -> Design:
     )
     a, b, whole = (Gram.none(half.basis.shape[1]) for half in (first, second, both))
     sides = (first.left, second.left), (second.torque - carried)[second.rows], facing(halves, both)
-    return Design((), (), halves, both, columns, *sides, (a, b), whole, (), np.zeros(0), build)
+    return EffectRegression((), (), halves, both, columns, *sides, (a, b), whole, (), np.zeros(0), build)
 
 
-def filled(one: Design, shapes: Sequence[Shape]) -> Design:
+def filled(one: EffectRegression, shapes: Sequence[CandidateModel]) -> EffectRegression:
     """A bare design with shapes."""
     return dataclasses.replace(_extended(one, _picked(one, shapes)), listed=tuple(shapes))
 
 
-def relisted(one: Design, chosen: Sequence[int], joints: Collection[int | None]) -> Design:
+def relisted(one: EffectRegression, chosen: Sequence[int], joints: Collection[int | None]) -> EffectRegression:
     """The design with the shapes at some joints that predict best beside those chosen: behind others a shape alone was not the best."""
     if not joints:
         return one
@@ -160,12 +160,12 @@ def relisted(one: Design, chosen: Sequence[int], joints: Collection[int | None])
 
 
 def relaid(
-    one: Design,
+    one: EffectRegression,
     kept: Sequence[int],
-    shapes: Sequence[Shape],
-    further: Sequence[Shape],
-    listed: Sequence[Shape],
-) -> Design:
+    shapes: Sequence[CandidateModel],
+    further: Sequence[CandidateModel],
+    listed: Sequence[CandidateModel],
+) -> EffectRegression:
     """A design of some of the shapes that there are, then the best of other shapes, and what else is wanted, at its end. listed: all."""
     made = _picked(only(one, ()), shapes)
     return dataclasses.replace(
@@ -173,7 +173,7 @@ def relaid(
     )
 
 
-def rescaled(one: Design, factor: Array) -> Design:
+def rescaled(one: EffectRegression, factor: Array) -> EffectRegression:
     """The same with torque over another scale: what it was, over a factor of each joint. Shape (n,)."""
     weights = [
         np.where(h.rows, factor[h.joint], 1.0) for h in one.halves
@@ -183,7 +183,7 @@ def rescaled(one: Design, factor: Array) -> Design:
         for h, w in zip(one.halves, weights, strict=True)
     )
 
-    def build(shape: Shape) -> tuple[Columns, Columns] | None:
+    def build(shape: CandidateModel) -> tuple[Columns, Columns] | None:
         made = one.build(shape)
         return None if made is None else (made[0].scaled(factor), made[1].scaled(factor))
 
@@ -193,7 +193,7 @@ def rescaled(one: Design, factor: Array) -> Design:
     )
 
 
-def key(shape: Shape) -> tuple[object, ...]:
+def key(shape: CandidateModel) -> tuple[object, ...]:
     """All that a shape's columns hang on."""
     return (
         shape.effect,
@@ -205,7 +205,7 @@ def key(shape: Shape) -> tuple[object, ...]:
     )
 
 
-def _picked(one: Design, shapes: Sequence[Shape], most: int | None = None) -> list[Built]:
+def _picked(one: EffectRegression, shapes: Sequence[CandidateModel], most: int | None = None) -> list[Built]:
     """Of every effect the shapes that predict best beside those that there are, with their columns. most: see `_shortlist`."""
     made, first = list[Built](), len(one.shapes)
     for effect in dict.fromkeys(shape.effect for shape in shapes):
@@ -215,7 +215,7 @@ def _picked(one: Design, shapes: Sequence[Shape], most: int | None = None) -> li
     return made
 
 
-def _shortlist(one: Design, first: int, most: int | None) -> list[Built]:
+def _shortlist(one: EffectRegression, first: int, most: int | None) -> list[Built]:
     """The shapes of one effect that predict best at each joint, with their columns: their neighbours on the grid say the same.
 
     They are those from the `first` on, each beside all before it; `most` of a joint.
@@ -237,20 +237,20 @@ def _shortlist(one: Design, first: int, most: int | None) -> list[Built]:
     return kept
 
 
-def appended(one: Design, shapes: Sequence[Shape]) -> Design:
+def appended(one: EffectRegression, shapes: Sequence[CandidateModel]) -> EffectRegression:
     """The design with more shapes, at its end; those that say nothing are left out."""
     return _extended(
         one, [(shape, found) for shape in shapes if (found := one.build(shape)) is not None]
     )
 
 
-def _built(one: Design, i: int) -> Built:
+def _built(one: EffectRegression, i: int) -> Built:
     """One of the shapes with its columns."""
     which = np.arange(one.places[i].start, one.places[i].stop)
     return one.shapes[i], (one.columns[0].picked(which), one.columns[1].picked(which))
 
 
-def _extended(one: Design, built: Sequence[Built]) -> Design:
+def _extended(one: EffectRegression, built: Sequence[Built]) -> EffectRegression:
     """The same with columns that are there already."""
     if not built:
         return one
@@ -265,8 +265,8 @@ def _extended(one: Design, built: Sequence[Built]) -> Design:
 
 
 def _widened(
-    one: Design, shapes: Sequence[Shape], places: Sequence[slice], new: tuple[Columns, Columns]
-) -> Design:
+    one: EffectRegression, shapes: Sequence[CandidateModel], places: Sequence[slice], new: tuple[Columns, Columns]
+) -> EffectRegression:
     """The same with more shapes, whose columns stand at `places` among the new ones."""
     first, second = (old.beside([own]) for old, own in zip(one.columns, new, strict=True))
     start, wider = one.columns[0].count, _foreseen(one, shapes, places, new)
@@ -276,17 +276,17 @@ def _widened(
 
 
 def _foreseen(
-    one: Design, shapes: Sequence[Shape], places: Sequence[slice], new: tuple[Columns, Columns]
-) -> Design:
+    one: EffectRegression, shapes: Sequence[CandidateModel], places: Sequence[slice], new: tuple[Columns, Columns]
+) -> EffectRegression:
     """The same with all that a trial of more shapes asks for, and no more: not their columns, nor how large they are."""
-    alone, together = list[Beside](), list[Beside]()
+    alone, together = list[AddedProducts](), list[AddedProducts]()
     for old, own, half, against in zip(one.columns, new, one.halves, one.facing, strict=True):
         products = np.vstack(
             [old.products(own), own.products(own)]
         )  # whichever base they are freed of
         taken, r = own.along(against), half.basis.shape[1]
-        alone.append(Beside(products, taken[:, :r].T, taken[:, r]))
-        together.append(Beside(products, taken[:, r + 1 : -1].T, taken[:, -1]))
+        alone.append(AddedProducts(products, taken[:, :r].T, taken[:, r]))
+        together.append(AddedProducts(products, taken[:, r + 1 : -1].T, taken[:, -1]))
     start, rms = (
         one.columns[0].count,
         np.sqrt((new[0].squares() + new[1].squares()) / len(one.both.joint)),
@@ -301,7 +301,7 @@ def _foreseen(
     )
 
 
-def pretended(one: Design, residual: tuple[Array, Array]) -> Design:
+def pretended(one: EffectRegression, residual: tuple[Array, Array]) -> EffectRegression:
     """The design of recordings whose base fit leaves something else. residual: of each half, over the scale. Shape (m,), recorded rows."""
 
     def freed(half: Half, own: Array) -> Array:
@@ -334,7 +334,7 @@ class Trial:
     seen: float = 0.0
 
 
-def trial(one: Design, chosen: Sequence[int]) -> Trial:
+def trial(one: EffectRegression, chosen: Sequence[int]) -> Trial:
     """Fit the shapes on each half, judge on the other, and once more on both together; no shapes: the base model."""
     which = one.which(chosen)
     told, evidence = _evidence(one.products(which[:, None], which), one.scores(which))
@@ -366,12 +366,12 @@ def _predictive(evidence: Array) -> Array:
     return np.asarray(2.0 * evidence[2] - evidence[0] - evidence[1])
 
 
-def gains(one: Design, beside: Sequence[int] = ()) -> Array:
+def gains(one: EffectRegression, beside: Sequence[int] = ()) -> Array:
     """`Trial.gain` of each shape beside some, all at once. Shape (shapes,)."""
     return fits(one, beside)[0]
 
 
-def fits(one: Design, beside: Sequence[int] = ()) -> tuple[Array, list[Array]]:
+def fits(one: EffectRegression, beside: Sequence[int] = ()) -> tuple[Array, list[Array]]:
     """`Trial.gain` of each shape beside some, and its own coefficients on both halves together; all at once: what is beside is eliminated
     once (Schur complement). Shape (shapes,), and (k,) each."""
     which, every = one.which(beside), np.arange(len(one.prior))
@@ -395,7 +395,7 @@ def fits(one: Design, beside: Sequence[int] = ()) -> tuple[Array, list[Array]]:
     return out, own
 
 
-def remaining(one: Design, chosen: Sequence[int]) -> Array:
+def remaining(one: EffectRegression, chosen: Sequence[int]) -> Array:
     """What is left of both halves' torque when base and shapes are fitted to both, over the scale. Shape (N, n)."""
     which = one.which(chosen)
     columns = np.concatenate([part.picked(which).full() for part in one.columns])
@@ -403,7 +403,7 @@ def remaining(one: Design, chosen: Sequence[int]) -> Array:
     return np.asarray(left[one.both.rows].reshape(-1, int(one.both.joint.max()) + 1))
 
 
-def level(one: Design, chosen: Sequence[int]) -> Array:
+def level(one: EffectRegression, chosen: Sequence[int]) -> Array:
     """Mean square of what remains on each joint, of the rows that count. Shape (n,)."""
     counts = one.both.counts[one.both.rows].reshape(-1, int(one.both.joint.max()) + 1)
     return mean_square(remaining(one, chosen), counts)
@@ -414,12 +414,12 @@ def mean_square(x: Array, counts: Array) -> Array:
     return np.asarray(np.sum(np.square(x * counts), axis=0) / counts.sum(axis=0))
 
 
-def refined(one: Design, chosen: Sequence[int], sweeps: int = 2) -> tuple[Design, list[int]]:
+def refined(one: EffectRegression, chosen: Sequence[int], sweeps: int = 2) -> tuple[EffectRegression, list[int]]:
     """The chosen shapes with the values that a grid had fixed moved to where they predict best, one after the other."""
     return joined(one, chosen, turned(one, chosen, sweeps))
 
 
-def turned(one: Design, chosen: Sequence[int], sweeps: int, since: int = 0) -> list[Built]:
+def turned(one: EffectRegression, chosen: Sequence[int], sweeps: int, since: int = 0) -> list[Built]:
     """The same shapes with their columns, of no design yet. since: the first that is moved."""
     now = [_built(one, i) for i in chosen]
     for _ in range(sweeps):
@@ -439,7 +439,7 @@ def turned(one: Design, chosen: Sequence[int], sweeps: int, since: int = 0) -> l
     return now
 
 
-def joined(one: Design, chosen: Sequence[int], now: Sequence[Built]) -> tuple[Design, list[int]]:
+def joined(one: EffectRegression, chosen: Sequence[int], now: Sequence[Built]) -> tuple[EffectRegression, list[int]]:
     """The design with shapes that stand for some of its own, those that are others at its end; and where they are then."""
     new = [
         k
@@ -450,12 +450,12 @@ def joined(one: Design, chosen: Sequence[int], now: Sequence[Built]) -> tuple[De
     return _extended(one, [now[k] for k in new]), [ends.get(k, i) for k, i in enumerate(chosen)]
 
 
-def only(one: Design, chosen: Sequence[int]) -> Design:
+def only(one: EffectRegression, chosen: Sequence[int]) -> EffectRegression:
     """The design with some of its shapes; its halves are not inverted again."""
     return afresh(one, [_built(one, i) for i in chosen])
 
 
-def afresh(one: Design, built: Sequence[Built]) -> Design:
+def afresh(one: EffectRegression, built: Sequence[Built]) -> EffectRegression:
     """A design of the same halves with these shapes."""
     a, b, whole = (Gram.none(half.basis.shape[1]) for half in (*one.halves, one.both))
     first, second = (columns.picked(np.zeros(0, int)) for columns in one.columns)
@@ -474,7 +474,7 @@ def afresh(one: Design, built: Sequence[Built]) -> Design:
     return _extended(nothing, built)
 
 
-def _beside(small: Design, shape: Shape) -> float:
+def _beside(small: EffectRegression, shape: CandidateModel) -> float:
     """Gain of a shape beside all of a small design's."""
     made = small.build(shape)
     if made is None:

@@ -13,15 +13,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..effects.effect import Shape, alone
-from ..effects.recorded_motion import Track
+from ..effects.effect import CandidateModel, alone
+from ..effects.recorded_motion import RecordedMotion
 from . import search
 from .blocks import sandwiched
 from .hypothesis import ranked
-from .search import Design
+from .search import EffectRegression
 
 Array = np.ndarray
-Halves = tuple[list[Track], list[Track]]
+Halves = tuple[list[RecordedMotion], list[RecordedMotion]]
 KINDS = ("coulomb", "viscous", "offset")
 CHANGES, LEAST = 0.5, 0.01
 """Standard deviation of a change over friction itself; and of friction, over the joint's largest torque, at the least."""
@@ -38,7 +38,7 @@ EXPERIMENT = "the same warm-up before every recording, or temp.<joint> recorded;
 
 
 @dataclass(frozen=True)
-class Change:
+class SessionChange:
     """By how much a joint's drive differs in a recording from what it was in the first. change: of `KINDS`, Shape (3,). covariance: of all,
     Shape (3, 3): where speeds are alike, Coulomb friction may be more and viscous friction less."""
 
@@ -58,12 +58,12 @@ class Change:
         return bool(self.change @ np.linalg.pinv(self.covariance) @ self.change > SURE)
 
 
-def sources(tracks: Sequence[Track]) -> list[str]:
+def sources(tracks: Sequence[RecordedMotion]) -> list[str]:
     """Every recording after the first, once."""
     return list(dict.fromkeys(t.piece.source for t in tracks))[1:]
 
 
-def _drive(t: Track, s: Shape) -> Array:
+def _drive(t: RecordedMotion, s: CandidateModel) -> Array:
     """sgn q̇, q̇ and 1 at a joint; of a shape with a source, in that recording only."""
     columns = np.column_stack([t.sign(s.place), t.fine.dq[:, s.place], np.ones(len(t.piece))])
     return alone(
@@ -71,12 +71,12 @@ def _drive(t: Track, s: Shape) -> Array:
     )
 
 
-def _shapes(tracks: Sequence[Track], of: Sequence[str]) -> list[Shape]:
+def _shapes(tracks: Sequence[RecordedMotion], of: Sequence[str]) -> list[CandidateModel]:
     """Drives of each joint in each of some recordings. They have no name: they are never told apart from the base model."""
-    return [Shape("", j, _drive, source=source) for source in of for j in range(tracks[0].n)]
+    return [CandidateModel("", j, _drive, source=source) for source in of for j in range(tracks[0].n)]
 
 
-def columns(track: Track, halves: Halves) -> Array:
+def columns(track: RecordedMotion, halves: Halves) -> Array:
     """Of drives that every recording after the first has its own of, on one stretch. Shape (N, n, 3n × recordings).
 
     The first has what the others of its half have less, in sum: the base model's is the mean of that half.
@@ -93,7 +93,7 @@ def columns(track: Track, halves: Halves) -> Array:
     )
 
 
-def known(every: Sequence[Track]) -> Array:
+def known(every: Sequence[RecordedMotion]) -> Array:
     """Standard deviation of the coefficients of `columns`, before anything is seen. Shape (3n × recordings,)."""
     body = every[0].body
     fastest, largest = (
@@ -106,7 +106,7 @@ def known(every: Sequence[Track]) -> Array:
     return CHANGES * np.tile(np.maximum(one, 1e-12), len(sources(every)))
 
 
-def differs(one: Design, shapes: Sequence[int], every: Sequence[Track], noise: Array) -> bool:
+def differs(one: EffectRegression, shapes: Sequence[int], every: Sequence[RecordedMotion], noise: Array) -> bool:
     """Whether some joint's drive does: whether changes of drives take most of what is left there beyond noise by the base model, some
     shapes, and a drive that is the same in all recordings, which a prior may have wrong.
 
@@ -115,7 +115,7 @@ def differs(one: Design, shapes: Sequence[int], every: Sequence[Track], noise: A
     return _taken(*_levels(one, shapes, every), noise, EXCESS)
 
 
-def differs_at_first(one: Design, every: Sequence[Track], noise: Array) -> bool:
+def differs_at_first(one: EffectRegression, every: Sequence[RecordedMotion], noise: Array) -> bool:
     """The same of the base model alone; but for a shape by itself, which needs nothing to differ and leaves about as little as drives that
     do: it is to be believed first.
 
@@ -138,7 +138,7 @@ def _taken(left: Array, other: Array, noise: Array, excess: float) -> bool:
     return bool(np.any((beyond > excess * noise) & (left - other > TAKES * beyond)))
 
 
-def _levels(one: Design, shapes: Sequence[int], every: Sequence[Track]) -> tuple[Array, Array]:
+def _levels(one: EffectRegression, shapes: Sequence[int], every: Sequence[RecordedMotion]) -> tuple[Array, Array]:
     """What is left of all recordings with drives that are the same, and with drives that differ. Shapes (n,)."""
     same = search.appended(search.only(one, shapes), _shapes(every, [""]))
     left, other = (
@@ -157,7 +157,7 @@ def differs_later(left: Array, taken: Array, moves: Array, noise: Array) -> bool
     return _taken(search.mean_square(left, moves), search.mean_square(taken, moves), noise, LATER)
 
 
-def changes(one: Design, shapes: Sequence[int], halves: Halves) -> tuple[Change, ...]:
+def changes(one: EffectRegression, shapes: Sequence[int], halves: Halves) -> tuple[SessionChange, ...]:
     """By how much, of a design whose recordings have drives of their own, beside some shapes; errors between stretches of time."""
     every = [*halves[0], *halves[1]]
     both, which, n = one.both, one.which(shapes), every[0].n
@@ -181,7 +181,7 @@ def changes(one: Design, shapes: Sequence[int], halves: Halves) -> tuple[Change,
         ]
         L = np.kron(parts, np.eye(len(KINDS)))
         told.append(
-            Change(
+            SessionChange(
                 shape.source,
                 shape.place,
                 L @ found[:count],
@@ -191,7 +191,7 @@ def changes(one: Design, shapes: Sequence[int], halves: Halves) -> tuple[Change,
     return tuple(told)
 
 
-def _blocks(recorded: Array, known: Array, every: Sequence[Track]) -> list[Array]:
+def _blocks(recorded: Array, known: Array, every: Sequence[RecordedMotion]) -> list[Array]:
     """Rows of blocks of time, as many of each stretch, be it short; and those that no recording made. Shapes (m,), (k,)."""
     stretches = np.split(recorded, np.cumsum([len(t) * t.n for t in every])[:-1])
     return [*(part for rows in stretches for part in np.array_split(rows, BLOCKS)), known]

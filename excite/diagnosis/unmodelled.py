@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .residual_curves import LEAST_ROWS, Rows
+from .residual_curves import LEAST_ROWS, MotionRows
 
 Array = np.ndarray
 HARMONICS, BUMPS, PLACES = 40, 13, 150
@@ -33,7 +33,7 @@ STEADY = 1e-9
 
 
 @dataclass(frozen=True)
-class Response:
+class ResidualResponse:
     """A joint's residual over what it depends on. over: what that is, with its unit. other: of which joint, where not of its own.
     y: torque, or of what goes on after a cause its share of the largest. Shapes (b,), (b,)."""
 
@@ -45,14 +45,14 @@ class Response:
 
 
 @dataclass(frozen=True)
-class Sight:
+class ResidualPrediction:
     """What predicts a joint's residual best. regime: which basis of features. share: of the mean square, held out, what they foresee; of
     noise hardly above zero. sure: that share over its standard error between stretches."""
 
     regime: str
     share: float
     sure: float
-    response: Response
+    response: ResidualResponse
 
     @property
     def counts(self) -> bool:
@@ -60,14 +60,14 @@ class Sight:
         return self.share > FORESEEN and self.sure > SURE
 
 
-def _position(rows: Rows, joint: int) -> Array:
+def _position(rows: MotionRows, joint: int) -> Array:
     q = rows.q[:, joint]
     turn = 2.0 * np.pi * (q - q.min()) / max(np.ptp(q), 1e-12) if rows.linear[joint] else q
     waves = np.outer(turn, np.arange(1, HARMONICS + 1))
     return np.hstack([np.cos(waves), np.sin(waves)])
 
 
-def _place(rows: Rows, joint: int) -> Array:
+def _place(rows: MotionRows, joint: int) -> Array:
     """Narrow bumps over the joint's range, each its own: a broken tooth, a dent in a race."""
     q = rows.q[:, joint]
     centres = np.linspace(q.min(), q.max(), PLACES)
@@ -75,11 +75,11 @@ def _place(rows: Rows, joint: int) -> Array:
     return np.asarray(np.exp(-0.5 * np.square((q[:, None] - centres) / width)))
 
 
-def _direction(rows: Rows, joint: int) -> Array:
+def _direction(rows: MotionRows, joint: int) -> Array:
     return _position(rows, joint) * rows.direction(joint)[:, None]
 
 
-def _speed(rows: Rows, joint: int) -> Array:
+def _speed(rows: MotionRows, joint: int) -> Array:
     """Bumps over every joint's speed."""
     centres = np.linspace(-1.0, 1.0, BUMPS)
     over = rows.dq / np.maximum(np.abs(rows.dq).max(axis=0), 1e-12)
@@ -88,7 +88,7 @@ def _speed(rows: Rows, joint: int) -> Array:
     )
 
 
-def _power(rows: Rows, joint: int) -> Array:
+def _power(rows: MotionRows, joint: int) -> Array:
     """The joint's torque as it may change with what all drives draw and bear together."""
     torque, borne = rows.motor[:, joint], _scaled(np.abs(rows.motor))
     each = _scaled(rows.motor * rows.dq)
@@ -98,7 +98,7 @@ def _power(rows: Rows, joint: int) -> Array:
     return np.hstack([changed, rows.direction(joint)[:, None] * drawn[:, None]])
 
 
-def _drawn(rows: Rows, joint: int) -> Array:
+def _drawn(rows: MotionRows, joint: int) -> Array:
     """Power of all drives [W]."""
     return np.asarray(np.sum(rows.motor * rows.dq, axis=1))
 
@@ -108,12 +108,12 @@ def _scaled(x: Array) -> Array:
     return np.asarray(x / np.maximum(np.abs(x).max(axis=0), 1e-300))
 
 
-def _lag(rows: Rows) -> float:
+def _lag(rows: MotionRows) -> float:
     """Time between values that are remembered [s]."""
     return max(MEMORY / LAGS, 1.0 / rows.rate)
 
 
-def _remembered(x: Array, rows: Rows) -> Array:
+def _remembered(x: Array, rows: MotionRows) -> Array:
     """Values of the last seconds; zero before a recording begins."""
     lag = _lag(rows)
     out = np.zeros((len(rows), int(MEMORY / lag)))
@@ -125,54 +125,54 @@ def _remembered(x: Array, rows: Rows) -> Array:
 
 
 @dataclass(frozen=True)
-class Basis:
+class FeatureBasis:
     """features: of a joint at all rows, Shape (N, k). experiment: what would show it alone. label: of what its response is drawn over.
     over: that, [rows, joint] -> (N,), None: time since. sign: by which the residual is taken there, 0 where it is not. every: features
     are of every joint, one after the other."""
 
-    features: Callable[[Rows, int], Array]
+    features: Callable[[MotionRows, int], Array]
     experiment: str
     label: str
-    over: Callable[[Rows, int], Array] | None = None
-    sign: Callable[[Rows, int], Array] = lambda rows, joint: np.ones(len(rows))
+    over: Callable[[MotionRows, int], Array] | None = None
+    sign: Callable[[MotionRows, int], Array] = lambda rows, joint: np.ones(len(rows))
     every: bool = False
 
 
 STOP = "a sharp stop, then rest: what swings on does so alone"
-BASES: Mapping[str, Basis] = {
-    "position": Basis(
+BASES: Mapping[str, FeatureBasis] = {
+    "position": FeatureBasis(
         _position,
         "that joint alone, slowly to and fro over its range",
         "position [{}]",
         lambda rows, j: rows.q[:, j],
     ),
-    "place": Basis(
+    "place": FeatureBasis(
         _place,
         "that joint alone, slowly past the place, both ways",
         "position [{}]",
         lambda rows, j: rows.q[:, j],
     ),
-    "position and direction": Basis(
+    "position and direction": FeatureBasis(
         _direction,
         "that joint alone, slowly to and fro, between ends that shift",
         "position, along the motion [{}]",
         lambda rows, j: rows.q[:, j],
         lambda rows, j: rows.direction(j),
     ),
-    "speed": Basis(
+    "speed": FeatureBasis(
         _speed,
         "constant speeds of one joint after the other",
         "speed [{}/s]",
         lambda rows, j: rows.dq[:, j],
         every=True,
     ),
-    "past acceleration": Basis(
+    "past acceleration": FeatureBasis(
         lambda rows, j: _remembered(rows.ddq[:, j], rows), STOP, "since an acceleration [s]"
     ),
-    "past load": Basis(
+    "past load": FeatureBasis(
         lambda rows, j: _remembered(rows.load[:, j], rows), STOP, "since a load [s]"
     ),
-    "power": Basis(
+    "power": FeatureBasis(
         _power,
         "that joint slowly, alone, then while the others move fast",
         "power of all drives, along the torque [W]",
@@ -182,7 +182,7 @@ BASES: Mapping[str, Basis] = {
 }
 
 
-def seen(rows: Rows, halves: Sequence[Array], residual: Array, joint: int) -> Sight:
+def seen(rows: MotionRows, halves: Sequence[Array], residual: Array, joint: int) -> ResidualPrediction:
     """What a flexible model foresees of a joint's residual, of what is sure the most. halves: rows of either, as masks.
     residual: Shape (N,)."""
     found = list[tuple[bool, float, float, float, str]]()
@@ -193,7 +193,7 @@ def seen(rows: Rows, halves: Sequence[Array], residual: Array, joint: int) -> Si
         )
         found.append((sure > SURE, share, sure, ridge, regime))
     _, share, sure, ridge, regime = max(found)
-    return Sight(
+    return ResidualPrediction(
         regime, share, sure, _response(rows, np.logical_or(*halves), residual, joint, regime, ridge)
     )
 
@@ -207,14 +207,14 @@ def _standard(x: Array) -> tuple[Array, Array]:
 
 
 def _response(
-    rows: Rows, moves: Array, residual: Array, joint: int, regime: str, ridge: float
-) -> Response:
+    rows: MotionRows, moves: Array, residual: Array, joint: int, regime: str, ridge: float
+) -> ResidualResponse:
     """The residual where a joint moves over what its regime says."""
     basis = BASES[regime]
     if basis.over is None:
         c, _, spread = _told(rows, basis, moves, residual, joint, ridge)
         felt = c / spread  # 0 of what is constant
-        return Response(
+        return ResidualResponse(
             basis.label,
             _lag(rows) * np.arange(len(c)),
             felt / max(float(np.abs(felt).max()), 1e-300),
@@ -227,11 +227,11 @@ def _response(
     shown = moves & (sign != 0.0)
     curve = _binned(basis.over(rows, joint)[shown], (residual * sign)[shown])
     label = basis.label.format("m" if rows.linear[joint] else "rad")
-    return Response(label, *curve, other=joint if basis.every else None)
+    return ResidualResponse(label, *curve, other=joint if basis.every else None)
 
 
 def _told(
-    rows: Rows, basis: Basis, moves: Array, residual: Array, joint: int, ridge: float
+    rows: MotionRows, basis: FeatureBasis, moves: Array, residual: Array, joint: int, ridge: float
 ) -> tuple[Array, Array, Array]:
     """Coefficients of features by all rows where a joint moves, the features there, and the spread that they are over."""
     features, spread = _standard(basis.features(rows, joint))

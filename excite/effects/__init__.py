@@ -16,9 +16,9 @@ EFFECTS: tuple[Effect, ...] = (
     *sensing.EFFECTS,
     *environment.EFFECTS,
 )
-BY_NAME = {effect.name: effect for effect in EFFECTS}
+EFFECTS_BY_NAME = {effect.name: effect for effect in EFFECTS}
 
 
-def confused(name: str, other: str) -> bool:
+def are_confusable(name: str, other: str) -> bool:
     """Whether either effect is taken for the other."""
-    return name in BY_NAME[other].confused or other in BY_NAME[name].confused
+    return name in EFFECTS_BY_NAME[other].confused or other in EFFECTS_BY_NAME[name].confused

@@ -27,7 +27,7 @@ AXES = (
 
 
 @dataclass(frozen=True)
-class Cut:
+class BaseAxesDynamics:
     """Of some coordinates of the base alone. mass, by_speed, by_place: of the base. Shapes (C, k, k). felt: what joints feel by its place,
     speed and acceleration. Three of (C, n, k). force: what the robot pushes it with beyond its mean. Shape (C, k)."""
 
@@ -39,7 +39,7 @@ class Cut:
 
 
 @dataclass(frozen=True)
-class Afloat:
+class FloatingBaseDynamics:
     """mass, by_speed, by_place: forces on the base, then torques on the joints, by the base's acceleration, speed and place. Shapes
     (C, 6 + n, 6). reaction: force and moment that hold the base. Shape (C, 6)."""
 
@@ -47,11 +47,11 @@ class Afloat:
     by_speed: Array
     by_place: Array
     reaction: Array
-    _cuts: dict[tuple[int, ...], Cut] = field(
+    _cuts: dict[tuple[int, ...], BaseAxesDynamics] = field(
         default_factory=dict, init=False, compare=False, repr=False
     )
 
-    def cut(self, axes: tuple[int, ...]) -> Cut:
+    def cut(self, axes: tuple[int, ...]) -> BaseAxesDynamics:
         """Of a base that moves along some axes; made once, for it is asked for with many springs."""
         if axes not in self._cuts:
             which = list(axes)
@@ -60,13 +60,13 @@ class Afloat:
             )
             push = self.reaction[:, which].mean(axis=0) - self.reaction[:, which]
             felt = by_place[:, 6:].copy(), by_speed[:, 6:].copy(), mass[:, 6:].copy()
-            self._cuts[axes] = Cut(
+            self._cuts[axes] = BaseAxesDynamics(
                 mass[:, which], by_speed[:, which], by_place[:, which], felt, push
             )
         return self._cuts[axes]
 
 
-def afloat(robot: Robot, model: pin.Model, motion: Samples) -> Afloat:
+def floating_base_dynamics(robot: Robot, model: pin.Model, motion: Samples) -> FloatingBaseDynamics:
     """Along a motion of the joints, the base at rest. model: the robot's, with its inertias."""
     free = _freed(model)
     data, still, count = free.createData(), np.zeros(6), len(motion)
@@ -87,7 +87,7 @@ def afloat(robot: Robot, model: pin.Model, motion: Samples) -> Afloat:
         by_place[t], by_speed[t] = (told @ slope[:, :6] for slope in found[:2])
         mass[t] = told @ (np.triu(found[2]) + np.triu(found[2], 1).T)[:, :6]
         reaction[t] = data.tau[:6]
-    return Afloat(mass, by_speed, by_place, reaction)
+    return FloatingBaseDynamics(mass, by_speed, by_place, reaction)
 
 
 def _freed(model: pin.Model) -> pin.Model:

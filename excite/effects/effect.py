@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .recorded_motion import Track
+from .recorded_motion import RecordedMotion
 
 Array = np.ndarray
 MULTIPLES = {2: "twice", 3: "thrice"}
@@ -19,7 +19,7 @@ CORNER, TURNS = 0.3, 150
 """How far off the logarithms of values are tried first that are turned together, and how many are."""
 
 
-class Delay(NamedTuple):
+class RecordingDelay(NamedTuple):
     """By how much torque is recorded later than position [s]: as it was, or lagging, through a filter of first order."""
 
     seconds: float
@@ -27,7 +27,7 @@ class Delay(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Shape:
+class CandidateModel:
     """One form of an effect at one joint: linear in its coefficients once `values` are fixed.
 
     joint: index of the joint that carries it, None where it is nobody's. add: the torque it adds, which depends on what is said here and
@@ -49,15 +49,15 @@ class Shape:
     source: str = ""
     parameters: Callable[[Array], dict[str, float]] = lambda c: {}
     plausible: Callable[[Array], bool] = lambda c: bool(np.isfinite(c).all())
-    knob: Knob | None = None
-    kin: Callable[[], Sequence[Knob | Knobs]] = tuple
+    knob: NonlinearParameter | None = None
+    kin: Callable[[], Sequence[NonlinearParameter | NonlinearParameterSet]] = tuple
     several: bool = False
     doubt: float = 1.0
     grain: float = np.inf
     noisy: Callable[[Array], float] = lambda c: 0.0
     words: str = ""
 
-    def columns(self, track: Track) -> Array:
+    def columns(self, track: RecordedMotion) -> Array:
         """Torque that it adds, where the track's rows are, per unit of each coefficient. Shape (N, n, k)."""
         if "late" not in self.values:
             return self.add(track, self)
@@ -71,7 +71,7 @@ class Shape:
         out[:, joint] = late[:, joint]
         return out
 
-    def late(self, delay: Delay, joint: int | None) -> Shape:
+    def late(self, delay: RecordingDelay, joint: int | None) -> CandidateModel:
         """The same where a joint's torque, or all, is recorded later; turned, too."""
         values = {**self.values, "late": delay.seconds} | (
             {} if joint is None else {"late_joint": float(joint)}
@@ -92,27 +92,27 @@ class Shape:
         return self.joint
 
 
-Add = Callable[[Track, Shape], Array]
-Recorded = Callable[[Track, Shape, Array, Array], Array]
+Add = Callable[[RecordedMotion, CandidateModel], Array]
+Recorded = Callable[[RecordedMotion, CandidateModel, Array, Array], Array]
 
 
 @dataclass(frozen=True)
-class Knob:
+class NonlinearParameter:
     """A non-linear parameter: the value that a shape has, between its neighbours on the grid, and the shape at any other."""
 
     value: float
     low: float
     high: float
-    shape: Callable[[float], Shape]
+    shape: Callable[[float], CandidateModel]
 
-    def turned(self, gain: Callable[[Shape], float]) -> Shape:
+    def turned(self, gain: Callable[[CandidateModel], float]) -> CandidateModel:
         """The shape where the gain is highest, between the neighbours, or one of its kin where that is more, from kin to kin."""
         best, most = self.best(gain, gain(self.here))
         for _ in range(KIN):
             gains = [(gain(near.here), near) for near in best.kin()]
             if not gains:
                 break
-            together = [pair for pair in gains if isinstance(pair[1], Knobs)]
+            together = [pair for pair in gains if isinstance(pair[1], NonlinearParameterSet)]
             tried = together or [max(gains, key=lambda pair: pair[0])]
             better, found = max(
                 (near.best(gain, now) for now, near in tried), key=lambda pair: pair[1]
@@ -125,11 +125,11 @@ class Knob:
         return best
 
     @property
-    def here(self) -> Shape:
+    def here(self) -> CandidateModel:
         """The shape at the value that it has."""
         return self.at(self.value)
 
-    def best(self, gain: Callable[[Shape], float], now: float) -> tuple[Shape, float]:
+    def best(self, gain: Callable[[CandidateModel], float], now: float) -> tuple[CandidateModel, float]:
         """By this value alone, where the gain is `now`, with the gain. In the logarithm, to two parts in a thousand of the range."""
         from scipy.optimize import minimize_scalar  # slow to import
 
@@ -143,35 +143,35 @@ class Knob:
         best, most = self.at(float(np.exp(found.x))), -float(found.fun)
         return (best, most) if most > max(now + 1e-6, -1e12) else (self.here, now)
 
-    def late(self, delay: Delay, joint: int | None) -> Knob:
+    def late(self, delay: RecordingDelay, joint: int | None) -> NonlinearParameter:
         """See `Shape.late`."""
         return replace(self, shape=lambda value: self.shape(value).late(delay, joint))
 
-    def at(self, value: float) -> Shape:
+    def at(self, value: float) -> CandidateModel:
         """The shape at a value, which can be turned further within the same range."""
         return replace(self.shape(value), knob=replace(self, value=value))
 
 
 @dataclass(frozen=True)
-class Knobs:
+class NonlinearParameterSet:
     """Several non-linear parameters that make up for each other: of each the value, what it is at the least and at the most; and the shape
     at any other."""
 
     values: Mapping[str, tuple[float, float, float]]
-    shape: Callable[[Mapping[str, float]], Shape]
+    shape: Callable[[Mapping[str, float]], CandidateModel]
 
     @property
-    def here(self) -> Shape:
+    def here(self) -> CandidateModel:
         """The shape at the values that it has."""
         return self.shape({name: value for name, (value, _, _) in self.values.items()})
 
-    def best(self, gain: Callable[[Shape], float], now: float) -> tuple[Shape, float]:
+    def best(self, gain: Callable[[CandidateModel], float], now: float) -> tuple[CandidateModel, float]:
         """By all values together, where the gain is `now`, with the gain. In logarithms, without derivatives (Nelder & Mead 1965)."""
         from scipy.optimize import minimize  # slow to import
 
         start, low, high = np.log(np.array(list(self.values.values()))).T
 
-        def at(x: Array) -> Shape:
+        def at(x: Array) -> CandidateModel:
             return self.shape(dict(zip(self.values, np.exp(x).tolist(), strict=True)))
 
         corners = np.vstack(
@@ -186,22 +186,22 @@ class Knobs:
         )
         return (at(found.x), -float(found.fun)) if -found.fun > now + 1e-6 else (self.here, now)
 
-    def late(self, delay: Delay, joint: int | None) -> Knobs:
+    def late(self, delay: RecordingDelay, joint: int | None) -> NonlinearParameterSet:
         """See `Shape.late`."""
         return replace(self, shape=lambda values: self.shape(values).late(delay, joint))
 
 
-def beside(value: float, factor: float, families: Iterable[Callable[[float], Shape]]) -> list[Knob]:
+def beside(value: float, factor: float, families: Iterable[Callable[[float], CandidateModel]]) -> list[NonlinearParameter]:
     """Each of several families at one value, to be turned within a factor."""
-    return [Knob(value, value / factor, value * factor, shape) for shape in families]
+    return [NonlinearParameter(value, value / factor, value * factor, shape) for shape in families]
 
 
-def family(grid: Sequence[float], shape: Callable[[float], Shape]) -> Iterator[Shape]:
+def family(grid: Sequence[float], shape: Callable[[float], CandidateModel]) -> Iterator[CandidateModel]:
     """A shape at each value of a rising grid, to be turned between the neighbours."""
     for i, value in enumerate(grid):
         low = grid[i - 1] if i else value**2 / grid[1]
         high = grid[i + 1] if i + 1 < len(grid) else value**2 / grid[-2]
-        yield Knob(value, low, high, shape).at(value)
+        yield NonlinearParameter(value, low, high, shape).at(value)
 
 
 def multiples(values: Mapping[str, float]) -> list[int]:
@@ -232,22 +232,22 @@ class Effect:
     name: str
     source: str
     add: Add
-    shapes: Callable[[Sequence[Track]], Iterator[Shape]]
+    shapes: Callable[[Sequence[RecordedMotion]], Iterator[CandidateModel]]
     units: Mapping[str, str]
     signature: str
-    confused: tuple[str, ...]
+    are_confusable: tuple[str, ...]
     experiment: str
     prior_only: bool = False
     form: Mapping[str, float] = field(default_factory=dict)
     loose: float = 0.0
-    told: Callable[[Sequence[tuple[Shape, Array]]], dict[str, float]] = lambda parts: parts[0][
+    told: Callable[[Sequence[tuple[CandidateModel, Array]]], dict[str, float]] = lambda parts: parts[0][
         0
     ].parameters(parts[0][1])
     recorded: Recorded | None = None
-    unseen: Callable[[Sequence[tuple[Shape, Array]]], dict[str, float]] = lambda parts: {}
+    unseen: Callable[[Sequence[tuple[CandidateModel, Array]]], dict[str, float]] = lambda parts: {}
 
 
-def alone(track: Track, joint: int, x: Array) -> Array:
+def alone(track: RecordedMotion, joint: int, x: Array) -> Array:
     """Columns in one joint's torque only, from values at every sample: (M,) or (M, k)."""
     low = track.reduce(x[:, None] if x.ndim == 1 else x)
     out = np.zeros((len(low), track.n, low.shape[1]))

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from .effect import Effect, Shape, alone, family, named, within
-from .recorded_motion import STILL, Track
+from .effect import Effect, CandidateModel, alone, family, named, within
+from .recorded_motion import STILL, RecordedMotion
 
 Array = np.ndarray
 FINE, FINEST, GRAINY = 0.01, 0.003, 3.0
@@ -19,23 +19,23 @@ POWERS, BENDS, FULL, LITTLE = (2.0, 3.0, 5.0), (1.0, 2.0, 4.0), 1.1, 0.3
 what it may lose, at the most, of a usual torque."""
 
 
-def _constant(t: Track, s: Shape) -> Array:
+def _constant(t: RecordedMotion, s: CandidateModel) -> Array:
     return alone(t, s.place, np.ones(len(t.piece)))
 
 
-def _offset(tracks: Sequence[Track]) -> Iterator[Shape]:
+def _offset(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     for j in range(tracks[0].n):
-        yield Shape("torque_offset", j, _constant, parameters=named("offset"))
+        yield CandidateModel("torque_offset", j, _constant, parameters=named("offset"))
 
 
-def _made(t: Track, s: Shape) -> Array:
+def _made(t: RecordedMotion, s: CandidateModel) -> Array:
     return alone(t, s.place, t.motor[:, s.place])
 
 
-def _gain(tracks: Sequence[Track]) -> Iterator[Shape]:
+def _gain(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     """True over stated: the torque recorded is the true one over the gain."""
     for j in range(tracks[0].n):
-        yield Shape(
+        yield CandidateModel(
             "torque_gain",
             j,
             _made,
@@ -44,7 +44,7 @@ def _gain(tracks: Sequence[Track]) -> Iterator[Shape]:
         )
 
 
-def _bent(t: Track, s: Shape) -> Array:
+def _bent(t: RecordedMotion, s: CandidateModel) -> Array:
     return alone(
         t,
         s.place,
@@ -60,7 +60,7 @@ def _missing(values: Mapping[str, float], x: Array) -> Array:
     return np.asarray(x * (np.abs(x) / values["largest"]) ** (values["power"] - 1.0))
 
 
-def _saturation(tracks: Sequence[Track]) -> Iterator[Shape]:
+def _saturation(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     """Recorded τ stands for a current that made less: true = τ (1 − loss (τ/τ_max)²), or recorded ≈ true + loss true³/τ_max².
 
     The first is exact, of torque as it was measured: only where that has little noise, whose square its cube has in it. The second is of
@@ -68,11 +68,11 @@ def _saturation(tracks: Sequence[Track]) -> Iterator[Shape]:
     τ/(1 + |τ/L|^p)^(1/p).
     """
 
-    def of_motor(joint: int, largest: float) -> Iterator[Shape]:
+    def of_motor(joint: int, largest: float) -> Iterator[CandidateModel]:
         for power in POWERS:
             told = lambda c: {"loss": float(c[0] / (1.0 + c[0]))}  # noqa: E731
             fixed = {"power": power, "largest": largest}
-            yield Shape(
+            yield CandidateModel(
                 "torque_saturation",
                 joint,
                 _bent,
@@ -81,7 +81,7 @@ def _saturation(tracks: Sequence[Track]) -> Iterator[Shape]:
                 plausible=within(0.0, 2.0),
             )
 
-    def of_measured(joint: int) -> Iterator[Shape]:
+    def of_measured(joint: int) -> Iterator[CandidateModel]:
         both = zip(*((t.drawn, t.fine.dq) for t in tracks), strict=True)
         drawn, speed = (np.abs(np.concatenate([x[:, joint] for x in parts])) for parts in both)
         largest = max(float(drawn.max()), 1e-9)
@@ -90,7 +90,7 @@ def _saturation(tracks: Sequence[Track]) -> Iterator[Shape]:
         )  # at rest a joint may bear nothing
         x = np.linspace(0.0, 1.1 * largest, 400)
 
-        def law(most: float, grain: float, **values: float) -> Shape:
+        def law(most: float, grain: float, **values: float) -> CandidateModel:
             """With the loss at the largest torque seen; of a usual one it is little, or it is all of the torque that is taken for lost."""
             fixed = {"measured": 1.0, "largest": largest, **values}
             little, there = (
@@ -101,7 +101,7 @@ def _saturation(tracks: Sequence[Track]) -> Iterator[Shape]:
                 within(0.0, min(most, LITTLE / max(little, 1e-9))),
             )
             slope = np.gradient(_missing(fixed, x), x)[np.searchsorted(x, usual)]
-            shape = Shape(
+            shape = CandidateModel(
                 "torque_saturation",
                 joint,
                 _bent,
@@ -124,7 +124,7 @@ def _saturation(tracks: Sequence[Track]) -> Iterator[Shape]:
         yield from of_measured(j)
 
 
-def _overdrawn(t: Track, s: Shape, c: Array, made: Array) -> Array:
+def _overdrawn(t: RecordedMotion, s: CandidateModel, c: Array, made: Array) -> Array:
     """What a drive that loses torque is recorded with beyond what it makes. Shape (M, n)."""
     out = np.zeros_like(made)
     out[:, s.place] = overdrawn(float(c[0]), s.values, made[:, s.place]) - made[:, s.place]

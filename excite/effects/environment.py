@@ -9,9 +9,9 @@ import numpy as np
 
 from ..identification.lowpass import Grid
 from ..recordings.missing_values import runs
-from .effect import Effect, Knob, Shape, beside, family, named
+from .effect import Effect, NonlinearParameter, CandidateModel, beside, family, named
 from .gear_dynamics import NEAR, SOFTEST, damped, oscillator, stepped
-from .recorded_motion import Track
+from .recorded_motion import RecordedMotion
 
 Array = np.ndarray
 PARTS = 40
@@ -37,7 +37,7 @@ APART, FARTHEST = 1.15, 2.0
 """Of a base's frequencies about two axes, the second over the first: the factor from one to those beside it, and at the most."""
 
 
-def _swung(t: Track, s: Shape) -> Array:
+def _swung(t: RecordedMotion, s: CandidateModel) -> Array:
     """Torque of a base that swings on springs under the robot's reaction, a column for what pushes along each coordinate; its inertia is
     the arm's pose's, and the frequencies those of all joints at zero: a spring is the same in every recording.
 
@@ -113,11 +113,11 @@ def _exponential(a: Array) -> tuple[Array, Array]:
     return whole, mean
 
 
-def _compliance(tracks: Sequence[Track]) -> Iterator[Shape]:
+def _compliance(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     def swing(
         way: int, damping: float, stand: float = PEDESTAL, apart: float = 1.0
-    ) -> Callable[[float], Shape]:
-        def shape(frequency: float) -> Shape:
+    ) -> Callable[[float], CandidateModel]:
+        def shape(frequency: float) -> CandidateModel:
             fixed = {
                 "frequency": frequency,
                 "damping": damping,
@@ -126,7 +126,7 @@ def _compliance(tracks: Sequence[Track]) -> Iterator[Shape]:
                 "apart": apart,
             }
 
-            def kin() -> list[Knob]:
+            def kin() -> list[NonlinearParameter]:
                 near = beside(
                     frequency, NEAR, (swing(way, z, stand, apart) for z in damped(damping))
                 )
@@ -144,7 +144,7 @@ def _compliance(tracks: Sequence[Track]) -> Iterator[Shape]:
                 return near
 
             told = named(frequency=frequency)
-            return Shape(
+            return CandidateModel(
                 "base_compliance",
                 None,
                 _swung,
@@ -164,7 +164,7 @@ def _compliance(tracks: Sequence[Track]) -> Iterator[Shape]:
             yield from family(frequencies, swing(way, damping))
 
 
-def _heavier(tracks: Sequence[Track], axes: Sequence[int], stand: float) -> float:
+def _heavier(tracks: Sequence[RecordedMotion], axes: Sequence[int], stand: float) -> float:
     """The frequency of a base on a stand with all joints at zero, over that under the arm as it moves: a straight one is light about the
     vertical."""
     stood, along = tracks[0].stood[list(axes)], list(axes)
@@ -178,14 +178,14 @@ def _gives_way(c: Array) -> bool:
     return bool(c.max() > 0.0 and c.min() > -0.3 * c.max() and c.max() < 4.0)
 
 
-def _pushed(t: Track, s: Shape) -> Array:
+def _pushed(t: RecordedMotion, s: CandidateModel) -> Array:
     """Torque of a force in the base frame on the centre of a link, while it lasts: even, swelling and fading, or as it likes."""
     size = _course(t, s)
     torque = -np.einsum("tk,txj->tjkx", size, t.levers[:, s.place])
     return t.reduce(torque.reshape(*torque.shape[:2], -1), Grid.COARSE)
 
 
-def _course(t: Track, s: Shape) -> Array:
+def _course(t: RecordedMotion, s: CandidateModel) -> Array:
     """How large a force is at the coarse samples, by as many functions as are needed to say so. Shape (C, k)."""
     assert s.interval is not None
     low, high = s.interval
@@ -205,7 +205,7 @@ def _largest(c: Array) -> dict[str, float]:
     return {"force": float(np.linalg.norm(c.reshape(-1, 3), axis=1).max())}
 
 
-def _contact(tracks: Sequence[Track]) -> Iterator[Shape]:
+def _contact(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     """Where the residual is large for some of the time and the rest is quiet: the intervals that stand out most, and a little more."""
     for track in tracks:
         quiet = np.median(np.abs(track.left), axis=0) + 1e-12
@@ -215,7 +215,7 @@ def _contact(tracks: Sequence[Track]) -> Iterator[Shape]:
                 span = low - wider * (high - low), high + wider * (high - low)
                 for joint in range(tracks[0].n):
                     fixed, where = {"swells": swells, "knots": knots}, track.piece.source
-                    yield Shape(
+                    yield CandidateModel(
                         "contact",
                         joint,
                         _pushed,

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .effect import Effect, Knobs, Shape, alone, amplitude, beside, family, named, positive, within
-from .recorded_motion import Track, stroke
+from .effect import Effect, NonlinearParameterSet, CandidateModel, alone, amplitude, beside, family, named, positive, within
+from .recorded_motion import RecordedMotion, position_range
 
 Array = np.ndarray
 STICKIEST, LEAST_STUCK = 5.0, 0.05
@@ -32,15 +32,15 @@ FADING = 6.0
 so too, wherever some load is."""
 
 
-def _speed(track: Track, joint: int) -> Array:
+def _speed(track: RecordedMotion, joint: int) -> Array:
     return np.asarray(track.fine.dq[:, joint])
 
 
-def _fastest(tracks: Sequence[Track], joint: int) -> float:
+def _fastest(tracks: Sequence[RecordedMotion], joint: int) -> float:
     return max(float(np.abs(track.fine.dq[:, joint]).max()) for track in tracks)
 
 
-def _slowest(tracks: Sequence[Track], joint: int) -> float:
+def _slowest(tracks: Sequence[RecordedMotion], joint: int) -> float:
     """Speed from which an encoder tells it, 0 where it is fine."""
     return TOLD * min(
         (float(t.steps[joint] / t.stays[joint]) for t in tracks if 0.0 < t.stays[joint] < np.inf),
@@ -53,7 +53,7 @@ def _seen(speed: float, least: float, gate: Callable[[Array], bool]) -> Callable
     return gate if speed > least else lambda c: False
 
 
-def stickiest(tracks: Sequence[Track], joint: int) -> float:
+def stickiest(tracks: Sequence[RecordedMotion], joint: int) -> float:
     """What friction before it slides can be, at the most [N m]."""
     largest = max(float(np.abs(track.torque[:, joint]).max()) for track in tracks)
     return STICKIEST * max(
@@ -61,11 +61,11 @@ def stickiest(tracks: Sequence[Track], joint: int) -> float:
     )
 
 
-def _slanted(t: Track, s: Shape) -> Array:
+def _slanted(t: RecordedMotion, s: CandidateModel) -> Array:
     return alone(t, s.place, np.abs(_speed(t, s.place)))
 
 
-def _asymmetric(tracks: Sequence[Track]) -> Iterator[Shape]:
+def _asymmetric(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     def parameters(viscous: float) -> Callable[[Array], dict[str, float]]:
         return lambda c: {"positive": viscous + float(c[0]), "negative": viscous - float(c[0])}
 
@@ -76,7 +76,7 @@ def _asymmetric(tracks: Sequence[Track]) -> Iterator[Shape]:
         most = 1.5 * (
             viscous + coulomb / max(_fastest(tracks, j), 1e-9)
         )  # what is dissipated in both directions, with all that resists
-        yield Shape(
+        yield CandidateModel(
             "asymmetric_viscous",
             j,
             _slanted,
@@ -85,7 +85,7 @@ def _asymmetric(tracks: Sequence[Track]) -> Iterator[Shape]:
         )
 
 
-def _stuck(t: Track, s: Shape) -> Array:
+def _stuck(t: RecordedMotion, s: CandidateModel) -> Array:
     """Friction that fades with speed. Where the sign of friction has a `width` of its own, so has Coulomb friction, instead of the `usual`:
     a base fit that knows nothing of what fades makes it too narrow, and a joint that creeps as it turns back is within it for long."""
     if "width" not in s.values:
@@ -94,7 +94,7 @@ def _stuck(t: Track, s: Shape) -> Array:
     return alone(t, s.place, np.column_stack([sign * _faded(t, s), sign - usual]))
 
 
-def _faded(t: Track, s: Shape) -> Array:
+def _faded(t: RecordedMotion, s: CandidateModel) -> Array:
     """exp(−(|q̇|/v)^δ), or 1/(1 + (e − 1)(|q̇|/v)^δ) where that is rational: either has fallen to 1/e at v. Shape (M,)."""
     x = (np.abs(_speed(t, s.place)) / s.values["velocity"]) ** s.values["exponent"]
     return np.asarray(1.0 / (1.0 + (np.e - 1.0) * x) if "rational" in s.values else np.exp(-x))
@@ -115,7 +115,7 @@ class _Fading:
     velocity: float = 0.0
     width: float | None = None
 
-    def at(self, velocity: float) -> Shape:
+    def at(self, velocity: float) -> CandidateModel:
         """Turned by the velocity; then, by either law, by all values together: each makes up for much of another."""
         fixed = {"velocity": velocity, "exponent": self.power}
         fixed |= {"rational": 1.0} if self.rational else {}
@@ -126,11 +126,11 @@ class _Fading:
         )
         own = replace(self, velocity=velocity)
         kin = lambda: [own._knobs(rational) for rational in (False, True)]  # noqa: E731
-        return Shape(
+        return CandidateModel(
             "stribeck", self.joint, _stuck, fixed, parameters=told, plausible=gate, kin=kin
         )
 
-    def _knobs(self, rational: bool) -> Knobs:
+    def _knobs(self, rational: bool) -> NonlinearParameterSet:
         least, usual, most = TURNED[rational]
         power = max(self.power, least) if rational == self.rational else usual
         values = {
@@ -140,9 +140,9 @@ class _Fading:
         narrowest, middling, widest = np.maximum(self.widths, self.least).tolist()
         if narrowest < widest:
             values["width"] = self.width or middling, narrowest, widest
-        return Knobs(values, replace(self, rational=rational)._with)
+        return NonlinearParameterSet(values, replace(self, rational=rational)._with)
 
-    def _with(self, values: Mapping[str, float]) -> Shape:
+    def _with(self, values: Mapping[str, float]) -> CandidateModel:
         own = replace(self, power=values["power"], width=values.get("width"))
         (by_velocity,) = beside(values["velocity"], 2.0, [own.at])
         return by_velocity.here
@@ -151,7 +151,7 @@ class _Fading:
         return bool(0.0 < c[0] < self.most and np.abs(c[1:]).max(initial=0.0) < self.most)
 
 
-def _stribeck(tracks: Sequence[Track]) -> Iterator[Shape]:
+def _stribeck(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     for j in range(tracks[0].n):
         scale, usual = min(1.0, _fastest(tracks, j)), float(tracks[0].widths[j])
         low, middle, high = (scale * width for width in WIDTHS)
@@ -163,20 +163,20 @@ def _stribeck(tracks: Sequence[Track]) -> Iterator[Shape]:
             )
 
 
-def _powered(t: Track, s: Shape) -> Array:
+def _powered(t: RecordedMotion, s: CandidateModel) -> Array:
     return alone(t, s.place, t.sign(s.place) * np.abs(_speed(t, s.place)) ** s.values["exponent"])
 
 
-def _nonlinear(tracks: Sequence[Track]) -> Iterator[Shape]:
-    def bent(j: int) -> Callable[[float], Shape]:
+def _nonlinear(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+    def bent(j: int) -> Callable[[float], CandidateModel]:
         least = _slowest(tracks, j) / max(_fastest(tracks, j), 1e-9)
 
-        def shape(power: float) -> Shape:
+        def shape(power: float) -> CandidateModel:
             told, rises = (
                 named("coefficient", exponent=power),
                 0.5 ** (1.0 / power),
             )  # to half, at this part of the fastest
-            return Shape(
+            return CandidateModel(
                 "nonlinear_viscous",
                 j,
                 _powered,
@@ -193,16 +193,16 @@ def _nonlinear(tracks: Sequence[Track]) -> Iterator[Shape]:
         yield from family((1.4, 1.7, 2.0, 2.5, 3.2), shape)
 
 
-def _windy(t: Track, s: Shape) -> Array:
+def _windy(t: RecordedMotion, s: CandidateModel) -> Array:
     return alone(t, s.place, _speed(t, s.place) * np.abs(_speed(t, s.place)))
 
 
-def _drag(tracks: Sequence[Track]) -> Iterator[Shape]:
+def _drag(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     for j in range(tracks[0].n):
-        yield Shape("drag", j, _windy, parameters=named("coefficient"), plausible=positive)
+        yield CandidateModel("drag", j, _windy, parameters=named("coefficient"), plausible=positive)
 
 
-def _rubbed(t: Track, s: Shape) -> Array:
+def _rubbed(t: RecordedMotion, s: CandidateModel) -> Array:
     """sgn q̇ times a power of the load: what the link weighs, or where it is `driven` what the motor makes. Where a `velocity` is stated,
     the same once more as far as it fades with speed."""
     scale, place = s.values["scale"], s.place
@@ -213,10 +213,10 @@ def _rubbed(t: Track, s: Shape) -> Array:
     )
 
 
-def _load(tracks: Sequence[Track]) -> Iterator[Shape]:
-    def fading(j: int, fixed: Mapping[str, float]) -> Callable[[float], Shape]:
-        def shape(velocity: float) -> Shape:
-            bare = Shape(
+def _load(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+    def fading(j: int, fixed: Mapping[str, float]) -> Callable[[float], CandidateModel]:
+        def shape(velocity: float) -> CandidateModel:
+            bare = CandidateModel(
                 "load_friction",
                 j,
                 _rubbed,
@@ -237,7 +237,7 @@ def _load(tracks: Sequence[Track]) -> Iterator[Shape]:
         for powers, drive in ((1.0, 1.5, 2.0), {}), ((1.0,), {"driven": 1.0}):
             for power in powers:
                 fixed = {"power": power, **scale, **drive}
-                yield Shape(
+                yield CandidateModel(
                     "load_friction",
                     j,
                     _rubbed,
@@ -256,7 +256,7 @@ def _rubs(c: Array) -> bool:
     return bool(c[0] >= 0.0 and c[1] > 0.0 and c[0] + c[1] < 1.0)
 
 
-def _placed(t: Track, s: Shape) -> Array:
+def _placed(t: RecordedMotion, s: CandidateModel) -> Array:
     """sgn q̇ times the first waves of a periodic function of position, as many as `waves` says, of `order`, 2 `order`, …; each less its mean
     over where the joint was: what does not vary there is Coulomb friction."""
     place, sign = t.fine.q[:, s.place], t.sign(s.place)
@@ -275,13 +275,13 @@ def _placed(t: Track, s: Shape) -> Array:
     )
 
 
-def _position(tracks: Sequence[Track]) -> Iterator[Shape]:
-    def waved(j: int, waves: float) -> Callable[[float], Shape]:
-        low, high = stroke(tracks, j)
+def _position(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+    def waved(j: int, waves: float) -> Callable[[float], CandidateModel]:
+        low, high = position_range(tracks, j)
 
-        def shape(order: float) -> Shape:
+        def shape(order: float) -> CandidateModel:
             fixed = {"order": order, "waves": waves, "low": low, "high": high}
-            return Shape(
+            return CandidateModel(
                 "position_friction", j, _placed, fixed, parameters=amplitude(), several=True
             )
 
@@ -292,7 +292,7 @@ def _position(tracks: Sequence[Track]) -> Iterator[Shape]:
         yield from family((0.5, 1.0, 2.0), waved(j, 3.0))
 
 
-def _range(parts: Sequence[tuple[Shape, Array]]) -> dict[str, float]:
+def _range(parts: Sequence[tuple[CandidateModel, Array]]) -> dict[str, float]:
     """Half of how much friction varies where the joint was, all waves together."""
     first, turns = (
         parts[0][0].values,
@@ -312,14 +312,14 @@ def _range(parts: Sequence[tuple[Shape, Array]]) -> dict[str, float]:
     return {"amplitude": 0.5 * float(np.ptp(wave))}
 
 
-def _resisted(t: Track, s: Shape) -> Array:
+def _resisted(t: RecordedMotion, s: CandidateModel) -> Array:
     return alone(t, s.place, np.column_stack([t.sign(s.place), _speed(t, s.place)]))
 
 
-def _friction(tracks: Sequence[Track]) -> Iterator[Shape]:
+def _friction(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     for j in range(tracks[0].n):
         told = named("coulomb", "viscous")
-        yield Shape(
+        yield CandidateModel(
             "friction",
             j,
             _resisted,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..identification.lowpass import Grid
-from .recorded_motion import Track
+from .recorded_motion import RecordedMotion
 
 Array = np.ndarray
 LEAST_DAMPED, MOST_DAMPED = 0.008, 0.3
@@ -26,7 +26,7 @@ FLIGHT = 32
 """Samples of a free link that are looked at first."""
 
 
-def felt(track: Track, joint: int, lag: Array, of: Grid) -> Array:
+def felt(track: RecordedMotion, joint: int, lag: Array, of: Grid) -> Array:
     """Torque on all joints when a link lies `lag` behind its motor [rad, on a grid]. Shapes (M or C,) -> (N, n, 1).
 
     First order: −(∂τ/∂q δ + ∂τ/∂q̇ δ̇ + M δ̈), the rotor staying with the encoder.
@@ -38,7 +38,7 @@ def felt(track: Track, joint: int, lag: Array, of: Grid) -> Array:
     return -track.reduce(torque, Grid.COARSE)[:, :, None]
 
 
-def mass(track: Track, joint: int) -> Array:
+def mass(track: RecordedMotion, joint: int) -> Array:
     """The link's own inertia about a joint, at the coarse samples. Shape (C,) [kg m²]."""
     return np.maximum(track.derivatives[2][:, joint, joint], 1e-9)
 
@@ -48,13 +48,13 @@ def damped(ratio: float) -> list[float]:
     return [ratio * by for by in (0.5, 2.0) if LEAST_DAMPED < ratio * by < MOST_DAMPED]
 
 
-def launched(track: Track, joint: int) -> bool:
+def launched(track: RecordedMotion, joint: int) -> bool:
     """Whether a recording begins with a motor that turns already, and a link that may hang still."""
     speed = np.abs(track.coarse.dq[:, joint])
     return bool(LAUNCHED * speed.max() < speed[0] < CARRIED * speed.max())
 
 
-def wound(track: Track, joint: int, stiffness: float, ratio: float, rests: bool) -> Array:
+def wound(track: RecordedMotion, joint: int, stiffness: float, ratio: float, rests: bool) -> Array:
     """Wind-up of a spring of `stiffness` [N m/rad] and a damping ratio, at the coarse samples. Shape (C,).
 
     M δ̈ + (∂τ/∂q̇ + D) δ̇ + (∂τ/∂q + K) δ = τ_r: the link's load is not quite what it would be where its motor is. rests: whether the
@@ -121,7 +121,7 @@ def stepped(turn: Array, push: Array, start: Array) -> Array:
     return np.asarray(dtbtrs(bands, right, uplo="L")[0]).reshape(-1, *start.shape)
 
 
-def played(track: Track, joint: int, width: float, hold: float) -> Array:
+def played(track: RecordedMotion, joint: int, width: float, hold: float) -> Array:
     """Where a link is in a play of `width` [rad]: driven by its load, it stops where it meets the other flank. Shape (M,).
 
     hold: how fast it would swing in there, for what a gear's soft first stage, oil and seals hold of it [Hz].

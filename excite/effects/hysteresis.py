@@ -8,9 +8,9 @@ from itertools import accumulate
 
 import numpy as np
 
-from .effect import Effect, Shape, alone, beside, family, within
+from .effect import Effect, CandidateModel, alone, beside, family, within
 from .friction import stickiest
-from .recorded_motion import Track, stroke
+from .recorded_motion import RecordedMotion, position_range
 
 Array = np.ndarray
 SPRINGS, APART, SLIPS = (3, 5), 3.0, 0.5
@@ -26,7 +26,7 @@ def dahl(q: Array, stiffness: float) -> Array:
     limits, decays = np.sign(way), np.exp(-stiffness * np.abs(way))
     strokes = zip(limits.tolist(), decays.tolist(), strict=True)
     *starts, _ = accumulate(
-        strokes, lambda z, stroke: stroke[0] + (z - stroke[0]) * stroke[1], initial=0.0
+        strokes, lambda z, stroke: position_range[0] + (z - position_range[0]) * position_range[1], initial=0.0
     )
     return np.asarray(
         limits[begins] + (np.array(starts) - limits)[begins] * np.exp(-stiffness * np.abs(gone))
@@ -54,7 +54,7 @@ def _strokes(q: Array) -> tuple[Array, Array, Array]:
     return begins, np.diff(corners, append=q[-1]), q - corners[begins]
 
 
-def _softened(t: Track, s: Shape) -> Array:
+def _softened(t: RecordedMotion, s: CandidateModel) -> Array:
     q, reach = t.fine.q[:, s.place], s.values["reach"]
     curves = (
         [slipping(q, by * reach) for by in _ways(s)]
@@ -64,20 +64,20 @@ def _softened(t: Track, s: Shape) -> Array:
     return alone(t, s.place, np.column_stack(curves) - t.sign(s.place)[:, None])
 
 
-def _ways(s: Shape) -> Array:
+def _ways(s: CandidateModel) -> Array:
     """After which a shape's springs slip, over that of the middle one. Shape (k,)."""
     count = int(s.values["springs"])
     return np.asarray(APART ** (np.arange(count) - count // 2))
 
 
-def _hysteresis(tracks: Sequence[Track]) -> Iterator[Shape]:
+def _hysteresis(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     """Dahl's curve; beside it, springs that slip one after the other, for curves that begin steeper or bend later."""
 
-    def slips(j: int, most: float, springs: int) -> Callable[[float], Shape]:
-        low, high = stroke(tracks, j)
+    def slips(j: int, most: float, springs: int) -> Callable[[float], CandidateModel]:
+        low, high = position_range(tracks, j)
 
-        def shape(reach: float) -> Shape:
-            bare = Shape("hysteresis", j, _softened, {"reach": reach, "springs": float(springs)})
+        def shape(reach: float) -> CandidateModel:
+            bare = CandidateModel("hysteresis", j, _softened, {"reach": reach, "springs": float(springs)})
             ways = reach * _ways(bare)
             slip = bool(ways[-1] < SLIPS * (high - low))
             return replace(
@@ -93,11 +93,11 @@ def _hysteresis(tracks: Sequence[Track]) -> Iterator[Shape]:
 
         return shape
 
-    def soft(j: int, most: float) -> Callable[[float], Shape]:
-        def shape(reach: float) -> Shape:
+    def soft(j: int, most: float) -> Callable[[float], CandidateModel]:
+        def shape(reach: float) -> CandidateModel:
             told = lambda c: {"amplitude": float(c[0]), "stiffness": float(c[0] / reach)}  # noqa: E731
             kin = lambda: beside(reach, 4.0, [slips(j, most, springs) for springs in SPRINGS])  # noqa: E731
-            return Shape(
+            return CandidateModel(
                 "hysteresis",
                 j,
                 _softened,
@@ -114,7 +114,7 @@ def _hysteresis(tracks: Sequence[Track]) -> Iterator[Shape]:
         yield from family(np.geomspace(1e-4, 1e-1, 9).tolist(), soft(j, most))
 
 
-def _steepest(parts: Sequence[tuple[Shape, Array]]) -> dict[str, float]:
+def _steepest(parts: Sequence[tuple[CandidateModel, Array]]) -> dict[str, float]:
     """Springs that slip sooner than the first would look the same: the slope that is told is known to what that one has of it."""
     shape, c = parts[0]
     return (

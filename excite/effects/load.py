@@ -10,8 +10,8 @@ import pinocchio as pin
 from ..identification.lowpass import Grid
 from ..robot.dynamics import regressor
 from ..robot.inertial_parameters import pseudo_inertia
-from .effect import Effect, Shape, alone, named
-from .recorded_motion import Track
+from .effect import Effect, CandidateModel, alone, named
+from .recorded_motion import RecordedMotion
 
 Array = np.ndarray
 FAR = 1.5
@@ -24,7 +24,7 @@ ROUNDED = 1e-6
 """Of the largest column, one that is rounding: a turn about the joint's own upright axis."""
 
 
-def _carried(t: Track, s: Shape) -> Array:
+def _carried(t: RecordedMotion, s: CandidateModel) -> Array:
     """Columns of a link's first inertial parameters."""
     place, count = int(s.values["link"]), int(s.values["count"])
     Y = regressor(t.body.robot, t.body.parameters, t.coarse)[:, :, 10 * place : 10 * place + count]
@@ -41,7 +41,7 @@ def _a_body(c: Array) -> bool:
     return bool(values[0] > -0.05 * values[-1])
 
 
-def _payload(tracks: Sequence[Track]) -> Iterator[Shape]:
+def _payload(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     def parameters(c: Array) -> dict[str, float]:
         centre = c[1:4] / c[0] if abs(c[0]) > 1e-9 else np.full(3, np.nan)
         return {
@@ -55,7 +55,7 @@ def _payload(tracks: Sequence[Track]) -> Iterator[Shape]:
     for place in range(links):
         for count in (4, 10):
             fixed = {"link": float(place), "count": float(count)}
-            yield Shape(
+            yield CandidateModel(
                 "payload",
                 min(place, tracks[0].n - 1),
                 _carried,
@@ -65,7 +65,7 @@ def _payload(tracks: Sequence[Track]) -> Iterator[Shape]:
             )
 
 
-def _leaning(t: Track, s: Shape) -> Array:
+def _leaning(t: RecordedMotion, s: CandidateModel) -> Array:
     """Torque of gravity turned about x and y, per radian; and of what a turn that is not small takes from its old direction."""
     columns = [t.leaning[:, :, :2]]
     if s.values.get("large"):
@@ -92,24 +92,24 @@ def _leans(c: Array) -> bool:
     return -UNFELT - SHORTER * across < longer < SHORTER * across
 
 
-def _tilt(tracks: Sequence[Track]) -> Iterator[Shape]:
+def _tilt(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     upright = not np.any(tracks[0].body.model.gravity.linear[:2])  # else x and y are not across
     for large in (0.0, 1.0) if upright else (0.0,):
-        yield Shape(
+        yield CandidateModel(
             "gravity_tilt", None, _leaning, {"large": large}, parameters=_turned, plausible=_leans
         )
 
 
-def _spun(t: Track, s: Shape) -> Array:
+def _spun(t: RecordedMotion, s: CandidateModel) -> Array:
     return alone(t, s.place, t.fine.ddq[:, s.place])
 
 
-def _rotor(tracks: Sequence[Track]) -> Iterator[Shape]:
+def _rotor(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     for j in range(tracks[0].n):
-        yield Shape("rotor_inertia", j, _spun, parameters=named("inertia"))
+        yield CandidateModel("rotor_inertia", j, _spun, parameters=named("inertia"))
 
 
-def _misplaced(t: Track, s: Shape) -> Array:
+def _misplaced(t: RecordedMotion, s: CandidateModel) -> Array:
     """Torque by turning or moving what comes after a joint's link, in the joint's frame, and `whole`: that link's own body too."""
     robot, columns, m, angle, joint = t.body.robot, [], t.coarse, s.values["angle"] > 0.0, s.place
     Q, V, A = robot.expand(m.q), m.dq @ robot.spread.T, m.ddq @ robot.spread.T
@@ -134,7 +134,7 @@ def _misplaced(t: Track, s: Shape) -> Array:
     return t.reduce(out * (seen > ROUNDED * seen.max()), Grid.COARSE)
 
 
-def _kinematic(tracks: Sequence[Track]) -> Iterator[Shape]:
+def _kinematic(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     def small(c: Array) -> bool:
         return bool(np.linalg.norm(c) < 0.2)
 
@@ -143,7 +143,7 @@ def _kinematic(tracks: Sequence[Track]) -> Iterator[Shape]:
             told = lambda c, name=name: {name: float(np.linalg.norm(c))}  # noqa: E731
             for body in (0.0, 1.0):
                 fixed = {"angle": angle, "whole": body}
-                yield Shape(
+                yield CandidateModel(
                     "kinematic_error",
                     j,
                     _misplaced,
@@ -154,7 +154,7 @@ def _kinematic(tracks: Sequence[Track]) -> Iterator[Shape]:
                 )
 
 
-def _both(parts: Sequence[tuple[Shape, Array]]) -> dict[str, float]:
+def _both(parts: Sequence[tuple[CandidateModel, Array]]) -> dict[str, float]:
     """Angle and length of a joint where both are wrong; of one that is found in two shapes, the larger."""
     return {
         name: value for shape, c in reversed(parts) for name, value in shape.parameters(c).items()

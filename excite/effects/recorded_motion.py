@@ -17,7 +17,7 @@ from ..recordings.missing_values import runs
 from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot
 from ..robot.samples import Samples
-from .base_dynamics import Afloat, afloat
+from .base_dynamics import FloatingBaseDynamics, floating_base_dynamics
 
 Array = np.ndarray
 T = TypeVar("T")
@@ -32,7 +32,7 @@ MOVING = 0.3
 
 
 @dataclass(frozen=True)
-class Body:
+class FittedRobot:
     """The rigid robot that the base fit found. model: Pinocchio's, with its inertias. psi: ψ̂. Shape (P,)."""
 
     robot: Robot
@@ -47,21 +47,21 @@ class Body:
         return np.asarray(self.psi[self.parameters.block(kind)])
 
 
-def body(robot: Robot, parameters: Parameters, psi: Array) -> Body:
+def body(robot: Robot, parameters: Parameters, psi: Array) -> FittedRobot:
     """The robot with bodies ψ."""
     model = robot.model.copy()
     for i in range(parameters.bodies):
         model.inertias[i + 1] = pin.Inertia.FromDynamicParameters(psi[10 * i : 10 * i + 10])
-    return Body(robot, parameters, model, psi)
+    return FittedRobot(robot, parameters, model, psi)
 
 
-class remembered(Generic[T]):
+class memoized(Generic[T]):
     """A property that is found once for a track and for all that see it later."""
 
-    def __init__(self, found: Callable[[Track], T]) -> None:
+    def __init__(self, found: Callable[[RecordedMotion], T]) -> None:
         self.found, self.__doc__ = found, found.__doc__
 
-    def __get__(self, track: Track, owner: type[Track]) -> T:
+    def __get__(self, track: RecordedMotion, owner: type[RecordedMotion]) -> T:
         name = self.found.__name__
         if name not in track.known:
             track.known[name] = self.found(track)
@@ -69,7 +69,7 @@ class remembered(Generic[T]):
 
 
 @dataclass(frozen=True)
-class Track:
+class RecordedMotion:
     """One stretch of a recording. torque: measured, below the band, at the kept rows. Shape (N, n). gamma: Γ there. Shape (N, n, p).
 
     theta: θ̂ of the base fit. to: where its rows lie. behind: by which what acts on it is recorded later, and the lag of the filter that it
@@ -79,7 +79,7 @@ class Track:
 
     piece: Segment
     band: LowPassFilter
-    body: Body
+    body: FittedRobot
     widths: Array
     theta: Array
     torque: Array
@@ -98,18 +98,18 @@ class Track:
     def n(self) -> int:
         return int(self.torque.shape[1])
 
-    def late(self, seconds: float, lagging: bool = False) -> Track:
+    def late(self, seconds: float, lagging: bool = False) -> RecordedMotion:
         """The same with all that is remembered, as seen by what is recorded later; or, lagging, through a filter of first order."""
         out = copy.copy(self)
         object.__setattr__(out, "behind", (0.0, seconds) if lagging else (seconds, 0.0))
         return out
 
-    @remembered
+    @memoized
     def left(self) -> Array:
         """Torque that the base fit leaves. Shape (N, n)."""
         return self.torque - self.gamma @ self.theta
 
-    @remembered
+    @memoized
     def fine(self) -> Samples:
         """Motion at every sample of the recording. Shapes (M, n)."""
         position = self.band.transformed(self.piece.q)
@@ -128,7 +128,7 @@ class Track:
         told = self.piece.temperature
         return np.full((len(self.piece), self.n), np.nan) if told is None else told
 
-    @remembered
+    @memoized
     def moves(self) -> Array:
         """Kept rows at which a joint moves, friction known but for its law: at rest it can be anything that sticks. Shape (N, n)."""
         rows = np.rint((self.time - self.piece.start) * self.piece.rate).astype(int)
@@ -140,7 +140,7 @@ class Track:
             out[:, j] = moving if moving.mean() > MOVING else True
         return out
 
-    @remembered
+    @memoized
     def stays(self) -> Array:
         """How long each joint stays within a step Δ of its encoder where it turns back, √(2 Δ/|q̈|); ∞ where it does not. Shape (n,) [s]."""
         out = np.full(self.n, np.inf)
@@ -157,13 +157,13 @@ class Track:
         """Δ of each encoder. Shape (n,) [rad or m]."""
         return np.asarray(np.sqrt(12.0) * self.piece.encoder)
 
-    @remembered
+    @memoized
     def coarse(self) -> Samples:
         """Motion where rigid-body dynamics are evaluated. Shapes (C, n)."""
         position = self.band.transformed(self.piece.q)
         return Samples(*(position.low(Grid.COARSE, order, MOTION_BANDWIDTH_RATIO) for order in range(3)))
 
-    @remembered
+    @memoized
     def clock(self) -> Array:
         """Times of every sample [s]. Shape (M,)."""
         return self.piece.start + np.arange(len(self.piece)) / self.piece.rate
@@ -188,30 +188,30 @@ class Track:
         fine = np.arange(len(self.piece)) / self.piece.rate
         return np.column_stack([np.interp(fine, t, column) for column in x.T])
 
-    @remembered
+    @memoized
     def rigid(self) -> Array:
         """Torque of the rigid bodies alone, without drives, at the coarse samples. Shape (C, n)."""
         return self._inverse(self.coarse.q, self.coarse.dq, self.coarse.ddq)
 
-    @remembered
+    @memoized
     def held(self) -> Array:
         """Torque of the rigid bodies where they begin, at rest. Shape (n,)."""
         q = self.coarse.q[:1]
         return np.asarray(self._inverse(q, np.zeros_like(q), np.zeros_like(q))[0])
 
-    @remembered
+    @memoized
     def transmitted(self) -> Array:
         """What the gear carries: the rigid bodies' torque at every sample. Shape (M, n)."""
         return self.upsampled(self.rigid)
 
-    @remembered
+    @memoized
     def motor(self) -> Array:
         """What the base model says the drive makes: rigid, rotor, friction, offset, at every sample. Shape (M, n)."""
         s, drive = self.fine, self.body.drive
         friction = drive("viscous") * s.dq + drive("coulomb") * np.tanh(s.dq / self.widths)
         return self.transmitted + drive("rotor_inertia") * s.ddq + friction + drive("offset")
 
-    @remembered
+    @memoized
     def drawn(self) -> Array:
         """What the drive was measured to make, below the band: with all that the base model lacks, and noise. Shape (M, n)."""
         return self.band.low(self.piece.torque, Grid.RECORDED)
@@ -224,7 +224,7 @@ class Track:
         )
         return out @ robot.spread
 
-    @remembered
+    @memoized
     def derivatives(self) -> tuple[Array, Array, Array]:
         """∂τ/∂q, ∂τ/∂q̇ and M of the rigid bodies at the coarse samples. Three arrays of shape (C, n, n)."""
         robot, model = self.body.robot, self.body.model
@@ -239,7 +239,7 @@ class Track:
                 out[k, t] = robot.spread.T @ matrix @ robot.spread
         return out[0], out[1], out[2]
 
-    @remembered
+    @memoized
     def gravity(self) -> Array:
         """Torque of a unit acceleration of the base against x, y and z: −∂τ/∂g. Shape (C, n, 3)."""
         robot = self.body.robot
@@ -256,25 +256,25 @@ class Track:
             out[:, :, axis] = np.array(torque) @ robot.spread
         return out
 
-    @remembered
+    @memoized
     def leaning(self) -> Array:
         """Torque of a base turned by a radian about x, y, z, to first order: it sees gravity turned back, δg = g × φ. Shape (C, n, 3)."""
         return np.asarray(-self.gravity @ pin.skew(self.body.model.gravity.linear))
 
-    @remembered
-    def afloat(self) -> Afloat:
+    @memoized
+    def afloat(self) -> FloatingBaseDynamics:
         """What a base that gives way would do, at the coarse samples."""
-        return afloat(self.body.robot, self.body.model, self.coarse)
+        return floating_base_dynamics(self.body.robot, self.body.model, self.coarse)
 
-    @remembered
+    @memoized
     def stood(self) -> Array:
         """Mass and moments of inertia of the whole robot about the base's axes with all joints at zero, and above zero: the same of every
         recording of a robot. Shape (6,)."""
         still = np.zeros((1, self.n))
-        stretched = afloat(self.body.robot, self.body.model, Samples(still, still, still))
+        stretched = floating_base_dynamics(self.body.robot, self.body.model, Samples(still, still, still))
         return np.maximum(np.diag(stretched.mass[0, :6]), 1e-9)
 
-    @remembered
+    @memoized
     def levers(self) -> Array:
         """How a force on the centre of each link acts on the joints, base frame, at the coarse samples. Shape (C, n links, 3, n)."""
         robot, model = self.body.robot, self.body.model
@@ -311,20 +311,20 @@ def _moving(q: Array, dq: Array, rate: float, rest: float) -> Array:
     return out
 
 
-def stroke(stretches: Sequence[Track], joint: int) -> tuple[float, float]:
+def position_range(stretches: Sequence[RecordedMotion], joint: int) -> tuple[float, float]:
     """Ends of where a joint was [rad or m]."""
     places = [one.fine.q[:, joint] for one in stretches]
     return min(float(q.min()) for q in places), max(float(q.max()) for q in places)
 
 
-def split(rows: Array, stretches: Sequence[Track]) -> list[Array]:
+def split_by_motion(rows: Array, stretches: Sequence[RecordedMotion]) -> list[Array]:
     """Rows of several stretches, one after the other, by stretch."""
     return np.split(rows, np.cumsum([len(one) for one in stretches])[:-1])
 
 
 def tracks(
-    model: IdentificationModel, fitted: Body, theta: Array, pieces: Sequence[Segment], hertz: float
-) -> list[Track]:
+    model: IdentificationModel, fitted: FittedRobot, theta: Array, pieces: Sequence[Segment], hertz: float
+) -> list[RecordedMotion]:
     """Every stretch that is long enough for the band."""
     out = []
     for piece in pieces:
@@ -337,7 +337,7 @@ def tracks(
         torque = band.low(piece.torque, Grid.KEPT)
         time = piece.start + np.arange(len(torque)) * step / piece.rate
         out.append(
-            Track(
+            RecordedMotion(
                 piece,
                 band,
                 fitted,

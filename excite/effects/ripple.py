@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 
 from .._linear_algebra import factors
-from .effect import MULTIPLES, Effect, Knob, Shape, alone, multiples, waves
-from .recorded_motion import Track
+from .effect import MULTIPLES, Effect, NonlinearParameter, CandidateModel, alone, multiples, waves
+from .recorded_motion import RecordedMotion
 from .transmission import LEAST_TURN
 
 Array = np.ndarray
@@ -24,16 +24,16 @@ ROUND = 1.5
 """Waves in the longest stretch, from which a torque comes round."""
 
 
-def _waved(t: Track, s: Shape) -> Array:
+def _waved(t: RecordedMotion, s: CandidateModel) -> Array:
     """Waves of an order, and of those of its multiples that are stated."""
     return alone(t, s.place, waves(s.values, t.fine.q[:, s.place]))
 
 
-def _ripple(tracks: Sequence[Track]) -> Iterator[Shape]:
-    def rippled(j: int, more: Mapping[str, float]) -> Callable[[float], Shape]:
-        def shape(order: float) -> Shape:
+def _ripple(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+    def rippled(j: int, more: Mapping[str, float]) -> Callable[[float], CandidateModel]:
+        def shape(order: float) -> CandidateModel:
             fixed = {"order": order, **more}
-            return Shape(
+            return CandidateModel(
                 "torque_ripple",
                 j,
                 _waved,
@@ -55,9 +55,9 @@ def _ripple(tracks: Sequence[Track]) -> Iterator[Shape]:
                 for k in MULTIPLES
                 if all(abs(k * order - other) > NEARBY * other for other in taken)
             ]
-            yield Knob(order, order / near, order * near, rippled(j, {})).at(order)
+            yield NonlinearParameter(order, order / near, order * near, rippled(j, {})).at(order)
             if free and all(abs(order - other) > NEARBY * other for other in taken):
-                yield Knob(
+                yield NonlinearParameter(
                     order, order / near, order * near, rippled(j, {MULTIPLES[k]: 1.0 for k in free})
                 ).at(order)
                 taken += [order, *(k * order for k in free)]
@@ -70,7 +70,7 @@ def _strongest(values: Mapping[str, float], c: Array) -> dict[str, float]:
     return {"amplitude": float(sizes[told]), "order": values["order"] * multiples(values)[told]}
 
 
-def _orders(tracks: Sequence[Track], joint: int) -> list[float]:
+def _orders(tracks: Sequence[RecordedMotion], joint: int) -> list[float]:
     """Orders at which what the base fit leaves has power, beside all that the base could say, then as it is: where a prior is
     trusted, the base says nothing. On a fine grid up to 300 a turn.
 

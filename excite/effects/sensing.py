@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 
 from ..identification.lowpass import Grid
-from .effect import MULTIPLES, Effect, Shape, amplitude, beside, family, named, waves, within
-from .recorded_motion import Track
+from .effect import MULTIPLES, Effect, CandidateModel, amplitude, beside, family, named, waves, within
+from .recorded_motion import RecordedMotion
 
 Array = np.ndarray
 LATE = (0.003, 0.008, 0.02)
@@ -28,7 +28,7 @@ BLURRED = 6.0
 """Whatever blurs positions puts the steps of friction at another time."""
 
 
-def _late(t: Track, s: Shape) -> Array:
+def _late(t: RecordedMotion, s: CandidateModel) -> Array:
     """−τ̇ of one joint or of all; or what it was some time ago, or what passes a filter of first order, less what it is, over the time.
 
     Of the base model's torque, or of what was measured: whatever else is hidden comes late too, but there is noise in it. A signal's
@@ -47,13 +47,13 @@ def _late(t: Track, s: Shape) -> Array:
     return _of(s, t.reduce((then - t.motor) / seconds))
 
 
-def _behind(t: Track, s: Shape, c: Array, made: Array) -> Array:
+def _behind(t: RecordedMotion, s: CandidateModel, c: Array, made: Array) -> Array:
     """What a delay of all that was measured adds to what is made. Shape (M, n)."""
     late = np.column_stack([np.interp(t.clock - float(c[0]), t.clock, column) for column in made.T])
     return _of(s, late - made)[:, :, 0]
 
 
-def _of(s: Shape, torque: Array) -> Array:
+def _of(s: CandidateModel, torque: Array) -> Array:
     """Of all joints' torque that of the shape's joint, or all of it. Shape (N, n) -> (N, n, 1)."""
     if s.joint is None:
         return torque[:, :, None]
@@ -62,13 +62,13 @@ def _of(s: Shape, torque: Array) -> Array:
     return out
 
 
-def _delay(tracks: Sequence[Track]) -> Iterator[Shape]:
+def _delay(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     """To first order, ahead or behind; and behind by so much that a slope does not tell it, by a clock or by a filter."""
 
-    def behind(joint: int | None, how: Mapping[str, float]) -> Callable[[float], Shape]:
-        def shape(seconds: float) -> Shape:
+    def behind(joint: int | None, how: Mapping[str, float]) -> Callable[[float], CandidateModel]:
+        def shape(seconds: float) -> CandidateModel:
             gate, fixed = within(0.5 * seconds, 2.0 * seconds), {"seconds": seconds, **how}
-            return Shape(
+            return CandidateModel(
                 "delay",
                 joint,
                 _late,
@@ -85,7 +85,7 @@ def _delay(tracks: Sequence[Track]) -> Iterator[Shape]:
     gate = _told(BEHIND * hides, AHEAD * hides)
     for joint in (*(() if alone else (None,)), *range(tracks[0].n)):
         for measured in (0.0, 1.0):
-            yield Shape(
+            yield CandidateModel(
                 "delay",
                 joint,
                 _late,
@@ -103,7 +103,7 @@ def _told(later: float, earlier: float) -> Callable[[Array], bool]:
     return lambda c: bool(later <= c[0] < SLOPED or earlier <= -c[0] < SLOPED)
 
 
-def _misread(t: Track, s: Shape) -> Array:
+def _misread(t: RecordedMotion, s: CandidateModel) -> Array:
     """Torque when a joint is where its encoder says less an error: −(∂τ/∂q δ + ∂τ/∂q̇ δ̇ + (M + I_a) δ̈)."""
     joint = s.place
     by_q, by_v, mass = (matrix[:, :, joint, None] for matrix in t.derivatives)
@@ -117,17 +117,17 @@ def _misread(t: Track, s: Shape) -> Array:
     return -t.reduce(torque, Grid.COARSE)
 
 
-def _encoder(tracks: Sequence[Track]) -> Iterator[Shape]:
+def _encoder(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     """A wave; and one with its multiples: of a disc off its centre, which torque shows by the square of their order."""
 
     def small(c: Array) -> bool:
         return bool(np.hypot(c[::2], c[1::2]).max() < MISREAD)
 
-    def wrong(j: int, more: Mapping[str, float]) -> Callable[[float], Shape]:
-        def shape(order: float) -> Shape:
+    def wrong(j: int, more: Mapping[str, float]) -> Callable[[float], CandidateModel]:
+        def shape(order: float) -> CandidateModel:
             fixed, told = {"order": order, **more}, amplitude(order=order)
             kin = lambda: beside(MISTAKEN * order, NEAR, [wrong(j, more)] if more else [])  # noqa: E731
-            return Shape(
+            return CandidateModel(
                 "encoder_error",
                 j,
                 _misread,

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import UnusableInput
-from .effect import Effect, Shape, alone, family, named, within
-from .recorded_motion import Track
+from .effect import Effect, CandidateModel, alone, family, named, within
+from .recorded_motion import RecordedMotion
 
 Array = np.ndarray
 COLDEST = 3.0
@@ -18,7 +18,7 @@ DEGREES = 1.0
 """Range of temperatures from which friction may be told to depend on them [°C]: sensors have steps."""
 
 
-def _changed(t: Track, s: Shape) -> Array:
+def _changed(t: RecordedMotion, s: CandidateModel) -> Array:
     """A joint's friction by the base fit, as it changes with run time, where a mean `power` is stated, by what heats it, or where a
     `reference` is, with temperature."""
     if "reference" in s.values:
@@ -40,7 +40,7 @@ def _changed(t: Track, s: Shape) -> Array:
     )
 
 
-def _heated(t: Track, s: Shape) -> Array:
+def _heated(t: RecordedMotion, s: CandidateModel) -> Array:
     """How warm a joint is that its own friction heats, T ϑ̇ = p/p̄ − ϑ: 1 where it goes on at the usual power p̄, as it is taken to have done
     before a gap. Shape (M,)."""
     from scipy.signal import lfilter  # slow to import
@@ -57,30 +57,30 @@ def _heated(t: Track, s: Shape) -> Array:
     )
 
 
-def _losses(t: Track, joint: int, coulomb: float, viscous: float) -> Array:
+def _losses(t: RecordedMotion, joint: int, coulomb: float, viscous: float) -> Array:
     """Power that friction takes. Shape (M,) [W]."""
     speed = t.fine.dq[:, joint]
     return np.asarray((coulomb * t.sign(joint) + viscous * speed) * speed)
 
 
-def _thermal(tracks: Sequence[Track]) -> Iterator[Shape]:
+def _thermal(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     for j in range(tracks[0].n):
         yield from _by_time(tracks, j)
         yield from _by_temperature(tracks, j)
 
 
-def _friction(track: Track, joint: int) -> tuple[float, float]:
+def _friction(track: RecordedMotion, joint: int) -> tuple[float, float]:
     """Coulomb and viscous friction of the base fit, of which something can change."""
     coulomb, viscous = (float(track.body.drive(kind)[joint]) for kind in ("coulomb", "viscous"))
     return max(coulomb, 1e-9), viscous
 
 
-def _by_time(tracks: Sequence[Track], j: int) -> Iterator[Shape]:
+def _by_time(tracks: Sequence[RecordedMotion], j: int) -> Iterator[CandidateModel]:
     length = max(float(t.elapsed[-1]) for t in tracks)
     coulomb, viscous = _friction(tracks[0], j)
     power = float(np.mean(np.concatenate([_losses(t, j, coulomb, viscous) for t in tracks])))
 
-    def shape(constant: float, heated: bool = False) -> Shape:
+    def shape(constant: float, heated: bool = False) -> CandidateModel:
         fixed = {"time_constant": constant, "coulomb": coulomb, "viscous": viscous} | (
             {"power": power} if heated else {}
         )
@@ -91,7 +91,7 @@ def _by_time(tracks: Sequence[Track], j: int) -> Iterator[Shape]:
             if heated
             else "friction changes with run time"
         )
-        bare = Shape(
+        bare = CandidateModel(
             "thermal_drift",
             j,
             _changed,
@@ -113,7 +113,7 @@ def _by_time(tracks: Sequence[Track], j: int) -> Iterator[Shape]:
         yield from family(constants, lambda constant: shape(constant, heated=True))
 
 
-def _by_temperature(tracks: Sequence[Track], j: int) -> Iterator[Shape]:
+def _by_temperature(tracks: Sequence[RecordedMotion], j: int) -> Iterator[CandidateModel]:
     """Where every stretch has a joint's temperature and that varies. The change is from the coldest to the warmest seen."""
     seen = np.concatenate([t.temperature[:, j] for t in tracks])
     span = float(np.ptp(seen))
@@ -134,7 +134,7 @@ def _by_temperature(tracks: Sequence[Track], j: int) -> Iterator[Shape]:
         }
         fixed = {"reference": mean, "coulomb": dry, "viscous": viscous}
         words = "friction changes with temperature"
-        yield Shape(
+        yield CandidateModel(
             "thermal_drift",
             j,
             _changed,

@@ -8,9 +8,9 @@ from itertools import product
 import numpy as np
 
 from ..identification.lowpass import Grid
-from .effect import Effect, Knob, Shape, alone, beside, family, named, within
+from .effect import Effect, NonlinearParameter, CandidateModel, alone, beside, family, named, within
 from .gear_dynamics import NEAR, damped, felt, launched, mass, played, wound
-from .recorded_motion import Track, stroke
+from .recorded_motion import RecordedMotion, position_range
 
 Array = np.ndarray
 
@@ -31,16 +31,16 @@ LEAST_STROKE, LEAST_TURN = 1e-6, 0.05
 """Of a joint, from which it moves at all, and from which more is said of its place than that it pulls [rad or m]."""
 
 
-def _sprung(t: Track, s: Shape) -> Array:
+def _sprung(t: RecordedMotion, s: CandidateModel) -> Array:
     lag = wound(t, s.place, s.values["stiffness"], s.values["damping"], bool(s.values["rests"]))
     return felt(t, s.place, lag, Grid.COARSE)
 
 
-def _carried(tracks: Sequence[Track], joint: int, stiffness: float) -> float:
+def _carried(tracks: Sequence[RecordedMotion], joint: int, stiffness: float) -> float:
     """M ω² at the frequency that shows a stiff spring best [N m/rad]: a stiffer one's wind-up is less, as 1/(K − M ω²) is."""
 
     def torque(stiffness: float) -> Array:
-        bare = Shape(
+        bare = CandidateModel(
             "elasticity",
             joint,
             _sprung,
@@ -55,7 +55,7 @@ def _carried(tracks: Sequence[Track], joint: int, stiffness: float) -> float:
     return stiffness * (1.0 - STIFFER * alike) / (1.0 - alike)  # of (K − M ω²)/(1.1 K − M ω²)
 
 
-def _elasticity(tracks: Sequence[Track]) -> Iterator[Shape]:
+def _elasticity(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     """The wind-up for a stiffness, times a coefficient that should come out near 1; where it is too stiff to swing, at any below.
 
     A link that swings below the band tells its stiffness by how fast it does. Else by how far it lies behind, τ/(K − M ω²) at what shows
@@ -70,22 +70,22 @@ def _elasticity(tracks: Sequence[Track]) -> Iterator[Shape]:
         rests: float,
         least: float,
         damping: float = DAMPINGS[0],
-    ) -> Callable[[float], Shape]:
-        def shape(stiffness: float) -> Shape:
+    ) -> Callable[[float], CandidateModel]:
+        def shape(stiffness: float) -> CandidateModel:
             swings = np.sqrt(stiffness / inertia) < 2.0 * np.pi * hertz
             part = min(carried, stiffness)
             behind = lambda c: {"stiffness": float(part + (stiffness - part) / c[0])}  # noqa: E731
             told = named(stiffness=stiffness) if swings else behind
             fixed = {"stiffness": stiffness, "damping": damping, "rests": rests}
 
-            def kin() -> list[Knob]:
+            def kin() -> list[NonlinearParameter]:
                 return beside(
                     stiffness,
                     NEAR**2,
                     (spring(joint, inertia, carried, rests, least, z) for z in damped(damping)),
                 )
 
-            return Shape(
+            return CandidateModel(
                 "elasticity",
                 joint,
                 _sprung,
@@ -107,22 +107,22 @@ def _elasticity(tracks: Sequence[Track]) -> Iterator[Shape]:
         yield spring(j, inertia, carried, 0.0, 0.01)(grid[-1])
 
 
-def _loose(t: Track, s: Shape) -> Array:
+def _loose(t: RecordedMotion, s: CandidateModel) -> Array:
     return felt(t, s.place, played(t, s.place, s.values["width"], s.values["hold"]), Grid.RECORDED)
 
 
-def _backlash(tracks: Sequence[Track]) -> Iterator[Shape]:
+def _backlash(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     hardest = min(
         HARDEST, *(t.piece.rate / (2.0 * np.pi) for t in tracks)
     )  # that samples can follow
 
-    def play(joint: int, hold: float) -> Callable[[float], Shape]:
-        def shape(width: float) -> Shape:
+    def play(joint: int, hold: float) -> Callable[[float], CandidateModel]:
+        def shape(width: float) -> CandidateModel:
             told = lambda c: {"width": float(width * c[0])}  # noqa: E731
             fixed = {"width": width, "hold": hold}
             near = [hold * by for by in (1.0 / FURTHER, FURTHER) if 0.0 < hold * by <= hardest]
             kin = lambda: beside(width, FURTHER, (play(joint, h) for h in near))  # noqa: E731
-            return Shape(
+            return CandidateModel(
                 "backlash",
                 joint,
                 _loose,
@@ -170,24 +170,24 @@ def _force(values: Mapping[str, float], q: Array) -> Array:
     return FORMS[int(values["form"])](q)
 
 
-def _pulled(t: Track, s: Shape) -> Array:
+def _pulled(t: RecordedMotion, s: CandidateModel) -> Array:
     return alone(t, s.place, _force(s.values, t.fine.q[:, s.place]))
 
 
-def _spring(tracks: Sequence[Track]) -> Iterator[Shape]:
+def _spring(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     """Laws of the field; a line with a slow wave about it, for those that stiffen, yield or turn over; and one with a bend: a stop, a slack
     cable. Both are nothing in the middle and at the bend: a constant torque is an offset."""
 
-    def laws(j: int, low: float, high: float) -> Iterator[Shape]:
+    def laws(j: int, low: float, high: float) -> Iterator[CandidateModel]:
         q = np.linspace(low, high, SPANS)
 
-        def law(**values: float) -> Shape:
+        def law(**values: float) -> CandidateModel:
             def told(c: Array) -> dict[str, float]:
                 torque = _force(values, q) @ c
                 steepest = np.abs(np.gradient(torque, q)).max() * np.sign((q - q.mean()) @ torque)
                 return {"stiffness": float(steepest), "amplitude": 0.5 * float(np.ptp(torque))}
 
-            return Shape("spring", j, _pulled, values, parameters=told)
+            return CandidateModel("spring", j, _pulled, values, parameters=told)
 
         for form in range(len(FORMS)):
             yield law(form=float(form))
@@ -197,7 +197,7 @@ def _spring(tracks: Sequence[Track]) -> Iterator[Shape]:
             yield from family(((high - low) * BENDS).tolist(), lambda into: law(bend=low + into))
 
     for j in range(tracks[0].n):
-        low, high = stroke(tracks, j)
+        low, high = position_range(tracks, j)
         if high - low >= LEAST_STROKE:
             yield from laws(j, low, high)
 
@@ -208,7 +208,7 @@ AGAINST = 0.1
 """Share of a coupling's torque that may have the wrong sign by chance."""
 
 
-def _turned(t: Track, s: Shape) -> Array:
+def _turned(t: RecordedMotion, s: CandidateModel) -> Array:
     """Friction and inertia of a shaft that turns with w = q̇ᵢ + r q̇ⱼ, as joint i feels them: viscous w, Coulomb sgn w, inertia r q̈ⱼ.
 
     What w, sgn q̇ᵢ and q̈ᵢ have of joint i's own is the base model's. A shaft whose inertia does not show has none: fitted, it would be
@@ -234,19 +234,19 @@ def _rubs(speed: float, acceleration: float) -> Callable[[Array], bool]:
     return plausible
 
 
-def _coupling(tracks: Sequence[Track]) -> Iterator[Shape]:
+def _coupling(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     """Shafts that either joint turns the faster, either way round, with inertia and without."""
     n = tracks[0].n
 
-    def shaft(i: int, j: int, sign: float, light: bool) -> Callable[[float], Shape]:
-        def shape(ratio: float) -> Shape:
+    def shaft(i: int, j: int, sign: float, light: bool) -> Callable[[float], CandidateModel]:
+        def shape(ratio: float) -> CandidateModel:
             turns, hastes = (
                 max(float(np.abs(x[:, i] + sign * ratio * x[:, j]).max()) for x in both)
                 for both in ([t.fine.dq for t in tracks], [t.fine.ddq for t in tracks])
             )
             fixed = {"ratio": sign * ratio} | ({"light": 1.0} if light else {})
             told = named("viscous", "coulomb", "inertia")
-            return Shape(
+            return CandidateModel(
                 "coupling", i, _turned, fixed, j, parameters=told, plausible=_rubs(turns, hastes)
             )
 

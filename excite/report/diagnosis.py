@@ -10,9 +10,9 @@ import numpy as np
 
 from ..diagnosis import residual_atlas as atlas
 from ..diagnosis.diagnosis import QUIET, Diagnosis
-from ..diagnosis.isolability import ALIKE, Candidate, isolability
+from ..diagnosis.isolability import ALIKE, EffectAtJoint, isolability
 from ..diagnosis.residual_atlas import SIGNIFICANT, Atlas
-from ..effects import BY_NAME, EFFECTS
+from ..effects import EFFECTS_BY_NAME, EFFECTS
 from ..recordings import Remark
 from ..robot.parameter_names import listed, percent, some
 from ..trajectory.trajectory_file import package_versions
@@ -205,7 +205,7 @@ def _what(found: Diagnosis, stated: Stated) -> Section:
 
 
 def _finding(one: Stated) -> str:
-    effect = BY_NAME[one["effect"]]
+    effect = EFFECTS_BY_NAME[one["effect"]]
     source = f" (from {one['from']})" if one.get("from") else ""
     body = f"<h3>{escape(told(one['effect']))}: {escape(_place(one['joint']))}{escape(source)}</h3>"
     signature = effect.signature
@@ -240,8 +240,8 @@ def _finding(one: Stated) -> str:
         facts.append(
             f"Only from {number(time[0])} to {number(time[1])} s of {Path(one['where']['recording']).name}."
         )
-    facts.append(f"What would tell it from others ({listed([told(c) for c in effect.confused])}): {one['experiment']}."
-                 if effect.confused else f"What would confirm it: {one['experiment']}.")  # fmt: skip
+    facts.append(f"What would tell it from others ({listed([told(c) for c in effect.are_confusable])}): {one['experiment']}."
+                 if effect.are_confusable else f"What would confirm it: {one['experiment']}.")  # fmt: skip
     return body + bullets(facts)
 
 
@@ -401,13 +401,13 @@ def _apart(found: Diagnosis, stated: Stated) -> Section:
     robot, one = found.identified.model.robot, isolability(found.design)
     pairs = one.pairs()
 
-    def said(c: Candidate) -> str:
+    def said(c: EffectAtJoint) -> str:
         return _named(c.effect, None if c.joint is None else robot.joints[c.joint])
 
     tested = {c.effect for c in one.candidates}
     wanted = [e.name for e in EFFECTS if not found.options.names or e.name in found.options.names]
     absorbed = [
-        n for n in wanted if n not in tested and BY_NAME[n].prior_only and not found.options.trusted
+        n for n in wanted if n not in tested and EFFECTS_BY_NAME[n].prior_only and not found.options.trusted
     ]
     silent = [n for n in wanted if n not in tested and n not in absorbed]
     if pairs:
@@ -459,7 +459,7 @@ def _next(found: Diagnosis, stated: Stated) -> Section:
             told_apart = (
                 f"To tell {told(one['effect'])} from {told(name)} at {_place(one['joint'])}: "
             )
-            lines.append(told_apart + f"{one['experiment']}; and {BY_NAME[name].experiment}.")
+            lines.append(told_apart + f"{one['experiment']}; and {EFFECTS_BY_NAME[name].experiment}.")
         if not one["equivalents"]:
             lines.append(f"To pin down {_named(one['effect'], one['joint'])}: {one['experiment']}.")
     lines += [

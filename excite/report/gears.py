@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..diagnosis.diagnosis import Diagnosis
-from ..diagnosis.gear_encoders import Gear
+from ..diagnosis.gear_encoders import GearEstimate
 from ..robot.parameter_names import listed, percent
 from .figures.drawing import GREY, INK, ORANGE, limit_ticks, render_panels
 from .figures.trajectory import short, torque_units
@@ -69,7 +69,7 @@ def _curves(found: Diagnosis) -> str:
     robot = found.identified.model.robot
     units = torque_units(robot)
 
-    def draw(axes: Any, gear: Gear) -> None:
+    def draw(axes: Any, gear: GearEstimate) -> None:
         _panel(axes, gear)
         linear = units[gear.joint] == "N"
         axes.set_title(
@@ -83,7 +83,7 @@ def _curves(found: Diagnosis) -> str:
     return render_panels("Wind-up of the gears between two encoders", found.gears, draw, _HEIGHT)
 
 
-def _panel(axes: Any, gear: Gear) -> None:
+def _panel(axes: Any, gear: GearEstimate) -> None:
     load = np.linspace(gear.load.min(), gear.load.max(), 101)
     axes.axhline(0.0, color=GREY, linewidth=0.5)
     shown = slice(None, None, -(-len(gear.load) // _DOTS))

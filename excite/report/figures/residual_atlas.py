@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..._types import FloatArray
-from ...diagnosis.residual_atlas import SIGNIFICANT, Atlas, Panel
-from ...diagnosis.residual_curves import Kind
+from ...diagnosis.residual_atlas import SIGNIFICANT, Atlas, AtlasCurve
+from ...diagnosis.residual_curves import CurveKind
 from ..formatting import number
 from . import svg
 from .drawing import BLUE, FIGURE_WIDTH, GREY, GRID_COLOR, INK, ORANGE, RED, SOFT, thin_curve
@@ -47,7 +47,7 @@ _PHASES = {-2.0: "− faster", -1.0: "− slower", 1.0: "+ slower", 2.0: "+ fast
 """Direction of motion and sign of its acceleration."""
 
 
-def select_panels(panels: Sequence[Panel]) -> list[Panel]:
+def select_panels(panels: Sequence[AtlasCurve]) -> list[AtlasCurve]:
     """Select the curves of a joint to show: of the other joints' speeds the most significant."""
     other = [p for p in panels if p.against.startswith(_OTHER_SPEED)]
     same = [p for p in panels if not p.against.startswith(_OTHER_SPEED)]
@@ -84,14 +84,14 @@ def draw_overview(atlas: Atlas, joints: Sequence[str]) -> str:
     )
 
 
-def _column(panel: Panel) -> str:
+def _column(panel: AtlasCurve) -> str:
     """Column of the overview."""
     is_other = panel.against.startswith(_OTHER_SPEED)
     return "another joint's speed" if is_other else panel.against
 
 
 def draw_joint(
-    panels: Sequence[Panel], joint: str, unit: str, floor: float, *, has_findings: bool
+    panels: Sequence[AtlasCurve], joint: str, unit: str, floor: float, *, has_findings: bool
 ) -> str:
     """Draw all curves of a joint, before and after the findings, with the noise floor.
 
@@ -112,7 +112,7 @@ def draw_joint(
     for k, panel in enumerate(selected):
         row, column = divmod(k, _COLUMNS)
         x, y = _LEFT_MARGIN + column * (width + _COLUMN_GAP), _TOP + row * _ROW_STEP
-        axes = _PanelAxes.of(panel, x, y, width, reach[panel.kind is Kind.AMPLITUDE])
+        axes = _PanelAxes.of(panel, x, y, width, reach[panel.kind is CurveKind.AMPLITUDE])
         elements += _draw_panel(axes, panel, floor, has_findings=has_findings)
     bottom = _TOP + -(-len(selected) // _COLUMNS) * _ROW_STEP - 24.0
     label = f"Held-out residual of {joint} over each quantity"
@@ -132,11 +132,11 @@ class _PanelAxes:
     reach: float
 
     @classmethod
-    def of(cls, panel: Panel, x: float, y: float, width: float, reach: float) -> _PanelAxes:
+    def of(cls, panel: AtlasCurve, x: float, y: float, width: float, reach: float) -> _PanelAxes:
         """Axes that a panel's curve fills."""
         places = _places(panel)
         pad = 0.4 if panel.against == "direction" else 0.04 * float(np.ptp(places))
-        lower = 0.0 if panel.kind is Kind.AMPLITUDE else -reach
+        lower = 0.0 if panel.kind is CurveKind.AMPLITUDE else -reach
         return cls(x, y, width, float(places.min()) - pad, float(places.max()) + pad, lower, reach)
 
     @property
@@ -165,25 +165,25 @@ class _PanelAxes:
         return svg.points_of(self.x_of(places), self.y_of(values))
 
 
-def _places(panel: Panel) -> FloatArray:
+def _places(panel: AtlasCurve) -> FloatArray:
     """Centres of the bins along the axis as drawn."""
     if panel.against == "direction":
         return np.arange(len(panel.centres), dtype=float)
     return np.log10(panel.centres) if panel.logarithmic else panel.centres
 
 
-def _reaches(panels: Sequence[Panel], floor: float, *, has_findings: bool) -> dict[bool, float]:
+def _reaches(panels: Sequence[AtlasCurve], floor: float, *, has_findings: bool) -> dict[bool, float]:
     """Upper end of the axis of means (False) and of amplitudes (True): one scale for a joint."""
     out = {}
     for is_amplitude in (False, True):
-        alike = [p for p in panels if (p.kind is Kind.AMPLITUDE) is is_amplitude]
+        alike = [p for p in panels if (p.kind is CurveKind.AMPLITUDE) is is_amplitude]
         curves = [p.mean_before for p in alike]
         curves += [p.mean_after for p in alike] if has_findings else []
         out[is_amplitude] = 1.15 * max([floor, *(float(np.abs(c).max()) for c in curves)])
     return out
 
 
-def _draw_panel(axes: _PanelAxes, panel: Panel, floor: float, *, has_findings: bool) -> list[str]:
+def _draw_panel(axes: _PanelAxes, panel: AtlasCurve, floor: float, *, has_findings: bool) -> list[str]:
     """Elements of a panel."""
     places, is_significant = _places(panel), panel.p_before < SIGNIFICANT
     weight = 600 if is_significant else 0
@@ -195,13 +195,13 @@ def _draw_panel(axes: _PanelAxes, panel: Panel, floor: float, *, has_findings: b
         svg.text(axes.x, axes.y - 4.0, p_values, size=6.5, color=p_color),
         *_draw_axes(axes, panel),
     ]
-    lower = 0.0 if panel.kind is Kind.AMPLITUDE else -floor
+    lower = 0.0 if panel.kind is CurveKind.AMPLITUDE else -floor
     top, bottom = float(axes.y_of(floor)), float(axes.y_of(lower))
     elements.append(svg.rectangle(axes.x, top, axes.width, bottom - top, GREY, opacity=0.35))
     zero = float(axes.y_of(0.0))
     elements.append(svg.line(axes.x, zero, axes.right, zero, GREY, width=0.5))
     opacity = 1.0 if is_significant else 0.45
-    if panel.kind is not Kind.AMPLITUDE:
+    if panel.kind is not CurveKind.AMPLITUDE:
         above, below = (
             axes.points(places, panel.mean_before + sign * 2.0 * panel.error)
             for sign in (1.0, -1.0)
@@ -221,7 +221,7 @@ def _draw_panel(axes: _PanelAxes, panel: Panel, floor: float, *, has_findings: b
     return [*elements, edge]
 
 
-def _draw_axes(axes: _PanelAxes, panel: Panel) -> list[str]:
+def _draw_axes(axes: _PanelAxes, panel: AtlasCurve) -> list[str]:
     """Ticks, grid and unit of a panel."""
     elements = [svg.line(axes.x, axes.bottom, axes.right, axes.bottom, GREY)]
     for place, word in _horizontal_ticks(axes, panel):
@@ -245,7 +245,7 @@ def _draw_axes(axes: _PanelAxes, panel: Panel) -> list[str]:
     return elements
 
 
-def _horizontal_ticks(axes: _PanelAxes, panel: Panel) -> list[tuple[float, str]]:
+def _horizontal_ticks(axes: _PanelAxes, panel: AtlasCurve) -> list[tuple[float, str]]:
     """Place and label of each tick of the horizontal axis."""
     if panel.against == "direction":
         return [(float(k), _PHASES[float(v)]) for k, v in enumerate(panel.centres)]

@@ -1,4 +1,4 @@
-"""Mutations of documents: a valid document, changed in one to three places, as JSON or TOML text."""
+"""Mutations of documents: a valid one with one to three changes, as JSON or TOML text."""
 
 from __future__ import annotations
 
@@ -48,6 +48,9 @@ OTHERS = (
 TABLES = ({}, {"a": 1}, [{}], [[]], [[0.0] * 3] * 3)
 ONLY_JSON = (None, "\ud800")
 """Values that TOML cannot state."""
+
+
+RENAMED = ("x", "", "joint_9", "\u00e9", "a\nb")
 
 
 def paths(value: Any, path: tuple[Key, ...] = ()) -> Iterator[tuple[Key, ...]]:
@@ -107,9 +110,7 @@ def mutated(draw: st.DrawFn, document: dict[str, Any], *, toml: bool = False) ->
             case "delete":
                 del place[key]
             case "rename" if isinstance(place, dict):
-                place[
-                    draw(st.sampled_from(["x", "", "joint_9", "\u00e9", "a\nb", str(key).upper()]))
-                ] = place.pop(key)
+                place[draw(st.sampled_from(RENAMED + (str(key).upper(),)))] = place.pop(key)
             case "add" if isinstance(place, dict):
                 name = draw(st.sampled_from(["x", "joint_9", "schema", "velocity"]))
                 place[name] = copy.deepcopy(draw(replacements(None, () if toml else ONLY_JSON)))

@@ -56,7 +56,7 @@ def test_a_motion_is_found_from_a_pose_that_folds_part_from_the_others(placed):
 
 def test_a_start_pose_that_touches_is_refused_before_the_design(placed, monkeypatch):
     robot, table, cell = placed
-    monkeypatch.setattr(pipeline.design, "solve", lambda *_: pytest.fail("designed first"))
+    monkeypatch.setattr(pipeline.optimize, "solve", lambda *_: pytest.fail("designed first"))
     into_floor = np.array([0.0, 1.5, 0.0, 0.0, 0.0, 0.0])
     with pytest.raises(UnusableInput, match=r"start pose: .*floor"):
         pipeline.run(robot, table, Wish().fill(Options(), table), start=into_floor, cell=cell)

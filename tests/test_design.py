@@ -340,9 +340,9 @@ def test_a_start_pose_outside_its_limits_is_refused_with_the_joint(two_link, tab
 
 
 def test_a_motion_that_fails_its_certificate_is_not_delivered(two_link, table, monkeypatch):
-    original = pipeline.verify.verify
+    original = pipeline.certificate_module.verify
     monkeypatch.setattr(
-        pipeline.verify,
+        pipeline.certificate_module,
         "verify",
         lambda *a, **k: replace(original(*a, **k), faults=("it wobbles",)),
     )
@@ -351,9 +351,9 @@ def test_a_motion_that_fails_its_certificate_is_not_delivered(two_link, table, m
 
 
 def test_a_forced_motion_says_so(two_link, table, monkeypatch):
-    original = pipeline.verify.verify
+    original = pipeline.certificate_module.verify
     monkeypatch.setattr(
-        pipeline.verify,
+        pipeline.certificate_module,
         "verify",
         lambda *a, **k: replace(original(*a, **k), faults=("it wobbles",)),
     )

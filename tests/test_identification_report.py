@@ -221,10 +221,9 @@ def test_the_next_command_repeats_how_the_robot_was_loaded() -> None:
     )
     one = dataclasses.replace(found(), model=dataclasses.replace(found().model, robot=other))
     arguments = main.parser().parse_args(shlex.split(command(one))[1:])
-    assert arguments.joints == "joint_2" and arguments.lock == ["joint_1=0.25"]
-    assert arguments.gravity == "0,0,-1.62" and arguments.payload.startswith(
-        "link_2:0.5,0.1,0,0.02"
-    )
+    assert arguments.joints == "joint_2" and arguments.lock == [("joint_1", (0.25,))]
+    assert arguments.gravity == (0.0, 0.0, -1.62)
+    assert arguments.payload == ("link_2", (0.5, 0.1, 0.0, 0.02, *(0.0,) * 6))
 
 
 def test_an_ellipsoid_has_the_mass_and_inertia_of_its_body() -> None:

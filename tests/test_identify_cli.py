@@ -279,10 +279,10 @@ def test_bad_input_is_one_line_that_names_the_remedy(folder, capsys, tmp_path):
     go = ("identify", "two_link", train, "-o", out)
     cases = {
         ("identify", "two_link", folder / "absent.csv", "-o", out): "absent.csv",
-        (*go, "--band", "-3"): "--band: -3 should be a positive number",
+        (*go, "--band", "-3"): "--band: -3 should be a number from 0.001",
         (*go, "--band", "400"): "half the recording's rate",
         (*go, "--gamma", "much"): "--gamma",
-        (*go, "--gamma", "0"): "positive",
+        (*go, "--gamma", "0"): "from 1e-12",
         (*go, "--window", "0,1"): "--period",
         (*go, "--period", "1000"): "shorter than the recording",
         (*go, "--prior", folder / "train.csv"): "prior",

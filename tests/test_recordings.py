@@ -207,7 +207,7 @@ def test_files_that_are_no_recordings(two_link, tmp_path):
     refused(tmp_path / "nowhere.csv", two_link, "no such file")
     for name, content, word in (
         ("empty.csv", b"", "no column 't' but nothing"),
-        ("binary.csv", b"\xff\xfe\x00\x81", "is no text"),
+        ("binary.csv", b"\xff\xfe\x00\x81", "is no UTF-8 text"),
         ("other.csv", b"time,angle\n0,1\n", "'time', 'angle'"),
         ("header.csv", b"t,q.joint_1,q.joint_2\n", "has no rows"),
         ("one.csv", b"t,q.joint_1,q.joint_2\n0,1,2\n", "has 1 rows"),

@@ -226,11 +226,11 @@ def test_what_resembles_no_effect_lists_all_and_their_parameters(tmp_path, capsy
             "more than one effect moves the base",
         ),
         (("--effect", "elasticity:joint_1", "--effect", "backlash:joint_1"), "not both"),
-        (("--rate", "5000"), "125 and 1000"),
-        (("--noise", "-1"), "not below 0"),
+        (("--rate", "5000"), "from 125 to 1000 Hz"),
+        (("--noise", "-1"), "from 0 to 10"),
         (("--colour", "900"), "--colour 900"),
-        (("--periods", "0"), "at least 1"),
-        (("--severity", "0", "--effect", "drag:joint_1"), "above 0"),
+        (("--periods", "0"), "whole number from 1"),
+        (("--severity", "0", "--effect", "drag:joint_1"), "from 0.001"),
     ],
 )
 def test_wrong_use_is_one_line_with_the_remedy(tmp_path, capsys, arguments, words):

@@ -54,33 +54,16 @@ def _say(text: str) -> None:
 # -- arguments -----------------------------------------------------------------------------------------------------
 
 
-def _box(text: str) -> Box:
-    frame, separator, numbers = text.rpartition(":")
-    if not separator:
-        raise UnusableInput(f"--box {text}: should read FRAME:XMIN,XMAX,YMIN,YMAX,ZMIN,ZMAX")
-    v = told.floats("--box", numbers, (6,))
-    return Box(frame, (v[0], v[2], v[4]), (v[1], v[3], v[5]))
-
-
 def _options(arguments: argparse.Namespace, robot: Robot) -> Options:
     """What the user chose, but for the motion, which is the plan's matter."""
-    free = (
-        told.floats("--optimise-period", arguments.optimise_period, (2,))
-        if arguments.optimise_period
-        else None
-    )
-    if free is not None and not 0.0 < free[0] < free[1]:
-        raise UnusableInput(
-            f"--optimise-period {arguments.optimise_period}: should be MIN,MAX with 0 < MIN < MAX"
-        )
-    boxes = tuple(_box(text) for text in arguments.box)
+    boxes = tuple(Box(frame, (v[0], v[2], v[4]), (v[1], v[3], v[5])) for frame, v in arguments.box)
     for box in boxes:
         robot.frame(box.frame)
     return Options(
         criterion=Criterion(arguments.criterion),
         plain=arguments.plain,
         drive=told.drive(arguments),
-        free_period=None if free is None else (free[0], free[1]),
+        free_period=arguments.optimise_period,
         rate=arguments.rate,
         uncertainty=arguments.uncertainty,
         noise=told.noise(arguments, robot),
@@ -147,9 +130,7 @@ def _design(arguments: argparse.Namespace) -> Outcome:
     )
     options = wish.fill(_options(arguments, robot), table)
     start = (
-        None
-        if not arguments.start
-        else np.array(told.floats("--start", arguments.start, (robot.n,)))
+        None if not arguments.start else np.array(told.of_joints("--start", arguments.start, robot))
     )
     standard = (
         inertial_parameters.standard(robot, table, options.drive) if arguments.given else None

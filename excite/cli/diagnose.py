@@ -11,7 +11,7 @@ from .. import _files, recordings
 from ..diagnosis import diagnosis, residual_atlas, whole
 from ..diagnosis.diagnosis_file import document
 from ..diagnosis.session_changes import KINDS
-from ..identification import identified_model
+from ..identification import identified_model, torque_check
 from ..identification import prior as prior_module
 from ..robot import base_parameters, inertial_parameters
 from ..trajectory import trajectory_file
@@ -32,6 +32,9 @@ def diagnose(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outco
         [recordings.read(Path(path), robot, table) for path in paths] for paths in both
     )
     recordings.refuse_same(train, held_out)
+    train, held_out = (
+        [torque_check.checked(one, robot, table) for one in some] for some in (train, held_out)
+    )
     result = diagnosis.diagnose(
         robot, standard, found, train, held_out, diagnosis.Options(arguments.band, known), say
     )

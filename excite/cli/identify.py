@@ -15,7 +15,7 @@ import numpy as np
 from .. import _files, recordings
 from ..diagnosis import whole
 from ..errors import UnusableInput
-from ..identification import consistency, identification, identified_model, lmi_check
+from ..identification import consistency, identification, identified_model, lmi_check, torque_check
 from ..identification import prior as prior_module
 from ..identification.consistency import Bounds
 from ..identification.estimators import Method
@@ -52,6 +52,9 @@ def identify(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outco
         for paths in (arguments.recordings, arguments.validate)
     )
     recordings.refuse_same(train, held_out)
+    train, held_out = (
+        [torque_check.checked(one, robot, table) for one in some] for some in (train, held_out)
+    )
     result = identification.identify(robot, standard, found, train, held_out, options, say)
     document = identified_model.document(result, train)
     checked = _lmi(result) if arguments.check_lmi else None
@@ -78,12 +81,16 @@ def identify(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outco
 
 
 def _read(
-    path: Path, robot: Robot, table: Limits, period: float | None, window: str | None
+    path: Path,
+    robot: Robot,
+    table: Limits,
+    period: float | None,
+    window: tuple[float, float] | None,
 ) -> Recording:
     recording = recordings.read(path, robot, table)
     if window and period is None:
         raise UnusableInput(
-            f"--window {window}: needs --period S, the time after which the motion repeats"
+            f"--window {window[0]:g},{window[1]:g}: needs --period S, the time after which the motion repeats"
         )
     if period is None:
         return recording
@@ -91,24 +98,20 @@ def _read(
         raise UnusableInput(
             f"--period {period:g}: should be shorter than the recording; {path} is {np.ptp(recording.t):.6g} s long"
         )
-    periodic = None
-    if window:
-        first, last = told.floats("--window", window, (2,))
-        periodic = first, last
+    recording.check_period(period, window, "--period" if window is None else "--period, --window")
     return dataclasses.replace(
-        recording, sidecar=dataclasses.replace(recording.sidecar, period=period, periodic=periodic)
+        recording, sidecar=dataclasses.replace(recording.sidecar, period=period, periodic=window)
     )
 
 
 def _options(
     arguments: argparse.Namespace, standard: Parameters, known: Mapping[int, float]
 ) -> Options:
-    gamma: str | tuple[float, float] = arguments.gamma
-    if arguments.gamma not in ("evidence", "heldout"):
-        values = told.floats("--gamma", arguments.gamma, (1, 2))
-        if min(values) <= 0.0:
-            raise UnusableInput(f"--gamma {arguments.gamma}: should be positive")
-        gamma = (values[0], values[-1])
+    gamma = (
+        arguments.gamma
+        if isinstance(arguments.gamma, str)
+        else (arguments.gamma[0], arguments.gamma[-1])
+    )
     return Options(
         method=Method(arguments.estimator),
         distance=Distance(arguments.distance),
@@ -176,7 +179,8 @@ def _text(found: Identification, facts: Sequence[str], written: Sequence[Path]) 
                 prediction.error()[i],
                 prediction.relative()[i],
             )
-            lines.append(f"{joint:25}{before:11.4g}{after:12.4g}{floor:>11}{100 * share:9.2f}%")
+            percent = f"{100 * share:.2f}%" if np.isfinite(share) else "-"
+            lines.append(f"{joint:25}{before:11.4g}{after:12.4g}{floor:>11}{percent:>10}")
     common, spread = found.delay.common
     if abs(common) > 3.0 * spread and not found.options.align:
         order = "after" if common > 0 else "before"

@@ -4,14 +4,24 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
 import warnings
 from collections.abc import Callable, Sequence
-from typing import NoReturn, TypeAlias
+from typing import Any, NoReturn, TypeAlias
 
 from .. import __version__
+from .. import physical_ranges as ranges
 from ..errors import ExciteError, ExciteWarning, UnusableInput
+from ..physical_ranges import Range
+from .option_types import NamedNumbers, Number, Numbers, WordOrNumbers
+
+SECONDS = Range(1e-3, 1e6, "s")
+HERTZ = Range(1e-3, 1e5, "Hz")
+SLOWDOWN = Range(1e-3, 1.0, "1")
+SEED = Number(Range(0, 2**53, "1"), whole=True)
+"""Seeds are stated in JSON files, of which many readers take integers up to 2⁵³ exactly."""
+VARIANCE = Range(1e-12, 1e12, "1")
+SHARE = Range(0.0, 10.0, "1", smallest=1e-12)
 
 EXAMPLES = """examples:
   excite design ur10e -o out/ur10e
@@ -45,13 +55,13 @@ class _Parser(argparse.ArgumentParser):
             f"{command + ': ' if command else ''}{message} (see {self.prog} --help)"
         )
 
-
-def _positive(text: str) -> float:
-    """A type of options: a number above zero, and finite."""
-    value = float(text)
-    if not 0.0 < value < math.inf:
-        raise argparse.ArgumentTypeError(f"{text} should be a positive number")
-    return value
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse a command line; `--option=--`, of which argparse makes an empty list whatever the option's type, is refused."""
+        words = sys.argv[1:] if args is None else list(args)
+        for word in words:
+            if word.startswith("-") and word.endswith("=--"):
+                self.error(f"argument {word.removesuffix('=--')}: '--' is no value")
+        return super().parse_known_args(words, namespace)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -106,6 +116,7 @@ def _robot_options(sub: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--lock",
+        type=NamedNumbers("NAME=VALUE", "=", Numbers(ranges.POSITION, (1,))),
         metavar="NAME=VALUE",
         action="append",
         default=[],
@@ -116,13 +127,17 @@ def _robot_options(sub: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="TOML or MoveIt joint_limits.yaml that overrides the URDF's limits",
     )
+    body = "LINK:M[,CX,CY,CZ[,IXX,IXY,IYY,IXZ,IYZ,IZZ]]"
+    quantities = (ranges.MASS, *[ranges.LENGTH] * 3, *[ranges.INERTIA] * 6)
     group.add_argument(
         "--payload",
-        metavar="LINK:M[,CX,CY,CZ[,IXX,IXY,IYY,IXZ,IYZ,IZZ]]",
+        type=NamedNumbers(body, ":", Numbers(quantities, (1, 4, 10))),
+        metavar=body,
         help="a body at a link: kg, m, kg m² about its centre",
     )
     group.add_argument(
         "--gravity",
+        type=Numbers(ranges.GRAVITY, (3,)),
         metavar="X,Y,Z",
         default="0,0,-9.81",
         help="in the base frame [m/s²] (default %(default)s)",
@@ -145,12 +160,13 @@ def _model_options(sub: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--torque-noise",
+        type=Numbers(Range(1e-9, 1e9, "N m or N")),
         metavar="SIGMA[,…]",
         help="standard deviation, one or per joint [N m] (default 1 %% of the torque limit)",
     )
     group.add_argument(
         "--threshold",
-        type=_positive,
+        type=Number(VARIANCE),
         default=1e-2,
         help="largest scale-free variance that counts as identifiable (default %(default)s)",
     )
@@ -187,35 +203,43 @@ def _design(commands: Commands) -> None:
     group = sub.add_argument_group("motion")
     group.add_argument(
         "--time",
-        type=float,
+        type=Number(SECONDS),
         metavar="S",
         help="robot time, ramps included [s]: choose the next four for it unless given",
     )
-    group.add_argument("--harmonics", type=int, metavar="K", help="default 5, or chosen for --time")
+    group.add_argument(
+        "--harmonics",
+        type=Number(Range(1, 1000, "1"), whole=True),
+        metavar="K",
+        help="default 5, or chosen for --time",
+    )
     group.add_argument(
         "--period",
-        type=float,
+        type=Number(SECONDS),
         metavar="S",
         help="[s] (default: from the limits: a sweep of the ranges at full speed)",
     )
     group.add_argument(
-        "--optimise-period", metavar="MIN,MAX", help="let the period vary between these [s]"
+        "--optimise-period",
+        type=Numbers(SECONDS, (2,), increasing=True),
+        metavar="MIN,MAX",
+        help="let the period vary between these [s]",
     )
     group.add_argument(
         "--samples",
-        type=int,
+        type=Number(Range(3, 1e6, "1"), whole=True),
         metavar="N",
         help="the optimiser's grid over one period (default 20 per harmonic)",
     )
     group.add_argument(
         "--periods",
-        type=int,
+        type=Number(Range(2, 1e5, "1"), whole=True),
         metavar="N",
         help="repeats in the motion (default 2, or what fits --time)",
     )
     group.add_argument(
         "--rate",
-        type=_positive,
+        type=Number(HERTZ),
         default=100.0,
         metavar="HZ",
         help="rows a second in trajectory.csv (default %(default)s)",
@@ -227,18 +251,20 @@ def _design(commands: Commands) -> None:
     )
     group.add_argument(
         "--speed",
-        type=float,
+        type=Number(SLOWDOWN),
         default=1.0,
         metavar="F",
         help="play the motion at F times its speed, for a first careful run",
     )
     group.add_argument(
         "--start",
+        type=Numbers(ranges.POSITION),
         metavar="Q1,…,QN",
         help="pose at which the motion starts and ends, at rest (default: nearest the excitation)",
     )
     group.add_argument(
         "--box",
+        type=NamedNumbers("FRAME:XMIN,XMAX,YMIN,YMAX,ZMIN,ZMAX", ":", Numbers(ranges.LENGTH, (6,))),
         metavar="FRAME:XMIN,XMAX,YMIN,YMAX,ZMIN,ZMAX",
         action="append",
         default=[],
@@ -246,13 +272,13 @@ def _design(commands: Commands) -> None:
     )
     group.add_argument(
         "--margin",
-        type=float,
+        type=Number(Range(0.0, 0.99, "1")),
         metavar="F",
         help="share of velocity, acceleration, jerk and torque limits to keep free (default: the limits file's [margin], or 0.02)",
     )
     group.add_argument(
         "--uncertainty",
-        type=float,
+        type=Number(Range(0.0, 100.0, "1")),
         default=0.1,
         metavar="R",
         help="torque limits hold for all robots this near (default %(default)s)",
@@ -260,11 +286,19 @@ def _design(commands: Commands) -> None:
     _surroundings(sub)
     group = sub.add_argument_group("search")
     group.add_argument(
-        "--starts", type=int, default=2, metavar="N", help="random starts (default %(default)s)"
+        "--starts",
+        type=Number(Range(1, 1e6, "1"), whole=True),
+        default=2,
+        metavar="N",
+        help="random starts (default %(default)s)",
     )
-    group.add_argument("--seed", type=int, default=0, metavar="N", help="default %(default)s")
+    group.add_argument("--seed", type=SEED, default=0, metavar="N", help="default %(default)s")
     group.add_argument(
-        "--jobs", type=int, default=-1, metavar="N", help="processes (default: one per core)"
+        "--jobs",
+        type=Number(Range(-1024, 1024, "1", zero=False), whole=True),
+        default=-1,
+        metavar="N",
+        help="processes (default: one per core)",
     )
     group.add_argument(
         "--backend",
@@ -277,7 +311,11 @@ def _design(commands: Commands) -> None:
         help="of a running Dask scheduler (tcp://host:8786) or Ray head (ray://host:10001)",
     )
     group.add_argument(
-        "--iterations", type=int, default=300, metavar="N", help="per start (default %(default)s)"
+        "--iterations",
+        type=Number(Range(1, 1e6, "1"), whole=True),
+        default=300,
+        metavar="N",
+        help="per start (default %(default)s)",
     )
     group.add_argument(
         "--force",
@@ -298,13 +336,14 @@ def _surroundings(sub: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--floor",
+        type=Number(ranges.LENGTH),
         metavar="Z",
         help="height in the base frame [m] (default: 0, or the lowest point of the links that do not move)",
     )
     group.add_argument("--no-floor", action="store_true", help="there is none")
     group.add_argument(
         "--clearance",
-        type=float,
+        type=Number(Range(0.0, 1e4, "m")),
         metavar="M",
         help="least distance to keep [m] (default: the scene's, or 0.02)",
     )
@@ -361,13 +400,13 @@ def _export(commands: Commands) -> None:
     sub.add_argument("-o", dest="out", metavar="FILE", required=True)
     sub.add_argument(
         "--rate",
-        type=float,
+        type=Number(HERTZ),
         metavar="HZ",
         help="rows or knots a second, where the format leaves it open",
     )
     sub.add_argument(
         "--speed",
-        type=float,
+        type=Number(SLOWDOWN),
         default=1.0,
         metavar="F",
         help="play at F times its speed, for a first careful run",
@@ -437,25 +476,26 @@ def _identify(commands: Commands) -> None:
     )
     group.add_argument(
         "--threshold",
-        type=_positive,
+        type=Number(VARIANCE),
         default=1e-2,
         help="largest scale-free variance of what counts as identified (default %(default)s)",
     )
     group = sub.add_argument_group("signals")
     group.add_argument(
         "--band",
-        type=_positive,
+        type=Number(HERTZ),
         metavar="HZ",
         help="torque below this frequency is fitted (default: from the data)",
     )
     group.add_argument(
         "--period",
-        type=float,
+        type=Number(SECONDS),
         metavar="S",
         help="of the excitation, where the recording's .json does not say it",
     )
     group.add_argument(
         "--window",
+        type=Numbers(Range(-1e12, 1e12, "s"), (2,), increasing=True),
         metavar="T0,T1",
         help="where it repeats, with --period (default: the whole recording) [s]",
     )
@@ -477,6 +517,7 @@ def _identify(commands: Commands) -> None:
     )
     group.add_argument(
         "--gamma",
+        type=WordOrNumbers(("evidence", "heldout"), Numbers(VARIANCE, (1, 2))),
         default="evidence",
         metavar="G",
         help="weight of the nominal robot: evidence, heldout (blocks left out), a number, or two for bodies,drives (default %(default)s)",
@@ -551,7 +592,7 @@ def _diagnose(commands: Commands) -> None:
     )
     sub.add_argument(
         "--band",
-        type=_positive,
+        type=Number(HERTZ),
         metavar="HZ",
         help="torque below this is looked at (default: 20, more where the data asks for it)",
     )
@@ -590,7 +631,7 @@ def _simulate(commands: Commands) -> None:
     )
     sub.add_argument(
         "--severity",
-        type=float,
+        type=Number(Range(1e-3, 1e6, "1")),
         metavar="S",
         help="scale each effect until a refit of the base model leaves S times the noise of it",
     )
@@ -606,38 +647,52 @@ def _simulate(commands: Commands) -> None:
     )
     sub.add_argument(
         "--seed",
-        type=int,
+        type=SEED,
         metavar="N",
         help="of the true bodies, the drives and the noise (default 0)",
     )
     sub.add_argument(
         "--model-error",
-        type=float,
+        type=Number(SHARE),
         metavar="F",
         help="how far the true bodies are from the URDF's (default 0.05)",
     )
     sub.add_argument(
         "--periods",
-        type=int,
+        type=Number(Range(1, 1e5, "1"), whole=True),
         metavar="N",
         help="repeats of the excitation (default: as the trajectory says)",
     )
     group = sub.add_argument_group("measurement")
-    group.add_argument("--rate", type=float, metavar="HZ", help="125 to 1000 (default 500)")
     group.add_argument(
-        "--noise", type=float, metavar="F", help="of torque, over the torque limit (default 0.005)"
+        "--rate",
+        type=Number(Range(125.0, 1000.0, "Hz")),
+        metavar="HZ",
+        help="125 to 1000 (default 500)",
     )
     group.add_argument(
-        "--colour", type=float, metavar="HZ", help="corner of the noise's spectrum (default: white)"
+        "--noise",
+        type=Number(SHARE),
+        metavar="F",
+        help="of torque, over the torque limit (default 0.005)",
+    )
+    group.add_argument(
+        "--colour",
+        type=Number(HERTZ),
+        metavar="HZ",
+        help="corner of the noise's spectrum (default: white)",
     )
     group.add_argument(
         "--jitter",
-        type=float,
+        type=Number(Range(0.0, 1.0, "s")),
         metavar="S",
         help="of the times of sampling, unseen by the clock [s]",
     )
     group.add_argument(
-        "--encoder", type=float, metavar="RAD", help="resolution of position (default 2e-6)"
+        "--encoder",
+        type=Number(Range(0.0, 1.0, "rad or m")),
+        metavar="RAD",
+        help="resolution of position (default 2e-6)",
     )
 
 
@@ -648,12 +703,19 @@ def _view(commands: Commands) -> None:
     sub.add_argument("trajectory", metavar="TRAJECTORY")
     sub.add_argument("--robot", metavar="URDF", help="where the robot's URDF is now")
     sub.add_argument(
-        "--speed", type=float, default=1.0, metavar="F", help="play at F times its speed"
+        "--speed",
+        type=Number(Range(1e-3, 4.0, "1")),
+        default=1.0,
+        metavar="F",
+        help="play at F times its speed",
     )
     sub.add_argument("--once", action="store_true", help="end after one play")
     sub.add_argument("--host", default="localhost", help="default %(default)s")
     sub.add_argument(
-        "--port", type=int, default=8080, help="default %(default)s, or the next free one"
+        "--port",
+        type=Number(Range(1, 65535, "1"), whole=True),
+        default=8080,
+        help="default %(default)s, or the next free one",
     )
 
 

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
-
-import numpy as np
 
 from ..collision.workcell import NOT_CHECKED, Cell
 from ..errors import UnusableInput
@@ -16,42 +13,18 @@ from ..robot.limits import Limits
 from ..robot.robot import Payload, Robot, load
 
 
-def floats(option: str, text: str, counts: Sequence[int]) -> list[float]:
-    """Numbers separated by commas, as many as one of `counts`."""
-    try:
-        values = [float(word) for word in text.split(",")]
-    except ValueError as error:
-        raise UnusableInput(f"{option} {text}: should be numbers separated by commas") from error
-    if len(values) not in counts:
-        raise UnusableInput(
-            f"{option} {text}: should hold {' or '.join(map(str, counts))} number(s), not {len(values)}"
-        )
-    if not np.isfinite(values).all():
-        raise UnusableInput(f"{option} {text}: should hold finite numbers")
-    return values
-
-
 def robot(arguments: argparse.Namespace) -> Robot:
     """The robot that the options describe."""
-    lock: dict[str, float] = {}
-    for entry in arguments.lock:
-        name, separator, value = entry.partition("=")
-        if not separator:
-            raise UnusableInput(f"--lock {entry}: should read NAME=VALUE")
-        lock[name] = floats(f"--lock {name}", value, (1,))[0]
     payload = None
     if arguments.payload:
-        link, separator, numbers = arguments.payload.rpartition(":")
-        if not separator:
-            raise UnusableInput(
-                f"--payload {arguments.payload}: should read LINK:MASS[,CX,CY,CZ[,IXX,IXY,IYY,IXZ,IYZ,IZZ]]"
-            )
-        values = floats("--payload", numbers, (1, 4, 10))
-        values += [0.0] * (10 - len(values))
-        payload = Payload(link, values[0], tuple(values[1:4]), tuple(values[4:]))  # type: ignore[arg-type]
-    gravity = floats("--gravity", arguments.gravity, (3,))
+        link, values = arguments.payload
+        values += (0.0,) * (10 - len(values))
+        payload = Payload(link, values[0], values[1:4], values[4:])
     joints = arguments.joints.split(",") if arguments.joints else None
-    return load(arguments.robot, joints=joints, lock=lock, payload=payload, gravity=gravity)
+    lock = {name: value for name, (value,) in arguments.lock}
+    return load(
+        arguments.robot, joints=joints, lock=lock, payload=payload, gravity=arguments.gravity
+    )
 
 
 def limits(arguments: argparse.Namespace, machine: Robot) -> Limits:
@@ -70,8 +43,9 @@ def cell(arguments: argparse.Namespace, machine: Robot, table: Limits) -> tuple[
     if arguments.no_collision:
         return None, f"{NOT_CHECKED} (--no-collision)"
     around = scene_file.read(Path(arguments.scene)) if arguments.scene else scene_file.Scene()
-    floor = None if arguments.floor is None else floats("--floor", arguments.floor, (1,))[0]
-    around = around.overridden(False if arguments.no_floor else floor, arguments.clearance)
+    around = around.overridden(
+        False if arguments.no_floor else arguments.floor, arguments.clearance
+    )
     if arguments.srdf:
         around = around.with_srdf(Path(arguments.srdf))
     asked = bool(
@@ -102,7 +76,19 @@ def noise(arguments: argparse.Namespace, machine: Robot) -> tuple[float, ...] | 
     """Torque noise per joint as stated, None where it is not."""
     if arguments.torque_noise is None:
         return None
-    values = floats("--torque-noise", arguments.torque_noise, (1, machine.n))
-    if min(values) <= 0.0:
-        raise UnusableInput(f"--torque-noise {arguments.torque_noise}: should be positive")
-    return tuple(values * machine.n if len(values) == 1 else values)
+    return of_joints(
+        "--torque-noise",
+        arguments.torque_noise * machine.n
+        if len(arguments.torque_noise) == 1
+        else arguments.torque_noise,
+        machine,
+    )
+
+
+def of_joints(option: str, values: tuple[float, ...], machine: Robot) -> tuple[float, ...]:
+    """An option's numbers, one per moving joint. Raises UnusableInput for another number of them."""
+    if len(values) != machine.n:
+        raise UnusableInput(
+            f"{option}: should hold {machine.n} number(s), one per moving joint ({', '.join(machine.joints)}), not {len(values)}"
+        )
+    return values

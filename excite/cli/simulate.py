@@ -64,8 +64,6 @@ def command(arguments: argparse.Namespace) -> tuple[int, Any, str]:
         else like.effects
     )
     if arguments.severity is not None:
-        if not arguments.severity > 0.0:
-            raise UnusableInput(f"--severity {arguments.severity:g}: should be above 0")
         effects = tuple(
             severity.reach(
                 one, arguments.severity, plant, motion, chain, trusted=arguments.trusted
@@ -151,18 +149,6 @@ def _setting(arguments: argparse.Namespace, like: _Robot | None) -> Any:
     asked = {
         name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None
     }
-    for name, low in (
-        ("seed", 0.0),
-        ("rate", 125.0),
-        ("noise", 0.0),
-        ("jitter", 0.0),
-        ("encoder", 0.0),
-        ("model_error", 0.0),
-    ):
-        value = asked.get(name, low)
-        if not np.isfinite(value) or value < low or (name == "rate" and value > 1000.0):
-            remedy = "be between 125 and 1000 Hz" if name == "rate" else "be a number not below 0"
-            raise UnusableInput(f"--{name.replace('_', '-')} {value:g}: should {remedy}")
     out = replace(Setting() if like is None else like.setting, **asked)
     if out.colour is not None and not 0.0 < out.colour < 0.5 * out.rate:
         raise UnusableInput(f"--colour {out.colour:g}: should be above 0 and below half the --rate")

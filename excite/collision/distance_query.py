@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..robot.robot import Robot
+from . import mesh_file
 from .geometry import Kind, Shape
 
 Array = np.ndarray
@@ -49,6 +50,7 @@ class Pair:
 
 def bodies(robot: Robot, shapes: Sequence[Shape]) -> tuple[Body, ...]:
     """Shapes of one name together, placed. Raises UnusableInput for a link that the robot has not."""
+    mesh_file.read_all([one.file for one in shapes if one.file is not None])
     grouped: dict[str, list[Shape]] = {}
     for one in shapes:
         grouped.setdefault(one.name, []).append(one)

@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import UnusableInput
+from . import mesh_file
 
 Array = np.ndarray
 SIDES = 24
@@ -81,13 +82,8 @@ class Shape:
         return _mesh(str(self.file), size)
 
     def hull(self) -> coal.CollisionGeometry:
-        """A convex shape that encloses it: of all but meshes the shape itself."""
-        if self.kind is not Kind.MESH:
-            return self.solid()
-        mesh = self.solid()
-        if mesh.convex is None:
-            mesh.buildConvexHull(True, "Qt")
-        return mesh.convex
+        """A convex shape that encloses it: of all but meshes, and of flat meshes, the shape itself."""
+        return _hull(str(self.file), self.size) if self.kind is Kind.MESH else self.solid()
 
     def lowest(self, placement: pin.SE3) -> float:
         """Least height of the exact shape, placed as given; of a floor, its own height [m]."""
@@ -160,26 +156,48 @@ def from_document(entry: Mapping[str, Any]) -> Shape:
 
 
 @lru_cache(maxsize=256)
-def _mesh(file: str, scale: tuple[float, ...]) -> coal.BVHModelBase:
-    try:
-        mesh = coal.MeshLoader().load(file, np.array(scale))
-    except (ValueError, RuntimeError) as error:
-        reason = str(error).strip().splitlines()[-1]
-        raise UnusableInput(
-            f"{file}: cannot be read as a mesh ({reason}); export it as STL, OBJ or DAE"
-        ) from error
-    if mesh.num_tris == 0:
-        raise UnusableInput(f"{file}: holds no triangles; export it as STL, OBJ or DAE")
+def _scaled(file: str, scale: tuple[float, ...]) -> mesh_file.Mesh:
+    return mesh_file.scaled(file, scale)
+
+
+def _built(vertices: Array, triangles: Array) -> coal.BVHModelBase:
+    mesh = coal.BVHModelOBBRSS()
+    mesh.beginModel(len(triangles), len(vertices))
+    mesh.addVertices(np.ascontiguousarray(vertices))
+    mesh.addTriangles(np.ascontiguousarray(triangles, np.int64))
+    mesh.endModel()
     return mesh
 
 
 @lru_cache(maxsize=256)
-def _surface(file: str, scale: tuple[float, ...]) -> Array:
-    mesh = _mesh(file, scale)
-    corners = np.array(
-        [[face[0], face[1], face[2]] for face in map(mesh.tri_indices, range(mesh.num_tris))], int
+def _mesh(file: str, scale: tuple[float, ...]) -> coal.BVHModelBase:
+    scaled = _scaled(file, scale)
+    return _built(scaled.vertices, scaled.triangles)
+
+
+@lru_cache(maxsize=256)
+def _hull(file: str, scale: tuple[float, ...]) -> coal.CollisionGeometry:
+    """The convex hull of a mesh; the mesh itself where it is flat. (`BVHModelBase.buildConvexHull` crashes on flat meshes.)"""
+    from scipy.spatial import ConvexHull, QhullError  # slow to import
+
+    vertices = _scaled(file, scale).vertices
+    try:
+        found = ConvexHull(vertices)
+    except (QhullError, ValueError):  # flat, or fewer than four corners
+        return _mesh(file, scale)
+    points, faces = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    corners = np.sort(found.vertices)
+    points.extend(list(vertices[corners]))
+    faces.extend(
+        [coal.Triangle(*face) for face in np.searchsorted(corners, found.simplices).tolist()]
     )
-    return np.asarray(mesh.vertices()[corners])
+    return coal.Convex(points, faces)
+
+
+@lru_cache(maxsize=256)
+def _surface(file: str, scale: tuple[float, ...]) -> Array:
+    scaled = _scaled(file, scale)
+    return np.asarray(scaled.vertices[scaled.triangles])
 
 
 def _prism(profile: Array, heights: Any) -> Array:

@@ -7,10 +7,13 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
+from .. import physical_ranges as ranges
 from ..errors import UnusableInput
+from ..physical_ranges import Range
+from ..robot import xml_file
 from ..robot.robot import locate
+from ..robot.urdf import is_file, numbers
+from . import mesh_file
 from .geometry import WORDS, Kind, Shape
 
 
@@ -30,7 +33,7 @@ def read(source: str, packages: Sequence[str] = ()) -> list[Shape]:
     that is not there, UnusableInput for a shape that is none.
     """
     path = locate(source)
-    root = ElementTree.parse(path).getroot()
+    root = xml_file.parse(path, "a URDF")
     out = []
     for link in root.findall("link"):
         name = str(link.get("name"))
@@ -46,6 +49,7 @@ def read(source: str, packages: Sequence[str] = ()) -> list[Shape]:
                     path, name, collision, geometry[0], collision.get("name") in rounded, packages
                 )
             )
+    mesh_file.read_all([shape.file for shape in out if shape.file is not None])
     return out
 
 
@@ -66,34 +70,25 @@ def _shape(
     file = None
     if kind is Kind.MESH:
         file = str(_find(path, owner, solid.get("filename", ""), packages))
-        size = _numbers(path, owner, solid.get("scale", "1 1 1"), 3)
+        size = _numbers(path, owner, solid.get("scale", "1 1 1"), 3, ranges.MESH_SCALE)
     else:
         count = 3 if kind is Kind.BOX else 1
         size = tuple(
-            v for word in WORDS[kind] for v in _numbers(path, owner, solid.get(word, ""), count)
+            v
+            for word in WORDS[kind]
+            for v in _numbers(path, owner, solid.get(word, ""), count, ranges.SIZE)
         )
-        if min(size) <= 0.0:
-            raise UnusableInput(
-                f"{path}: link '{owner}': its {solid.tag} has the size {size}; sizes should be positive"
-            )
     origin = collision.find("origin")
+    placing = (("xyz", ranges.LENGTH), ("rpy", ranges.ANGLE))
     place = [
-        _numbers(path, owner, "0 0 0" if origin is None else origin.get(key, "0 0 0"), 3)
-        for key in ("xyz", "rpy")
+        _numbers(path, owner, "0 0 0" if origin is None else origin.get(key, "0 0 0"), 3, accepted)
+        for key, accepted in placing
     ]
     return Shape(owner, kind, size, place[0], place[1], owner, file)  # type: ignore[arg-type]
 
 
-def _numbers(path: Path, owner: str, text: str, count: int) -> tuple[float, ...]:
-    try:
-        values = tuple(float(word) for word in text.split())
-    except ValueError:
-        values = ()
-    if len(values) != count or not np.isfinite(values).all():
-        raise UnusableInput(
-            f"{path}: link '{owner}': '{text}' in its <collision> should be {count} finite number(s); correct it"
-        )
-    return values
+def _numbers(path: Path, owner: str, text: str, count: int, accepted: Range) -> tuple[float, ...]:
+    return tuple(numbers(str(path), f"link '{owner}', in its <collision>", text, count, accepted))
 
 
 def _find(path: Path, owner: str, name: str, packages: Sequence[str]) -> Path:
@@ -114,18 +109,13 @@ def _find(path: Path, owner: str, name: str, packages: Sequence[str]) -> Path:
         candidates = [path.resolve().parent / name.removeprefix("file://")]
         candidates += [Path(place) / name for place in places if place]
     for candidate in candidates:
-        if candidate.is_file():
+        if is_file(candidate):
             return candidate
     raise MissingMesh(str(path), owner, name)
 
 
 def disabled(path: Path) -> tuple[tuple[str, str], ...]:
     """Pairs of links whose collisions an SRDF disables. Raises UnusableInput for a file that is none."""
-    try:
-        root = ElementTree.parse(path).getroot()
-    except (OSError, ElementTree.ParseError) as error:
-        raise UnusableInput(
-            f"{path}: cannot be read as an SRDF ({error}); give the one that belongs to the URDF"
-        ) from error
+    root = xml_file.parse(path, "an SRDF")
     found = [(entry.get("link1"), entry.get("link2")) for entry in root.iter("disable_collisions")]
     return tuple((str(one), str(other)) for one, other in found)

@@ -62,9 +62,7 @@ def _trajectory(job: Job) -> str:
     frame = FORCED if job.trajectory.forced else ""
     return (
         f'{{"header": {{"stamp": {{"sec": 0, "nanosec": 0}}, "frame_id": {_quoted(frame)}}},\n'
-        f'"joint_names": [{names}],\n"points": [\n'
-        + ",\n".join(points)
-        + "\n]}"
+        f'"joint_names": [{names}],\n"points": [\n' + ",\n".join(points) + "\n]}"
     )
 
 

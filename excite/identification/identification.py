@@ -89,9 +89,18 @@ class Prediction:
         """RMS torque error per joint. Shape (n,) [N m]."""
         return np.sqrt(np.mean((self.measured - getattr(self, which)) ** 2, axis=0))
 
+    def in_floors(self) -> Array | None:
+        """The error of the fitted model over the noise floor; ∞ where the floor is 0, None where it is not known. Shape (n,)."""
+        if self.floor is None:
+            return None
+        return np.divide(
+            self.error(), self.floor, out=np.full_like(self.floor, np.inf), where=self.floor > 0.0
+        )
+
     def relative(self, which: str = "fitted") -> Array:
-        """The same over the RMS of the torque."""
-        return self.error(which) / np.sqrt(np.mean(self.measured**2, axis=0))
+        """The same over the RMS of the torque; ∞ for a joint whose measured torque is 0 throughout."""
+        size = np.sqrt(np.mean(self.measured**2, axis=0))
+        return np.divide(self.error(which), size, out=np.full_like(size, np.inf), where=size > 0.0)
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..recordings import Recording
+from ..recordings.recording import SHORTEST
 from .lowpass import Band
 
 Array = np.ndarray
@@ -100,7 +101,8 @@ def first(parts: Sequence[Piece], samples: int) -> list[Piece]:
 
 
 def averaged(recording: Recording, period: float, window: tuple[float, float]) -> Piece | None:
-    """The mean over the whole periods within a window, on a grid of a whole number of samples; None where fewer than two are.
+    """The mean over the whole periods within a window, on a grid of a whole number of samples; None where fewer than two are, or where a
+    period has fewer than SHORTEST samples.
 
     Periods that a gap interrupts are left out.
     """
@@ -108,8 +110,10 @@ def averaged(recording: Recording, period: float, window: tuple[float, float]) -
         recording.t[min(int(np.searchsorted(recording.t, window[0] - 1e-9)), len(recording) - 1)]
     )
     last = min(window[1], float(recording.t[-1]) + 1.0 / recording.rate)
-    starts = first + period * np.arange(int((last - first) / period + 1e-6))
     samples = round(period * recording.rate)
+    if samples < SHORTEST or (last - first) / period + 1e-6 < 2.0:
+        return None
+    starts = first + period * np.arange(int((last - first) / period + 1e-6))
     inside = np.arange(samples) * (period / samples)
     found = [
         _folded(part, starts[whole, None] + inside)

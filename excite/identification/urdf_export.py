@@ -14,6 +14,7 @@ from collections.abc import Mapping
 import numpy as np
 import pinocchio as pin
 
+from ..robot import xml_file
 from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot, locate
 
@@ -22,13 +23,12 @@ Array = np.ndarray
 
 def identified(robot: Robot, parameters: Parameters, psi: Array, widths: Array) -> str:
     """URDF text of `robot` with parameters ψ. Loaded again with the same joints, it gives the same torque."""
-    raw = locate(robot.source).read_text(encoding="utf-8", errors="replace")
+    path = locate(robot.source)
+    raw = xml_file.read_text(path, "a URDF")
     before = re.match(
         r"\s*(<\?xml.*?\?>)?((\s|<!--.*?-->)*)<", raw, re.DOTALL
     )  # comments there belong to no element
-    root = ElementTree.fromstring(
-        raw, ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
-    )
+    root = xml_file.parse_text(path, raw, keep_comments=True)
     _lock(root, robot)
     bodies = {link: psi[10 * i : 10 * i + 10] for i, link in enumerate(parameters.links)}
     moving = {

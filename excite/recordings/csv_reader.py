@@ -16,6 +16,8 @@ from .column_names import layout
 CHUNK = 1 << 23
 """Bytes parsed at once."""
 SEPARATORS = (",", ";", "\t", " ")
+LONGEST_LINE = 1 << 20
+"""Longest line of a file, its header included [bytes]: 10,000 columns of 100 bytes."""
 
 
 def blocks(path: Path, robot: Robot) -> Iterator[Block]:
@@ -24,12 +26,16 @@ def blocks(path: Path, robot: Robot) -> Iterator[Block]:
     Raises UnusableInput for a header without the robot's columns and for a cell that is no number, by row and column.
     """
     with path.open("rb") as stream:
-        separator, header = _header(path, stream.readline())
+        separator, header = _header(path, stream.readline(LONGEST_LINE))
         places = layout(str(path), header, robot)
         columns = [header.index(name) for name in places.names]
         row, rest = 2, b""
         while chunk := stream.read(CHUNK):
             text, newline, rest = (rest + chunk).rpartition(b"\n")
+            if len(rest) > LONGEST_LINE:
+                raise UnusableInput(
+                    f"{path}: after row {row + text.count(newline or b' ')}: a line is longer than {LONGEST_LINE} bytes; give a CSV"
+                )
             if newline:
                 yield places.block(_parsed(path, text + newline, separator, header, columns, row))
                 row += text.count(b"\n") + 1
@@ -38,11 +44,20 @@ def blocks(path: Path, robot: Robot) -> Iterator[Block]:
 
 
 def _header(path: Path, line: bytes) -> tuple[str, list[str]]:
+    """The separator of a file and the names in its first line."""
+    if b"\r" in line.removesuffix(b"\n").removesuffix(b"\r"):
+        raise UnusableInput(
+            f"{path}: row 1: its line ends in a carriage return alone; save it with line ends LF or CR LF"
+        )
+    if len(line) == LONGEST_LINE:
+        raise UnusableInput(
+            f"{path}: row 1 is longer than {LONGEST_LINE} bytes; give a CSV with a header t,q.<joint>,…"
+        )
     try:
         text = line.decode("utf-8-sig").strip().lstrip("#").strip()
     except UnicodeDecodeError as error:
         raise UnusableInput(
-            f"{path}: is no text; give a CSV with a header t,q.<joint>,…, an .npz, a rosbag2 folder or an .mcap"
+            f"{path}: is no UTF-8 text; give a CSV in UTF-8 with a header t,q.<joint>,…, an .npz, a rosbag2 folder or an .mcap"
         ) from error
     separator = next((s for s in SEPARATORS if s in text), ",")
     if separator == " ":

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import lzma
+import math
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
@@ -20,6 +22,17 @@ from .column_names import PREFIXES, Layout, layout, listed
 
 Array = np.ndarray
 ROWS = 50_000
+UNREADABLE = (
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+    EOFError,
+    LookupError,
+    ValueError,
+    OverflowError,
+    RuntimeError,
+)
+"""What zipfile and numpy raise for files that are no archives or that ask for a compression or a password that is not there."""
 
 
 @dataclass
@@ -61,10 +74,10 @@ def blocks(path: Path, robot: Robot) -> Iterator[Block]:
             open_member = partial(_open, path, file, opened)
             names = [name.removesuffix(".npy") for name in file.namelist()]
             if "q" in names:
-                yield from _matrices(path, open_member, _names(file, names), names, robot)
+                yield from _matrices(path, open_member, _names(path, file, names), names, robot)
             else:
                 yield from _columns(path, open_member, names, robot)
-    except (zipfile.BadZipFile, zlib.error, EOFError, ValueError) as error:
+    except UNREADABLE as error:
         raise UnusableInput(
             f"{path}: is no readable .npz ({error}); save it again with np.savez"
         ) from error
@@ -110,10 +123,12 @@ def _merged(
         yield places.block(table if columns is None else table[:, columns])
 
 
-def _names(file: zipfile.ZipFile, names: list[str]) -> list[str]:
+def _names(path: Path, file: zipfile.ZipFile, names: list[str]) -> list[str]:
     """What the array `joints` holds, if it is there."""
     if "joints" not in names:
         return []
+    with file.open("joints.npy") as stream:
+        _header(path, file, "joints", stream)
     with file.open("joints.npy") as stream:
         return [
             str(name)
@@ -121,10 +136,13 @@ def _names(file: zipfile.ZipFile, names: list[str]) -> list[str]:
         ]
 
 
-def _open(
-    path: Path, file: zipfile.ZipFile, opened: ExitStack, name: str, dimensions: int
-) -> _Member:
-    stream = opened.enter_context(file.open(f"{name}.npy"))
+def _header(
+    path: Path, file: zipfile.ZipFile, name: str, stream: IO[bytes]
+) -> tuple[tuple[int, ...], bool, np.dtype]:
+    """Shape, whether columns are stored one after the other, and type of an array; the stream then stands at its first number.
+
+    Raises UnusableInput for an array of objects, which is not loaded since it may hold code, and for one that is larger than its file.
+    """
     version = np.lib.format.read_magic(stream)
     read = (
         np.lib.format.read_array_header_1_0
@@ -132,6 +150,23 @@ def _open(
         else np.lib.format.read_array_header_2_0
     )
     shape, by_column, dtype = read(stream)
+    if dtype.hasobject:
+        raise UnusableInput(
+            f"{path}: array '{name}' holds Python objects, which are not loaded; save numbers and names"
+        )
+    there = file.getinfo(f"{name}.npy").file_size
+    if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > there:
+        raise UnusableInput(
+            f"{path}: array '{name}' of shape {shape} should have more than the {there} bytes that are there; save it again"
+        )
+    return shape, by_column, dtype
+
+
+def _open(
+    path: Path, file: zipfile.ZipFile, opened: ExitStack, name: str, dimensions: int
+) -> _Member:
+    stream = opened.enter_context(file.open(f"{name}.npy"))
+    shape, by_column, dtype = _header(path, file, name, stream)
     if len(shape) != dimensions or dtype.kind not in "fiu":
         raise UnusableInput(
             f"{path}: array '{name}' is {len(shape)}-dimensional of type {dtype}; save {dimensions}-dimensional numbers"

@@ -10,7 +10,8 @@ import numpy as np
 from ..errors import UnusableInput
 from ..robot.limits import Limits
 from ..robot.robot import Robot
-from . import csv_reader, data_quality, npz_reader, rosbag_reader, sidecar
+from ..robot.urdf import is_file
+from . import csv_reader, data_quality, magnitudes, npz_reader, rosbag_reader, sidecar
 from .block import Block, joined
 from .data_quality import Patient, Window
 from .recording import Recording
@@ -40,6 +41,8 @@ def read(path: Path, robot: Robot, limits: Limits | None = None) -> Recording:
     whole = data_quality.recording(
         patient, Window(block, remarks=tuple(remarks)), measure(str(path), block.t), whole=True
     )
+    if whole.sidecar.period is not None:
+        whole.check_period(whole.sidecar.period, whole.sidecar.periodic, str(sidecar.beside(path)))
     data_quality.warn(str(path), whole.remarks)
     return whole
 
@@ -72,19 +75,22 @@ def stream(
 
 
 def _blocks(path: Path, patient: Patient) -> Iterator[Block]:
-    if not path.exists():
+    if not (path.is_dir() or is_file(path)):
         raise UnusableInput(f"{path}: no such file; give a recording: {FORMATS}")
     if path.suffix == ".json":
         raise UnusableInput(f"{path}: is no recording but JSON; give the file beside it: {FORMATS}")
-    if rosbag_reader.is_bag(path):
-        yield from rosbag_reader.blocks(path, patient.robot, patient.sidecar)
-        return
+    row = 1
     try:
-        yield from (
-            npz_reader.blocks(path, patient.robot)
-            if path.suffix == ".npz"
-            else csv_reader.blocks(path, patient.robot)
-        )
+        if rosbag_reader.is_bag(path):
+            found = rosbag_reader.blocks(path, patient.robot, patient.sidecar)
+        elif path.suffix == ".npz":
+            found = npz_reader.blocks(path, patient.robot)
+        else:
+            found, row = csv_reader.blocks(path, patient.robot), 2  # the header is row 1
+        for block in found:
+            magnitudes.check(str(path), block, patient.robot, row)
+            row += len(block)
+            yield block
     except OSError as error:
         raise UnusableInput(
             f"{path}: cannot be read ({error.strerror}); give a {FORMATS}"

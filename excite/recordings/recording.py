@@ -80,6 +80,26 @@ class Recording:
             else (period, self.sidecar.periodic or (float(self.t[0]), float(self.t[-1])))
         )
 
+    def check_period(
+        self, period: float, periodic: tuple[float, float] | None, stated_by: str
+    ) -> None:
+        """Raise UnusableInput for a period of fewer than SHORTEST rows, or a window in which the recording has no row.
+
+        Args:
+            period: Period of the motion [s].
+            periodic: Window in which the motion repeats [s]; None: the whole recording.
+            stated_by: Option or file that says so, for messages.
+        """
+        if period < SHORTEST * self.step:
+            raise UnusableInput(
+                f"{stated_by}: the period {period:g} s has fewer than {SHORTEST} rows of {self.source}, {self.step:.3g} s apart; correct it"
+            )
+        if periodic is not None and not (periodic[0] < self.t[-1] and periodic[1] > self.t[0]):
+            raise UnusableInput(
+                f"{stated_by}: no row of {self.source} is between {periodic[0]:g} and {periodic[1]:g} s; "
+                f"it runs from {self.t[0]:g} to {self.t[-1]:g} s"
+            )
+
     def has(self, quantity: str, joint: str) -> bool:
         """Whether a quantity of a joint was measured at all."""
         values = getattr(self, quantity)

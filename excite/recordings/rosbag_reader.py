@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
+import sqlite3
+import struct
+import zlib
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -20,6 +26,22 @@ Array = np.ndarray
 ROWS = 20_000
 MESSAGE = "sensor_msgs/msg/JointState"
 ENDINGS = (".mcap", ".db3", ".bag")
+UNREADABLE = (
+    *(
+        OSError,
+        EOFError,
+        AssertionError,
+        ArithmeticError,
+        AttributeError,
+        LookupError,
+        MemoryError,
+        RuntimeError,
+        TypeError,
+        ValueError,
+    ),
+    *(struct.error, sqlite3.Error, zlib.error),
+)
+"""What rosbags, lz4 and sqlite3 raise for damaged files, besides errors of their own."""
 
 
 def is_bag(path: Path) -> bool:
@@ -39,25 +61,58 @@ def blocks(path: Path, robot: Robot, sidecar: Sidecar) -> Iterator[Block]:
         raise UnusableInput(
             f"{path}: is a folder without metadata.yaml; give a rosbag2 folder, or the .mcap in it"
         )
-    stores, own = (
-        rosbags.typesys.Stores,
-        (rosbags.highlevel.AnyReaderError, rosbags.rosbag2.ReaderError, rosbags.serde.SerdeError),
-    )
+    # Bags written before ROS 2 Iron hold no definitions; JointState is the same in all.
+    store = rosbags.typesys.get_typestore(rosbags.typesys.Stores.ROS2_HUMBLE)
+    with ExitStack() as opened:
+        with _refusing(path, rosbags):
+            reader = opened.enter_context(
+                rosbags.highlevel.AnyReader([path], default_typestore=store)
+            )
+        yield from _blocks(path, _Bag(path, rosbags, reader), robot, sidecar)
+
+
+@contextmanager
+def _refusing(path: Path, rosbags: ModuleType) -> Iterator[None]:
+    """Turn what rosbags and its decompressors raise for a damaged file into UnusableInput."""
+    import ruamel.yaml  # these two come with rosbags
+    import zstandard
+
+    own = (rosbags.highlevel.AnyReaderError, rosbags.rosbag2.ReaderError, rosbags.serde.SerdeError)
     try:
-        # Bags written before ROS 2 Iron hold no definitions; JointState is the same in all.
-        with rosbags.highlevel.AnyReader(
-            [path], default_typestore=rosbags.typesys.get_typestore(stores.ROS2_HUMBLE)
-        ) as reader:
-            yield from _messages(path, reader, robot, sidecar)
-    except (
-        *own,
-        OSError,
-        AssertionError,
-        ValueError,
-    ) as error:  # the last two of files that are no bags
+        yield
+    except (*own, ruamel.yaml.YAMLError, zstandard.ZstdError, *UNREADABLE) as error:
+        reason = " ".join(str(error).split()) or "cut short"
         raise UnusableInput(
-            f"{path}: cannot be read as a bag ({error or 'cut short'}); record it again or 'ros2 bag reindex'"
+            f"{path}: cannot be read as a bag ({reason}); record it again or 'ros2 bag reindex'"
         ) from error
+
+
+@dataclass(frozen=True)
+class _Bag:
+    """An open bag; every use of its reader refuses a damaged file."""
+
+    path: Path
+    rosbags: ModuleType
+    reader: Any
+
+    def topics(self) -> list[str]:
+        """Names of the topics of JointState."""
+        return sorted({str(c.topic) for c in self.reader.connections if c.msgtype == MESSAGE})
+
+    def messages(self, topic: str) -> Iterator[tuple[Any, int]]:
+        """Messages of a topic and their times of reception [ns]."""
+        with _refusing(self.path, self.rosbags):
+            raw = self.reader.messages(
+                connections=[c for c in self.reader.connections if c.topic == topic]
+            )
+        while True:
+            with _refusing(self.path, self.rosbags):
+                entry = next(raw, None)
+                if entry is None:
+                    return
+                connection, received, data = entry
+                message = self.reader.deserialize(data, connection.msgtype)
+            yield message, received
 
 
 def _package(path: Path) -> ModuleType:
@@ -73,20 +128,19 @@ def _package(path: Path) -> ModuleType:
     return rosbags
 
 
-def _messages(path: Path, reader: Any, robot: Robot, sidecar: Sidecar) -> Iterator[Block]:
-    topic = _topic(path, reader, robot, sidecar)
-    connections = [c for c in reader.connections if c.topic == topic]
+def _blocks(path: Path, source: _Bag, robot: Robot, sidecar: Sidecar) -> Iterator[Block]:
+    topic = _topic(path, source, robot, sidecar)
     table = _Table(path, robot, "current" if sidecar.effort == "current" else "tau")
-    for connection, received, raw in reader.messages(connections=connections):
-        table.add(reader.deserialize(raw, connection.msgtype), received)
+    for message, received in source.messages(topic):
+        table.add(message, received)
         if len(table.times) == ROWS:
             yield table.flush()
     yield table.flush(_remarks(path, topic, table, sidecar))
 
 
-def _topic(path: Path, reader: Any, robot: Robot, sidecar: Sidecar) -> str:
+def _topic(path: Path, source: _Bag, robot: Robot, sidecar: Sidecar) -> str:
     """The topic to read: the sidecar's, the only one of JointState, or the only one whose messages name all joints."""
-    topics = sorted({str(c.topic) for c in reader.connections if c.msgtype == MESSAGE})
+    topics = source.topics()
     if not topics:
         raise UnusableInput(f"{path}: has no topic of {MESSAGE}; record /joint_states")
     if sidecar.topic is not None:
@@ -97,7 +151,7 @@ def _topic(path: Path, reader: Any, robot: Robot, sidecar: Sidecar) -> str:
         return sidecar.topic
     if len(topics) == 1:
         return topics[0]
-    named = {topic: _names(reader, topic, robot) for topic in topics}
+    named = {topic: _names(source, topic, robot) for topic in topics}
     fitting = [topic for topic, names in named.items() if set(robot.joints) <= names]
     if len(fitting) == 1:
         return fitting[0]
@@ -112,15 +166,11 @@ def _topic(path: Path, reader: Any, robot: Robot, sidecar: Sidecar) -> str:
     )
 
 
-def _names(reader: Any, topic: str, robot: Robot, look: int = 100) -> set[str]:
+def _names(source: _Bag, topic: str, robot: Robot, look: int = 100) -> set[str]:
     """Joints in the first messages of a topic, up to one that names all."""
-    names: set[str] = set()
-    messages = reader.messages(connections=[c for c in reader.connections if c.topic == topic])
-    for _, (connection, _, raw) in zip(range(look), messages, strict=False):
-        found = set(reader.deserialize(raw, connection.msgtype).name)
-        if set(robot.joints) <= found:
-            return found
-        names |= found
+    for message, _ in itertools.islice(source.messages(topic), look):
+        if set(robot.joints) <= set(message.name):
+            return set(message.name)
     return set()
 
 

@@ -18,6 +18,8 @@ GAP = 5
 """Time that more than so many usual steps leave out is a gap; fewer are interpolated."""
 SLOWEST = 0.5
 """Longest plausible step of a recording [s]: 2 rows a second."""
+FASTEST = 1e-6
+"""Shortest plausible step of a recording [s]: a million rows a second."""
 BACK = 50
 """Rows may be late by so many usual steps; a longer way back is a clock that starts again."""
 CLOSE = 0.2
@@ -94,8 +96,8 @@ def order(source: str, block: Block) -> tuple[Block, list[Remark]]:
 def measure(source: str, t: Array) -> Clock:
     """The usual step of increasing times: the median, then the mean over the rows without gaps.
 
-    A median step above 0.5 s is no rate of a robot: an error that says by what the time should be divided. So is a clock of which more
-    than 1 % of the steps are gaps, as where stamps come in bunches.
+    A median step above 0.5 s is no rate of a robot: an error that says by what the time should be divided. So is one below 1 µs, and a
+    clock of which more than 1 % of the steps are gaps, as where stamps come in bunches.
     """
     steps = np.diff(t)
     if not len(steps):
@@ -109,6 +111,10 @@ def measure(source: str, t: Array) -> Clock:
         )
         raise UnusableInput(
             f"{source}: the usual time step is {usual:g}; is time in {unit}? Divide it by {factor:g}, seconds are needed"
+        )
+    if usual < FASTEST:
+        raise UnusableInput(
+            f"{source}: the usual time step is {usual:g} s, more than a million rows a second; is time in another unit? Seconds are needed"
         )
     short = steps <= (GAP + 0.5) * usual
     if (~short).sum() > max(MOST_GAPS * len(steps), 3):

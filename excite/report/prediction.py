@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..identification.identification import Identification, Prediction
-from ..robot.parameter_names import percent, some
+from ..robot.parameter_names import multiple, percent, some
 from ..robot.robot import Robot
 from .figures import torque_fit
 from .figures.torque_fit import EXCERPT, SURE
@@ -74,17 +74,17 @@ def verdict(predictions: Sequence[Prediction], robot: Robot) -> tuple[str, str]:
         else f"{len(predictions)} held-out recordings"
     )
     relative = np.max([one.relative() for one in predictions], axis=0)
-    ratios = [one.error() / one.floor for one in predictions if one.floor is not None]
+    ratios = [ratio for one in predictions if (ratio := one.in_floors()) is not None]
     span = _span(predictions, robot)
     if len(ratios) == len(predictions):
         ratio = np.max(ratios, axis=0)
         worst = int(np.argmax(ratio))
         beyond = [j for j, r in zip(robot.joints, ratio, strict=True) if r > WITHIN]
         if not beyond:
-            text = f"Yes, down to the noise: {where} the worst joint, {robot.joints[worst]}, errs by {ratio[worst]:.2f} noise floors."
+            text = f"Yes, down to the noise: {where} the worst joint, {robot.joints[worst]}, errs by {multiple(ratio[worst])} noise floors."
             return text, "good"
         text = f"Not down to the noise: {where} the error {span}; in {some(beyond)} it is more than {WITHIN:g} noise floors, "
-        return text + f"up to {ratio[worst]:.2g} in {robot.joints[worst]}.", "warn"
+        return text + f"up to {multiple(ratio[worst])} in {robot.joints[worst]}.", "warn"
     useless = [j for j, r in zip(robot.joints, relative, strict=True) if r >= 1.0]
     poor = [j for j, r in zip(robot.joints, relative, strict=True) if ROUGHLY < r < 1.0]
     if useless:
@@ -114,11 +114,11 @@ def _span(predictions: Sequence[Prediction], robot: Robot) -> str:
 
 def _table(one: Prediction, robot: Robot) -> str:
     before, after = one.error("nominal"), one.error()
-    relative, relative_before = one.relative(), one.relative("nominal")
+    relative, relative_before, ratios = one.relative(), one.relative("nominal"), one.in_floors()
     rows = []
     for k, (joint, unit) in enumerate(zip(robot.joints, torque_units(robot), strict=True)):
         floor = None if one.floor is None else float(one.floor[k])
-        ratio = None if floor is None else after[k] / floor
+        ratio = None if ratios is None else float(ratios[k])
         tone = (
             "bad"
             if after[k] > before[k] or relative[k] >= 1.0
@@ -133,7 +133,7 @@ def _table(one: Prediction, robot: Robot) -> str:
                 _torque(before[k]),
                 f'<b class="{tone}">{_torque(after[k])}</b>',
                 _torque(floor),
-                "–" if ratio is None else f"{ratio:.2f}",
+                "–" if ratio is None else multiple(ratio),
                 escape(percent(relative_before[k])),
                 f'<b class="{tone}">{escape(percent(relative[k]))}</b>',
             )

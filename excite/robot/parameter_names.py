@@ -40,11 +40,18 @@ def sentence(parameters: Parameters, shares: Array, variance: float, identifiabl
 
 
 def percent(share: float) -> str:
-    """A share as a percentage with two digits, such as '2.3 %' or '340 %'."""
+    """A share as a percentage with two digits, such as '2.3 %' or '340 %'; '∞' and '–' (not a number) where it is not finite."""
+    if not np.isfinite(share):
+        return "–" if np.isnan(share) else "∞"
     value = float(f"{100.0 * share:.2g}")
     return (
         f"{value:g} %" if value < 1e5 else f"{value:.0e} %".replace("e+0", "e").replace("e+", "e")
     )
+
+
+def multiple(ratio: float) -> str:
+    """How many times something is something else, such as '1.02'; '∞' where that is 0."""
+    return f"{ratio:.2f}" if np.isfinite(ratio) else "∞"
 
 
 def _groups(parameters: Parameters, shares: Array) -> list[tuple[str, float]]:

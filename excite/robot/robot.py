@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
+from .. import physical_ranges as ranges
 from ..errors import ExciteWarning, UnusableInput
 from . import urdf
 
@@ -120,7 +121,7 @@ def locate(source: str) -> Path:
     if source in builtin_names():
         return Path(str(resources.files("excite.robot") / "models" / f"{source}.urdf"))
     path = Path(source)
-    if not path.exists() and path.suffix == "" and "/" not in source:
+    if not urdf.is_file(path) and path.suffix == "" and "/" not in source:
         raise UnusableInput(
             f"{source}: neither a file nor a built-in model ({', '.join(builtin_names())})"
         )
@@ -230,9 +231,9 @@ def _moving(
             f"{document.source}: joint '{min(both)}' is both in --joints and in --lock; drop one"
         )
     for name, value in lock.items():
-        if not np.isfinite(value):
+        if not ranges.POSITION.accepts(value):
             raise UnusableInput(
-                f"{document.source}: --lock {name}={value} is not finite; give a position"
+                f"{document.source}: --lock {name}={value:g}: the position should be {ranges.POSITION}"
             )
     if not wanted:
         raise UnusableInput(f"{document.source}: every joint is locked; leave at least one to move")
@@ -250,6 +251,11 @@ def _resolve(document: urdf.Urdf, name: str) -> tuple[str, float, float]:
             )
         seen.add(name)
         offset, multiplier = offset + multiplier * constant, multiplier * factor
+    if not (ranges.MIMIC_MULTIPLIER.accepts(multiplier) and ranges.POSITION.accepts(offset)):
+        raise UnusableInput(
+            f"{document.source}: mimic joint '{first}' is at {multiplier:g} times '{name}' plus {offset:g}; the multiplier should be "
+            f"{ranges.MIMIC_MULTIPLIER}, the offset {ranges.POSITION}; correct the multipliers and offsets of its chain of mimics"
+        )
     return name, multiplier, offset
 
 
@@ -279,11 +285,16 @@ def _rest_positions(
 
 
 def _attach(model: pin.Model, source: str, payload: Payload) -> None:
-    numbers = np.array([payload.mass, *payload.centre, *payload.inertia], float)
-    if not np.isfinite(numbers).all() or payload.mass <= 0.0:
-        raise UnusableInput(
-            f"{source}: --payload at '{payload.link}' needs a positive mass and finite numbers"
-        )
+    stated = {"mass": (payload.mass,), "centre": payload.centre, "inertia": payload.inertia}
+    accepted = {"mass": ranges.MASS, "centre": ranges.LENGTH, "inertia": ranges.INERTIA}
+    for quantity, values in stated.items():
+        for value in values:
+            if not accepted[quantity].accepts(value):
+                raise UnusableInput(
+                    f"{source}: --payload at '{payload.link}': its {quantity} {value:g} should be {accepted[quantity]}"
+                )
+    if payload.mass == 0.0:
+        raise UnusableInput(f"{source}: --payload at '{payload.link}' needs a positive mass")
     if not model.existFrame(payload.link):
         raise UnusableInput(
             f"{source}: --payload names no link '{payload.link}'; name a link of the URDF"
@@ -305,8 +316,13 @@ def _attach(model: pin.Model, source: str, payload: Payload) -> None:
 
 
 def _require_mass(robot: Robot) -> None:
-    """A joint whose whole subtree has no inertia about it makes the dynamics singular."""
+    """Raise UnusableInput for a body with inertia but no mass, and for a joint that moves no mass, which makes the dynamics singular."""
     model = robot.model
+    for link, body in zip(robot.links, model.inertias[1:], strict=True):
+        if body.mass == 0.0 and np.any(body.inertia):
+            raise UnusableInput(
+                f"{robot.source}: link '{link}' has an inertia but the mass 0; correct its <mass> or remove its <inertial>"
+            )
     for column, joint in enumerate(robot.joints):
         carried = [
             i

@@ -4,13 +4,23 @@ from __future__ import annotations
 
 import math
 import re
+import unicodedata
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from pathlib import Path
 
+from .. import physical_ranges as ranges
 from ..errors import UnusableInput
+from ..physical_ranges import Range
+from . import xml_file
 
 MOVABLE = ("revolute", "continuous", "prismatic")
+MOST_LINKS = 1000
+"""Largest number of links; Pinocchio's parser recurses once per link of a chain."""
+NARROWEST = 1e-9
+"""Narrowest range of positions that counts as one [rad or m]; lower = upper = 0 is how some URDFs say that there is no limit."""
+SHOWN = 40
+"""Characters of a name or a number that a message repeats."""
 
 
 @dataclass(frozen=True)
@@ -52,14 +62,15 @@ class Urdf:
 def read(path: Path) -> Urdf:
     """Parse the URDF at `path`.
 
-    Raises UnusableInput when the file is missing, is an unexpanded xacro, is no valid XML, holds a number that
-    is not finite, or has a joint of more than one degree of freedom.
+    Raises:
+        UnusableInput: The file is missing, is an unexpanded xacro, is no valid XML or is not in the encoding that it declares; it holds
+            a number outside its `physical_ranges`; it has a joint of more than one degree of freedom; or its links form no tree.
     """
-    if not path.is_file():
+    if not is_file(path):
         raise UnusableInput(
             f"{path}: no such file; give a URDF's path or a name that 'excite robots' lists"
         )
-    raw = path.read_text(encoding="utf-8", errors="replace")
+    raw = xml_file.read_text(path, "a URDF")
     if raw.strip() and not raw.lstrip("\ufeff \t\r\n").startswith("<"):
         raise UnusableInput(
             f"{path}: is not a URDF; first comes the robot's URDF or a name that 'excite robots' lists"
@@ -70,31 +81,110 @@ def read(path: Path) -> Urdf:
         raise UnusableInput(
             f"{path}: is a xacro file; expand it first: xacro {path.name} > {path.stem}.urdf"
         )
-    try:
-        root = ElementTree.fromstring(raw)
-    except ElementTree.ParseError as error:
-        raise UnusableInput(
-            f"{path}: is not valid XML ({error}); repair the file or export it again"
-        ) from error
+    root = xml_file.parse_text(path, raw)
     if root.tag != "robot":
         raise UnusableInput(f"{path}: its root is <{root.tag}>, not <robot>; give a URDF")
     source = str(path)
-    links = tuple(_attribute(source, link, "name") for link in root.findall("link"))
-    for tag in ("link", "joint"):
-        names = [_attribute(source, element, "name") for element in root.findall(tag)]
-        twice = next((name for name in names if names.count(name) > 1), None)
-        if twice is not None:
-            raise UnusableInput(f"{source}: two {tag}s are named '{twice}'; rename one")
+    links = tuple(_names(source, root, "link"))
+    _names(source, root, "joint")
+    if len(links) > MOST_LINKS:
+        raise UnusableInput(
+            f"{source}: has {len(links)} links, more than {MOST_LINKS}; leave out what does not belong to the robot"
+        )
     joints, elements = {}, []
     for element in root.findall("joint"):
         entry = _joint(source, element)
         if entry is not None:
             joints[entry.name] = entry
         elements.append(_plain_joint(source, element, set(links)))
+    _require_tree(source, root, links)
     elements += [_plain_link(source, link) for link in root.findall("link")]
-    name = root.get("name") or path.stem
+    name = _printable(source, "robot", root.get("name") or path.stem)
     text = f'<robot name="{_escape(name)}">\n' + "\n".join(elements) + "\n</robot>\n"
     return Urdf(source=source, text=text, name=name, joints=joints, links=links)
+
+
+def is_file(path: Path) -> bool:
+    """Whether a path names a regular file that can be looked up; names that are too long name none."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
+
+
+def _names(source: str, root: ElementTree.Element, tag: str) -> list[str]:
+    """Names of all elements of a tag. Raises UnusableInput for one that is absent, occurs twice or cannot be printed."""
+    names = [
+        _printable(source, tag, _attribute(source, element, "name"))
+        for element in root.findall(tag)
+    ]
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            raise UnusableInput(f"{source}: two {tag}s are named '{name}'; rename one")
+        seen.add(name)
+    return names
+
+
+def _printable(source: str, tag: str, name: str) -> str:
+    """A name that fits on a line of a message, a table or a program. Raises UnusableInput for others."""
+    if not name.strip():
+        raise UnusableInput(f"{source}: a {tag} has an empty name; give it one")
+    control = next(
+        (letter for letter in name if unicodedata.category(letter) in ("Cc", "Zl", "Zp")), None
+    )
+    if control is not None:
+        shown = name.encode("unicode_escape").decode("ascii")[:SHOWN]
+        raise UnusableInput(
+            f"{source}: {tag} '{shown}': its name has the control character U+{ord(control):04X}; rename it"
+        )
+    return name
+
+
+def _require_tree(source: str, root: ElementTree.Element, links: tuple[str, ...]) -> None:
+    """Raise UnusableInput unless the joints connect all links to one tree. Parsers in C++ crash on some of these."""
+    if not links:
+        raise UnusableInput(f"{source}: has no <link>; give the URDF of a robot")
+    parent: dict[str, tuple[str, str]] = {}  # child link -> (joint, parent link)
+    for element in root.findall("joint"):
+        joint, (upper, lower) = str(element.get("name")), _ends(element)
+        if lower in parent:
+            other, upper_of_other = parent[lower]
+            raise UnusableInput(
+                f"{source}: joints '{other}' and '{joint}' both move link '{lower}', from '{upper_of_other}' and '{upper}'; "
+                "remove one of them: closed loops are not modelled"
+            )
+        parent[lower] = joint, upper
+    roots = [link for link in links if link not in parent]
+    if len(roots) > 1:
+        raise UnusableInput(
+            f"{source}: links '{roots[0]}' and '{roots[1]}' both have no parent; connect them by a fixed <joint>"
+        )
+    if not roots:
+        joint, upper = parent[links[0]]
+        raise UnusableInput(
+            f"{source}: joint '{joint}' closes a loop from '{upper}' to '{links[0]}'; a robot needs a base link"
+        )
+    reached = {roots[0]}
+    for start in links:
+        link, way = start, list[str]()
+        while link not in reached:
+            joint, upper = parent[link]
+            if link in way:
+                raise UnusableInput(
+                    f"{source}: joint '{joint}' closes a loop from '{upper}' to '{link}'; closed loops are not modelled"
+                )
+            way.append(link)
+            link = upper
+        reached.update(way)
+
+
+def _ends(element: ElementTree.Element) -> tuple[str, str]:
+    """Names of a joint's parent and child link, "" where one is not stated."""
+    parent, child = (element.find(tag) for tag in ("parent", "child"))
+    return "" if parent is None else parent.get("link", ""), "" if child is None else child.get(
+        "link", ""
+    )
 
 
 def _escape(text: str) -> str:
@@ -108,25 +198,42 @@ def _attribute(source: str, element: ElementTree.Element, key: str) -> str:
     return value
 
 
-def _numbers(source: str, owner: str, text: str, count: int) -> list[float]:
+def numbers(source: str, owner: str, text: str, count: int, accepted: Range) -> list[float]:
+    """Numbers of an attribute, separated by blanks.
+
+    Args:
+        source: The file, for messages.
+        owner: What the attribute belongs to and its name, for messages: "joint 'a', axis".
+        text: The attribute.
+        count: How many numbers it should hold.
+        accepted: The range of each.
+
+    Raises:
+        UnusableInput: The attribute holds something else.
+    """
+    shown = text if len(text) <= SHOWN else f"{text[:SHOWN]}…"
     try:
         values = [float(word) for word in text.split()]
     except ValueError as error:
         raise UnusableInput(
-            f"{source}: {owner}: '{text}' is not a list of numbers; correct it"
+            f"{source}: {owner}: '{shown}' is not a list of numbers; correct it"
         ) from error
     if len(values) != count:
         raise UnusableInput(
-            f"{source}: {owner}: '{text}' should hold {count} number(s); correct it"
+            f"{source}: {owner}: '{shown}' should hold {count} number(s); correct it"
         )
     if not all(math.isfinite(value) for value in values):
-        raise UnusableInput(f"{source}: {owner}: '{text}' is not finite; correct it")
+        raise UnusableInput(f"{source}: {owner}: '{shown}' is not finite; correct it")
+    if not all(accepted.accepts(value) for value in values):
+        raise UnusableInput(f"{source}: {owner}: '{shown}' should be {accepted}; correct it")
     return values
 
 
-def _number(source: str, owner: str, element: ElementTree.Element | None, key: str) -> float | None:
+def _number(
+    source: str, owner: str, element: ElementTree.Element | None, key: str, accepted: Range
+) -> float | None:
     text = None if element is None else element.get(key)
-    return None if text is None else _numbers(source, f"{owner}, {key}", text, 1)[0]
+    return None if text is None else numbers(source, f"{owner}, {key}", text, 1, accepted)[0]
 
 
 def _joint(source: str, element: ElementTree.Element) -> JointEntry | None:
@@ -139,38 +246,42 @@ def _joint(source: str, element: ElementTree.Element) -> JointEntry | None:
         raise UnusableInput(
             f"{source}: {owner} is of type '{kind}'; only {', '.join(MOVABLE)} and fixed joints are known"
         )
-    child = element.find("child")
     limit, dynamics, mimic = element.find("limit"), element.find("dynamics"), element.find("mimic")
-    lower, upper = _number(source, owner, limit, "lower"), _number(source, owner, limit, "upper")
     position = None
-    if kind != "continuous" and limit is not None and (lower is not None or upper is not None):
+    if kind != "continuous" and limit is not None:
+        lower, upper = (
+            _number(source, owner, limit, key, ranges.POSITION) for key in ("lower", "upper")
+        )
         pair = (lower or 0.0, upper or 0.0)  # URDF: an omitted bound is 0
-        position = pair if pair[0] < pair[1] else None
+        position = pair if pair[1] - pair[0] >= NARROWEST else None
     follows = None
     if mimic is not None:
-        multiplier, offset = (
-            _number(source, owner, mimic, "multiplier"),
-            _number(source, owner, mimic, "offset"),
-        )
+        multiplier = _number(source, owner, mimic, "multiplier", ranges.MIMIC_MULTIPLIER)
+        offset = _number(source, owner, mimic, "offset", ranges.POSITION)
         follows = (
             _attribute(source, mimic, "joint"),
             1.0 if multiplier is None else multiplier,
             offset or 0.0,
         )
+    extra = element.find("excite")
     return JointEntry(
         name=name,
         kind=kind,
-        child="" if child is None else _attribute(source, child, "link"),
+        child=_ends(element)[1],
         position=position,
-        velocity=_positive(_number(source, owner, limit, "velocity")),
-        torque=_positive(_number(source, owner, limit, "effort")),
-        viscous=max(_number(source, owner, dynamics, "damping") or 0.0, 0.0),
-        coulomb=max(_number(source, owner, dynamics, "friction") or 0.0, 0.0),
+        velocity=_positive(_number(source, owner, limit, "velocity", ranges.VELOCITY)),
+        torque=_positive(_number(source, owner, limit, "effort", ranges.EFFORT)),
+        viscous=max(
+            _number(source, owner, dynamics, "damping", ranges.VISCOUS_FRICTION) or 0.0, 0.0
+        ),
+        coulomb=max(
+            _number(source, owner, dynamics, "friction", ranges.COULOMB_FRICTION) or 0.0, 0.0
+        ),
         mimic=follows,
         rotor_inertia=max(
-            _number(source, owner, element.find("excite"), "rotor_inertia") or 0.0, 0.0
+            _number(source, owner, extra, "rotor_inertia", ranges.ROTOR_INERTIA) or 0.0, 0.0
         ),
-        offset=_number(source, owner, element.find("excite"), "offset") or 0.0,
+        offset=_number(source, owner, extra, "offset", ranges.EFFORT) or 0.0,
     )
 
 
@@ -180,12 +291,9 @@ def _positive(value: float | None) -> float | None:
 
 def _origin(source: str, owner: str, element: ElementTree.Element) -> str:
     origin = element.find("origin")
-    xyz = _numbers(
-        source, f"{owner}, origin xyz", "0 0 0" if origin is None else origin.get("xyz", "0 0 0"), 3
-    )
-    rpy = _numbers(
-        source, f"{owner}, origin rpy", "0 0 0" if origin is None else origin.get("rpy", "0 0 0"), 3
-    )
+    given = {} if origin is None else origin.attrib
+    xyz = numbers(source, f"{owner}, origin xyz", given.get("xyz", "0 0 0"), 3, ranges.LENGTH)
+    rpy = numbers(source, f"{owner}, origin rpy", given.get("rpy", "0 0 0"), 3, ranges.ANGLE)
     return f'<origin xyz="{_words(xyz)}" rpy="{_words(rpy)}"/>'
 
 
@@ -198,21 +306,15 @@ def _plain_joint(source: str, element: ElementTree.Element, links: set[str]) -> 
     name, kind = _attribute(source, element, "name"), _attribute(source, element, "type")
     owner = f"joint '{name}'"
     ends = []
-    for tag in ("parent", "child"):
-        end = element.find(tag)
-        link = None if end is None else _attribute(source, end, "link")
+    for tag, link in zip(("parent", "child"), _ends(element), strict=True):
         if link not in links:
             raise UnusableInput(
-                f"{source}: {owner}: its {tag} link {link!r} is not defined; add the <link>"
+                f"{source}: {owner}: its {tag} link '{link}' is not defined; add the <link>"
             )
-        ends.append(f'<{tag} link="{_escape(str(link))}"/>')
+        ends.append(f'<{tag} link="{_escape(link)}"/>')
     axis_element = element.find("axis")
-    axis = _numbers(
-        source,
-        f"{owner}, axis",
-        "1 0 0" if axis_element is None else axis_element.get("xyz", "1 0 0"),
-        3,
-    )
+    direction = "1 0 0" if axis_element is None else axis_element.get("xyz", "1 0 0")
+    axis = numbers(source, f"{owner}, axis", direction, 3, ranges.AXIS)
     length = math.hypot(*axis)
     if kind != "fixed" and length < 1e-9:
         raise UnusableInput(f"{source}: {owner}: its axis is zero; give a direction in <axis xyz>")
@@ -230,10 +332,10 @@ def _plain_link(source: str, element: ElementTree.Element) -> str:
     inertial = element.find("inertial")
     if inertial is None:
         return f'<link name="{_escape(name)}"/>'
-    mass = _number(source, owner, inertial.find("mass"), "value") or 0.0
+    mass = _number(source, owner, inertial.find("mass"), "value", ranges.MASS) or 0.0
     tensor = inertial.find("inertia")
     keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    values = [_number(source, owner, tensor, key) or 0.0 for key in keys]
+    values = [_number(source, owner, tensor, key, ranges.INERTIA) or 0.0 for key in keys]
     moments = " ".join(f'{key}="{value!r}"' for key, value in zip(keys, values, strict=True))
     return (
         f'<link name="{_escape(name)}"><inertial>{_origin(source, owner, inertial)}'

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...identification.identification import Prediction
-from ...robot.parameter_names import percent
+from ...robot.parameter_names import multiple, percent
 from ...robot.robot import Robot
 from .drawing import BLUE, GREY, INK, MANY, ORANGE, SOFT, few_ticks, render, thin
 from .trajectory import short, torque_units
@@ -97,9 +97,8 @@ def traces(prediction: Prediction, robot: Robot, points: int) -> str:
 
 def _error_words(prediction: Prediction, joint: int) -> str:
     text = percent(float(prediction.relative()[joint]))
-    if prediction.floor is None:
-        return f"error {text}"
-    return f"{prediction.error()[joint] / prediction.floor[joint]:.2f} floors, {text}"
+    floors = prediction.in_floors()
+    return f"error {text}" if floors is None else f"{multiple(floors[joint])} floors, {text}"
 
 
 def _legend(figure: Any, *, floored: bool) -> None:

@@ -1,0 +1,121 @@
+"""Types of command-line options that hold numbers: each states the range and the unit that its option accepts.
+
+An option with one of these types refuses, before its command runs, what is no number, not finite, or outside the range; `argparse` puts
+the option's name in front of the message. An option whose text is a name, a path or one of several words needs none of them.
+"""
+
+from __future__ import annotations
+
+from argparse import ArgumentTypeError
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+from ..physical_ranges import Range
+
+SHOWN = 40
+"""Characters of an option's text that a message repeats."""
+
+
+def _shown(text: str) -> str:
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]}…"
+
+
+@dataclass(frozen=True)
+class Number:
+    """One number.
+
+    Attributes:
+        accepted: Its range.
+        whole: Whether it is an integer.
+    """
+
+    accepted: Range
+    whole: bool = False
+
+    def __call__(self, text: str) -> float:
+        """The number that a text states. Raises ArgumentTypeError, in words, for another text."""
+        kind = "a whole number" if self.whole else "a number"
+        try:
+            value = int(text) if self.whole else float(text)
+        except ValueError as error:
+            raise ArgumentTypeError(f"'{_shown(text)}' should be {kind} {self.accepted}") from error
+        # Python compares integers with infinity exactly, however many digits they have.
+        if not (
+            self.accepted.lower <= value <= self.accepted.upper and self.accepted.accepts(value)
+        ):
+            raise ArgumentTypeError(f"{_shown(text)} should be {kind} {self.accepted}")
+        return value
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """Numbers separated by commas.
+
+    Attributes:
+        accepted: The range of each, or one range for each place.
+        counts: How many there may be; None where the robot decides.
+        increasing: Whether each has to be above the one before.
+    """
+
+    accepted: Range | Sequence[Range]
+    counts: Sequence[int] | None = None
+    increasing: bool = False
+
+    def __call__(self, text: str) -> tuple[float, ...]:
+        """The numbers that a text states. Raises ArgumentTypeError, in words, for another text."""
+        words = text.split(",")
+        if self.counts is not None and len(words) not in self.counts:
+            raise ArgumentTypeError(
+                f"{_shown(text)} should hold {' or '.join(map(str, self.counts))} number(s), not {len(words)}"
+            )
+        ranges = [self.accepted] * len(words) if isinstance(self.accepted, Range) else self.accepted
+        values = tuple(
+            Number(accepted)(word) for word, accepted in zip(words, ranges, strict=False)
+        )
+        if self.increasing and any(second <= first for first, second in pairwise(values)):
+            raise ArgumentTypeError(f"{_shown(text)} should hold increasing numbers")
+        return values
+
+
+@dataclass(frozen=True)
+class NamedNumbers:
+    """A name and numbers that belong to it: `joint=0.5`, `link:1.5,0,0,0.1`.
+
+    Attributes:
+        form: The form, for messages: "NAME=VALUE".
+        separator: What stands between; where the name holds it too, its last occurrence.
+        numbers: The numbers.
+    """
+
+    form: str
+    separator: str
+    numbers: Numbers
+
+    def __call__(self, text: str) -> tuple[str, tuple[float, ...]]:
+        """The name and the numbers that a text states. Raises ArgumentTypeError, in words, for another text."""
+        name, separator, numbers = text.rpartition(self.separator)
+        if not separator:
+            raise ArgumentTypeError(f"{_shown(text)} should read {self.form}")
+        return name, self.numbers(numbers)
+
+
+@dataclass(frozen=True)
+class WordOrNumbers:
+    """One of several words, or numbers in its place."""
+
+    words: Sequence[str]
+    numbers: Numbers
+
+    def __call__(self, text: str) -> str | tuple[float, ...]:
+        """The word or the numbers that a text states. Raises ArgumentTypeError, in words, for another text."""
+        if text in self.words:
+            return text
+        try:
+            return self.numbers(text)
+        except ArgumentTypeError as error:
+            raise ArgumentTypeError(f"{error}, or be one of {', '.join(self.words)}") from error
+
+
+NUMERIC = (Number, Numbers, NamedNumbers, WordOrNumbers)
+"""All types of this module."""

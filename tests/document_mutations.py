@@ -74,7 +74,7 @@ def at(document: Any, path: tuple[Key, ...]) -> Any:
 
 
 def replacements(value: Any, others: tuple[Any, ...]) -> st.SearchStrategy[Any]:
-    """Values to put in place of one: of any type, and numbers and lists near the one that is there."""
+    """Values to put in place of another: of any type, and numbers and lists near it."""
     near: list[Any] = []
     if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300:
         near = [
@@ -110,7 +110,7 @@ def mutated(draw: st.DrawFn, document: dict[str, Any], *, toml: bool = False) ->
             case "delete":
                 del place[key]
             case "rename" if isinstance(place, dict):
-                place[draw(st.sampled_from(RENAMED + (str(key).upper(),)))] = place.pop(key)
+                place[draw(st.sampled_from((*RENAMED, str(key).upper())))] = place.pop(key)
             case "add" if isinstance(place, dict):
                 name = draw(st.sampled_from(["x", "joint_9", "schema", "velocity"]))
                 place[name] = copy.deepcopy(draw(replacements(None, () if toml else ONLY_JSON)))

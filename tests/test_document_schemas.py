@@ -27,7 +27,7 @@ from excite.cli.main import main
 from excite.collision import scene_file
 from excite.diagnosis import whole
 from excite.effects import EFFECTS, track
-from excite.effects.effect import Delay, Knob, Shape
+from excite.effects.effect import Delay, Shape
 from excite.errors import ExciteError, ExciteWarning, UnusableInput
 from excite.identification import identification, prior, segments
 from excite.robot import inertial_parameters, limits
@@ -214,7 +214,7 @@ def test_a_faulty_sidecar_is_refused(name, tmp_path):
 
 
 @needs_inputs
-def test_the_sound_files_beside_the_faulty_ones_are_accepted(tmp_path):
+def test_the_sound_files_are_accepted(tmp_path):
     assert INPUTS is not None
     assert run("verify", INPUTS / "trajectory_good.json").code in (0, 1)
     out = tmp_path / "out"
@@ -368,7 +368,7 @@ def test_yaml_keys_that_look_like_numbers_or_switches_are_names(tmp_path):
         (lambda d: d["joints"].reverse(), None),
         (lambda d: d.update(joints=["joint_1", "joint_1"]), "joints: 'joint_1' is named twice"),
         (lambda d: d.update(harmonics=101), "harmonics: 101 should be from 1 to 100"),
-        (lambda d: d.update(rate=2e5), "rate: 200000.0 should be from 0.01 to 100000 Hz"),
+        (lambda d: d.update(rate=2e5), "rate: 200000.0 should be from 0.001 to 100000 Hz"),
         (lambda d: d["design"].update(samples=10**6), "design.samples"),
         (lambda d: d["design"].update(drive=["viscous"] * 2), "design.drive"),
         (lambda d: d["design"].update(drive=["ohm"]), "design.drive[0]: 'ohm' is none of"),
@@ -726,8 +726,6 @@ def variants(shape: Shape) -> Iterator[Shape]:
     yield shape
     for near in shape.kin():
         yield near.here
-    if isinstance(shape.knob, Knob):
-        yield shape.knob.at(0.5 * (shape.knob.low + shape.knob.high))
     if shape.effect != "delay" and not shape.values.get("measured"):
         yield shape.late(Delay(0.003), 1)
         yield shape.late(Delay(0.003, lagging=True), None)

@@ -103,7 +103,7 @@ def test_a_measured_delay_is_predicted_from_what_is_predicted(subject, seconds):
         ),
         (
             stated("drag", "joint_1", {}, 1.0, 2.0),
-            "coefficients: 'drag' should have 1 of them, not 2",
+            "coefficients: 'drag' should have 1, not 2",
         ),
         (stated("slack", "joint_1", {}, 1.0), "effect: this version has no effect 'slack'"),
     ],

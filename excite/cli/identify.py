@@ -131,7 +131,8 @@ def _bounds(path: Path, standard: Parameters) -> Bounds:
     """Bounds of masses and centres of mass from a TOML file.
 
     Raises:
-        UnusableInput: The file is missing, breaks a rule of `schemas.bounds`, or names a link that does not move.
+        UnusableInput: The file is missing, breaks a rule of `schemas.bounds`, or names a link that
+            does not move.
     """
     file = DocumentFile(
         path, "bounds", "correct it", "a TOML file with [links.NAME] mass = [least, most]"

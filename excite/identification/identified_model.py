@@ -315,7 +315,7 @@ def of_document(file: DocumentFile, content: Any) -> FittedModel:
         or list(drive) != document.drive
     ):
         raise file.error(
-            "its joints, links and joint parameters are not those of the URDF in it, in their order",
+            "its joints, links and joint parameters are not in the order of the URDF in it",
             "urdf",
         )
     psi = np.array([entry.value for entry in document.standard_parameters], float)

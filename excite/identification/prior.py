@@ -18,12 +18,13 @@ from . import identified_model
 
 
 def trusted(path: Path, robot: Robot, parameters: Parameters) -> Mapping[int, float]:
-    """Places in ψ -> values that are right as they stand: all inertial parameters and what is stated of the joints.
+    """Places in ψ -> values to be kept: all inertial parameters, and joint parameters that are stated.
 
-    A `model.json` serves too: all that it says.
+    Of a `model.json`, all parameters are kept.
 
     Raises:
-        UnusableInput: The file is missing, breaks a rule of `schemas.prior` or `schemas.model`, or does not fit the robot.
+        UnusableInput: The file is missing, breaks a rule of `schemas.prior` or `schemas.model`, or
+            does not fit the robot.
     """
     file = DocumentFile(
         path, "a prior", "correct it", f"{{'schema': '{prior.SCHEMA}', …}} or a model.json"

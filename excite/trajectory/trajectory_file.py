@@ -144,7 +144,10 @@ def read(path: Path) -> Trajectory:
 
 
 def parse(content: Any, path: Path) -> Trajectory:
-    """The trajectory of the plain values of a `trajectory.json`; path: of the file, for messages. Raises as `read` does."""
+    """The trajectory of the plain values of a `trajectory.json`; raises as `read` does.
+
+    path: of the file, for messages.
+    """
     file = _document_file(path)
     file.schema(content, (SCHEMA,))
     return _from_document(file.converted(content, TrajectoryDocument), content)
@@ -157,7 +160,10 @@ def _document_file(path: Path) -> DocumentFile:
 
 
 def _from_document(document: TrajectoryDocument, content: Mapping[str, Any]) -> Trajectory:
-    """The trajectory of a validated document. content: the same as plain values, with keys that the schema does not know."""
+    """The trajectory of a validated document.
+
+    content: the same as plain values, with keys that the schema does not know.
+    """
     joints: tuple[str, ...] = tuple(document.joints)
     arrays = [np.array(rows, float) for rows in (document.sine, document.cosine, document.offset)]
     fourier = Fourier(arrays[0], arrays[1], arrays[2], float(document.period))

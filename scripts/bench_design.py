@@ -93,7 +93,7 @@ def prepared(machine: Robot, table: Limits, options: Options) -> Setting:
     """The built problem, with its dynamics compiled if they are going to be."""
     setting = optimize.prepare(machine, table, options)
     library, until = setting.problem.functions.library, time.perf_counter() + PATIENCE
-    while library is not None and not library.exists() and time.perf_counter() < until:
+    while library is not None and not library.is_ready() and time.perf_counter() < until:
         time.sleep(0.1)
     return setting
 

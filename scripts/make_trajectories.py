@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from excite import _files
+from excite._system.output_files import output_files
 from excite.collision import scene_file
 from excite.designer import pipeline, time_budget
 from excite.designer.problem import Options
@@ -29,8 +29,10 @@ def main() -> None:
         delivery = pipeline.run(
             machine, table, options, cell=cell, progress=lambda text: print(text, file=sys.stderr)
         )
-        written = _files.write_all(
-            arguments.out, {f"{name}.json": trajectory_file.dumps(delivery.trajectory.document())}
+        arguments.out.mkdir(parents=True, exist_ok=True)
+        file = f"{name}.json"
+        written = output_files(arguments.out / file).replace(
+            {file: trajectory_file.dumps(delivery.trajectory.document())}
         )
         value = delivery.trajectory.criteria["optimum"]["geometric"]["a"]
         length, spent = delivery.trajectory.motion.duration, delivery.timing["total"]

@@ -3,14 +3,11 @@
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from excite._files import write_all
 from excite.cli import main as main_module
-from excite.errors import UnusableInput
 from excite.robot.robot import locate
 
 MODELS = locate("two_link").parent
@@ -448,20 +445,6 @@ def test_an_output_that_cannot_be_written(capsys, tmp_path):
     assert "cannot be written" in refused(
         capsys, "design", "two_link", "-o", tmp_path / "file", *QUICK
     )
-
-
-def test_files_of_a_command_appear_together_or_not_at_all(tmp_path):
-    write_all(tmp_path, {"a": "old"})
-    (tmp_path / "in the way").write_text("")
-    with pytest.raises(UnusableInput, match="cannot be written"):
-        write_all(tmp_path, {"a": "new", "in the way/b": "new"})
-    assert {p.name for p in tmp_path.iterdir()} == {"a", "in the way"} and (
-        tmp_path / "a"
-    ).read_text() == "old"
-    assert [p.relative_to(tmp_path) for p in write_all(tmp_path, {"a": "new", "sub/b": "new"})] == [
-        Path("a"),
-        Path("sub/b"),
-    ]
 
 
 @pytest.mark.parametrize(

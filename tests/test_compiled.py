@@ -1,11 +1,17 @@
 from __future__ import annotations
 
+import os
+import shutil
+import stat
+import subprocess
+import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import QUICK, loaded, pendulum
+from conftest import QUICK, loaded, pendulum, random_urdf
 
 from excite.designer import casadi_batch, casadi_model, optimize
 from excite.designer.evaluator import Evaluator
@@ -25,12 +31,25 @@ def cached(tmp_path, monkeypatch):
     return tmp_path / "excite"
 
 
-def arrived(path: Path, seconds: float = 60.0) -> Path:
+def built(name: str) -> casadi_model.Functions:
+    """The functions of a built-in robot; their compilation begins here."""
+    robot = load(name)
+    return casadi_model.functions(
+        robot, inertial_parameters.standard(robot, limits.resolve(robot), inertial_parameters.DRIVE)
+    )
+
+
+def wait(condition: Callable[[], bool], seconds: float = 60.0) -> None:
     until = time.monotonic() + seconds
-    while not path.exists():
-        assert time.monotonic() < until, "the compiler never came back"
+    while not condition():
+        assert time.monotonic() < until, "nothing happened"
         time.sleep(0.01)
-    return path
+
+
+def ready(library: casadi_batch.Library | None) -> casadi_batch.Library:
+    assert library is not None
+    wait(library.is_ready)
+    return library
 
 
 def arguments(functions: casadi_model.Functions, count: int) -> dict[str, list[np.ndarray]]:
@@ -42,27 +61,42 @@ def arguments(functions: casadi_model.Functions, count: int) -> dict[str, list[n
     return out
 
 
-@needs_compiler
-def test_compiled_functions_equal_the_virtual_machine_bit_by_bit(cached):
-    robot = load("panda")
-    functions = casadi_model.functions(
-        robot, inertial_parameters.standard(robot, limits.resolve(robot), inertial_parameters.DRIVE)
-    )
+def results(
+    functions: casadi_model.Functions, library: casadi_batch.Library | None
+) -> list[np.ndarray]:
+    """The results of all three functions at random arguments."""
     given = arguments(functions, 70)
-    slow = {
-        name: [a.copy() for a in casadi_batch.Mapped(getattr(functions, name), 70)(*values)]
+    return [
+        a.copy()
         for name, values in given.items()
-    }
-    arrived(functions.library)
-    for name, values in given.items():
-        for maker in (
-            casadi_batch.Mapped(getattr(functions, name), 70, functions.library),
-            casadi_batch.Padded(getattr(functions, name), functions.library),
-        ):
-            assert all(
-                np.array_equal(a, b) for a, b in zip(maker(*values), slow[name], strict=True)
-            ), name
-    assert [path.suffix for path in cached.iterdir()] == [".so"]  # nothing else is left behind
+        for a in casadi_batch.Mapped(getattr(functions, name), 70, library)(*values)
+    ]
+
+
+def equal(one: list[np.ndarray], other: list[np.ndarray]) -> bool:
+    return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+@needs_compiler
+def test_compiled_functions_equal_the_interpreter_bit_by_bit(cached):
+    functions = built("panda")
+    slow = results(functions, None)
+    library = ready(functions.library)
+    assert library.load("row") is not None and equal(results(functions, library), slow)
+    given = arguments(functions, 70)["row"]
+    assert equal(
+        casadi_batch.Padded(functions.row, library)(*given),
+        casadi_batch.Mapped(functions.row, 70)(*given),
+    )
+
+
+@needs_compiler
+def test_the_cache_is_private_and_holds_nothing_else(cached):
+    ready(built("two_link").library)
+    wait(lambda: not [path for path in cached.iterdir() if path.suffix == ".partial"])
+    assert sorted(path.suffix for path in cached.iterdir()) == [".sha256", ".so"]
+    assert stat.S_IMODE(cached.stat().st_mode) == 0o700
+    assert {stat.S_IMODE(path.stat().st_mode) for path in cached.iterdir()} == {0o600}
 
 
 @needs_compiler
@@ -71,14 +105,14 @@ def test_the_library_takes_over_without_a_trace_while_an_evaluator_runs(cached):
     setting = optimize.prepare(robot, limits.resolve(robot), QUICK)
     evaluator, x = Evaluator(setting.problem), np.full(setting.problem.size, 0.1)
     before = evaluator.objective(x, 1.0)
-    arrived(setting.problem.functions.library)
+    ready(setting.problem.functions.library)
     evaluator.objective(x + 1.0, 1.0)
     after = evaluator.objective(x, 1.0)
     assert before[0] == after[0]
     assert np.array_equal(before[1], after[1])
     assert optimize.prepare(
         robot, limits.resolve(robot), QUICK
-    ).problem.functions.library.exists()  # found again
+    ).problem.functions.library.is_intact()  # found again
 
 
 @pytest.mark.parametrize("value", ["", "no-such-compiler"])
@@ -93,31 +127,230 @@ def test_without_a_compiler_there_is_no_library(monkeypatch, value):
     )
 
 
-def test_a_compiler_that_fails_leaves_the_virtual_machine(cached, monkeypatch):
+def test_a_compiler_that_fails_leaves_the_interpreter(cached, monkeypatch):
     monkeypatch.setenv("EXCITE_COMPILER", "false")
-    robot = load("two_link")
-    functions = casadi_model.functions(
-        robot, inertial_parameters.standard(robot, limits.resolve(robot), ())
-    )
+    functions = built("two_link")
     assert functions.library is not None
-    given = arguments(functions, 3)["regressor"]
-    assert np.isfinite(
-        casadi_batch.Mapped(functions.regressor, 3, functions.library)(*given)[0]
-    ).all()
-    time.sleep(0.3)
-    assert not functions.library.exists()
+    wait(lambda: not list(cached.iterdir()))
+    assert equal(results(functions, functions.library), results(functions, None))
 
 
-def test_a_folder_that_cannot_be_written_leaves_the_virtual_machine(cached, monkeypatch):
-    cached.parent.mkdir(exist_ok=True)
-    cached.write_text("a file where the folder should be")
-    robot = load("two_link")
+def test_large_functions_are_not_compiled(cached):
+    robot = loaded(random_urdf(np.random.default_rng(0), 45, kinds=("revolute",), tree=False))
     assert (
         casadi_model.functions(
-            robot, inertial_parameters.standard(robot, limits.resolve(robot), ())
+            robot,
+            inertial_parameters.standard(robot, limits.resolve(robot), inertial_parameters.DRIVE),
         ).library
         is None
     )
+
+
+def test_a_folder_that_cannot_be_written_leaves_the_interpreter(cached):
+    cached.parent.mkdir(exist_ok=True)
+    cached.write_text("a file where the folder should be")
+    assert built("two_link").library is None
+
+
+@pytest.mark.parametrize("mode", [0o755, 0o770, 0o701])
+def test_a_folder_that_others_can_access_is_not_used(cached, mode):
+    cached.mkdir()
+    cached.chmod(mode)
+    assert built("two_link").library is None
+    assert not list(cached.iterdir())
+
+
+@pytest.mark.skipif(
+    not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root can give files to others"
+)
+def test_what_another_user_owns_is_not_used(cached):
+    cached.mkdir(mode=0o700)
+    os.chown(cached, 12345, 12345)
+    assert built("two_link").library is None
+
+
+def _garbage(path: Path) -> None:
+    path.write_bytes(b"garbage")
+
+
+def _truncated(path: Path) -> None:  # a crash of the loader, were it loaded
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 3])
+
+
+def _writable_by_others(path: Path) -> None:
+    path.chmod(0o666)
+
+
+def _given_away(path: Path) -> None:
+    if os.geteuid() != 0:
+        pytest.skip("only root can give files to others")
+    os.chown(path, 12345, 12345)
+
+
+def _link(path: Path) -> None:
+    path.rename(path.with_suffix(".moved"))
+    path.symlink_to(path.with_suffix(".moved"))
+
+
+def _absent(path: Path) -> None:
+    path.unlink()
+
+
+def _pipe(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path, 0o600)
+
+
+@needs_compiler
+@pytest.mark.parametrize("suffix", [".so", ".sha256"])
+@pytest.mark.parametrize(
+    "damage", [_garbage, _truncated, _writable_by_others, _given_away, _link, _absent, _pipe]
+)
+def test_a_damaged_library_is_not_loaded_and_compiled_again(cached, damage, suffix):
+    functions = built("two_link")
+    expected, library = results(functions, None), ready(functions.library)
+    damage(next(path for path in cached.iterdir() if path.suffix == suffix))
+    assert not library.is_intact() and library.load("row") is None
+    assert equal(results(functions, library), expected)
+    assert ready(built("two_link").library).load("row") is not None
+
+
+@needs_compiler
+def test_a_library_without_the_functions_is_not_used(cached, tmp_path):
+    functions = built("two_link")
+    library = ready(functions.library)
+    (tmp_path / "other.c").write_text("int unrelated(void) { return 0; }")
+    other = tmp_path / "other.so"
+    subprocess.run(
+        ["cc", "-shared", "-fPIC", str(tmp_path / "other.c"), "-o", str(other)], check=True
+    )
+    library.publish(other)
+    assert library.is_intact() and library.load("row") is None
+    assert equal(results(functions, library), results(functions, None))
+
+
+@needs_compiler
+def test_a_library_of_another_robot_is_not_used(cached):
+    functions, others = built("two_link"), built("ur5e")
+    library, other = ready(functions.library), ready(others.library)
+    library.record.write_text(other.record.read_text())
+    assert library.load("row") is not None
+    assert equal(results(functions, library), results(functions, None))
+
+
+NOEXEC = """
+import os, time
+import conftest  # which switches the compiler off
+os.environ["EXCITE_COMPILER"] = "cc"
+from test_compiled import built, equal, results
+functions = built("two_link")
+until = time.monotonic() + 60.0
+while not functions.library.is_ready():
+    assert time.monotonic() < until
+    time.sleep(0.01)
+assert functions.library.is_intact() and functions.library.load("row") is None
+assert equal(results(functions, functions.library), results(functions, None))
+print("interpreted")
+"""
+
+
+@needs_compiler
+def test_a_cache_on_a_file_system_that_forbids_execution_leaves_the_interpreter(tmp_path):
+    script = 'mount -t tmpfs -o noexec none "$XDG_CACHE_HOME" || exit 77; exec "$0" -c "$1"'
+    command = ["unshare", "--mount", "/bin/sh", "-c", script, sys.executable, NOEXEC]
+    if shutil.which("unshare") is None:
+        pytest.skip("no unshare here")
+    path = os.pathsep.join(
+        [str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])]
+    )
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": path}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    if done.returncode in (1, 77) and "Traceback" not in done.stderr:
+        pytest.skip("only root can mount file systems")
+    assert done.stdout == "interpreted\n", done.stderr
+
+
+# -- the compiler's process ----------------------------------------------------------------------------------------
+
+SLOW = """#!/bin/sh
+echo $$ > "$PIDS/$$"
+sleep 1000 &
+echo $! > "$PIDS/$!"
+wait
+"""
+BUILD = """
+import os, signal, sys, time
+from excite.designer import casadi_model as symbolic
+from excite.robot import inertial_parameters as parameters, limits
+from excite.robot.robot import load
+robot = load("two_link")
+functions = symbolic.functions(robot, parameters.standard(robot, limits.resolve(robot), ()))
+assert functions.library is not None
+until = time.monotonic() + 60.0
+while len(os.listdir(os.environ["PIDS"])) < 2:
+    assert time.monotonic() < until
+    time.sleep(0.01)
+if sys.argv[1] != "end":
+    os.kill(os.getpid(), getattr(signal, sys.argv[1]))
+"""
+
+
+def _is_running(process: int) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
+@pytest.mark.parametrize("end", ["end", "SIGTERM", "SIGKILL"])
+def test_the_compiler_ends_with_the_process_and_its_files_are_removed(
+    cached, tmp_path, monkeypatch, end
+):
+    (tmp_path / "pids").mkdir()
+    compiler = tmp_path / "slow-cc"
+    compiler.write_text(SLOW)
+    compiler.chmod(0o755)
+    environment = os.environ | {"EXCITE_COMPILER": str(compiler), "PIDS": str(tmp_path / "pids")}
+    subprocess.run([sys.executable, "-c", BUILD, end], env=environment, check=end == "end")
+    pids = [int(path.name) for path in (tmp_path / "pids").iterdir()]
+    assert len(pids) == 2
+    wait(lambda: not any(_is_running(process) for process in pids), 10.0)
+    if end == "end":
+        assert not list(cached.iterdir())
+    monkeypatch.setenv("EXCITE_COMPILER", "false")
+    built("ur5e")  # the next run, of any robot
+    wait(lambda: not list(cached.iterdir()))
+
+
+def test_the_compiler_is_bounded_in_time_and_memory(cached, tmp_path, monkeypatch):
+    compiler = tmp_path / "nosy-cc"
+    compiler.write_text(f"#!/bin/sh\n(ulimit -t; ulimit -v; ulimit -c) > '{tmp_path}/bounds'\n")
+    compiler.chmod(0o755)
+    monkeypatch.setenv("EXCITE_COMPILER", str(compiler))
+    assert built("two_link").library is not None
+    bounds = tmp_path / "bounds"
+    wait(lambda: bounds.exists() and len(bounds.read_text().split()) == 3)
+    assert bounds.read_text().split() == [
+        str(casadi_batch.COMPILER_SECONDS),
+        str(casadi_batch.COMPILER_KILOBYTES),
+        "0",
+    ]
+
+
+def test_a_library_that_another_process_compiles_is_not_compiled_twice(
+    cached, tmp_path, monkeypatch
+):
+    calls = tmp_path / "calls"
+    compiler = tmp_path / "slow-cc"
+    compiler.write_text(f"#!/bin/sh\necho called >> '{calls}'\nsleep 2\nexit 1\n")
+    compiler.chmod(0o755)
+    monkeypatch.setenv("EXCITE_COMPILER", str(compiler))
+    first, second = built("two_link").library, built("two_link").library
+    assert first is not None and first == second
+    wait(calls.exists)
+    wait(lambda: not list(cached.iterdir()))
+    assert calls.read_text().split() == ["called"]
 
 
 @pytest.mark.parametrize("count", [1, 63, 64, 65, 200])

@@ -125,18 +125,12 @@ def record() -> DesignRecord:
             "seed": k,
             "value": 5.0 + 0.3 * k,
             "feasible": k < 2,
-            "time": [0.1, 0.4 + k],
             "objective": [9.0, 5.0 + 0.3 * k],
             "worst": [1.1, 1.0],
         }
         for k in range(3)
     ]
-    return DesignRecord(
-        starts=starts,
-        chosen=0,
-        timing={"build": 0.1, "first_feasible": 0.2, "solve": 2.0, "total": 3.0},
-        notes=("One remark.",),
-    )
+    return DesignRecord(starts=starts, chosen=0, notes=("One remark.",))
 
 
 @cache

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -13,8 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from .. import _files, recordings
 from .. import exporters as exports
+from .. import recordings
+from .._system.console import say
+from .._system.output_files import output_files, output_folder
 from ..collision import clearance_builder
 from ..collision.workcell import Cell
 from ..designer import certificate as certificates
@@ -45,11 +46,9 @@ from . import options as told
 
 Array = np.ndarray
 Outcome = tuple[int, Any, str]
-
-
-def _say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
-
+DESIGN_FILES = ("trajectory.json", "trajectory.csv", "identifiability.json", "report.html")
+MOTION_FILES = ("trajectory.json", "trajectory.csv")
+"""Those of a design's files that a validation motion has too."""
 
 # -- arguments -----------------------------------------------------------------------------------------------------
 
@@ -123,6 +122,11 @@ def design(arguments: argparse.Namespace) -> Outcome:
 
 
 def _design(arguments: argparse.Namespace) -> Outcome:
+    # an earlier validation motion belongs to the motion that is replaced: it is replaced too, or removed
+    output = output_folder(
+        Path(arguments.out),
+        (*DESIGN_FILES, *(f"{validation_trajectory.FOLDER}/{name}" for name in MOTION_FILES)),
+    )
     robot = told.robot(arguments)
     table = told.limits(arguments, robot)
     wish = time_budget.Wish(
@@ -166,7 +170,7 @@ def _design(arguments: argparse.Namespace) -> Outcome:
         notes=notes,
         force=arguments.force,
         speed=arguments.speed,
-        progress=_say,
+        progress=say,
     )
     run = partial(whole, cell=cell, unchecked=unchecked)
 
@@ -181,7 +185,7 @@ def _design(arguments: argparse.Namespace) -> Outcome:
     )
     document, contents = workflow_files(delivery, robot, arguments.threshold, earlier, second, cell)
     document |= {"plan": planned.document()} if planned is not None else {}
-    written = _files.write_all(Path(arguments.out), contents)
+    written = output.replace(contents)
     document["files"] = [str(path) for path in written]
     more = [one.words() for one in (planned, second) if one is not None]
     return (0 if document["ok"] else 1), document, _design_text(delivery, document, more, written)
@@ -299,7 +303,6 @@ def _record(delivery: pipeline.Delivery) -> DesignRecord:
             "seed": a.number,
             "value": a.objective,
             "feasible": True,
-            "time": a.time,
             "objective": a.values,
             "worst": a.worst,
             "stage": a.stage,
@@ -307,7 +310,7 @@ def _record(delivery: pipeline.Delivery) -> DesignRecord:
         }
         for a in attempts
     ]
-    return DesignRecord(starts=starts, chosen=0, timing=delivery.timing)
+    return DesignRecord(starts=starts, chosen=0)
 
 
 def _design_text(
@@ -373,6 +376,9 @@ def export(arguments: argparse.Namespace) -> Outcome:
             f"--format {arguments.format}: no such format; there are {', '.join(exports.FORMATS)}"
         )
     file_format.check_options(arguments.speed, arguments.rate)
+    output_files(
+        Path(arguments.out), inputs=[Path(arguments.trajectory)]
+    )  # before the certificate, which takes its time
     trajectory, robot, truth, certificate = _certified(arguments)
     verdict = list(certificate.lines())
     broken = (
@@ -421,6 +427,7 @@ def identifiability(arguments: argparse.Namespace) -> Outcome:
     """What a trajectory or a recording reveals."""
     from .. import report
 
+    output = output_folder(Path(arguments.out), ("identifiability.json", "report.html"))
     robot = told.robot(arguments)
     table = told.limits(arguments, robot)
     standard = inertial_parameters.standard(robot, table, told.drive(arguments))
@@ -445,9 +452,8 @@ def identifiability(arguments: argparse.Namespace) -> Outcome:
     page = report.identifiability_page(
         robot, standard, found, analysis, arguments.motion, cases=cases
     )
-    written = _files.write_all(
-        Path(arguments.out),
-        {"identifiability.json": trajectory_file.dumps(document), "report.html": page},
+    written = output.replace(
+        {"identifiability.json": trajectory_file.dumps(document), "report.html": page}
     )
     seen = sum(bool(d["identifiable"]) for d in document["directions"])
     text = "\n".join(
@@ -463,7 +469,7 @@ def identify(arguments: argparse.Namespace) -> Outcome:
     """Parameters from recordings."""
     from .identify import identify
 
-    return identify(arguments, _say)
+    return identify(arguments, say)
 
 
 def predict(arguments: argparse.Namespace) -> Outcome:
@@ -477,14 +483,14 @@ def diagnose(arguments: argparse.Namespace) -> Outcome:
     """What the model leaves out."""
     from .diagnose import diagnose
 
-    return diagnose(arguments, _say)
+    return diagnose(arguments, say)
 
 
 def view(arguments: argparse.Namespace) -> Outcome:
     """Play a trajectory in a browser."""
     from .view import view
 
-    return view(arguments, _say)
+    return view(arguments, say)
 
 
 def simulate(arguments: argparse.Namespace) -> Outcome:

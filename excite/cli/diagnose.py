@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from .. import _files, recordings
+from .. import recordings
+from .._system.output_files import output_folder
 from ..diagnosis import diagnosis, residual_atlas, whole
 from ..diagnosis.diagnosis_file import document
 from ..diagnosis.session_changes import KINDS
@@ -22,6 +23,7 @@ Outcome = tuple[int, Any, str]
 
 def diagnose(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outcome:
     """Read, diagnose, report."""
+    output = output_folder(Path(arguments.out), ("diagnosis.json", "model.json", "report.html"))
     robot = told.robot(arguments)
     table = told.limits(arguments, robot)
     standard = inertial_parameters.standard(robot, table, inertial_parameters.DRIVE)
@@ -50,7 +52,7 @@ def diagnose(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outco
         contents["report.html"] = report.diagnosis_page(
             result, told_all, looked, [r for one in (*train, *held_out) for r in one.remarks]
         )
-    written = _files.write_all(Path(arguments.out), contents)
+    written = output.replace(contents)
     return (
         0,
         told_all | {"files": [str(path) for path in written]},

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from .. import _files, recordings
+from .. import recordings
+from .._system.output_files import output_files, output_folder
 from ..diagnosis import whole
 from ..errors import UnusableInput
 from ..identification import consistency, identification, identified_model, lmi_check, torque_check
@@ -39,6 +40,7 @@ def identify(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outco
     """Read, identify, report."""
     from .. import report
 
+    output = output_folder(Path(arguments.out), ("model.json", "identified.urdf", "report.html"))
     robot = told.robot(arguments)
     table = told.limits(arguments, robot)
     standard = inertial_parameters.standard(robot, table, told.drive(arguments))
@@ -66,7 +68,7 @@ def identify(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outco
         "identified.urdf": document["urdf"],
         "report.html": report.identification_page(result, remarks),
     }
-    written = _files.write_all(Path(arguments.out), contents)
+    written = output.replace(contents)
     facts = [one.words for one in (result.endogeneity, result.simulation) if one is not None]
     if checked is not None:
         facts.append(
@@ -193,8 +195,10 @@ def _text(found: Identification, facts: Sequence[str], written: Sequence[Path]) 
 
 def predict(arguments: argparse.Namespace) -> Outcome:
     """Torque along a recording at its own times."""
-    fitted = identified_model.read(Path(arguments.model))
-    recording = recordings.read(Path(arguments.recording), fitted.robot)
+    path, inputs = Path(arguments.out), (Path(arguments.model), Path(arguments.recording))
+    output = output_files(path, inputs=inputs)
+    fitted = identified_model.read(inputs[0])
+    recording = recordings.read(inputs[1], fitted.robot)
     times, torque = whole.predict(fitted, recording)
     if not np.isfinite(torque).all():
         joint = fitted.robot.joints[int(np.argmin(np.isfinite(torque).all(axis=0)))]
@@ -206,6 +210,5 @@ def predict(arguments: argparse.Namespace) -> Outcome:
     header = ["t", *(f"tau.{joint}" for joint in fitted.robot.joints)]
     csv.writer(stream, lineterminator="\n").writerow(header)
     np.savetxt(stream, np.column_stack([times, torque]), fmt="%.9g", delimiter=",")
-    path = Path(arguments.out)
-    written = _files.write_all(path.parent, {path.name: stream.getvalue()})[0]
+    written = output.replace({path.name: stream.getvalue()})[0]
     return 0, {"file": str(written), "rows": len(times)}, f"wrote {written}"

@@ -11,7 +11,9 @@ from typing import Any, NoReturn, TypeAlias
 
 from .. import __version__
 from .. import physical_ranges as ranges
-from ..errors import ExciteError, ExciteWarning, UnusableInput
+from .._system import process
+from .._system.console import emit, say
+from ..errors import ExciteWarning, UnusableInput
 from ..physical_ranges import Range
 from .option_types import NamedNumbers, Number, Numbers, WordOrNumbers
 
@@ -44,6 +46,9 @@ examples:
 
 class _Parser(argparse.ArgumentParser):
     """Wrong use is one line, exit code 2."""
+
+    def _print_message(self, message: str, file: object = None) -> None:
+        emit(message)  # --help, --version
 
     def error(self, message: str) -> NoReturn:
         command = self.prog.removeprefix(
@@ -721,45 +726,45 @@ class _Warnings:
     """Prints each warning once a command, however often it is given."""
 
     def __init__(self) -> None:
-        self.seen: set[str] = set()
+        self._printed: set[str] = set()
 
     def __call__(self, message: Warning | str, category: type[Warning], *_: object) -> None:
-        if str(message) not in self.seen:
-            self.seen.add(str(message))
-            print(f"warning: {message}", file=sys.stderr)
+        if str(message) not in self._printed:
+            self._printed.add(str(message))
+            say(f"warning: {message}")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command; returns its exit code: 0 done, 1 a check failed or nothing feasible, 2 unusable input."""
+    """Run a command.
+
+    Args:
+        argv: Its arguments; those of the process where None, which ends after the command then.
+
+    Returns:
+        The exit code: 0 done, 1 a check failed or nothing is feasible, 2 unusable input, 70 an unforeseen error.
+    """
+    stated = sys.argv[1:] if argv is None else list(argv)
+    return process.run(lambda: _execute(stated), stated, owns_process=argv is None)
+
+
+def _execute(argv: Sequence[str]) -> int:
+    """Run a command and print its result; returns the exit code."""
     with warnings.catch_warnings():
         warnings.simplefilter("always", ExciteWarning)
         warnings.showwarning = _Warnings()  # type: ignore[assignment]
-        try:
-            arguments = parser().parse_args(argv)
-            from threadpoolctl import threadpool_limits
+        arguments = parser().parse_args(argv)
+        from threadpoolctl import threadpool_limits
 
-            from . import commands
+        from . import commands
 
-            run: Callable[[argparse.Namespace], tuple[int, object, str]] = getattr(
-                commands, arguments.command
-            )
-            with threadpool_limits(1):  # small matrices: BLAS threads cost more than they bring
-                code, document, text = run(arguments)
-        except ExciteError as error:
-            print(f"excite: {' '.join(str(error).split())}", file=sys.stderr)
-            return error.exit_code
-        except KeyboardInterrupt:
-            print("excite: interrupted; nothing was written", file=sys.stderr)
-            return 1
-    try:
-        if arguments.json:
-            from ..trajectory.trajectory_file import plain
+        run: Callable[[argparse.Namespace], tuple[int, object, str]] = getattr(
+            commands, arguments.command
+        )
+        with threadpool_limits(1):  # small matrices: BLAS threads cost more than they bring
+            code, document, text = run(arguments)
+    if arguments.json:
+        from ..trajectory.trajectory_file import plain
 
-            json.dump(plain(document), sys.stdout, allow_nan=False)
-            print()
-        else:
-            print(text)
-        sys.stdout.flush()
-    except BrokenPipeError:
-        sys.stderr.close()
+        text = json.dumps(plain(document), allow_nan=False)
+    emit(f"{text}\n")
     return code

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from .. import _files
+from .._system.output_files import output_files
 from ..errors import UnusableInput
 from ..robot import robot
 from ..schemas.document_file import DocumentFile
@@ -39,6 +39,13 @@ def command(arguments: argparse.Namespace) -> tuple[int, Any, str]:
         raise UnusableInput(
             f"-o {out}: should end in .csv; its sidecar, truth and plot take the same name"
         )
+    siblings = (f"{out.stem}.json", f"{out.stem}.truth.json", f"{out.stem}.svg")
+    inputs = [
+        Path(path)
+        for path in (arguments.robot, arguments.trajectory, arguments.like)
+        if path is not None
+    ]
+    output = output_files(out, siblings, inputs)
     source, like = robot.locate(arguments.robot), _like(arguments)
     setting = _setting(arguments, like)
     trajectory_file.read(
@@ -83,13 +90,11 @@ def command(arguments: argparse.Namespace) -> tuple[int, Any, str]:
         "severity_trusted": dict(zip(plant.joints, trusted.joints.tolist(), strict=True)),
     }
     truth = {"schema": session.truth["schema"], **facts, **session.truth}
-    contents = {
-        out.name: session.recording.csv(),
-        f"{out.stem}.json": recording_file.dumps(session.recording.sidecar()),
-        f"{out.stem}.truth.json": recording_file.dumps(truth),
-        f"{out.stem}.svg": _picture(session.recording, bare, effects),
-    }
-    written = [str(path) for path in _files.write_all(out.parent, contents)]
+    sidecar, stated = recording_file.dumps(session.recording.sidecar()), recording_file.dumps(truth)
+    texts = (session.recording.csv(), sidecar, stated, _picture(session.recording, bare, effects))
+    written = [
+        str(path) for path in output.replace(dict(zip((out.name, *siblings), texts, strict=True)))
+    ]
     document = {
         "files": written,
         "joints": list(plant.joints),

@@ -15,6 +15,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from .._system.signals import raised
 from ..collision import scene_file
 from ..collision.distance_query import Body
 from ..collision.geometry import Kind
@@ -57,7 +58,7 @@ def view(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outcome:
         player.displayCollisions(False)
         address = f"http://{player.viewer.get_host()}:{player.viewer.get_port()}"
         say(f"{address} shows {trajectory.motion.duration:.1f} s of {robot.name}; Ctrl-C ends it")
-        with contextlib.suppress(KeyboardInterrupt):
+        with contextlib.suppress(KeyboardInterrupt), raised():
             _play(player, trajectory, robot, arguments.speed)
             while not arguments.once:
                 _play(player, trajectory, robot, arguments.speed)

@@ -7,7 +7,6 @@ Atkeson, An & Hollerbach (1986).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -26,14 +25,14 @@ class Functions:
     regressor: -> Yᵀ (P, n), dense; transposed, so that samples side by side are rows of a C array (N, n, P).
     adjoint: (q, dq, ddq, Ȳᵀ) -> gradients of ⟨Ȳ, Y⟩ with respect to q, dq, ddq; one reverse sweep.
     row: (q, dq, ddq, w (P,), s (n,)) -> gradients of sᵀ Y w with respect to q, dq, ddq, for torque limits row by row.
-    library: where their C is compiled, or will be.
+    library: where their C is compiled, or will be; None without a compiler.
     support: per joint the columns of Y that can differ from 0.
     """
 
     regressor: ca.Function
     adjoint: ca.Function
     row: ca.Function
-    library: Path | None
+    library: casadi_batch.Library | None
     support: tuple[np.ndarray, ...]
 
 

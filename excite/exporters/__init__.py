@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from .._files import write_all
+from .._system.output_files import output_files
 from ..errors import UnusableInput
 from ..trajectory.trajectory_file import Trajectory
 from . import csv_json, ros2, urscript, vendor_table
-from .file_format import Columns, Job, Torque, Written, beside, check_options
+from .file_format import Columns, Job, Torque, Written, beside, check_options, is_note
 
 __all__ = ["FORMATS", "Columns", "Torque", "read", "write"]
 
@@ -92,10 +92,16 @@ def write(
     """
     entry = _entry(format)
     check_options(speed, rate)
+    output_files(path)
     motion = trajectory.motion if speed == 1.0 else trajectory.motion.slowed(speed)
     written = entry.render(Job(trajectory, motion, format, path, speed, rate, tau))
-    notes = {} if written.note is None else {beside(path).name: written.note}
-    write_all(path.parent, notes | {path.name: written.text})
+    note = beside(path)
+    contents = {path.name: written.text} | (
+        {} if written.note is None else {note.name: written.note}
+    )
+    output_files(path, (note.name,) if written.note is not None or is_note(note) else ()).replace(
+        contents
+    )
     return path
 
 

@@ -159,3 +159,15 @@ def check_options(speed: float, rate: float | None) -> None:
 def beside(path: Path) -> Path:
     """Where the note to a file without comments goes."""
     return path.with_name(path.name + ".txt")
+
+
+def is_note(path: Path) -> bool:
+    """Return whether a file is the note to an exported file, as `notes` begins it."""
+    if not path.is_file():
+        return False
+    try:
+        with path.open("rb") as stream:
+            lines = [stream.readline(1000) for _ in range(2)]
+    except OSError:  # not ours to read
+        return False
+    return lines[0].startswith(b"excite: ") and lines[1].startswith(b"format: ")

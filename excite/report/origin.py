@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..designer.sqp import FEASIBLE
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import QUANTITIES
 from ..robot.robot import Robot
@@ -23,13 +24,6 @@ _LABELS = {
     "cond_regressor": "condition of the regressor",
 }
 _HIGHER = ("d", "e")
-_TIMES = {
-    "build": "build the problem",
-    "first_feasible": "first motion inside all limits",
-    "within_1_percent": "within 1 % of the best",
-    "solve": "optimise and certify",
-    "total": "whole command",
-}
 
 
 def history_section(record: DesignRecord) -> Section:
@@ -42,14 +36,12 @@ def history_section(record: DesignRecord) -> Section:
     values = np.array([float(s["value"]) for s in starts])
     best = starts[record.chosen]
     near = int(np.sum(values <= values[record.chosen] + 0.05))
-    iterations = len(best["time"])
-    seconds = float(best["time"][-1]) if iterations else 0.0
     answer = (
         f"The best of {len(starts)} starts is number {best['seed']}, "
         if len(starts) > 1
         else "The only start was "
     )
-    answer += f"done after {plural(iterations, 'iteration')} at {seconds:.1f} s"
+    answer += f"done after {plural(len(best['objective']), 'iteration')}"
     if len(starts) > 1:
         excess = 100.0 * np.expm1(min(float(values.max() - values[record.chosen]), 20.0))
         stopped = sum(bool(s.get("stopped")) for s in starts)
@@ -58,14 +50,16 @@ def history_section(record: DesignRecord) -> Section:
         answer += f"One more start would beat it with a chance of 1 in {len(starts) + 1}."
     else:
         answer += "; a single start tells nothing about better local optima."
+    inside = np.flatnonzero(np.array(best["worst"]) <= FEASIBLE)
     rows = [
-        (escape(text), f"{float(record.timing[key]):.2f} s")
-        for key, text in _TIMES.items()
-        if key in record.timing
+        (
+            "chosen start: first motion inside all limits",
+            str(inside[0] + 1) if len(inside) else "–",
+        ),
+        ("chosen start: end", str(len(best["objective"]))),
+        ("all starts together", str(sum(len(start["objective"]) for start in starts))),
     ]
-    body = figure(information_spectrum.history(record)) + (
-        table(("step", "time"), rows, (1,)) if rows else ""
-    )
+    body = figure(information_spectrum.history(record)) + table(("step", "iterations"), rows, (1,))
     infeasible = sum(not s["feasible"] for s in starts)
     if infeasible:
         body += paragraph(

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
+from .._system.text import displayable
 from ..errors import UnusableInput
 from ..robot import limits
 from ..robot.limits import Limits
@@ -114,15 +115,15 @@ def versions() -> dict[str, str]:
 
 
 def plain(value: Any) -> Any:
-    """A value as strict JSON holds it: arrays as lists, what is not finite as null."""
+    """A value as strict JSON holds it: arrays as lists, what is not finite as null, text without lone surrogates."""
+    if isinstance(value, str):  # names of files may have bytes that are not UTF-8
+        return displayable(value)
     if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
+        return {plain(str(k)): plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain(v) for v in value]
-    if isinstance(value, np.ndarray):
+    if isinstance(value, (np.ndarray, np.generic)):
         return plain(value.tolist())
-    if isinstance(value, np.generic):
-        return plain(value.item())
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from ..._system.text import displayable
 from ..page import escape, power_of_ten
 
 Array = np.ndarray
@@ -68,6 +69,7 @@ def render(label: str, height: float, draw: Callable[[Any], None], width: float 
     import matplotlib
     from matplotlib.figure import Figure
 
+    label = displayable(label)  # it may name a file
     # the salt keeps the ids of one figure from those of another, and the same from run to run
     with matplotlib.rc_context({**_STYLE, "svg.hashsalt": label}), warnings.catch_warnings():
         # text stays text in the SVG; matplotlib's own font only measures it

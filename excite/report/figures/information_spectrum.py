@@ -9,6 +9,7 @@ import numpy as np
 
 from ...designer.experiment_comparison import Scenario
 from ...designer.identifiability import Identifiability, Share
+from ...designer.sqp import FEASIBLE
 from ...robot.parameter_names import percent
 from ..record import DesignRecord
 from .drawing import BLUE, GREEN, GREY, INK, ORANGE, RED, SOFT, few_log, few_ticks, grid, render
@@ -279,13 +280,8 @@ def scenarios(cases: Sequence[Scenario], threshold: float) -> str:
 
 
 def history(record: DesignRecord) -> str:
-    """Objective against time for all starts, and where each of them ended.
-
-    Against iterations where starts waited for each other, so that they can be compared.
-    """
-
+    """Objective of all starts against iterations, and where each of them ended."""
     several = len(record.starts) > 1
-    waited = any(s.get("stopped") for s in record.starts)
     final = max(max(s.get("stage") or [0]) for s in record.starts)
 
     def draw(figure: Any) -> None:
@@ -301,24 +297,26 @@ def history(record: DesignRecord) -> str:
         order = [k for k in range(len(record.starts)) if k != record.chosen] + [record.chosen]
         for k in order:
             start, best = record.starts[k], k == record.chosen
-            stage = np.array(start.get("stage") or [0] * len(start["time"]), int)
-            last = stage == final
-            time, value, worst = (
-                np.array(start[key], float)[last] for key in ("time", "objective", "worst")
+            iterations = np.flatnonzero(
+                np.array(start.get("stage") or [0] * len(start["objective"]), int) == final
             )
-            time = np.flatnonzero(last) if waited else time
-            inside = worst <= 1.0 + 1e-3
-            color = BLUE if best else GREY
+            value, worst = (
+                np.array(start[key], float)[iterations] for key in ("objective", "worst")
+            )
+            color, label = BLUE if best else GREY, "chosen start" if best else None
             left.plot(
-                time,
+                iterations,
                 value,
                 color=color,
                 linewidth=1.5 if best else 0.8,
                 zorder=3 if best else 2,
-                label="chosen start" if best else None,
+                label=label,
             )
-            left.plot(time[~inside], value[~inside], "x", color=color, markersize=3.5, zorder=3)
-        left.set_xlabel("iterations" if waited else "time since the problem was built [s]")
+            outside = worst > FEASIBLE
+            left.plot(
+                iterations[outside], value[outside], "x", color=color, markersize=3.5, zorder=3
+            )
+        left.set_xlabel("iterations")
         left.set_ylabel("log of the criterion (lower is better)")
         left.set_title("Every start; × marks iterates outside a limit", loc="left")
         left.legend(loc="upper right")
@@ -331,7 +329,7 @@ def history(record: DesignRecord) -> str:
             )
         few_ticks(left, 6, 5)
 
-    return render("Objective of every start against time", 3.0, draw)
+    return render("Objective of every start against iterations", 3.0, draw)
 
 
 def _ends(axes: Any, record: DesignRecord) -> None:

@@ -1,0 +1,79 @@
+"""Standard streams of the command line: any encoding, closed, full or cut off."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Iterator
+from typing import TextIO
+
+from ..errors import UnusableInput
+
+
+@contextlib.contextmanager
+def prepared() -> Iterator[None]:
+    """Make standard output and standard error usable within the block.
+
+    Characters that an encoding lacks are replaced. A closed stream is replaced by the null device, its file descriptor too, so that no
+    file that is opened later takes its number and receives what libraries print.
+    """
+    while (handle := os.open(os.devnull, os.O_RDWR)) <= 2:
+        pass
+    os.close(handle)
+    before = sys.stdout, sys.stderr
+    with open(os.devnull, "w", encoding="utf-8") as null:
+        sys.stdout, sys.stderr = sys.stdout or null, sys.stderr or null
+        errors = getattr(sys.stdout, "errors", None)
+        _set_errors(sys.stdout, "replace")
+        try:
+            yield
+        finally:
+            if errors is not None:
+                _set_errors(sys.stdout, errors)
+            sys.stdout, sys.stderr = before
+
+
+def say(text: str) -> None:
+    """Print a line on standard error, if anybody reads it: progress, warnings, what went wrong."""
+    try:
+        print(text, file=sys.stderr, flush=True)
+    except (OSError, ValueError):  # full, cut off or closed
+        _discard(sys.stderr, 2)
+
+
+def emit(text: str) -> None:
+    """Print a command's result on standard output.
+
+    Nothing is said where the reader is gone (`| head`).
+
+    Raises:
+        UnusableInput: It cannot be written, because a disk is full for example.
+    """
+    try:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        _discard(sys.stdout, 1)
+    except (OSError, UnicodeError) as error:
+        _discard(sys.stdout, 1)
+        reason = getattr(error, "strerror", None) or str(error)
+        raise UnusableInput(
+            f"standard output cannot be written ({reason}); send it elsewhere"
+        ) from error
+
+
+def _set_errors(stream: TextIO, errors: str) -> None:
+    if hasattr(stream, "reconfigure"):
+        stream.reconfigure(errors=errors)
+
+
+def _discard(stream: TextIO, handle: int) -> None:
+    """Send what a stream still holds, and whatever comes, to the null device."""
+    with contextlib.suppress(OSError, ValueError):
+        if stream.fileno() != handle:  # replaced by a program that called this one
+            return
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, handle)
+        os.close(null)
+        stream.flush()

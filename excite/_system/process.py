@@ -1,0 +1,95 @@
+"""A command as a process: every outcome becomes an exit code and at most one line on standard error, never a traceback."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+from collections.abc import Callable, Sequence
+
+from ..errors import ExciteError
+from .console import prepared, say
+from .error_log import write_error_log
+from .output_files import replaced_files
+from .signals import exit_with, handled
+
+INTERRUPTED = 1
+UNFORESEEN = 70
+"""EX_SOFTWARE of <sysexits.h>."""
+
+
+def run(command: Callable[[], int], argv: Sequence[str], *, owns_process: bool) -> int:
+    """Run a command.
+
+    Args:
+        command: Returns its exit code; what it raises is reported.
+        argv: Its arguments, for the log of an unforeseen error.
+        owns_process: Whether the process ends after the command: signals end it at once then.
+
+    Returns:
+        The exit code: that of the command or of the `ExciteError` it raised, 1 after an interruption, 70 after an unforeseen error.
+    """
+    already = len(replaced_files())
+
+    def written() -> str:
+        return ", ".join(map(str, replaced_files()[already:]))
+
+    def interrupted(word: str) -> str:
+        return (
+            f"excite: {word} after all files were written: {paths}"
+            if (paths := written())
+            else f"excite: {word}; nothing was written"
+        )
+
+    def end(word: str) -> None:
+        with contextlib.suppress(OSError):  # standard error is closed or full
+            os.write(2, f"{interrupted(word)}\n".encode("utf-8", "replace"))
+        active_children = getattr(sys.modules.get("multiprocessing"), "active_children", list)
+        for child in active_children():
+            with contextlib.suppress(OSError):
+                os.kill(child.pid, signal.SIGKILL)
+        os._exit(INTERRUPTED)
+
+    with prepared(), handled(end if owns_process else None):
+        try:
+            code, message = _outcome(command, argv)
+            if message:
+                say(
+                    f"excite: {message}{f'; files that were written before: {paths}' if (paths := written()) else ''}"
+                )
+        except KeyboardInterrupt as interruption:
+            say(interrupted(str(interruption) or "interrupted"))
+            code = INTERRUPTED
+        if owns_process:
+            exit_with(code)
+        return code
+
+
+def _outcome(command: Callable[[], int], argv: Sequence[str]) -> tuple[int, str]:
+    """Exit code of a command, and the line about what went wrong, if anything did."""
+    try:
+        return command(), ""
+    except ExciteError as error:
+        return error.exit_code, _one_line(error)
+    except SystemExit as end:  # --help, --version
+        return end.code if isinstance(end.code, int) else 0, ""
+    except Exception as error:
+        return UNFORESEEN, _unforeseen(error, argv)
+
+
+def _unforeseen(error: Exception, argv: Sequence[str]) -> str:
+    """Log an unforeseen error and return the line about it."""
+    log = None
+    with contextlib.suppress(MemoryError, RecursionError):
+        log = write_error_log(error, argv)
+    place = "no log of it could be written" if log is None else f"its log is {log}"
+    if isinstance(error, MemoryError):
+        return f"out of memory ({_one_line(error) or 'no details'}); use fewer samples, harmonics or joints; {place}"
+    return (
+        f"unforeseen error, please report it: {type(error).__name__}: {_one_line(error)}; {place}"
+    )
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())

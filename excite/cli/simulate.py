@@ -12,7 +12,7 @@ import numpy as np
 
 from .. import _files
 from ..errors import UnusableInput
-from ..robot import robot
+from ..robot import robot, urdf
 from ..schemas.document_file import DocumentFile
 from ..schemas.truth import SCHEMA, TruthDocument
 from ..trajectory import trajectory_file
@@ -40,6 +40,7 @@ def command(arguments: argparse.Namespace) -> tuple[int, Any, str]:
             f"-o {out}: should end in .csv; its sidecar, truth and plot take the same name"
         )
     source, like = robot.locate(arguments.robot), _like(arguments)
+    urdf.read(source)  # the simulator, which shares nothing with the rest, checks less
     setting = _setting(arguments, like)
     trajectory_file.read(
         Path(arguments.trajectory)

@@ -293,7 +293,7 @@ def _cases(
 
 def _torque(robot: Robot, standard: Parameters) -> Callable[[Samples], Array]:
     """Nominal torque of samples."""
-    return lambda samples: dynamics.regressor(robot, standard, samples) @ standard.nominal
+    return lambda samples: dynamics.torque(robot, standard, samples)
 
 
 def _record(delivery: pipeline.Delivery) -> DesignRecord:

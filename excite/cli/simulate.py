@@ -12,7 +12,7 @@ import numpy as np
 
 from .._system.output_files import output_files
 from ..errors import UnusableInput
-from ..robot import robot
+from ..robot import robot, urdf
 from ..schemas.document_file import DocumentFile
 from ..schemas.truth import SCHEMA, TruthDocument
 from ..trajectory import trajectory_file
@@ -47,6 +47,7 @@ def command(arguments: argparse.Namespace) -> tuple[int, Any, str]:
     ]
     output = output_files(out, siblings, inputs)
     source, like = robot.locate(arguments.robot), _like(arguments)
+    urdf.read(source)  # the simulator, which shares nothing with the rest, checks less
     setting = _setting(arguments, like)
     trajectory_file.read(
         Path(arguments.trajectory)

@@ -249,7 +249,9 @@ def score(
         "exported": motion.samples(motion.grid(trajectory.rate)),
     }
     return {
-        name: criteria.score(dynamics.regressor(robot, standard, part), found, trajectory.noise)
+        name: criteria.score(
+            dynamics.regressor_blocks(robot, standard, part), found, trajectory.noise
+        )
         for name, part in parts.items()
     }
 

@@ -14,7 +14,7 @@ from ..designer.certificate import CLEARANCE
 from ..designer.experiment_comparison import Scenario, what_would_help
 from ..designer.identifiability import Identifiability
 from ..robot.base_parameters import Base
-from ..robot.dynamics import band, regressor
+from ..robot.dynamics import torque_band
 from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot
 from ..trajectory.trajectory_file import Trajectory, versions
@@ -303,11 +303,7 @@ def torque_section(subject: Design) -> Section:
     trajectory, robot = subject.trajectory, subject.robot
     radius = float(trajectory.design.get("uncertainty", 0.0))
     t = trajectory_module.dense(trajectory.motion, 1000 if robot.n <= MANY else 600)
-    nominal, width = band(
-        regressor(robot, subject.parameters, trajectory.motion.samples(t)),
-        subject.parameters,
-        radius,
-    )
+    nominal, width = torque_band(robot, subject.parameters, trajectory.motion.samples(t), radius)
     ratio = (np.abs(nominal) + width).max(axis=0) / trajectory.limits.torque
     worst = int(np.argmax(ratio))
     answer = f"The most loaded drive is {robot.joints[worst]}: up to {100.0 * ratio[worst]:.0f} % of its torque limit"

@@ -151,8 +151,8 @@ class Tree:
 def read(path: Path) -> Tree:
     """Read a URDF. Raises UnusableInput for a file that is none, or that has mimic joints."""
     try:
-        root = ElementTree.fromstring(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, ElementTree.ParseError) as error:
+        root = ElementTree.fromstring(path.read_bytes())  # in its declared encoding
+    except (OSError, ValueError, LookupError, ElementTree.ParseError) as error:
         raise UnusableInput(f"{path}: cannot be read as a URDF ({error}); give a URDF") from error
     if root.tag != "robot":
         raise UnusableInput(

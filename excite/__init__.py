@@ -9,7 +9,22 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .api import DesignResult, DiagnosisResult, IdentificationResult, SimulatedRecording, VerificationResult, design, diagnose, export, identify, load_robot, predict, read_recording, simulate, verify
+    from .api import (
+        DesignResult,
+        DiagnosisResult,
+        IdentificationResult,
+        SimulatedRecording,
+        VerificationResult,
+        design,
+        diagnose,
+        export,
+        identify,
+        load_robot,
+        predict,
+        read_recording,
+        simulate,
+        verify,
+    )
 
 __version__ = "0.1.0"
 __all__ = [

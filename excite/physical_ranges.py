@@ -1,8 +1,9 @@
-"""Ranges within which a number in the description of a robot is accepted, far wider than any machine needs.
+"""Ranges within which a number in the description of a robot is accepted, wider than machines need.
 
-They tell what may be an unusual robot from what can only be a mistake, a placeholder or an attack: a mass of 1e300 kg overflows in the
-first product, and a velocity limit of 1e-300 rad/s underflows in the first square. With the ranges below, the products of up to four
-factors that the dynamics form are normal floating-point numbers.
+They tell what may be an unusual robot from what can only be a mistake, a placeholder or an attack:
+a mass of 1e300 kg overflows in the first product, and a velocity limit of 1e-300 rad/s underflows
+in the first square. With the ranges below, the products of up to four factors that the dynamics
+form are normal floating-point numbers.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ class Range:
     zero: bool = True
 
     def accepts(self, value: float) -> bool:
-        """Whether a number is finite and within the range."""
+        """Return True for a finite number within the range."""
         if not (math.isfinite(value) and self.lower <= value <= self.upper):
             return False
         return self.zero if value == 0.0 else abs(value) >= self.smallest
@@ -64,3 +65,13 @@ ROTOR_INERTIA = Range(-1e9, 1e9, "kg m² or kg")
 MIMIC_MULTIPLIER = Range(-1e6, 1e6, "1", smallest=1e-6)
 MESH_SCALE = Range(-1e6, 1e6, "1", smallest=1e-9, zero=False)
 GRAVITY = Range(-1e3, 1e3, "m/s²")
+PERIOD = Range(1e-3, 1e6, "s")
+RATE = Range(1e-3, 1e5, "Hz")
+HARMONICS = Range(1, 100, "1")
+"""Harmonics of a Fourier series. Designs use 3 to 10; matrices grow with the square."""
+PERIODS = Range(1, 1e5, "1")
+SAMPLES = Range(1, 20_000, "1")
+"""Samples of the optimiser's grid, on which verification computes the criterion again: 40 to 400
+are usual; with 6 joints, 20,000 take 80 MB."""
+SEED = Range(0, 2**53, "1")
+"""Seeds stand in JSON files, of which many readers take integers up to 2⁵³ exactly."""

@@ -39,7 +39,7 @@ from robots import source_of, wheel
 
 from excite.designer import criteria, optimize, pipeline, sqp
 from excite.designer.criteria import Criterion
-from excite.designer.evaluator import Evaluator, ConstraintRows
+from excite.designer.evaluator import ConstraintRows, Evaluator
 from excite.designer.optimize import DesignSetup
 from excite.designer.problem import DesignOptions, DesignProblem
 from excite.errors import ExciteError, ExciteWarning, UnusableInput

@@ -71,7 +71,7 @@ def leaves(stated: list[tuple[dict[str, Any], dict[str, Any]]]) -> tuple[float, 
     """Mean and standard deviation of the logarithm of the share that rightly named laws leave, those of a loose law by its own measure."""
     named = [one for one, case in stated if hidden(one["effect"], case)]
     left = np.array(
-        [np.log(one["evidence"]["left"]) - EFFECTS_BY_NAME[one["effect"]].loose for one in named]
+        [np.log(one["evidence"]["left"]) - EFFECTS_BY_NAME[one["effect"]].residual_log_offset for one in named]
     )
     return round(float(left.mean()), 2), round(float(left.std()), 2)
 
@@ -103,7 +103,7 @@ def forms(stated: list[tuple[dict[str, Any], dict[str, Any]]]) -> dict[str, dict
                 said = one["parameters"].get(name)
                 if said and said["value"] and said["std"] is not None and true["value"]:
                     size = abs(said["value"])
-                    used = EFFECTS_BY_NAME[effect["effect"]].form.get(name, FORM) * size
+                    used = EFFECTS_BY_NAME[effect["effect"]].form_std.get(name, FORM) * size
                     own = max(said["std"] ** 2 - used**2, 0.0)
                     lacking = max(
                         (0.5 * (said["value"] - true["value"])) ** 2 - own, 0.0

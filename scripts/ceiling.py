@@ -61,12 +61,12 @@ def ceiling(name: str, key: dict[str, Any], folder: Path) -> Ceiling:
     found = diagnosis.diagnose(
         machine, standard, base_parameters.find(machine, standard, table), [files[0]], [files[1]]
     )
-    tracks = [one for half in found.tracks for one in half]
+    tracks = [one for half in found.motions for one in half]
     sessions = [
-        session for half, session in zip(found.tracks, bench.sessions, strict=True) for _ in half
+        session for half, session in zip(found.motions, bench.sessions, strict=True) for _ in half
     ]
     hidden = [
-        one.reduce(severity.hidden_torque(s.run, bench.plant, one.clock).torque)
+        one.lowpass(severity.hidden_torque(s.run, bench.plant, one.clock).torque)
         for one, s in zip(tracks, sessions, strict=True)
     ]
     truth = np.concatenate([x / found.floor for x in hidden]).ravel()

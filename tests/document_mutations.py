@@ -1,4 +1,4 @@
-"""Mutations of documents: a valid document, changed in one to three places, as JSON or TOML text."""
+"""Mutations of documents: a valid one with one to three changes, as JSON or TOML text."""
 
 from __future__ import annotations
 
@@ -50,6 +50,9 @@ ONLY_JSON = (None, "\ud800")
 """Values that TOML cannot state."""
 
 
+RENAMED = ("x", "", "joint_9", "\u00e9", "a\nb")
+
+
 def paths(value: Any, path: tuple[Key, ...] = ()) -> Iterator[tuple[Key, ...]]:
     """The path of every value in a document, the document itself excepted."""
     items: Any = (
@@ -71,7 +74,7 @@ def at(document: Any, path: tuple[Key, ...]) -> Any:
 
 
 def replacements(value: Any, others: tuple[Any, ...]) -> st.SearchStrategy[Any]:
-    """Values to put in place of one: of any type, and numbers and lists near the one that is there."""
+    """Values to put in place of another: of any type, and numbers and lists near it."""
     near: list[Any] = []
     if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300:
         near = [
@@ -107,9 +110,7 @@ def mutated(draw: st.DrawFn, document: dict[str, Any], *, toml: bool = False) ->
             case "delete":
                 del place[key]
             case "rename" if isinstance(place, dict):
-                place[
-                    draw(st.sampled_from(["x", "", "joint_9", "\u00e9", "a\nb", str(key).upper()]))
-                ] = place.pop(key)
+                place[draw(st.sampled_from((*RENAMED, str(key).upper())))] = place.pop(key)
             case "add" if isinstance(place, dict):
                 name = draw(st.sampled_from(["x", "joint_9", "schema", "velocity"]))
                 place[name] = copy.deepcopy(draw(replacements(None, () if toml else ONLY_JSON)))

@@ -152,11 +152,11 @@ def test_a_bases_spring_is_the_same_in_every_recording(monkeypatch):
     monkeypatch.setattr(environment, "_carried", seen)
     fixed = {"frequency": 5.0, "damping": 0.1, "way": 1.0, "stand": 0.2, "apart": 1.5}
     rocks = CandidateModel("base_compliance", None, environment._swung, fixed)
-    every = [one for half in result.tracks for one in half]
+    every = [one for half in result.motions for one in half]
     for one in every:
-        one.__dict__["afloat"] = dataclasses.replace(one.afloat, by_place=0.0 * one.afloat.by_place)
+        one.__dict__["afloat"] = dataclasses.replace(one.base_dynamics, by_place=0.0 * one.base_dynamics.by_place)
         rocks.columns(one)
-    stood = every[0].stood[3:5]
+    stood = every[0].upright_inertia[3:5]
     for stiffness in told:
         np.testing.assert_allclose(
             stiffness,

@@ -73,7 +73,7 @@ def null(one: Diagnosis, rng: np.random.Generator, loud: tuple[float, float]) ->
     left = np.zeros(len(fitted.joint))
     left[fitted.rows] = noise[0] - gammas[0] @ theta
     across = noise[1] - gammas[1] @ theta
-    design = dataclasses.replace(one.design, left=(left, one.design.left[1]), across=across)
+    design = dataclasses.replace(one.design, residual=(left, one.design.residual[1]), across=across)
     scale = one.before / np.sqrt(np.mean(one.design.across.reshape(-1, 2) ** 2, axis=0))
     residual = across.reshape(-1, 2) * scale
     rms = np.sqrt(np.mean(residual**2, axis=0))
@@ -90,15 +90,15 @@ def null(one: Diagnosis, rng: np.random.Generator, loud: tuple[float, float]) ->
 def test_pure_noise_of_any_colour_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     one, rng = found(), np.random.default_rng(0)
     monkeypatch.setattr(residual_curves, "ORDERS", 60)
-    motion_of = residual_curves.rows(one.tracks[1])
-    same = list(residual_curves.looks(motion_of, ("joint_1", "joint_2")))
+    motion_of = residual_curves.motion_rows(one.motions[1])
+    same = list(residual_curves.residual_curves(motion_of, ("joint_1", "joint_2")))
     monkeypatch.setattr(residual_curves, "rows", lambda *_: motion_of)
     monkeypatch.setattr(residual_curves, "looks", lambda *_: iter(same))
     least = np.array(
         [
             min(
                 p.p_before
-                for p in residual_atlas.look(null(one, rng, (1.0, 5.0)), draws=199, seed=k).panels
+                for p in residual_atlas.compute_atlas(null(one, rng, (1.0, 5.0)), draws=199, seed=k).panels
             )
             for k in range(NULLS)
         ]
@@ -114,7 +114,7 @@ def test_pure_noise_of_any_colour_shows_nothing(monkeypatch: pytest.MonkeyPatch)
 def test_what_is_missing_shows_in_its_joint_against_what_it_depends_on(
     extra: str, against: str
 ) -> None:
-    looked = residual_atlas.look(found(extra))
+    looked = residual_atlas.compute_atlas(found(extra))
     first = looked.shown[0]
     assert (first.joint, first.against) == (1, against)
     assert first.p_before < 0.05 and first.share_before > 0.5
@@ -127,7 +127,7 @@ def test_what_is_missing_shows_in_its_joint_against_what_it_depends_on(
 
 def test_the_curve_is_that_of_what_was_planted() -> None:
     one = found("ripple")
-    panel = next(p for p in residual_atlas.look(one).of(1) if p.against == "order")
+    panel = next(p for p in residual_atlas.compute_atlas(one).of(1) if p.against == "order")
     top = int(np.argmax(panel.mean_before))
     assert abs(panel.centres[top] - 20.0) < 0.5
     assert panel.mean_before[top] == pytest.approx(1.0, rel=0.25)
@@ -135,23 +135,23 @@ def test_the_curve_is_that_of_what_was_planted() -> None:
 
 
 def test_before_and_after_are_the_same_without_findings() -> None:
-    for panel in residual_atlas.look(found("stribeck")).panels:
+    for panel in residual_atlas.compute_atlas(found("stribeck")).panels:
         assert panel.p_before == panel.p_after
         np.testing.assert_array_equal(panel.mean_before, panel.mean_after)
 
 
 def test_the_same_seed_gives_the_same_atlas() -> None:
-    a, b = (residual_atlas.look(found("stribeck"), seed=4) for _ in range(2))
+    a, b = (residual_atlas.compute_atlas(found("stribeck"), seed=4) for _ in range(2))
     assert [p.p_before for p in a.panels] == [p.p_before for p in b.panels]
 
 
 def test_temperature_is_looked_at_where_it_was_recorded() -> None:
     one = found("stribeck")
-    first, *rest = one.tracks[1]
-    warm = np.column_stack([30.0 + 0.1 * first.clock, np.full(len(first.piece), np.nan)])
-    measured = dataclasses.replace(first, piece=dataclasses.replace(first.piece, temperature=warm))
-    warmed = dataclasses.replace(one, tracks=(one.tracks[0], [measured, *rest]))
-    seen = {(p.joint, p.against) for p in residual_atlas.look(warmed).panels}
+    first, *rest = one.motions[1]
+    warm = np.column_stack([30.0 + 0.1 * first.clock, np.full(len(first.segment), np.nan)])
+    measured = dataclasses.replace(first, segment=dataclasses.replace(first.segment, temperature=warm))
+    warmed = dataclasses.replace(one, motions=(one.motions[0], [measured, *rest]))
+    seen = {(p.joint, p.against) for p in residual_atlas.compute_atlas(warmed).panels}
     assert (0, "temperature, along the motion") in seen
     assert not any("temperature" in against for joint, against in seen if joint == 1)
 
@@ -159,7 +159,7 @@ def test_temperature_is_looked_at_where_it_was_recorded() -> None:
 def test_blocks_are_of_a_second_but_a_short_recording_has_shorter_ones() -> None:
     clock = np.arange(0.0, 10.0, 0.025)
     assert np.allclose(np.diff(clock[residual_curves.block_starts(clock, 1.0)]), 1.0)
-    assert residual_curves.block_length(found().tracks[1]) == pytest.approx(0.5, rel=0.2)
+    assert residual_curves.block_length(found().motions[1]) == pytest.approx(0.5, rel=0.2)
 
 
 def test_distance_since_reversal_ignores_a_crawl() -> None:

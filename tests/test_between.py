@@ -49,7 +49,7 @@ def test_another_days_friction_is_told_as_that() -> None:
     for change in one.changes:
         j = change.joint
         truth = np.array([MORE[j] * coulomb[j], MORE[j] * viscous[j], 0.0])
-        assert change.sure and np.all(
+        assert change.is_significant and np.all(
             np.abs(change.change - truth) < 4.0 * change.std + 0.02 * np.abs(truth)
         )
     stated = document(one)
@@ -111,22 +111,22 @@ def test_the_same_robot_is_the_same_in_all_recordings() -> None:
 def test_the_report_says_that_the_robot_is_another() -> None:
     one = found(None)
     stated = document(one)
-    text = diagnosis_page(one, stated, residual_atlas.look(one))
+    text = diagnosis_page(one, stated, residual_atlas.compute_atlas(one))
     assert "Is the robot the same in all recordings?" in text and "No law is missing" in text
     same = found(None, 0.0)
     assert "Is the robot the same" not in diagnosis_page(
-        same, document(same), residual_atlas.look(same)
+        same, document(same), residual_atlas.compute_atlas(same)
     )
 
 
 def test_another_day_does_not_excuse_what_has_no_name() -> None:
     one = found("torque_ripple", names=("drag",))
-    assert one.lacking[1] and len(one.changes) == 2
+    assert one.has_unmodelled_torque[1] and len(one.changes) == 2
     regimes = {u["joint"]: u["where"] for u in document(one)["unknown"]}
     assert (
         regimes["joint_2"]["regime"] != "recording" and "besides" in regimes["joint_2"]["statement"]
     )
-    assert "No law is missing" not in diagnosis_page(one, document(one), residual_atlas.look(one))
+    assert "No law is missing" not in diagnosis_page(one, document(one), residual_atlas.compute_atlas(one))
 
 
 @pytest.mark.parametrize("planted", [True, False])
@@ -180,12 +180,12 @@ def test_a_change_is_as_sure_as_its_recording_is_long() -> None:
             DiagnosisOptions(names=("drag",)),
         )
         halves = [
-            equations.half(half, one.identified, {}, one.floor, one.tracks) for half in one.tracks
+            equations.half(half, one.identified, {}, one.floor, one.motions) for half in one.motions
         ]
-        design = search.bare((halves[0], halves[1]), equations.builder(one.tracks, one.floor))
+        design = search.bare((halves[0], halves[1]), equations.builder(one.motions, one.floor))
         ratios += [
             float(x)
-            for change in session_changes.changes(design, (), one.tracks)
+            for change in session_changes.changes(design, (), one.motions)
             for x in change.change / change.std
         ]
         assert not one.changes

@@ -11,7 +11,15 @@ from conftest import QUICK, document, joint, link, seeds, slope
 from hypothesis import given
 from scipy.spatial.transform import Rotation
 
-from excite.collision import batch_kinematics, capsule_cover, clearance_builder, continuous_check, scene_file, segment_distance, urdf_geometry
+from excite.collision import (
+    batch_kinematics,
+    capsule_cover,
+    clearance_builder,
+    continuous_check,
+    scene_file,
+    segment_distance,
+    urdf_geometry,
+)
 from excite.collision.geometry import Kind, Shape
 from excite.collision.scene_file import Scene
 from excite.designer import certificate as certificate_module

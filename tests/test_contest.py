@@ -194,7 +194,7 @@ def test_a_resonance_between_two_tried_frequencies_is_found(frequency):
                 hertz, gear_dynamics.NEAR, map(swing, gear_dynamics.damped(damping))
             )
             return CandidateModel(
-                "base_compliance", 0, nothing, {"frequency": hertz, "damping": damping}, kin=kin
+                "base_compliance", 0, nothing, {"frequency": hertz, "damping": damping}, variants=kin
             )
 
         return shape
@@ -277,7 +277,7 @@ def test_what_is_left_alone_must_be_believed_by_itself():
     _, verdict = judge.judged(one, [0])
     assert ("drag", 0) in {(h.effect, h.joint) for h in verdict.chosen}
     doubtful = dataclasses.replace(
-        one, shapes=tuple(dataclasses.replace(shape, doubt=1e12) for shape in one.shapes)
+        one, shapes=tuple(dataclasses.replace(shape, threshold_factor=1e12) for shape in one.shapes)
     )
     assert not judge.judged(doubtful, [0])[1].chosen
 

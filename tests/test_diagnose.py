@@ -18,7 +18,7 @@ from excite.cli import main as main_module
 from excite.diagnosis import belief, diagnosis, interval
 from excite.diagnosis.diagnosis import Diagnosis, DiagnosisOptions
 from excite.diagnosis.diagnosis_file import document
-from excite.effects import EFFECTS_BY_NAME, EFFECTS
+from excite.effects import EFFECTS, EFFECTS_BY_NAME
 from excite.errors import UnusableInput
 from excite.identification.regression import IdentificationModel
 from excite.recordings import Recording
@@ -139,7 +139,7 @@ def test_what_holds_a_joint_at_rest_is_no_mismatch(subject):
         subject.robot, subject.parameters, subject.base, [pair[0]], [pair[1]]
     )
     assert not result.verdict.chosen and not result.unknown
-    assert np.all(result.moves.mean(axis=0) < 0.9) and np.all(result.after < 1.3 * 0.1)
+    assert np.all(result.moving.mean(axis=0) < 0.9) and np.all(result.after < 1.3 * 0.1)
 
 
 def test_parameters_come_with_intervals_that_hold_the_truth(subject):
@@ -179,7 +179,7 @@ def test_what_a_finding_does_not_foretell_is_unknown_though_fitted_it_takes_near
     result = found(subject, PLANTED["spring"][0])
     said = dataclasses.replace(
         result,
-        fitted=(10.0 * result.quiet, 2.0 * result.quiet),
+        fitted=(10.0 * result.noise_rms, 2.0 * result.noise_rms),
         before=10.0 * result.expected,
         after=after * result.expected,
     )
@@ -207,7 +207,7 @@ def test_an_encoder_off_its_centre_is_told_by_its_first_wave(subject):
 
 def test_friction_by_place_is_told_where_the_joint_was(subject):
     result = found(subject, PLANTED["position_friction"][0])
-    train = np.concatenate([t.fine.q[:, 0] for half in result.tracks for t in half])
+    train = np.concatenate([t.samples.q[:, 0] for half in result.motions for t in half])
     wave = 0.8 * np.cos(2.0 * np.linspace(train.min(), train.max(), 500) + 1.0)
     value, _ = interval.finding_parameters(result.design, result.verdict, 0)["amplitude"]
     assert value == pytest.approx(0.5 * np.ptp(wave), rel=0.1)
@@ -278,7 +278,7 @@ def test_a_spring_that_stiffens_is_no_ripple(subject):
         subject, lambda t, q, dq, tau: on(1, 1.5 * q[:, 1] + 12.0 * np.maximum(q[:, 1] - 0.5, 0.0))
     )
     assert [(h.effect, h.joint) for h in result.verdict.chosen] == [("spring", 1)]
-    q = np.concatenate([one.fine.q[:, 1] for half in result.tracks for one in half])
+    q = np.concatenate([one.samples.q[:, 1] for half in result.motions for one in half])
     grid = np.linspace(q.min(), q.max(), 400)
     law = 1.5 * grid + 12.0 * np.maximum(grid - 0.5, 0.0)
     values = interval.finding_parameters(result.design, result.verdict, 0)

@@ -150,12 +150,12 @@ def test_a_reversal_that_falls_on_a_sample_may_have_either_sign():
     def left(first: float) -> np.ndarray:
         speed = first + 0.2 * np.arange(-5.0, 6.0) * np.where(np.arange(-5, 6) < 0, 1.0, 0.6)
         track = types.SimpleNamespace(
-            fine=types.SimpleNamespace(dq=speed[:, None]),
+            samples=types.SimpleNamespace(dq=speed[:, None]),
             n=1,
             widths=np.array([0.005]),
-            reduce=lambda x: x,
+            lowpass=lambda x: x,
         )
-        track.body = types.SimpleNamespace(drive=lambda name: {"coulomb": np.array([3.0])}[name])
+        track.fitted_robot = types.SimpleNamespace(drive=lambda name: {"coulomb": np.array([3.0])}[name])
         return np.asarray(noise._reversing(track))[:, 0]
 
     assert np.abs(left(0.1)).max() < 1e-9  # between samples
@@ -254,7 +254,7 @@ def test_a_value_that_no_grid_has_is_found_from_kin_to_kin():
                 0,
                 nothing,
                 {"speed": speed, "damping": damping},
-                kin=lambda: beside(speed, 1.2, map(rung, near)),
+                variants=lambda: beside(speed, 1.2, map(rung, near)),
             )
 
         return shape
@@ -340,9 +340,9 @@ def test_a_push_that_lasts_for_half_a_period_is_no_noise_either(subject):
 
 
 def test_levers_are_the_jacobians_of_the_links_centres(subject):
-    (track, *_), _ = found(subject, None).tracks
+    (track, *_), _ = found(subject, None).motions
     np.testing.assert_allclose(
-        track.levers[::50, 1, 0], force_along_x(track.body.model, track.coarse.q[::50]), atol=1e-9
+        track.link_jacobians[::50, 1, 0], force_along_x(track.fitted_robot.model, track.coarse_samples.q[::50]), atol=1e-9
     )
 
 
@@ -388,7 +388,7 @@ def test_what_is_trusted_is_kept_to_the_digit(subject):
         subject.robot, subject.parameters, subject.base, [train], [held_out], options
     )
     assert result.verdict.chosen[0].effect == "payload" and result.verdict.chosen[0].joint == 1
-    np.testing.assert_allclose(result.tracks[0][0].theta, subject.base.matrix @ psi, atol=1e-12)
+    np.testing.assert_allclose(result.motions[0][0].theta, subject.base.matrix @ psi, atol=1e-12)
     assert interval.finding_parameters(result.design, result.verdict, 0)["mass"][
         0
     ] == pytest.approx(0.4, rel=0.1)
@@ -404,7 +404,7 @@ def test_a_base_that_leans_is_told_with_its_sign(subject, roll, pitch):
     psi = perturbed(subject.parameters, np.random.default_rng(4))
 
     def leant(recording: Recording) -> Recording:
-        body = recorded_motion.body(subject.robot, subject.parameters, psi)
+        body = recorded_motion.fitted_robot(subject.robot, subject.parameters, psi)
         turned = body.model.copy()
         turned.gravity.linear = pin.rpy.rpyToMatrix(roll, pitch, 0.0).T @ turned.gravity.linear
         torque = [
@@ -477,7 +477,7 @@ def test_rows_that_do_not_count_change_nothing():
 def test_columns_of_listed_shapes_are_made_once_and_no_more_are_kept_than_there_is_room(
     subject, monkeypatch
 ):
-    one_track, calls = found(subject, None).tracks[0][0], list[str]()
+    one_track, calls = found(subject, None).motions[0][0], list[str]()
 
     def add(t: recorded_motion.RecordedMotion, s: CandidateModel) -> Array:
         calls.append(s.effect)

@@ -34,7 +34,7 @@ QUESTIONS = {
 
 
 def drawn(one: Diagnosis, stated: dict[str, Any], remarks: Sequence[Remark] = ()) -> str:
-    return diagnosis_page(one, stated, residual_atlas.look(one), remarks)
+    return diagnosis_page(one, stated, residual_atlas.compute_atlas(one), remarks)
 
 
 def noisy(one: Recording, seed: int) -> Recording:
@@ -86,7 +86,7 @@ def ringing() -> Diagnosis:
 def test_what_no_name_takes_is_drawn_over_what_foresees_it() -> None:
     one = ringing()
     assert (
-        one.unknown == [1] and one.name == "unexplained" and one.fitted[1][1] < 1.6 * one.quiet[1]
+        one.unknown == [1] and one.name == "unexplained" and one.fitted[1][1] < 1.6 * one.noise_rms[1]
     )
     stated = document(one)
     (unknown,) = stated["unknown"]
@@ -127,13 +127,13 @@ def test_what_the_health_check_did_to_the_recordings_is_told() -> None:
 def test_what_is_foreseen_is_no_noise_though_it_never_repeats() -> None:
     one = ringing()
     loud = dataclasses.replace(
-        one, floor=one.floor * [1.0, 1.5], quiet=one.quiet * [1.0, 1.5]
+        one, floor=one.floor * [1.0, 1.5], noise_rms=one.noise_rms * [1.0, 1.5]
     )  # as if periods differed by it
     assert loud.unknown == [1]
     (unknown,) = document(loud)["unknown"]
-    assert unknown["share"] >= loud.sights[1].share
-    sights = {j: dataclasses.replace(s, share=0.0) for j, s in loud.sights.items()}
-    deaf = dataclasses.replace(loud, sights=sights, doubted=0.0 * loud.doubted)
+    assert unknown["share"] >= loud.residual_predictions[1].share
+    sights = {j: dataclasses.replace(s, share=0.0) for j, s in loud.residual_predictions.items()}
+    deaf = dataclasses.replace(loud, residual_predictions=sights, doubted=0.0 * loud.doubted)
     assert not deaf.unknown
 
 
@@ -158,7 +158,7 @@ def test_a_finding_is_told_with_its_parameters_and_its_picture() -> None:
     assert (first["effect"], first["joint"]) == ("stribeck", "joint_2") and first["evidence"][
         "p_value"
     ] is None
-    looked = document(found(2.0), residual_atlas.look(found(2.0)))["findings"][0]
+    looked = document(found(2.0), residual_atlas.compute_atlas(found(2.0)))["findings"][0]
     assert looked["evidence"]["p_value"] < 0.01
     assert answer(text, "what").startswith("Stribeck at joint_2")
     assert "amplitude" in section(text, "what") and "95 % interval" in section(

@@ -11,7 +11,7 @@ from made import EMPTY, halved, nothing, on_one
 from test_diagnose import on, recordings_of
 from test_predicted import fitted_with, stated
 
-from excite.diagnosis import diagnosis, equations, hypothesis, search, fitted_effects
+from excite.diagnosis import diagnosis, equations, fitted_effects, hypothesis, search
 from excite.diagnosis.measured import Measured
 from excite.effects import EFFECTS_BY_NAME, electrical
 from excite.effects.effect import CandidateModel
@@ -32,7 +32,7 @@ def calm(subject: IdentificationModel) -> RecordedMotion:
         [train],
         [validate],
         diagnosis.DiagnosisOptions(names=("drag",)),
-    ).tracks[0][0]
+    ).motions[0][0]
 
 
 LOSS: dict[str, float] = {"power": 3.0, "largest": 40.0}
@@ -65,8 +65,8 @@ def test_a_drive_that_loses_torque_is_told_by_what_was_measured(subject):
     loss = shape.parameters(done.verdict.together.coefficients)["loss"]
     largest = float(np.abs(train.torque[:, 0]).max())
     assert loss == pytest.approx(0.15 * (largest / LOSS["largest"]) ** 2, rel=0.15)
-    noisy = equations.shapes(done.tracks, False, np.full(2, 0.1 * largest), ["torque_saturation"])
-    calm = equations.shapes(done.tracks, False, np.full(2, 1e-4 * largest), ["torque_saturation"])
+    noisy = equations.shapes(done.motions, False, np.full(2, 0.1 * largest), ["torque_saturation"])
+    calm = equations.shapes(done.motions, False, np.full(2, 1e-4 * largest), ["torque_saturation"])
     assert any("measured" in s.values for s in calm) and not any(
         "measured" in s.values for s in noisy
     )
@@ -126,11 +126,11 @@ def test_a_drive_whose_torque_levels_off_is_told(subject):
 @pytest.mark.parametrize("rests", [False, True])
 def test_of_its_usual_torque_a_drive_loses_little(calm, bend, rests):
     """Else all of the torque could be taken for lost, and its noise with it. rests: for most of the time, bearing nothing."""
-    drawn, speed = calm.drawn.copy(), calm.fine.dq.copy()
+    drawn, speed = calm.measured_torque.copy(), calm.samples.dq.copy()
     if rests:
         drawn[: 2 * len(drawn) // 3], speed[: 2 * len(speed) // 3] = 1e-3, 0.0
     track = types.SimpleNamespace(
-        n=2, drawn=drawn, motor=drawn, fine=types.SimpleNamespace(dq=speed)
+        n=2, measured_torque=drawn, motor_torque=drawn, samples=types.SimpleNamespace(dq=speed)
     )
     shapes = [
         s

@@ -71,7 +71,7 @@ def test_without_a_second_encoder_nothing_is_said(subject):
     pair = both(subject, linked=False)
     result = found(subject, pair)
     assert result.gears == () and document(result)["encoders"] == {}
-    assert gear_encoders.gears(result.tracks, ([pair[0]], [pair[1]])) == ()
+    assert gear_encoders.gears(result.motions, ([pair[0]], [pair[1]])) == ()
 
 
 def test_it_is_told_in_every_place(subject):
@@ -86,5 +86,5 @@ def test_it_is_told_in_every_place(subject):
     )
     assert f"two encoders at {name}: stiffness" in _text(stated, [])
     assert "What do the two encoders say?" in diagnosis_page(
-        result, stated, residual_atlas.look(result)
+        result, stated, residual_atlas.compute_atlas(result)
     )

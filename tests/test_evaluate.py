@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from excite.designer import optimize
 from excite.designer.criteria import Criterion
-from excite.designer.evaluator import Evaluator, ConstraintRows
+from excite.designer.evaluator import ConstraintRows, Evaluator
 from excite.designer.initial_guess import stationary_variables
-from excite.designer.problem import WorkspaceBox, DesignOptions
+from excite.designer.problem import DesignOptions, WorkspaceBox
 from excite.robot import dynamics
 from excite.robot.limits import resolve
 from excite.robot.robot import load

@@ -18,7 +18,7 @@ from excite.exporters import csv_json, ros2, urscript, vendor_table
 from excite.robot.limits import Limits
 from excite.robot.samples import Samples
 from excite.trajectory.fourier import FourierSeries
-from excite.trajectory.rest_to_rest import Motion, JerkProfile, MotionSegment
+from excite.trajectory.rest_to_rest import JerkProfile, Motion, MotionSegment
 from excite.trajectory.trajectory_file import Trajectory
 
 GOLDEN = Path(__file__).parent / "golden"

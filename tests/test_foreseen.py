@@ -66,7 +66,7 @@ def coloured(rng: np.random.Generator) -> np.ndarray:
 
 def seen(residual: np.ndarray, made: MotionRows | None = None) -> unmodelled.ResidualPrediction:
     first = np.arange(2 * COUNT) < COUNT
-    return unmodelled.seen(made or rows(), (first, ~first), residual, 0)
+    return unmodelled.predict_residual(made or rows(), (first, ~first), residual, 0)
 
 
 def physics(regime: str) -> np.ndarray:
@@ -85,7 +85,7 @@ def physics(regime: str) -> np.ndarray:
     elif regime == "past load":
         out = swung(made.load[:, 0], 0.6, 0.15)
     else:
-        out = made.motor[:, 0] * np.square(np.sum(made.motor * made.dq, axis=1))
+        out = made.motor_torque[:, 0] * np.square(np.sum(made.motor_torque * made.dq, axis=1))
     return np.asarray((out - out.mean()) / out.std())
 
 
@@ -139,7 +139,7 @@ def test_a_robot_of_any_strength_is_told_alike():
     shares = []
     for size in (1.0, 1000.0):
         made = rows(size=size)
-        residual = made.motor[:, 0] * np.abs(made.motor[:, 1])
+        residual = made.motor_torque[:, 0] * np.abs(made.motor_torque[:, 1])
         shares.append(
             seen(residual / residual.std() + coloured(np.random.default_rng(4)), made).share
         )
@@ -184,7 +184,7 @@ def test_recordings_of_different_rates_remember_alike():
     }
     thin = dataclasses.replace(made, **taken)
     residual = physics("past acceleration")[keep]
-    sight = unmodelled.seen(
+    sight = unmodelled.predict_residual(
         thin, (np.arange(len(keep)) < COUNT, np.arange(len(keep)) >= COUNT), residual, 0
     )
     assert sight.regime == "past acceleration" and sight.share > 0.5
@@ -202,7 +202,7 @@ def test_one_joint_and_one_that_never_moves_are_told_too(linear):
         dq=0.0 * made.dq,
         ddq=0.0 * made.ddq,
         load=0.0 * made.load,
-        motor=0.0 * made.motor,
+        motor_torque=0.0 * made.motor_torque,
     )
     assert not seen(noise, still).counts and np.isfinite(seen(noise, still).response.y).all()
     assert not seen(0.0 * noise, made).counts

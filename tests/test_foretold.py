@@ -41,7 +41,7 @@ def halved(
         columns.append([x * [1.0, 0.0], (x + np.array([0.0, moved * number])) * [0.0, 1.0]])
 
     def build(shape: CandidateModel) -> tuple[Columns, Columns]:
-        first, second = (Columns.of(own[shape.place][:, :, None]) for own in columns)
+        first, second = (Columns.of(own[shape.joint_index][:, :, None]) for own in columns)
         return first, second
 
     shapes = [

@@ -9,7 +9,15 @@ from conftest import loaded, off, random_urdf, slope, states
 from made import simulated
 
 from excite.errors import UnusableInput
-from excite.identification import consistency, estimators, forward_dynamics, regression, segments, simulation_error, simulation_refinement
+from excite.identification import (
+    consistency,
+    estimators,
+    forward_dynamics,
+    regression,
+    segments,
+    simulation_error,
+    simulation_refinement,
+)
 from excite.identification.consistency import Prior
 from excite.identification.inertia_distance import Distance
 from excite.identification.regression import IdentificationModel

@@ -12,7 +12,13 @@ import scipy.linalg
 
 from excite import _json
 from excite.designer.experiment_comparison import compare_scenarios
-from excite.designer.identifiability import Identifiability, analyse_information, analyse_root, information_root, regressor_root
+from excite.designer.identifiability import (
+    Identifiability,
+    analyse_information,
+    analyse_root,
+    information_root,
+    regressor_root,
+)
 from excite.robot import base_parameters as base_parameters_module
 from excite.robot import dynamics, inertial_parameters, limits, robot
 from excite.robot.base_parameters import Base

@@ -14,13 +14,22 @@ from hypothesis import strategies as st
 from made import PERIOD, RATE, WIDTH, motion, perturbed, recorded, two_links
 
 from excite.errors import UnusableInput
-from excite.identification import confidence, consistency, estimators, friction_width, identification, inertia_distance, regression, segments
+from excite.identification import (
+    confidence,
+    consistency,
+    estimators,
+    friction_width,
+    identification,
+    inertia_distance,
+    regression,
+    segments,
+)
 from excite.identification.consistency import Bounds, Prior
 from excite.identification.estimators import Method
 from excite.identification.identification import Identification, Options
 from excite.identification.inertia_distance import Distance
-from excite.identification.lowpass import TAPER_FRACTION, LowPassFilter, Grid
-from excite.identification.regression import TorqueEquations, IdentificationModel
+from excite.identification.lowpass import TAPER_FRACTION, Grid, LowPassFilter
+from excite.identification.regression import IdentificationModel, TorqueEquations
 from excite.recordings import Recording
 from excite.robot import base_parameters, inertial_parameters, limits, robot
 from excite.robot.inertial_parameters import Parameters

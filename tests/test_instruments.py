@@ -8,7 +8,14 @@ import pytest
 from made import simulated
 
 from excite.errors import UnusableInput
-from excite.identification import consistency, estimators, hausman_test, instruments, regression, segments
+from excite.identification import (
+    consistency,
+    estimators,
+    hausman_test,
+    instruments,
+    regression,
+    segments,
+)
 from excite.identification.consistency import Prior
 from excite.identification.estimators import Method
 from excite.identification.inertia_distance import Distance

@@ -9,11 +9,11 @@ import pytest
 from scipy import signal
 from test_diagnose import PLANTED, found, on, recordings_of, slips
 
-from excite.diagnosis import diagnosis, interval, late, search, fitted_effects
+from excite.diagnosis import diagnosis, fitted_effects, interval, late, search
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.effects import EFFECTS_BY_NAME
 from excite.effects.effect import RecordingDelay
-from excite.identification.lowpass import LowPassFilter, Grid
+from excite.identification.lowpass import Grid, LowPassFilter
 from excite.identification.regression import IdentificationModel
 from excite.recordings import Recording
 
@@ -53,13 +53,13 @@ def test_a_signal_below_the_band_passes_a_filter_of_first_order(periodic):
 
 
 def test_what_is_late_at_one_joint_is_in_time_at_others(nothing):
-    one, seconds = nothing.tracks[0][0], 0.011
+    one, seconds = nothing.motions[0][0], 0.011
     every = dataclasses.replace(
-        one, to=Grid.RECORDED, kept=slice(0, len(one.piece)), time=one.clock
+        one, grid=Grid.RECORDED, kept=slice(0, len(one.segment)), time=one.clock
     )
     shapes = list(EFFECTS_BY_NAME["elasticity"].shapes([one]))
     shape = next(s for s in shapes if s.joint == 0)
-    now, then = shape.columns(every), shape.late(RecordingDelay(seconds), 0).columns(every)
+    now, then = shape.columns(every), shape.delayed(RecordingDelay(seconds), 0).columns(every)
     moved = np.column_stack(
         [np.interp(one.clock - seconds, one.clock, column) for column in now[:, 0].T]
     )
@@ -70,22 +70,22 @@ def test_what_is_late_at_one_joint_is_in_time_at_others(nothing):
 
 
 def test_what_a_track_remembers_is_found_once_for_all_that_see_it_later(nothing):
-    one = dataclasses.replace(nothing.tracks[0][0])  # remembers nothing yet
-    assert not one.known
-    later = [one.late(seconds, lagging) for seconds, lagging in ((0.004, False), (0.006, True))]
-    assert later[0].levers is later[1].levers is one.levers
-    assert not dataclasses.replace(one, body=one.body).known  # another base model's are others
+    one = dataclasses.replace(nothing.motions[0][0])  # remembers nothing yet
+    assert not one.cache
+    later = [one.delayed(seconds, lagging) for seconds, lagging in ((0.004, False), (0.006, True))]
+    assert later[0].link_jacobians is later[1].link_jacobians is one.link_jacobians
+    assert not dataclasses.replace(one, fitted_robot=one.fitted_robot).cache  # another base model's are others
 
 
 def test_what_is_turned_stays_as_late(nothing):
-    shape = next(s for s in EFFECTS_BY_NAME["hysteresis"].shapes(nothing.tracks[0]) if s.joint == 1)
-    then = shape.late(RecordingDelay(0.004), 1)
-    assert then.knob is not None
-    kin = [knob.at(knob.value) for knob in then.kin()]
+    shape = next(s for s in EFFECTS_BY_NAME["hysteresis"].shapes(nothing.motions[0]) if s.joint == 1)
+    then = shape.delayed(RecordingDelay(0.004), 1)
+    assert then.nonlinear is not None
+    kin = [knob.at(knob.value) for knob in then.variants()]
     for other in (
-        then.knob.at(1.3 * then.knob.value),
+        then.nonlinear.at(1.3 * then.nonlinear.value),
         *kin,
-        *(own.late(RecordingDelay(0.004), None) for own in kin),
+        *(own.delayed(RecordingDelay(0.004), None) for own in kin),
     ):
         assert other.values["late"] == 0.004
     assert kin and {other.values["springs"] for other in kin} == {3.0, 5.0}
@@ -131,7 +131,7 @@ def test_torque_that_was_filtered_is_told_as_that_and_hides_nothing(subject, eff
         fitted_effects.restored(fitted_effects.entry(part, subject.robot), subject.robot, "model.json")
         for part in result.parts
     ]
-    along = result.tracks[1][0]
+    along = result.motions[1][0]
     np.testing.assert_allclose(fitted_effects.torque(again, along), fitted_effects.torque(result.parts, along))
 
 
@@ -167,7 +167,7 @@ def test_an_effect_that_comes_late_with_all_the_rest_is_named_beside_the_delay(
         fitted_effects.restored(fitted_effects.entry(part, subject.robot), subject.robot, "model.json")
         for part in result.parts
     ]
-    along = result.tracks[1][0]
+    along = result.motions[1][0]
     np.testing.assert_allclose(fitted_effects.torque(again, along), fitted_effects.torque(result.parts, along))
     assert ways and ways == pytest.approx([value] * len(ways), rel=0.15)
 

@@ -34,12 +34,12 @@ def measured(subject: IdentificationModel, change: float = 0.0, step: float = 0.
         lambda _: None,
     )
     theta = subject.base.matrix @ done.psi
-    body = recorded_motion.body(subject.robot, subject.parameters, done.psi)
-    tracks = recorded_motion.tracks(
+    body = recorded_motion.fitted_robot(subject.robot, subject.parameters, done.psi)
+    tracks = recorded_motion.recorded_motions(
         done.model, body, theta, list(segments.extract_segments([recording], average=False)), 20.0
     )
     left = np.concatenate([t.torque - t.gamma @ theta for t in tracks])
-    return noise.measured(done, (tracks, tracks), [recording]).floor, np.sqrt(
+    return noise.estimate_noise(done, (tracks, tracks), [recording]).floor, np.sqrt(
         np.mean(left**2, axis=0)
     )
 
@@ -96,14 +96,14 @@ def test_a_clock_that_wavers_is_louder_where_momentum_is_more(subject, by, most)
     done = identification.identify(
         subject.robot, subject.parameters, subject.base, [slow], [fast], options, lambda _: None
     )
-    theta, body = subject.base.matrix @ psi, recorded_motion.body(subject.robot, subject.parameters, psi)
+    theta, body = subject.base.matrix @ psi, recorded_motion.fitted_robot(subject.robot, subject.parameters, psi)
     halves = [
-        recorded_motion.tracks(done.model, body, theta, list(segments.extract_segments([one], average=False)), 20.0)
+        recorded_motion.recorded_motions(done.model, body, theta, list(segments.extract_segments([one], average=False)), 20.0)
         for one in (slow, fast)
     ]
-    found = noise.measured(done, halves, [slow, fast])
+    found = noise.estimate_noise(done, halves, [slow, fast])
     level = (
-        np.mean(np.concatenate([t.left for half in halves for t in half]) ** 2, axis=0)
+        np.mean(np.concatenate([t.residual for half in halves for t in half]) ** 2, axis=0)
         / found.floor**2
     )
     assert (level > 2.0).all() == (by > 0.0)  # the floor is the slow one's

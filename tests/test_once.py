@@ -80,7 +80,7 @@ def test_a_touch_that_lasts_for_longer_than_a_period_is_not_what_comes_again(sub
 
 def test_names_that_make_held_out_torque_worse_leave_it_unknown(subject):
     result = struck(subject, 0.0)
-    told = {"fitted": (10.0 * result.quiet, 1.2 * result.quiet), "before": 2.0 * result.expected}
+    told = {"fitted": (10.0 * result.noise_rms, 1.2 * result.noise_rms), "before": 2.0 * result.expected}
     for after in (1.2, 1.9):
         assert dataclasses.replace(result, after=after * result.expected, **told).unknown == []
     assert dataclasses.replace(result, after=9.0 * result.expected, **told).unknown == [0, 1]
@@ -101,8 +101,8 @@ def test_several_names_at_a_joint_that_are_likelier_not_all_right_are_told_as_su
         assert belief.unsure(verdict, 2).tolist() == [
             j == first.main.joint and unsure for j in range(2)
         ]
-    sight = next(iter(struck(subject, 1.0).sights.values()))
-    doubtful = dataclasses.replace(result, verdict=sure(0.6, 0.7), sights={0: sight, 1: sight})
+    sight = next(iter(struck(subject, 1.0).residual_predictions.values()))
+    doubtful = dataclasses.replace(result, verdict=sure(0.6, 0.7), residual_predictions={0: sight, 1: sight})
     assert first.main.joint in doubtful.unknown
     stated = [
         one["where"]["statement"]

@@ -25,7 +25,14 @@ from hypothesis import strategies as st
 from excite.errors import ExciteWarning, UnusableInput
 from excite.robot import inertial_parameters
 from excite.robot.dynamics import regressor
-from excite.robot.inertial_parameters import COULOMB_WIDTH, DRIVE, inverse_root, metric, proper_body, pseudo_inertia
+from excite.robot.inertial_parameters import (
+    COULOMB_WIDTH,
+    DRIVE,
+    inverse_root,
+    metric,
+    proper_body,
+    pseudo_inertia,
+)
 from excite.robot.limits import resolve
 from excite.robot.robot import load
 

@@ -12,7 +12,13 @@ from conftest import BUILTIN, loaded, pendulum
 from excite.designer import optimize, pipeline, time_budget
 from excite.designer.criteria import Criterion
 from excite.designer.problem import DesignOptions
-from excite.designer.time_budget import MAX_FREQUENCY, DEVIATION_TOLERANCE, BudgetCandidate, BudgetPlan, MotionRequest
+from excite.designer.time_budget import (
+    DEVIATION_TOLERANCE,
+    MAX_FREQUENCY,
+    BudgetCandidate,
+    BudgetPlan,
+    MotionRequest,
+)
 from excite.errors import UnusableInput
 from excite.robot import robot
 from excite.robot.limits import Limits, resolve

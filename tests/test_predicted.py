@@ -30,9 +30,9 @@ def test_what_was_found_is_predicted_and_gone_from_the_recording(subject):
     result = found(subject, PLANTED["stribeck"][0])
     assert result.parts and result.refitted is not None
     _, validate = recordings_of(subject, PLANTED["stribeck"][0])
-    bare = fitted_effects.removed(result.parts, validate, result.tracks[1])
+    bare = fitted_effects.removed(result.parts, validate, result.motions[1])
     _, clean = recordings_of(subject, None)
-    one = result.tracks[1][0]
+    one = result.motions[1][0]
     apart = one.band.low(bare.torque - clean.torque, recorded_motion.Grid.KEPT)[one.kept]
     hidden = one.band.low(validate.torque - clean.torque, recorded_motion.Grid.KEPT)[one.kept]
     assert np.sqrt(np.mean(apart**2)) < 0.25 * np.sqrt(np.mean(hidden**2))
@@ -103,7 +103,7 @@ def test_a_measured_delay_is_predicted_from_what_is_predicted(subject, seconds):
         ),
         (
             stated("drag", "joint_1", {}, 1.0, 2.0),
-            "coefficients: 'drag' should have 1 of them, not 2",
+            "coefficients: 'drag' should have 1, not 2",
         ),
         (stated("slack", "joint_1", {}, 1.0), "effect: this version has no effect 'slack'"),
     ],

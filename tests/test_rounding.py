@@ -16,7 +16,7 @@ from excite import recordings
 from excite.diagnosis import noise
 from excite.effects import recorded_motion
 from excite.identification import segments
-from excite.identification.lowpass import LowPassFilter, Grid
+from excite.identification.lowpass import Grid, LowPassFilter
 from excite.identification.regression import IdentificationModel
 from excite.recordings import encoder, quantization
 from excite.robot import base_parameters, inertial_parameters, limits, robot
@@ -164,7 +164,7 @@ def test_what_steps_are_said_to_feign_is_of_the_size_of_what_they_do(tmp_path):
     model = IdentificationModel(
         machine, standard, base_parameters.find(machine, standard, table), fine.plant.drive.width
     )
-    theta, body = model.base.matrix @ true, recorded_motion.body(machine, standard, true)
+    theta, body = model.base.matrix @ true, recorded_motion.fitted_robot(machine, standard, true)
 
     def tracked(resolution: float) -> list[recorded_motion.RecordedMotion]:
         chain = dataclasses.replace(fine.chain, encoder=resolution)
@@ -173,13 +173,13 @@ def test_what_steps_are_said_to_feign_is_of_the_size_of_what_they_do(tmp_path):
         )
         path = tmp_path / "r.csv"
         path.write_text(told.csv())
-        return recorded_motion.tracks(
+        return recorded_motion.recorded_motions(
             model, body, theta, list(segments.extract_segments([recordings.read(path, machine)])), 20.0
         )
 
     right, coarse = tracked(1e-9), tracked(STEP)
-    assert coarse[0].piece.smoothed.all() and not right[0].piece.smoothed.any()
-    done = np.concatenate([a.left - b.left for a, b in zip(coarse, right, strict=True)])
+    assert coarse[0].segment.smoothed.all() and not right[0].segment.smoothed.any()
+    done = np.concatenate([a.residual - b.residual for a, b in zip(coarse, right, strict=True)])
     said = np.concatenate(
         [half for draw in noise.stepped(model, (coarse, coarse)) for half in draw]
     )

@@ -35,9 +35,9 @@ class Turning:
             np.ones((len(t), 3)),
             np.full(3, 0.004),
         )
-        self.fine = types.SimpleNamespace(dq=turns * speed, ddq=most * hastens)
-        self.body = types.SimpleNamespace(drive=lambda kind: np.ones(3))
-        self.stays: Array = vars(RecordedMotion)["stays"].found(self)
+        self.samples = types.SimpleNamespace(dq=turns * speed, ddq=most * hastens)
+        self.fitted_robot = types.SimpleNamespace(drive=lambda kind: np.ones(3))
+        self.reversal_dwell: Array = vars(RecordedMotion)["stays"].found(self)
 
 
 def shapes(effect: str, tracks: Sequence[Any]) -> list[CandidateModel]:
@@ -51,14 +51,14 @@ STEPS = {"bits": st.integers(10, 20), "turns": st.floats(0.5, 20.0)}
 def test_a_joint_stays_within_a_step_for_as_long_as_it_takes_to_fall_through_it(bits, turns):
     step = 2.0 * np.pi / 2**bits
     long = np.sqrt(2.0 * step / turns)  # q = q̈ t²/2
-    np.testing.assert_allclose(Turning(step, turns).stays, [long, 2.0 * long, np.inf], rtol=1e-3)
+    np.testing.assert_allclose(Turning(step, turns).reversal_dwell, [long, 2.0 * long, np.inf], rtol=1e-3)
 
 
 @given(**STEPS)
 def test_no_delay_is_told_that_an_encoder_hides(bits, turns):
     """By the joint that turns back the most sharply; torque that seems early, sooner."""
     track = Turning(2.0 * np.pi / 2**bits, turns)
-    hidden = float(track.stays[0])
+    hidden = float(track.reversal_dwell[0])
     delays = [shape for shape in shapes("delay", [track, track]) if "measured" in shape.values]
     assert {shape.joint for shape in delays} == {None, 0, 1, 2}
     for shape in delays:
@@ -88,16 +88,16 @@ def test_fine_encoders_hide_nothing(effect):
 def test_friction_that_changes_at_speeds_which_an_encoder_does_not_tell_has_no_name(bits, turns):
     """Stribeck's that fades there, and a power that has risen to half there."""
     track = Turning(2.0 * np.pi / 2**bits, turns)
-    least, fastest = TOLD * track.steps / track.stays, np.abs(track.fine.dq).max(axis=0)
+    least, fastest = TOLD * track.steps / track.reversal_dwell, np.abs(track.samples.dq).max(axis=0)
     for factor in (0.9, 1.1):
         for shape in shapes("stribeck", [track]):
-            assert shape.knob is not None
-            if least[shape.place] > 0.0:  # the joint turns back
-                assert shape.knob.at(factor * least[shape.place]).plausible(np.array([0.1])) == (
+            assert shape.nonlinear is not None
+            if least[shape.joint_index] > 0.0:  # the joint turns back
+                assert shape.nonlinear.at(factor * least[shape.joint_index]).plausible(np.array([0.1])) == (
                     factor > 1.0
                 )
         for shape in shapes("nonlinear_viscous", [track]):
-            assert shape.knob is not None
-            if 0.0 < factor * least[shape.place] < fastest[shape.place]:
-                power = np.log(0.5) / np.log(factor * least[shape.place] / fastest[shape.place])
-                assert shape.knob.at(power).plausible(np.array([0.1])) == (factor > 1.0)
+            assert shape.nonlinear is not None
+            if 0.0 < factor * least[shape.joint_index] < fastest[shape.joint_index]:
+                power = np.log(0.5) / np.log(factor * least[shape.joint_index] / fastest[shape.joint_index])
+                assert shape.nonlinear.at(power).plausible(np.array([0.1])) == (factor > 1.0)

@@ -11,9 +11,9 @@ from made import WIDTH, motion, nothing, perturbed, recorded
 from scipy.interpolate import CubicSpline
 from test_diagnose import on
 
-from excite.diagnosis import diagnosis, interval, fitted_effects
+from excite.diagnosis import diagnosis, fitted_effects, interval
 from excite.effects import EFFECTS_BY_NAME
-from excite.effects.effect import RecordingDelay, NonlinearParameterSet, CandidateModel
+from excite.effects.effect import CandidateModel, NonlinearParameterSet, RecordingDelay
 from excite.recordings import Recording
 from excite.robot.samples import Samples
 from excite.trajectory.fourier import FourierSeries
@@ -80,7 +80,7 @@ def test_a_joint_that_creeps_as_it_turns_back_tells_how_high_stribecks_curve_is(
         for part in result.parts
     ]
     np.testing.assert_allclose(
-        fitted_effects.torque(again, result.tracks[1][0]), fitted_effects.torque(result.parts, result.tracks[1][0])
+        fitted_effects.torque(again, result.motions[1][0]), fitted_effects.torque(result.parts, result.motions[1][0])
     )
 
 
@@ -112,23 +112,23 @@ def test_stribecks_curve_turned_is_as_late_and_has_no_width_that_an_encoder_hide
     train, held_out = creeping(subject, lambda v: 0.0 * v)
     tracks = diagnosis.diagnose(
         subject.robot, subject.parameters, subject.base, [train], [held_out]
-    ).tracks[0]
+    ).motions[0]
     first = next(s for s in EFFECTS_BY_NAME["stribeck"].shapes(tracks))
-    assert [set(near.here.values) for near in first.kin()] == [
+    assert [set(near.here.values) for near in first.variants()] == [
         {"velocity", "exponent", "width", "usual"},
         {"velocity", "exponent", "width", "usual", "rational"},
     ]
-    late = first.late(RecordingDelay(0.004), 0)
+    late = first.delayed(RecordingDelay(0.004), 0)
     assert all(
-        near.here.values["late"] == 0.004 and near.here.knob.at(0.1).values["late"] == 0.004
-        for near in late.kin()
+        near.here.values["late"] == 0.004 and near.here.nonlinear.at(0.1).values["late"] == 0.004
+        for near in late.variants()
     )
     coarse = [
-        dataclasses.replace(t, piece=dataclasses.replace(t.piece, encoder=np.full(2, 1e-3)))
+        dataclasses.replace(t, segment=dataclasses.replace(t.segment, encoder=np.full(2, 1e-3)))
         for t in tracks
     ]
     hidden = next(s for s in EFFECTS_BY_NAME["stribeck"].shapes(coarse))
-    assert [set(near.here.values) for near in hidden.kin()] == [
+    assert [set(near.here.values) for near in hidden.variants()] == [
         {"velocity", "exponent"},
         {"velocity", "exponent", "rational"},
     ]

@@ -11,7 +11,7 @@ from scipy import integrate
 from test_diagnose import found, on, recordings_of
 from test_predicted import fitted_with, stated
 
-from excite.diagnosis import diagnosis, interval, fitted_effects
+from excite.diagnosis import diagnosis, fitted_effects, interval
 from excite.diagnosis.diagnosis_file import document
 from excite.effects import EFFECTS_BY_NAME, thermal
 from excite.effects.effect import CandidateModel
@@ -130,21 +130,21 @@ def test_a_joint_that_its_own_friction_heats_cools_where_it_slows_down(subject):
 
 
 def heated(subject: IdentificationModel, constant: float) -> tuple[RecordedMotion, CandidateModel]:
-    track = found(subject, None).tracks[0][0]
+    track = found(subject, None).motions[0][0]
     shapes = EFFECTS_BY_NAME["thermal_drift"].shapes([track])
-    return track, next(s for s in shapes if s.joint == 0 and "power" in s.values).knob.at(constant)
+    return track, next(s for s in shapes if s.joint == 0 and "power" in s.values).nonlinear.at(constant)
 
 
 @pytest.mark.parametrize("constant", [1.0, 4.0, 15.0])
 def test_friction_of_a_heated_joint_never_falls_far_below_nothing(subject, constant):
     """Fast at first and slow then: the joint is far warmer than at its usual power, and a change that is small there is large here."""
     track, _ = heated(subject, constant)
-    q = track.piece.q.copy()
+    q = track.segment.q.copy()
     slow = len(q) // 3
     q[slow:] = q[slow] + 0.1 * (q[slow:] - q[slow])
-    uneven = dataclasses.replace(track, piece=dataclasses.replace(track.piece, q=q))
+    uneven = dataclasses.replace(track, segment=dataclasses.replace(track.segment, q=q))
     shapes = EFFECTS_BY_NAME["thermal_drift"].shapes([uneven])
-    shape = next(s for s in shapes if s.joint == 0 and "power" in s.values).knob.at(constant)
+    shape = next(s for s in shapes if s.joint == 0 and "power" in s.values).nonlinear.at(constant)
     warm = thermal._heated(uneven, shape)
     for c in np.linspace(-4.0, -0.01, 200):
         if shape.plausible(np.array([c])):
@@ -158,20 +158,20 @@ def test_a_gap_in_a_recording_makes_no_joint_cold(subject, power):
         shape = dataclasses.replace(
             shape, values={k: v for k, v in shape.values.items() if k != "power"}
         )
-    half, start = len(track.piece) // 2, track.piece.start
+    half, start = len(track.segment) // 2, track.segment.start
     later = dataclasses.replace(
-        track.piece,
-        q=track.piece.q[half:],
-        torque=track.piece.torque[half:],
-        start=float(track.clock[half]),
+        track.segment,
+        q=track.segment.q[half:],
+        torque=track.segment.torque[half:],
+        start=float(track.times[half]),
         began=start,
     )
     whole_way, after = (
         thermal._changed(
-            dataclasses.replace(track, piece=piece, to=Grid.RECORDED, kept=slice(0, len(piece))),
+            dataclasses.replace(track, segment=piece, grid=Grid.RECORDED, kept=slice(0, len(piece))),
             shape,
         )[:, 0, 0]
-        for piece in (track.piece, later)
+        for piece in (track.segment, later)
     )
     inside = slice(200, -200)  # off the ends, which a filter feels
     gone = whole_way[half:][inside] - after[inside]

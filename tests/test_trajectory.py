@@ -15,7 +15,13 @@ from excite.errors import UnusableInput
 from excite.schemas import quantities
 from excite.schemas.trajectory import SegmentDocument
 from excite.trajectory.fourier import FourierSeries, oversampling_bound
-from excite.trajectory.rest_to_rest import Motion, JerkProfile, MotionSegment, segments_from_document, segments_to_document
+from excite.trajectory.rest_to_rest import (
+    JerkProfile,
+    Motion,
+    MotionSegment,
+    segments_from_document,
+    segments_to_document,
+)
 
 
 def series(seed: int, n: int = 3, harmonics: int = 4, period: float = 3.0) -> FourierSeries:

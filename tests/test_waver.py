@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from excite import recordings
-from excite.identification.lowpass import LowPassFilter, Grid
+from excite.identification.lowpass import Grid, LowPassFilter
 from excite.recordings import Kind, timestamp_jitter
 
 RATE, SECONDS, LATE = 500.0, 12.0, 5e-5

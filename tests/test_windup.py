@@ -129,12 +129,12 @@ def test_a_link_on_a_spring_that_is_hardly_damped_is_found_between_any_that_are_
 @pytest.mark.parametrize("over", [0.75, 0.9, 1.3])
 def test_a_spring_that_swings_beyond_the_band_is_told_where_its_coefficient_is_one(subject, over):
     """A softer one with a lesser coefficient looks the same where what shakes the link is near its resonance."""
-    calm = found(subject, None).tracks[0][0]
-    t, q = calm.clock, calm.piece.q
+    calm = found(subject, None).motions[0][0]
+    t, q = calm.clock, calm.segment.q
     shaken = dataclasses.replace(
         calm,
-        piece=dataclasses.replace(
-            calm.piece, q=q + 0.002 * np.sin(2.0 * np.pi * 11.0 * t)[:, None]
+        segment=dataclasses.replace(
+            calm.segment, q=q + 0.002 * np.sin(2.0 * np.pi * 11.0 * t)[:, None]
         ),
     )
     for track, least in ((calm, 0.0), (shaken, 0.02)):
@@ -142,7 +142,7 @@ def test_a_spring_that_swings_beyond_the_band_is_told_where_its_coefficient_is_o
             s
             for s in EFFECTS_BY_NAME["elasticity"].shapes([track])
             if s.joint == 1 and not s.values["rests"]
-        ).knob
+        ).nonlinear
         stiffness = (
             float(gear_dynamics.mass(track, 1).mean()) * (2.0 * np.pi * 1.3 * track.band.hertz) ** 2
         )
@@ -157,11 +157,11 @@ def test_a_spring_that_swings_beyond_the_band_is_told_where_its_coefficient_is_o
 
 @pytest.mark.parametrize("rests", [False, True])
 def test_a_link_winds_up_from_where_it_was_when_its_motor_began(subject, rests):
-    track = found(subject, None).tracks[1][0]
+    track = found(subject, None).motions[1][0]
     assert gear_dynamics.launched(track, 1)  # slowly: its link may hang still or come along
-    t, K, ratio = np.arange(len(track.coarse)) / track.band.rate_of(Grid.COARSE), 60.0, 0.02
+    t, K, ratio = np.arange(len(track.coarse_samples)) / track.band.rate_of(Grid.COARSE), 60.0, 0.02
     damping = 2.0 * ratio * float(np.sqrt(K * gear_dynamics.mass(track, 1).mean()))
-    exact = swung(track.body.model, K, damping, t, track.coarse.q, rests)[0]
+    exact = swung(track.fitted_robot.model, K, damping, t, track.coarse_samples.q, rests)[0]
     told, other = (gear_dynamics.wound(track, 1, K, ratio, which) for which in (rests, not rests))
     second = slice(0, 120)
     assert (
@@ -172,11 +172,11 @@ def test_a_link_winds_up_from_where_it_was_when_its_motor_began(subject, rests):
 
 
 def test_play_whose_load_never_turns_is_none(subject):
-    every = [one for half in found(subject, None).tracks for one in half]
+    every = [one for half in found(subject, None).motions for one in half]
     assert {shape.joint for shape in EFFECTS_BY_NAME["backlash"].shapes(every)} == {0, 1}
     pressed = [dataclasses.replace(one) for one in every]
     for one in pressed:
-        one.__dict__["rigid"] = one.rigid + np.array([1e4, 0.0])
+        one.__dict__["rigid"] = one.rigid_torque + np.array([1e4, 0.0])
     assert {shape.joint for shape in EFFECTS_BY_NAME["backlash"].shapes(pressed)} == {1}
 
 

@@ -34,7 +34,14 @@ from pathlib import Path
 
 from ..errors import UnusableInput
 from .folder_exchange import replace_folder
-from .staging import StagingDirectory, locked, remove_abandoned, status_of, sync_directory, write_new
+from .staging import (
+    StagingDirectory,
+    locked,
+    remove_abandoned,
+    status_of,
+    sync_directory,
+    write_new,
+)
 from .text import displayable
 
 _SPECIAL_FILES = (

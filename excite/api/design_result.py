@@ -335,7 +335,7 @@ def motion_files(trajectory: Trajectory, robot: Robot, standard: Parameters) -> 
 
 def nominal_torque(robot: Robot, standard: Parameters) -> Callable[[Samples], FloatArray]:
     """Return the function from sampled motion to nominal torque. Shape (N, n) [N m]."""
-    return lambda samples: dynamics.regressor(robot, standard, samples) @ standard.nominal
+    return lambda samples: dynamics.torque(robot, standard, samples)
 
 
 def compare_experiments(
@@ -426,4 +426,4 @@ def _record(delivery: pipeline.CertifiedDesign) -> DesignRecord:
     return DesignRecord(starts=starts, chosen=0)
 
 
-__all__ = ["WorkspaceBox", "CellOptions", "DesignResult", "design"]
+__all__ = ["CellOptions", "DesignResult", "WorkspaceBox", "design"]

@@ -43,7 +43,7 @@ class DiagnosisResult:
     @cached_property
     def atlas(self) -> residual_atlas.Atlas | None:
         """Residual against everything that it might depend on; None without a report."""
-        return residual_atlas.look(self.diagnosis) if self.with_report else None
+        return residual_atlas.compute_atlas(self.diagnosis) if self.with_report else None
 
     @cached_property
     def _document(self) -> dict[str, Any]:
@@ -74,7 +74,7 @@ class DiagnosisResult:
         """Return the report as HTML."""
         from .. import report  # slow to import
 
-        atlas = self.atlas or residual_atlas.look(self.diagnosis)
+        atlas = self.atlas or residual_atlas.compute_atlas(self.diagnosis)
         remarks = [
             r for recording in (*self.recordings, *self.validation) for r in recording.remarks
         ]

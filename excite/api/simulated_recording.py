@@ -12,6 +12,7 @@ import numpy as np
 
 from .._system.output_files import OutputFiles, output_files
 from ..errors import UnusableInput
+from ..robot import urdf
 from ..robot.robot import locate
 from ..schemas.document_file import DocumentFile
 from ..schemas.truth import SCHEMA, TruthDocument
@@ -138,6 +139,7 @@ def simulate(
         **{k: given.get(k) for k in ("seed", "model_error")},
     }
     source, sibling = locate(str(robot)), None if like is None else _read_sibling(Path(like), asked)
+    urdf.read(source)  # the simulator, which shares nothing with the rest, checks less
     chosen = _setting(given, None if sibling is None else sibling.setting)
     trajectory_file.read_trajectory(
         Path(trajectory)

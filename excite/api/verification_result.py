@@ -196,4 +196,4 @@ def export(
     return ExportedFile(written, format, tuple(verdict), certificate, content.forced)
 
 
-__all__ = ["ExportedFile", "CertificateVerdict", "VerificationResult", "export", "verify"]
+__all__ = ["CertificateVerdict", "ExportedFile", "VerificationResult", "export", "verify"]

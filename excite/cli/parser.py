@@ -15,10 +15,9 @@ from ..errors import UnusableInput
 from ..physical_ranges import Range
 from .option_types import NamedNumbers, Number, Numbers, WordOrNumbers
 
-SECONDS = Range(1e-3, 1e6, "s")
-HERTZ = Range(1e-3, 1e5, "Hz")
+SECONDS, HERTZ = ranges.PERIOD, ranges.RATE
 SLOWDOWN = Range(1e-3, 1.0, "1")
-SEED = Number(Range(0, 2**53, "1"), whole=True)
+SEED = Number(ranges.SEED, whole=True)
 """Seeds are stated in JSON files, of which many readers take integers up to 2⁵³ exactly."""
 VARIANCE = Range(1e-12, 1e12, "1")
 SHARE = Range(0.0, 10.0, "1", smallest=1e-12)
@@ -232,7 +231,7 @@ def _design(commands: Commands) -> None:
     )
     group.add_argument(
         "--harmonics",
-        type=Number(Range(1, 1000, "1"), whole=True),
+        type=Number(ranges.HARMONICS, whole=True),
         metavar="K",
         help="default 5, or chosen for --time",
     )
@@ -250,13 +249,13 @@ def _design(commands: Commands) -> None:
     )
     group.add_argument(
         "--samples",
-        type=Number(Range(3, 1e6, "1"), whole=True),
+        type=Number(Range(3, ranges.SAMPLES.upper, "1"), whole=True),
         metavar="N",
         help="the optimiser's grid over one period (default 20 per harmonic)",
     )
     group.add_argument(
         "--periods",
-        type=Number(Range(2, 1e5, "1"), whole=True),
+        type=Number(Range(2, ranges.PERIODS.upper, "1"), whole=True),
         metavar="N",
         help="repeats in the motion (default 2, or what fits --time)",
     )
@@ -682,7 +681,7 @@ def _simulate(commands: Commands) -> None:
     )
     sub.add_argument(
         "--periods",
-        type=Number(Range(1, 1e5, "1"), whole=True),
+        type=Number(ranges.PERIODS, whole=True),
         metavar="N",
         help="repeats of the excitation (default: as the trajectory says)",
     )

@@ -89,7 +89,8 @@ def read(path: Path) -> Scene:
     """Read a scene file.
 
     Raises:
-        UnusableInput: The file is missing, breaks a rule of `schemas.scene`, names two shapes alike, or names a mesh that is not there.
+        UnusableInput: The file is missing, breaks a rule of `schemas.scene`, names two shapes
+            alike, or names a mesh that is not there.
     """
     file = DocumentFile(
         path, "a scene", "correct it", "a TOML file of shapes, [[box]], [[sphere]], …"
@@ -122,9 +123,14 @@ def _shape(file: DocumentFile, kind: str, number: int, entry: StatedShape) -> Sh
             raise file.error(f"the mesh {mesh} is not there", f"{kind}[{number}].file")
     position, rotation = (tuple(map(float, values)) for values in (entry.position, entry.rotation))
     return Shape(
-        name, Kind(kind), tuple(map(float, entry.dimensions)), position, rotation,  # type: ignore[arg-type]
-        None if entry.link is None else str(entry.link), None if mesh is None else str(mesh.resolve()),
-    )  # fmt: skip
+        name,
+        Kind(kind),
+        tuple(map(float, entry.dimensions)),
+        position,  # type: ignore[arg-type]
+        rotation,  # type: ignore[arg-type]
+        None if entry.link is None else str(entry.link),
+        None if mesh is None else str(mesh.resolve()),
+    )
 
 
 def known(

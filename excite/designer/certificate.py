@@ -249,7 +249,9 @@ def recompute_criteria(
         "exported": motion.samples(motion.grid(trajectory.rate)),
     }
     return {
-        name: criteria.evaluate_criteria(dynamics.regressor(robot, standard, part), found, trajectory.noise)
+        name: criteria.evaluate_criteria(
+            dynamics.regressor_blocks(robot, standard, part), found, trajectory.noise
+        )
         for name, part in parts.items()
     }
 

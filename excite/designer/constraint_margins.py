@@ -93,8 +93,9 @@ def torque_quantity(subject: MotionConstraints, motion: Samples, blocks: Array |
     Coulomb friction jumps at a reversal, between two samples; it is monotone in speed, so its bounds are those of its
     neighbours, and only the smooth rest is given room for its curvature.
     """
-    Y = dynamics.regressor(subject.robot, subject.parameters, motion)
-    nominal, width = dynamics.band(Y, subject.parameters, subject.uncertainty)
+    nominal, width = dynamics.torque_band(
+        subject.robot, subject.parameters, motion, subject.uncertainty
+    )
     friction = subject.parameters.coulomb()
     smooth = nominal - friction * np.tanh(motion.dq / COULOMB_WIDTH)
     doubt = intersample_bound(motion.dq, blocks)

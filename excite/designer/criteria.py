@@ -7,7 +7,7 @@ ends of the spectrum. Each has an exact gradient with respect to the information
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 
@@ -152,23 +152,66 @@ def information_eigenvalues(rows: Array) -> Array:
     return np.sort(out)
 
 
-def evaluate_criteria(Y: Array, base: Base, noise: Array, given: Array | None = None) -> dict[str, object]:
-    """All criteria of one motion side by side, per sample, as the contract's `criteria` states them.
+def evaluate_criteria(
+    blocks: Array | Iterable[Array], base: Base, noise: Array, given: Array | None = None
+) -> dict[str, object]:
+    """Evaluate all criteria of one motion, per sample, as the contract's `criteria` states them.
 
-    Y: Shape (N, n, P). given: information of earlier recordings over this motion's number of samples, in standard
-    parameters. Shape (P, P).
+    Args:
+        blocks: The regressor Y of all samples, or of consecutive ones block by block. Shape
+            (N, n, P).
+        base: Base parameters.
+        noise: Standard deviation of torque per joint. Shape (n,) [N m].
+        given: Information of earlier recordings over this motion's number of samples, in standard
+            parameters. Shape (P, P).
+
+    Returns:
+        {"geometric": {criterion: value}, "plain": {criterion: value}, "cond_regressor": value}.
     """
+    weights = {
+        "geometric": criterion_weighting(Criterion.A, base, noise, plain=False),
+        "plain": criterion_weighting(Criterion.A, base, noise, plain=True),
+        "cond_regressor": criterion_weighting(Criterion.COND_REGRESSOR, base, noise, plain=True),
+    }
+    rows = _rows_of_all(weights, [blocks] if isinstance(blocks, np.ndarray) else blocks)
     out: dict[str, object] = {}
-    for name, plain in (("geometric", False), ("plain", True)):
-        weights = criterion_weighting(Criterion.A, base, noise, plain=plain)
-        rows = weights.rows(Y)
-        eigenvalues = information_eigenvalues(rows if given is None else np.vstack([rows, weights.root(given)]))
+    for name in ("geometric", "plain"):
+        known = [] if given is None else [weights[name].root(given)]
+        eigenvalues = information_eigenvalues(np.vstack([rows[name], *known]))
         out[name] = {
-            c.value: criterion_value(c, eigenvalues) for c in Criterion if c is not Criterion.COND_REGRESSOR
+            c.value: criterion_value(c, eigenvalues)
+            for c in Criterion
+            if c is not Criterion.COND_REGRESSOR
         }
-    weights = criterion_weighting(Criterion.COND_REGRESSOR, base, noise, plain=True)
-    out["cond_regressor"] = criterion_value(Criterion.COND_REGRESSOR, information_eigenvalues(weights.rows(Y)))
+    out["cond_regressor"] = criterion_value(
+        Criterion.COND_REGRESSOR, information_eigenvalues(rows["cond_regressor"])
+    )
     return out
+
+
+def _rows_of_all(
+    weights: Mapping[str, CriterionWeighting], blocks: Iterable[Array]
+) -> dict[str, Array]:
+    """A with AᵀA the mean information per sample of all blocks, for each weighting. Shape (m, p)."""
+    rows: dict[str, Array] = {}
+    count = 0
+    for Y in blocks:
+        here = {name: weighting.rows(Y) for name, weighting in weights.items()}
+        total = count + len(Y)
+        # A of both parts stacked, each scaled by the root of its share of the samples, and reduced
+        shares = np.sqrt(count / total), np.sqrt(len(Y) / total)
+        rows = (
+            {n: _triangle(np.vstack([shares[0] * rows[n], shares[1] * here[n]])) for n in here}
+            if rows
+            else here
+        )
+        count = total
+    return rows
+
+
+def _triangle(rows: Array) -> Array:
+    """R of the QR factorisation."""
+    return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
 def select_criterion(criteria: Mapping[str, object], criterion: Criterion, *, plain: bool) -> float:

@@ -15,7 +15,7 @@ from ..robot.robot import Robot
 from ..robot.samples import Samples
 from ..trajectory.fourier import FourierSeries
 from ..trajectory.rest_to_rest import Motion
-from .identifiability import IDENTIFIABLE_VARIANCE, information_root, eigenvalues_and_directions
+from .identifiability import IDENTIFIABLE_VARIANCE, eigenvalues_and_directions, information_root
 
 Array = np.ndarray
 

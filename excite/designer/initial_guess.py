@@ -7,7 +7,7 @@ import numpy as np
 from ..collision.clearance_constraint import Clearance
 from ..errors import Infeasible, UnusableInput
 from ..robot.inertial_parameters import ranges
-from .evaluator import Evaluator, ConstraintRows
+from .evaluator import ConstraintRows, Evaluator
 from .problem import DesignProblem
 
 Array = np.ndarray

@@ -12,7 +12,12 @@ from ..collision.clearance_constraint import Clearance
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import Braking, Limits
 from ..robot.robot import Robot
-from ..trajectory.fourier import VERIFICATION_DENSITY, FourierSeries, fourier_basis, oversampling_bound
+from ..trajectory.fourier import (
+    VERIFICATION_DENSITY,
+    FourierSeries,
+    fourier_basis,
+    oversampling_bound,
+)
 from . import casadi_model
 from .casadi_model import DynamicsFunctions
 from .criteria import Criterion, Weighting

@@ -18,7 +18,7 @@ from ..robot.inertial_parameters import spread_poses
 from ..robot.limits import DERIVED, Limits
 from ..robot.samples import Samples
 from ..trajectory.fourier import FourierSeries
-from ..trajectory.rest_to_rest import Motion, JerkProfile, MotionSegment
+from ..trajectory.rest_to_rest import JerkProfile, Motion, MotionSegment
 from . import constraint_margins
 from .constraint_margins import MotionConstraints
 

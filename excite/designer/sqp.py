@@ -14,7 +14,7 @@ import numpy as np
 
 from . import qp_subproblem
 from .criteria import Criterion
-from .evaluator import Evaluator, ConstraintRows
+from .evaluator import ConstraintRows, Evaluator
 from .problem import LIMIT_RESERVE
 
 Array = np.ndarray

@@ -20,7 +20,14 @@ from ..trajectory.fourier import FourierSeries
 from ..trajectory.trajectory_file import Trajectory
 from . import criteria
 from .criteria import Criterion
-from .motion_overlap import OVERLAP_WEIGHT, KERNEL_WIDTH, OverlapPenalty, StateScaling, penalise_overlap, motion_overlap
+from .motion_overlap import (
+    KERNEL_WIDTH,
+    OVERLAP_WEIGHT,
+    OverlapPenalty,
+    StateScaling,
+    motion_overlap,
+    penalise_overlap,
+)
 from .pipeline import CertifiedDesign
 
 Array = np.ndarray

@@ -65,7 +65,7 @@ def share(left: float, taken: float) -> float:
 
 def odds(effect: str, x: float) -> float:
     """Of an effect that leaves a share x: that it is right to that it is wrong."""
-    z = max((np.log(x) - LEAVES - EFFECTS_BY_NAME[effect].loose) / SPREAD, 0.0)
+    z = max((np.log(x) - LEAVES - EFFECTS_BY_NAME[effect].residual_log_offset) / SPREAD, 0.0)
     return float(RIGHT * np.exp(-0.5 * z * z) / (SPREAD * np.sqrt(2.0 * np.pi)) / x)
 
 
@@ -90,7 +90,7 @@ def shares(
         ]
     )
     taken = np.where(acts, np.maximum(without - left, 0.0), 0.0)
-    usual = taken * np.exp([[LEAVES + EFFECTS_BY_NAME[f.main.effect].loose] for f in verdict.findings])
+    usual = taken * np.exp([[LEAVES + EFFECTS_BY_NAME[f.main.effect].residual_log_offset] for f in verdict.findings])
     of_all, crowd = usual.sum(axis=0), acts.sum(axis=0)
     joints = [f.main.joint for f in verdict.findings]
     out = []

@@ -9,7 +9,19 @@ import numpy as np
 
 from ..effects import EFFECTS_BY_NAME, are_confusable
 from . import search
-from .hypothesis import CANCELS, SMALLEST, Hypothesis, agrees, counts, each_size, meanwhile, name, ranked, sizes, who
+from .hypothesis import (
+    CANCELS,
+    SMALLEST,
+    Hypothesis,
+    agrees,
+    counts,
+    each_size,
+    meanwhile,
+    name,
+    ranked,
+    sizes,
+    who,
+)
 from .search import Built, EffectRegression, Trial, trial
 
 Array = np.ndarray
@@ -181,7 +193,7 @@ def _earns(one: EffectRegression, others: Sequence[int], wider: Trial, rest: flo
     there = any(who(one.shapes[i]) == who(one.shapes[shape]) for i in others)
     if not _believed(one, wider, rest):
         return False
-    share = (LIKE if there and one.shapes[shape].several else SAME if there else SHARE) * rest
+    share = (LIKE if there and one.shapes[shape].allows_several else SAME if there else SHARE) * rest
     if adds > share:
         return True
     before, rested, after = (search.level(one, shapes) for shapes in ((), others, wider.shapes))

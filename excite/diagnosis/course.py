@@ -45,9 +45,9 @@ class Course:
         return () if self.verdict.together is None else self.verdict.together.shapes
 
     @property
-    def left(self) -> Array:
+    def residual(self) -> Array:
         """Mean square over what a right model would leave, of all recordings. Shape (n,)."""
-        return search.level(self.one, self.shapes) * (self.scale / self.noisy.quiet) ** 2
+        return search.level(self.one, self.shapes) * (self.scale / self.noisy.noise_rms) ** 2
 
     @property
     def later(self) -> Array:
@@ -58,7 +58,7 @@ class Course:
         """Whether no joint's torque is left louder than noise, of all recordings or of those held out. moves: rows of these that count."""
         most = 1.0 + session_changes.EXCESS
         return bool(
-            (self.left < most).all()
+            (self.residual < most).all()
             and (search.mean_square(self.later, moves) < most * self._expected).all()
         )
 
@@ -68,7 +68,7 @@ class Course:
         """Whether what is left of all recordings, or of those held out, says that drives differ. other: makes the design where they do,
         over a scale."""
         if session_changes.differs(
-            self.one, self.shapes, every, (self.noisy.quiet / self.scale) ** 2
+            self.one, self.shapes, every, (self.noisy.noise_rms / self.scale) ** 2
         ):
             return True
         left, by = self.later, self.scale / scale
@@ -80,7 +80,7 @@ class Course:
     def _expected(self) -> Array:
         """Mean square over the scale that a right model would leave of the held-out torque. Shape (n,)."""
         return np.asarray(
-            (self.noisy.quiet / self.scale) ** 2
+            (self.noisy.noise_rms / self.scale) ** 2
             + held_out_test.reach(self.one, np.ones(len(self.scale))) ** 2
         )
 
@@ -121,7 +121,7 @@ def run(
         return (
             found
             if any(
-                change.sure for change in session_changes.changes(found.one, found.shapes, halves)
+                change.is_significant for change in session_changes.changes(found.one, found.shapes, halves)
             )
             else None
         )
@@ -131,8 +131,8 @@ def run(
             lambda: bare(halves), scale, every, moves
         )
 
-    one, moves = search.filled(bare(None), listed), np.concatenate([t.moves for t in halves[1]])
-    at_first = session_changes.differs_at_first(one, every, (noisy.quiet / scale) ** 2)
+    one, moves = search.filled(bare(None), listed), np.concatenate([t.moving for t in halves[1]])
+    at_first = session_changes.differs_at_first(one, every, (noisy.noise_rms / scale) ** 2)
     if at_first and (other := with_own_drives()) is not None:
         return other
     progress(f"{len(listed)} shapes of {len(EFFECTS)} effects, alone and together")
@@ -140,13 +140,13 @@ def run(
     if (
         differs(begun)
         and (other := with_own_drives()) is not None
-        and float(other.left.sum()) < CLEAR * float(begun.left.sum())
+        and float(other.residual.sum()) < CLEAR * float(begun.residual.sum())
     ):
         return other  # whatever is late, it is not that
     found = _followed(begun, every)
     if not differs(found) or (other := with_own_drives()) is None:
         return found
-    return found if float(other.left.sum()) > float(found.left.sum()) else other
+    return found if float(other.residual.sum()) > float(found.residual.sum()) else other
 
 
 def _begun(one: EffectRegression, noisy: NoiseEstimate, scale: Array) -> Course:
@@ -166,7 +166,7 @@ def _followed(begun: Course, every: Sequence[RecordedMotion]) -> Course:
         ):
             break
         left = search.remaining(one, verdict.together.shapes) * scale
-        noisy = noise.repeated(noisy, every, recorded_motion.split_by_motion(left, every))
+        noisy = noise.refine_by_repetition(noisy, every, recorded_motion.split_by_motion(left, every))
         one, verdict, scale = _sharper(one, verdict, noisy, scale)
     return Course(one, once.kept(one, verdict, every, noisy.periods), noisy, scale)
 

@@ -19,14 +19,30 @@ from ..recordings import Recording
 from ..robot.base_parameters import Base
 from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot
-from . import bandwidth, belief, course, equations, held_out_test, gear_encoders, hypothesis, judge, late, noise, residual_curves, search, session_changes, unmodelled, fitted_effects
+from . import (
+    bandwidth,
+    belief,
+    course,
+    equations,
+    fitted_effects,
+    gear_encoders,
+    held_out_test,
+    hypothesis,
+    judge,
+    late,
+    noise,
+    residual_curves,
+    search,
+    session_changes,
+    unmodelled,
+)
 from .course import Course, Progress
+from .fitted_effects import FittedEffect
 from .gear_encoders import GearEstimate
 from .judge import Finding, Verdict
 from .search import EffectRegression
 from .session_changes import SessionChange
 from .unmodelled import ResidualPrediction
-from .fitted_effects import FittedEffect
 
 Array = np.ndarray
 QUIET = 1.2
@@ -76,7 +92,7 @@ class Diagnosis:
     identified: Identification
     options: DiagnosisOptions
     hertz: float
-    tracks: tuple[list[RecordedMotion], list[RecordedMotion]]
+    motions: tuple[list[RecordedMotion], list[RecordedMotion]]
     design: EffectRegression
     verdict: Verdict
     floor: Array
@@ -88,12 +104,12 @@ class Diagnosis:
     ahead: tuple[SimulationError | None, SimulationError | None] = (None, None)
     expected: Array = field(default_factory=lambda: np.zeros(0))
     fitted: tuple[Array, Array] = (np.zeros(0), np.zeros(0))
-    quiet: Array = field(default_factory=lambda: np.zeros(0))
-    sights: Mapping[int, ResidualPrediction] = field(default_factory=dict)
+    noise_rms: Array = field(default_factory=lambda: np.zeros(0))
+    residual_predictions: Mapping[int, ResidualPrediction] = field(default_factory=dict)
     doubted: Array = field(default_factory=lambda: np.zeros(0))
     gears: tuple[GearEstimate, ...] = ()
     changes: tuple[SessionChange, ...] = ()
-    taken: Array = field(default_factory=lambda: np.zeros(1))
+    change_rms: Array = field(default_factory=lambda: np.zeros(1))
 
     @property
     def parts(self) -> tuple[FittedEffect, ...]:
@@ -106,12 +122,12 @@ class Diagnosis:
         return _real(self.design, self.verdict)
 
     @property
-    def moves(self) -> Array:
+    def moving(self) -> Array:
         """Where the held-out torque is judged. Shape (N, n)."""
-        return _moves(self.tracks[1])
+        return _moves(self.motions[1])
 
     @property
-    def acts(self) -> Array:
+    def has_effect(self) -> Array:
         """Joints where something acts that is asserted. Shape (n,)."""
         one, together = self.design, self.verdict.together
         acting = [
@@ -125,13 +141,13 @@ class Diagnosis:
     def torque(self) -> Array:
         """RMS of the held-out torque there. Shape (n,) [N m]."""
         return np.sqrt(
-            search.mean_square(np.concatenate([one.torque for one in self.tracks[1]]), self.moves)
+            search.mean_square(np.concatenate([one.torque for one in self.motions[1]]), self.moving)
         )
 
     @property
-    def same(self) -> Array:
+    def rmse_without_changes(self) -> Array:
         """RMSE held out if drives were the same in all recordings. Shape (n,) [N m]."""
-        return np.asarray(np.sqrt(np.maximum(self.after**2 - self.taken**2, 0.0)))
+        return np.asarray(np.sqrt(np.maximum(self.after**2 - self.change_rms**2, 0.0)))
 
     @property
     def systematic(self) -> Array:
@@ -146,27 +162,27 @@ class Diagnosis:
     @property
     def unknown(self) -> list[int]:
         """Joints where something is left that no name takes, and those whose drive is another in the recordings held out."""
-        return [int(j) for j in np.flatnonzero(self.lacking | self.changed)]
+        return [int(j) for j in np.flatnonzero(self.has_unmodelled_torque | self.has_session_change)]
 
     @property
-    def lacking(self) -> Array:
+    def has_unmodelled_torque(self) -> Array:
         """Joints where something is left that no name takes: a flexible model foresees it, or a name that is doubted, or it is far louder
         than noise, or a fifth louder where a name acts, or held-out torque is foretold worse than without names; much of it, by a fit to
         all recordings, or of the held-out torque by the others. And those where several names are likelier wrong than right together.
         What drives that differ between recordings take is not among it. Shape (n,)."""
         bare, named = self.fitted
         loud, floor = (
-            (named > LOUD * self.quiet) | (self.doubted > DOUBTED * self.floor),
+            (named > LOUD * self.noise_rms) | (self.doubted > DOUBTED * self.floor),
             self.floor.copy(),
         )
         loud |= (self.after**2 > held_out_test.WORSE * self.before**2) & (
-            self.same > LOUD * self.expected
+            self.rmse_without_changes > LOUD * self.expected
         )
-        loud |= self.acts & (
-            named > QUIET * self.quiet
+        loud |= self.has_effect & (
+            named > QUIET * self.noise_rms
         )  # a name that leaves that is not, or not all, of what is there
         told = self.doubted.copy()
-        for j, sight in self.sights.items():
+        for j, sight in self.residual_predictions.items():
             if sight.counts:  # what is foreseen is no noise, though it may differ each time: a load that swings on from where it was
                 floor[j] = min(floor[j], np.sqrt(1.0 - sight.share) * named[j])
                 told[j] = max(told[j], np.sqrt(sight.share) * named[j])
@@ -176,13 +192,13 @@ class Diagnosis:
         ):  # nothing repeats: the floor is a guess from below, and only much is worth a word
             torque = np.sqrt(
                 np.mean(
-                    np.concatenate([one.torque for half in self.tracks for one in half]) ** 2,
+                    np.concatenate([one.torque for half in self.motions for one in half]) ** 2,
                     axis=0,
                 )
             )
             loud &= (named > MUCH * torque) | (told > LITTLE * torque)
-        untold = (self.same > LOUD * self.expected) & (
-            _left(self.before, self.same, self.expected) > UNTOLD
+        untold = (self.rmse_without_changes > LOUD * self.expected) & (
+            _left(self.before, self.rmse_without_changes, self.expected) > UNTOLD
         )
         return np.asarray(
             (loud & (untold | (_left(bare, named, floor) > UNSAID)))
@@ -190,13 +206,13 @@ class Diagnosis:
         )
 
     @property
-    def changed(self) -> Array:
+    def has_session_change(self) -> Array:
         """Joints whose held-out torque is another because their drive is, by then. Shape (n,)."""
         out = np.zeros(len(self.floor), bool)
-        held_out = {t.piece.source for t in self.tracks[1]}
+        held_out = {t.segment.source for t in self.motions[1]}
         for change in self.changes:
-            out[change.joint] |= change.source in held_out and change.sure
-        return out & (self.after > QUIET * self.quiet)
+            out[change.joint] |= change.source in held_out and change.is_significant
+        return out & (self.after > QUIET * self.noise_rms)
 
     @property
     def name(self) -> str:
@@ -232,14 +248,14 @@ def diagnose(
         robot, parameters, base, train, validate, settings, progress
     )
     psi = equations.kept(identified.psi, options.trusted)
-    fitted, model, theta = recorded_motion.body(robot, parameters, psi), identified.model, base.matrix @ psi
-    halves = tuple(recorded_motion.tracks(model, fitted, theta, parts, hertz) for parts in pieces)
+    fitted, model, theta = recorded_motion.fitted_robot(robot, parameters, psi), identified.model, base.matrix @ psi
+    halves = tuple(recorded_motion.recorded_motions(model, fitted, theta, parts, hertz) for parts in pieces)
     for group, own in zip((train, validate), halves, strict=True):
         if not own:
             raise UnusableInput(
                 f"{group[0].source}: is too short for a band of {hertz:g} Hz; record at least two seconds"
             )
-    noisy = noise.measured(identified, halves, [*train, *validate])
+    noisy = noise.estimate_noise(identified, halves, [*train, *validate])
     progress("columns of the catalogue")
     found = course.run(
         identified, (halves[0], halves[1]), noisy, options.trusted, options.names, progress
@@ -300,8 +316,8 @@ def _refitted(
     refitted = identification.identify(
         model.robot, model.parameters, model.base, pure[0], pure[1], settings, lambda _: None
     )
-    body = recorded_motion.body(model.robot, model.parameters, equations.kept(refitted.psi, options.trusted))
-    again = [[dataclasses.replace(t, body=body) for t in own] for own in halves]
+    body = recorded_motion.fitted_robot(model.robot, model.parameters, equations.kept(refitted.psi, options.trusted))
+    again = [[dataclasses.replace(t, fitted_robot=body) for t in own] for own in halves]
     named = {f.main.effect for f in verdict.findings}
     one, verdict = _again(
         one,
@@ -328,7 +344,7 @@ def _judged(
     verdict = found.verdict
     before, after = held_out_test.residuals(one, verdict.together, scale)
     fitted = course.rms(one, (), scale), course.rms(one, verdict.named, scale)
-    quiet, expected = noisy.quiet, np.sqrt(noisy.quiet**2 + held_out_test.reach(one, scale) ** 2)
+    quiet, expected = noisy.noise_rms, np.sqrt(noisy.noise_rms**2 + held_out_test.reach(one, scale) ** 2)
     moves = _moves(tracks[1])
     rms = [np.sqrt(search.mean_square(r, moves)) for r in (before, after)]
     told = (identified, options, hertz, tracks, one, verdict, floor, noisy.method)
@@ -354,10 +370,10 @@ def _judged(
     known = {
         "expected": expected,
         "fitted": fitted,
-        "quiet": quiet,
-        "sights": sights,
+        "noise_rms": quiet,
+        "residual_predictions": sights,
         "doubted": doubted,
-        "taken": np.sqrt(np.maximum(rms[1] ** 2 - same, 0.0)),
+        "change_rms": np.sqrt(np.maximum(rms[1] ** 2 - same, 0.0)),
     }
     return Diagnosis(*told, *judged, **known, changes=differs)
 
@@ -375,12 +391,12 @@ def _sights(
     left: Array, tracks: tuple[list[RecordedMotion], list[RecordedMotion]], joints: Iterable[int]
 ) -> dict[int, ResidualPrediction]:
     """What a flexible model foresees of what is left of both halves' torque at some joints. left: Shape (N, n) [N m]."""
-    rows = residual_curves.rows([*tracks[0], *tracks[1]])
+    rows = residual_curves.motion_rows([*tracks[0], *tracks[1]])
     first = np.arange(len(rows)) < sum(len(one) for one in tracks[0])
     out = {}
     for j in joints:
-        moves = rows.moves[:, j]
-        out[int(j)] = unmodelled.seen(rows, (moves & first, moves & ~first), left[:, j], int(j))
+        moves = rows.moving[:, j]
+        out[int(j)] = unmodelled.predict_residual(rows, (moves & first, moves & ~first), left[:, j], int(j))
     return out
 
 
@@ -424,7 +440,7 @@ def _again(
 
 def _moves(half: Sequence[RecordedMotion]) -> Array:
     """Rows of one half that are judged. Shape (N, n)."""
-    return np.concatenate([one.moves for one in half])
+    return np.concatenate([one.moving for one in half])
 
 
 def _left(before: Array, after: Array, floor: Array) -> Array:

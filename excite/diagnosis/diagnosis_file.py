@@ -73,7 +73,7 @@ def document(found: Diagnosis, looked: Atlas | None = None) -> dict[str, Any]:
         ],
         "band_hz": found.hertz,
         "simulation": _simulation(found),
-        "between_recordings": [_change(found, change) for change in found.changes if change.sure],
+        "between_recordings": [_change(found, change) for change in found.changes if change.is_significant],
         "encoders": {joints[gear.joint]: _gear(found, gear) for gear in found.gears},
         "parameters": _parameters(found),
     }
@@ -163,7 +163,7 @@ def _joint(found: Diagnosis, joint: int | None) -> str | None:
 def _where(found: Diagnosis, shape: CandidateModel) -> dict[str, Any]:
     place = "all joints" if shape.joint is None else f"joint '{_joint(found, shape.joint)}'"
     where: dict[str, Any] = {
-        "statement": f"{place}: {shape.words or EFFECTS_BY_NAME[shape.effect].signature}",
+        "statement": f"{place}: {shape.signature or EFFECTS_BY_NAME[shape.effect].signature}",
         "regime": "temperature"
         if "reference" in shape.values
         else REGIMES.get(shape.effect, "all"),
@@ -271,7 +271,7 @@ def _doubted(found: Diagnosis, finding: Finding) -> dict[str, Any]:
 
 def _unknown(found: Diagnosis, joint: int) -> dict[str, Any]:
     name = found.identified.model.robot.joints[joint]
-    share, sight = float(found.unexplained[joint]), found.sights[joint]
+    share, sight = float(found.unexplained[joint]), found.residual_predictions[joint]
     where: dict[str, Any] = {
         "statement": f"joint '{name}': torque that no effect of the catalogue takes",
         "regime": "all",
@@ -304,9 +304,9 @@ def _unknown(found: Diagnosis, joint: int) -> dict[str, Any]:
             "y": response.y.tolist(),
         }
         experiment = BASES[sight.regime].experiment
-    if found.changed[joint]:
+    if found.has_session_change[joint]:
         other = "friction or offset is another in the recordings held out"
-        if found.lacking[joint]:
+        if found.has_unmodelled_torque[joint]:
             where["statement"] += f"; besides, {other}"
         else:
             where = {"statement": f"joint '{name}': {other}", "regime": "recording"}

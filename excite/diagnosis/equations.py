@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
-from ..effects import EFFECTS_BY_NAME, EFFECTS
+from ..effects import EFFECTS, EFFECTS_BY_NAME
 from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
 from ..identification import consistency
@@ -58,14 +58,14 @@ def half(
         slopes[:, range(one.n), range(one.n)] = one.slopes
         own = [session_changes.columns(one, differing)] if differing else []
         columns.append(np.concatenate([one.gamma[:, :, places], *own, slopes], axis=2))
-        torque.append(one.left if trusted else one.torque)
+        torque.append(one.residual if trusted else one.torque)
     rows, right = _known(identified, trusted, columns[0].shape[2])
     if differing:
-        std = session_changes.known([*differing[0], *differing[1]])
+        std = session_changes.prior_std([*differing[0], *differing[1]])
         changes = np.zeros((len(std), rows.shape[1]))
         changes[:, len(places) : len(places) + len(std)] = np.diag(1.0 / std)
         rows, right = np.vstack([rows, changes]), np.concatenate([right, np.zeros(len(std))])
-    return whitened(columns, torque, [one.moves for one in tracks], scale, (rows, right))
+    return whitened(columns, torque, [one.moving for one in tracks], scale, (rows, right))
 
 
 def _known(
@@ -106,9 +106,9 @@ def shapes(
     grain = floor / np.maximum(
         np.sqrt(np.mean(np.concatenate([one.torque for one in every]) ** 2, axis=0)), 1e-300
     )
-    every_shape = (shape for effect in wanted for shape in effect.shapes(every))
+    every_shape = (shape for effect in wanted for shape in effect.candidates(every))
     return [
-        shape for shape in every_shape if shape.joint is None or grain[shape.joint] <= shape.grain
+        shape for shape in every_shape if shape.joint is None or grain[shape.joint] <= shape.max_noise_ratio
     ]
 
 
@@ -138,7 +138,7 @@ def builder(
         first, second = (
             Columns.of(
                 np.concatenate(
-                    [shape.columns(one) * one.moves[:, :, None] / scale[:, None] for one in own]
+                    [shape.columns(one) * one.moving[:, :, None] / scale[:, None] for one in own]
                 )
             )
             for own in halves

@@ -41,10 +41,10 @@ def parts(one: EffectRegression, together: Trial | None) -> tuple[FittedEffect, 
 
 def torque(found: Sequence[FittedEffect], along: RecordedMotion) -> Array:
     """What was found adds, below the band, at every sample of a track's piece. Shape (M, n) [N m]."""
-    piece = along.piece
+    piece = along.segment
     every = dataclasses.replace(
         along,
-        to=Grid.RECORDED,
+        grid=Grid.RECORDED,
         kept=slice(0, len(piece)),
         time=piece.start + np.arange(len(piece)) / piece.rate,
     )
@@ -58,9 +58,9 @@ def removed(found: Sequence[FittedEffect], recording: Recording, tracks: Sequenc
     """A recording whose torque is without what was found, where there are tracks of it."""
     tau = recording.torque.copy()
     for one in tracks:
-        if one.piece.source == recording.source:
-            first = int(np.argmin(np.abs(recording.t - one.piece.start)))
-            tau[first : first + len(one.piece)] -= torque(found, one)
+        if one.segment.source == recording.source:
+            first = int(np.argmin(np.abs(recording.t - one.segment.start)))
+            tau[first : first + len(one.segment)] -= torque(found, one)
     return dataclasses.replace(recording, tau=tau)
 
 
@@ -91,7 +91,7 @@ def restored(stated: EffectDocument, robot: Robot) -> FittedEffect:
     shape = CandidateModel(
         stated.effect,
         joint,
-        EFFECTS_BY_NAME[stated.effect].add,
+        EFFECTS_BY_NAME[stated.effect].torque_columns,
         values,
         other,
         interval,
@@ -105,7 +105,7 @@ def predict(fitted: IdentifiedModel, recording: Recording) -> tuple[Array, Array
     found = [restored(stated, fitted.robot) for stated in fitted.effects]
     if not found:
         return fitted.predict(recording)
-    body = recorded_motion.body(fitted.robot, fitted.layout, fitted.psi)
+    body = recorded_motion.fitted_robot(fitted.robot, fitted.layout, fitted.psi)
     own, late = (
         [part for part in found if (part.shape.values.get("measured", 0.0) > 0.0) is last]
         for last in (False, True)
@@ -137,10 +137,10 @@ def predict(fitted: IdentifiedModel, recording: Recording) -> tuple[Array, Array
         )
         added = torque(own, along)
         for part in late:
-            recorded = EFFECTS_BY_NAME[part.shape.effect].recorded
+            recorded = EFFECTS_BY_NAME[part.shape.effect].predicted_torque
             assert recorded is not None  # a shape of measured torque has one
             added += band.low(
-                recorded(along, part.shape, part.coefficients, along.motor + added), Grid.RECORDED
+                recorded(along, part.shape, part.coefficients, along.motor_torque + added), Grid.RECORDED
             )
         return added
 

@@ -66,7 +66,7 @@ class _Rows:
     lag: Array
     load: Array
     speed: Array
-    place: Array
+    joint_index: Array
     block: Array
 
 
@@ -74,7 +74,7 @@ def gears(
     tracks: Sequence[Sequence[RecordedMotion]], recordings: Sequence[Sequence[Recording]]
 ) -> tuple[GearEstimate, ...]:
     """Every joint that has two encoders. Both: those fitted, those held out. Empty where no recording has `qlink`."""
-    entries = tracks[0][0].body.robot.entries
+    entries = tracks[0][0].fitted_robot.robot.entries
     found = []
     for j in range(tracks[0][0].n):
         train, held_out = (
@@ -87,9 +87,9 @@ def gears(
 def _stretches(tracks: Sequence[RecordedMotion], recordings: Sequence[Recording], joint: int) -> list[_Rows]:
     linked = {one.source: one for one in recordings if one.qlink is not None}
     rows = (
-        _rows(track, linked[track.piece.source], joint)
+        _rows(track, linked[track.segment.source], joint)
         for track in tracks
-        if track.piece.source in linked
+        if track.segment.source in linked
     )
     return [one for one in rows if one is not None]
 
@@ -98,20 +98,20 @@ def _rows(track: RecordedMotion, recording: Recording, joint: int) -> _Rows | No
     """None where the joint has no second encoder, or does not move."""
     if (
         not recording.has("qlink", recording.joints[joint])
-        or np.ptp(track.piece.q[:, joint]) < 1e-6
+        or np.ptp(track.segment.q[:, joint]) < 1e-6
     ):
         return None
     assert recording.qlink is not None
-    first = int(np.argmin(np.abs(recording.t - track.piece.start)))
-    link = recording.qlink[first : first + len(track.piece), joint]
+    first = int(np.argmin(np.abs(recording.t - track.segment.start)))
+    link = recording.qlink[first : first + len(track.segment), joint]
     if not np.isfinite(link).all():
         return None
-    moves = track.moves[:, joint]
-    lag = track.reduce((track.piece.q[:, joint] - link)[:, None])[:, 0]
-    place, speed, hastened = track.reduce(
-        np.column_stack([getattr(track.fine, name)[:, joint] for name in ("q", "dq", "ddq")])
+    moves = track.moving[:, joint]
+    lag = track.lowpass((track.segment.q[:, joint] - link)[:, None])[:, 0]
+    place, speed, hastened = track.lowpass(
+        np.column_stack([getattr(track.samples, name)[:, joint] for name in ("q", "dq", "ddq")])
     ).T
-    load = track.torque[:, joint] - track.body.drive("rotor_inertia")[joint] * hastened
+    load = track.torque[:, joint] - track.fitted_robot.drive("rotor_inertia")[joint] * hastened
     block = np.searchsorted(
         block_starts(track.time - track.time[0], BLOCK), np.arange(len(track)), side="right"
     )
@@ -125,7 +125,7 @@ def _columns(rows: _Rows, load: float, speed: float) -> Array:
         np.tanh(rows.speed / (TURNED * speed)),
     )
     return np.column_stack(
-        [rows.load, play, rows.speed, friction, np.cos(rows.place), np.sin(rows.place)]
+        [rows.load, play, rows.speed, friction, np.cos(rows.joint_index), np.sin(rows.joint_index)]
     )
 
 

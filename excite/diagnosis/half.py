@@ -43,7 +43,7 @@ class Half:
     @cached_property
     def recorded(self) -> tuple[Array, Array]:
         """The basis and the residual at the rows that were recorded. Shapes (m, r), (m,)."""
-        return self.basis[self.rows], self.left[self.rows]
+        return self.basis[self.rows], self.residual[self.rows]
 
     @cached_property
     def shares(self) -> Array:
@@ -68,7 +68,7 @@ class Half:
         return np.asarray(full - self.basis @ (self.basis.T @ full))
 
     @cached_property
-    def left(self) -> Array:
+    def residual(self) -> Array:
         """Torque that the base leaves. Shape (m + k,)."""
         return np.asarray(self.torque - self.basis @ (self.basis.T @ self.torque))
 

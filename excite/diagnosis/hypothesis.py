@@ -59,7 +59,7 @@ def ranked(
         if (
             i in beside
             or each(shape) in done
-            or (not shape.several and who(shape) in there)
+            or (not shape.allows_several and who(shape) in there)
             or meanwhile(one, i, beside)
         ):
             continue
@@ -85,7 +85,7 @@ def counts(one: EffectRegression, found: Trial, large: Sequence[float]) -> bool:
     """Whether the last of some fitted shapes is of a size that counts: noise in columns of measured torque is in the residual too. large:
     the size of each."""
     shape, noise = one.shapes[found.shapes[-1]], one.measured.noise
-    own = shape.noisy(one.split(found.shapes, found.coefficients)[-1])
+    own = shape.column_noise(one.split(found.shapes, found.coefficients)[-1])
     known = 1.0 if noise is None or shape.joint is None else float(np.sqrt(noise[shape.joint]))
     least = SMALLEST if len(found.shapes) > 1 else ALONE
     return bool(large[-1] > max(least, ABOVE * own * known))

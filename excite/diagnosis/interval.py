@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..effects import EFFECTS_BY_NAME
-from ..effects.effect import Effect, CandidateModel
+from ..effects.effect import CandidateModel, Effect
 from . import search
 from .hypothesis import acting
 from .judge import Verdict
@@ -70,15 +70,15 @@ def finding_parameters(
     spread = spreads(one, verdict)
     fitted = parts(together.coefficients)
     value, unseen, others = (
-        effect.told(fitted),
-        effect.unseen(fitted),
-        [effect.told(parts(half)) for half in together.halves],
+        effect.reported_parameters(fitted),
+        effect.unobserved_std(fitted),
+        [effect.reported_parameters(parts(half)) for half in together.halves],
     )
     wide = np.sqrt(1.0 + (HIDDEN * misfit(one, verdict, number)) ** 2)
     draws = wide * np.random.default_rng(0).normal(size=(DRAWS, len(spread.root))) @ spread.root.T
     count = len(together.coefficients)
     cloud = [
-        effect.told(parts(together.coefficients + draw[:count], np.clip(draw, -FARTHEST, FARTHEST)))
+        effect.reported_parameters(parts(together.coefficients + draw[:count], np.clip(draw, -FARTHEST, FARTHEST)))
         for draw in draws
     ]
     out, hidden = (
@@ -94,7 +94,7 @@ def finding_parameters(
             if one.shapes[finding.main.shape].interval is None
             else 0.0
         )
-        form = effect.form.get(key, FORM) * abs(mean)
+        form = effect.form_std.get(key, FORM) * abs(mean)
         out[key] = (
             mean,
             float(
@@ -108,12 +108,12 @@ def _hidden(
     effect: Effect, fitted: Sequence[tuple[CandidateModel, Array]], which: Sequence[Array]
 ) -> set[str]:
     """Parameters that hang on coefficients which no joint feels. which: those that one does. Shapes (k,)."""
-    out, value = set[str](), effect.told(fitted)
+    out, value = set[str](), effect.reported_parameters(fitted)
     for number, ((shape, c), felt) in enumerate(zip(fitted, which, strict=True)):
         for k in np.flatnonzero(~felt):
             nudged = c.copy()
             nudged[k] += NUDGE * float(np.sqrt(np.mean(c[felt] ** 2)))
-            moved = effect.told([*fitted[:number], (shape, nudged), *fitted[number + 1 :]])
+            moved = effect.reported_parameters([*fitted[:number], (shape, nudged), *fitted[number + 1 :]])
             out |= {key for key, was in value.items() if abs(moved[key] - was) > MOVED * abs(was)}
     return out
 
@@ -127,8 +127,8 @@ def _turned(shape: CandidateModel, by: float) -> CandidateModel:
     """A shape whose value's logarithm is another."""
     return (
         shape
-        if shape.knob is None or not by
-        else shape.knob.at(shape.knob.value * float(np.exp(by)))
+        if shape.nonlinear is None or not by
+        else shape.nonlinear.at(shape.nonlinear.value * float(np.exp(by)))
     )
 
 
@@ -144,7 +144,7 @@ def spreads(one: EffectRegression, verdict: Verdict) -> FitCovariance:
         zip(together.shapes, one.split(together.shapes, together.coefficients), strict=True)
     ):
         above, below = (
-            one.build(_turned(one.shapes[i], by)) if one.shapes[i].knob else None
+            one.build(_turned(one.shapes[i], by)) if one.shapes[i].nonlinear else None
             for by in (STEP, -STEP)
         )
         if above is not None and below is not None:

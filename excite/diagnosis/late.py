@@ -12,7 +12,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from ..effects.effect import RecordingDelay, CandidateModel
+from ..effects.effect import CandidateModel, RecordingDelay
 from . import judge, search
 from .contest import CLEARLY
 from .judge import Verdict
@@ -127,7 +127,7 @@ def _moved(shape: CandidateModel, told: Delays) -> CandidateModel | None:
         return None
     for joint, delay in told.items():
         if _follows(shape, joint):
-            return shape.late(delay, joint)
+            return shape.delayed(delay, joint)
     return shape
 
 
@@ -146,7 +146,7 @@ def _timed(one: EffectRegression, together: Trial, told: Delays, nearly: bool) -
     def fitted(delays: Delays, sweeps: int) -> tuple[EffectRegression, Trial]:
         others = [shape for shape in chosen if shape.effect != "delay" or shape.joint not in delays]
         fixed = [
-            dataclasses.replace(_by(one.listed, joint, d), knob=None) for joint, d in delays.items()
+            dataclasses.replace(_by(one.listed, joint, d), nonlinear=None) for joint, d in delays.items()
         ]
         design = search.appended(bare, [*_like(others, delays), *fixed])
         finer, turned = search.refined(design, range(len(design.shapes)), sweeps)
@@ -208,7 +208,7 @@ def _by(listed: Iterable[CandidateModel], joint: int | None, delay: RecordingDel
         for s in listed
         if s.effect == "delay" and s.joint == joint and ("lagging" in s.values) == delay.lagging
     )
-    knob = next(shape.knob for shape in alike if shape.knob is not None)
+    knob = next(shape.nonlinear for shape in alike if shape.nonlinear is not None)
     return dataclasses.replace(knob, low=0.5 * delay.seconds, high=2.0 * delay.seconds).at(
         delay.seconds
     )

@@ -64,7 +64,7 @@ class NoiseEstimate:
     periods: Mapping[str, Period] = field(default_factory=dict)
 
     @property
-    def quiet(self) -> Array:
+    def noise_rms(self) -> Array:
         """RMS that a right model may leave, steps and a wavering clock included. Shape (n,) [N m]."""
         return np.asarray(np.sqrt(self.floor**2 + 2.0 * self.steps**2 + self.clock))
 
@@ -76,7 +76,7 @@ class NoiseEstimate:
         return 1.0 - steps, 1.0 + np.minimum(steps + clock, DOUBTFUL)
 
 
-def measured(
+def estimate_noise(
     identified: Identification, halves: Sequence[Sequence[RecordedMotion]], recordings: Sequence[Recording]
 ) -> NoiseEstimate:
     """The noise of recordings: from what does not repeat, else from the torque's density above the motion, a lower bound."""
@@ -99,16 +99,16 @@ def measured(
         _sharpened(halves),
         periods,
     )
-    return repeated(nothing_repeats, every, [one.left for one in every])
+    return refine_by_repetition(nothing_repeats, every, [one.residual for one in every])
 
 
-def repeated(noisy: NoiseEstimate, every: Sequence[RecordedMotion], left: Sequence[Array]) -> NoiseEstimate:
+def refine_by_repetition(noisy: NoiseEstimate, every: Sequence[RecordedMotion], left: Sequence[Array]) -> NoiseEstimate:
     """The noise by what repeats of the torque that a model leaves of every stretch; as it was, where nothing does. left: Shapes (N, n)."""
     periods = noisy.periods
     pairs = [
-        (one, own) for one, own in zip(every, left, strict=True) if one.piece.source in periods
+        (one, own) for one, own in zip(every, left, strict=True) if one.segment.source in periods
     ]
-    again = [made for one, own in pairs for made in _repeats(one, own, *periods[one.piece.source])]
+    again = [made for one, own in pairs for made in _repeats(one, own, *periods[one.segment.source])]
     if not again:
         return noisy
     spread = np.sqrt(np.mean([made.square for made in again], axis=0))
@@ -165,9 +165,9 @@ def _momentum(track: RecordedMotion) -> Array:
 
     Read δ late, positions are off by q̇ δ, and torque by (M q̇ δ)¨ to first order: in the band, as if white, by momentum.
     """
-    mass, speed = track.derivatives[2], track.coarse.dq
-    carried = np.einsum("tij,tj->ti", mass, speed) + track.body.drive("rotor_inertia") * speed
-    return np.square(track.reduce(carried, Grid.COARSE))
+    mass, speed = track.derivatives[2], track.coarse_samples.dq
+    carried = np.einsum("tij,tj->ti", mass, speed) + track.fitted_robot.drive("rotor_inertia") * speed
+    return np.square(track.lowpass(carried, Grid.COARSE))
 
 
 def _steady(change: Array, track: RecordedMotion, inside: Array) -> _Again:
@@ -175,7 +175,7 @@ def _steady(change: Array, track: RecordedMotion, inside: Array) -> _Again:
     t = np.linspace(-1.0, 1.0, len(change))[:, None]
     groups = []
     for j in range(change.shape[1]):
-        friction = track.reduce(np.column_stack([track.sign(j), track.fine.dq[:, j]]))[
+        friction = track.lowpass(np.column_stack([track.sign(j), track.samples.dq[:, j]]))[
             : len(inside)
         ][inside]
         columns = np.hstack([friction, friction * t])
@@ -306,10 +306,10 @@ def _sharpened(halves: Sequence[Sequence[RecordedMotion]]) -> tuple[Array, Array
 
 def _reversing(one: RecordedMotion) -> Array:
     """F_c (tanh(v/w) − tanh(q̇/w)), v = q̇ − Δ²q̇: of a stretch, below the band. Shape (N, n) [N m]."""
-    speed, ends = one.fine.dq, np.zeros((1, one.n))
+    speed, ends = one.samples.dq, np.zeros((1, one.n))
     sharper = speed - BENT * np.vstack([ends, np.diff(speed, 2, axis=0), ends])
-    return one.reduce(
-        one.body.drive("coulomb") * (np.tanh(sharper / one.widths) - np.tanh(speed / one.widths))
+    return one.lowpass(
+        one.fitted_robot.drive("coulomb") * (np.tanh(sharper / one.widths) - np.tanh(speed / one.widths))
     )
 
 
@@ -318,7 +318,7 @@ def stepped(model: IdentificationModel, halves: Sequence[Sequence[RecordedMotion
 
     Which error each reading has is not known, only how errors come about: smooth positions are rounded once more, from another origin.
     """
-    if not any(one.piece.encoder.any() for half in halves for one in half):
+    if not any(one.segment.encoder.any() for half in halves for one in half):
         return ()
     rng = np.random.default_rng(0)
     first, second = ([_misled(model, one) for one in half] for half in halves)
@@ -337,9 +337,9 @@ def _misled(model: IdentificationModel, one: RecordedMotion) -> Draw:
     if not coarse.any():
         return lambda rng: np.zeros((len(one), one.n))
     smooth = np.where(
-        one.piece.smoothed,
-        one.piece.q,
-        one.band.transformed(one.piece.q).low(Grid.RECORDED, 0, MOTION_BANDWIDTH_RATIO),
+        one.segment.smoothed,
+        one.segment.q,
+        one.band.transformed(one.segment.q).low(Grid.RECORDED, 0, MOTION_BANDWIDTH_RATIO),
     )
     right = filtered_regressor(model, smooth, one.band)[0]
 
@@ -348,8 +348,8 @@ def _misled(model: IdentificationModel, one: RecordedMotion) -> Draw:
         told[:, coarse] = (
             np.round((smooth + origin)[:, coarse] / step[coarse]) * step[coarse]
         ) - origin[coarse]
-        for j in np.flatnonzero(one.piece.smoothed):
-            told[:, j] = quantization.unrounded(told[:, j], float(step[j]), 1.0 / one.piece.rate)
+        for j in np.flatnonzero(one.segment.smoothed):
+            told[:, j] = quantization.unrounded(told[:, j], float(step[j]), 1.0 / one.segment.rate)
         wrong = filtered_regressor(model, told, one.band)[0]
         return np.asarray((right - wrong)[one.kept] @ one.theta)
 

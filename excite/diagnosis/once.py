@@ -66,8 +66,8 @@ def _again(
         )
         for track, own, rest in zip(every, split_by_motion(torque.reshape(-1, n), every), left, strict=True):
             found[2] += float(np.sum(own**2))
-            if track.piece.source in periods and own.any():
-                then = _elsewhere(track, own, rest, *periods[track.piece.source])
+            if track.segment.source in periods and own.any():
+                then = _elsewhere(track, own, rest, *periods[track.segment.source])
                 seen = np.isfinite(then).all(axis=1)
                 found[:2] += float(np.sum((own * then)[seen])), float(np.sum(own[seen] ** 2))
     return float(found[0] / found[1]) if found[1] > SEEN * found[2] else 0.0

@@ -21,7 +21,7 @@ import numpy as np
 from .._linear_algebra import inverse
 from . import residual_curves
 from .diagnosis import Diagnosis
-from .residual_curves import CurveKind, ResidualCurve, MotionRows
+from .residual_curves import CurveKind, MotionRows, ResidualCurve
 from .search import mean_square
 
 Array = np.ndarray
@@ -97,19 +97,19 @@ class _Curve:
     nulls: Array
 
 
-def look(found: Diagnosis, *, draws: int = DRAWS, seed: int = 0) -> Atlas:
+def compute_atlas(found: Diagnosis, *, draws: int = DRAWS, seed: int = 0) -> Atlas:
     """The atlas of a diagnosis."""
-    rows = residual_curves.rows(found.tracks[1])
+    rows = residual_curves.motion_rows(found.motions[1])
     rng = np.random.default_rng(seed)
     scale = found.before / np.maximum(
-        np.sqrt(mean_square(found.design.across.reshape(len(rows), -1), rows.moves)), 1e-300
+        np.sqrt(mean_square(found.design.across.reshape(len(rows), -1), rows.moving)), 1e-300
     )
     nulls = _nulls(found, scale, rows)
     signs = (
         rng.choice((-1.0, 1.0), size=(draws, len(rows.starts))),
         rng.choice((-1.0, 1.0), size=(draws, len(nulls[0].scores))),
     )
-    all_looks = list(residual_curves.looks(rows, found.identified.model.robot.joints))
+    all_looks = list(residual_curves.residual_curves(rows, found.identified.model.robot.joints))
     curves = [[_curve(one, null, rows, signs) for one in all_looks] for null in nulls]
     judged = [_p_values(own) for own in curves]
     panels = []
@@ -178,7 +178,7 @@ def _nulls(found: Diagnosis, scale: Array, rows: MotionRows) -> tuple[_Null, _Nu
     gamma = held_out.gamma[held_out.rows].reshape(len(rows), n, -1)
     starts, recorded = _train_starts(found), fitted.rows
     floor = found.floor / scale if found.method == "periods" else None
-    left, residuals, columns = design.left[0], [r / scale for r in found.residuals], [fitted.gamma]
+    left, residuals, columns = design.residual[0], [r / scale for r in found.residuals], [fitted.gamma]
     together = found.verdict.together
     if together is not None:
         which = design.which(together.shapes)
@@ -202,8 +202,8 @@ def _nulls(found: Diagnosis, scale: Array, rows: MotionRows) -> tuple[_Null, _Nu
 
 def _train_starts(found: Diagnosis) -> Array:
     at, out = 0, list[Array]()
-    length = residual_curves.block_length(found.tracks[0])
-    for track in found.tracks[0]:
+    length = residual_curves.block_length(found.motions[0])
+    for track in found.motions[0]:
         out.append(at + residual_curves.block_starts(track.time - track.time[0], length))
         at += len(track)
     return np.concatenate(out)

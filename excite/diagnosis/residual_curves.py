@@ -76,10 +76,10 @@ class MotionRows:
     dq: Array
     ddq: Array
     load: Array
-    motor: Array
+    motor_torque: Array
     distance: Array
     temperature: Array
-    moves: Array
+    moving: Array
     starts: Array
     begins: Array
     rate: float
@@ -104,7 +104,7 @@ class MotionRows:
         return np.repeat(np.arange(len(self.starts)), np.diff([*self.starts, len(self)]))
 
 
-def rows(tracks: Sequence[RecordedMotion]) -> MotionRows:
+def motion_rows(tracks: Sequence[RecordedMotion]) -> MotionRows:
     """Everything that looks need of some stretches."""
     parts: dict[str, list[Array]] = {}
     starts, begins, at, elapsed, length = list[Array](), list[int](), 0, 0.0, block_length(tracks)
@@ -118,7 +118,7 @@ def rows(tracks: Sequence[RecordedMotion]) -> MotionRows:
         at, elapsed = at + len(track), elapsed + float(clock[-1]) + length
     joined = {name: np.concatenate(values) for name, values in parts.items()}
     first = tracks[0]
-    linear = tuple(entry.kind == "prismatic" for entry in first.body.robot.entries)
+    linear = tuple(entry.kind == "prismatic" for entry in first.fitted_robot.robot.entries)
     rate = first.band.rate_of(Grid.KEPT)
     return MotionRows(
         **joined,
@@ -143,8 +143,8 @@ def block_starts(clock: Array, length: float) -> Array:
 
 
 def _motion(track: RecordedMotion) -> dict[str, Array]:
-    s = track.coarse
-    t = track.piece.start + np.arange(len(s)) / track.band.rate_of(Grid.COARSE)
+    s = track.coarse_samples
+    t = track.segment.start + np.arange(len(s)) / track.band.rate_of(Grid.COARSE)
 
     def at(x: Array) -> Array:
         return np.column_stack([np.interp(track.time, t, column) for column in x.T])
@@ -153,17 +153,17 @@ def _motion(track: RecordedMotion) -> dict[str, Array]:
         [_since_reversal(q, dq) for q, dq in zip(s.q.T, s.dq.T, strict=True)]
     )
     return {
-        "clock": track.time - track.piece.start,
+        "clock": track.time - track.segment.start,
         "q": at(s.q),
         "dq": at(s.dq),
         "ddq": at(s.ddq),
-        "load": at(track.rigid),
-        "motor": track.reduce(track.motor),
+        "load": at(track.rigid_torque),
+        "motor_torque": track.lowpass(track.motor_torque),
         "distance": at(distance),
         "temperature": np.column_stack(
-            [np.interp(track.time, track.clock, column) for column in track.temperature.T]
+            [np.interp(track.time, track.times, column) for column in track.temperature.T]
         ),
-        "moves": track.moves,
+        "moving": track.moving,
     }
 
 
@@ -181,7 +181,7 @@ def _since_reversal(q: Array, dq: Array) -> Array:
 # -- the looks -------------------------------------------------------------------------------------------------------
 
 
-def looks(rows: MotionRows, joints: Sequence[str]) -> Iterator[ResidualCurve]:
+def residual_curves(rows: MotionRows, joints: Sequence[str]) -> Iterator[ResidualCurve]:
     """Every look at every joint that moves."""
     for j in range(rows.n):
         if float(np.ptp(rows.q[:, j])) < 1e-6:
@@ -235,7 +235,7 @@ def _binned(
 ) -> ResidualCurve | None:
     """Means in bins of as many rows each; None where x is not known or does not vary. way: direction, for the part along the motion."""
     use = (
-        rows.moves[:, joint]
+        rows.moving[:, joint]
         & np.isfinite(x)
         & (np.ones(len(x), bool) if way is None else way != 0.0)
     )
@@ -299,7 +299,7 @@ def _phase(rows: MotionRows, joint: int) -> ResidualCurve | None:
     speeding = np.sign(rows.ddq[:, joint]) == way
     x = way * np.where(speeding, 2.0, 1.0)
     index = np.select([x == v for v in (-2.0, -1.0, 1.0, 2.0)], [0, 1, 2, 3], -1)
-    index[~rows.moves[:, joint]] = -1
+    index[~rows.moving[:, joint]] = -1
     return _averaged(rows, joint, ("direction", ""), index, x)
 
 
@@ -311,7 +311,7 @@ def _orders(rows: MotionRows, joint: int) -> ResidualCurve | None:
         max(1.0, 3.0 * step), max(HIGHEST, 30.0 * step) if rows.linear[joint] else HIGHEST, step
     )[:ORDERS]
     highest = 2.0 * np.pi * 0.8 * rows.hertz
-    moving = rows.moves[:, joint] & (rows.direction(joint) != 0.0)  # at rest no angle passes
+    moving = rows.moving[:, joint] & (rows.direction(joint) != 0.0)  # at rest no angle passes
     slow = np.sort(speed[moving])
     seen = np.array([np.searchsorted(slow, highest / k) for k in grid])
     enough = seen >= max(0.05 * len(q), 5 * LEAST_ROWS)
@@ -334,7 +334,7 @@ def _orders(rows: MotionRows, joint: int) -> ResidualCurve | None:
 
 def _frequencies(rows: MotionRows, joint: int) -> ResidualCurve | None:
     """What of the residual goes with the model's torque, in phase or out of it, by bands: a delay, a resonance or a gain shows here."""
-    torque = rows.motor[:, joint] - rows.motor[:, joint].mean()
+    torque = rows.motor_torque[:, joint] - rows.motor_torque[:, joint].mean()
     ends = [*rows.starts[1:], len(rows)]
     length = float(np.median(np.diff([*rows.starts, len(rows)]))) / rows.rate
     edges = np.geomspace(0.75 / length, rows.hertz, BANDS + 1)

@@ -52,7 +52,7 @@ class EffectRegression:
     halves: tuple[Half, Half]
     both: Half
     columns: tuple[Columns, Columns]
-    left: tuple[Array, Array]
+    residual: tuple[Array, Array]
     across: Array
     facing: tuple[Array, Array]
     grams: tuple[Gram, Gram]
@@ -77,7 +77,7 @@ class EffectRegression:
     def unfeigned_bar(self, i: int) -> float:
         """The same where nothing looks like it: more where steps blur its columns too."""
         shape = self.shapes[i]
-        return float(np.sqrt(shape.doubt) * NATS + shape.doubt * STEPPED * self.measured.stepped)
+        return float(np.sqrt(shape.threshold_factor) * NATS + shape.threshold_factor * STEPPED * self.measured.stepped)
 
     @cached_property
     def usual(self) -> Array:
@@ -141,7 +141,7 @@ def bare(halves: tuple[Half, Half], build: Build) -> EffectRegression:
         Columns.none(int(second.rows.sum()) // n, n),
     )
     a, b, whole = (Gram.none(half.basis.shape[1]) for half in (first, second, both))
-    sides = (first.left, second.left), (second.torque - carried)[second.rows], facing(halves, both)
+    sides = (first.residual, second.residual), (second.torque - carried)[second.rows], facing(halves, both)
     return EffectRegression((), (), halves, both, columns, *sides, (a, b), whole, (), np.zeros(0), build)
 
 
@@ -231,7 +231,7 @@ def _shortlist(one: EffectRegression, first: int, most: int | None) -> list[Buil
             shape.joint,
             frozenset(shape.values),
         )  # the best of each law at least: turned, it may be better than others' neighbours
-        if taken[shape.joint] <= (most or (SEVERAL if shape.several else FEW)) or law not in laws:
+        if taken[shape.joint] <= (most or (SEVERAL if shape.allows_several else FEW)) or law not in laws:
             kept.append(_built(one, i))
             laws.add(law)
     return kept
@@ -399,7 +399,7 @@ def remaining(one: EffectRegression, chosen: Sequence[int]) -> Array:
     """What is left of both halves' torque when base and shapes are fitted to both, over the scale. Shape (N, n)."""
     which = one.which(chosen)
     columns = np.concatenate([part.picked(which).full() for part in one.columns])
-    left = one.both.left - one.both.free(columns) @ trial(one, chosen).coefficients
+    left = one.both.residual - one.both.free(columns) @ trial(one, chosen).coefficients
     return np.asarray(left[one.both.rows].reshape(-1, int(one.both.joint.max()) + 1))
 
 
@@ -424,13 +424,13 @@ def turned(one: EffectRegression, chosen: Sequence[int], sweeps: int, since: int
     now = [_built(one, i) for i in chosen]
     for _ in range(sweeps):
         for place, (shape, _) in enumerate(now):
-            if place < since or shape.knob is None:
+            if place < since or shape.nonlinear is None:
                 continue
             others = now[:place] + now[place + 1 :]
             asked = key(shape), *(key(other) for other, _ in others)
             if asked not in one.turned:
                 small = afresh(one, others)
-                one.turned[asked] = shape.knob.turned(
+                one.turned[asked] = shape.nonlinear.optimised(
                     lambda other, small=small: _beside(small, other)  # type: ignore[misc]
                 )
             best = one.turned[asked]

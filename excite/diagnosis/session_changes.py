@@ -53,21 +53,21 @@ class SessionChange:
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     @property
-    def sure(self) -> bool:
+    def is_significant(self) -> bool:
         """Whether together they are more than noise (Wald 1943)."""
         return bool(self.change @ np.linalg.pinv(self.covariance) @ self.change > SURE)
 
 
 def sources(tracks: Sequence[RecordedMotion]) -> list[str]:
     """Every recording after the first, once."""
-    return list(dict.fromkeys(t.piece.source for t in tracks))[1:]
+    return list(dict.fromkeys(t.segment.source for t in tracks))[1:]
 
 
 def _drive(t: RecordedMotion, s: CandidateModel) -> Array:
     """sgn q̇, q̇ and 1 at a joint; of a shape with a source, in that recording only."""
-    columns = np.column_stack([t.sign(s.place), t.fine.dq[:, s.place], np.ones(len(t.piece))])
+    columns = np.column_stack([t.sign(s.joint_index), t.samples.dq[:, s.joint_index], np.ones(len(t.segment))])
     return alone(
-        t, s.place, columns if s.source in ("", t.piece.source) else np.zeros_like(columns)
+        t, s.joint_index, columns if s.source in ("", t.segment.source) else np.zeros_like(columns)
     )
 
 
@@ -81,8 +81,8 @@ def columns(track: RecordedMotion, halves: Halves) -> Array:
 
     The first has what the others of its half have less, in sum: the base model's is the mean of that half.
     """
-    of, here = sources([*halves[0], *halves[1]]), track.piece.source
-    taught = sources(halves[0]) if here == halves[0][0].piece.source else ()
+    of, here = sources([*halves[0], *halves[1]]), track.segment.source
+    taught = sources(halves[0]) if here == halves[0][0].segment.source else ()
     own = np.concatenate([shape.columns(track) for shape in _shapes(halves[0], [here])], axis=2)
     return np.concatenate(
         [
@@ -93,12 +93,12 @@ def columns(track: RecordedMotion, halves: Halves) -> Array:
     )
 
 
-def known(every: Sequence[RecordedMotion]) -> Array:
+def prior_std(every: Sequence[RecordedMotion]) -> Array:
     """Standard deviation of the coefficients of `columns`, before anything is seen. Shape (3n × recordings,)."""
-    body = every[0].body
+    body = every[0].fitted_robot
     fastest, largest = (
         np.max([np.abs(x).max(axis=0) for x in own], axis=0)
-        for own in ([t.fine.dq for t in every], [t.torque for t in every])
+        for own in ([t.samples.dq for t in every], [t.torque for t in every])
     )
     coulomb = np.maximum(body.drive("coulomb"), LEAST * largest)
     viscous = np.maximum(body.drive("viscous"), LEAST * largest / np.maximum(fastest, 1e-9))
@@ -176,14 +176,14 @@ def changes(one: EffectRegression, shapes: Sequence[int], halves: Halves) -> tup
     told, own, taught, count = [], _shapes(every, sources(every)), sources(halves[0]), start - place
     for shape in own:  # from the mean; and what the first has less than that
         parts = [
-            float(other is shape) + float(other.place == shape.place and other.source in taught)
+            float(other is shape) + float(other.joint_index == shape.joint_index and other.source in taught)
             for other in own
         ]
         L = np.kron(parts, np.eye(len(KINDS)))
         told.append(
             SessionChange(
                 shape.source,
-                shape.place,
+                shape.joint_index,
                 L @ found[:count],
                 FEW**2 * L @ covariance[:count, :count] @ L.T,
             )

@@ -90,8 +90,8 @@ def _speed(rows: MotionRows, joint: int) -> Array:
 
 def _power(rows: MotionRows, joint: int) -> Array:
     """The joint's torque as it may change with what all drives draw and bear together."""
-    torque, borne = rows.motor[:, joint], _scaled(np.abs(rows.motor))
-    each = _scaled(rows.motor * rows.dq)
+    torque, borne = rows.motor_torque[:, joint], _scaled(np.abs(rows.motor_torque))
+    each = _scaled(rows.motor_torque * rows.dq)
     drawn, together = _scaled(_drawn(rows, joint)), borne.sum(axis=1) / borne.shape[1]
     of_all = np.column_stack([drawn, np.abs(drawn), drawn**2, together, together**2])
     changed = _scaled(torque)[:, None] * np.hstack([of_all, each, np.maximum(each, 0.0), borne])
@@ -100,7 +100,7 @@ def _power(rows: MotionRows, joint: int) -> Array:
 
 def _drawn(rows: MotionRows, joint: int) -> Array:
     """Power of all drives [W]."""
-    return np.asarray(np.sum(rows.motor * rows.dq, axis=1))
+    return np.asarray(np.sum(rows.motor_torque * rows.dq, axis=1))
 
 
 def _scaled(x: Array) -> Array:
@@ -177,12 +177,12 @@ BASES: Mapping[str, FeatureBasis] = {
         "that joint slowly, alone, then while the others move fast",
         "power of all drives, along the torque [W]",
         _drawn,
-        lambda rows, j: np.sign(rows.motor[:, j]),
+        lambda rows, j: np.sign(rows.motor_torque[:, j]),
     ),
 }
 
 
-def seen(rows: MotionRows, halves: Sequence[Array], residual: Array, joint: int) -> ResidualPrediction:
+def predict_residual(rows: MotionRows, halves: Sequence[Array], residual: Array, joint: int) -> ResidualPrediction:
     """What a flexible model foresees of a joint's residual, of what is sure the most. halves: rows of either, as masks.
     residual: Shape (N,)."""
     found = list[tuple[bool, float, float, float, str]]()

@@ -2,7 +2,17 @@
 
 from __future__ import annotations
 
-from . import electrical, environment, friction, hysteresis, load, ripple, sensing, thermal, transmission
+from . import (
+    electrical,
+    environment,
+    friction,
+    hysteresis,
+    load,
+    ripple,
+    sensing,
+    thermal,
+    transmission,
+)
 from .effect import Effect
 
 EFFECTS: tuple[Effect, ...] = (

@@ -49,19 +49,19 @@ class CandidateModel:
     source: str = ""
     parameters: Callable[[Array], dict[str, float]] = lambda c: {}
     plausible: Callable[[Array], bool] = lambda c: bool(np.isfinite(c).all())
-    knob: NonlinearParameter | None = None
-    kin: Callable[[], Sequence[NonlinearParameter | NonlinearParameterSet]] = tuple
-    several: bool = False
-    doubt: float = 1.0
-    grain: float = np.inf
+    nonlinear: NonlinearParameter | None = None
+    variants: Callable[[], Sequence[NonlinearParameter | NonlinearParameterSet]] = tuple
+    allows_several: bool = False
+    threshold_factor: float = 1.0
+    max_noise_ratio: float = np.inf
     noisy: Callable[[Array], float] = lambda c: 0.0
-    words: str = ""
+    signature: str = ""
 
     def columns(self, track: RecordedMotion) -> Array:
         """Torque that it adds, where the track's rows are, per unit of each coefficient. Shape (N, n, k)."""
         if "late" not in self.values:
             return self.add(track, self)
-        late = self.add(track.late(self.values["late"], "lagging" in self.values), self)
+        late = self.add(track.delayed(self.values["late"], "lagging" in self.values), self)
         if "late_joint" not in self.values:
             return late
         joint = int(self.values["late_joint"])
@@ -71,22 +71,22 @@ class CandidateModel:
         out[:, joint] = late[:, joint]
         return out
 
-    def late(self, delay: RecordingDelay, joint: int | None) -> CandidateModel:
+    def delayed(self, delay: RecordingDelay, joint: int | None) -> CandidateModel:
         """The same where a joint's torque, or all, is recorded later; turned, too."""
         values = {**self.values, "late": delay.seconds} | (
             {} if joint is None else {"late_joint": float(joint)}
         )
         values |= {"lagging": 1.0} if delay.lagging else {}
-        knob = None if self.knob is None else self.knob.late(delay, joint)
+        knob = None if self.nonlinear is None else self.nonlinear.delayed(delay, joint)
         return replace(
             self,
             values=values,
-            knob=knob,
-            kin=lambda: [other.late(delay, joint) for other in self.kin()],
+            nonlinear=knob,
+            variants=lambda: [other.delayed(delay, joint) for other in self.variants()],
         )
 
     @property
-    def place(self) -> int:
+    def joint_index(self) -> int:
         """The joint, of a shape that has one."""
         assert self.joint is not None
         return self.joint
@@ -109,7 +109,7 @@ class NonlinearParameter:
         """The shape where the gain is highest, between the neighbours, or one of its kin where that is more, from kin to kin."""
         best, most = self.best(gain, gain(self.here))
         for _ in range(KIN):
-            gains = [(gain(near.here), near) for near in best.kin()]
+            gains = [(gain(near.here), near) for near in best.variants()]
             if not gains:
                 break
             together = [pair for pair in gains if isinstance(pair[1], NonlinearParameterSet)]
@@ -143,13 +143,13 @@ class NonlinearParameter:
         best, most = self.at(float(np.exp(found.x))), -float(found.fun)
         return (best, most) if most > max(now + 1e-6, -1e12) else (self.here, now)
 
-    def late(self, delay: RecordingDelay, joint: int | None) -> NonlinearParameter:
+    def delayed(self, delay: RecordingDelay, joint: int | None) -> NonlinearParameter:
         """See `Shape.late`."""
-        return replace(self, shape=lambda value: self.shape(value).late(delay, joint))
+        return replace(self, shape=lambda value: self.shape(value).delayed(delay, joint))
 
     def at(self, value: float) -> CandidateModel:
         """The shape at a value, which can be turned further within the same range."""
-        return replace(self.shape(value), knob=replace(self, value=value))
+        return replace(self.shape(value), nonlinear=replace(self, value=value))
 
 
 @dataclass(frozen=True)
@@ -186,9 +186,9 @@ class NonlinearParameterSet:
         )
         return (at(found.x), -float(found.fun)) if -found.fun > now + 1e-6 else (self.here, now)
 
-    def late(self, delay: RecordingDelay, joint: int | None) -> NonlinearParameterSet:
+    def delayed(self, delay: RecordingDelay, joint: int | None) -> NonlinearParameterSet:
         """See `Shape.late`."""
-        return replace(self, shape=lambda values: self.shape(values).late(delay, joint))
+        return replace(self, shape=lambda values: self.shape(values).delayed(delay, joint))
 
 
 def beside(value: float, factor: float, families: Iterable[Callable[[float], CandidateModel]]) -> list[NonlinearParameter]:
@@ -239,17 +239,17 @@ class Effect:
     experiment: str
     prior_only: bool = False
     form: Mapping[str, float] = field(default_factory=dict)
-    loose: float = 0.0
+    residual_log_offset: float = 0.0
     told: Callable[[Sequence[tuple[CandidateModel, Array]]], dict[str, float]] = lambda parts: parts[0][
         0
     ].parameters(parts[0][1])
     recorded: Recorded | None = None
-    unseen: Callable[[Sequence[tuple[CandidateModel, Array]]], dict[str, float]] = lambda parts: {}
+    unobserved_std: Callable[[Sequence[tuple[CandidateModel, Array]]], dict[str, float]] = lambda parts: {}
 
 
 def alone(track: RecordedMotion, joint: int, x: Array) -> Array:
     """Columns in one joint's torque only, from values at every sample: (M,) or (M, k)."""
-    low = track.reduce(x[:, None] if x.ndim == 1 else x)
+    low = track.lowpass(x[:, None] if x.ndim == 1 else x)
     out = np.zeros((len(low), track.n, low.shape[1]))
     out[:, joint] = low
     return out

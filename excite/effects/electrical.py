@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from .effect import Effect, CandidateModel, alone, family, named, within
+from .effect import CandidateModel, Effect, alone, family, named, within
 from .recorded_motion import STILL, RecordedMotion
 
 Array = np.ndarray
@@ -20,7 +20,7 @@ what it may lose, at the most, of a usual torque."""
 
 
 def _constant(t: RecordedMotion, s: CandidateModel) -> Array:
-    return alone(t, s.place, np.ones(len(t.piece)))
+    return alone(t, s.joint_index, np.ones(len(t.segment)))
 
 
 def _offset(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
@@ -29,7 +29,7 @@ def _offset(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
 
 
 def _made(t: RecordedMotion, s: CandidateModel) -> Array:
-    return alone(t, s.place, t.motor[:, s.place])
+    return alone(t, s.joint_index, t.motor_torque[:, s.joint_index])
 
 
 def _gain(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
@@ -47,8 +47,8 @@ def _gain(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
 def _bent(t: RecordedMotion, s: CandidateModel) -> Array:
     return alone(
         t,
-        s.place,
-        _missing(s.values, (t.drawn if s.values.get("measured") else t.motor)[:, s.place]),
+        s.joint_index,
+        _missing(s.values, (t.measured_torque if s.values.get("measured") else t.motor_torque)[:, s.joint_index]),
     )
 
 
@@ -82,7 +82,7 @@ def _saturation(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
             )
 
     def of_measured(joint: int) -> Iterator[CandidateModel]:
-        both = zip(*((t.drawn, t.fine.dq) for t in tracks), strict=True)
+        both = zip(*((t.measured_torque, t.samples.dq) for t in tracks), strict=True)
         drawn, speed = (np.abs(np.concatenate([x[:, joint] for x in parts])) for parts in both)
         largest = max(float(drawn.max()), 1e-9)
         usual = max(
@@ -108,8 +108,8 @@ def _saturation(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                 fixed,
                 parameters=told,
                 plausible=gate,
-                doubt=GRAINY,
-                grain=grain,
+                threshold_factor=GRAINY,
+                max_noise_ratio=grain,
             )
             return replace(shape, noisy=lambda c: abs(float(c[0]) * slope))
 
@@ -120,14 +120,14 @@ def _saturation(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
             yield from family(np.geomspace(usual, largest, 6).tolist(), level)
 
     for j in range(tracks[0].n):
-        yield from of_motor(j, max(*(float(np.abs(t.motor[:, j]).max()) for t in tracks), 1e-9))
+        yield from of_motor(j, max(*(float(np.abs(t.motor_torque[:, j]).max()) for t in tracks), 1e-9))
         yield from of_measured(j)
 
 
 def _overdrawn(t: RecordedMotion, s: CandidateModel, c: Array, made: Array) -> Array:
     """What a drive that loses torque is recorded with beyond what it makes. Shape (M, n)."""
     out = np.zeros_like(made)
-    out[:, s.place] = overdrawn(float(c[0]), s.values, made[:, s.place]) - made[:, s.place]
+    out[:, s.joint_index] = overdrawn(float(c[0]), s.values, made[:, s.joint_index]) - made[:, s.joint_index]
     return out
 
 
@@ -175,6 +175,6 @@ EFFECTS = (
         ("load_friction", "nonlinear_viscous"),
         "short bursts near the torque limit",
         recorded=_overdrawn,
-        loose=-0.2,
+        residual_log_offset=-0.2,
     ),
 )

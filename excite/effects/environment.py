@@ -9,7 +9,7 @@ import numpy as np
 
 from ..identification.lowpass import Grid
 from ..recordings.missing_values import runs
-from .effect import Effect, NonlinearParameter, CandidateModel, beside, family, named
+from .effect import CandidateModel, Effect, NonlinearParameter, beside, family, named
 from .gear_dynamics import NEAR, SOFTEST, damped, oscillator, stepped
 from .recorded_motion import RecordedMotion
 
@@ -45,7 +45,7 @@ def _swung(t: RecordedMotion, s: CandidateModel) -> Array:
     feel gravity turned, which is most of what a slow motion shows.
     """
     axes, dt = WAYS[int(s.values["way"])], 1.0 / t.band.rate_of(Grid.COARSE)
-    own, stood = t.afloat.cut(axes), t.stood[list(axes)]
+    own, stood = t.base_dynamics.cut(axes), t.upright_inertia[list(axes)]
     heavy = stood + s.values["stand"] * stood.max()
     spring = (
         2.0 * np.pi * s.values["frequency"] * s.values["apart"] ** np.arange(len(axes))
@@ -59,7 +59,7 @@ def _swung(t: RecordedMotion, s: CandidateModel) -> Array:
         own.mass + np.diag(heavy - stood), own.by_speed + np.diag(damping), stiffness, own.force, dt
     )
     felt = [part @ moved for part, moved in zip(own.felt, motion, strict=True)]
-    return t.reduce(np.sum(felt, axis=0), Grid.COARSE)
+    return t.lowpass(np.sum(felt, axis=0), Grid.COARSE)
 
 
 def _carried(
@@ -151,9 +151,9 @@ def _compliance(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                 fixed,
                 parameters=told,
                 plausible=_gives_way,
-                kin=kin,
-                several=True,
-                doubt=SHAKY,
+                variants=kin,
+                allows_several=True,
+                threshold_factor=SHAKY,
             )
 
         return shape
@@ -167,8 +167,8 @@ def _compliance(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
 def _heavier(tracks: Sequence[RecordedMotion], axes: Sequence[int], stand: float) -> float:
     """The frequency of a base on a stand with all joints at zero, over that under the arm as it moves: a straight one is light about the
     vertical."""
-    stood, along = tracks[0].stood[list(axes)], list(axes)
-    borne = np.mean([t.afloat.mass[:, along, along].mean(axis=0) for t in tracks], axis=0)
+    stood, along = tracks[0].upright_inertia[list(axes)], list(axes)
+    borne = np.mean([t.base_dynamics.mass[:, along, along].mean(axis=0) for t in tracks], axis=0)
     below = stand * stood.max()
     return float(np.exp(0.5 * np.mean(np.log((borne + below) / (stood + below)))))
 
@@ -181,23 +181,23 @@ def _gives_way(c: Array) -> bool:
 def _pushed(t: RecordedMotion, s: CandidateModel) -> Array:
     """Torque of a force in the base frame on the centre of a link, while it lasts: even, swelling and fading, or as it likes."""
     size = _course(t, s)
-    torque = -np.einsum("tk,txj->tjkx", size, t.levers[:, s.place])
-    return t.reduce(torque.reshape(*torque.shape[:2], -1), Grid.COARSE)
+    torque = -np.einsum("tk,txj->tjkx", size, t.link_jacobians[:, s.joint_index])
+    return t.lowpass(torque.reshape(*torque.shape[:2], -1), Grid.COARSE)
 
 
 def _course(t: RecordedMotion, s: CandidateModel) -> Array:
     """How large a force is at the coarse samples, by as many functions as are needed to say so. Shape (C, k)."""
     assert s.interval is not None
     low, high = s.interval
-    time = t.piece.start + np.arange(len(t.coarse)) / t.band.rate_of(Grid.COARSE)
+    time = t.segment.start + np.arange(len(t.coarse_samples)) / t.band.rate_of(Grid.COARSE)
     u = (time - low) / (high - low)
-    inside = (u > 0.0) & (u < 1.0) & (t.piece.source == s.source)
+    inside = (u > 0.0) & (u < 1.0) & (t.segment.source == s.source)
     if not s.values["knots"]:
         return np.where(inside, np.sin(np.pi * u) if s.values["swells"] else 1.0, 0.0)[:, None]
     count = int(s.values["knots"])
     u = (u + BEYOND) / (1.0 + 2.0 * BEYOND) * (count + 1.0)
     hats = np.maximum(1.0 - np.abs(u[:, None] - np.arange(1, count + 1)), 0.0)
-    return hats * (t.piece.source == s.source)
+    return hats * (t.segment.source == s.source)
 
 
 def _largest(c: Array) -> dict[str, float]:
@@ -208,13 +208,13 @@ def _largest(c: Array) -> dict[str, float]:
 def _contact(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     """Where the residual is large for some of the time and the rest is quiet: the intervals that stand out most, and a little more."""
     for track in tracks:
-        quiet = np.median(np.abs(track.left), axis=0) + 1e-12
-        loud = np.mean((track.left / quiet) ** 2, axis=1)
+        quiet = np.median(np.abs(track.residual), axis=0) + 1e-12
+        loud = np.mean((track.residual / quiet) ** 2, axis=1)
         for low, high in _intervals(track.time, loud):
             for wider, swells, knots in FORCES:
                 span = low - wider * (high - low), high + wider * (high - low)
                 for joint in range(tracks[0].n):
-                    fixed, where = {"swells": swells, "knots": knots}, track.piece.source
+                    fixed, where = {"swells": swells, "knots": knots}, track.segment.source
                     yield CandidateModel(
                         "contact",
                         joint,
@@ -224,8 +224,8 @@ def _contact(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                         span,
                         where,
                         _largest,
-                        several=True,
-                        doubt=PATIENT,
+                        allows_several=True,
+                        threshold_factor=PATIENT,
                     )
 
 
@@ -253,7 +253,7 @@ EFFECTS = (
         ("elasticity", "backlash"),
         "a chirp of joint 1 with the arm stretched",
         form={"frequency": 0.2},
-        loose=2.0,
+        residual_log_offset=2.0,
     ),
     Effect(
         "contact",
@@ -265,6 +265,6 @@ EFFECTS = (
         (),
         "the same motion without anything near the robot",
         form={"force": 0.1},
-        loose=0.5,
+        residual_log_offset=0.5,
     ),
 )

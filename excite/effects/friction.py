@@ -7,7 +7,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .effect import Effect, NonlinearParameterSet, CandidateModel, alone, amplitude, beside, family, named, positive, within
+from .effect import (
+    CandidateModel,
+    Effect,
+    NonlinearParameterSet,
+    alone,
+    amplitude,
+    beside,
+    family,
+    named,
+    positive,
+    within,
+)
 from .recorded_motion import RecordedMotion, position_range
 
 Array = np.ndarray
@@ -33,17 +44,17 @@ so too, wherever some load is."""
 
 
 def _speed(track: RecordedMotion, joint: int) -> Array:
-    return np.asarray(track.fine.dq[:, joint])
+    return np.asarray(track.samples.dq[:, joint])
 
 
 def _fastest(tracks: Sequence[RecordedMotion], joint: int) -> float:
-    return max(float(np.abs(track.fine.dq[:, joint]).max()) for track in tracks)
+    return max(float(np.abs(track.samples.dq[:, joint]).max()) for track in tracks)
 
 
 def _slowest(tracks: Sequence[RecordedMotion], joint: int) -> float:
     """Speed from which an encoder tells it, 0 where it is fine."""
     return TOLD * min(
-        (float(t.steps[joint] / t.stays[joint]) for t in tracks if 0.0 < t.stays[joint] < np.inf),
+        (float(t.steps[joint] / t.reversal_dwell[joint]) for t in tracks if 0.0 < t.reversal_dwell[joint] < np.inf),
         default=0.0,
     )
 
@@ -57,12 +68,12 @@ def stickiest(tracks: Sequence[RecordedMotion], joint: int) -> float:
     """What friction before it slides can be, at the most [N m]."""
     largest = max(float(np.abs(track.torque[:, joint]).max()) for track in tracks)
     return STICKIEST * max(
-        float(tracks[0].body.drive("coulomb")[joint]), LEAST_STUCK * largest, 1e-9
+        float(tracks[0].fitted_robot.drive("coulomb")[joint]), LEAST_STUCK * largest, 1e-9
     )
 
 
 def _slanted(t: RecordedMotion, s: CandidateModel) -> Array:
-    return alone(t, s.place, np.abs(_speed(t, s.place)))
+    return alone(t, s.joint_index, np.abs(_speed(t, s.joint_index)))
 
 
 def _asymmetric(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
@@ -71,7 +82,7 @@ def _asymmetric(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
 
     for j in range(tracks[0].n):
         viscous, coulomb = (
-            max(float(tracks[0].body.drive(kind)[j]), 1e-9) for kind in ("viscous", "coulomb")
+            max(float(tracks[0].fitted_robot.drive(kind)[j]), 1e-9) for kind in ("viscous", "coulomb")
         )
         most = 1.5 * (
             viscous + coulomb / max(_fastest(tracks, j), 1e-9)
@@ -89,14 +100,14 @@ def _stuck(t: RecordedMotion, s: CandidateModel) -> Array:
     """Friction that fades with speed. Where the sign of friction has a `width` of its own, so has Coulomb friction, instead of the `usual`:
     a base fit that knows nothing of what fades makes it too narrow, and a joint that creeps as it turns back is within it for long."""
     if "width" not in s.values:
-        return alone(t, s.place, t.sign(s.place) * _faded(t, s))
-    sign, usual = (np.tanh(_speed(t, s.place) / s.values[name]) for name in ("width", "usual"))
-    return alone(t, s.place, np.column_stack([sign * _faded(t, s), sign - usual]))
+        return alone(t, s.joint_index, t.sign(s.joint_index) * _faded(t, s))
+    sign, usual = (np.tanh(_speed(t, s.joint_index) / s.values[name]) for name in ("width", "usual"))
+    return alone(t, s.joint_index, np.column_stack([sign * _faded(t, s), sign - usual]))
 
 
 def _faded(t: RecordedMotion, s: CandidateModel) -> Array:
     """exp(−(|q̇|/v)^δ), or 1/(1 + (e − 1)(|q̇|/v)^δ) where that is rational: either has fallen to 1/e at v. Shape (M,)."""
-    x = (np.abs(_speed(t, s.place)) / s.values["velocity"]) ** s.values["exponent"]
+    x = (np.abs(_speed(t, s.joint_index)) / s.values["velocity"]) ** s.values["exponent"]
     return np.asarray(1.0 / (1.0 + (np.e - 1.0) * x) if "rational" in s.values else np.exp(-x))
 
 
@@ -127,7 +138,7 @@ class _Fading:
         own = replace(self, velocity=velocity)
         kin = lambda: [own._knobs(rational) for rational in (False, True)]  # noqa: E731
         return CandidateModel(
-            "stribeck", self.joint, _stuck, fixed, parameters=told, plausible=gate, kin=kin
+            "stribeck", self.joint, _stuck, fixed, parameters=told, plausible=gate, variants=kin
         )
 
     def _knobs(self, rational: bool) -> NonlinearParameterSet:
@@ -164,7 +175,7 @@ def _stribeck(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
 
 
 def _powered(t: RecordedMotion, s: CandidateModel) -> Array:
-    return alone(t, s.place, t.sign(s.place) * np.abs(_speed(t, s.place)) ** s.values["exponent"])
+    return alone(t, s.joint_index, t.sign(s.joint_index) * np.abs(_speed(t, s.joint_index)) ** s.values["exponent"])
 
 
 def _nonlinear(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
@@ -194,7 +205,7 @@ def _nonlinear(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
 
 
 def _windy(t: RecordedMotion, s: CandidateModel) -> Array:
-    return alone(t, s.place, _speed(t, s.place) * np.abs(_speed(t, s.place)))
+    return alone(t, s.joint_index, _speed(t, s.joint_index) * np.abs(_speed(t, s.joint_index)))
 
 
 def _drag(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
@@ -205,8 +216,8 @@ def _drag(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
 def _rubbed(t: RecordedMotion, s: CandidateModel) -> Array:
     """sgn q̇ times a power of the load: what the link weighs, or where it is `driven` what the motor makes. Where a `velocity` is stated,
     the same once more as far as it fades with speed."""
-    scale, place = s.values["scale"], s.place
-    load = (t.motor if "driven" in s.values else t.transmitted)[:, place]
+    scale, place = s.values["scale"], s.joint_index
+    load = (t.motor_torque if "driven" in s.values else t.transmitted_torque)[:, place]
     rubs = t.sign(place) * scale * (np.abs(load) / scale) ** s.values["power"]
     return alone(
         t, place, np.column_stack([rubs, rubs * _faded(t, s)]) if "velocity" in s.values else rubs
@@ -222,7 +233,7 @@ def _load(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                 _rubbed,
                 {**fixed, "velocity": velocity},
                 plausible=_rubs,
-                doubt=FADING,
+                threshold_factor=FADING,
             )
             mean = float(np.mean(np.concatenate([_faded(t, bare) for t in tracks])))
             return replace(
@@ -232,7 +243,7 @@ def _load(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
         return shape
 
     for j in range(tracks[0].n):
-        scale = {"scale": max(*(float(np.abs(t.transmitted[:, j]).max()) for t in tracks), 1e-9)}
+        scale = {"scale": max(*(float(np.abs(t.transmitted_torque[:, j]).max()) for t in tracks), 1e-9)}
         speeds = (np.array([0.02, 0.06, 0.2]) * _fastest(tracks, j)).tolist()
         for powers, drive in ((1.0, 1.5, 2.0), {}), ((1.0,), {"driven": 1.0}):
             for power in powers:
@@ -259,7 +270,7 @@ def _rubs(c: Array) -> bool:
 def _placed(t: RecordedMotion, s: CandidateModel) -> Array:
     """sgn q̇ times the first waves of a periodic function of position, as many as `waves` says, of `order`, 2 `order`, …; each less its mean
     over where the joint was: what does not vary there is Coulomb friction."""
-    place, sign = t.fine.q[:, s.place], t.sign(s.place)
+    place, sign = t.samples.q[:, s.joint_index], t.sign(s.joint_index)
     everywhere = np.linspace(s.values["low"], s.values["high"], POINTS)
     waves = [
         (f, k * s.values["order"])
@@ -268,7 +279,7 @@ def _placed(t: RecordedMotion, s: CandidateModel) -> Array:
     ]
     return alone(
         t,
-        s.place,
+        s.joint_index,
         np.column_stack(
             [sign * (f(order * place) - f(order * everywhere).mean()) for f, order in waves]
         ),
@@ -282,7 +293,7 @@ def _position(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
         def shape(order: float) -> CandidateModel:
             fixed = {"order": order, "waves": waves, "low": low, "high": high}
             return CandidateModel(
-                "position_friction", j, _placed, fixed, parameters=amplitude(), several=True
+                "position_friction", j, _placed, fixed, parameters=amplitude(), allows_several=True
             )
 
         return shape
@@ -313,7 +324,7 @@ def _range(parts: Sequence[tuple[CandidateModel, Array]]) -> dict[str, float]:
 
 
 def _resisted(t: RecordedMotion, s: CandidateModel) -> Array:
-    return alone(t, s.place, np.column_stack([t.sign(s.place), _speed(t, s.place)]))
+    return alone(t, s.joint_index, np.column_stack([t.sign(s.joint_index), _speed(t, s.joint_index)]))
 
 
 def _friction(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
@@ -339,7 +350,7 @@ EFFECTS = (
         ("thermal_drift", "drag"),
         "constant speeds in both directions, several of them",
         form={"positive": 0.09, "negative": 0.09},
-        loose=0.4,
+        residual_log_offset=0.4,
     ),
     Effect(
         "stribeck",
@@ -362,7 +373,7 @@ EFFECTS = (
         ("drag", "stribeck", "thermal_drift"),
         "a wide range of constant speeds",
         form={"coefficient": 0.25, "exponent": 0.25},
-        loose=-0.6,
+        residual_log_offset=-0.6,
     ),
     Effect(
         "drag",
@@ -396,7 +407,7 @@ EFFECTS = (
         "the same stroke at shifted positions",
         told=_range,
         form={"amplitude": 0.5},
-        loose=-0.8,
+        residual_log_offset=-0.8,
     ),
     Effect(
         "friction",

@@ -35,7 +35,7 @@ def felt(track: RecordedMotion, joint: int, lag: Array, of: Grid) -> Array:
     lines = track.band.transformed(lag[:, None], of)
     shift, first, second = (lines.low(Grid.COARSE, order, 1.0) for order in range(3))
     torque = by_q[:, :, joint] * shift + by_v[:, :, joint] * first + mass[:, :, joint] * second
-    return -track.reduce(torque, Grid.COARSE)[:, :, None]
+    return -track.lowpass(torque, Grid.COARSE)[:, :, None]
 
 
 def mass(track: RecordedMotion, joint: int) -> Array:
@@ -50,7 +50,7 @@ def damped(ratio: float) -> list[float]:
 
 def launched(track: RecordedMotion, joint: int) -> bool:
     """Whether a recording begins with a motor that turns already, and a link that may hang still."""
-    speed = np.abs(track.coarse.dq[:, joint])
+    speed = np.abs(track.coarse_samples.dq[:, joint])
     return bool(LAUNCHED * speed.max() < speed[0] < CARRIED * speed.max())
 
 
@@ -61,11 +61,11 @@ def wound(track: RecordedMotion, joint: int, stiffness: float, ratio: float, res
     link hung still where a recording begins with a motor that turns (`launched`); else it turned with it.
     """
     by_q, by_v = (part[:, joint, joint] for part in track.derivatives[:2])
-    force, inertia = track.rigid[:, joint], mass(track, joint)
+    force, inertia = track.rigid_torque[:, joint], mass(track, joint)
     damping = 2.0 * ratio * np.sqrt(stiffness * inertia.mean())
     stiff = np.maximum(stiffness + by_q, SOFTEST * stiffness)
     start = (
-        (track.held[joint] / stiffness, track.coarse.dq[0, joint])
+        (track.initial_torque[joint] / stiffness, track.coarse_samples.dq[0, joint])
         if rests and launched(track, joint)
         else None
     )
@@ -126,8 +126,8 @@ def played(track: RecordedMotion, joint: int, width: float, hold: float) -> Arra
 
     hold: how fast it would swing in there, for what a gear's soft first stage, oil and seals hold of it [Hz].
     """
-    push = track.upsampled((track.rigid[:, joint] / mass(track, joint))[:, None])[:, 0]
-    return between_flanks(push, 1.0 / track.piece.rate, 0.5 * width, 2.0 * np.pi * hold)
+    push = track.upsample((track.rigid_torque[:, joint] / mass(track, joint))[:, None])[:, 0]
+    return between_flanks(push, 1.0 / track.segment.rate, 0.5 * width, 2.0 * np.pi * hold)
 
 
 def between_flanks(push: Array, dt: float, half: float, omega: float) -> Array:

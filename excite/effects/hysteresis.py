@@ -8,7 +8,7 @@ from itertools import accumulate
 
 import numpy as np
 
-from .effect import Effect, CandidateModel, alone, beside, family, within
+from .effect import CandidateModel, Effect, alone, beside, family, within
 from .friction import stickiest
 from .recorded_motion import RecordedMotion, position_range
 
@@ -55,13 +55,13 @@ def _strokes(q: Array) -> tuple[Array, Array, Array]:
 
 
 def _softened(t: RecordedMotion, s: CandidateModel) -> Array:
-    q, reach = t.fine.q[:, s.place], s.values["reach"]
+    q, reach = t.samples.q[:, s.joint_index], s.values["reach"]
     curves = (
         [slipping(q, by * reach) for by in _ways(s)]
         if "springs" in s.values
         else [dahl(q, 1.0 / reach)]
     )
-    return alone(t, s.place, np.column_stack(curves) - t.sign(s.place)[:, None])
+    return alone(t, s.joint_index, np.column_stack(curves) - t.sign(s.joint_index)[:, None])
 
 
 def _ways(s: CandidateModel) -> Array:
@@ -104,7 +104,7 @@ def _hysteresis(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                 {"reach": reach},
                 parameters=told,
                 plausible=within(0.0, most),
-                kin=kin,
+                variants=kin,
             )
 
         return shape
@@ -135,7 +135,7 @@ EFFECTS = (
         ("delay", "backlash", "stribeck"),
         "strokes of many small amplitudes",
         form={"amplitude": 0.1, "stiffness": 0.4},
-        loose=1.0,
-        unseen=_steepest,
+        residual_log_offset=1.0,
+        unobserved_std=_steepest,
     ),
 )

@@ -10,7 +10,7 @@ import pinocchio as pin
 from ..identification.lowpass import Grid
 from ..robot.dynamics import regressor
 from ..robot.inertial_parameters import pseudo_inertia
-from .effect import Effect, CandidateModel, alone, named
+from .effect import CandidateModel, Effect, alone, named
 from .recorded_motion import RecordedMotion
 
 Array = np.ndarray
@@ -27,8 +27,8 @@ ROUNDED = 1e-6
 def _carried(t: RecordedMotion, s: CandidateModel) -> Array:
     """Columns of a link's first inertial parameters."""
     place, count = int(s.values["link"]), int(s.values["count"])
-    Y = regressor(t.body.robot, t.body.parameters, t.coarse)[:, :, 10 * place : 10 * place + count]
-    return t.reduce(Y, Grid.COARSE)
+    Y = regressor(t.fitted_robot.robot, t.fitted_robot.parameters, t.coarse_samples)[:, :, 10 * place : 10 * place + count]
+    return t.lowpass(Y, Grid.COARSE)
 
 
 def _a_body(c: Array) -> bool:
@@ -51,7 +51,7 @@ def _payload(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
             "com_z": float(centre[2]),
         }
 
-    links = len(tracks[0].body.parameters.links)
+    links = len(tracks[0].fitted_robot.parameters.links)
     for place in range(links):
         for count in (4, 10):
             fixed = {"link": float(place), "count": float(count)}
@@ -69,8 +69,8 @@ def _leaning(t: RecordedMotion, s: CandidateModel) -> Array:
     """Torque of gravity turned about x and y, per radian; and of what a turn that is not small takes from its old direction."""
     columns = [t.leaning[:, :, :2]]
     if s.values.get("large"):
-        columns.append(-(t.gravity @ t.body.model.gravity.linear)[:, :, None])
-    return t.reduce(np.concatenate(columns, axis=2), Grid.COARSE)
+        columns.append(-(t.gravity @ t.fitted_robot.model.gravity.linear)[:, :, None])
+    return t.lowpass(np.concatenate(columns, axis=2), Grid.COARSE)
 
 
 def _turned(c: Array) -> dict[str, float]:
@@ -93,7 +93,7 @@ def _leans(c: Array) -> bool:
 
 
 def _tilt(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-    upright = not np.any(tracks[0].body.model.gravity.linear[:2])  # else x and y are not across
+    upright = not np.any(tracks[0].fitted_robot.model.gravity.linear[:2])  # else x and y are not across
     for large in (0.0, 1.0) if upright else (0.0,):
         yield CandidateModel(
             "gravity_tilt", None, _leaning, {"large": large}, parameters=_turned, plausible=_leans
@@ -101,7 +101,7 @@ def _tilt(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
 
 
 def _spun(t: RecordedMotion, s: CandidateModel) -> Array:
-    return alone(t, s.place, t.fine.ddq[:, s.place])
+    return alone(t, s.joint_index, t.samples.ddq[:, s.joint_index])
 
 
 def _rotor(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
@@ -111,11 +111,11 @@ def _rotor(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
 
 def _misplaced(t: RecordedMotion, s: CandidateModel) -> Array:
     """Torque by turning or moving what comes after a joint's link, in the joint's frame, and `whole`: that link's own body too."""
-    robot, columns, m, angle, joint = t.body.robot, [], t.coarse, s.values["angle"] > 0.0, s.place
+    robot, columns, m, angle, joint = t.fitted_robot.robot, [], t.coarse_samples, s.values["angle"] > 0.0, s.joint_index
     Q, V, A = robot.expand(m.q), m.dq @ robot.spread.T, m.ddq @ robot.spread.T
-    after = [i for i in range(1, t.body.model.njoints) if t.body.model.parents[i] == joint + 1]
+    after = [i for i in range(1, t.fitted_robot.model.njoints) if t.fitted_robot.model.parents[i] == joint + 1]
     for axis in range(3):
-        model = t.body.model.copy()
+        model = t.fitted_robot.model.copy()
         twist = np.zeros(6)
         twist[(3 if angle else 0) + axis] = ANGLE if angle else LENGTH
         change = pin.exp6(twist)
@@ -128,17 +128,17 @@ def _misplaced(t: RecordedMotion, s: CandidateModel) -> Array:
             np.array([pin.rnea(model, data, *state) for state in zip(Q, V, A, strict=True)])
             @ robot.spread
         )
-        columns.append((torque - t.rigid) / (ANGLE if angle else LENGTH))
+        columns.append((torque - t.rigid_torque) / (ANGLE if angle else LENGTH))
     out = np.stack(columns, axis=2)
     seen = np.abs(out).max(axis=(0, 1))
-    return t.reduce(out * (seen > ROUNDED * seen.max()), Grid.COARSE)
+    return t.lowpass(out * (seen > ROUNDED * seen.max()), Grid.COARSE)
 
 
 def _kinematic(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     def small(c: Array) -> bool:
         return bool(np.linalg.norm(c) < 0.2)
 
-    for j in range(min(tracks[0].n, tracks[0].body.model.njoints - 1)):
+    for j in range(min(tracks[0].n, tracks[0].fitted_robot.model.njoints - 1)):
         for angle, name in ((1.0, "angle"), (0.0, "length")):
             told = lambda c, name=name: {name: float(np.linalg.norm(c))}  # noqa: E731
             for body in (0.0, 1.0):
@@ -150,7 +150,7 @@ def _kinematic(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                     fixed,
                     parameters=told,
                     plausible=small,
-                    several=True,
+                    allows_several=True,
                 )
 
 

@@ -10,7 +10,7 @@ from typing import Generic, TypeVar, cast
 import numpy as np
 import pinocchio as pin
 
-from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, LowPassFilter, Grid, friction_speed
+from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid, LowPassFilter, friction_speed
 from ..identification.regression import IdentificationModel, filtered_regressor
 from ..identification.segments import Segment
 from ..recordings.missing_values import runs
@@ -47,7 +47,7 @@ class FittedRobot:
         return np.asarray(self.psi[self.parameters.block(kind)])
 
 
-def body(robot: Robot, parameters: Parameters, psi: Array) -> FittedRobot:
+def fitted_robot(robot: Robot, parameters: Parameters, psi: Array) -> FittedRobot:
     """The robot with bodies ψ."""
     model = robot.model.copy()
     for i in range(parameters.bodies):
@@ -63,9 +63,9 @@ class memoized(Generic[T]):
 
     def __get__(self, track: RecordedMotion, owner: type[RecordedMotion]) -> T:
         name = self.found.__name__
-        if name not in track.known:
-            track.known[name] = self.found(track)
-        return cast(T, track.known[name])
+        if name not in track.cache:
+            track.cache[name] = self.found(track)
+        return cast(T, track.cache[name])
 
 
 @dataclass(frozen=True)
@@ -77,9 +77,9 @@ class RecordedMotion:
     the base fit. known: what is `remembered`.
     """
 
-    piece: Segment
+    segment: Segment
     band: LowPassFilter
-    body: FittedRobot
+    fitted_robot: FittedRobot
     widths: Array
     theta: Array
     torque: Array
@@ -87,9 +87,9 @@ class RecordedMotion:
     slopes: Array
     kept: slice
     time: Array
-    to: Grid = Grid.KEPT
+    grid: Grid = Grid.KEPT
     behind: tuple[float, float] = (0.0, 0.0)
-    known: dict[str, object] = field(default_factory=dict, init=False, repr=False, compare=False)
+    cache: dict[str, object] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -98,137 +98,137 @@ class RecordedMotion:
     def n(self) -> int:
         return int(self.torque.shape[1])
 
-    def late(self, seconds: float, lagging: bool = False) -> RecordedMotion:
+    def delayed(self, seconds: float, lagging: bool = False) -> RecordedMotion:
         """The same with all that is remembered, as seen by what is recorded later; or, lagging, through a filter of first order."""
         out = copy.copy(self)
         object.__setattr__(out, "behind", (0.0, seconds) if lagging else (seconds, 0.0))
         return out
 
     @memoized
-    def left(self) -> Array:
+    def residual(self) -> Array:
         """Torque that the base fit leaves. Shape (N, n)."""
         return self.torque - self.gamma @ self.theta
 
     @memoized
-    def fine(self) -> Samples:
+    def samples(self) -> Samples:
         """Motion at every sample of the recording. Shapes (M, n)."""
-        position = self.band.transformed(self.piece.q)
-        speed = friction_speed(self.piece.q, self.band, position)
+        position = self.band.transformed(self.segment.q)
+        speed = friction_speed(self.segment.q, self.band, position)
         return Samples(
             position.low(Grid.RECORDED, 0, MOTION_BANDWIDTH_RATIO), speed, position.low(Grid.RECORDED, 2, MOTION_BANDWIDTH_RATIO)
         )
 
     def sign(self, joint: int) -> Array:
         """The smooth sign of a joint's speed that the base model's Coulomb friction has, at every sample. Shape (M,)."""
-        return np.asarray(np.tanh(self.fine.dq[:, joint] / self.widths[joint]))
+        return np.asarray(np.tanh(self.samples.dq[:, joint] / self.widths[joint]))
 
     @property
     def temperature(self) -> Array:
         """Of every joint, at every sample; NaN where a joint's was not recorded. Shape (M, n) [°C]."""
-        told = self.piece.temperature
-        return np.full((len(self.piece), self.n), np.nan) if told is None else told
+        told = self.segment.temperature
+        return np.full((len(self.segment), self.n), np.nan) if told is None else told
 
     @memoized
-    def moves(self) -> Array:
+    def moving(self) -> Array:
         """Kept rows at which a joint moves, friction known but for its law: at rest it can be anything that sticks. Shape (N, n)."""
-        rows = np.rint((self.time - self.piece.start) * self.piece.rate).astype(int)
+        rows = np.rint((self.time - self.segment.start) * self.segment.rate).astype(int)
         out = np.empty((len(self), self.n), bool)
         for j in range(self.n):
-            speed, steps = self.fine.dq[:, j], COUNTS * float(self.steps.max())
+            speed, steps = self.samples.dq[:, j], COUNTS * float(self.steps.max())
             rest = REST if STILL * float(np.abs(speed).max()) * REST > steps else BLURRED
-            moving = _moving(self.fine.q[:, j], speed, self.piece.rate, rest)[rows]
+            moving = _moving(self.samples.q[:, j], speed, self.segment.rate, rest)[rows]
             out[:, j] = moving if moving.mean() > MOVING else True
         return out
 
     @memoized
-    def stays(self) -> Array:
+    def reversal_dwell(self) -> Array:
         """How long each joint stays within a step Δ of its encoder where it turns back, √(2 Δ/|q̈|); ∞ where it does not. Shape (n,) [s]."""
         out = np.full(self.n, np.inf)
         for j, step in enumerate(self.steps):
-            turns = np.flatnonzero(np.diff(np.sign(self.fine.dq[:, j])))
+            turns = np.flatnonzero(np.diff(np.sign(self.samples.dq[:, j])))
             if len(turns):
                 out[j] = np.sqrt(
-                    2.0 * step / max(float(np.median(np.abs(self.fine.ddq[turns, j]))), 1e-9)
+                    2.0 * step / max(float(np.median(np.abs(self.samples.ddq[turns, j]))), 1e-9)
                 )
         return out
 
     @property
     def steps(self) -> Array:
         """Δ of each encoder. Shape (n,) [rad or m]."""
-        return np.asarray(np.sqrt(12.0) * self.piece.encoder)
+        return np.asarray(np.sqrt(12.0) * self.segment.encoder)
 
     @memoized
-    def coarse(self) -> Samples:
+    def coarse_samples(self) -> Samples:
         """Motion where rigid-body dynamics are evaluated. Shapes (C, n)."""
-        position = self.band.transformed(self.piece.q)
+        position = self.band.transformed(self.segment.q)
         return Samples(*(position.low(Grid.COARSE, order, MOTION_BANDWIDTH_RATIO) for order in range(3)))
 
     @memoized
-    def clock(self) -> Array:
+    def times(self) -> Array:
         """Times of every sample [s]. Shape (M,)."""
-        return self.piece.start + np.arange(len(self.piece)) / self.piece.rate
+        return self.segment.start + np.arange(len(self.segment)) / self.segment.rate
 
     @property
-    def elapsed(self) -> Array:
+    def run_time(self) -> Array:
         """For how long the recording has been going on, at every sample. Shape (M,) [s]."""
-        return self.clock - (self.piece.start if self.piece.began is None else self.piece.began)
+        return self.times - (self.segment.start if self.segment.began is None else self.segment.began)
 
-    def reduce(self, x: Array, of: Grid = Grid.RECORDED) -> Array:
+    def lowpass(self, x: Array, of: Grid = Grid.RECORDED) -> Array:
         """Below the band, at the kept rows, as late as it comes. Shapes (M or C, …) -> (N, …)."""
-        if self.to is Grid.RECORDED and of is Grid.COARSE:
-            x = self.upsampled(x.reshape(len(x), -1)).reshape(-1, *x.shape[1:])
+        if self.grid is Grid.RECORDED and of is Grid.COARSE:
+            x = self.upsample(x.reshape(len(x), -1)).reshape(-1, *x.shape[1:])
         late, lag = self.behind
         return self.band.low(
-            x, self.to, of=Grid.RECORDED if self.to is Grid.RECORDED else of, late=late, lag=lag
+            x, self.grid, of=Grid.RECORDED if self.grid is Grid.RECORDED else of, late=late, lag=lag
         )[self.kept]
 
-    def upsampled(self, x: Array) -> Array:
+    def upsample(self, x: Array) -> Array:
         """From the coarse grid to every sample. Shapes (C, k) -> (M, k)."""
         t = np.arange(len(x)) / self.band.rate_of(Grid.COARSE)
-        fine = np.arange(len(self.piece)) / self.piece.rate
+        fine = np.arange(len(self.segment)) / self.segment.rate
         return np.column_stack([np.interp(fine, t, column) for column in x.T])
 
     @memoized
-    def rigid(self) -> Array:
+    def rigid_torque(self) -> Array:
         """Torque of the rigid bodies alone, without drives, at the coarse samples. Shape (C, n)."""
-        return self._inverse(self.coarse.q, self.coarse.dq, self.coarse.ddq)
+        return self._inverse(self.coarse_samples.q, self.coarse_samples.dq, self.coarse_samples.ddq)
 
     @memoized
-    def held(self) -> Array:
+    def initial_torque(self) -> Array:
         """Torque of the rigid bodies where they begin, at rest. Shape (n,)."""
-        q = self.coarse.q[:1]
+        q = self.coarse_samples.q[:1]
         return np.asarray(self._inverse(q, np.zeros_like(q), np.zeros_like(q))[0])
 
     @memoized
-    def transmitted(self) -> Array:
+    def transmitted_torque(self) -> Array:
         """What the gear carries: the rigid bodies' torque at every sample. Shape (M, n)."""
-        return self.upsampled(self.rigid)
+        return self.upsample(self.rigid_torque)
 
     @memoized
-    def motor(self) -> Array:
+    def motor_torque(self) -> Array:
         """What the base model says the drive makes: rigid, rotor, friction, offset, at every sample. Shape (M, n)."""
-        s, drive = self.fine, self.body.drive
+        s, drive = self.samples, self.fitted_robot.drive
         friction = drive("viscous") * s.dq + drive("coulomb") * np.tanh(s.dq / self.widths)
-        return self.transmitted + drive("rotor_inertia") * s.ddq + friction + drive("offset")
+        return self.transmitted_torque + drive("rotor_inertia") * s.ddq + friction + drive("offset")
 
     @memoized
-    def drawn(self) -> Array:
+    def measured_torque(self) -> Array:
         """What the drive was measured to make, below the band: with all that the base model lacks, and noise. Shape (M, n)."""
-        return self.band.low(self.piece.torque, Grid.RECORDED)
+        return self.band.low(self.segment.torque, Grid.RECORDED)
 
     def _inverse(self, q: Array, dq: Array, ddq: Array) -> Array:
-        robot, data = self.body.robot, self.body.model.createData()
+        robot, data = self.fitted_robot.robot, self.fitted_robot.model.createData()
         Q, V, A = robot.expand(q), dq @ robot.spread.T, ddq @ robot.spread.T
         out = np.array(
-            [pin.rnea(self.body.model, data, *state) for state in zip(Q, V, A, strict=True)]
+            [pin.rnea(self.fitted_robot.model, data, *state) for state in zip(Q, V, A, strict=True)]
         )
         return out @ robot.spread
 
     @memoized
     def derivatives(self) -> tuple[Array, Array, Array]:
         """∂τ/∂q, ∂τ/∂q̇ and M of the rigid bodies at the coarse samples. Three arrays of shape (C, n, n)."""
-        robot, model = self.body.robot, self.body.model
-        data, s = model.createData(), self.coarse
+        robot, model = self.fitted_robot.robot, self.fitted_robot.model
+        data, s = model.createData(), self.coarse_samples
         out = np.empty((3, len(s), robot.n, robot.n))
         for t, (q, v, a) in enumerate(
             zip(robot.expand(s.q), s.dq @ robot.spread.T, s.ddq @ robot.spread.T, strict=True)
@@ -242,11 +242,11 @@ class RecordedMotion:
     @memoized
     def gravity(self) -> Array:
         """Torque of a unit acceleration of the base against x, y and z: −∂τ/∂g. Shape (C, n, 3)."""
-        robot = self.body.robot
-        out = np.empty((len(self.coarse), robot.n, 3))
-        q, rest = self.coarse.q, np.zeros_like(self.coarse.q)
+        robot = self.fitted_robot.robot
+        out = np.empty((len(self.coarse_samples), robot.n, 3))
+        q, rest = self.coarse_samples.q, np.zeros_like(self.coarse_samples.q)
         for axis in range(3):
-            model = self.body.model.copy()
+            model = self.fitted_robot.model.copy()
             model.gravity.linear = -np.eye(3)[axis]
             data = model.createData()
             torque = [
@@ -259,25 +259,25 @@ class RecordedMotion:
     @memoized
     def leaning(self) -> Array:
         """Torque of a base turned by a radian about x, y, z, to first order: it sees gravity turned back, δg = g × φ. Shape (C, n, 3)."""
-        return np.asarray(-self.gravity @ pin.skew(self.body.model.gravity.linear))
+        return np.asarray(-self.gravity @ pin.skew(self.fitted_robot.model.gravity.linear))
 
     @memoized
-    def afloat(self) -> FloatingBaseDynamics:
+    def base_dynamics(self) -> FloatingBaseDynamics:
         """What a base that gives way would do, at the coarse samples."""
-        return floating_base_dynamics(self.body.robot, self.body.model, self.coarse)
+        return floating_base_dynamics(self.fitted_robot.robot, self.fitted_robot.model, self.coarse_samples)
 
     @memoized
-    def stood(self) -> Array:
+    def upright_inertia(self) -> Array:
         """Mass and moments of inertia of the whole robot about the base's axes with all joints at zero, and above zero: the same of every
         recording of a robot. Shape (6,)."""
         still = np.zeros((1, self.n))
-        stretched = floating_base_dynamics(self.body.robot, self.body.model, Samples(still, still, still))
+        stretched = floating_base_dynamics(self.fitted_robot.robot, self.fitted_robot.model, Samples(still, still, still))
         return np.maximum(np.diag(stretched.mass[0, :6]), 1e-9)
 
     @memoized
-    def levers(self) -> Array:
+    def link_jacobians(self) -> Array:
         """How a force on the centre of each link acts on the joints, base frame, at the coarse samples. Shape (C, n links, 3, n)."""
-        robot, model = self.body.robot, self.body.model
+        robot, model = self.fitted_robot.robot, self.fitted_robot.model
         data, held = (
             model.createData(),
             [int(np.flatnonzero(column)[0]) + 1 for column in robot.spread.T],
@@ -287,10 +287,10 @@ class RecordedMotion:
         for k, joint in enumerate(held):
             carried[k, [model.joints[int(i)].idx_v for i in model.supports[joint] if i > 0]] = 1.0
         jacobians, centres = (
-            np.empty((len(self.coarse), 6, model.nv)),
-            np.empty((len(self.coarse), robot.n, 3)),
+            np.empty((len(self.coarse_samples), 6, model.nv)),
+            np.empty((len(self.coarse_samples), robot.n, 3)),
         )
-        for t, q in enumerate(robot.expand(self.coarse.q)):
+        for t, q in enumerate(robot.expand(self.coarse_samples.q)):
             jacobians[t] = np.reshape(pin.computeJointJacobians(model, data, q), (6, -1))
             centres[t] = [data.oMi[joint].act(model.inertias[joint].lever) for joint in held]
         turning = np.cross(
@@ -313,7 +313,7 @@ def _moving(q: Array, dq: Array, rate: float, rest: float) -> Array:
 
 def position_range(stretches: Sequence[RecordedMotion], joint: int) -> tuple[float, float]:
     """Ends of where a joint was [rad or m]."""
-    places = [one.fine.q[:, joint] for one in stretches]
+    places = [one.samples.q[:, joint] for one in stretches]
     return min(float(q.min()) for q in places), max(float(q.max()) for q in places)
 
 
@@ -322,7 +322,7 @@ def split_by_motion(rows: Array, stretches: Sequence[RecordedMotion]) -> list[Ar
     return np.split(rows, np.cumsum([len(one) for one in stretches])[:-1])
 
 
-def tracks(
+def recorded_motions(
     model: IdentificationModel, fitted: FittedRobot, theta: Array, pieces: Sequence[Segment], hertz: float
 ) -> list[RecordedMotion]:
     """Every stretch that is long enough for the band."""

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 
 from .._linear_algebra import factors
-from .effect import MULTIPLES, Effect, NonlinearParameter, CandidateModel, alone, multiples, waves
+from .effect import MULTIPLES, CandidateModel, Effect, NonlinearParameter, alone, multiples, waves
 from .recorded_motion import RecordedMotion
 from .transmission import LEAST_TURN
 
@@ -26,7 +26,7 @@ ROUND = 1.5
 
 def _waved(t: RecordedMotion, s: CandidateModel) -> Array:
     """Waves of an order, and of those of its multiples that are stated."""
-    return alone(t, s.place, waves(s.values, t.fine.q[:, s.place]))
+    return alone(t, s.joint_index, waves(s.values, t.samples.q[:, s.joint_index]))
 
 
 def _ripple(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
@@ -39,13 +39,13 @@ def _ripple(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                 _waved,
                 fixed,
                 parameters=lambda c: _strongest(fixed, c),
-                several=True,
+                allows_several=True,
             )
 
         return shape
 
     for j in range(tracks[0].n):
-        turn, taken = max(float(np.ptp(t.fine.q[:, j])) for t in tracks), list[float]()
+        turn, taken = max(float(np.ptp(t.samples.q[:, j])) for t in tracks), list[float]()
         for order in _orders(
             tracks, j
         ):  # what one has with its multiples, none after it has with its own
@@ -77,11 +77,11 @@ def _orders(tracks: Sequence[RecordedMotion], joint: int) -> list[float]:
     What has not come round half as often again in the longest stretch is a spring as well.
     """
     track = max(tracks, key=len)
-    q = np.interp(track.time, track.clock, track.fine.q[:, joint])
+    q = np.interp(track.time, track.times, track.samples.q[:, joint])
     turn = float(np.ptp(q))
     if turn < LEAST_TURN:
         return []
-    speed = np.interp(track.time, track.clock, track.fine.dq[:, joint])
+    speed = np.interp(track.time, track.times, track.samples.dq[:, joint])
     step = 2.0 * np.pi / turn / 3.0
     grid = np.arange(max(3.0, ROUND * 2.0 * np.pi / turn), 300.0, max(step, 0.05))
     some = slice(None) if len(grid) * len(q) <= CELLS else _scattered(len(q), CELLS // len(grid))
@@ -95,8 +95,8 @@ def _orders(tracks: Sequence[RecordedMotion], joint: int) -> list[float]:
 
     every, out = turning(grid), list[float]()
     for left, base in (
-        _freed(track.left[some], track.gamma[some], joint),
-        (track.left[some, joint], np.zeros((len(q), 0))),
+        _freed(track.residual[some], track.gamma[some], joint),
+        (track.residual[some, joint], np.zeros((len(q), 0))),
     ):
         found = _peaks(turning, (grid, every, step), left, base)
         out += [
@@ -179,6 +179,6 @@ EFFECTS = (
         ("encoder_error",),
         "slow constant speed over a turn",
         form={"order": 0.02, "amplitude": 0.1},
-        loose=-0.5,
+        residual_log_offset=-0.5,
     ),
 )

@@ -7,7 +7,17 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 
 from ..identification.lowpass import Grid
-from .effect import MULTIPLES, Effect, CandidateModel, amplitude, beside, family, named, waves, within
+from .effect import (
+    MULTIPLES,
+    CandidateModel,
+    Effect,
+    amplitude,
+    beside,
+    family,
+    named,
+    waves,
+    within,
+)
 from .recorded_motion import RecordedMotion
 
 Array = np.ndarray
@@ -38,18 +48,18 @@ def _late(t: RecordedMotion, s: CandidateModel) -> Array:
     if not seconds:
         return _of(
             s,
-            -t.band.transformed(t.drawn if s.values["measured"] else t.motor).low(t.to, 1)[t.kept],
+            -t.band.transformed(t.measured_torque if s.values["measured"] else t.motor_torque).low(t.grid, 1)[t.kept],
         )
     if "lagging" in s.values:
-        of_all = t.band.transformed(t.motor)
-        return _of(s, (of_all.low(t.to, lag=seconds) - of_all.low(t.to))[t.kept] / seconds)
-    then = np.column_stack([np.interp(t.clock - seconds, t.clock, x) for x in t.motor.T])
-    return _of(s, t.reduce((then - t.motor) / seconds))
+        of_all = t.band.transformed(t.motor_torque)
+        return _of(s, (of_all.low(t.grid, lag=seconds) - of_all.low(t.grid))[t.kept] / seconds)
+    then = np.column_stack([np.interp(t.times - seconds, t.times, x) for x in t.motor_torque.T])
+    return _of(s, t.lowpass((then - t.motor_torque) / seconds))
 
 
 def _behind(t: RecordedMotion, s: CandidateModel, c: Array, made: Array) -> Array:
     """What a delay of all that was measured adds to what is made. Shape (M, n)."""
-    late = np.column_stack([np.interp(t.clock - float(c[0]), t.clock, column) for column in made.T])
+    late = np.column_stack([np.interp(t.times - float(c[0]), t.times, column) for column in made.T])
     return _of(s, late - made)[:, :, 0]
 
 
@@ -75,13 +85,13 @@ def _delay(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                 fixed,
                 parameters=named("seconds"),
                 plausible=gate,
-                doubt=BLURRED,
+                threshold_factor=BLURRED,
             )
 
         return shape
 
     alone = tracks[0].n == 1  # the joint is the whole robot
-    hides = min((float(t.stays.min()) for t in tracks if np.isfinite(t.stays).any()), default=0.0)
+    hides = min((float(t.reversal_dwell.min()) for t in tracks if np.isfinite(t.reversal_dwell).any()), default=0.0)
     gate = _told(BEHIND * hides, AHEAD * hides)
     for joint in (*(() if alone else (None,)), *range(tracks[0].n)):
         for measured in (0.0, 1.0):
@@ -92,7 +102,7 @@ def _delay(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                 {"measured": measured},
                 parameters=named("seconds"),
                 plausible=gate,
-                doubt=BLURRED,
+                threshold_factor=BLURRED,
             )
         for how in ({}, {"lagging": 1.0}):
             yield from family(LATE, behind(joint, how))
@@ -105,16 +115,16 @@ def _told(later: float, earlier: float) -> Callable[[Array], bool]:
 
 def _misread(t: RecordedMotion, s: CandidateModel) -> Array:
     """Torque when a joint is where its encoder says less an error: −(∂τ/∂q δ + ∂τ/∂q̇ δ̇ + (M + I_a) δ̈)."""
-    joint = s.place
+    joint = s.joint_index
     by_q, by_v, mass = (matrix[:, :, joint, None] for matrix in t.derivatives)
-    shifts = waves(s.values, t.coarse.q[:, joint])
+    shifts = waves(s.values, t.coarse_samples.q[:, joint])
     line = t.band.transformed(shifts, Grid.COARSE)
     first, second = line.low(Grid.COARSE, 1, 2.0), line.low(Grid.COARSE, 2, 2.0)
     torque = by_q * shifts[:, None] + by_v * first[:, None] + mass * second[:, None]
     torque[:, joint] += (
-        t.body.drive("rotor_inertia")[joint] * second + t.body.drive("viscous")[joint] * first
+        t.fitted_robot.drive("rotor_inertia")[joint] * second + t.fitted_robot.drive("viscous")[joint] * first
     )
-    return -t.reduce(torque, Grid.COARSE)
+    return -t.lowpass(torque, Grid.COARSE)
 
 
 def _encoder(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
@@ -134,8 +144,8 @@ def _encoder(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                 fixed,
                 parameters=told,
                 plausible=small,
-                several=True,
-                kin=kin,
+                allows_several=True,
+                variants=kin,
             )
 
         return shape
@@ -168,6 +178,6 @@ EFFECTS = (
         ("torque_ripple",),
         "constant speeds, slow and fast, over a turn",
         form={"amplitude": 0.4, "order": 0.4},
-        loose=0.8,
+        residual_log_offset=0.8,
     ),
 )

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import UnusableInput
-from .effect import Effect, CandidateModel, alone, family, named, within
+from .effect import CandidateModel, Effect, alone, family, named, within
 from .recorded_motion import RecordedMotion
 
 Array = np.ndarray
@@ -22,21 +22,21 @@ def _changed(t: RecordedMotion, s: CandidateModel) -> Array:
     """A joint's friction by the base fit, as it changes with run time, where a mean `power` is stated, by what heats it, or where a
     `reference` is, with temperature."""
     if "reference" in s.values:
-        warm = t.temperature[:, s.place] - s.values["reference"]
+        warm = t.temperature[:, s.joint_index] - s.values["reference"]
         if not np.isfinite(warm).all():
-            joint = t.body.robot.joints[s.place]
+            joint = t.fitted_robot.robot.joints[s.joint_index]
             raise UnusableInput(
-                f"{t.piece.source}: has no temp.{joint}, on which the friction of joint '{joint}' depends; record it"
+                f"{t.segment.source}: has no temp.{joint}, on which the friction of joint '{joint}' depends; record it"
             )
     elif "power" in s.values:
         warm = _heated(t, s)
     else:
-        warm = 1.0 - np.exp(-t.elapsed / s.values["time_constant"])
+        warm = 1.0 - np.exp(-t.run_time / s.values["time_constant"])
     return alone(
         t,
-        s.place,
+        s.joint_index,
         warm
-        * (s.values["coulomb"] * t.sign(s.place) + s.values["viscous"] * t.fine.dq[:, s.place]),
+        * (s.values["coulomb"] * t.sign(s.joint_index) + s.values["viscous"] * t.samples.dq[:, s.joint_index]),
     )
 
 
@@ -47,19 +47,19 @@ def _heated(t: RecordedMotion, s: CandidateModel) -> Array:
 
     constant = s.values["time_constant"]
     keeps, before = (
-        float(np.exp(-1.0 / (t.piece.rate * constant))),
-        float(1.0 - np.exp(-t.elapsed[0] / constant)),
+        float(np.exp(-1.0 / (t.segment.rate * constant))),
+        float(1.0 - np.exp(-t.run_time[0] / constant)),
     )
-    power = _losses(t, s.place, s.values["coulomb"], s.values["viscous"]) / s.values["power"]
+    power = _losses(t, s.joint_index, s.values["coulomb"], s.values["viscous"]) / s.values["power"]
     return np.asarray(
         lfilter([0.0, 1.0 - keeps], [1.0, -keeps], power)
-        + before * np.exp(-(t.clock - t.clock[0]) / constant)
+        + before * np.exp(-(t.times - t.times[0]) / constant)
     )
 
 
 def _losses(t: RecordedMotion, joint: int, coulomb: float, viscous: float) -> Array:
     """Power that friction takes. Shape (M,) [W]."""
-    speed = t.fine.dq[:, joint]
+    speed = t.samples.dq[:, joint]
     return np.asarray((coulomb * t.sign(joint) + viscous * speed) * speed)
 
 
@@ -71,12 +71,12 @@ def _thermal(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
 
 def _friction(track: RecordedMotion, joint: int) -> tuple[float, float]:
     """Coulomb and viscous friction of the base fit, of which something can change."""
-    coulomb, viscous = (float(track.body.drive(kind)[joint]) for kind in ("coulomb", "viscous"))
+    coulomb, viscous = (float(track.fitted_robot.drive(kind)[joint]) for kind in ("coulomb", "viscous"))
     return max(coulomb, 1e-9), viscous
 
 
 def _by_time(tracks: Sequence[RecordedMotion], j: int) -> Iterator[CandidateModel]:
-    length = max(float(t.elapsed[-1]) for t in tracks)
+    length = max(float(t.run_time[-1]) for t in tracks)
     coulomb, viscous = _friction(tracks[0], j)
     power = float(np.mean(np.concatenate([_losses(t, j, coulomb, viscous) for t in tracks])))
 
@@ -97,7 +97,7 @@ def _by_time(tracks: Sequence[RecordedMotion], j: int) -> Iterator[CandidateMode
             _changed,
             fixed,
             parameters=named("change", time_constant=constant),
-            words=words,
+            signature=words,
         )
         if heated:
             warm = np.concatenate([_heated(t, bare) for t in tracks])
@@ -126,7 +126,7 @@ def _by_temperature(tracks: Sequence[RecordedMotion], j: int) -> Iterator[Candid
         -min(1.0 / above, COLDEST / below),
         min(1.0 / below, COLDEST / above),
     )  # never below nothing, nor many times the mean
-    size = float(np.mean(np.abs(np.concatenate([t.fine.dq[:, j] for t in tracks])))) * viscous
+    size = float(np.mean(np.abs(np.concatenate([t.samples.dq[:, j] for t in tracks])))) * viscous
     for dry in (coulomb, 0.0):  # grease thins, and dry friction may go with it or not
         share = (dry + size) / (coulomb + size)
         told = lambda c, share=share: {  # noqa: E731
@@ -141,7 +141,7 @@ def _by_temperature(tracks: Sequence[RecordedMotion], j: int) -> Iterator[Candid
             fixed,
             parameters=told,
             plausible=within(least, most),
-            words=words,
+            signature=words,
         )
 
 
@@ -157,6 +157,6 @@ EFFECTS = (
         ("asymmetric_viscous",),
         "a long run that ends with its first motion, temperatures recorded",
         form={"change": 0.25, "time_constant": 0.25},
-        loose=-0.4,
+        residual_log_offset=-0.4,
     ),
 )

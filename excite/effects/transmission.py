@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from ..identification.lowpass import Grid
-from .effect import Effect, NonlinearParameter, CandidateModel, alone, beside, family, named, within
+from .effect import CandidateModel, Effect, NonlinearParameter, alone, beside, family, named, within
 from .gear_dynamics import NEAR, damped, felt, launched, mass, played, wound
 from .recorded_motion import RecordedMotion, position_range
 
@@ -32,8 +32,8 @@ LEAST_STROKE, LEAST_TURN = 1e-6, 0.05
 
 
 def _sprung(t: RecordedMotion, s: CandidateModel) -> Array:
-    lag = wound(t, s.place, s.values["stiffness"], s.values["damping"], bool(s.values["rests"]))
-    return felt(t, s.place, lag, Grid.COARSE)
+    lag = wound(t, s.joint_index, s.values["stiffness"], s.values["damping"], bool(s.values["rests"]))
+    return felt(t, s.joint_index, lag, Grid.COARSE)
 
 
 def _carried(tracks: Sequence[RecordedMotion], joint: int, stiffness: float) -> float:
@@ -92,7 +92,7 @@ def _elasticity(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                 fixed,
                 parameters=told,
                 plausible=within(least, 3.0),
-                kin=kin,
+                variants=kin,
             )
 
         return shape
@@ -108,12 +108,12 @@ def _elasticity(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
 
 
 def _loose(t: RecordedMotion, s: CandidateModel) -> Array:
-    return felt(t, s.place, played(t, s.place, s.values["width"], s.values["hold"]), Grid.RECORDED)
+    return felt(t, s.joint_index, played(t, s.joint_index, s.values["width"], s.values["hold"]), Grid.RECORDED)
 
 
 def _backlash(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
     hardest = min(
-        HARDEST, *(t.piece.rate / (2.0 * np.pi) for t in tracks)
+        HARDEST, *(t.segment.rate / (2.0 * np.pi) for t in tracks)
     )  # that samples can follow
 
     def play(joint: int, hold: float) -> Callable[[float], CandidateModel]:
@@ -129,14 +129,14 @@ def _backlash(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                 fixed,
                 parameters=told,
                 plausible=within(0.4, 2.5),
-                kin=kin,
+                variants=kin,
             )
 
         return shape
 
     for j in range(tracks[0].n):
         if any(
-            np.ptp(np.sign(t.rigid[:, j])) > 1.0 for t in tracks
+            np.ptp(np.sign(t.rigid_torque[:, j])) > 1.0 for t in tracks
         ):  # else it lies on one flank, like a link that is mounted askew
             for hold in (h for h in HOLDS if h <= hardest):
                 yield from family(WIDTHS.tolist(), play(j, hold))
@@ -171,7 +171,7 @@ def _force(values: Mapping[str, float], q: Array) -> Array:
 
 
 def _pulled(t: RecordedMotion, s: CandidateModel) -> Array:
-    return alone(t, s.place, _force(s.values, t.fine.q[:, s.place]))
+    return alone(t, s.joint_index, _force(s.values, t.samples.q[:, s.joint_index]))
 
 
 def _spring(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
@@ -216,9 +216,9 @@ def _turned(t: RecordedMotion, s: CandidateModel) -> Array:
     """
     assert s.other is not None
     ratio = s.values["ratio"]
-    speed = t.fine.dq[:, s.place] + ratio * t.fine.dq[:, s.other]
-    columns = [speed, np.tanh(speed / t.widths[s.place]), ratio * t.fine.ddq[:, s.other]]
-    return alone(t, s.place, np.column_stack(columns[:2] if "light" in s.values else columns))
+    speed = t.samples.dq[:, s.joint_index] + ratio * t.samples.dq[:, s.other]
+    columns = [speed, np.tanh(speed / t.widths[s.joint_index]), ratio * t.samples.ddq[:, s.other]]
+    return alone(t, s.joint_index, np.column_stack(columns[:2] if "light" in s.values else columns))
 
 
 def _rubs(speed: float, acceleration: float) -> Callable[[Array], bool]:
@@ -242,7 +242,7 @@ def _coupling(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
         def shape(ratio: float) -> CandidateModel:
             turns, hastes = (
                 max(float(np.abs(x[:, i] + sign * ratio * x[:, j]).max()) for x in both)
-                for both in ([t.fine.dq for t in tracks], [t.fine.ddq for t in tracks])
+                for both in ([t.samples.dq for t in tracks], [t.samples.ddq for t in tracks])
             )
             fixed = {"ratio": sign * ratio} | ({"light": 1.0} if light else {})
             told = named("viscous", "coulomb", "inertia")
@@ -269,7 +269,7 @@ EFFECTS = (
         ("delay", "base_compliance"),
         "fast motion at several poses",
         form={"stiffness": 0.14},
-        loose=2.0,
+        residual_log_offset=2.0,
     ),
     Effect(
         "backlash",
@@ -281,7 +281,7 @@ EFFECTS = (
         ("hysteresis", "elasticity"),
         "slow reversals through zero load",
         form={"width": 0.47},
-        loose=3.0,
+        residual_log_offset=3.0,
     ),
     Effect(
         "spring",
@@ -296,7 +296,7 @@ EFFECTS = (
             "stiffness": 1.0,
             "amplitude": 0.25,
         },  # a refit base takes as much of a slope for gravity as a law lets it
-        loose=-0.9,
+        residual_log_offset=-0.9,
     ),
     Effect(
         "coupling",
@@ -308,6 +308,6 @@ EFFECTS = (
         ("load_friction",),
         "each joint singly, then together",
         form={"viscous": 0.1, "coulomb": 0.1, "inertia": 0.1},
-        loose=-0.4,
+        residual_log_offset=-0.4,
     ),
 )

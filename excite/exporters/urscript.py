@@ -19,8 +19,18 @@ import numpy as np
 
 from ..errors import UnusableInput
 from ..trajectory.fourier import FourierSeries
-from ..trajectory.rest_to_rest import Motion, JerkProfile, MotionSegment
-from .file_format import Array, Columns, Job, Written, comment, fixed, notes, require_joints, require_rest
+from ..trajectory.rest_to_rest import JerkProfile, Motion, MotionSegment
+from .file_format import (
+    Array,
+    Columns,
+    Job,
+    Written,
+    comment,
+    fixed,
+    notes,
+    require_joints,
+    require_rest,
+)
 
 STEP_RATES = (500.0, 250.0, 125.0)
 LOOKAHEAD, GAIN = 0.1, 300

@@ -16,7 +16,18 @@ from typing import Any
 
 import numpy as np
 
-from .file_format import Array, Columns, Job, Written, beside, fixed, notes, require_joints, require_rate, sampled
+from .file_format import (
+    Array,
+    Columns,
+    Job,
+    Written,
+    beside,
+    fixed,
+    notes,
+    require_joints,
+    require_rate,
+    sampled,
+)
 
 SCALE = {"rad": 1.0, "deg": 180.0 / np.pi}
 MARKS = {"start": "start [rad]:", "rate": "rate [Hz]:"}

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..errors import UnusableInput
-from .noise_spectrum import NoiseSpectrum, noise_spectrum, covariance_root
+from .noise_spectrum import NoiseSpectrum, covariance_root, noise_spectrum
 from .regression import TorqueEquations
 
 Array = np.ndarray

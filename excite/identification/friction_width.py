@@ -8,8 +8,8 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 
 from .estimators import Estimate
-from .lowpass import LowPassFilter, Grid, friction_speed
-from .regression import TorqueEquations, IdentificationModel, kept_rows
+from .lowpass import Grid, LowPassFilter, friction_speed
+from .regression import IdentificationModel, TorqueEquations, kept_rows
 from .regression import filtered_friction as friction_of
 from .segments import Segment
 

@@ -17,12 +17,23 @@ from ..recordings import Recording
 from ..robot.base_parameters import Base
 from ..robot.inertial_parameters import COULOMB_WIDTH, Parameters
 from ..robot.robot import Robot
-from . import consistency, estimators, friction_width, instruments, prior_weight, regression, segments, simulation_error, simulation_refinement, torque_delay
+from . import (
+    consistency,
+    estimators,
+    friction_width,
+    instruments,
+    prior_weight,
+    regression,
+    segments,
+    simulation_error,
+    simulation_refinement,
+    torque_delay,
+)
 from .consistency import Bounds, ConsistentEstimate, Prior
 from .estimators import Estimate, Method
 from .hausman_test import HausmanTest, durbin_wu_hausman
 from .inertia_distance import Distance
-from .regression import TorqueEquations, IdentificationModel
+from .regression import IdentificationModel, TorqueEquations
 from .segments import Segment, TorqueSpectra
 from .simulation_error import SimulationError
 from .torque_delay import TorqueDelay

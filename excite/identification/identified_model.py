@@ -23,7 +23,7 @@ from ..trajectory import trajectory_file
 from . import confidence
 from .hausman_test import HausmanTest
 from .identification import Identification, Prediction
-from .lowpass import MOTION_BANDWIDTH_RATIO, LowPassFilter, Grid, friction_speed
+from .lowpass import MOTION_BANDWIDTH_RATIO, Grid, LowPassFilter, friction_speed
 from .regression import BLOCK_ROWS
 from .simulation_error import SimulationError
 from .urdf_export import identified_urdf
@@ -315,7 +315,7 @@ def model_from_document(file: DocumentFile, content: Any) -> IdentifiedModel:
         or list(drive) != document.drive
     ):
         raise file.error(
-            "its joints, links and joint parameters are not those of the URDF in it, in their order",
+            "its joints, links and joint parameters are not in the order of the URDF in it",
             "urdf",
         )
     psi = np.array([entry.value for entry in document.standard_parameters], float)

@@ -22,7 +22,7 @@ from . import controller_model, forward_dynamics, regression, segments
 from .controller_model import ControllerModel
 from .forward_dynamics import RobotDynamics
 from .lowpass import Grid
-from .regression import TorqueEquations, IdentificationModel
+from .regression import IdentificationModel, TorqueEquations
 from .segments import Segment
 
 Array = np.ndarray

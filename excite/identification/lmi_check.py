@@ -15,7 +15,15 @@ import numpy as np
 from ..errors import UnusableInput
 from ..robot.inertial_parameters import Parameters
 from . import consistency
-from .consistency import NONNEGATIVE_KINDS, Bounds, ConsistentEstimate, Prior, inertial_rows, prior_information, map_objective
+from .consistency import (
+    NONNEGATIVE_KINDS,
+    Bounds,
+    ConsistentEstimate,
+    Prior,
+    inertial_rows,
+    map_objective,
+    prior_information,
+)
 from .inertia_distance import PSEUDO_INERTIA_BASIS, Distance, distance_metrics, pseudo_inertias
 
 Array = np.ndarray

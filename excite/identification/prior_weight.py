@@ -12,7 +12,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..robot.inertial_parameters import Parameters
-from .consistency import Prior, symmetric_pseudo_inverse, prior_information
+from .consistency import Prior, prior_information, symmetric_pseudo_inverse
 
 Array = np.ndarray
 BODIES_OFF = 0.1

@@ -14,7 +14,7 @@ from ..robot.dynamics import regressor
 from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot
 from ..robot.samples import Samples
-from .lowpass import MOTION_BANDWIDTH_RATIO, LowPassFilter, Grid, friction_speed
+from .lowpass import MOTION_BANDWIDTH_RATIO, Grid, LowPassFilter, friction_speed
 from .segments import Segment, split_into_chunks
 
 Array = np.ndarray

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .estimators import Estimate, least_squares
-from .lowpass import LowPassFilter, Grid
+from .lowpass import Grid, LowPassFilter
 from .regression import TorqueEquations
 
 Array = np.ndarray

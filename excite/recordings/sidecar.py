@@ -43,7 +43,8 @@ def read(recording: Path, robot: Robot) -> Sidecar:
     A JSON document of another excite schema (a trajectory beside its CSV) is none.
 
     Raises:
-        UnusableInput: The file cannot be read, has no schema, breaks a rule of `schemas.recording`, or names a joint that is not there.
+        UnusableInput: The file cannot be read, has no schema, breaks a rule of
+            `schemas.recording`, or names a joint that is not there.
     """
     path = beside(recording)
     if path == recording or not path.is_file():

@@ -26,7 +26,7 @@ def section(found: Diagnosis, stated: Mapping[str, Any]) -> Iterator[Section]:
     joints = list(dict.fromkeys(one["joint"] for one in told))
     answer = f"No: friction or torque offset of {some(joints)} is another in {some(_names(told))}."
     left = dict(
-        zip(found.identified.model.robot.joints, (found.same / found.floor).tolist(), strict=True)
+        zip(found.identified.model.robot.joints, (found.rmse_without_changes / found.floor).tolist(), strict=True)
     )
     rows = [
         (

@@ -15,7 +15,7 @@ from ..designer.certificate import CLEARANCE
 from ..designer.experiment_comparison import Scenario, compare_scenarios
 from ..designer.identifiability import Identifiability
 from ..robot.base_parameters import Base
-from ..robot.dynamics import band, regressor
+from ..robot.dynamics import torque_band
 from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot
 from ..trajectory.trajectory_file import Trajectory, package_versions
@@ -333,10 +333,8 @@ def _torque_section(subject: _Subject) -> Section:
     radius = float(trajectory.design.get("uncertainty", 0.0))
     at_most = 1000 if robot.n <= COMPACT_LAYOUT_JOINTS else 600
     t = trajectory_figures.sample_times(trajectory.motion, at_most)
-    nominal, width = band(
-        regressor(robot, subject.parameters, trajectory.motion.samples(t)),
-        subject.parameters,
-        radius,
+    nominal, width = torque_band(
+        robot, subject.parameters, trajectory.motion.samples(t), radius
     )
     ratio = (np.abs(nominal) + width).max(axis=0) / trajectory.limits.torque
     worst = int(np.argmax(ratio))

@@ -12,7 +12,7 @@ from ..diagnosis import residual_atlas as atlas
 from ..diagnosis.diagnosis import QUIET, Diagnosis
 from ..diagnosis.isolability import ALIKE, EffectAtJoint, isolability
 from ..diagnosis.residual_atlas import SIGNIFICANT, Atlas
-from ..effects import EFFECTS_BY_NAME, EFFECTS
+from ..effects import EFFECTS, EFFECTS_BY_NAME
 from ..recordings import Remark
 from ..robot.parameter_names import listed, percent, some
 from ..trajectory.trajectory_file import package_versions
@@ -23,7 +23,21 @@ from .figures import residual_atlas as atlas_figures
 from .figures.diagnosis import told
 from .figures.torque_fit import EXCERPT, drawn_points
 from .figures.trajectory import torque_units
-from .page import Section, banner, bullets, cards, escape, figure, folded, meter, number, page, paragraph, plural, table
+from .page import (
+    Section,
+    banner,
+    bullets,
+    cards,
+    escape,
+    figure,
+    folded,
+    meter,
+    number,
+    page,
+    paragraph,
+    plural,
+    table,
+)
 
 Array = np.ndarray
 Stated = Mapping[str, Any]
@@ -387,7 +401,7 @@ def _better(found: Diagnosis, stated: Stated) -> Section:
         body += folded(plural(len(parts) - 2, "more recording"), "".join(parts[2:]))
     note = f"Torque below {number(stated['band_hz'], 3)} Hz, the same filter on both sides; base model and findings fitted to the other "
     note += "recordings. "
-    if not found.moves.all():
+    if not found.moving.all():
         note += "Where a joint stands still nothing is predicted or judged: static friction is whatever holds it. "
     if any(one.time[-1] - one.time[0] > EXCERPT for one in shown):
         note += f"Of recordings longer than {EXCERPT:g} s the stretch around the largest error is drawn; the table is of all of it."
@@ -483,7 +497,7 @@ def _next(found: Diagnosis, stated: Stated) -> Section:
 
 def _made(found: Diagnosis, looked: Atlas, remarks: Sequence[Remark]) -> Section:
     identified, robot = found.identified, found.identified.model.robot
-    sources = [list(dict.fromkeys(t.piece.source for t in half)) for half in found.tracks]
+    sources = [list(dict.fromkeys(t.segment.source for t in half)) for half in found.motions]
     answer = f"{plural(len(found.design.shapes), 'shape')} of {len(EFFECTS)} effects, alone and together, each refit with the base model on "
     answer += f"{plural(len(sources[0]), 'recording')} and judged on {plural(len(sources[1]), 'other recording')}; "
     answer += f"{remarked.said(remarks)}."
@@ -492,7 +506,7 @@ def _made(found: Diagnosis, looked: Atlas, remarks: Sequence[Remark]) -> Section
         "SHA-256 of the URDF": robot.sha256,
         "fitted to": ", ".join(sources[0]),
         "held out": ", ".join(sources[1]),
-        "rows": f"{sum(map(len, found.tracks[0]))} fitted, {sum(map(len, found.tracks[1]))} held out, × {plural(robot.n, 'joint')}",
+        "rows": f"{sum(map(len, found.motions[0]))} fitted, {sum(map(len, found.motions[1]))} held out, × {plural(robot.n, 'joint')}",
         "band": f"{number(found.hertz)} Hz",
         "base model": f"{identified.model.base.count} parameters, "
         + (

@@ -56,7 +56,7 @@ def ahead(stated: Stated, robot: Robot) -> str:
 
 def errors(found: Diagnosis, stated: Stated) -> str:
     robot = found.identified.model.robot
-    torque, moving = found.torque, found.moves.mean(axis=0)
+    torque, moving = found.torque, found.moving.mean(axis=0)
     changed, rows = bool(stated["findings"]), []
     for k, (joint, unit) in enumerate(zip(robot.joints, torque_units(robot), strict=True)):
         before, after, floor = float(found.before[k]), float(found.after[k]), float(found.floor[k])

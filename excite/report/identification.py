@@ -17,7 +17,19 @@ from ..trajectory.trajectory_file import package_versions
 from . import estimates, noise, prediction
 from . import remarks as remarked
 from .identifiability import without_verdict as bare
-from .page import Section, banner, bullets, cards, escape, folded, number, page, paragraph, plural, table
+from .page import (
+    Section,
+    banner,
+    bullets,
+    cards,
+    escape,
+    folded,
+    number,
+    page,
+    paragraph,
+    plural,
+    table,
+)
 
 _GRAVITY = (0.0, 0.0, -9.81)
 _METHODS = {

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import pinocchio as pin
 
@@ -10,6 +12,8 @@ from .robot import Robot
 from .samples import Samples
 
 Array = np.ndarray
+BLOCK_NUMBERS = 1 << 22
+"""Numbers of a regressor that are held at once (32 MiB), whatever the length of a motion."""
 
 
 def regressor(robot: Robot, parameters: Parameters, motion: Samples) -> Array:
@@ -35,6 +39,28 @@ def regressor(robot: Robot, parameters: Parameters, motion: Samples) -> Array:
         out[:, rows, start + rows] = columns[kind]
         start += robot.n
     return out
+
+
+def regressor_blocks(robot: Robot, parameters: Parameters, motion: Samples) -> Iterator[Array]:
+    """Y at consecutive samples, in blocks of at most BLOCK_NUMBERS numbers. Shape (≤ N, n, P) each."""
+    size = max(BLOCK_NUMBERS // (robot.n * parameters.count), 16)
+    for start in range(0, len(motion), size):
+        yield regressor(robot, parameters, motion.rows(slice(start, start + size)))
+
+
+def torque(robot: Robot, parameters: Parameters, motion: Samples) -> Array:
+    """Nominal torque Yψ₀. Shape (N, n) [N m]."""
+    return torque_band(robot, parameters, motion, 0.0)[0]
+
+
+def torque_band(
+    robot: Robot, parameters: Parameters, motion: Samples, radius: float
+) -> tuple[Array, Array]:
+    """Nominal torque and the half-width of `band` along a motion of any length. Shapes (N, n)."""
+    parts = [band(Y, parameters, radius) for Y in regressor_blocks(robot, parameters, motion)]
+    empty = np.empty((0, robot.n))
+    nominal, width = (np.concatenate([empty, *part]) for part in zip(*parts, strict=True))
+    return nominal, width
 
 
 def positions(robot: Robot, frame: str, q: Array) -> Array:

@@ -15,7 +15,18 @@ import numpy as np
 
 from ..errors import ExciteWarning, MissingLimit, UnusableInput
 from ..schemas.document_file import DocumentFile, written
-from ..schemas.limits import MOVEIT_UNUSED, MOVEIT_VALUES, BrakingDocument, BuiltinLimitsFile, JointLimits, LimitsFile, MoveItSwitchesFile, MoveItValues, MoveItValuesFile, StatedLimits
+from ..schemas.limits import (
+    MOVEIT_UNUSED,
+    MOVEIT_VALUES,
+    BrakingDocument,
+    BuiltinLimitsFile,
+    JointLimits,
+    LimitsFile,
+    MoveItSwitchesFile,
+    MoveItValues,
+    MoveItValuesFile,
+    StatedLimits,
+)
 from .robot import Follower, Robot, builtin_names
 
 Array = np.ndarray
@@ -331,10 +342,11 @@ def _read_toml(file: Path, schema: type[TomlLimits]) -> TomlLimits:
 
 
 def _read_yaml(file: Path) -> dict[str, JointLimits]:
-    """MoveIt's joint_limits.yaml: has_<x>_limits switches, and max_<x>, min_position and max_position where they are on.
+    """The limits of a MoveIt joint_limits.yaml whose switches, has_<x>_limits, are on.
 
     Raises:
-        UnusableInput: The file is none; a switch is on and its value is missing; or a key looks like a limit and is none.
+        UnusableInput: The file is none; a switch is on and its value is missing; or a key looks
+            like a limit and is none.
     """
     document = _document(file)
     content = document.yaml()

@@ -19,6 +19,8 @@ MOST_LINKS = 1000
 """Largest number of links; Pinocchio's parser recurses once per link of a chain."""
 NARROWEST = 1e-9
 """Narrowest range of positions that counts as one [rad or m]; lower = upper = 0 is how some URDFs say that there is no limit."""
+SHAPE_NUMBERS = ("xyz", "rpy", "rgba", "radius", "length", "size", "scale")
+"""Attributes of <visual> and <collision> that hold numbers."""
 SHOWN = 40
 """Characters of a name or a number that a message repeats."""
 
@@ -110,6 +112,22 @@ def is_file(path: Path) -> bool:
         return path.is_file()
     except OSError:
         return False
+
+
+def _require_finite_shapes(source: str, link: ElementTree.Element) -> None:
+    """Raise UnusableInput for a number of a link's shapes that is not finite.
+
+    The shapes are not read here, but copied into the URDF of an identified robot.
+    """
+    for kind in ("visual", "collision"):
+        for element in (inner for shape in link.findall(kind) for inner in shape.iter()):
+            for key in SHAPE_NUMBERS:
+                words = element.get(key, "").lower().split()
+                if any(word.lstrip("+-") in ("nan", "inf", "infinity") for word in words):
+                    raise UnusableInput(
+                        f"{source}: link '{link.get('name')}', in its <{kind}>: '{element.get(key)}' "
+                        "is not finite; correct it"
+                    )
 
 
 def _names(source: str, root: ElementTree.Element, tag: str) -> list[str]:
@@ -328,6 +346,7 @@ def _plain_joint(source: str, element: ElementTree.Element, links: set[str]) -> 
 
 def _plain_link(source: str, element: ElementTree.Element) -> str:
     name = _attribute(source, element, "name")
+    _require_finite_shapes(source, element)
     owner = f"link '{name}'"
     inertial = element.find("inertial")
     if inertial is None:

@@ -1,4 +1,7 @@
-"""Bounds of masses and centres of mass, TOML: `[links.NAME] mass = [least, most]`, `centre = [[x, y, z], [x, y, z]]`."""
+"""Bounds of masses and centres of mass, a TOML file.
+
+`[links.NAME] mass = [least, most]`, `centre = [[x, y, z], [x, y, z]]`.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,10 @@ NARROWEST_CENTRE = 1e-6
 
 
 class LinkBounds(msgspec.Struct, forbid_unknown_fields=True):
-    """Bounds of one link; None where there are none. centre: the least and the largest coordinates."""
+    """Bounds of one link; None where there are none.
+
+    centre: the least and the largest coordinates.
+    """
 
     mass: tuple[Mass, PositiveMass] | None = None
     centre: tuple[tuple[Length, Length, Length], tuple[Length, Length, Length]] | None = None
@@ -31,7 +37,7 @@ def _interval(key: str, pair: tuple[float, float], narrowest: float) -> None:
     ordered(key, pair)
     if pair[1] - pair[0] < narrowest:
         raise ValueError(
-            f"{key}: {pair[0]:g} and {pair[1]:g} are nearer than {narrowest:g} to each other; widen the bounds"
+            f"{key}: {pair[0]:g} and {pair[1]:g} are nearer than {narrowest:g}; widen the bounds"
         )
 
 

@@ -1,4 +1,4 @@
-"""The cell in a trajectory: shapes of the robot and of what stands around it, and which of them need not keep apart."""
+"""The cell in a trajectory: shapes, and which pairs of bodies need not keep apart."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "box": 3, "mesh": 3, "floor":
 
 
 class ShapeDocument(msgspec.Struct):
-    """A shape in the frame of a link, or in the base frame; a mesh has its file and that file's digest."""
+    """A shape in the frame of a link, or in the base frame.
+
+    A mesh states its file and the digest of that file.
+    """
 
     name: Name
     kind: ShapeKind
@@ -28,7 +31,7 @@ class ShapeDocument(msgspec.Struct):
     def __post_init__(self) -> None:
         if len(self.size) != SIZES[self.kind]:
             raise ValueError(
-                f"the size of a {self.kind} should hold {SIZES[self.kind]} values, not {len(self.size)}"
+                f"size: a {self.kind} should have {SIZES[self.kind]} values, not {len(self.size)}"
             )
         if self.kind == "mesh" and (self.file is None or self.sha256 is None):
             raise ValueError("a mesh should state its file and the file's sha256")
@@ -37,7 +40,10 @@ class ShapeDocument(msgspec.Struct):
 
 
 def check_floor(floor: float | bool | None) -> None:
-    """Raise ValueError for a floor that is neither a height nor false. msgspec has no union of a bool with a `Length`."""
+    """Raise ValueError for a floor that is neither a height nor false.
+
+    msgspec has no union of a bool with a `Length`.
+    """
     if floor is True or not (floor is None or floor is False or Length.accepted.accepts(floor)):
         raise ValueError(
             f"floor: {shown(floor)} should be a height {Length.accepted}, or false for none"

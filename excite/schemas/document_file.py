@@ -1,8 +1,9 @@
 """JSON, TOML and YAML files, read within bounds and checked against a schema.
 
-The parsers of Python take what no document of ours holds: files without end, thousands of nested lists, integers of thousands of digits,
-NaN and Infinity, a key twice in one table, YAML aliases that unfold to gigabytes. Each of them is refused here, in one line that names
-the file and the key; the schema then checks what is left.
+The parsers of Python take what no document of ours holds: files without end, thousands of nested
+lists, integers of thousands of digits, NaN and Infinity, a key twice in one table, YAML aliases
+that unfold to gigabytes. Each of them is refused here, in one line that names the file and the key;
+the schema then checks the rest.
 """
 
 from __future__ import annotations
@@ -31,17 +32,20 @@ LARGEST_JSON = 1 << 25
 LARGEST_TOML = 1 << 20
 """Bytes of a TOML file that are read: 1 MiB. The limits of 60 joints take 20 kB."""
 LARGEST_YAML = 1 << 18
-"""Bytes of a YAML file that are read: 256 KiB, which PyYAML parses in 5 s. The limits of 60 joints take 30 kB."""
+"""Bytes of a YAML file that are read: 256 KiB, which PyYAML parses in 5 s.
+
+The limits of 60 joints take 30 kB.
+"""
 DEEPEST = 40
 """Deepest nesting of tables and lists. A trajectory nests 7 deep."""
 LONGEST_INTEGER = 19
-"""Digits of an integer; what is longer is a float, so that it is checked against the range of its key."""
+"""Digits of an integer; a longer one becomes a float, so that the range of its key refuses it."""
 MOST_KNOWN_KEYS = 12
 """Keys that a message lists."""
 
 
 class _Flaw(Exception):
-    """What is wrong with a plain value, and where."""
+    """A fault of a plain value: the problem, and the keys that lead to it."""
 
     def __init__(self, problem: str) -> None:
         super().__init__(problem)
@@ -57,7 +61,8 @@ class DocumentFile:
         path: The file.
         kind: The kind with its article, for messages: "a trajectory".
         remedy: What to do about a value that does not fit: "design it again".
-        origin: What to give instead of a file of another kind: "the trajectory.json of 'excite design'".
+        origin: What to give instead of a file of another kind: "the trajectory.json of
+            'excite design'".
     """
 
     path: Path
@@ -79,7 +84,8 @@ class DocumentFile:
         """The plain value of a JSON file.
 
         Raises:
-            UnusableInput: The file cannot be read, is no strict JSON in UTF-8, or breaks a bound of this module.
+            UnusableInput: The file cannot be read, is no strict JSON in UTF-8, or breaks a bound
+                of this module.
         """
         return self._parsed(LARGEST_JSON, _json)
 
@@ -95,13 +101,16 @@ class DocumentFile:
         """The schema that a document states. Raises UnusableInput unless it is one of `schemas`."""
         stated = document.get("schema") if isinstance(document, dict) else None
         if not isinstance(stated, str) or stated not in schemas:
-            raise UnusableInput(
-                f"{self.path}: its schema is {shown(stated)}, not {schemas[0]!r}; give {self.origin}"
-            )
+            problem = f"its schema is {shown(stated)}, not {schemas[0]!r}"
+            raise UnusableInput(f"{self.path}: {problem}; give {self.origin}")
         return stated
 
     def converted(self, document: Any, schema: type[T]) -> T:
-        """Check a plain value against a schema and make it one. Raises UnusableInput for what does not fit."""
+        """Check a plain value against a schema and make it one.
+
+        Raises:
+            UnusableInput: The value does not fit the schema.
+        """
         try:
             return _converted(document, schema)
         except msgspec.ValidationError as error:
@@ -151,7 +160,7 @@ def written(keys: Sequence[Key]) -> str:
     return out
 
 
-# -- parsing ---------------------------------------------------------------------------------------------------------
+# -- parsing ---------------------------------------------------------------------------------------
 
 
 def _json(text: str) -> Any:
@@ -198,12 +207,15 @@ def _yaml(text: str) -> Any:
         where = "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
         raise _Flaw(f"{where}{problem}") from error
     except (ValueError, TypeError, LookupError, AttributeError, ArithmeticError) as error:
-        # PyYAML's constructors raise these for a scalar that does not fit its tag, such as !!timestamp x
+        # PyYAML raises these for a scalar that does not fit its tag, such as !!timestamp x
         raise _Flaw(f"{type(error).__name__}: {shown(str(error))}") from error
 
 
 def _yaml_loader() -> Any:
-    """The safe loader without aliases, with keys as texts, and with the tags !degrees and !radians of Universal Robots' own files."""
+    """The safe loader without aliases and with keys as texts.
+
+    It knows the tags !degrees and !radians of Universal Robots' own files.
+    """
     import yaml
 
     class Loader(yaml.SafeLoader):  # type: ignore[misc]
@@ -277,7 +289,7 @@ def _check_text(text: str, what: str) -> None:
         raise _Flaw(f"{what} has the half character U+{ord(half[0]):04X}, which cannot be written")
 
 
-# -- the schema's errors ---------------------------------------------------------------------------------------------
+# -- errors of the schema --------------------------------------------------------------------------
 
 
 def _converted(document: Any, schema: type[T]) -> T:
@@ -297,24 +309,24 @@ _WORDS = {
 
 
 _PROBLEMS: tuple[tuple[str, Callable[[re.Match[str], Any, Any], str]], ...] = (
-    (r"Object missing required field `(.*)`", lambda found, value, kind: f"has no '{found[1]}'"),
+    (r"Object missing required field `(.*)`", lambda match, value, kind: f"has no '{match[1]}'"),
     (
         r"Object contains unknown field `(.*)`",
-        lambda found, value, kind: f"has the unknown key {shown(found[1])}{_alternatives(kind)}",
+        lambda match, value, kind: f"has the unknown key {shown(match[1])}{_alternatives(kind)}",
     ),
     (
         r"Invalid enum value .*",
-        lambda found, value, kind: (
+        lambda match, value, kind: (
             f"{shown(value)} is none of {', '.join(map(str, typing.get_args(kind)))}"
         ),
     ),
     (
         r"Expected `array` of length (\d+).*",
-        lambda found, value, kind: f"should hold {found[1]} values, not {len(value)}",
+        lambda match, value, kind: f"should hold {match[1]} values, not {len(value)}",
     ),
     (
         r"Expected `([^`]*)`.*",
-        lambda found, value, kind: f"{shown(value)} should be {_in_words(found[1])}",
+        lambda match, value, kind: f"{shown(value)} should be {_in_words(match[1])}",
     ),
 )
 """Messages of msgspec, and how to say the same by the value and its type."""
@@ -328,12 +340,12 @@ def _explained(document: Any, schema: type, message: str) -> tuple[str, str]:
     for key in keys:
         value = value[key]
     for pattern, words in _PROBLEMS:
-        if found := re.fullmatch(pattern, problem, re.DOTALL):
-            return where, words(found, value, _type_at(schema, keys))
-    if found := re.fullmatch(
+        if match := re.fullmatch(pattern, problem, re.DOTALL):
+            return where, words(match, value, _type_at(schema, keys))
+    if match := re.fullmatch(
         r"(\w+(?:\.\w+|\[\d+\])*): (.*)", problem, re.DOTALL
     ):  # a struct's own check names a key in it
-        return (f"{where}." if where else "") + found[1], found[2]
+        return (f"{where}." if where else "") + match[1], match[2]
     return where, problem
 
 
@@ -342,7 +354,10 @@ def _in_words(types_of_msgspec: str) -> str:
 
 
 def _keys(document: Any, schema: type, message: str, parts: Sequence[tuple[str, str]]) -> list[Key]:
-    """Keys of the value that an error is about. msgspec writes `[...]` for any key of a table with free keys."""
+    """Keys of the value that an error is about.
+
+    msgspec writes `[...]` for any key of a table with free keys.
+    """
     keys: list[Key] = []
     for name, index in parts:
         if index == "...":
@@ -353,7 +368,10 @@ def _keys(document: Any, schema: type, message: str, parts: Sequence[tuple[str, 
 
 
 def _culprit(document: Any, schema: type, message: str, keys: Sequence[Key]) -> str:
-    """The key of the table at `keys` whose value is refused: the first without which the same error does not arise."""
+    """The key of the table at `keys` whose value is refused.
+
+    It is the first key without which the same error does not arise, found by bisection.
+    """
     table = document
     for key in keys:
         table = table[key]

@@ -1,6 +1,7 @@
-"""The effects in a model: which nonlinear parameters each may have, in which ranges, and how many coefficients.
+"""The effects in a model: their nonlinear parameters with ranges, and numbers of coefficients.
 
-The forms below are those of the catalogue in `diagnose`; tests/test_document_schemas.py compares every shape of the catalogue with them.
+The forms are those of the catalogue in `excite.effects`; tests/test_document_schemas.py compares
+every shape of the catalogue with them.
 """
 
 from __future__ import annotations
@@ -200,21 +201,17 @@ class EffectDocument(msgspec.Struct):
         _check_values(self.values, form)
         needed = form.coefficients(self.values)
         if len(self.coefficients) != needed:
-            raise ValueError(
-                f"coefficients: '{self.effect}' should have {needed} of them, not {len(self.coefficients)}"
-            )
+            count = len(self.coefficients)
+            raise ValueError(f"coefficients: '{self.effect}' should have {needed}, not {count}")
         if form.joint is not None and form.joint != (self.joint is not None):
-            raise ValueError(
-                f"joint: '{self.effect}' {'needs a joint' if form.joint else 'has no joint'}, not {shown(self.joint)}"
-            )
+            expected = "needs a joint" if form.joint else "has no joint"
+            raise ValueError(f"joint: '{self.effect}' {expected}, not {shown(self.joint)}")
         if form.other != (self.other is not None) or (form.other and self.other == self.joint):
-            raise ValueError(
-                f"from: '{self.effect}' {'comes from another joint' if form.other else 'has none'}, not {shown(self.other)}"
-            )
+            expected = "comes from another joint" if form.other else "has none"
+            raise ValueError(f"from: '{self.effect}' {expected}, not {shown(self.other)}")
         if form.interval != (self.time is not None):
-            raise ValueError(
-                f"time: '{self.effect}' {'needs an interval' if form.interval else 'has no interval'}, not {shown(self.time)}"
-            )
+            expected = "needs an interval" if form.interval else "has no interval"
+            raise ValueError(f"time: '{self.effect}' {expected}, not {shown(self.time)}")
         if self.time is not None and not (self.time[0] < self.time[1] and self.recording):
             raise ValueError(
                 "time: should be [start, end] with start < end, of a recording that is named"

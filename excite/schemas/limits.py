@@ -4,11 +4,21 @@ from __future__ import annotations
 
 import msgspec
 
-from .quantities import AccelerationLimit, JerkLimit, Length, Position, Share, Text, TorqueLimit, VelocityLimit, VelocityOffset
+from .quantities import (
+    AccelerationLimit,
+    JerkLimit,
+    Length,
+    Position,
+    Share,
+    Text,
+    TorqueLimit,
+    VelocityLimit,
+    VelocityOffset,
+)
 
 
 class BrakingDocument(msgspec.Struct, forbid_unknown_fields=True):
-    """A velocity limit that falls towards a position stop, |q̇| ≤ −offset + √(rate · distance to the stop)."""
+    """A velocity limit that falls towards a position stop; see `robot.limits.Braking`."""
 
     offset: VelocityOffset
     rate: AccelerationLimit
@@ -57,7 +67,10 @@ class TorqueEntry(msgspec.Struct):
 
 
 class StatedLimits(msgspec.Struct):
-    """The limits in a trajectory, joint by joint; `limits.Limits.document` writes them. An absent limit is absent."""
+    """The limits in a trajectory, joint by joint; an absent limit is absent.
+
+    `robot.limits.Limits.document` writes them.
+    """
 
     position: dict[str, PositionEntry] = {}
     velocity: dict[str, VelocityEntry] = {}
@@ -100,7 +113,8 @@ class LimitsFile(msgspec.Struct, forbid_unknown_fields=True):
     def __post_init__(self) -> None:
         if not self.joints and self.margin is None:
             raise ValueError(
-                "has no [joints.<name>] tables; write one per joint, e.g. [joints.elbow] velocity = 2.0"
+                "has no [joints.<name>] tables; write one per joint, "
+                "e.g. [joints.elbow] velocity = 2.0"
             )
 
 
@@ -117,7 +131,7 @@ class BuiltinLimitsFile(LimitsFile, forbid_unknown_fields=True):
 
 
 class MoveItSwitches(msgspec.Struct):
-    """The switches of one joint of MoveIt's `joint_limits.yaml`: a value binds where its switch is on."""
+    """The switches of one joint of MoveIt's `joint_limits.yaml`, each of which turns a value on."""
 
     has_position_limits: bool = False
     has_velocity_limits: bool = False
@@ -162,12 +176,14 @@ MOVEIT_VALUES = {
 }
 """The values that each switch of MoveIt's `joint_limits.yaml` turns on."""
 MOVEIT_UNUSED = ("has_deceleration_limits", "max_deceleration", "has_soft_limits")
-"""Further switches and values of MoveIt and ros2_control, which nothing here uses. Other keys that begin like a limit are misspelt."""
+"""Further switches and values of MoveIt and ros2_control, which nothing here uses.
+
+Other keys that begin like a limit are misspelt.
+"""
 
 
 def ordered(key: str, pair: tuple[float, float]) -> None:
     """Raise ValueError unless the first of two bounds is below the second."""
     if not pair[0] < pair[1]:
-        raise ValueError(
-            f"{key}: the lower bound {pair[0]:g} is not below the upper bound {pair[1]:g}; swap or widen them"
-        )
+        order = f"the lower bound {pair[0]:g} is not below the upper bound {pair[1]:g}"
+        raise ValueError(f"{key}: {order}; swap or widen them")

@@ -7,7 +7,22 @@ from typing import Literal
 import msgspec
 
 from .effects import EffectDocument
-from .quantities import Band, CoulombFriction, FilePath, FrictionWidth, Gravity, InertialParameter, Mass, Name, RotorInertia, Sha256, Text, Torque, ViscousFriction, shown
+from .quantities import (
+    Band,
+    CoulombFriction,
+    FilePath,
+    FrictionWidth,
+    Gravity,
+    InertialParameter,
+    Mass,
+    Name,
+    RotorInertia,
+    Sha256,
+    Text,
+    Torque,
+    ViscousFriction,
+    shown,
+)
 from .trajectory import Drive
 
 SCHEMA = "excite.model/1"
@@ -39,9 +54,10 @@ class ParameterDocument(msgspec.Struct):
 
 
 class ModelDocument(msgspec.Struct):
-    """What a prediction reads of the file.
+    """The keys that a prediction reads.
 
-    urdf: the identified robot. standard_parameters: ten of each link, then those of each kind in `drive`, joint by joint.
+    urdf: the identified robot. standard_parameters: ten of each link, then those of each kind in
+    `drive`, joint by joint.
     """
 
     schema: Literal["excite.model/1"]
@@ -67,9 +83,8 @@ class ModelDocument(msgspec.Struct):
                 if named is not None and named not in self.joints:
                     raise ValueError(f"effects[{i}].{key}: {shown(named)} is none of the joints")
             if effect.values.get("late_joint", 0.0) >= len(self.joints):
-                raise ValueError(
-                    f"effects[{i}].values.late_joint: {effect.values['late_joint']:g} is the number of no joint"
-                )
+                number = effect.values["late_joint"]
+                raise ValueError(f"effects[{i}].values.late_joint: there is no joint {number:g}")
             if effect.values.get("link", 0.0) >= len(self.links):
                 raise ValueError(
                     f"effects[{i}].values.link: {effect.values['link']:g} is the number of no link"
@@ -77,15 +92,17 @@ class ModelDocument(msgspec.Struct):
 
 
 def _check_parameters(document: ModelDocument) -> None:
-    """Raise ValueError unless the standard parameters fit the links and joints, masses positive and friction resisting."""
+    """Raise ValueError unless the standard parameters fit the links and joints.
+
+    Masses are not negative, and friction does not push.
+    """
     if len(set(document.drive)) < len(document.drive):
         raise ValueError("drive: a parameter is named twice")
     edge, n = TEN * len(document.links), len(document.joints)
     count, stated = edge + n * len(document.drive), document.standard_parameters
     if len(stated) != count:
-        raise ValueError(
-            f"standard_parameters: should hold {count} values for these links and joints, not {len(stated)}"
-        )
+        expected = f"should hold {count} values for these links and joints"
+        raise ValueError(f"standard_parameters: {expected}, not {len(stated)}")
     accepted = {i: Mass.accepted for i in range(0, edge, TEN)}
     for k, kind in enumerate(document.drive):
         accepted |= dict.fromkeys(range(edge + k * n, edge + (k + 1) * n), DRIVE_RANGES[kind])

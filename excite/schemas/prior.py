@@ -1,4 +1,4 @@
-"""What is known of a robot beforehand, schema excite.prior/1."""
+"""Prior knowledge of a robot, schema excite.prior/1."""
 
 from __future__ import annotations
 

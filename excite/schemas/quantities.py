@@ -1,7 +1,7 @@
 """Numbers and names of documents, each type with its accepted range and unit.
 
-A field of a struct is annotated with one of these types; `converted` checks a value and makes it one. They are floats and strings, so
-that the code behind the reader computes with them as they are.
+A field of a struct is annotated with one of these types; `converted` checks a value and makes it
+one. They are floats and strings, so that the code behind the reader computes with them as they are.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from .. import physical_ranges as ranges
 from ..physical_ranges import Range
 
 LONGEST_NAME = 1000
-"""Characters of a name. The longest joint name among 100 published URDFs has 60; what is longer than a page is no name."""
+"""Characters of a name. The longest joint name among 100 published URDFs has 60."""
 LONGEST_TEXT = 100_000
 """Characters of any other text but the URDF in a model: notes, sources, statements."""
 LONGEST_PATH, LONGEST_FILE_NAME = 4096, 255
@@ -72,7 +72,7 @@ class Velocity(Quantity):
 
 
 class Acceleration(Quantity):
-    """A joint acceleration: at most the largest velocity gained in 1 ms, the shortest control cycle in use."""
+    """A joint acceleration: at most the largest velocity gained in 1 ms, a usual control cycle."""
 
     accepted = Range(-1e9, 1e9, "rad/s² or m/s²")
 
@@ -144,7 +144,7 @@ class RotorInertia(Quantity):
 
 
 class InertialParameter(Quantity):
-    """One of the ten inertial parameters of a link: mass [kg], first moment [kg m] or inertia [kg m²]."""
+    """One of the ten inertial parameters of a link: mass, first moment or inertia."""
 
     accepted = Range(ranges.INERTIA.lower, ranges.INERTIA.upper, "kg, kg m or kg m²")
 
@@ -156,7 +156,7 @@ class Mass(Quantity):
 
 
 class PositiveMass(Quantity):
-    """A mass of a body that is there. A bound on a mass below a milligram cannot be told from 0 by the estimator."""
+    """A mass above 0: at least a milligram, below which the estimator cannot tell it from 0."""
 
     accepted = Range(1e-6, ranges.MASS.upper, ranges.MASS.unit)
 
@@ -218,13 +218,13 @@ class ClockTime(Quantity):
 class Period(Quantity):
     """A period of an excitation: at least a control cycle, at most 12 days."""
 
-    accepted = Range(1e-3, 1e6, "s")
+    accepted = ranges.PERIOD
 
 
 class Rate(Quantity):
-    """Rows a second: from one in 100 s to the fastest data loggers."""
+    """Rows a second."""
 
-    accepted = Range(1e-2, 1e5, "Hz")
+    accepted = ranges.RATE
 
 
 class AngularFrequency(Quantity):
@@ -236,9 +236,9 @@ class AngularFrequency(Quantity):
 
 
 class Band(Quantity):
-    """The corner frequency of a low-pass filter. Its filter lasts some periods of it."""
+    """The corner frequency of a low-pass filter, which takes some periods of it to settle."""
 
-    accepted = Range(1e-2, 1e5, "Hz")
+    accepted = ranges.RATE
 
 
 class FrictionWidth(Quantity):
@@ -260,7 +260,7 @@ class Speed(Quantity):
 
 
 class Uncertainty(Quantity):
-    """The radius of the ball of robots for which torque limits hold, in the metric of the nominal robot."""
+    """The radius of the ball of robots for which torque limits hold, in the metric H₀."""
 
     accepted = Range(0.0, 1e3, "1")
 
@@ -278,7 +278,7 @@ class Statistic(Quantity):
 
 
 class Name(str):
-    """A name of a robot, a joint, a link or a frame: not empty, no control characters or line breaks, at most LONGEST_NAME long."""
+    """A name of a robot, a joint, a link or a frame; see `name_fault`."""
 
 
 class Text(str):

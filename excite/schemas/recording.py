@@ -1,4 +1,4 @@
-"""The sidecar of a recording, schema excite.recording/1: what its columns cannot say."""
+"""The sidecar of a recording, schema excite.recording/1."""
 
 from __future__ import annotations
 
@@ -31,10 +31,8 @@ class SidecarDocument(msgspec.Struct):
             return
         length = self.periodic[1] - self.periodic[0]
         if not length > 0.0:
-            raise ValueError(
-                f"periodic: [{self.periodic[0]:g}, {self.periodic[1]:g}] should be [start, end] with start < end"
-            )
+            window = f"[{self.periodic[0]:g}, {self.periodic[1]:g}]"
+            raise ValueError(f"periodic: {window} should be [start, end] with start < end")
         if self.period is not None and length < SHORTEST_WINDOW * self.period:
-            raise ValueError(
-                f"periodic: a window of {length:g} s is much shorter than the period, {self.period:g} s"
-            )
+            shorter = f"much shorter than the period, {self.period:g} s"
+            raise ValueError(f"periodic: a window of {length:g} s is {shorter}")

@@ -1,4 +1,4 @@
-"""What stands around a robot and what it carries, TOML: shapes by kind, the floor and the clearance."""
+"""A scene, a TOML file: shapes around the robot and on it, the floor and the clearance."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ from .quantities import Angle, Clearance, FilePath, Length, MeshScale, Name, Siz
 
 
 class _Placed(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    """A shape's place: in the frame of `link`, or in the base frame. ignore: bodies that it may touch."""
+    """The place of a shape: in the frame of `link`, or in the base frame.
+
+    ignore: bodies that it may touch.
+    """
 
     name: Name | None = None
     position: tuple[Length, Length, Length] = (Length(0.0), Length(0.0), Length(0.0))
@@ -65,7 +68,7 @@ class Box(_Placed, forbid_unknown_fields=True, kw_only=True):
 
 
 class Mesh(_Placed, forbid_unknown_fields=True, kw_only=True):
-    """A mesh. file: beside the scene file, or absolute."""
+    """A mesh. file: relative to the scene file, or absolute."""
 
     file: FilePath
     scale: tuple[MeshScale, MeshScale, MeshScale] = (MeshScale(1.0), MeshScale(1.0), MeshScale(1.0))

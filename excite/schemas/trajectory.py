@@ -1,4 +1,4 @@
-"""`trajectory.json`, schema excite.trajectory/1: a motion with all that is needed to replay and to check it."""
+"""`trajectory.json`, schema excite.trajectory/1: a motion that can be replayed and checked."""
 
 from __future__ import annotations
 
@@ -9,9 +9,34 @@ from typing import Any, Literal, get_args
 
 import msgspec
 
+from .. import physical_ranges as ranges
+from ..physical_ranges import Range
 from .cell import CellDocument
 from .limits import StatedLimits
-from .quantities import Acceleration, AngularFrequency, FilePath, Gravity, Inertia, Jerk, Length, Name, Period, Position, PositiveMass, Rate, Sha256, Share, Speed, Statistic, Text, Time, TorqueNoise, Uncertainty, Velocity, shown
+from .quantities import (
+    Acceleration,
+    AngularFrequency,
+    FilePath,
+    Gravity,
+    Inertia,
+    Jerk,
+    Length,
+    Name,
+    Period,
+    Position,
+    PositiveMass,
+    Rate,
+    Sha256,
+    Share,
+    Speed,
+    Statistic,
+    Text,
+    Time,
+    TorqueNoise,
+    Uncertainty,
+    Velocity,
+    shown,
+)
 
 SCHEMA = "excite.trajectory/1"
 SegmentKind = Literal["approach", "ramp_in", "fourier", "ramp_out", "return"]
@@ -19,16 +44,13 @@ SegmentKind = Literal["approach", "ramp_in", "fourier", "ramp_out", "return"]
 ORDER: tuple[str, ...] = get_args(SegmentKind)
 """The order in which they may follow each other; approach and return may take several segments."""
 Drive = Literal["rotor_inertia", "viscous", "coulomb", "offset"]
-MOST_HARMONICS = 100
-"""Most harmonics of a series. Designs use 3 to 10; the optimiser's matrices grow with their square."""
-MOST_PERIODS = 100_000
-"""Most repeats of the period."""
-MOST_SAMPLES = 20_000
-"""Most samples of the optimiser's grid, over which the criterion is computed again. Designs use 40 to 400."""
 MOST_ROWS = 1_000_000
-"""Most rows of the exported motion, over which the criterion is computed again: a regressor of 6 joints then takes 3 GB."""
+"""Most rows of the exported motion, over which the criterion is computed again.
+
+The regressor of a robot with 6 joints then takes 3 GB.
+"""
 TIMING = 1e-6
-"""By how much times of a file may differ from what they should be [s]: half the shortest control cycle is 60 µs."""
+"""Tolerance of the times in a file [s]; half the shortest control cycle in use is 60 µs."""
 FREQUENCY = 1e-9
 """By which share `base_frequency` may differ from 2π over `period` [1]."""
 
@@ -54,7 +76,11 @@ class RobotDocument(msgspec.Struct):
 
 
 class ProfileDocument(msgspec.Struct):
-    """A ramp of piecewise constant jerk: the state at its start, and (duration, jerk) of each piece, joint by joint."""
+    """A ramp of piecewise constant jerk.
+
+    position, velocity, acceleration: the state at its start. pieces: (duration, jerk) of each
+    piece, joint by joint.
+    """
 
     position: list[Position]
     velocity: list[Velocity]
@@ -90,7 +116,7 @@ class BoxDocument(msgspec.Struct):
 
 
 class DesignDocument(msgspec.Struct):
-    """What verification reads of the options of a design; whatever else a design notes is left as it is."""
+    """The options of a design that verification reads; further notes are left as they are."""
 
     criterion: Literal["a", "d", "e", "cond", "cond_regressor"] | None = None
     plain: bool = False
@@ -103,8 +129,8 @@ class DesignDocument(msgspec.Struct):
     cell: CellDocument | None = None
 
     def __post_init__(self) -> None:
-        if self.samples is not None and not 1 <= self.samples <= MOST_SAMPLES:
-            raise ValueError(f"samples: {shown(self.samples)} should be from 1 to {MOST_SAMPLES}")
+        if self.samples is not None:
+            _check_count("samples", self.samples, ranges.SAMPLES)
         if self.drive is not None and len(set(self.drive)) < len(self.drive):
             raise ValueError("drive: a parameter is named twice")
 
@@ -177,12 +203,16 @@ class TrajectoryDocument(msgspec.Struct):
         _check_keys("torque_noise", self.torque_noise, self.joints)
         for key in set(self.design.margin) - {"velocity", "acceleration", "jerk", "torque"}:
             raise ValueError(f"design.margin: {shown(key)} is no kind of limit")
-        if not 0 <= self.seed < 1 << 63:
-            raise ValueError(f"seed: {shown(self.seed)} should be a whole number of at least 0")
+        _check_count("seed", self.seed, ranges.SEED)
         if self.segments[-1].end * self.rate > MOST_ROWS:
-            raise ValueError(
-                f"rate: {self.segments[-1].end:.4g} s at {self.rate:g} Hz are more than {MOST_ROWS} rows"
-            )
+            length = f"{self.segments[-1].end:.4g} s at {self.rate:g} Hz"
+            raise ValueError(f"rate: {length} are more than {MOST_ROWS} rows")
+
+
+def _check_count(key: str, count: int, accepted: Range) -> None:
+    """Raise ValueError for a whole number outside its range."""
+    if not accepted.accepts(count):
+        raise ValueError(f"{key}: {shown(count)} should be {accepted}")
 
 
 def _check_joints(joints: Sequence[str]) -> None:
@@ -195,34 +225,31 @@ def _check_joints(joints: Sequence[str]) -> None:
 
 
 def _check_series(document: TrajectoryDocument) -> None:
-    """Raise ValueError unless the coefficients fit the joints and harmonics, and the frequency the period."""
+    """Raise ValueError unless coefficients, joints, harmonics, frequency and period fit."""
     n = len(document.joints)
-    if not 1 <= document.harmonics <= MOST_HARMONICS:
-        raise ValueError(
-            f"harmonics: {shown(document.harmonics)} should be from 1 to {MOST_HARMONICS}"
-        )
-    if not 1 <= document.periods <= MOST_PERIODS:
-        raise ValueError(f"periods: {shown(document.periods)} should be from 1 to {MOST_PERIODS}")
+    _check_count("harmonics", document.harmonics, ranges.HARMONICS)
+    _check_count("periods", document.periods, ranges.PERIODS)
     for key, rows in (("sine", document.sine), ("cosine", document.cosine)):
         if len(rows) != n:
             raise ValueError(f"{key}: should hold {n} rows, one a joint, not {len(rows)}")
         for i, row in enumerate(rows):
             if len(row) != document.harmonics:
-                raise ValueError(
-                    f"{key}[{i}]: should hold {document.harmonics} numbers, one a harmonic, not {len(row)}"
-                )
+                expected = f"should hold {document.harmonics} numbers, one a harmonic"
+                raise ValueError(f"{key}[{i}]: {expected}, not {len(row)}")
     if len(document.offset) != n:
         raise ValueError(
             f"offset: should hold {n} numbers, one a joint, not {len(document.offset)}"
         )
     if abs(document.base_frequency * document.period / (2.0 * math.pi) - 1.0) > FREQUENCY:
-        raise ValueError(
-            f"base_frequency: {document.base_frequency:g} rad/s is not 2π over the period of {document.period:g} s"
-        )
+        frequency, period = f"{document.base_frequency:g} rad/s", f"{document.period:g} s"
+        raise ValueError(f"base_frequency: {frequency} is not 2π over the period of {period}")
 
 
 def _check_segments(document: TrajectoryDocument) -> None:
-    """Raise ValueError unless the segments follow each other, from time 0, with one Fourier part of whole periods."""
+    """Raise ValueError unless the segments follow each other without gaps from time 0.
+
+    One of them is the Fourier part, as long as its periods.
+    """
     segments, expected = document.segments, document.periods * document.period
     parts = [i for i, segment in enumerate(segments) if segment.kind == "fourier"]
     if len(parts) != 1:
@@ -233,9 +260,8 @@ def _check_segments(document: TrajectoryDocument) -> None:
         if ORDER.index(after.kind) < ORDER.index(before.kind):
             raise ValueError(f"segments[{i}].kind: {after.kind} cannot follow {before.kind}")
         if abs(after.start - before.end) > TIMING:
-            raise ValueError(
-                f"segments[{i}].start: {after.start:g} s is not where {before.kind} ends, {before.end:g} s"
-            )
+            end = f"where {before.kind} ends, {before.end:g} s"
+            raise ValueError(f"segments[{i}].start: {after.start:g} s is not {end}")
     length = segments[parts[0]].end - segments[parts[0]].start
     if abs(length - expected) > TIMING:
         stated = f"{document.periods} periods of {document.period:g} s"
@@ -249,15 +275,15 @@ def _check_segments(document: TrajectoryDocument) -> None:
 
 def _check_profile(where: str, profile: ProfileDocument, joints: Sequence[str]) -> None:
     for key in ("position", "velocity", "acceleration"):
-        if len(getattr(profile, key)) != len(joints):
-            raise ValueError(
-                f"{where}.{key}: should hold {len(joints)} numbers, one a joint, not {len(getattr(profile, key))}"
-            )
+        count = len(getattr(profile, key))
+        if count != len(joints):
+            expected = f"should hold {len(joints)} numbers, one a joint"
+            raise ValueError(f"{where}.{key}: {expected}, not {count}")
     _check_keys(f"{where}.pieces", profile.pieces, joints)
 
 
 def _check_limits(limits: StatedLimits, joints: Sequence[str]) -> None:
-    """Raise ValueError unless every joint has its limits; a continuous joint has none of position."""
+    """Raise ValueError unless every joint has its limits; the position limit is optional."""
     for quantity in ("position", "velocity", "acceleration", "jerk", "torque", "braking"):
         optional = quantity in ("position", "braking")
         _check_keys(f"limits.{quantity}", getattr(limits, quantity), joints, optional=optional)

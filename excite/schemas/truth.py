@@ -1,4 +1,4 @@
-"""The truth of a simulated recording, schema excite.truth/1: what `--like` makes the same robot of again."""
+"""The truth of a simulated recording, schema excite.truth/1, from which `--like` simulates."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from typing import Literal
 
 import msgspec
 
+from .. import physical_ranges as ranges
 from ..physical_ranges import Range
 from .quantities import InertialParameter, Name, Quantity, Text, shown
 
@@ -19,7 +20,7 @@ class SimulationRate(Quantity):
 
 
 class RelativeNoise(Quantity):
-    """A standard deviation of torque over the torque limit; or how far the true links are from the URDF's."""
+    """A standard deviation of torque over the torque limit, or the error of the URDF's links."""
 
     accepted = Range(0.0, 10.0, "1")
 
@@ -90,15 +91,15 @@ class SettingDocument(msgspec.Struct, forbid_unknown_fields=True):
     control: ControlDocument
 
     def __post_init__(self) -> None:
-        if not 0 <= self.seed < 1 << 63:
-            raise ValueError(f"seed: {shown(self.seed)} should be a whole number of at least 0")
+        if not ranges.SEED.accepts(self.seed):
+            raise ValueError(f"seed: {shown(self.seed)} should be {ranges.SEED}")
         if self.colour is not None and not self.colour < 0.5 * self.rate:
             raise ValueError(
                 f"colour: {self.colour:g} Hz should be below half the rate, {0.5 * self.rate:g} Hz"
             )
 
 
-class ParameterDocument(msgspec.Struct):
+class EffectParameterDocument(msgspec.Struct):
     """A parameter of an effect."""
 
     value: EffectValue
@@ -106,18 +107,21 @@ class ParameterDocument(msgspec.Struct):
 
 
 class HiddenEffectDocument(msgspec.Struct):
-    """A hidden effect. parameters, details: by name; the details are parameters that the contract does not name."""
+    """A hidden effect.
+
+    parameters, details: by name; the details are parameters that CONTRACT does not name.
+    """
 
     effect: Name
     joint: Name | None
     family: Name
-    parameters: dict[str, ParameterDocument]
-    details: dict[str, ParameterDocument] = {}
+    parameters: dict[str, EffectParameterDocument]
+    details: dict[str, EffectParameterDocument] = {}
     source: Name | None = msgspec.field(name="from", default=None)
 
 
 class TruthDocument(msgspec.Struct):
-    """What `--like` reads of the file."""
+    """The keys that `--like` reads."""
 
     schema: Literal["excite.truth/1"]
     joints: list[Name]

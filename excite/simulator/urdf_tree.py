@@ -207,8 +207,8 @@ def read_urdf(path: Path) -> UrdfTree:
         UnusableInput: The file is no URDF, or it has mimic joints.
     """
     try:
-        root = ElementTree.fromstring(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, ElementTree.ParseError) as error:
+        root = ElementTree.fromstring(path.read_bytes())  # in its declared encoding
+    except (OSError, ValueError, LookupError, ElementTree.ParseError) as error:
         raise UnusableInput(f"{path}: cannot be read as a URDF ({error}); give a URDF") from error
     if root.tag != "robot":
         raise UnusableInput(

@@ -12,7 +12,17 @@ from ...diagnosis.diagnosis import Diagnosis
 from ...diagnosis.isolability import Isolability
 from ...effects.recorded_motion import split_by_motion
 from ...identification.identification import Prediction
-from .drawing import BLUE, COMPACT_LAYOUT_JOINTS, GREY, INK, ORANGE, SOFT, limit_ticks, render_svg, thin_curve
+from .drawing import (
+    BLUE,
+    COMPACT_LAYOUT_JOINTS,
+    GREY,
+    INK,
+    ORANGE,
+    SOFT,
+    limit_ticks,
+    render_svg,
+    thin_curve,
+)
 from .heatmap import Heatmap, draw_heatmap
 from .torque_fit import SURE, window
 from .trajectory import short, torque_units
@@ -73,10 +83,10 @@ def told(effect: str) -> str:
 
 def predictions(found: Diagnosis) -> Iterator[Prediction]:
     """Held-out recordings with the torque of the base model (`nominal`) and of that with the findings (`fitted`)."""
-    every = found.tracks[1]
-    left = (split_by_motion(np.where(found.moves, residual, np.nan), every) for residual in found.residuals)
+    every = found.motions[1]
+    left = (split_by_motion(np.where(found.moving, residual, np.nan), every) for residual in found.residuals)
     for source, group in itertools.groupby(
-        zip(every, *left, strict=True), key=lambda own: own[0].piece.source
+        zip(every, *left, strict=True), key=lambda own: own[0].segment.source
     ):
         tracks, bare, named = zip(*group, strict=True)
         time = np.concatenate([track.time for track in tracks])

@@ -12,7 +12,19 @@ from ...designer.experiment_comparison import Scenario
 from ...designer.identifiability import Identifiability, IdentifiableShare
 from ...robot.parameter_names import percent
 from ..design_record import DesignRecord
-from .drawing import BLUE, GREEN, GREY, INK, ORANGE, RED, SOFT, axes_grid, limit_ticks, render_svg, set_decade_ticks
+from .drawing import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    RED,
+    SOFT,
+    axes_grid,
+    limit_ticks,
+    render_svg,
+    set_decade_ticks,
+)
 from .trajectory import short
 
 _KINDS = (

@@ -9,7 +9,20 @@ from typing import Any
 import numpy as np
 
 from ...identification.torque_delay import TorqueDelay
-from .drawing import BLUE, COMPACT_LAYOUT_JOINTS, GREY, INK, ORANGE, RED, SOFT, axes_grid, limit_ticks, render_svg, set_decade_ticks, thin_curve
+from .drawing import (
+    BLUE,
+    COMPACT_LAYOUT_JOINTS,
+    GREY,
+    INK,
+    ORANGE,
+    RED,
+    SOFT,
+    axes_grid,
+    limit_ticks,
+    render_svg,
+    set_decade_ticks,
+    thin_curve,
+)
 from .trajectory import short
 
 Array = np.ndarray

@@ -10,7 +10,19 @@ import numpy as np
 from ..._types import FloatArray
 from ...trajectory.rest_to_rest import Motion
 from . import svg
-from .drawing import BLUE, FIGURE_WIDTH, GREY, GRID_COLOR, INK, ORANGE, RED, SEGMENT_COLORS, SEGMENT_WORDS, SOFT, thin_curve
+from .drawing import (
+    BLUE,
+    FIGURE_WIDTH,
+    GREY,
+    GRID_COLOR,
+    INK,
+    ORANGE,
+    RED,
+    SEGMENT_COLORS,
+    SEGMENT_WORDS,
+    SOFT,
+    thin_curve,
+)
 
 _TOTAL_WIDTH = FIGURE_WIDTH * svg.UNITS_PER_INCH
 _LEFT_MARGIN = 30.0

@@ -12,7 +12,17 @@ import numpy as np
 from ...identification.identification import Prediction
 from ...robot.parameter_names import multiple, percent
 from ...robot.robot import Robot
-from .drawing import BLUE, COMPACT_LAYOUT_JOINTS, GREY, INK, ORANGE, SOFT, limit_ticks, render_svg, thin_curve
+from .drawing import (
+    BLUE,
+    COMPACT_LAYOUT_JOINTS,
+    GREY,
+    INK,
+    ORANGE,
+    SOFT,
+    limit_ticks,
+    render_svg,
+    thin_curve,
+)
 from .trajectory import short, torque_units
 
 Array = np.ndarray

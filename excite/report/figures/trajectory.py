@@ -14,7 +14,16 @@ from ...robot.limits import Limits
 from ...robot.robot import Robot
 from ...trajectory.rest_to_rest import Motion
 from .collision import VIEWS, fill_polygons, outlines, set_view
-from .drawing import BLUE, COMPACT_LAYOUT_JOINTS, GREY, INK, ORANGE, SEGMENT_WORDS, axes_grid, render_svg
+from .drawing import (
+    BLUE,
+    COMPACT_LAYOUT_JOINTS,
+    GREY,
+    INK,
+    ORANGE,
+    SEGMENT_WORDS,
+    axes_grid,
+    render_svg,
+)
 from .small_multiples import CurvePanel, draw_curves
 
 QUANTITIES = ("position", "velocity", "acceleration", "jerk")

@@ -12,7 +12,16 @@ import numpy as np
 
 from ..._types import FloatArray
 from ..physical_effect import JointStates, PhysicalEffect
-from .effect_type import EffectParameter, EffectSite, EffectType, ValueConversion, memoryless_effect, phase_parameter, smooth_sign, torque_at_joint
+from .effect_type import (
+    EffectParameter,
+    EffectSite,
+    EffectType,
+    ValueConversion,
+    memoryless_effect,
+    phase_parameter,
+    smooth_sign,
+    torque_at_joint,
+)
 
 Values = Mapping[str, float]
 

@@ -9,7 +9,14 @@ import numpy as np
 
 from ..._types import FloatArray
 from ..physical_effect import JointStates, PhysicalEffect
-from .effect_type import EffectParameter, EffectSite, EffectType, memoryless_effect, phase_parameter, torque_at_joint
+from .effect_type import (
+    EffectParameter,
+    EffectSite,
+    EffectType,
+    memoryless_effect,
+    phase_parameter,
+    torque_at_joint,
+)
 
 Values = Mapping[str, float]
 

@@ -92,7 +92,7 @@ class ClosedLoop:
 
     def run(self, reference: ReferenceTrajectory) -> StateHistory:
         """Follow a reference from rest to rest; an unstable loop shows in the history."""
-        t = np.arange(int(np.ceil(reference.duration / self.step)) + 1) * self.step
+        t = np.arange(int(np.ceil(reference.duration / self.step)) + 1, dtype=float) * self.step
         q_ref, v_ref, a_ref = reference.at(t)
         feedforward = self._feedforward_torque(q_ref, v_ref, a_ref)
         self.initialise(q_ref[0])

@@ -134,8 +134,8 @@ def build_dynamics(
     for name in set(tree.joints) - set(joints):
         locked_tree = locked_tree.with_locked_joint(name, (lock or {}).get(name, 0.0))
     for name in joints:
-        locked_tree.joint(name)
-    root = ElementTree.fromstring(locked_tree.text)
+        locked_tree.joint_element(name)
+    root = ElementTree.fromstring(locked_tree.xml)
     options = ElementTree.Element("mujoco")
     # MuJoCo's compiler alters masses and inertias that it finds implausible: they are set exactly
     # afterwards

@@ -90,7 +90,7 @@ class Case:
     faults: list[str] = field(default_factory=list)
 
     def run(self) -> None:
-        prepared(self.robot, self.limits, MotionRequest().fill(DesignOptions(), self.limits))
+        prepared(self.robot, self.limits, MotionRequest().complete(DesignOptions(), self.limits))
         judge = Judge(self.cell)
         for seed in range(SEEDS):
             say(f"{self.name}, seed {seed}, load {os.getloadavg()[0]:.1f}")
@@ -109,7 +109,7 @@ class Case:
 
     def _designed(self, seed: int, cell: Cell | None) -> pipeline.CertifiedDesign:
         """One design; the processor's seconds besides the clock's, for others use the machine too."""
-        options = MotionRequest().fill(DesignOptions(starts=1, seed=seed, jobs=1), self.limits)
+        options = MotionRequest().complete(DesignOptions(starts=1, seed=seed, jobs=1), self.limits)
         begun = time.process_time()
         out = pipeline.design_trajectory(self.robot, self.limits, options, cell=cell, progress=self.said.append)
         self.work[cell is not None].append(time.process_time() - begun)
@@ -135,7 +135,7 @@ class Case:
             f"{np.median([one.timing['total'] for one in some]):.1f}"
             for some in (self.free, self.clear)
         ]
-        proven = [near for one in self.clear for near in one.certificate.near]
+        proven = [near for one in self.clear for near in one.certificate.pair_distances]
         nearest = min(proven, key=lambda near: near.proven - near.pair.margin)
         hit = min(self.hits, key=lambda near: near.found - near.pair.margin)
         struck = sum(near.found < near.pair.margin for near in self.hits)
@@ -164,7 +164,7 @@ class Case:
 
 def disagreements(one: pipeline.CertifiedDesign, least: Sequence[Least]) -> Iterator[str]:
     """What brute force finds broken or other than the certificate states it."""
-    stated = {near.names: near for near in one.certificate.near}
+    stated = {near.names: near for near in one.certificate.pair_distances}
     for found in least:
         near = stated.get(found.names)
         if found.room < 0.0 or found.distance <= 0.0:
@@ -302,7 +302,7 @@ def attempt(number: int, seed: int, folder: Path) -> Outcome:
     path = folder / f"scene_{number}.toml"
     path.write_text(obstacles(rng, REACH[name]), encoding="utf-8")
     options = dataclasses.replace(
-        MotionRequest().fill(DesignOptions(starts=1, seed=seed, jobs=1), table), iterations=60
+        MotionRequest().complete(DesignOptions(starts=1, seed=seed, jobs=1), table), iterations=60
     )
     begun, start, bodies, from_pose = time.perf_counter(), None, list[str](), number % 3 == 0
     outcome = Outcome(number, name, "", "", 0.0, from_pose=from_pose)

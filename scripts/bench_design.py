@@ -201,8 +201,8 @@ def nearest(one: pipeline.CertifiedDesign) -> tuple[float, str]:
     own = [
         m for m in one.certificate.margins if source_of(one.trajectory.limits, m) != limits.DERIVED
     ]
-    worst = min(own, key=lambda margin: margin.room)
-    return worst.room, f"{worst.limit} of {worst.joint}"
+    worst = min(own, key=lambda margin: margin.free_share)
+    return worst.free_share, f"{worst.limit} of {worst.joint}"
 
 
 def report_designs(problems: Sequence[Case]) -> None:
@@ -232,7 +232,7 @@ def report_starts(problems: Sequence[Case], starts: int) -> None:
             case.robot, case.limits, dataclasses.replace(case.options, starts=starts)
         )
         feasible = [a.motion for a in one.design.attempts if min(a.worst) <= sqp.MAX_FEASIBLE_ROW_VALUE]
-        problem = one.design.setting.problem
+        problem = one.design.setup.problem
         found = [
             condition(problem, motion.samples(motion.grid(case.options.samples)))
             for motion in feasible
@@ -378,7 +378,7 @@ def loop(machine: Robot, motion: Samples) -> None:
 
 def costs(case: Case) -> dict[str, tuple[float, int]]:
     """Per quantity its least time [s] and how many rows it has, at the optimum, as the solver asks for it."""
-    problem, motion = case.done[0].design.setting.problem, case.done[0].trajectory.motion.fourier
+    problem, motion = case.done[0].design.setup.problem, case.done[0].trajectory.motion.fourier
     evaluator, optimum, rng = (
         Evaluator(problem),
         problem.variables(motion),
@@ -389,11 +389,11 @@ def costs(case: Case) -> dict[str, tuple[float, int]]:
         sqp.sharpness_stages(case.options.criterion)[-1],
     )
     Y = dynamics.regressor(problem.robot, problem.parameters, samples)
-    rows = evaluator.rows(evaluator.select(optimum, 1.0 - sqp.WORKING_SET_BAND))
+    rows = evaluator.rows(evaluator.rows_above(optimum, 1.0 - sqp.WORKING_SET_BAND))
     torque = np.array(evaluator.kinds)[rows.kind] == "torque"
     everywhere = evaluator.rows(
         np.concatenate(
-            [np.full(v.size, k == "torque") for k, v in evaluator.table(optimum).items()]
+            [np.full(v.size, k == "torque") for k, v in evaluator.constraint_values(optimum).items()]
         )
     )
 
@@ -404,7 +404,7 @@ def costs(case: Case) -> dict[str, tuple[float, int]]:
 
     def known() -> Array:
         evaluator.objective(x := fresh(), sharpness)
-        evaluator.worst(x)
+        evaluator.max_constraint_value(x)
         return x
 
     def some(which: Array) -> ConstraintRows:
@@ -421,7 +421,7 @@ def costs(case: Case) -> dict[str, tuple[float, int]]:
         "bare regressor loop": (fresh, lambda x: loop(problem.robot, samples)),
         "objective and all row values": (
             fresh,
-            lambda x: (evaluator.table(x), criteria.smooth_objective(criterion, weigh(Y), sharpness)),
+            lambda x: (evaluator.constraint_values(x), criteria.smooth_objective(criterion, weigh(Y), sharpness)),
         ),
         "objective and gradient": (fresh, lambda x: evaluator.objective(x, sharpness)),
         **{

@@ -27,7 +27,7 @@ import pinocchio as pin
 from excite import recordings
 from excite.errors import ExciteWarning
 from excite.identification import consistency, identification
-from excite.identification.identification import Identification, Options
+from excite.identification.identification import Identification, IdentificationOptions
 from excite.identification.inertia_distance import Distance
 from excite.identification.regression import IdentificationModel
 from excite.recordings import Recording, Sidecar
@@ -67,7 +67,7 @@ def model_of(machine: Robot) -> tuple[IdentificationModel, limits.Limits]:
 
 
 def identified(
-    model: IdentificationModel, train: Sequence[Recording], held_out: Sequence[Recording], options: Options
+    model: IdentificationModel, train: Sequence[Recording], held_out: Sequence[Recording], options: IdentificationOptions
 ) -> Identification:
     return identification.identify(
         model.robot, model.parameters, model.base, train, held_out, options
@@ -86,11 +86,11 @@ def real(folder: Path) -> None:
             [recordings.read(path.parent / f"{one}.csv", model.robot, table) for one in names]
             for names in (train, (held_out,))
         )
-        found = identified(model, first, [last], Options(band=band))
+        found = identified(model, first, [last], IdentificationOptions(band=band))
         prediction = found.validations[0]
         for i, joint in enumerate(model.robot.joints):
             floor = (
-                "no repeated period" if prediction.floor is None else f"{prediction.floor[i]:.3g}"
+                "no repeated period" if prediction.noise_floor is None else f"{prediction.noise_floor[i]:.3g}"
             )
             errors = f"{prediction.error('nominal')[i]:.4g}", f"{prediction.error()[i]:.4g}"
             rows.append(
@@ -190,10 +190,10 @@ def poor(name: str) -> None:
         for case, (motion, duration) in poor_motions(fourier).items():
             train = truth.recording(motion, duration, noise, rng)
             for kind in Distance:
-                found = identified(model, [train], [judge], Options(distance=kind, band=20.0))
+                found = identified(model, [train], [judge], IdentificationOptions(distance=kind, band=20.0))
                 error = np.sqrt(np.mean((found.validations[0].error() / noise) ** 2))
                 totals.setdefault((case, kind), []).append(float(error))
-            seen.setdefault(case, []).append(found.analysis.identifiable)
+            seen.setdefault(case, []).append(found.analysis.identifiable_count)
     rows = [
         [
             f"{name}, {case}",
@@ -233,7 +233,7 @@ def speed(rows: int = 1_000_000, rate: float = 1000.0) -> None:
         begun = time.perf_counter()
         recording = recordings.read(path, model.robot, table)
         read = time.perf_counter()
-        found = identified(model, [recording], [], Options())
+        found = identified(model, [recording], [], IdentificationOptions())
         done = time.perf_counter()
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     head = ["", "reading [s]", "identifying [s]", "together [s]", "peak memory [GB]", "rows kept"]

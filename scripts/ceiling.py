@@ -66,7 +66,7 @@ def ceiling(name: str, key: dict[str, Any], folder: Path) -> Ceiling:
         session for half, session in zip(found.motions, bench.sessions, strict=True) for _ in half
     ]
     hidden = [
-        one.lowpass(severity.hidden_torque(s.run, bench.plant, one.clock).torque)
+        one.lowpass(severity.hidden_torque(s.run, bench.plant, one.times).torque)
         for one, s in zip(tracks, sessions, strict=True)
     ]
     truth = np.concatenate([x / found.floor for x in hidden]).ravel()

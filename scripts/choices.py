@@ -40,7 +40,7 @@ def periods(name: str, options: DesignOptions, budget: float) -> str:
     machine = robot.load(name)
     table = limits.resolve(machine)
     run = partial(pipeline.design_trajectory, machine, table)
-    rule, ten = (run(wish.fill(options, table)) for wish in (MotionRequest(), MotionRequest(period=10.0)))
+    rule, ten = (run(wish.complete(options, table)) for wish in (MotionRequest(), MotionRequest(period=10.0)))
     planned = time_budget.plan_for_budget(machine, table, options, MotionRequest(), budget)
     filled = time_budget.run_plan(planned, options, run)
     motion, period = filled.trajectory.motion, rule.trajectory.motion.fourier.period
@@ -82,13 +82,13 @@ def second_motions(name: str, options: DesignOptions, weights: list[float], seed
     gauge = StateScaling.of(machine, table)
     found = np.zeros((len(weights), 3))
     for seed in range(seeds):
-        one = MotionRequest().fill(DesignOptions(starts=options.starts, seed=seed, jobs=options.jobs), table)
+        one = MotionRequest().complete(DesignOptions(starts=options.starts, seed=seed, jobs=options.jobs), table)
         setting = optimize.set_up(machine, table, one)
         first = optimize.solve(setting)
         for k, weight in enumerate(weights):
             kept = motion_overlap.penalise_overlap(gauge, first.motion, weight)
-            second = optimize.solve(optimize.set_up(machine, table, one, apart=kept))
-            common = motion_overlap.motion_overlap(gauge, first.motion, second.motion)
+            second = optimize.solve(optimize.set_up(machine, table, one, overlap_penalty=kept))
+            common = motion_overlap.compute_overlap(gauge, first.motion, second.motion)
             price = second.attempts[0].objective - weight * common - first.attempts[0].objective
             found[k] += (
                 common,

@@ -24,8 +24,8 @@ import pinocchio as pin
 from excite import _json
 from excite.designer import identifiability, pipeline
 from excite.designer.problem import DesignOptions as DesignOptions
-from excite.identification import confidence, identification
-from excite.identification.identification import Identification, Options
+from excite.identification import estimators, identification
+from excite.identification.identification import Identification, IdentificationOptions
 from excite.identification.lowpass import LowPassFilter
 from excite.recordings import Recording, Sidecar
 from excite.robot import base_parameters, inertial_parameters, limits, robot
@@ -84,7 +84,7 @@ class Bench:
             base_parameters.find(machine, standard, table),
             made[:1],
             made[1:],
-            Options(),
+            IdentificationOptions(),
         )
 
 
@@ -128,8 +128,8 @@ def one(setup: Bench, seed: int, frame: Array) -> tuple[Array, Array, Array]:
         warnings.simplefilter("ignore")
         found = setup.identified(seed)
     off = found.data.theta - found.model.base.matrix @ setup.truth
-    half = confidence.interval_half_widths(found.data, frame)
-    own = confidence.interval_half_widths(found.data, np.eye(len(off)))
+    half = estimators.interval_half_widths(found.data, frame)
+    own = estimators.interval_half_widths(found.data, np.eye(len(off)))
     validation = found.validations[0]
     return (
         frame @ off / half,
@@ -165,7 +165,7 @@ def main() -> None:
             setup = bench(name, colour, arguments.folder, arguments.periods)
             first = setup.identified(0)
             values, vectors = identifiability.eigenvalues_and_directions(
-                first.data.root @ first.model.base.matrix, first.metric_base
+                first.data.information_root @ first.model.base.matrix, first.metric_base
             )
             seen = values * first.options.threshold >= 1.0
             frame = vectors[:, seen].T @ np.linalg.inv(

@@ -46,9 +46,9 @@ def designs(name: str, starts: int, seed: int) -> dict[str, optimize.OptimizedDe
 
 def recorded(found: optimize.OptimizedDesign, motion: FourierSeries, samples: int) -> Array:
     """Regressor rows of one period over the noise. Shape (samples n, P)."""
-    problem = found.setting.problem
+    problem = found.setup.problem
     Y = dynamics.regressor(problem.robot, problem.parameters, motion.samples(motion.grid(samples)))
-    return (Y / found.setting.noise[:, None]).reshape(-1, Y.shape[2])
+    return (Y / found.setup.noise[:, None]).reshape(-1, Y.shape[2])
 
 
 def errors(
@@ -59,7 +59,7 @@ def errors(
     Truth: nominal plus a normal deviation of size `spread` per direction of the metric. Estimate: maximum a posteriori
     with that prior (METHOD eq. 21 with the distance of eq. 18) from two recorded periods at 100 Hz.
     """
-    problem, base = found.setting.problem, found.setting.base
+    problem, base = found.setup.problem, found.setup.base
     options = problem.options
     rows = (
         recorded(found, found.motion, round(options.period * options.rate))
@@ -80,12 +80,12 @@ def unseen(found: optimize.OptimizedDesign, count: int, rng: np.random.Generator
     from excite.designer import initial_guess
     from excite.designer.evaluator import Evaluator
 
-    evaluator = Evaluator(found.setting.problem)
+    evaluator = Evaluator(found.setup.problem)
     rows = []
     for _ in range(count):
         held = initial_guess.find_static_poses(evaluator, rng)
         x = initial_guess.scale_random_motion(evaluator, held[rng.integers(len(held))], rng)
-        rows.append(recorded(found, found.setting.problem.fourier(x), 50))
+        rows.append(recorded(found, found.setup.problem.fourier(x), 50))
     return np.vstack(rows)
 
 
@@ -104,13 +104,13 @@ def report(name: str, arguments: argparse.Namespace) -> None:
     )
     print("|---" * (len(columns) + 4) + "|")
     for title, one in found.items():
-        problem = one.setting.problem
+        problem = one.setup.problem
         Y = dynamics.regressor(
             problem.robot,
             problem.parameters,
             one.motion.samples(one.motion.grid(problem.options.samples)),
         )
-        scores = criteria.evaluate_criteria(Y, one.setting.base, one.setting.noise)
+        scores = criteria.evaluate_criteria(Y, one.setup.base, one.setup.noise)
         cells = [criteria.select_criterion(scores, Criterion(c), plain=k == "plain") for k, c in columns]
         cells.append(criteria.select_criterion(scores, Criterion.COND_REGRESSOR, plain=True))
         metric, torque = errors(

@@ -180,9 +180,9 @@ model can be below it but by chance.""",
         "code",
         """def report(found):
     held_out = found.validations[0]
-    print(f"{found.analysis.identifiable} of {theta.count} directions identified, band {found.spectra.hertz:g} Hz")
+    print(f"{found.analysis.identifiable_count} of {theta.count} directions identified, band {found.spectra.hertz:g} Hz")
     print(f"{'torque error, held out [N m]':30}{'URDF':>9}{'identified':>12}{'noise floor':>13}")
-    for row in zip(arm.joints, held_out.error("nominal"), held_out.error(), held_out.floor, strict=True):
+    for row in zip(arm.joints, held_out.error("nominal"), held_out.error(), held_out.noise_floor, strict=True):
         print("{:30}{:9.3g}{:12.3g}{:13.3g}".format(*row))
 
 
@@ -201,7 +201,7 @@ for column, joint in zip(axes.T, (1, 4), strict=True):
     column[0].set(title=arm.joints[joint], ylabel="torque [N m]")
     column[1].plot(held_out.time, held_out.measured[:, joint] - held_out.fitted[:, joint], color="tab:orange", linewidth=0.7)
     for sign in (-2.0, 2.0):
-        column[1].axhline(sign * held_out.floor[joint], color="0.4", linestyle=":")
+        column[1].axhline(sign * held_out.noise_floor[joint], color="0.4", linestyle=":")
     column[1].set(xlabel="time [s]", ylabel="residual [N m]")
 figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=3, frameon=False)
 axes[1, 1].set_title("dotted: two noise floors", fontsize="small")
@@ -228,7 +228,7 @@ recording has shown replaces the assumed one, at the density of the trajectory's
     ),
     (
         "code",
-        """root = before.data.root @ theta.matrix
+        """root = before.data.information_root @ theta.matrix
 noise = before.data.noise * np.sqrt(0.5 * 100.0 / before.spectra.hertz)
 design("second", given=root.T @ root, noise=tuple(noise))
 after = identification.identify(arm, psi, theta, [first, record("second")], [judge])
@@ -249,7 +249,7 @@ left.semilogy(both, "o", color="tab:blue", markersize=4, label="first and second
 left.axhline(before.options.threshold, color="tab:red", linewidth=1)
 left.set(xlabel="direction, the best seen first", ylabel="scale-free variance 1/λ")
 left.legend(frameon=False)
-errors = [found.validations[0].error() / found.validations[0].floor for found in (before, after)]
+errors = [found.validations[0].error() / found.validations[0].noise_floor for found in (before, after)]
 for place, (error, colour) in enumerate(zip(errors, ("0.6", "tab:blue"), strict=True)):
     right.barh(np.arange(arm.n) + 0.4 * place, error, 0.4, color=colour)
 right.axvline(1.0, color="tab:red", linewidth=1)

@@ -24,7 +24,7 @@ def main() -> None:
     for name in arguments.robots:
         machine = robot.load(name)
         table = limits.resolve(machine)
-        options = time_budget.MotionRequest().fill(DesignOptions(starts=4), table)
+        options = time_budget.MotionRequest().complete(DesignOptions(starts=4), table)
         cell = scene_file.cell(machine, table, scene_file.Scene())
         delivery = pipeline.design_trajectory(
             machine, table, options, cell=cell, progress=lambda text: print(text, file=sys.stderr)

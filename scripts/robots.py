@@ -189,16 +189,16 @@ def run(row: Row, case: Case, source: str, options: DesignOptions) -> None:
     own = HERE / "limits" / f"{case.name}.toml"
     table = limits.resolve(moved, own if own.is_file() and not is_builtin(source) else None)
     cell, unchecked = scene_file.known(moved, table, scene_file.Scene())
-    options = time_budget.MotionRequest().fill(options, table)
+    options = time_budget.MotionRequest().complete(options, table)
     delivery = pipeline.design_trajectory(
         moved,
         table,
         options,
         cell=cell,
-        unchecked=unchecked,
+        unchecked_reason=unchecked,
         progress=lambda text: say(f"  {text}"),
     )
-    row.base_parameters, row.timing = delivery.design.setting.base.count, delivery.timing
+    row.base_parameters, row.timing = delivery.design.setup.base.count, delivery.timing
     row.duration = delivery.trajectory.motion.duration
     row.start = first_feasible(delivery, options)
     row.after = criteria.select_criterion(
@@ -207,7 +207,7 @@ def run(row: Row, case: Case, source: str, options: DesignOptions) -> None:
     certificate = round_trip(delivery.trajectory)
     row.nearest = certificate.worst().document()
     row.nearest["source"] = source_of(delivery.trajectory.limits, certificate.worst())
-    row.near = min((1e3 * near.proven for near in certificate.near), default=None)
+    row.near = min((1e3 * near.proven for near in certificate.pair_distances), default=None)
     row.ok = certificate.ok
     row.reason = "" if row.ok else refusal(certificate)
 
@@ -241,7 +241,7 @@ def first_feasible(delivery: pipeline.CertifiedDesign, options: DesignOptions) -
         seen.append((one.time[at], one.values[at]))
     objective = min(seen)[1]
     if options.criterion is Criterion.D:
-        return -delivery.design.setting.base.count * objective
+        return -delivery.design.setup.base.count * objective
     power = {Criterion.E: -1.0, Criterion.COND_REGRESSOR: 0.5}.get(options.criterion, 1.0)
     return float(np.exp(power * objective))
 

@@ -148,7 +148,7 @@ def test_the_same_seed_gives_the_same_atlas() -> None:
 def test_temperature_is_looked_at_where_it_was_recorded() -> None:
     one = found("stribeck")
     first, *rest = one.motions[1]
-    warm = np.column_stack([30.0 + 0.1 * first.clock, np.full(len(first.segment), np.nan)])
+    warm = np.column_stack([30.0 + 0.1 * first.times, np.full(len(first.segment), np.nan)])
     measured = dataclasses.replace(first, segment=dataclasses.replace(first.segment, temperature=warm))
     warmed = dataclasses.replace(one, motions=(one.motions[0], [measured, *rest]))
     seen = {(p.joint, p.against) for p in residual_atlas.compute_atlas(warmed).panels}

@@ -198,7 +198,7 @@ def test_rows_of_the_design_problem_have_exact_gradients():
     )
     assert e.kinds[-1] == "clearance"
     x = 0.4 * np.random.default_rng(3).normal(size=e.problem.size)
-    rows = e.rows(e.select(x, -np.inf))
+    rows = e.rows(e.rows_above(x, -np.inf))
     chosen = np.flatnonzero((rows.kind == len(e.kinds) - 1) & (e.row_values(x, rows) > 0.6))
     assert len(chosen)
     picked = dataclasses.replace(
@@ -360,7 +360,7 @@ def test_the_constraint_has_an_effect(free):
     # and the cell is made again from the file
     again = certificate_module.verify_file(kept.trajectory, cell.robot)
     assert again.collision == kept.certificate.collision
-    assert [n.names for n in again.near] == [n.names for n in kept.certificate.near]
+    assert [n.names for n in again.pair_distances] == [n.names for n in kept.certificate.pair_distances]
 
 
 def test_the_way_back_goes_round():
@@ -372,18 +372,18 @@ def test_the_way_back_goes_round():
     standard = optimize.set_up(robot, limits, QUICK).problem.parameters
     planner = ramps.RampPlanner(MotionConstraints(robot, limits, standard, clearance=clear), 100.0)
     begin, end = np.array([0.9, -0.2]), np.array([-0.9, 0.2])
-    assert "pillar" in planner.blocked(begin + np.linspace(0, 1, 50)[:, None] * (end - begin))
-    legs, _ = planner.travel(begin, end, begin[None])
+    assert "pillar" in planner.clearance_violation(begin + np.linspace(0, 1, 50)[:, None] * (end - begin))
+    legs, _ = planner.plan_transfer(begin, end, begin[None])
     assert len(legs) > 1
     for profile, duration in legs:
-        assert not planner.blocked(profile.at(np.linspace(0.0, duration, 500)))
+        assert not planner.clearance_violation(profile.at(np.linspace(0.0, duration, 500)))
     np.testing.assert_allclose(legs[-1][0].at(np.array([legs[-1][1]]))[0], end, atol=1e-9)
     wide = dataclasses.replace(pillar, size=(0.5, 1.0, 0.2))
     fence = clearance_builder.clearance(
         two_links(wide, Shape("back", Kind.BOX, (0.5, 1, 0.2), (-0.6, 0, 0)))
     )
     shut = ramps.RampPlanner(MotionConstraints(robot, limits, standard, clearance=fence), 100.0)
-    legs, reason = shut.travel(begin, end, begin[None])
+    legs, reason = shut.plan_transfer(begin, end, begin[None])
     assert not legs and "pillar" in reason
 
 

@@ -43,7 +43,7 @@ def test_poses_within_sight_are_reached_straight(placed):
 
 def test_a_motion_is_found_from_a_pose_that_folds_part_from_the_others(placed):
     robot, table, cell = placed
-    options = replace(MotionRequest().fill(DesignOptions(starts=1, jobs=1), table), iterations=20)
+    options = replace(MotionRequest().complete(DesignOptions(starts=1, jobs=1), table), iterations=20)
     delivery = pipeline.design_trajectory(robot, table, options, start=FOLDED, cell=cell)
     motion = delivery.trajectory.motion
     assert (
@@ -59,9 +59,9 @@ def test_a_start_pose_that_touches_is_refused_before_the_design(placed, monkeypa
     monkeypatch.setattr(pipeline.optimize, "solve", lambda *_: pytest.fail("designed first"))
     into_floor = np.array([0.0, 1.5, 0.0, 0.0, 0.0, 0.0])
     with pytest.raises(UnusableInput, match=r"start pose: .*floor"):
-        pipeline.design_trajectory(robot, table, MotionRequest().fill(DesignOptions(), table), start=into_floor, cell=cell)
+        pipeline.design_trajectory(robot, table, MotionRequest().complete(DesignOptions(), table), start=into_floor, cell=cell)
     with pytest.raises(UnusableInput, match="6 finite positions"):
-        pipeline.design_trajectory(robot, table, MotionRequest().fill(DesignOptions(), table), start=np.zeros(5), cell=cell)
+        pipeline.design_trajectory(robot, table, MotionRequest().complete(DesignOptions(), table), start=np.zeros(5), cell=cell)
 
 
 @pytest.mark.parametrize("without", [1, 2])
@@ -89,7 +89,7 @@ def test_where_the_best_start_has_no_ramps_the_next_is_taken(monkeypatch, withou
 def test_only_the_pairs_that_came_too_near_keep_further_away(placed):
     robot, table, cell = placed
     setting = optimize.set_up(
-        robot, table, MotionRequest().fill(DesignOptions(), table), clearance=clearance_builder.clearance(cell)
+        robot, table, MotionRequest().complete(DesignOptions(), table), clearance=clearance_builder.clearance(cell)
     )
     before, name = setting.problem.clearance, setting.problem.clearance.names[0]
     twice = setting

@@ -30,9 +30,9 @@ def solved(
 
 def value(found: OptimizedDesign, motion: FourierSeries | None = None) -> dict:
     """All criteria of a motion, by Pinocchio, on a grid that isn't the optimiser's."""
-    p, motion = found.setting.problem, motion or found.motion
+    p, motion = found.setup.problem, motion or found.motion
     Y = dynamics.regressor(p.robot, p.parameters, motion.samples(motion.grid(400)))
-    return criteria.evaluate_criteria(Y, found.setting.base, found.setting.noise)
+    return criteria.evaluate_criteria(Y, found.setup.base, found.setup.noise)
 
 
 def loose(limits: Limits) -> Limits:
@@ -89,9 +89,9 @@ def test_a_criterion_is_served_best_by_its_own_design(two_link, table, criterion
 
 def test_the_objective_of_an_attempt_is_its_criterions_logarithm(two_link, table):
     found = solved(two_link, table)
-    motion, p = found.motion, found.setting.problem
+    motion, p = found.motion, found.setup.problem
     Y = dynamics.regressor(two_link, p.parameters, motion.samples(motion.grid(40)))
-    stated = criteria.evaluate_criteria(Y, found.setting.base, found.setting.noise)["geometric"]["a"]
+    stated = criteria.evaluate_criteria(Y, found.setup.base, found.setup.noise)["geometric"]["a"]
     assert found.attempts[0].objective == pytest.approx(np.log(stated), rel=1e-9)
 
 
@@ -152,7 +152,7 @@ TIGHT = {
 
 def excess(kind: str, found: OptimizedDesign, bound: np.ndarray) -> float:
     """The largest quantity over its limit, densely, by Pinocchio."""
-    motion, p = found.motion, found.setting.problem
+    motion, p = found.motion, found.setup.problem
     t = motion.grid(4001)
     if kind == "torque":
         values = dynamics.regressor(p.robot, p.parameters, motion.samples(t)) @ p.parameters.nominal
@@ -237,12 +237,12 @@ def test_information_already_there_changes_what_is_asked_for(two_link, table):
         two_link, setting.problem.parameters, only_second.samples(only_second.grid(400))
     )
     there = 10.0 * criteria.information_matrix(Y, setting.noise)
-    alone, together = solved(two_link, table), solved(two_link, table, given=there)
+    alone, together = solved(two_link, table), solved(two_link, table, earlier_information=there)
 
     def with_given(found):
-        p = found.setting.problem
+        p = found.setup.problem
         Y = dynamics.regressor(two_link, p.parameters, found.motion.samples(found.motion.grid(400)))
-        return criteria.evaluate_criteria(Y, found.setting.base, found.setting.noise, there / 400)["geometric"][
+        return criteria.evaluate_criteria(Y, found.setup.base, found.setup.noise, there / 400)["geometric"][
             "a"
         ]
 

@@ -25,9 +25,9 @@ from shared_inputs import INPUTS, needs_inputs
 from excite import recordings
 from excite.cli.main import main
 from excite.collision import scene_file
-from excite.diagnosis import whole
-from excite.effects import EFFECTS, track
-from excite.effects.effect import Delay, Shape
+from excite.diagnosis import fitted_effects
+from excite.effects import EFFECTS, recorded_motion
+from excite.effects.effect import RecordingDelay, CandidateModel
 from excite.errors import ExciteError, ExciteWarning, UnusableInput
 from excite.identification import identification, prior, segments
 from excite.robot import inertial_parameters, limits
@@ -697,7 +697,7 @@ def test_the_mutations_change_something():
 
 
 @pytest.fixture(scope="module")
-def tracks() -> list[track.Track]:
+def tracks() -> list[recorded_motion.RecordedMotion]:
     """Two stretches of a two-link robot that is touched once, with temperatures."""
     subject = two_links()
     psi = perturbed(subject.parameters, np.random.default_rng(4))
@@ -712,23 +712,23 @@ def tracks() -> list[track.Track]:
         subject.base,
         [recording],
         [recording],
-        identification.Options(band=20.0),
+        identification.IdentificationOptions(band=20.0),
         lambda _: None,
     )
-    body = track.fitted_robot(subject.robot, subject.parameters, done.psi)
+    body = recorded_motion.fitted_robot(subject.robot, subject.parameters, done.psi)
     theta = subject.base.matrix @ done.psi
     pieces = list(segments.pieces([recording], average=False))
-    return track.motions(done.model, body, theta, pieces, 20.0)
+    return recorded_motion.recorded_motions(done.model, body, theta, pieces, 20.0)
 
 
-def variants(shape: Shape) -> Iterator[Shape]:
+def variants(shape: CandidateModel) -> Iterator[CandidateModel]:
     """A shape, those that it can be turned into, and the same where torque is recorded later."""
     yield shape
     for near in shape.variants():
-        yield near.here
+        yield near.current
     if shape.effect != "delay" and not shape.values.get("measured"):
-        yield shape.delayed(Delay(0.003), 1)
-        yield shape.delayed(Delay(0.003, lagging=True), None)
+        yield shape.delayed(RecordingDelay(0.003), 1)
+        yield shape.delayed(RecordingDelay(0.003, lagging=True), None)
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
@@ -746,9 +746,9 @@ def test_every_shape_of_the_catalogue_fits_its_schema(effect, tracks, subject):
                 continue
             forms.add(form)
             count = variant.columns(tracks[0]).shape[2]
-            part = whole.Part(variant, np.full(count, 0.5))
-            entry = json.loads(json.dumps(whole.entry(part, subject.robot)))
-            again = whole.restored(file.converted(entry, EffectDocument), subject.robot)
+            part = fitted_effects.FittedEffect(variant, np.full(count, 0.5))
+            entry = json.loads(json.dumps(fitted_effects.entry(part, subject.robot)))
+            again = fitted_effects.restored(file.converted(entry, EffectDocument), subject.robot)
             assert again.shape.values == dict(variant.values)
             assert (again.shape.joint, again.shape.other) == (variant.joint, variant.other)
             entry["coefficients"].append(0.5)

@@ -110,7 +110,7 @@ def test_a_returned_gradient_is_not_overwritten_by_the_next():
 def rows_of(e: Evaluator, kind: str, x: np.ndarray) -> ConstraintRows:
     """Every finite row of one kind."""
     return e.rows(
-        np.concatenate([(np.isfinite(v) & (k == kind)).ravel() for k, v in e.table(x).items()])
+        np.concatenate([(np.isfinite(v) & (k == kind)).ravel() for k, v in e.constraint_values(x).items()])
     )
 
 
@@ -159,7 +159,7 @@ def test_kinematic_rows_are_each_quantity_over_its_limit():
     x, p = point(e), evaluator().problem
     motion, t = p.fourier(x), p.fourier(x).grid(p.options.samples)
     middle, half = p.limits.position.mean(axis=1), 0.5 * np.ptp(p.limits.position, axis=1)
-    table = e.table(x)
+    table = e.constraint_values(x)
     assert np.allclose(table["position"][0], (motion.at(t) - middle) / half)
     for order, kind in enumerate(("velocity", "acceleration", "jerk"), start=1):
         assert np.allclose(
@@ -182,7 +182,7 @@ def test_box_rows_are_one_on_the_boxs_faces():
     q = e.problem.fourier(x).at(e.problem.fourier(x).grid(24))
     reach = dynamics.positions(e.problem.robot, "tip", q)
     assert np.allclose(
-        e.table(x)["box0"][0],
+        e.constraint_values(x)["box0"][0],
         (reach - np.add(box.lower, box.upper) / 2) / (np.subtract(box.upper, box.lower) / 2),
     )
 
@@ -190,19 +190,19 @@ def test_box_rows_are_one_on_the_boxs_faces():
 def test_held_poses_have_the_rows_of_a_motion_that_stays():
     e = evaluator(boxes=(BOX,))
     pose = np.array([0.4, -0.9])
-    held, resting = e.hold(np.tile(pose, (24, 1))), e.table(stationary_variables(e.problem, pose))
+    held, resting = e.static_constraint_values(np.tile(pose, (24, 1))), e.constraint_values(stationary_variables(e.problem, pose))
     assert all(np.allclose(held[kind], resting[kind], atol=1e-12) for kind in e.kinds)
 
 
 def test_selected_rows_are_those_above_the_threshold():
     e = evaluator()
     x = point(e)
-    rows = e.rows(e.select(x, 0.5))
+    rows = e.rows(e.rows_above(x, 0.5))
     values = e.row_values(x, rows)
     assert (values > 0.5).all() and len(rows) == sum(
-        int((v > 0.5).sum()) for v in e.table(x).values()
+        int((v > 0.5).sum()) for v in e.constraint_values(x).values()
     )
-    assert e.worst(x) == values.max()
+    assert e.max_constraint_value(x) == values.max()
 
 
 @given(st.integers(0, 100), st.sampled_from([None, (1.0, 4.0)]))
@@ -221,7 +221,7 @@ def test_no_robot_in_the_ball_exceeds_the_uncertain_torque(name):
     p, x = e.problem, point(e)
     motion = p.fourier(x)
     Y = dynamics.regressor(p.robot, p.parameters, motion.samples(motion.grid(24)))
-    bound = e.table(x)["torque"] * p.limits.torque  # of +τ and of −τ
+    bound = e.constraint_values(x)["torque"] * p.limits.torque  # of +τ and of −τ
     ways = np.random.default_rng(0).normal(size=(3000, p.parameters.count))
     ways /= np.linalg.norm(ways, axis=1)[:, None]
     torques = np.einsum("tip,sp->tis", Y, p.parameters.nominal + 0.3 * ways @ p.parameters.scale.T)
@@ -244,7 +244,7 @@ def test_some_robot_in_the_ball_attains_the_uncertain_torque(name):
     )  # it lies on the ball
     for sign, side in ((1.0, 0), (-1.0, 1)):
         attained = sign * np.einsum("tip,tip->ti", Y, p.parameters.nominal + sign * worst)
-        assert off(e.table(x)["torque"][side] * p.limits.torque, attained) < 1e-9
+        assert off(e.constraint_values(x)["torque"][side] * p.limits.torque, attained) < 1e-9
 
 
 def test_the_checks_band_is_the_optimisers():
@@ -257,6 +257,6 @@ def test_the_checks_band_is_the_optimisers():
         0.3,
     )
     assert (
-        off(e.table(x)["torque"] * p.limits.torque, np.stack([nominal + width, width - nominal]))
+        off(e.constraint_values(x)["torque"] * p.limits.torque, np.stack([nominal + width, width - nominal]))
         < 1e-9
     )

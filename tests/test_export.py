@@ -452,7 +452,7 @@ def test_urscript_run_is_the_motion(
     ).read_text()
     targets, others = run(script, step)
     motion = trajectory.motion.slowed(speed)
-    np.testing.assert_allclose(others[0], motion.rest[0], **NEAR)
+    np.testing.assert_allclose(others[0], motion.end_poses[0], **NEAR)
     assert others[1:] == ["stop"]
     t = step * np.arange(1, len(targets) + 1)
     assert motion.duration + 0.4 < t[-1] < motion.duration + 0.6

@@ -176,10 +176,10 @@ def test_recordings_of_different_rates_remember_alike():
             "dq",
             "ddq",
             "load",
-            "motor",
+            "motor_torque",
             "distance",
             "temperature",
-            "moves",
+            "moving",
         )
     }
     thin = dataclasses.replace(made, **taken)

@@ -209,7 +209,7 @@ def known() -> Known:
         np.diag(own.scale)[10 * own.bodies :],
     )
     psi = consistency.maximum_a_posteriori(
-        own, data.root @ model.base.matrix, data.root @ data.theta, prior
+        own, data.information_root @ model.base.matrix, data.information_root @ data.theta, prior
     ).psi
     groups, share = simulation_error.cut_windows(pieces, 20.0, 0.1, 12)
     return Known(model, groups, share, data, prior, psi, truth)
@@ -242,7 +242,7 @@ def test_refined_parameters_foresee_positions_better_and_stay_where_equation_err
         and found.costs[-1] < found.costs[0]
     )
     assert consistency.is_consistent(known.model.parameters, found.psi)
-    moved = known.data.root @ known.model.base.matrix @ (found.psi - known.psi)
+    moved = known.data.information_root @ known.model.base.matrix @ (found.psi - known.psi)
     assert float(moved @ moved) < 4.0 * len(moved)
 
 
@@ -257,7 +257,7 @@ def test_from_a_wrong_start_it_finds_the_truth_without_equation_error(known):
     )
     B = known.model.base.matrix
     before, after = (
-        np.linalg.norm(known.data.root @ B @ (psi - known.truth)) for psi in (wrong, found.psi)
+        np.linalg.norm(known.data.information_root @ B @ (psi - known.truth)) for psi in (wrong, found.psi)
     )
     assert after < 0.1 * before and consistency.is_consistent(P, found.psi)
 

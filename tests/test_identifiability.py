@@ -82,7 +82,7 @@ def test_information_and_root_agree(name: str) -> None:
     again = analyse_information(standard, found, root.T @ root, 0.01 * table.torque, loaded)
     top = analysis.eigenvalues[0]
     np.testing.assert_allclose(again.eigenvalues, analysis.eigenvalues, rtol=1e-6, atol=1e-13 * top)
-    assert again.identifiable == analysis.identifiable
+    assert again.identifiable_count == analysis.identifiable_count
 
 
 def test_blocks_give_the_information_of_the_whole() -> None:
@@ -244,7 +244,7 @@ def test_a_looser_threshold_shows_more() -> None:
         analysis = analyse_root(
             standard, found, root, 0.01 * table.torque, loaded, threshold=threshold
         )
-        counts.append(analysis.identifiable)
+        counts.append(analysis.identifiable_count)
         shares.append([s.identifiable_share for s in analysis.links])
     assert counts == sorted(counts) and counts[-1] == found.count
     assert np.all(np.diff(np.array(shares), axis=0) >= -1e-12)
@@ -273,7 +273,7 @@ def test_twice_the_time_and_twice_the_speed() -> None:
         loaded, standard, found, table, motion, noise=noise, rate=100.0
     )
     np.testing.assert_allclose(time.eigenvalues, 2.0 * now.eigenvalues, rtol=1e-9)
-    assert (now.name, time.name, speed.name) == ("now", "time", "speed") and not time.broken
+    assert (now.name, time.name, speed.name) == ("now", "time", "speed") and not time.broken_limits
     # the same number of samples of the faster series, counted directly
     fast = motion.fourier.slowed(2.0)
     count = round(100.0 * motion.duration)
@@ -283,7 +283,7 @@ def test_twice_the_time_and_twice_the_speed() -> None:
     )
     np.testing.assert_allclose(speed.eigenvalues, direct.eigenvalues, rtol=0.02)
     peak = np.abs(fast.at(fast.grid(300), 1)).max(axis=0) / table.velocity
-    assert any(b.limit == "velocity" for b in speed.broken) == bool(peak.max() > 1.0)
+    assert any(b.limit == "velocity" for b in speed.broken_limits) == bool(peak.max() > 1.0)
     # a limit derived for the ramps does not bind the excitation; a stated one does
     low = dataclasses.replace(table, acceleration=np.full(2, 0.1))
     derived = dataclasses.replace(
@@ -292,10 +292,10 @@ def test_twice_the_time_and_twice_the_speed() -> None:
     for limited, expected in ((low, True), (derived, False)):
         broken = compare_scenarios(loaded, standard, found, limited, motion, noise=noise, rate=100.0)[
             2
-        ].broken
+        ].broken_limits
         assert any(b.limit == "acceleration" for b in broken) == expected
     slow = dataclasses.replace(table, velocity=0.5 * np.abs(fast.at(fast.grid(300), 1)).max(axis=0))
     broken = compare_scenarios(loaded, standard, found, slow, motion, noise=noise, rate=100.0)[
         2
-    ].broken
+    ].broken_limits
     assert next(b for b in broken if b.limit == "velocity").factor == pytest.approx(2.0)

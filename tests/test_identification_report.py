@@ -15,8 +15,8 @@ from test_report import answer, check_page, section
 
 from excite import recordings
 from excite.cli import main
-from excite.identification import confidence
-from excite.identification.identification import Identification, Options, identify
+from excite.identification import estimators
+from excite.identification.identification import Identification, IdentificationOptions, identify
 from excite.recordings import Kind, Recording, Remark, Sidecar
 from excite.report import identification_page, noise
 from excite.report.figures import torque_fit
@@ -123,9 +123,9 @@ def test_errors_are_those_of_the_identification() -> None:
         assert joint == prediction_joints()[k]
         assert values[1:4] == [
             number(v[k], 3)
-            for v in (prediction.error("nominal"), prediction.error(), prediction.floor)
+            for v in (prediction.error("nominal"), prediction.error(), prediction.noise_floor)
         ]
-        assert values[4] == f"{prediction.error()[k] / prediction.floor[k]:.2f}"
+        assert values[4] == f"{prediction.error()[k] / prediction.noise_floor[k]:.2f}"
     assert answer(page_of(), "prediction").startswith("Yes, down to the noise")
 
 
@@ -135,7 +135,7 @@ def prediction_joints() -> tuple[str, ...]:
 
 def test_base_parameters_are_those_of_the_identification() -> None:
     one, text = found(), section(page_of(), "parameters")
-    half = confidence.interval_half_widths(one.data, np.eye(one.model.base.count))
+    half = estimators.interval_half_widths(one.data, np.eye(one.model.base.count))
     now = one.model.base.matrix @ one.psi
     for k, place in enumerate(one.model.base.independent):
         row = re.search(
@@ -196,11 +196,11 @@ def test_the_data_decide_what_they_show_and_the_prior_the_rest() -> None:
     )
     values = (
         np.linalg.svd(
-            one.data.root @ one.model.base.matrix @ one.model.base.geometric, compute_uv=False
+            one.data.information_root @ one.model.base.matrix @ one.model.base.geometric, compute_uv=False
         )
         ** 2
     )
-    assert np.allclose(alike.decided(), values / (values + 100.0), rtol=1e-6)
+    assert np.allclose(alike.data_shares(), values / (values + 100.0), rtol=1e-6)
 
 
 def test_the_next_command_is_one_that_the_command_line_takes() -> None:
@@ -281,7 +281,7 @@ def test_one_sliding_joint() -> None:
         base_parameters.find(loaded, standard, table),
         [train],
         [pulses],
-        Options(band=25.0),
+        IdentificationOptions(band=25.0),
     )
     page = identification_page(one, train.remarks)
     check_page(page)

@@ -15,7 +15,6 @@ from made import PERIOD, RATE, WIDTH, motion, perturbed, recorded, two_links
 
 from excite.errors import UnusableInput
 from excite.identification import (
-    confidence,
     consistency,
     estimators,
     friction_width,
@@ -26,7 +25,7 @@ from excite.identification import (
 )
 from excite.identification.consistency import Bounds, Prior
 from excite.identification.estimators import Method
-from excite.identification.identification import Identification, Options
+from excite.identification.identification import Identification, IdentificationOptions
 from excite.identification.inertia_distance import Distance
 from excite.identification.lowpass import TAPER_FRACTION, Grid, LowPassFilter
 from excite.identification.regression import IdentificationModel, TorqueEquations
@@ -56,7 +55,7 @@ def identified(model: IdentificationModel, *recordings: Recording, **options: ob
         model.base,
         recordings[:1],
         recordings[1:],
-        Options(**options),
+        IdentificationOptions(**options),
     )  # type: ignore[arg-type]
 
 
@@ -69,9 +68,9 @@ def test_periodic_derivatives_are_exact_below_the_band():
     one = LowPassFilter(10.0, RATE, len(t), periodic=True)
     for order in range(3):
         assert np.allclose(
-            one.low(fourier.at(t), Grid.RECORDED, order), fourier.at(t, order), atol=1e-9
+            one.filter(fourier.at(t), Grid.RECORDED, order), fourier.at(t, order), atol=1e-9
         )
-    kept = one.low(fourier.at(t), Grid.KEPT)
+    kept = one.filter(fourier.at(t), Grid.KEPT)
     assert np.allclose(kept, fourier.at(np.arange(len(kept)) * PERIOD / len(kept)), atol=1e-12)
 
 
@@ -81,7 +80,7 @@ def test_what_is_above_the_band_is_gone_and_what_is_below_keeps_its_phase():
     one = LowPassFilter(10.0, RATE, len(t))
     inner = slice(one.margin, len(t) - one.margin)
     assert (
-        np.abs(one.low((slow + fast)[:, None], Grid.RECORDED)[inner, 0] - slow[inner]).max() < 1e-3
+        np.abs(one.filter((slow + fast)[:, None], Grid.RECORDED)[inner, 0] - slow[inner]).max() < 1e-3
     )
 
 
@@ -223,13 +222,13 @@ def test_intervals_cover_under_white_and_coloured_noise(model, truth, pole):
             clean, tau=clean.tau + 0.5 * coloured(rng, clean.tau.shape, pole)
         )
         (piece,) = segments.extract_segments([noisy])
-        low = LowPassFilter(20.0, piece.rate, len(piece), periodic=True).low(piece.torque, Grid.KEPT)
+        low = LowPassFilter(20.0, piece.rate, len(piece), periodic=True).filter(piece.torque, Grid.KEPT)
         torque_only = dataclasses.replace(
             parts, torque=low, repeats=(regression._repeats(piece, len(parts)),)
         )
         found = estimators.estimate(torque_only, nuisance=nuisance)
         inside.append(
-            np.abs(found.theta - exact) <= confidence.interval_half_widths(found, np.eye(len(exact)))
+            np.abs(found.theta - exact) <= estimators.interval_half_widths(found, np.eye(len(exact)))
         )
     assert 0.91 < np.mean(inside) < 0.985
 
@@ -250,7 +249,7 @@ def test_what_the_data_does_not_show_has_no_interval(model, truth):
         if not np.isfinite(value)
     }
     assert {"Fv2", "Fc2"} <= unknown and "Fv1" not in unknown
-    half = confidence.interval_half_widths(found, np.eye(len(names)))
+    half = estimators.interval_half_widths(found, np.eye(len(names)))
     assert np.isinf(half[names.index("Fv2")]) and np.isfinite(half[names.index("Fv1")])
 
 
@@ -290,12 +289,12 @@ def bodies(seed: int, count: int = 3) -> Array:
 @pytest.mark.parametrize("kind", list(Distance))
 def test_distances_have_exact_derivatives(kind):
     nominal, phi = bodies(1), bodies(2)
-    found = inertia_distance.NominalFrames(nominal).squared(kind, phi)
+    found = inertia_distance.NominalFrames(nominal).squared_distance(kind, phi)
     for k in range(10):
         step = np.zeros(10)
         step[k] = 1.0
         numeric = slope(
-            lambda h, s=step: inertia_distance.NominalFrames(nominal).squared(kind, phi + h * s).value, 1e-5
+            lambda h, s=step: inertia_distance.NominalFrames(nominal).squared_distance(kind, phi + h * s).value, 1e-5
         )
         assert np.allclose(
             found.gradient[:, k], numeric, rtol=1e-5, atol=1e-6 * np.abs(found.gradient).max()
@@ -310,7 +309,7 @@ def test_geometric_distances_agree_near_the_nominal_body(kind):
         np.array([inertial_parameters.inverse_root(phi) for phi in nominal]),
         np.ones((3, 10)),
     )
-    found = inertia_distance.NominalFrames(nominal).squared(kind, nominal + tangent)
+    found = inertia_distance.NominalFrames(nominal).squared_distance(kind, nominal + tangent)
     assert np.allclose(found.value, 10 * 1e-8, rtol=1e-2)
     assert np.allclose(
         found.hessian, 2 * inertia_distance.distance_metrics(kind, nominal), rtol=2e-2, atol=1e-2
@@ -331,12 +330,12 @@ def test_the_riemannian_distance_depends_on_no_frame_or_unit():
         return np.column_stack([P[:, 3, 3], first, *(tensor[:, i, j] for i, j in order)])
 
     before, after = (
-        inertia_distance.NominalFrames(b).squared(Distance.RIEMANNIAN, a).value
+        inertia_distance.NominalFrames(b).squared_distance(Distance.RIEMANNIAN, a).value
         for a, b in ((phi, nominal), (moved(phi), moved(nominal)))
     )
     assert np.allclose(before, after, rtol=1e-8)
     euclid = [
-        inertia_distance.NominalFrames(b).squared(Distance.EUCLIDEAN, a).value
+        inertia_distance.NominalFrames(b).squared_distance(Distance.EUCLIDEAN, a).value
         for a, b in ((phi, nominal), (moved(phi), moved(nominal)))
     ]
     assert not np.allclose(*euclid, rtol=0.1)
@@ -413,10 +412,10 @@ def test_held_out_torque_is_predicted_to_the_noise(model, truth):
     )
     found = identified(model, train, other)
     (prediction,) = found.validations
-    assert np.all(prediction.error() <= 1.05 * prediction.floor) and np.all(
-        prediction.error() >= 0.95 * prediction.floor
+    assert np.all(prediction.error() <= 1.05 * prediction.noise_floor) and np.all(
+        prediction.error() >= 0.95 * prediction.noise_floor
     )
-    assert np.all(prediction.error("nominal") > 2.0 * prediction.floor)
+    assert np.all(prediction.error("nominal") > 2.0 * prediction.noise_floor)
     assert consistency.is_consistent(model.parameters, found.psi)
     assert np.all(np.abs(found.delay.seconds) < 5 * found.delay.deviation + 2e-4)
 
@@ -449,7 +448,7 @@ def test_evidence_trusts_a_nominal_robot_that_is_right(model):
 @pytest.mark.parametrize("gamma", ["heldout", (3.0, 1e-4)])
 def test_gamma_by_held_out_blocks_or_as_given(model, truth, gamma):
     found = identified(model, recorded(model, truth, motion(2), 4, 0.3), gamma=gamma)
-    assert found.gamma == pytest.approx(gamma) if isinstance(gamma, tuple) else len(found.tried) > 5
+    assert found.gamma == pytest.approx(gamma) if isinstance(gamma, tuple) else len(found.gamma_trials) > 5
     assert consistency.is_consistent(model.parameters, found.psi)
 
 
@@ -544,6 +543,6 @@ def test_emps_pulses_are_predicted_to_five_per_cent():
         base_parameters.find(machine, standard, table),
         [train],
         [pulses],
-        Options(band=25.0),
+        IdentificationOptions(band=25.0),
     )
     assert found.validations[0].relative()[0] < 0.049

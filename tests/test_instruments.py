@@ -70,7 +70,7 @@ def bench(encoder: float, step: float) -> Bench:
         np.diag(own.scale)[10 * own.bodies :],
     )
     psi = consistency.maximum_a_posteriori(
-        own, data.root @ model.base.matrix, data.root @ data.theta, prior
+        own, data.information_root @ model.base.matrix, data.information_root @ data.theta, prior
     ).psi
     return Bench(model, recording, rows, model.base.matrix @ true, psi)
 

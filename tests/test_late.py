@@ -30,7 +30,7 @@ def test_a_signal_below_the_band_comes_later_by_what_is_asked(periodic):
     t, seconds = np.arange(4000) / 500.0, 0.0137
     band = LowPassFilter(20.0, 500.0, len(t), periodic)
     wave = lambda t: np.sin(2.0 * np.pi * 3.0 * t) + 0.3 * np.cos(2.0 * np.pi * 11.25 * t + 1.0)  # noqa: E731
-    moved = band.low(wave(t), Grid.RECORDED, late=seconds)
+    moved = band.filter(wave(t), Grid.RECORDED, delay=seconds)
     kept = slice(band.margin, len(t) - band.margin)
     np.testing.assert_allclose(
         moved[kept], wave(t - seconds)[kept], atol=1e-9 if periodic else 2e-3
@@ -42,7 +42,7 @@ def test_a_signal_below_the_band_passes_a_filter_of_first_order(periodic):
     t, lag = np.arange(4000) / 500.0, 0.0137
     band = LowPassFilter(20.0, 500.0, len(t), periodic)
     wave = lambda f, late: np.sin(2.0 * np.pi * f * t - late)  # noqa: E731
-    passed = band.low(wave(3.0, 0.0) + 0.3 * wave(11.25, 0.0), Grid.RECORDED, lag=lag)
+    passed = band.filter(wave(3.0, 0.0) + 0.3 * wave(11.25, 0.0), Grid.RECORDED, time_constant=lag)
     angles = [2.0 * np.pi * f * lag for f in (3.0, 11.25)]
     expected = sum(
         size * wave(f, np.arctan(a)) / np.hypot(1.0, a)
@@ -55,13 +55,13 @@ def test_a_signal_below_the_band_passes_a_filter_of_first_order(periodic):
 def test_what_is_late_at_one_joint_is_in_time_at_others(nothing):
     one, seconds = nothing.motions[0][0], 0.011
     every = dataclasses.replace(
-        one, grid=Grid.RECORDED, kept=slice(0, len(one.segment)), time=one.clock
+        one, grid=Grid.RECORDED, kept=slice(0, len(one.segment)), time=one.times
     )
     shapes = list(EFFECTS_BY_NAME["elasticity"].shapes([one]))
     shape = next(s for s in shapes if s.joint == 0)
     now, then = shape.columns(every), shape.delayed(RecordingDelay(seconds), 0).columns(every)
     moved = np.column_stack(
-        [np.interp(one.clock - seconds, one.clock, column) for column in now[:, 0].T]
+        [np.interp(one.times - seconds, one.times, column) for column in now[:, 0].T]
     )
     inner = slice(500, -500)
     np.testing.assert_allclose(then[inner, 0], moved[inner], atol=2e-3 * np.abs(now[:, 0]).max())

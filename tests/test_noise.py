@@ -30,7 +30,7 @@ def measured(subject: IdentificationModel, change: float = 0.0, step: float = 0.
         subject.base,
         [recording],
         [recording],
-        identification.Options(band=20.0),
+        identification.IdentificationOptions(band=20.0),
         lambda _: None,
     )
     theta = subject.base.matrix @ done.psi
@@ -92,7 +92,7 @@ def test_a_clock_that_wavers_is_louder_where_momentum_is_more(subject, by, most)
     fast = dataclasses.replace(
         fast, sidecar=dataclasses.replace(fast.sidecar, periodic=(0.0, PERIOD))
     )  # hardly repeats
-    options = identification.Options(band=20.0)
+    options = identification.IdentificationOptions(band=20.0)
     done = identification.identify(
         subject.robot, subject.parameters, subject.base, [slow], [fast], options, lambda _: None
     )

@@ -20,7 +20,7 @@ GAUGE = StateScaling(np.array([True, False, True]), np.array([np.pi, 0.4, 1.2]),
 
 
 def motion(rng: np.random.Generator, n: int = 3, harmonics: int = 3) -> FourierSeries:
-    size = GAUGE.speed[:n, None] / 2.0
+    size = GAUGE.velocity_scale[:n, None] / 2.0
     return FourierSeries(
         size * rng.normal(size=(n, harmonics)),
         size * rng.normal(size=(n, harmonics)),
@@ -93,13 +93,13 @@ def test_units_of_a_joint_do_not_matter():
     rng = np.random.default_rng(1)
     first, second = motion(rng), motion(rng)
     unit = np.array([1.0, 1000.0, 1.0])
-    other = StateScaling(GAUGE.turns, GAUGE.reach * unit, GAUGE.speed * unit)
+    other = StateScaling(GAUGE.is_revolute, GAUGE.position_scale * unit, GAUGE.velocity_scale * unit)
     scaled = [
         FourierSeries(m.sine * unit[:, None], m.cosine * unit[:, None], m.offset * unit, m.period)
         for m in (first, second)
     ]
-    assert motion_overlap.motion_overlap(other, *scaled) == pytest.approx(
-        motion_overlap.motion_overlap(GAUGE, first, second), abs=1e-9
+    assert motion_overlap.compute_overlap(other, *scaled) == pytest.approx(
+        motion_overlap.compute_overlap(GAUGE, first, second), abs=1e-9
     )
 
 
@@ -118,7 +118,7 @@ def test_the_objective_pays_for_it_with_the_right_gradient(free):
     first = FourierSeries(np.full((2, 3), 0.5), np.full((2, 3), -0.3), np.array([-0.5, 0.2]), 2.0)
     kept = penalise_overlap(StateScaling.of(robot, limits), first)
     plain, priced = (
-        Evaluator(optimize.set_up(robot, limits, options, apart=a).problem) for a in (None, kept)
+        Evaluator(optimize.set_up(robot, limits, options, overlap_penalty=a).problem) for a in (None, kept)
     )
     rng = np.random.default_rng(0)
     x, d = 0.4 * rng.normal(size=plain.problem.size), rng.normal(size=plain.problem.size)

@@ -87,7 +87,7 @@ def test_slow_joints_get_at_most_the_longest_period():
 
 
 def test_the_rule_beats_ten_seconds_per_sample(two_link, table):
-    fill = MotionRequest().fill(SHORT, table)
+    fill = MotionRequest().complete(SHORT, table)
     ruled, ten = (
         optimize.solve(optimize.set_up(two_link, table, replace(fill, period=p)))
         .attempts[0]
@@ -99,10 +99,10 @@ def test_the_rule_beats_ten_seconds_per_sample(two_link, table):
 
 def test_what_is_given_is_kept(table):
     wish = MotionRequest(period=3.0, harmonics=7, samples=33, periods=4)
-    found = wish.fill(DesignOptions(), table)
+    found = wish.complete(DesignOptions(), table)
     assert (found.period, found.harmonics, found.samples, found.periods) == (3.0, 7, 33, 4)
-    assert wish.open == [] and MotionRequest(harmonics=7).open == ["period", "samples", "periods"]
-    assert MotionRequest(harmonics=7).fill(DesignOptions(), table).samples == 140
+    assert wish.unspecified == [] and MotionRequest(harmonics=7).unspecified == ["period", "samples", "periods"]
+    assert MotionRequest(harmonics=7).complete(DesignOptions(), table).samples == 140
 
 
 def test_a_joint_without_position_limits_has_a_period():
@@ -154,7 +154,7 @@ def test_one_seed_gives_one_plan_on_any_number_of_processes(two_link, table):
     ],
 )
 def test_what_is_given_is_respected_and_only_the_rest_chosen(two_link, table, wish):
-    for c in planned(two_link, table, wish=wish).candidates:
+    for c in planned(two_link, table, request=wish).candidates:
         for name, value in (
             ("period", c.period),
             ("harmonics", c.harmonics),
@@ -171,8 +171,8 @@ def test_information_already_there_counts_per_sample(two_link, table):
     there = 1e9 * np.linalg.inv(root @ root.T)
     wish = MotionRequest(harmonics=3)
     assert max(
-        c.deviation for c in planned(two_link, table, wish=wish, given=there).candidates
-    ) < 0.5 * min(c.deviation for c in planned(two_link, table, wish=wish).candidates)
+        c.deviation for c in planned(two_link, table, request=wish, earlier_information=there).candidates
+    ) < 0.5 * min(c.deviation for c in planned(two_link, table, request=wish).candidates)
 
 
 @pytest.mark.parametrize("criterion", list(Criterion))
@@ -217,7 +217,7 @@ def test_a_budget_that_contradicts_the_rest_is_refused(
 
 def test_a_start_pose_costs_time(two_link, table):
     pose = np.array([-1.5, 0.3])
-    found = planned(two_link, table, start=pose, wish=MotionRequest(harmonics=3))
+    found = planned(two_link, table, start=pose, request=MotionRequest(harmonics=3))
     delivery = time_budget.run_plan(
         found, SHORT, lambda options: pipeline.design_trajectory(two_link, table, options, start=pose)
     )

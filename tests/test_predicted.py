@@ -33,8 +33,8 @@ def test_what_was_found_is_predicted_and_gone_from_the_recording(subject):
     bare = fitted_effects.removed(result.parts, validate, result.motions[1])
     _, clean = recordings_of(subject, None)
     one = result.motions[1][0]
-    apart = one.band.low(bare.torque - clean.torque, recorded_motion.Grid.KEPT)[one.kept]
-    hidden = one.band.low(validate.torque - clean.torque, recorded_motion.Grid.KEPT)[one.kept]
+    apart = one.band.filter(bare.torque - clean.torque, recorded_motion.Grid.KEPT)[one.kept]
+    hidden = one.band.filter(validate.torque - clean.torque, recorded_motion.Grid.KEPT)[one.kept]
     assert np.sqrt(np.mean(apart**2)) < 0.25 * np.sqrt(np.mean(hidden**2))
     again = [
         fitted_effects.restored(validated(fitted_effects.entry(part, subject.robot)), subject.robot)

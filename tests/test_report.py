@@ -195,7 +195,7 @@ def test_answers_are_computed_from_the_data() -> None:
         "Yes; closest is the position of wrist_3_joint at 1.50 s"
     )
     assert answer(page, "spectrum").startswith(
-        f"{analysis.identifiable} of {found.count} directions"
+        f"{analysis.identifiable_count} of {found.count} directions"
     )
     joints = dynamics.band(
         dynamics.regressor(
@@ -305,7 +305,7 @@ def test_directions_that_nothing_excites_do_not_break_the_report() -> None:
         cases=(),
     )
     check_page(page)
-    assert "Limits: not checked" in page and analysis.identifiable > 0
+    assert "Limits: not checked" in page and analysis.identifiable_count > 0
 
 
 def test_identifiability_report() -> None:

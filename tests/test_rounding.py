@@ -45,7 +45,7 @@ def read(q: np.ndarray, seed: int, step: float = STEP) -> np.ndarray:
 
 def derivative(q: np.ndarray, order: int, hertz: float, rate: float = RATE) -> np.ndarray:
     band = LowPassFilter(hertz, rate, len(q))
-    return band.low(q, Grid.RECORDED, order)[band.margin : -band.margin]
+    return band.filter(q, Grid.RECORDED, order)[band.margin : -band.margin]
 
 
 @pytest.mark.parametrize(

@@ -199,7 +199,7 @@ def test_motion_rests_before_and_after(delivery):
     motion = delivery.trajectory.motion
     outside = np.array([-1.0, motion.duration + 1.0])
     assert (
-        np.array_equal(motion.at(outside), np.array(motion.rest))
+        np.array_equal(motion.at(outside), np.array(motion.end_poses))
         and not motion.at(outside, 1).any()
     )
 

@@ -32,7 +32,7 @@ def first(two_link: Robot, table: Limits) -> CertifiedDesign:
 @pytest.fixture(scope="module")
 def second(two_link: Robot, table: Limits, first: CertifiedDesign) -> ValidationDesign:
     return validation_trajectory.design_validation(
-        first, two_link, lambda apart: pipeline.design_trajectory(two_link, table, OPTIONS, apart=apart)
+        first, two_link, lambda apart: pipeline.design_trajectory(two_link, table, OPTIONS, overlap_penalty=apart)
     )
 
 
@@ -42,17 +42,17 @@ def second(two_link: Robot, table: Limits, first: CertifiedDesign) -> Validation
 def test_it_is_certified_asks_for_the_same_and_goes_elsewhere(first, second):
     assert second.delivery.certificate.ok
     assert second.values[1] < 1.5 * second.values[0]
-    assert second.independent is not None
-    assert second.alike.overlap < second.independent.overlap
-    gauge = motion_overlap.StateScaling.of(first.design.setting.problem.robot, first.trajectory.limits)
-    assert second.alike.overlap == pytest.approx(
-        motion_overlap.motion_overlap(gauge, first.design.motion, second.delivery.design.motion)
+    assert second.other_starts is not None
+    assert second.similarity.overlap < second.other_starts.overlap
+    gauge = motion_overlap.StateScaling.of(first.design.setup.problem.robot, first.trajectory.limits)
+    assert second.similarity.overlap == pytest.approx(
+        motion_overlap.compute_overlap(gauge, first.design.motion, second.delivery.design.motion)
     )
 
 
 def test_one_seed_gives_one_second_motion_from_starts_of_its_own(two_link, table, first, second):
     again = validation_trajectory.design_validation(
-        first, two_link, lambda apart: pipeline.design_trajectory(two_link, table, OPTIONS, apart=apart)
+        first, two_link, lambda apart: pipeline.design_trajectory(two_link, table, OPTIONS, overlap_penalty=apart)
     )
     assert np.array_equal(again.delivery.design.motion.sine, second.delivery.design.motion.sine)
     assert {a.number for a in second.delivery.design.attempts} == {2, 3}
@@ -61,13 +61,13 @@ def test_one_seed_gives_one_second_motion_from_starts_of_its_own(two_link, table
 def test_without_another_start_nothing_is_compared(two_link, table):
     options = replace(OPTIONS, starts=1, iterations=5)
     run = partial(pipeline.design_trajectory, two_link, table, options)
-    alone = validation_trajectory.design_validation(run(), two_link, lambda apart: run(apart=apart))
-    assert alone.independent is None and alone.facts()["independent"] is None
+    alone = validation_trajectory.design_validation(run(), two_link, lambda apart: run(overlap_penalty=apart))
+    assert alone.other_starts is None and alone.facts()["independent"] is None
     assert "another start" not in alone.words()
 
 
 def test_both_files_say_what_they_are_to_each_other(first, second):
-    one, other = second.noted(first.trajectory).design, second.trajectory.design
+    one, other = second.annotate(first.trajectory).design, second.trajectory.design
     assert one["validation"] == other["validation"] == second.facts()
     assert other["validates"] == "../trajectory.json" and "validates" not in one
     assert set(second.facts()["torque_correlation"]) == set(first.trajectory.joints)
@@ -76,7 +76,7 @@ def test_both_files_say_what_they_are_to_each_other(first, second):
 def test_torque_correlation_is_one_for_the_same_motion_later_and_less_for_another(
     two_link, first, second
 ):
-    standard, motion = first.design.setting.problem.parameters, first.design.motion
+    standard, motion = first.design.setup.problem.parameters, first.design.motion
     assert torque_correlation(
         two_link, standard, motion, motion.shifted(motion.period / 8.0)
     ) == pytest.approx(1.0, abs=1e-6)
@@ -93,8 +93,8 @@ def test_it_is_the_price_that_drives_them_apart(two_link, table, first):
     found: list[FourierSeries] = []
     for weight in (0.0, 4.0):
         kept = replace(motion_overlap.penalise_overlap(gauge, first.design.motion), weight=weight)
-        found.append(pipeline.design_trajectory(two_link, table, OPTIONS, apart=kept).design.motion)
-    values = [motion_overlap.motion_overlap(gauge, first.design.motion, motion) for motion in found]
+        found.append(pipeline.design_trajectory(two_link, table, OPTIONS, overlap_penalty=kept).design.motion)
+    values = [motion_overlap.compute_overlap(gauge, first.design.motion, motion) for motion in found]
     assert values[1] < 0.8 * values[0]
 
 

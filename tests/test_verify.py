@@ -211,7 +211,7 @@ def test_a_limit_below_what_is_reached_is_broken(delivery, quantity):
     lowered = {quantity: np.column_stack([-size, size]) if quantity == "position" else size}
     found = certificate_module.verify(trajectory, robot, replace(resolve(robot), **lowered))
     assert not found.ok and found.limits is certificate_module.CertificateVerdict.FAILED
-    assert {m.limit for m in found.margins if m.room < 0} == {quantity}
+    assert {m.limit for m in found.margins if m.free_share < 0} == {quantity}
 
 
 def test_a_removed_limit_is_not_a_pass(braked):
@@ -230,12 +230,12 @@ def test_a_promised_margin_is_held_to(delivery):
 
     found = tampered(delivery, tamper)
     assert (
-        not found.ok and found.worst().limit == "velocity" and "should stay free" in found.reason()
+        not found.ok and found.worst().limit == "velocity" and "should stay free" in found.failure_reason()
     )
 
 
 def test_a_design_keeps_its_margin(delivery):
-    kept = {m.limit: m.room for m in reversed(delivery.certificate.margins)}
+    kept = {m.limit: m.free_share for m in reversed(delivery.certificate.margins)}
     assert all(kept[kind] >= 0.02 - 1e-9 for kind in ("velocity", "acceleration", "jerk", "torque"))
     assert "-0" not in " ".join(
         certificate_module.format_percent(share) for share in (-0.0, -1e-12, 1e-12)
@@ -255,7 +255,7 @@ def spike(d: dict, joint: str, length: float, jerk: float) -> None:
 def test_a_spike_between_two_samples_is_found(delivery, length):
     """However short: its acceleration is the jerk limit's matter, and its torque is sampled within each piece."""
     found = tampered(delivery, lambda d: spike(d, "joint_1", length, 1e3 / length))
-    broken = {m.limit for m in found.margins if m.room < 0}
+    broken = {m.limit for m in found.margins if m.free_share < 0}
     assert not found.ok and {"acceleration", "jerk", "torque"} <= broken
 
 
@@ -304,7 +304,7 @@ def test_a_file_that_is_no_trajectory_is_unusable_input(text, tmp_path: Path):
 
 def dense_room(delivery: CertifiedDesign, per_step: int = 100) -> dict[tuple[str, str], float]:
     """Distance to every limit, from samples `per_step` times denser than the certificate's torque grid, of one period and all ramps."""
-    trajectory, problem = delivery.trajectory, delivery.design.setting.problem
+    trajectory, problem = delivery.trajectory, delivery.design.setup.problem
     motion, limits, robot = trajectory.motion, trajectory.limits, problem.robot
     step = motion.fourier.period / (10 * problem.options.samples * per_step)
     out: dict[tuple[str, str], float] = {}
@@ -346,7 +346,7 @@ def _note(
 def test_every_margin_bounds_a_hundred_times_denser_sampling(any_delivery):
     dense = dense_room(any_delivery)
     claimed = {
-        (m.limit, m.joint): m.room
+        (m.limit, m.joint): m.free_share
         for m in any_delivery.certificate.margins
         if (m.limit, m.joint) in dense
     }
@@ -357,7 +357,7 @@ def test_every_margin_bounds_a_hundred_times_denser_sampling(any_delivery):
 def test_margins_are_not_much_smaller_than_the_truth(any_delivery):
     dense = dense_room(any_delivery, 10)
     assert all(
-        m.room > dense[m.limit, m.joint] - 0.1
+        m.free_share > dense[m.limit, m.joint] - 0.1
         for m in any_delivery.certificate.margins
         if (m.limit, m.joint) in dense
     )
@@ -413,7 +413,7 @@ def test_torque_that_may_break_its_limit_between_samples_fails(delivery, monkeyp
         }
     just_above = np.array([sampled[joint] * (1 + 1e-9) for joint in trajectory.joints])
     found = certificate_module.verify(trajectory, robot, replace(resolve(robot), torque=just_above))
-    assert {m.limit for m in found.margins if m.room < 0} == {"torque"}
+    assert {m.limit for m in found.margins if m.free_share < 0} == {"torque"}
 
 
 @pytest.mark.parametrize("side", [0, 1])

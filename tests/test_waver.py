@@ -34,7 +34,7 @@ def motion(seed: int, joints: int):
 
 def accelerations(q: np.ndarray) -> np.ndarray:
     band = LowPassFilter(20.0, RATE, len(q))
-    return band.low(q, Grid.RECORDED, 2)[band.margin : -band.margin]
+    return band.filter(q, Grid.RECORDED, 2)[band.margin : -band.margin]
 
 
 @given(seed=st.integers(0, 10**6), joints=st.integers(2, 7))

@@ -130,7 +130,7 @@ def test_a_link_on_a_spring_that_is_hardly_damped_is_found_between_any_that_are_
 def test_a_spring_that_swings_beyond_the_band_is_told_where_its_coefficient_is_one(subject, over):
     """A softer one with a lesser coefficient looks the same where what shakes the link is near its resonance."""
     calm = found(subject, None).motions[0][0]
-    t, q = calm.clock, calm.segment.q
+    t, q = calm.times, calm.segment.q
     shaken = dataclasses.replace(
         calm,
         segment=dataclasses.replace(
@@ -176,7 +176,7 @@ def test_play_whose_load_never_turns_is_none(subject):
     assert {shape.joint for shape in EFFECTS_BY_NAME["backlash"].shapes(every)} == {0, 1}
     pressed = [dataclasses.replace(one) for one in every]
     for one in pressed:
-        one.__dict__["rigid"] = one.rigid_torque + np.array([1e4, 0.0])
+        one.__dict__["rigid_torque"] = one.rigid_torque + np.array([1e4, 0.0])
     assert {shape.joint for shape in EFFECTS_BY_NAME["backlash"].shapes(pressed)} == {1}
 
 

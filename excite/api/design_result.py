@@ -113,12 +113,12 @@ class DesignResult:
     def trajectory(self) -> Trajectory:
         """The content of `trajectory.json`."""
         first = self.delivery.trajectory
-        return first if self.validation is None else self.validation.noted(first)
+        return first if self.validation is None else self.validation.annotate(first)
 
     @property
     def parameters(self) -> Parameters:
         """Standard parameters of the robot with their nominal values."""
-        return self.delivery.design.setting.problem.parameters
+        return self.delivery.design.setup.problem.parameters
 
     def at(self, t: float | FloatArray, order: int = 0) -> FloatArray:
         """Evaluate the whole motion or a time derivative of it.
@@ -135,7 +135,7 @@ class DesignResult:
     @cached_property
     def comparison(self) -> tuple[experiment_comparison.Scenario, ...]:
         """What twice the time or twice the speed would buy."""
-        trajectory, setting = self.trajectory, self.delivery.design.setting
+        trajectory, setting = self.trajectory, self.delivery.design.setup
         return compare_experiments(
             self.robot,
             setting.problem.parameters,
@@ -166,13 +166,13 @@ class DesignResult:
             self.trajectory,
             self.robot,
             self.parameters,
-            self.delivery.design.setting.base,
+            self.delivery.design.setup.base,
             self.analysis,
             _record(self.delivery),
             cases=self.comparison,
             second=second,
             cell=self.cell,
-            near=self.delivery.certificate.near,
+            near=self.delivery.certificate.pair_distances,
         )
 
     def save(self, folder: str | Path) -> list[Path]:
@@ -192,7 +192,7 @@ class DesignResult:
             "ok": self.ok,
             "robot": self.robot.name,
             "joints": list(self.robot.joints),
-            "base_parameters": self.delivery.design.setting.base.count,
+            "base_parameters": self.delivery.design.setup.base.count,
             "identifiable": sum(bool(d["identifiable"]) for d in directions),
             "criteria": dict(trajectory.criteria),
             "timing": self.delivery.timing,
@@ -273,7 +273,7 @@ def design(
     loaded = load_robot(robot)
     table = resolve_limits(loaded, limits, margin)
     wish = time_budget.MotionRequest(period, harmonics, samples, periods)
-    chosen = wish.fill(replace(options, **search), table)
+    chosen = wish.complete(replace(options, **search), table)
     for box in chosen.boxes:
         loaded.frame(box.frame)
     pose = None if start is None else np.asarray(start, float)
@@ -283,7 +283,7 @@ def design(
         **(notes or {}),
         "given": [str(path) for path in given],
         "speed": speed,
-        "chosen": wish.open,
+        "chosen": wish.unspecified,
     }
     if chosen.noise is None:
         facts["torque_noise_source"] = "1 % of each torque limit (default)"
@@ -292,7 +292,7 @@ def design(
     if time is not None:
         covers = None if workcell is None else clearance_builder.clearance(workcell)
         plan = time_budget.plan_for_budget(
-            loaded, table, chosen, wish, time, start=pose, given=information, clearance=covers
+            loaded, table, chosen, wish, time, start=pose, earlier_information=information, clearance=covers
         )
         facts["plan"] = plan.facts()
     run = partial(
@@ -305,12 +305,12 @@ def design(
         speed=speed,
         progress=progress,
         cell=workcell,
-        unchecked=unchecked,
+        unchecked_reason=unchecked,
     )
 
     def deliver(apart: OverlapPenalty | None = None) -> pipeline.CertifiedDesign:
         # a validation motion should show everything, known or not
-        search_once = partial(run, apart=apart, given=information if apart is None else None)
+        search_once = partial(run, overlap_penalty=apart, earlier_information=information if apart is None else None)
         return (
             search_once(chosen) if plan is None else time_budget.run_plan(plan, chosen, search_once)
         )
@@ -356,7 +356,7 @@ def compare_experiments(
         noise=trajectory.noise,
         rate=trajectory.rate,
         threshold=threshold,
-        given=given,
+        earlier_information=given,
     )
 
 
@@ -393,7 +393,7 @@ def _information(
 def _analyse(
     delivery: pipeline.CertifiedDesign, robot: Robot, threshold: float, earlier: FloatArray | None
 ) -> identifiability.Identifiability:
-    trajectory, setting = delivery.trajectory, delivery.design.setting
+    trajectory, setting = delivery.trajectory, delivery.design.setup
     standard = setting.problem.parameters
     samples = trajectory.motion.samples(trajectory.motion.grid(trajectory.rate))
     root = identifiability.information_root(robot, standard, samples, trajectory.noise)

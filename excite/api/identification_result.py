@@ -93,7 +93,7 @@ class IdentificationResult:
 
     def __repr__(self) -> str:
         found = self.identification
-        known, count = found.analysis.identifiable, found.model.base.count
+        known, count = found.analysis.identifiable_count, found.model.base.count
         return f"<IdentificationResult {found.model.robot.name}: {known} of {count} directions identified>"
 
 
@@ -303,7 +303,7 @@ def _read_both(
 def _compare_lmi(found: Identification) -> lmi_check.LmiCheck:
     """Compare the estimate with a conic solver's; a refined one is compared at where refinement started."""
     data, model, bounds = found.data, found.model, found.options.bounds
-    root, target, estimate = data.root @ model.base.matrix, data.root @ data.theta, found.posterior
+    root, target, estimate = data.information_root @ model.base.matrix, data.information_root @ data.theta, found.posterior
     if found.options.refine:
         estimate = consistency.maximum_a_posteriori(
             model.parameters, root, target, found.prior, bounds

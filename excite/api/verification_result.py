@@ -49,10 +49,10 @@ class VerificationResult:
         rows = [f"{'limit':13}{'joint':25}{'worst':>12}{'bound':>12}{'free':>9}{'time [s]':>10}"]
         rows += [
             f"{m.limit:13}{m.joint:25}{m.value:12.5g}{m.bound:12.5g}"
-            f"{certificates.format_percent(m.room):>9}{m.time:10.3f}"
+            f"{certificates.format_percent(m.free_share):>9}{m.time:10.3f}"
             for m in self.certificate.margins
         ]
-        return "\n".join([*rows, "", *self.certificate.lines()])
+        return "\n".join([*rows, "", *self.certificate.verdict_lines()])
 
     def document(self) -> dict[str, Any]:
         """Return what `excite verify --json` prints."""
@@ -172,7 +172,7 @@ def export(
         Path(path), inputs=[Path(trajectory)]
     )  # refused before the certificate, which takes time
     found = verify(trajectory, robot=robot, limits=limits, packages=packages)
-    certificate, verdict = found.certificate, list(found.certificate.lines())
+    certificate, verdict = found.certificate, list(found.certificate.verdict_lines())
     broken = None
     if speed != 1.0:
         broken = certificates.broken_when_slowed(found.trajectory, found.robot, found.limits, speed)

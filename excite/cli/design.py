@@ -106,7 +106,7 @@ def _text(result: api.DesignResult, document: dict[str, Any], written: list[Path
         f"{complete:.6g} of the whole motion",
         f"{trajectory.motion.duration:.2f} s: "
         f"{' → '.join(s.kind for s in trajectory.motion.segments)}",
-        *certificate.lines(),
+        *certificate.verdict_lines(),
         *(part.words() for part in (result.plan, result.validation) if part is not None),
         f"designed in {result.delivery.timing['total']:.1f} s",
         *written_lines(written),

@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     document = result.document()
     written = output.replace(result.contents(document))
     tests = (result.identification.endogeneity, result.identification.simulation)
-    facts = [test.words for test in tests if test is not None]
+    facts = [test.summary for test in tests if test is not None]
     lmi = result.lmi
     if lmi is not None:
         verdict = "agrees" if lmi.agrees else "DISAGREES"
@@ -67,7 +67,7 @@ def _text(found: Identification, facts: Sequence[str], written: Sequence[Path]) 
     robot = found.model.robot
     shown = found.validations or found.fits
     lines = [
-        f"{robot.name}: {found.analysis.identifiable} of {found.model.base.count} directions identified; band {found.spectra.hertz:.3g} Hz",
+        f"{robot.name}: {found.analysis.identifiable_count} of {found.model.base.count} directions identified; band {found.spectra.hertz:.3g} Hz",
         f"{'held out' if found.validations else 'on the data fitted (no --validate)'}: torque error per joint",
         f"{'joint':25}{'nominal':>11}{'identified':>12}{'noise':>11}{'relative':>10}",
     ]
@@ -75,7 +75,7 @@ def _text(found: Identification, facts: Sequence[str], written: Sequence[Path]) 
         if len(shown) > 1:
             lines.append(prediction.source)
         for i, joint in enumerate(robot.joints):
-            floor = "" if prediction.floor is None else f"{prediction.floor[i]:.4g}"
+            floor = "" if prediction.noise_floor is None else f"{prediction.noise_floor[i]:.4g}"
             before, after, share = (
                 prediction.error("nominal")[i],
                 prediction.error()[i],

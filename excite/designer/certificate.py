@@ -64,13 +64,13 @@ class LimitMargin:
     time: float
     value: float
     bound: float
-    room: float
-    required: float = 0.0
+    free_share: float
+    required_share: float = 0.0
 
     @property
-    def spare(self) -> float:
+    def spare_share(self) -> float:
         """Room beyond what is required; negative where the limit, or the promised margin, is broken."""
-        return self.room - self.required
+        return self.free_share - self.required_share
 
     def words(self) -> str:
         """The value reached and the bound, in a sentence."""
@@ -82,8 +82,8 @@ class LimitMargin:
         text = f"{self.limit} of '{self.joint}' reaches {self.value:.4g} of {self.bound:.4g} at {self.time:.3f} s"
         return (
             text
-            if self.room < -RELATIVE_ROUNDING or not self.required
-            else f"{text}, where {format_percent(self.required)} should stay free"
+            if self.free_share < -RELATIVE_ROUNDING or not self.required_share
+            else f"{text}, where {format_percent(self.required_share)} should stay free"
         )
 
     def document(self) -> dict[str, Any]:
@@ -94,7 +94,7 @@ class LimitMargin:
             "time": self.time,
             "value": self.value,
             "bound": self.bound,
-            "margin": self.room,
+            "margin": self.free_share,
         }
 
 
@@ -112,14 +112,14 @@ class Certificate:
     faults: tuple[str, ...]
     clearance: CertificateVerdict = CertificateVerdict.NOT_CHECKED
     collision: str = NOT_CHECKED
-    near: tuple[Near, ...] = ()
+    pair_distances: tuple[Near, ...] = ()
     joints: tuple[str, ...] = ()
 
     @property
     def limits(self) -> CertificateVerdict:
         """Verdict on the limits and on the file itself."""
         kept = all(
-            margin.spare >= -RELATIVE_ROUNDING for margin in self.margins if margin.limit != CLEARANCE
+            margin.spare_share >= -RELATIVE_ROUNDING for margin in self.margins if margin.limit != CLEARANCE
         )
         return CertificateVerdict.CERTIFIED if kept and not self.faults else CertificateVerdict.FAILED
 
@@ -130,36 +130,36 @@ class Certificate:
 
     def worst(self) -> LimitMargin:
         """The margin with the least room to spare."""
-        return min(self.margins, key=lambda margin: margin.spare)
+        return min(self.margins, key=lambda margin: margin.spare_share)
 
-    def short_of_clearance(self) -> dict[str, float]:
+    def clearance_deficits(self) -> dict[str, float]:
         """By how much each pair that breaks its clearance misses it [m]."""
         return {
             m.joint: m.bound - m.value
             for m in self.margins
-            if m.limit == CLEARANCE and m.room < -RELATIVE_ROUNDING
+            if m.limit == CLEARANCE and m.free_share < -RELATIVE_ROUNDING
         }
 
-    def lines(self) -> tuple[str, str]:
+    def verdict_lines(self) -> tuple[str, str]:
         """Both verdicts, one line each; the clearance first, so that nothing unchecked follows a certificate."""
         nearest = min(
-            (m for m in self.margins if m.limit != CLEARANCE), key=lambda margin: margin.spare
+            (m for m in self.margins if m.limit != CLEARANCE), key=lambda margin: margin.spare_share
         )
         detail = f"nearest: {nearest.limit} of {nearest.joint}, {nearest.value:.5g} of {nearest.bound:.5g} at {nearest.time:.3f} s"
         more = len(self.faults) - MAX_LISTED_FAULTS
         faults = [*self.faults[:MAX_LISTED_FAULTS], *([f"and {more} more faults"] if more > 0 else [])]
-        limits = [self.limits.value, *faults, f"{detail} ({format_percent(nearest.room)} free)"]
+        limits = [self.limits.value, *faults, f"{detail} ({format_percent(nearest.free_share)} free)"]
         return (
             f"clearance: {self.clearance.value}; {self.collision}",
             f"limits: {'; '.join(limits)}",
         )
 
-    def reason(self) -> str:
+    def failure_reason(self) -> str:
         """Why the certificate fails, in one sentence."""
         if self.faults:
             return self.faults[0]
         worst = self.worst()
-        return worst.words() if worst.spare < -RELATIVE_ROUNDING else self.collision
+        return worst.words() if worst.spare_share < -RELATIVE_ROUNDING else self.collision
 
     def document(self) -> dict[str, Any]:
         """The certificate as `excite verify --json` prints it."""
@@ -169,7 +169,7 @@ class Certificate:
             "margins": [margin.document() for margin in self.margins],
             "criteria": dict(self.criteria),
             "collision": self.collision,
-            "clearance": [near.document(self.joints) for near in self.near[:MAX_LISTED_PAIRS]],
+            "clearance": [near.document(self.joints) for near in self.pair_distances[:MAX_LISTED_PAIRS]],
             "faults": list(self.faults),
         }
 
@@ -221,7 +221,7 @@ def verify(
         *_motion_faults(trajectory),
         *_criteria_faults(trajectory, scores),
     )
-    ordered = tuple(sorted(margins, key=lambda margin: margin.room))
+    ordered = tuple(sorted(margins, key=lambda margin: margin.free_share))
     return Certificate(ordered, scores, faults, clearance, collision, tuple(near), robot.joints)
 
 
@@ -282,7 +282,7 @@ def verify_file(
             trajectory,
             robot,
             truth,
-            unchecked=f"{NOT_CHECKED}: the file states no shapes to keep clear of",
+            unchecked_reason=f"{NOT_CHECKED}: the file states no shapes to keep clear of",
         )
     cell, fault = scene_file.as_on_disk(robot, truth, trajectory.design[CELL_KEY], packages)
     return verify(trajectory, robot, truth, cell, cell_fault=fault)
@@ -300,7 +300,7 @@ def limit_margins(trajectory: Trajectory, subject: MotionConstraints) -> list[Li
                 if segment.profile is None and _is_derived(subject.limits, subject.robot, margin):
                     continue
                 key = (margin.limit, margin.joint)
-                if key not in margins or margin.room < margins[key].room:
+                if key not in margins or margin.free_share < margins[key].free_share:
                     margins[key] = margin
     return list(margins.values())
 
@@ -314,8 +314,8 @@ def broken_when_slowed(
     """
     slower = replace(trajectory, motion=trajectory.motion.slowed(speed))
     subject = motion_constraints(slower, robot, with_derived_limits(limits, slower.motion.fourier))
-    worst = min(limit_margins(slower, subject), key=lambda margin: margin.room)
-    return worst if worst.room < -RELATIVE_ROUNDING else None
+    worst = min(limit_margins(slower, subject), key=lambda margin: margin.free_share)
+    return worst if worst.free_share < -RELATIVE_ROUNDING else None
 
 
 def _promised(trajectory: Trajectory, limit: str) -> float:
@@ -464,7 +464,7 @@ def _clearance(
     worst = min(near, key=lambda one: one.proven)
     if worst.proven <= 0.0:
         return CertificateVerdict.FAILED, f"COLLISION: {worst.names} at {worst.time:.2f} s{context}", near
-    kept = all(_distance_margin(one).room >= -RELATIVE_ROUNDING for one in near)
+    kept = all(_distance_margin(one).free_share >= -RELATIVE_ROUNDING for one in near)
     wide = [one for one in near if one.pair.margin >= cell.margin]
     parts = (
         [f"never less than {_distance_words(min(wide, key=lambda one: one.proven))}"]

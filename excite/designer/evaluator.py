@@ -38,7 +38,7 @@ class _Point:
     x: Array
     motion: tuple[Array, Array, Array, Array]
     Y: Array | None = None
-    table: dict[str, Array] = field(default_factory=dict)
+    constraint_values: dict[str, Array] = field(default_factory=dict)
     spread: tuple[Array, Array] | None = None
     look: Look | None = None
 
@@ -115,9 +115,9 @@ class Evaluator:
         stacked = rows if problem.given is None else np.vstack([rows, problem.given])
         value, slope = criteria.smooth_objective(problem.options.criterion, stacked, sharpness)
         gradients = self._adjoint(*point.motion[:3], weights.seed(Y, slope))
-        if problem.apart is not None:
-            overlap, by_q, by_dq = problem.apart.overlap(*point.motion[:2])
-            price = problem.apart.weight
+        if problem.overlap_penalty is not None:
+            overlap, by_q, by_dq = problem.overlap_penalty.overlap(*point.motion[:2])
+            price = problem.overlap_penalty.weight
             value += price * overlap
             gradients = [gradients[0] + price * by_q, gradients[1] + price * by_dq, *gradients[2:]]
         return value, self._pull_back(x, point, gradients)
@@ -146,15 +146,15 @@ class Evaluator:
 
     # -- constraint rows -------------------------------------------------------------------------------------
 
-    def table(self, x: Array) -> dict[str, Array]:
+    def constraint_values(self, x: Array) -> dict[str, Array]:
         """Every row's value, by kind. Shape (2, N, n): sign + then −; boxes (2, N, 3); clearance (1, N, pairs). Satisfied where ≤ 1."""
         point = self._at(x)
-        if not point.table:
+        if not point.constraint_values:
             for kind in self.kinds:
-                point.table[kind] = self._values(point, kind)
-        return point.table
+                point.constraint_values[kind] = self._values(point, kind)
+        return point.constraint_values
 
-    def hold(self, poses: Array) -> dict[str, Array]:
+    def static_constraint_values(self, poses: Array) -> dict[str, Array]:
         """The table of row values with each sample standing still at a pose of its own. `poses`: Shape (N, n)."""
         self._point = None  # its regressor lives in memory that this call overwrites
         still = np.zeros_like(poses)
@@ -216,11 +216,11 @@ class Evaluator:
 
     def worst(self, x: Array) -> float:
         """The largest row value anywhere; ≤ 1 means feasible on the grid."""
-        return max(float(values.max()) for values in self.table(x).values())
+        return max(float(values.max()) for values in self.constraint_values(x).values())
 
-    def select(self, x: Array, threshold: float) -> Array:
+    def rows_above(self, x: Array, threshold: float) -> Array:
         """Which of all rows exceed `threshold` at x: a flat mask in the order of `kinds`."""
-        return np.concatenate([(values > threshold).ravel() for values in self.table(x).values()])
+        return np.concatenate([(values > threshold).ravel() for values in self.constraint_values(x).values()])
 
     def rows(self, mask: Array) -> ConstraintRows:
         """The rows that a flat mask names."""
@@ -246,7 +246,7 @@ class Evaluator:
 
     def row_values(self, x: Array, rows: ConstraintRows) -> Array:
         """Values of selected rows. Shape (m,)."""
-        table = self.table(x)
+        table = self.constraint_values(x)
         out = np.empty(len(rows))
         for number, kind in enumerate(self.kinds):
             at = rows.kind == number

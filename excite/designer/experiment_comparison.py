@@ -37,7 +37,7 @@ class Scenario:
     words: str
     identifiable: int
     eigenvalues: Array
-    broken: tuple[BrokenLimit, ...] = ()
+    broken_limits: tuple[BrokenLimit, ...] = ()
 
 
 def compare_scenarios(

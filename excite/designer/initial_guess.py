@@ -40,14 +40,14 @@ class _Poses:
         return np.max(
             [
                 _eased(kind, values).max(axis=(0, 2))
-                for kind, values in self.evaluator.hold(poses).items()
+                for kind, values in self.evaluator.static_constraint_values(poses).items()
             ],
             axis=0,
         )
 
     def worst_of(self, pose: Array) -> tuple[str, int, float]:
         """Kind, joint and value of the row that binds most at one pose."""
-        table = self.evaluator.hold(np.tile(pose, (self.evaluator.problem.options.samples, 1)))
+        table = self.evaluator.static_constraint_values(np.tile(pose, (self.evaluator.problem.options.samples, 1)))
         kind = max(table, key=lambda k: float(table[k][:, 0].max()))
         joint = int(np.argmax(table[kind][:, 0].max(axis=0)))
         return kind, joint, float(table[kind][:, 0].max())
@@ -76,8 +76,8 @@ def find_static_poses(evaluator: Evaluator, rng: np.random.Generator, tries: int
         share = 0.6 if attempt == 0 else 1.0
         middle = 0.5 * (lower + upper)
         candidates = middle + share * (rng.uniform(lower, upper, (count, len(lower))) - middle)
-        if problem.home is not None and problem.clearance is not None:
-            candidates = _within_sight(problem.clearance, problem.home, candidates, rng)
+        if problem.start_pose is not None and problem.clearance is not None:
+            candidates = _within_sight(problem.clearance, problem.start_pose, candidates, rng)
         worst = holder.worst(candidates)
         good = worst < COMFORTABLE_ROW_VALUE
         if good.any():
@@ -129,7 +129,7 @@ def _least_worst(evaluator: Evaluator, pose: Array) -> Array:
 
     def rows_at(z: Array) -> tuple[Array, Array]:
         x = stationary_variables(problem, z[:n])
-        table = evaluator.table(x)
+        table = evaluator.constraint_values(x)
         mask = np.concatenate(
             [np.broadcast_to(first[None, :, None], v.shape).ravel() for v in table.values()]
         )
@@ -193,7 +193,7 @@ def scale_random_motion(evaluator: Evaluator, pose: Array, rng: np.random.Genera
     low, high = 0.0, 1.0
     for _ in range(12):
         middle = 0.5 * (low + high)
-        if evaluator.worst(rest + middle * step) < COMFORTABLE_ROW_VALUE + 0.04:
+        if evaluator.max_constraint_value(rest + middle * step) < COMFORTABLE_ROW_VALUE + 0.04:
             low = middle
         else:
             high = middle

@@ -44,9 +44,9 @@ class StateScaling:
     reach: half of each position range, at most π [rad or m]. speed: velocity limits [rad/s or m/s]. Shape (n,).
     """
 
-    turns: Array
-    reach: Array
-    speed: Array
+    is_revolute: Array
+    position_scale: Array
+    velocity_scale: Array
 
     @staticmethod
     def of(robot: Robot, limits: Limits) -> StateScaling:
@@ -60,16 +60,16 @@ class StateScaling:
 
     def states(self, q: Array, dq: Array) -> Array:
         """Points whose distances the kernel sees: (cos q, sin q)/reach or (q, 0)/reach, and speed. (N, n) -> (n, N, 3)."""
-        place = np.where(self.turns, np.cos(q), q), np.where(self.turns, np.sin(q), 0.0)
+        place = np.where(self.is_revolute, np.cos(q), q), np.where(self.is_revolute, np.sin(q), 0.0)
         return np.stack(
-            [place[0] / self.reach, place[1] / self.reach, dq / self.speed], axis=-1
+            [place[0] / self.position_scale, place[1] / self.position_scale, dq / self.velocity_scale], axis=-1
         ).swapaxes(0, 1)
 
     def pull_back(self, q: Array, slope: Array) -> tuple[Array, Array]:
         """Slopes by states as slopes by q and q̇. (N, n), (n, N, 3) -> (N, n) twice."""
         x, y, v = slope.swapaxes(0, 1).transpose(2, 0, 1)
         turned = y * np.cos(q) - x * np.sin(q)
-        return np.where(self.turns, turned, x) / self.reach, v / self.speed
+        return np.where(self.is_revolute, turned, x) / self.position_scale, v / self.velocity_scale
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def penalise_overlap(gauge: StateScaling, motion: FourierSeries, weight: float =
     return OverlapPenalty(gauge, states, _mean(states, states)[0], weight)
 
 
-def motion_overlap(gauge: StateScaling, first: FourierSeries, second: FourierSeries) -> float:
+def compute_overlap(gauge: StateScaling, first: FourierSeries, second: FourierSeries) -> float:
     """ρ of two motions, in [0, 1]."""
     t = second.grid(MAX_COMPARED_SAMPLES)
     return penalise_overlap(gauge, first).overlap(second.at(t), second.at(t, 1))[0]

@@ -167,7 +167,7 @@ def optimize_from(
     history = sqp.History(began=built)
     history.add(
         evaluator.objective(x, sharpness[-1])[0],
-        evaluator.worst(x),
+        evaluator.max_constraint_value(x),
         len(sharpness) - 1 if len(sharpness) == 1 else 0,
     )
     return _attempt(

@@ -37,7 +37,7 @@ class DesignSetup:
     noise: Array
     built: float  # time.perf_counter() when the problem was complete [s]
 
-    def subject(self, limits: Limits) -> MotionConstraints:
+    def constraints(self, limits: Limits) -> MotionConstraints:
         """What its motions are held against, by limits that are not shrunk."""
         p = self.problem
         return MotionConstraints(
@@ -49,7 +49,7 @@ class DesignSetup:
 class OptimizedDesign:
     """The best motion and all attempts, the best first."""
 
-    setting: DesignSetup
+    setup: DesignSetup
     attempts: tuple[Attempt, ...]
 
     @property
@@ -63,7 +63,7 @@ class OptimizedDesign:
         first = min(times[0] for times, _ in final)
         best = min(values.min() for _, values in final)
         # the objective is a logarithm, of the square for the regressor's condition number; D's is the mean of log λ
-        share = 0.02 if self.setting.problem.options.criterion is Criterion.COND_REGRESSOR else 0.01
+        share = 0.02 if self.setup.problem.options.criterion is Criterion.COND_REGRESSOR else 0.01
         within = min(
             times[values <= best + share][0]
             for times, values in final
@@ -157,7 +157,7 @@ def set_up(
     count = options.periods * options.period * options.rate
     root = None if given is None else weights.root(given / count)
     bare = problem.build_problem(robot, limits, standard, weights, options, root)
-    built = dataclasses.replace(bare, apart=apart, clearance=clearance, home=home)
+    built = dataclasses.replace(bare, overlap_penalty=apart, clearance=clearance, start_pose=home)
     return DesignSetup(built, found, noise, time.perf_counter())
 
 
@@ -168,7 +168,7 @@ def solve(setting: DesignSetup, progress: Progress | None = None) -> OptimizedDe
     """
     options = setting.problem.options
     # a second motion's starts are numbered on from the first's, so that they have random streams of their own
-    first = 0 if setting.problem.apart is None else options.starts
+    first = 0 if setting.problem.overlap_penalty is None else options.starts
     results = multistart.run_starts(
         setting.problem, setting.built, range(first, first + options.starts), progress
     )
@@ -187,7 +187,7 @@ def improve(setting: DesignSetup, motion: FourierSeries, number: int = 0) -> Att
         rest = initial_guess.stationary_variables(setting.problem, motion.offset)
         for share in (1.0, *(1.0 - 0.5 ** np.arange(9, 1, -1)), 0.6, 0.45, 0.3, 0.2):
             drawn = rest + share * (x - rest)
-            if evaluator.worst(drawn) <= 1.0:
+            if evaluator.max_constraint_value(drawn) <= 1.0:
                 break
         else:  # its middle pose can't be held, say: the solver finds its own way back
             drawn = x
@@ -196,12 +196,12 @@ def improve(setting: DesignSetup, motion: FourierSeries, number: int = 0) -> Att
 
 def _fixed_period(design: OptimizedDesign) -> OptimizedDesign:
     """Round an optimised period to whole samples (and to the ramps' time grid) and settle the motion there."""
-    old = design.setting.problem
+    old = design.setup.problem
     motion, rate = design.motion, old.options.rate
     period = _whole_period(motion.period, rate, old.options.free_period)
     options = dataclasses.replace(old.options, period=period, free_period=None)
     rebuilt = dataclasses.replace(old, options=options)
-    setting = dataclasses.replace(design.setting, problem=rebuilt)
+    setting = dataclasses.replace(design.setup, problem=rebuilt)
     stretched = FourierSeries(motion.sine, motion.cosine, motion.offset, period)
     slower = motion.slowed(motion.period / period)
     best = min(
@@ -240,7 +240,7 @@ def tighten(
     """
     p, lacking = setting.problem, short or {}
     options = dataclasses.replace(p.options, samples=(1 + finer) * p.options.samples)
-    tighter = problem.rebuild_problem(p, limits, options, p.given, reserve)
+    tighter = problem.rebuild_problem(p, limits, options, p.earlier_information, reserve)
     if p.clearance is not None:
         more = np.array([lacking.get(pair, 0.0) for pair in p.clearance.names])
         tighter = dataclasses.replace(

@@ -82,7 +82,7 @@ def design_trajectory(
     clearance = None if cell is None else clearance_builder.clearance(cell)
     setting = optimize.set_up(robot, limits, options, given, apart, clearance, start)
     if start is not None:  # before the optimisation, which begins within its sight
-        ramps.check_start_pose(setting.subject(limits.reduced()), start)
+        ramps.check_start_pose(setting.constraints(limits.reduced()), start)
     say(f"{robot.name}: {robot.n} joints, {setting.base.count} base parameters")
     found = optimize.solve(setting, progress)
     timing = {"build": setting.built - begun, **found.timing()}
@@ -91,7 +91,7 @@ def design_trajectory(
     def certified(found: OptimizedDesign) -> Whole:
         trajectory = _assemble(found, robot, limits, start, speed, facts, unchecked)
         return trajectory, certificate_module.verify(
-            trajectory, robot, limits, cell, unchecked=unchecked
+            trajectory, robot, limits, cell, unchecked_reason=unchecked
         )
 
     found, (trajectory, certificate) = _with_ramps(found, certified)
@@ -118,7 +118,7 @@ def _check(
     """Raise CheckFailed for a motion that should not leave."""
     if not certificate.ok and not force:
         raise CheckFailed(
-            f"{robot.source}: the designed motion fails its certificate: {certificate.reason()}; try another --seed or --force"
+            f"{robot.source}: the designed motion fails its certificate: {certificate.failure_reason()}; try another --seed or --force"
         )
     # what earlier recordings gave need not be shown again
     if given is None and not trajectory.criteria["optimum"]["geometric"]["cond"] < 1.0 / SINGULAR_EIGENVALUE_RATIO:
@@ -134,7 +134,7 @@ def _with_ramps(found: OptimizedDesign, certified: Callable[[OptimizedDesign], W
         if one.motion.period != found.motion.period:  # not settled on whole samples
             continue
         first = OptimizedDesign(
-            found.setting, (one, *(other for other in found.attempts if other is not one))
+            found.setup, (one, *(other for other in found.attempts if other is not one))
         )
         try:
             return first, certified(first)
@@ -148,14 +148,14 @@ def _tightened(
     found: OptimizedDesign, limits: Limits, certificate: Certificate, reserve: float, say: Progress
 ) -> tuple[OptimizedDesign, float]:
     """The design with more reserve or clearance, as its certificate found too little of them between samples; and the reserve."""
-    worst, short = certificate.worst(), certificate.short_of_clearance()
+    worst, short = certificate.worst(), certificate.clearance_deficits()
     # things that are slipped through between samples are met on a finer grid, not by more clearance
     finer = max(short.values(), default=0.0) > MAX_CLEARANCE_DEFICIT
     if worst.limit != CLEARANCE:
-        reserve = min(max(2.0 * reserve, reserve - 1.5 * worst.spare), MAX_LIMIT_RESERVE)
+        reserve = min(max(2.0 * reserve, reserve - 1.5 * worst.spare_share), MAX_LIMIT_RESERVE)
     say(f"between samples {worst.words()}; tightening")
     lacking = {pair: 1.5 * min(missed, MAX_CLEARANCE_DEFICIT) for pair, missed in short.items()}
-    tighter = optimize.tighten(found.setting, limits, reserve, lacking, finer=finer)
+    tighter = optimize.tighten(found.setup, limits, reserve, lacking, finer=finer)
     return OptimizedDesign(
         tighter,
         (optimize.improve(tighter, found.motion, found.attempts[0].number), *found.attempts[1:]),
@@ -172,11 +172,11 @@ def _assemble(
     unchecked: str,
 ) -> Trajectory:
     """The file of a motion with its ramps, before its certificate."""
-    setting = found.setting
+    setting = found.setup
     options = setting.problem.options
     usable = ramps.with_derived_limits(limits, found.motion).reduced()
     whole = ramps.plan_rest_to_rest(
-        setting.subject(usable), found.motion, options.periods, options.rate, start
+        setting.constraints(usable), found.motion, options.periods, options.rate, start
     )
     if speed != 1.0:
         whole = whole.slowed(speed)

@@ -90,9 +90,9 @@ class DesignProblem:
     options: DesignOptions
     scale: Array
     functions: DynamicsFunctions
-    apart: OverlapPenalty | None = None
+    overlap_penalty: OverlapPenalty | None = None
     clearance: Clearance | None = None
-    home: Array | None = None
+    start_pose: Array | None = None
 
     @property
     def size(self) -> int:
@@ -184,7 +184,7 @@ def rebuild_problem(
     new = build_problem(
         old.robot, limits, old.parameters, old.weighting, options, given, reserve, old.functions
     )
-    return dataclasses.replace(new, apart=old.apart, clearance=old.clearance, home=old.home)
+    return dataclasses.replace(new, overlap_penalty=old.overlap_penalty, clearance=old.clearance, start_pose=old.start_pose)
 
 
 def _earlier(brake: Braking, reserve: float) -> Braking:

@@ -86,7 +86,7 @@ class RampPlanner:
     """Ramps under the limits of `subject` (derived ones included), on the time grid of `rate` [Hz]."""
 
     def __init__(self, subject: MotionConstraints, rate: float) -> None:
-        self.subject, self.rate, self.grid = subject, rate, time_grid(rate)
+        self.constraints, self.rate, self.grid = subject, rate, time_grid(rate)
         self.n = subject.robot.n
         self._ruckig = ruckig.Ruckig(self.n, self.grid)
         self.obstacle = ""
@@ -94,7 +94,7 @@ class RampPlanner:
 
     def _plan(self, begin: JointState, target: Array | None, scale: float) -> JerkProfile | None:
         """Ruckig's profile from a state to rest at `target`, or to rest anywhere; None where it finds none."""
-        limits = self.subject.limits
+        limits = self.constraints.limits
         request = ruckig.InputParameter(self.n)
         request.current_position, request.current_velocity, request.current_acceleration = (
             begin.q,
@@ -129,37 +129,37 @@ class RampPlanner:
         demands = [
             constraint_margins.joint_quantity(
                 "position",
-                self.subject,
+                self.constraints,
                 motion.q - constraint_margins.intersample_bound(motion.q),
                 motion.q + constraint_margins.intersample_bound(motion.q),
             ),
             constraint_margins.joint_quantity(
                 "velocity",
-                self.subject,
+                self.constraints,
                 motion.dq - constraint_margins.intersample_bound(motion.dq),
                 motion.dq + constraint_margins.intersample_bound(motion.dq),
             ),
-            constraint_margins.joint_quantity("acceleration", self.subject, motion.ddq, motion.ddq),
+            constraint_margins.joint_quantity("acceleration", self.constraints, motion.ddq, motion.ddq),
         ]
         if max(d.ratio() for d in demands) <= 1.0 - 1e-6:
-            demands = constraint_margins.model_quantities(self.subject, motion)
+            demands = constraint_margins.model_quantities(self.constraints, motion)
         worst = max(demands, key=lambda d: d.ratio())
         if worst.ratio() > 1.0 - 1e-4:
             return False, f"the {worst.limit} limits"
-        blocked = self.blocked(motion.q)
+        blocked = self.clearance_violation(motion.q)
         return not blocked, blocked
 
-    def blocked(self, q: Array) -> str:
+    def clearance_violation(self, q: Array) -> str:
         """The pair that comes too near along equispaced poses, between them too; "" where none does. Shape (N, n)."""
-        if self.subject.clearance is None:
+        if self.constraints.clearance is None:
             return ""
-        room, pair = self.subject.clearance.least(q)
+        room, pair = self.constraints.clearance.least(q)
         room = room - constraint_margins.intersample_bound(room[:, None])[:, 0]
         worst = int(np.argmin(room))
         return (
             ""
             if room[worst] >= EXTRA_CLEARANCE
-            else f"the clearance of {self.subject.clearance.names[pair[worst]]}"
+            else f"the clearance of {self.constraints.clearance.names[pair[worst]]}"
         )
 
     def stop(self, begin: JointState, *, backwards: bool = False) -> Iterator[tuple[JerkProfile, float]]:
@@ -180,7 +180,7 @@ class RampPlanner:
             if passes:
                 yield ramp, duration
 
-    def travel(
+    def plan_transfer(
         self, begin: Array, end: Array, known: Array
     ) -> tuple[list[tuple[JerkProfile, float]], str]:
         """From rest to rest, straight in joint space or through poses at rest; and what forbids it where it is empty.
@@ -194,7 +194,7 @@ class RampPlanner:
         from scipy.sparse import csgraph  # rarely needed
 
         poses = np.vstack([begin, end, self._open(known)])
-        length = np.abs((poses[:, None] - poses[None]) / self.subject.limits.velocity).max(axis=2)
+        length = np.abs((poses[:, None] - poses[None]) / self.constraints.limits.velocity).max(axis=2)
         cost = length + 0.2 * float(np.median(length))  # every stop costs
         cost[0, 1] = cost[1, 0] = np.inf
         legs: dict[tuple[int, int], tuple[JerkProfile, float]] = {}
@@ -219,13 +219,13 @@ class RampPlanner:
 
     def _open(self, known: Array) -> Array:
         """Poses to go through: known ones, and others that fill the joint ranges, as far as they are clear. Shape (m, n)."""
-        poses = np.vstack([known, spread_poses(self.subject.limits, VIA_POSE_COUNT)])
-        clearance = self.subject.clearance
+        poses = np.vstack([known, spread_poses(self.constraints.limits, VIA_POSE_COUNT)])
+        clearance = self.constraints.clearance
         return poses if clearance is None else poses[clearance.least(poses)[0] >= EXTRA_CLEARANCE]
 
     def _leg(self, begin: Array, end: Array) -> tuple[tuple[JerkProfile, float] | None, str]:
         # Ruckig's way is not straight, but near enough to spare it the hopeless ones
-        reason = self.blocked(begin + np.linspace(0.0, 1.0, POSES_PER_LINE)[:, None] * (end - begin))
+        reason = self.clearance_violation(begin + np.linspace(0.0, 1.0, POSES_PER_LINE)[:, None] * (end - begin))
         if reason:
             return None, reason
         reason = "the velocity limits"
@@ -305,9 +305,9 @@ def _connect(
 ) -> list[tuple[JerkProfile, float]]:
     if np.abs(begin - end).max() < 1e-12:
         return []
-    legs, reason = planner.travel(begin, end, known)
+    legs, reason = planner.plan_transfer(begin, end, known)
     if not legs:
-        robot = planner.subject.robot
+        robot = planner.constraints.robot
         raise Infeasible(
             f"{robot.source}: no {what} keeps {reason}; give another --start pose, widen them or clear the way"
         )
@@ -319,9 +319,9 @@ def _ramps(
 ) -> tuple[FourierSeries, tuple[JerkProfile, float], tuple[JerkProfile, float]]:
     """The phase at which ramping in and out is shortest among the slow ones, and both ramps there."""
     if start is not None:
-        check_start_pose(planner.subject, start)
+        check_start_pose(planner.constraints, start)
     times = fourier.grid(PHASE_COUNT)
-    brisk = np.abs(fourier.at(times, 1) / planner.subject.limits.velocity).max(axis=1)
+    brisk = np.abs(fourier.at(times, 1) / planner.constraints.limits.velocity).max(axis=1)
     best: tuple[float, FourierSeries, tuple[JerkProfile, float], tuple[JerkProfile, float]] | None = None
     for tried, index in enumerate(np.argsort(brisk)):
         shifted = fourier.shifted(float(times[index]))
@@ -334,7 +334,7 @@ def _ramps(
         if best is not None and tried >= 5:
             break
     if best is None:
-        source = planner.subject.robot.source
+        source = planner.constraints.robot.source
         raise Infeasible(
             f"{source}: no ramp into the periodic motion keeps {planner.obstacle}; "
             "try another --seed, lower --uncertainty or lengthen --period"

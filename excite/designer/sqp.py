@@ -143,7 +143,7 @@ class _Search:
         self.x, self.scaled = state.x, state.B is not None
         self.B = np.eye(len(self.x)) if state.B is None else state.B.copy()
         self.f, self.gradient = evaluator.objective(self.x, sharpness)
-        self.excess = max(evaluator.worst(self.x) - 1.0, 0.0)
+        self.excess = max(evaluator.max_constraint_value(self.x) - 1.0, 0.0)
         self.best, self.best_f = state.best, state.best_value
         if 1.0 + self.excess <= MAX_FEASIBLE_ROW_VALUE and self.f < self.best_f:
             self.best, self.best_f = self.x, self.f
@@ -193,11 +193,11 @@ class _Search:
         return False
 
     def _iterate(self) -> None:
-        mask = self.evaluator.select(self.x, 1.0 - WORKING_SET_BAND)
+        mask = self.evaluator.rows_above(self.x, 1.0 - WORKING_SET_BAND)
         rows, jacobian, values = self._linearise(mask)
         step, multipliers = self._subproblem(jacobian, 1.0 - values)
         for _ in range(3):  # rows that the step would break, though they looked far
-            broken = self.evaluator.select(self.x + step, 1.0 + 1e-3) & ~mask
+            broken = self.evaluator.rows_above(self.x + step, 1.0 + 1e-3) & ~mask
             if not broken.any():
                 break
             mask |= broken
@@ -229,7 +229,7 @@ class _Search:
     def _try(self, step: Array, rows: ConstraintRows, jacobian: Array, multipliers: Array) -> bool:
         """Take the step if the exact penalty function falls as the model says; update radius and B."""
         evaluator, x = self.evaluator, self.x + step
-        excess = max(evaluator.worst(x) - 1.0, 0.0)
+        excess = max(evaluator.max_constraint_value(x) - 1.0, 0.0)
         if excess > 0.1:
             return False
         f, gradient = evaluator.objective(x, self.sharpness)

@@ -97,24 +97,24 @@ class MotionRequest:
     periods: int | None = None
 
     @property
-    def open(self) -> list[str]:
+    def unspecified(self) -> list[str]:
         """Names of what is left to choose."""
         return [name for name, value in dataclasses.asdict(self).items() if value is None]
 
-    def fill(self, options: DesignOptions, limits: Limits) -> DesignOptions:
+    def complete(self, options: DesignOptions, limits: Limits) -> DesignOptions:
         """The options with what was given, and the rest by the rule."""
         harmonics = _or(self.harmonics, DEFAULT_HARMONICS)
         swept = choose_period(limits, harmonics, options.rate) if self.period is None else self.period
-        return self.settle(options, swept, harmonics, _or(self.periods, DEFAULT_PERIODS))
+        return self.with_motion(options, swept, harmonics, _or(self.periods, DEFAULT_PERIODS))
 
-    def settle(self, options: DesignOptions, period: float, harmonics: int, periods: int) -> DesignOptions:
+    def with_motion(self, options: DesignOptions, period: float, harmonics: int, periods: int) -> DesignOptions:
         """The options with this motion, on the grid that was given or that suits it."""
         grid = _or(self.samples, default_samples(harmonics))
         return dataclasses.replace(
             options, period=period, harmonics=harmonics, periods=periods, samples=grid
         )
 
-    def ladder(self, period: float) -> list[int]:
+    def harmonics_to_try(self, period: float) -> list[int]:
         """Numbers of harmonics to try for a period: as many as may be, and fewer."""
         if self.harmonics is not None:
             return [self.harmonics]
@@ -155,14 +155,14 @@ class BudgetPlan:
     """What was tried for a budget of robot time [s], and the place of the one chosen among it."""
 
     budget: float
-    wish: MotionRequest
+    request: MotionRequest
     candidates: tuple[BudgetCandidate, ...]
-    chosen: int
+    chosen_index: int
 
     @property
     def best(self) -> BudgetCandidate:
         """The chosen candidate."""
-        return self.candidates[self.chosen]
+        return self.candidates[self.chosen_index]
 
     def document(self) -> dict[str, Any]:
         """As `excite design --json` states it."""
@@ -171,7 +171,7 @@ class BudgetPlan:
             "budget": self.budget,
             "tolerance": DEVIATION_TOLERANCE,
             "candidates": listed,
-            "chosen": self.chosen,
+            "chosen": self.chosen_index,
         }
 
     def facts(self) -> dict[str, Any]:
@@ -215,7 +215,7 @@ def plan_for_budget(
         raise UnusableInput(f"--time {budget:g} should be positive [s]")
     if options.free_period is not None:
         raise UnusableInput("--time and --optimise-period both choose the period; drop one of them")
-    optimize.check_options(wish.fill(options, limits))  # what was given makes sense from here on
+    optimize.check_options(wish.complete(options, limits))  # what was given makes sense from here on
     grid, repeats = ramps.time_grid(options.rate), wish.periods or DEFAULT_PERIODS
     shortest = wish.period or _up((wish.harmonics or MIN_CHOSEN_HARMONICS) / MAX_FREQUENCY, grid)
     # a first short run tells how long the ramps take
@@ -225,13 +225,13 @@ def plan_for_budget(
     setting = optimize.set_up(
         robot,
         limits,
-        wish.settle(short, swept, wish.ladder(swept)[0], repeats),
+        wish.with_motion(short, swept, wish.harmonics_to_try(swept)[0], repeats),
         given,
         clearance=clearance,
-        home=start,
+        start_pose=start,
     )
     if start is not None:
-        ramps.check_start_pose(setting.subject(limits.reduced()), start)
+        ramps.check_start_pose(setting.constraints(limits.reduced()), start)
     pilot = _attempt(setting, limits, setting.problem.options, start)
     if isinstance(pilot, ExciteError):
         raise pilot
@@ -243,7 +243,7 @@ def plan_for_budget(
             repeats * shortest + around,
         )
     motions = _motions(wish, rule, budget - around, shortest, grid)
-    several = [wish.settle(short, t, k, r) for t, r in motions for k in wish.ladder(t)]
+    several = [wish.with_motion(short, t, k, r) for t, r in motions for k in wish.harmonics_to_try(t)]
     tried = joblib.Parallel(n_jobs=options.jobs)(
         joblib.delayed(_attempt)(setting, limits, one, start) for one in several
     )
@@ -270,10 +270,10 @@ def run_plan(plan: BudgetPlan, options: DesignOptions, run: Callable[[DesignOpti
 
     run: `workflow.run` with all but the options. Raises UnusableInput when nothing may give way.
     """
-    wish, best = plan.wish, plan.best
+    wish, best = plan.request, plan.best
     swept, repeats = best.period, best.repeats
     while True:
-        delivery = run(wish.settle(options, swept, best.harmonics, repeats))
+        delivery = run(wish.with_motion(options, swept, best.harmonics, repeats))
         duration = delivery.trajectory.motion.duration * float(delivery.trajectory.design["speed"])
         if duration <= plan.budget + 1e-9:
             return delivery
@@ -326,7 +326,7 @@ def _attempt(
         motion = optimize.solve(varied).motion
         usable = ramps.with_derived_limits(limits, motion).reduced()
         whole = ramps.plan_rest_to_rest(
-            varied.subject(usable), motion, options.periods, options.rate, start
+            varied.constraints(usable), motion, options.periods, options.rate, start
         )
     except ExciteError as error:
         return error

@@ -25,7 +25,7 @@ from .motion_overlap import (
     OVERLAP_WEIGHT,
     OverlapPenalty,
     StateScaling,
-    motion_overlap,
+    compute_overlap,
     penalise_overlap,
 )
 from .pipeline import CertifiedDesign
@@ -52,8 +52,8 @@ class ValidationDesign:
     """
 
     delivery: CertifiedDesign
-    alike: MotionSimilarity
-    independent: MotionSimilarity | None
+    similarity: MotionSimilarity
+    other_starts: MotionSimilarity | None
     values: tuple[float, float]
 
     def facts(self) -> dict[str, Any]:
@@ -66,10 +66,10 @@ class ValidationDesign:
                 "torque_correlation": dict(zip(joints, one.torque.tolist(), strict=True)),
             }
 
-        independent = None if self.independent is None else words(self.independent)
+        independent = None if self.other_starts is None else words(self.other_starts)
         values = {"first": self.values[0], "second": self.values[1]}
         return {
-            **words(self.alike),
+            **words(self.similarity),
             "independent": independent,
             "criterion": values,
             "weight": OVERLAP_WEIGHT,
@@ -90,34 +90,34 @@ class ValidationDesign:
     def words(self) -> str:
         """The same in a line."""
         usual = (
-            "" if self.independent is None else f" (another start: {self.independent.overlap:.2f})"
+            "" if self.other_starts is None else f" (another start: {self.other_starts.overlap:.2f})"
         )
         certificate = self.delivery.certificate
         state = f"clearance {certificate.clearance.value}, limits {certificate.limits.value}"
         first, second = self.values
-        text = f"validation: overlap {self.alike.overlap:.2f}{usual}, criterion {second:.6g} beside {first:.6g}"
+        text = f"validation: overlap {self.similarity.overlap:.2f}{usual}, criterion {second:.6g} beside {first:.6g}"
         return f"{text}; {self.delivery.trajectory.motion.duration:.2f} s; {state}"
 
-    def noted(self, first: Trajectory) -> Trajectory:
+    def annotate(self, first: Trajectory) -> Trajectory:
         """The first motion's file, with what there is to say of the second."""
         return dataclasses.replace(first, design={**first.design, "validation": self.facts()})
 
     @property
     def trajectory(self) -> Trajectory:
         """The second motion's file, which says what it is."""
-        own = self.noted(self.delivery.trajectory)
+        own = self.annotate(self.delivery.trajectory)
         return dataclasses.replace(own, design={**own.design, "validates": "../trajectory.json"})
 
 
 def design_validation(first: CertifiedDesign, robot: Robot, run: Callable[[OverlapPenalty], CertifiedDesign]) -> ValidationDesign:
     """Design a motion apart from the first. run: `workflow.run` for the same problem with that `apart`; raises what it raises."""
-    limits, standard = first.trajectory.limits, first.design.setting.problem.parameters
+    limits, standard = first.trajectory.limits, first.design.setup.problem.parameters
     motion, gauge = first.design.motion, StateScaling.of(robot, limits)
     delivery = run(penalise_overlap(gauge, motion))
 
     def alike(other: FourierSeries) -> MotionSimilarity:
         return MotionSimilarity(
-            motion_overlap(gauge, motion, other), torque_correlation(robot, standard, motion, other)
+            compute_overlap(gauge, motion, other), torque_correlation(robot, standard, motion, other)
         )
 
     others = [alike(a.motion) for a in first.design.attempts[1:] if not a.stopped]

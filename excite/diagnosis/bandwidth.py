@@ -8,7 +8,7 @@ import numpy as np
 
 from ..identification import segments
 from ..identification.lowpass import MOTION_BANDWIDTH_RATIO
-from ..identification.segments import Segment
+from ..identification.segments import RecordingSegment
 
 BAND_HZ, REACH, HIGHEST = 20.0, 6.0, 50.0
 """The band, at the least; or so many times the highest frequency of the motion: what joints' products and reversals make there tells laws
@@ -20,7 +20,7 @@ LINES = 0.15
 """Share of a joint's torque in lines above the motion, from which the band reaches them."""
 
 
-def needed_hertz(pieces: Sequence[Segment]) -> float:
+def needed_hertz(pieces: Sequence[RecordingSegment]) -> float:
     """What the motion needs, or the lines that make much of the torque above it: a gear or a motor that turns steadily, at its order."""
     from scipy import signal  # slow to import
 

@@ -243,7 +243,7 @@ def diagnose(
         )
     pieces = [list(segments.extract_segments(group, average=False)) for group in (train, validate)]
     hertz = options.band or bandwidth.needed_hertz([*pieces[0], *pieces[1]])
-    settings = identification.Options(band=hertz, trusted=options.trusted)
+    settings = identification.IdentificationOptions(band=hertz, trusted=options.trusted)
     identified = identification.identify(
         robot, parameters, base, train, validate, settings, progress
     )
@@ -302,7 +302,7 @@ def _refitted(
     identified: Identification,
     halves: Sequence[list[RecordedMotion]],
     recordings: tuple[Sequence[Recording], Sequence[Recording]],
-    settings: identification.Options,
+    settings: identification.IdentificationOptions,
     options: DiagnosisOptions,
     floor: Array,
     scale: Array,

@@ -14,7 +14,7 @@ from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.identified_model import IdentifiedModel
 from ..identification.lowpass import Grid
-from ..identification.segments import Segment
+from ..identification.segments import RecordingSegment
 from ..recordings import Recording
 from ..robot.robot import Robot
 from ..schemas.effects import EffectDocument
@@ -118,7 +118,7 @@ def predict(fitted: IdentifiedModel, recording: Recording) -> tuple[Array, Array
     def beyond(stretch: Recording) -> Array:
         still, warmth = np.zeros(stretch.q.shape), stretch.temperature
         whole = (recording.source, float(stretch.t[0]), stretch.rate, stretch.q, still)
-        piece = Segment(
+        piece = RecordingSegment(
             *whole, encoder=recording.encoder, temperature=warmth, began=float(recording.t[0])
         )
         band = piece.band(min(fitted.hertz, 0.45 * piece.rate))
@@ -139,7 +139,7 @@ def predict(fitted: IdentifiedModel, recording: Recording) -> tuple[Array, Array
         for part in late:
             recorded = EFFECTS_BY_NAME[part.shape.effect].predicted_torque
             assert recorded is not None  # a shape of measured torque has one
-            added += band.low(
+            added += band.filter(
                 recorded(along, part.shape, part.coefficients, along.motor_torque + added), Grid.RECORDED
             )
         return added

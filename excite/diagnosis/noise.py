@@ -339,7 +339,7 @@ def _misled(model: IdentificationModel, one: RecordedMotion) -> Draw:
     smooth = np.where(
         one.segment.smoothed,
         one.segment.q,
-        one.band.transformed(one.segment.q).low(Grid.RECORDED, 0, MOTION_BANDWIDTH_RATIO),
+        one.band.transform(one.segment.q).filter(Grid.RECORDED, 0, MOTION_BANDWIDTH_RATIO),
     )
     right = filtered_regressor(model, smooth, one.band)[0]
 

@@ -32,8 +32,8 @@ def felt(track: RecordedMotion, joint: int, lag: Array, of: Grid) -> Array:
     First order: −(∂τ/∂q δ + ∂τ/∂q̇ δ̇ + M δ̈), the rotor staying with the encoder.
     """
     by_q, by_v, mass = track.derivatives
-    lines = track.band.transformed(lag[:, None], of)
-    shift, first, second = (lines.low(Grid.COARSE, order, 1.0) for order in range(3))
+    lines = track.band.transform(lag[:, None], of)
+    shift, first, second = (lines.filter(Grid.COARSE, order, 1.0) for order in range(3))
     torque = by_q[:, :, joint] * shift + by_v[:, :, joint] * first + mass[:, :, joint] * second
     return -track.lowpass(torque, Grid.COARSE)[:, :, None]
 

@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid, LowPassFilter, friction_speed
 from ..identification.regression import IdentificationModel, filtered_regressor
-from ..identification.segments import Segment
+from ..identification.segments import RecordingSegment
 from ..recordings.missing_values import runs
 from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot
@@ -77,7 +77,7 @@ class RecordedMotion:
     the base fit. known: what is `remembered`.
     """
 
-    segment: Segment
+    segment: RecordingSegment
     band: LowPassFilter
     fitted_robot: FittedRobot
     widths: Array
@@ -112,10 +112,10 @@ class RecordedMotion:
     @memoized
     def samples(self) -> Samples:
         """Motion at every sample of the recording. Shapes (M, n)."""
-        position = self.band.transformed(self.segment.q)
+        position = self.band.transform(self.segment.q)
         speed = friction_speed(self.segment.q, self.band, position)
         return Samples(
-            position.low(Grid.RECORDED, 0, MOTION_BANDWIDTH_RATIO), speed, position.low(Grid.RECORDED, 2, MOTION_BANDWIDTH_RATIO)
+            position.filter(Grid.RECORDED, 0, MOTION_BANDWIDTH_RATIO), speed, position.filter(Grid.RECORDED, 2, MOTION_BANDWIDTH_RATIO)
         )
 
     def sign(self, joint: int) -> Array:
@@ -160,8 +160,8 @@ class RecordedMotion:
     @memoized
     def coarse_samples(self) -> Samples:
         """Motion where rigid-body dynamics are evaluated. Shapes (C, n)."""
-        position = self.band.transformed(self.segment.q)
-        return Samples(*(position.low(Grid.COARSE, order, MOTION_BANDWIDTH_RATIO) for order in range(3)))
+        position = self.band.transform(self.segment.q)
+        return Samples(*(position.filter(Grid.COARSE, order, MOTION_BANDWIDTH_RATIO) for order in range(3)))
 
     @memoized
     def times(self) -> Array:
@@ -171,15 +171,15 @@ class RecordedMotion:
     @property
     def run_time(self) -> Array:
         """For how long the recording has been going on, at every sample. Shape (M,) [s]."""
-        return self.times - (self.segment.start if self.segment.began is None else self.segment.began)
+        return self.times - (self.segment.start if self.segment.recording_start is None else self.segment.recording_start)
 
     def lowpass(self, x: Array, of: Grid = Grid.RECORDED) -> Array:
         """Below the band, at the kept rows, as late as it comes. Shapes (M or C, …) -> (N, …)."""
         if self.grid is Grid.RECORDED and of is Grid.COARSE:
             x = self.upsample(x.reshape(len(x), -1)).reshape(-1, *x.shape[1:])
         late, lag = self.behind
-        return self.band.low(
-            x, self.grid, of=Grid.RECORDED if self.grid is Grid.RECORDED else of, late=late, lag=lag
+        return self.band.filter(
+            x, self.grid, source=Grid.RECORDED if self.grid is Grid.RECORDED else of, delay=late, time_constant=lag
         )[self.kept]
 
     def upsample(self, x: Array) -> Array:
@@ -214,7 +214,7 @@ class RecordedMotion:
     @memoized
     def measured_torque(self) -> Array:
         """What the drive was measured to make, below the band: with all that the base model lacks, and noise. Shape (M, n)."""
-        return self.band.low(self.segment.torque, Grid.RECORDED)
+        return self.band.filter(self.segment.torque, Grid.RECORDED)
 
     def _inverse(self, q: Array, dq: Array, ddq: Array) -> Array:
         robot, data = self.fitted_robot.robot, self.fitted_robot.model.createData()
@@ -323,7 +323,7 @@ def split_by_motion(rows: Array, stretches: Sequence[RecordedMotion]) -> list[Ar
 
 
 def recorded_motions(
-    model: IdentificationModel, fitted: FittedRobot, theta: Array, pieces: Sequence[Segment], hertz: float
+    model: IdentificationModel, fitted: FittedRobot, theta: Array, pieces: Sequence[RecordingSegment], hertz: float
 ) -> list[RecordedMotion]:
     """Every stretch that is long enough for the band."""
     out = []
@@ -334,7 +334,7 @@ def recorded_motions(
         if len(piece) <= 2 * margin + 8 * step:
             continue
         gamma, slopes, _ = filtered_regressor(model, piece.q, band)
-        torque = band.low(piece.torque, Grid.KEPT)
+        torque = band.filter(piece.torque, Grid.KEPT)
         time = piece.start + np.arange(len(torque)) * step / piece.rate
         out.append(
             RecordedMotion(

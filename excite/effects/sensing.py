@@ -48,11 +48,11 @@ def _late(t: RecordedMotion, s: CandidateModel) -> Array:
     if not seconds:
         return _of(
             s,
-            -t.band.transformed(t.measured_torque if s.values["measured"] else t.motor_torque).low(t.grid, 1)[t.kept],
+            -t.band.transform(t.measured_torque if s.values["measured"] else t.motor_torque).filter(t.grid, 1)[t.kept],
         )
     if "lagging" in s.values:
-        of_all = t.band.transformed(t.motor_torque)
-        return _of(s, (of_all.low(t.grid, lag=seconds) - of_all.low(t.grid))[t.kept] / seconds)
+        of_all = t.band.transform(t.motor_torque)
+        return _of(s, (of_all.filter(t.grid, time_constant=seconds) - of_all.filter(t.grid))[t.kept] / seconds)
     then = np.column_stack([np.interp(t.times - seconds, t.times, x) for x in t.motor_torque.T])
     return _of(s, t.lowpass((then - t.motor_torque) / seconds))
 
@@ -118,8 +118,8 @@ def _misread(t: RecordedMotion, s: CandidateModel) -> Array:
     joint = s.joint_index
     by_q, by_v, mass = (matrix[:, :, joint, None] for matrix in t.derivatives)
     shifts = waves(s.values, t.coarse_samples.q[:, joint])
-    line = t.band.transformed(shifts, Grid.COARSE)
-    first, second = line.low(Grid.COARSE, 1, 2.0), line.low(Grid.COARSE, 2, 2.0)
+    line = t.band.transform(shifts, Grid.COARSE)
+    first, second = line.filter(Grid.COARSE, 1, 2.0), line.filter(Grid.COARSE, 2, 2.0)
     torque = by_q * shifts[:, None] + by_v * first[:, None] + mass * second[:, None]
     torque[:, joint] += (
         t.fitted_robot.drive("rotor_inertia")[joint] * second + t.fitted_robot.drive("viscous")[joint] * first

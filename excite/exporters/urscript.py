@@ -126,7 +126,7 @@ def write(job: Job) -> Written:
             f"{job.path}: format 'urscript' steps at 500, 250 or 125 Hz; leave --rate {job.rate:g} out to take the controller's own"
         )
     motion, step = job.motion, "get_steptime()" if job.rate is None else fixed(1.0 / job.rate, None)
-    begin, end = motion.rest
+    begin, end = motion.end_poses
     lines = [
         *(
             f"# {line}"

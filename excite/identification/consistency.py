@@ -1,7 +1,9 @@
-"""Physically consistent parameters: min ½‖R(Bψ − θ̂)‖² + γ d(ψ, ψ₀)² with every body a body, every friction ≥ 0 (review, eq. 21).
+"""Physically consistent parameters: the maximum a-posteriori estimate (review, eq. 15 and 21).
 
-A damped Newton method inside a logarithmic barrier whose weight falls until it could cost no more than a hundredth
-of a unit of log-likelihood.
+Minimises ½‖R(Bψ − θ̂)‖² + γ d(ψ, ψ₀)² such that the pseudo-inertia of every body is positive definite
+and friction and rotor inertia are not negative. A damped Newton method minimises the sum of this and
+a logarithmic barrier (Boyd & Vandenberghe, "Convex Optimization", 2004, chapter 11), whose weight is
+reduced until it costs at most a hundredth of a unit of log-likelihood.
 """
 
 from __future__ import annotations
@@ -11,61 +13,95 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from .._types import FloatArray
 from ..errors import UnusableInput
 from ..robot.inertial_parameters import Parameters, proper_body, pseudo_inertia
 from .inertia_distance import Distance, NominalFrames, distance_metrics, pseudo_inertias
 
-Array = np.ndarray
 NONNEGATIVE_KINDS = ("rotor_inertia", "viscous", "coulomb")
+"""Joint parameters that cannot be negative."""
 BARRIER_WEIGHTS = (1.0, 1e-1, 1e-2, 1e-3, 1e-4)
+"""Weights of the barrier, one after the other. With the last the barrier costs at most 1e-4 per term
+(Boyd & Vandenberghe 2004, 11.2.2): 0.01 for 100 terms."""
 MIN_PSEUDO_INERTIA = 1e-6
-"""Every body keeps P ≻ FLOOR · P₀: one on the very edge of being none cannot be reckoned with."""
-STEPS = 60
-DECREMENT = 1e-8
-NEAR = 0.05
-"""Where a positive parameter is nominally 0 the search starts at this share of its scale."""
+"""Lower bound of the pseudo-inertia, P ≻ MIN_PSEUDO_INERTIA · P₀: at the boundary of the consistent
+set a body has no finite metric."""
+MAX_NEWTON_STEPS = 60
+"""Number of Newton steps per barrier weight, at most."""
+FINAL_NEWTON_DECREMENT = 1e-8
+"""Squared Newton decrement at which the last minimisation has converged [log-likelihood]."""
+NEWTON_DECREMENT = 1e-3
+"""The same for the minimisations before."""
+STEP_TO_BOUNDARY = 0.95
+"""Largest step as a share of the step that reaches the boundary of the consistent set."""
+MAX_HALVINGS = 40
+"""Number of halvings of a Newton step, at most."""
+SUFFICIENT_DECREASE = 1e-4
+"""Share of the linear prediction by which a step must reduce the objective (Armijo's rule)."""
+INITIAL_SCALE_SHARE = 0.05
+"""Initial value of a joint parameter that is nominally 0, as a share of its scale."""
+INITIAL_BOUND_SHARE = 0.05
+"""Initial distance from a bound as a share of the distance between the bounds."""
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """Further convex constraints. mass: link -> (least, most) [kg]. centre: link -> two corners of a box that holds its centre of
-    mass, in the frame of the joint that moves it. Shape (2, 3) [m]."""
+    """Additional convex constraints.
+
+    Attributes:
+        mass: Smallest and largest mass by link [kg].
+        centre: Opposite corners of a box that contains the centre of mass, by link, in the frame of
+            the joint that moves the link. Shape (2, 3) [m].
+    """
 
     mass: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    centre: Mapping[str, Array] = field(default_factory=dict)
+    centre: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Where ψ should stay near. nominal: ψ₀, every body made one. Shape (P,). distance: which, for bodies.
+    """Prior of ψ: the nominal parameters and the weight of the distance from them.
 
-    bodies: γ for inertial parameters. drives: γ for each friction, rotor inertia and offset, whose nominal values are often
-    unknown; scales: theirs. Shapes (P − 10 bodies,).
+    Attributes:
+        nominal: ψ₀, physically consistent. Shape (P,).
+        distance: Distance of link inertias.
+        inertial_weight: γ of the inertial parameters.
+        joint_weights: γ of each friction, rotor inertia and offset. Shape (P − 10 bodies,).
+        joint_scales: Scales s of these in their squared distance ((ψ − ψ₀)/s)². Same shape.
     """
 
-    nominal: Array
+    nominal: FloatArray
     distance: Distance
-    bodies: float
-    drives: Array
-    scales: Array
+    inertial_weight: float
+    joint_weights: FloatArray
+    joint_scales: FloatArray
 
 
 @dataclass(frozen=True)
 class ConsistentEstimate:
-    """psi: ψ̂. Shape (P,). covariance: of ψ̂, data and prior together, (RᵀR + 2γG)⁻¹ at the solution. Shape (P, P).
+    """A physically consistent estimate.
 
-    misfit: ½‖R(Bψ̂ − θ̂)‖², what consistency and the prior cost in log-likelihood. distance: d(ψ̂, ψ₀)². steps: Newton's.
+    Attributes:
+        psi: ψ̂. Shape (P,).
+        covariance: Posterior covariance of ψ̂, (RᵀR + 2γG)⁻¹ at the solution. Shape (P, P).
+        misfit: ½‖R(Bψ̂ − θ̂)‖²: log-likelihood lost to consistency and the prior.
+        distance: Squared distance d(ψ̂, ψ₀)².
+        steps: Number of Newton steps.
     """
 
-    psi: Array
-    covariance: Array
+    psi: FloatArray
+    covariance: FloatArray
     misfit: float
     distance: float
     steps: int
 
 
-def consistent_nominal(parameters: Parameters) -> Array:
-    """ψ₀ with every body made physically consistent by the stated rule, and negative friction 0. Shape (P,)."""
+def consistent_nominal(parameters: Parameters) -> FloatArray:
+    """Return the nominal parameters made physically consistent.
+
+    Bodies are corrected as `inertial_parameters.proper_body` states, negative friction and rotor
+    inertia become 0. Shape (P,).
+    """
     psi, edge = parameters.nominal.copy(), 10 * parameters.bodies
     mass = float(np.maximum(psi[:edge:10], 0.0).sum()) or 1.0
     for i in range(0, edge, 10):
@@ -76,105 +112,137 @@ def consistent_nominal(parameters: Parameters) -> Array:
     return psi
 
 
-def inertial_rows(parameters: Parameters, psi: Array) -> Array:
-    """The inertial part of ψ, a row a body. Shape (b, 10)."""
-    out: Array = psi[: 10 * parameters.bodies].reshape(-1, 10)
+def inertial_rows(parameters: Parameters, psi: FloatArray) -> FloatArray:
+    """Return the inertial part of ψ, one body per row. Shapes (P,) -> (b, 10)."""
+    out: FloatArray = psi[: 10 * parameters.bodies].reshape(-1, 10)
     return out
 
 
-def prior_information(parameters: Parameters, prior: Prior) -> Array:
-    """2γG of the prior near ψ₀, the information it is worth. Shape (P, P)."""
+def prior_information(parameters: Parameters, prior: Prior) -> FloatArray:
+    """Compute 2γG, the information that the prior is worth near ψ₀. Shape (P, P)."""
     edge = 10 * parameters.bodies
-    out = np.diag(np.concatenate([np.zeros(edge), 2.0 * prior.drives / prior.scales**2]))
-    for i, G in enumerate(distance_metrics(prior.distance, inertial_rows(parameters, prior.nominal))):
-        out[10 * i : 10 * i + 10, 10 * i : 10 * i + 10] = 2.0 * prior.bodies * G
+    joint_information = 2.0 * prior.joint_weights / prior.joint_scales**2
+    out = np.diag(np.concatenate([np.zeros(edge), joint_information]))
+    for i, G in enumerate(
+        distance_metrics(prior.distance, inertial_rows(parameters, prior.nominal))
+    ):
+        out[10 * i : 10 * i + 10, 10 * i : 10 * i + 10] = 2.0 * prior.inertial_weight * G
     return out
 
 
-class _Problem:
-    """The function of ψ at one weight of the barrier, with its derivatives."""
+class _BarrierProblem:
+    """Objective plus barrier as a function of ψ, with its derivatives.
+
+    Linear constraints are `rows` ψ > `levels`.
+    """
 
     def __init__(
         self,
         parameters: Parameters,
-        root: Array,
-        target: Array,
+        root: FloatArray,
+        target: FloatArray,
         prior: Prior,
-        rows: Array,
-        levels: Array,
+        rows: FloatArray,
+        levels: FloatArray,
     ) -> None:
         self.parameters, self.root, self.target, self.prior = parameters, root, target, prior
         self.edge = 10 * parameters.bodies
-        self.frame = NominalFrames(inertial_rows(parameters, prior.nominal))
-        self.rows, self.levels = rows, levels  # rows ψ > levels
-        self.scale = prior.scales
+        self.frames = NominalFrames(inertial_rows(parameters, prior.nominal))
+        self.rows, self.levels = rows, levels
+        self.scale = prior.joint_scales
         self.information = root.T @ root
 
-    def slack(self, psi: Array) -> Array:
+    def slack(self, psi: FloatArray) -> FloatArray:
+        """Slack of the linear constraints, positive inside."""
         return np.asarray(self.rows @ psi - self.levels)
 
-    def split(self, psi: Array) -> Array:
+    def bodies(self, psi: FloatArray) -> FloatArray:
+        """Inertial part of ψ, one body per row."""
         return inertial_rows(self.parameters, psi)
 
-    def value(self, psi: Array, weight: float) -> float:
-        """∞ outside."""
-        slack, bodies = self.slack(psi), self.split(psi)
-        if (slack.size and float(slack.min()) <= 0.0) or self.frame.least(bodies) <= MIN_PSEUDO_INERTIA:
+    def value(self, psi: FloatArray, weight: float) -> float:
+        """Objective plus barrier; ∞ outside the constraints."""
+        slack, bodies = self.slack(psi), self.bodies(psi)
+        if (slack.size and float(slack.min()) <= 0.0) or self.frames.min_eigenvalue(
+            bodies
+        ) <= MIN_PSEUDO_INERTIA:
             return float("inf")
         misfit = self.root @ psi - self.target
-        inside = float(np.sum(np.log(slack))) - float(self.frame.barrier(bodies, MIN_PSEUDO_INERTIA).value.sum())
-        return 0.5 * float(misfit @ misfit) + self.far(psi) - weight * inside
+        log_barrier = float(np.sum(np.log(slack))) - float(
+            self.frames.barrier(bodies, MIN_PSEUDO_INERTIA).value.sum()
+        )
+        return 0.5 * float(misfit @ misfit) + self.penalty(psi) - weight * log_barrier
 
-    def far(self, psi: Array) -> float:
+    def penalty(self, psi: FloatArray) -> float:
+        """Weighted squared distance from the nominal parameters, γ d²."""
         delta = (psi - self.prior.nominal)[self.edge :] / self.scale
-        own = self.frame.squared(self.prior.distance, self.split(psi)).value
-        return float(self.prior.drives @ delta**2) + self.prior.bodies * float(own.sum())
+        squared = self.frames.squared_distance(self.prior.distance, self.bodies(psi)).value
+        return float(self.prior.joint_weights @ delta**2) + self.prior.inertial_weight * float(
+            squared.sum()
+        )
 
-    def derivatives(self, psi: Array, weight: float) -> tuple[Array, Array]:
+    def derivatives(self, psi: FloatArray, weight: float) -> tuple[FloatArray, FloatArray]:
+        """Gradient and Hessian of `value`."""
         gradient = self.root.T @ (self.root @ psi - self.target)
         hessian = self.information.copy()
         slack = self.slack(psi)
         gradient -= weight * self.rows.T @ (1.0 / slack)
         hessian += weight * (self.rows.T / slack**2) @ self.rows
         gradient[self.edge :] += (
-            2.0 * self.prior.drives * (psi - self.prior.nominal)[self.edge :] / self.scale**2
+            2.0 * self.prior.joint_weights * (psi - self.prior.nominal)[self.edge :] / self.scale**2
         )
         index = np.arange(self.edge, len(psi))
-        hessian[index, index] += 2.0 * self.prior.drives / self.scale**2
-        bodies = self.split(psi)
-        parts = (
-            (weight, self.frame.barrier(bodies, MIN_PSEUDO_INERTIA)),
-            (self.prior.bodies, self.frame.squared(self.prior.distance, bodies)),
+        hessian[index, index] += 2.0 * self.prior.joint_weights / self.scale**2
+        bodies = self.bodies(psi)
+        terms = (
+            (weight, self.frames.barrier(bodies, MIN_PSEUDO_INERTIA)),
+            (self.prior.inertial_weight, self.frames.squared_distance(self.prior.distance, bodies)),
         )
-        for factor, part in parts:
-            gradient[: self.edge] += factor * part.gradient.ravel()
-            for i, block in enumerate(part.hessian):
+        for factor, term in terms:
+            gradient[: self.edge] += factor * term.gradient.ravel()
+            for i, block in enumerate(term.hessian):
                 hessian[10 * i : 10 * i + 10, 10 * i : 10 * i + 10] += factor * block
         return gradient, hessian
 
-    def longest(self, psi: Array, step: Array) -> float:
-        """Largest step that stays inside everything."""
+    def max_step(self, psi: FloatArray, step: FloatArray) -> float:
+        """Length of the step that reaches the boundary of the constraints."""
         change, slack = self.rows @ step, self.slack(psi)
         falling = change < 0.0
-        lines = float(np.min(-slack[falling] / change[falling])) if falling.any() else np.inf
-        return min(lines, self.frame.reach(self.split(psi), self.split(step), MIN_PSEUDO_INERTIA))
+        linear = float(np.min(-slack[falling] / change[falling])) if falling.any() else np.inf
+        return min(
+            linear, self.frames.max_step(self.bodies(psi), self.bodies(step), MIN_PSEUDO_INERTIA)
+        )
 
 
 def maximum_a_posteriori(
-    parameters: Parameters, root: Array, target: Array, prior: Prior, bounds: Bounds | None = None
+    parameters: Parameters,
+    root: FloatArray,
+    target: FloatArray,
+    prior: Prior,
+    bounds: Bounds | None = None,
 ) -> ConsistentEstimate:
-    """ψ̂ = argmin ½‖root ψ − target‖² + γ d², physically consistent. root: R B. Shape (m, P). target: R θ̂. Shape (m,).
+    """Compute the physically consistent ψ̂ = argmin ½‖root ψ − target‖² + γ d(ψ, ψ₀)².
 
-    Raises UnusableInput when bounds leave no body.
+    Args:
+        parameters: Standard parameters.
+        root: R B. Shape (m, P).
+        target: R θ̂. Shape (m,).
+        prior: ψ₀, the distance and γ.
+        bounds: Bounds of masses and centres of mass.
+
+    Raises:
+        UnusableInput: No physically consistent body satisfies the bounds.
     """
     rows, levels = _halfspaces(parameters, bounds or Bounds())
-    problem = _Problem(parameters, root, target, prior, rows, levels)
-    psi = _inside(parameters, prior.nominal, bounds or Bounds())
+    problem = _BarrierProblem(parameters, root, target, prior, rows, levels)
+    psi = _interior_point(parameters, prior.nominal, bounds or Bounds())
     if rows.size and float(problem.slack(psi).min()) <= 0.0:
-        raise UnusableInput("bounds of mass and centre leave no room for a body; widen them")
+        raise UnusableInput(
+            "bounds: no physically consistent body satisfies the bounds of mass and centre; widen them"
+        )
     steps, ridge = 0, 1e-13 * np.eye(parameters.count)  # below rounding
     for weight in BARRIER_WEIGHTS:
-        for _ in range(STEPS):
+        for _ in range(MAX_NEWTON_STEPS):
             gradient, hessian = problem.derivatives(psi, weight)
             scale = 1.0 / np.sqrt(np.diag(hessian))
             step = -scale * np.linalg.solve(
@@ -182,35 +250,49 @@ def maximum_a_posteriori(
             )
             decrement = -float(gradient @ step)
             steps += 1
-            if decrement < (DECREMENT if weight == BARRIER_WEIGHTS[-1] else 1e-3):
+            if decrement < (
+                FINAL_NEWTON_DECREMENT if weight == BARRIER_WEIGHTS[-1] else NEWTON_DECREMENT
+            ):
                 break
-            psi = _searched(problem, psi, step, decrement, weight)
+            psi = _line_search(problem, psi, step, decrement, weight)
     hessian = problem.derivatives(psi, 0.0)[1]
     misfit = root @ psi - target
-    far = problem.far(psi) / prior.bodies if prior.bodies else 0.0
-    return ConsistentEstimate(psi, symmetric_pseudo_inverse(hessian), 0.5 * float(misfit @ misfit), far, steps)
+    distance = problem.penalty(psi) / prior.inertial_weight if prior.inertial_weight else 0.0
+    return ConsistentEstimate(
+        psi, symmetric_pseudo_inverse(hessian), 0.5 * float(misfit @ misfit), distance, steps
+    )
 
 
-def _searched(problem: _Problem, psi: Array, step: Array, decrement: float, weight: float) -> Array:
-    length, now = min(1.0, 0.95 * problem.longest(psi, step)), problem.value(psi, weight)
-    for _ in range(40):
-        if problem.value(psi + length * step, weight) <= now - 1e-4 * length * decrement:
+def _line_search(
+    problem: _BarrierProblem, psi: FloatArray, step: FloatArray, decrement: float, weight: float
+) -> FloatArray:
+    """Halve the step until the objective decreases sufficiently."""
+    length = min(1.0, STEP_TO_BOUNDARY * problem.max_step(psi, step))
+    value = problem.value(psi, weight)
+    for _ in range(MAX_HALVINGS):
+        if (
+            problem.value(psi + length * step, weight)
+            <= value - SUFFICIENT_DECREASE * length * decrement
+        ):
             return np.asarray(psi + length * step)
         length *= 0.5
     return psi
 
 
-def symmetric_pseudo_inverse(hessian: Array) -> Array:
-    """Of a symmetric matrix whose rows have very different units; 0 where it has no information."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(hessian), 1e-300))
-    values, vectors = np.linalg.eigh(hessian * np.outer(scale, scale))
+def symmetric_pseudo_inverse(matrix: FloatArray) -> FloatArray:
+    """Invert a positive semi-definite matrix whose rows have very different units.
+
+    Rows are scaled to a unit diagonal; directions without information get variance 0.
+    """
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    values, vectors = np.linalg.eigh(matrix * np.outer(scale, scale))
     kept = values > 1e-14 * values[-1]
     half = scale[:, None] * vectors[:, kept] / np.sqrt(values[kept])
     return np.asarray(half @ half.T)
 
 
-def _halfspaces(parameters: Parameters, bounds: Bounds) -> tuple[Array, Array]:
-    """Linear constraints rows ψ > levels: friction and rotor inertia positive, masses and centres within bounds."""
+def _halfspaces(parameters: Parameters, bounds: Bounds) -> tuple[FloatArray, FloatArray]:
+    """Linear constraints rows ψ > levels: signs of joint parameters, bounds of mass and centre."""
     rows, levels = [], []
 
     def add(entries: Mapping[int, float], level: float = 0.0) -> None:
@@ -224,31 +306,36 @@ def _halfspaces(parameters: Parameters, bounds: Bounds) -> tuple[Array, Array]:
         if kind in parameters.drive:
             for place in range(parameters.count)[parameters.block(kind)]:
                 add({place: 1.0})
-    for link, (least, most) in bounds.mass.items():
-        place = 10 * _link(parameters, link)
-        add({place: 1.0}, least)
-        add({place: -1.0}, -most)
+    for link, (lower, upper) in bounds.mass.items():
+        place = 10 * _link_index(parameters, link)
+        add({place: 1.0}, lower)
+        add({place: -1.0}, -upper)
     for link, box in bounds.centre.items():
-        place = 10 * _link(parameters, link)
+        place = 10 * _link_index(parameters, link)
         for axis in range(3):
             add({place + 1 + axis: 1.0, place: -float(box[0][axis])})
             add({place + 1 + axis: -1.0, place: float(box[1][axis])})
     return np.array(rows).reshape(-1, parameters.count), np.array(levels)
 
 
-def _link(parameters: Parameters, link: str) -> int:
+def _link_index(parameters: Parameters, link: str) -> int:
+    """Index of a link among the bodies."""
     if link not in parameters.links:
-        raise UnusableInput(f"bounds: no link '{link}'; there are {', '.join(parameters.links)}")
+        raise UnusableInput(
+            f"bounds: no moving link '{link}'; the links are {', '.join(parameters.links)}"
+        )
     return parameters.links.index(link)
 
 
-def _inside(parameters: Parameters, nominal: Array, bounds: Bounds) -> Array:
-    """A point that obeys every constraint strictly, near the nominal one."""
+def _interior_point(parameters: Parameters, nominal: FloatArray, bounds: Bounds) -> FloatArray:
+    """Parameters near the nominal ones that satisfy every constraint strictly."""
     psi, edge = nominal.copy(), 10 * parameters.bodies
     for kind in NONNEGATIVE_KINDS:
         if kind in parameters.drive:
             block = parameters.block(kind)
-            psi[block] = np.maximum(psi[block], NEAR * np.diag(parameters.scale)[block])
+            psi[block] = np.maximum(
+                psi[block], INITIAL_SCALE_SHARE * np.diag(parameters.scale)[block]
+            )
     for i in range(0, edge, 10):
         link = parameters.links[i // 10]
         if link not in bounds.mass and link not in bounds.centre:
@@ -256,14 +343,22 @@ def _inside(parameters: Parameters, nominal: Array, bounds: Bounds) -> Array:
         mass, centre = psi[i], psi[i + 1 : i + 4] / psi[i]
         second = pseudo_inertia(psi[i : i + 10])[:3, :3] - mass * np.outer(centre, centre)
         if link in bounds.mass:
-            least, most = bounds.mass[link]
-            wanted = float(
-                np.clip(mass, least + 0.05 * (most - least), most - 0.05 * (most - least))
+            lower, upper = bounds.mass[link]
+            bounded = float(
+                np.clip(
+                    mass,
+                    lower + INITIAL_BOUND_SHARE * (upper - lower),
+                    upper - INITIAL_BOUND_SHARE * (upper - lower),
+                )
             )
-            second, mass = second * wanted / mass, wanted
+            second, mass = second * bounded / mass, bounded
         if link in bounds.centre:
             low, high = np.asarray(bounds.centre[link], float)
-            centre = np.clip(centre, low + 0.05 * (high - low), high - 0.05 * (high - low))
+            centre = np.clip(
+                centre,
+                low + INITIAL_BOUND_SHARE * (high - low),
+                high - INITIAL_BOUND_SHARE * (high - low),
+            )
         second = second + mass * np.outer(centre, centre)
         tensor = np.trace(second) * np.eye(3) - second
         psi[i : i + 10] = [
@@ -279,9 +374,14 @@ def _inside(parameters: Parameters, nominal: Array, bounds: Bounds) -> Array:
     return psi
 
 
-def is_consistent(parameters: Parameters, psi: Array) -> bool:
-    """Whether every body's pseudo-inertia is positive definite and every friction and rotor inertia is not negative."""
-    bodies = bool((np.linalg.eigvalsh(pseudo_inertias(inertial_rows(parameters, psi))) > 0.0).all())
+def is_consistent(parameters: Parameters, psi: FloatArray) -> bool:
+    """Return True if ψ is physically consistent (review, eq. 15).
+
+    Every pseudo-inertia is positive definite; friction and rotor inertia are not negative.
+    """
+    bodies = bool(
+        (np.linalg.eigvalsh(pseudo_inertias(inertial_rows(parameters, psi))) > 0.0).all()
+    )
     return bodies and all(
         float(psi[parameters.block(kind)].min()) >= 0.0
         for kind in NONNEGATIVE_KINDS
@@ -290,19 +390,27 @@ def is_consistent(parameters: Parameters, psi: Array) -> bool:
 
 
 def map_objective(
-    parameters: Parameters, root: Array, target: Array, prior: Prior, psi: Array
+    parameters: Parameters, root: FloatArray, target: FloatArray, prior: Prior, psi: FloatArray
 ) -> float:
-    """½‖root ψ − target‖² + γ d(ψ, ψ₀)², what `maximum_a_posteriori` minimises. psi: physically consistent. Shape (P,)."""
+    """Compute ½‖root ψ − target‖² + γ d(ψ, ψ₀)², the objective of `maximum_a_posteriori`.
+
+    Args:
+        parameters: Standard parameters.
+        root: R B. Shape (m, P).
+        target: R θ̂. Shape (m,).
+        prior: ψ₀, the distance and γ.
+        psi: Physically consistent parameters. Shape (P,).
+    """
     edge = 10 * parameters.bodies
     misfit = root @ psi - target
-    bodies = (
+    inertial = (
         NominalFrames(inertial_rows(parameters, prior.nominal))
-        .squared(prior.distance, inertial_rows(parameters, psi))
+        .squared_distance(prior.distance, inertial_rows(parameters, psi))
         .value
     )
-    drives = ((psi - prior.nominal)[edge:] / prior.scales) ** 2
+    joint = ((psi - prior.nominal)[edge:] / prior.joint_scales) ** 2
     return (
         0.5 * float(misfit @ misfit)
-        + prior.bodies * float(bodies.sum())
-        + float(prior.drives @ drives)
+        + prior.inertial_weight * float(inertial.sum())
+        + float(prior.joint_weights @ joint)
     )

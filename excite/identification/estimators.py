@@ -1,7 +1,8 @@
-"""Base parameters from the equations: least squares, weighted by what the noise turns out to be, or robust against outliers.
+"""Estimators of base parameters: ordinary, weighted and robust least squares, instrumental variables.
 
-θ̂ solves Σ Γᵀ Σ⁻¹ ρ(τ − Γθ) = 0; its covariance is the sandwich A⁻¹ S A⁻¹, A the slope of these equations and S the
-covariance of their left side under noise of the colour found (Huber 1981, chapter 7; White 1980).
+The estimate solves Σ Γᵀ Σ⁻¹ ρ(τ − Γθ) = 0. Its covariance is the sandwich A⁻¹ S A⁻¹, A the derivative
+of the left side with respect to θ and S the covariance of the left side under noise of the estimated
+spectrum (Huber, "Robust Statistics", 1981, chapter 7; White, Econometrica 48(4), 1980).
 """
 
 from __future__ import annotations
@@ -12,133 +13,162 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from .._types import FloatArray
 from ..errors import UnusableInput
 from .noise_spectrum import NoiseSpectrum, covariance_root, noise_spectrum
 from .regression import TorqueEquations
 
-Array = np.ndarray
 HUBER_THRESHOLD = 1.345
-"""Standard deviations beyond which a residual counts by its size, not its square: 95 % efficient where noise is normal (Huber 1981)."""
-PASSES = 3
-ROBUST_PASSES = 30
-SPREAD = 0.6744897501960817  # median of |x| for a standard normal x
-NOTHING = 1e-9
-"""Size of a column, relative to the largest, at which it is zero."""
-RANK = 1e-9
-"""Relative singular value, columns at unit length, below which a combination of parameters counts as not shown at all."""
-BLOCK = 4096
+"""Residual in standard deviations above which its loss grows linearly: 95 % efficient for normal
+noise (Huber 1981)."""
+VARIANCE_ITERATIONS = 3
+"""Number of alternations between least squares and the variances of the joints."""
+MAX_HUBER_ITERATIONS = 30
+"""Number of reweighting iterations of the robust estimator, at most."""
+HUBER_TOLERANCE = 1e-4
+"""Change of θ in standard deviations below which the robust estimator has converged."""
+NORMAL_MEDIAN_DEVIATION = 0.6744897501960817
+"""Median of |x| for a standard normal x: converts a median absolute residual to a deviation."""
+ZERO_COLUMN_RATIO = 1e-9
+"""Norm of a column of Γ, relative to the largest, below which it counts as zero: rounding in the
+derivatives of a resting joint's position."""
+RANK_TOLERANCE = 1e-9
+"""Relative singular value of Γ, columns scaled to unit norm, below which a combination of parameters
+counts as not excited."""
+BLOCK_ROWS = 4096
+"""Number of rows that are orthogonalised at a time."""
+CONFIDENCE_LEVEL = 0.95
+"""Probability that an interval covers the true value."""
 
 
 class Method(enum.Enum):
-    """How rows are weighted."""
+    """Estimators, named as on the command line.
 
-    OLS = "ols"  # all alike
-    WLS = "wls"  # by each joint's noise
-    FULL = "full"  # by the noise's covariance over the joints
-    HUBER = "huber"  # by each joint's noise, outliers bounded
-    IV = "iv"  # by each joint's noise, with instruments instead of Γᵀ
+    OLS: all rows have equal weight. WLS: weights by each joint's noise variance. FULL: weights by
+    the covariance of the noise over the joints. HUBER: as WLS, with the influence of outliers
+    bounded. IV: as WLS, with instruments in the place of Γᵀ.
+    """
+
+    OLS = "ols"
+    WLS = "wls"
+    FULL = "full"
+    HUBER = "huber"
+    IV = "iv"
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Base parameters by the data alone.
+    """Base parameters estimated from the data alone.
 
-    theta: θ̂; 0 in directions the data doesn't show at all. Shape (p,). root: R with RᵀR = the inverse of its covariance, the
-    information there is in θ. Shape (r, p). covariance: of θ̂, ∞ on the diagonal where a hidden direction has part. Shape (p, p).
-    scale: C with Σ = C Cᵀ, noise over the joints. Shape (n, n) [N m]. colour: of weighted residuals. residual: τ − Γ θ̂. Shape (N, n).
-    freedom: rows less parameters. outliers: share of rows whose weight robust estimation halved or more.
-    beside: coefficients of the nuisances.
+    Attributes:
+        method: The estimator.
+        theta: θ̂; 0 in directions that the data do not excite. Shape (p,).
+        information_root: R with RᵀR the inverse of the covariance of θ̂. Shape (r, p).
+        covariance: Covariance of θ̂, ∞ on the diagonal where a parameter takes part in a direction
+            that is not excited. Shape (p, p).
+        noise_root: C with noise covariance Σ = C Cᵀ over the joints. Shape (n, n) [N m].
+        noise_spectrum: Spectrum of the weighted residuals.
+        residual: τ − Γ θ̂. Shape (N, n) [N m].
+        degrees_of_freedom: Number of rows minus number of parameters.
+        outliers: Share of rows whose weight the robust estimator halved or more.
+        nuisance_coefficients: Coefficients of the nuisance columns. Shape (k,).
     """
 
     method: Method
-    theta: Array
-    root: Array
-    covariance: Array
-    scale: Array
-    colour: NoiseSpectrum
-    residual: Array
-    freedom: float
+    theta: FloatArray
+    information_root: FloatArray
+    covariance: FloatArray
+    noise_root: FloatArray
+    noise_spectrum: NoiseSpectrum
+    residual: FloatArray
+    degrees_of_freedom: float
     outliers: float = 0.0
-    beside: Array = field(default_factory=lambda: np.zeros(0))
+    nuisance_coefficients: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @property
-    def noise(self) -> Array:
-        """Standard deviation of what the model leaves, per joint. Shape (n,) [N m]."""
-        return np.sqrt(np.sum(self.scale**2, axis=1))
+    def noise(self) -> FloatArray:
+        """Standard deviation of the residual per joint. Shape (n,) [N m]."""
+        return np.sqrt(np.sum(self.noise_root**2, axis=1))
 
 
 @dataclass(frozen=True)
 class LeastSquaresFit:
-    """Weighted least squares.
+    """Solution of a weighted least-squares problem.
 
-    theta: Shape (p,). half: H with H Hᵀ = (Σ ΓᵀΣ⁻¹Γ)⁺. Shape (p, r). inward: takes θ to the coordinates of H. Shape (r, p).
-    leverage: trace of the hat matrix per joint. Shape (n,). size: norm of each weighted column. Shape (p,). hidden: directions
-    not shown. Shape (p − r, p).
+    Attributes:
+        theta: Solution. Shape (p,).
+        half: H with H Hᵀ = (Σ ΓᵀΣ⁻¹Γ)⁺. Shape (p, r).
+        inward: Matrix that maps θ to the coordinates of H. Shape (r, p).
+        leverage: Trace of the hat matrix per joint. Shape (n,).
+        size: Norm of each weighted column. Shape (p,).
+        hidden: Basis of the directions that are not excited. Shape (p − r, p).
     """
 
-    theta: Array
-    half: Array
-    inward: Array
-    leverage: Array
-    size: Array
-    hidden: Array
+    theta: FloatArray
+    half: FloatArray
+    inward: FloatArray
+    leverage: FloatArray
+    size: FloatArray
+    hidden: FloatArray
 
 
-def whiten(rows: Array, scale: Array) -> Array:
-    """C⁻¹ times rows, over the joints. Shapes (N, n, …)."""
-    inverse = np.linalg.inv(scale)
+def whiten(rows: FloatArray, noise_root: FloatArray) -> FloatArray:
+    """Multiply rows by C⁻¹ over the joints. Shapes (N, n, …)."""
+    inverse = np.linalg.inv(noise_root)
     if np.count_nonzero(inverse) == len(inverse):
         return np.asarray(rows * np.diag(inverse).reshape(1, -1, *[1] * (rows.ndim - 2)))
     return np.einsum("ij,tj...->ti...", inverse, rows)
 
 
-def joint_triangular_factors(equations: TorqueEquations) -> Array:
-    """R of each joint's own [Γ | τ], which any weights of the joints can be applied to. Shape (n, p + 1, p + 1)."""
+def joint_triangular_factors(equations: TorqueEquations) -> FloatArray:
+    """Compute the QR factor R of each joint's [Γ | τ], to which weights of joints can be applied.
+
+    Returns:
+        Shape (n, p + 1, p + 1).
+    """
     n, p = equations.n, equations.regressor.shape[2]
     out = np.zeros((n, p + 1, p + 1))
     for joint in range(n):
-        seen = np.append(np.any(equations.regressor[:, joint] != 0.0, axis=0), True)
-        R = np.zeros((0, int(seen.sum())))
-        for start in range(0, len(equations), BLOCK):
-            part = slice(start, start + BLOCK)
-            own = np.concatenate(
+        nonzero = np.append(np.any(equations.regressor[:, joint] != 0.0, axis=0), True)
+        R = np.zeros((0, int(nonzero.sum())))
+        for start in range(0, len(equations), BLOCK_ROWS):
+            part = slice(start, start + BLOCK_ROWS)
+            block = np.concatenate(
                 [
-                    equations.regressor[part, joint][:, seen[:-1]],
+                    equations.regressor[part, joint][:, nonzero[:-1]],
                     equations.torque[part, joint, None],
                 ],
                 axis=1,
             )
-            R = np.asarray(np.linalg.qr(np.vstack([R, own]), mode="r"))
-        out[joint][np.ix_(np.arange(len(R)), np.flatnonzero(seen))] = R
+            R = np.asarray(np.linalg.qr(np.vstack([R, block]), mode="r"))
+        out[joint][np.ix_(np.arange(len(R)), np.flatnonzero(nonzero))] = R
     return out
 
 
-def _stacked(parts: Array) -> Array:
-    """R of parts on top of each other. Shape (n, m, p + 1) -> (≤ p + 1, p + 1)."""
-    return np.asarray(np.linalg.qr(parts.reshape(-1, parts.shape[2]), mode="r"))
+def _stacked(factors: FloatArray) -> FloatArray:
+    """Return the QR factor R of stacked factors. Shape (n, m, p + 1) -> (≤ p + 1, p + 1)."""
+    return np.asarray(np.linalg.qr(factors.reshape(-1, factors.shape[2]), mode="r"))
 
 
-def triangular_factor(equations: TorqueEquations, scale: Array) -> Array:
-    """R of all weighted rows' [Γ | τ]. Shape (≤ p + 1, p + 1)."""
+def triangular_factor(equations: TorqueEquations, noise_root: FloatArray) -> FloatArray:
+    """Compute the QR factor R of all weighted rows of [Γ | τ]. Shape (≤ p + 1, p + 1)."""
     white = dataclasses.replace(
         equations,
-        torque=whiten(equations.torque, scale),
-        regressor=whiten(equations.regressor, scale),
+        torque=whiten(equations.torque, noise_root),
+        regressor=whiten(equations.regressor, noise_root),
     )
     return _stacked(joint_triangular_factors(white))
 
 
-def _solved(joined: Array, parts: Array) -> LeastSquaresFit:
-    """Least squares by the triangle of all rows. parts: of each joint's weighted rows, for the leverages."""
-    p = joined.shape[1] - 1
-    root, right = joined[:p, :p].copy(), joined[:p, p]
+def _solved(factor: FloatArray, joint_factors: FloatArray) -> LeastSquaresFit:
+    """Solve least squares from the QR factor of all rows; each joint's factor gives its leverage."""
+    p = factor.shape[1] - 1
+    root, right = factor[:p, :p].copy(), factor[:p, p]
     size = np.linalg.norm(root, axis=0)
-    nothing = size <= NOTHING * size.max(
-        initial=0.0
-    )  # rounding in the derivatives of a joint at rest is no motion
-    root[:, nothing], size[nothing] = 0.0, 1.0
+    zero = size <= ZERO_COLUMN_RATIO * size.max(initial=0.0)
+    root[:, zero], size[zero] = 0.0, 1.0
     U, s, Vt = np.linalg.svd(root / size)
-    rank = int(np.sum(s > RANK * max(float(s[0]), 1e-300)))
+    rank = int(np.sum(s > RANK_TOLERANCE * max(float(s[0]), 1e-300)))
     half = (Vt[:rank].T / s[:rank]) / size[:, None]
     theta = half @ (U[:, :rank].T @ right)
     inward = s[:rank, None] * Vt[:rank] * size
@@ -146,92 +176,127 @@ def _solved(joined: Array, parts: Array) -> LeastSquaresFit:
         theta,
         half,
         inward,
-        np.sum((parts[:, :, :p] @ half) ** 2, axis=(1, 2)),
+        np.sum((joint_factors[:, :, :p] @ half) ** 2, axis=(1, 2)),
         size,
         Vt[rank:] / size,
     )
 
 
-def least_squares(equations: TorqueEquations, scale: Array, weights: Array | None = None) -> LeastSquaresFit:
-    """argmin ‖W^½ C⁻¹(τ − Γθ)‖², of least norm in units of the columns' sizes where columns depend on one another."""
-    if weights is None and np.count_nonzero(scale) == len(scale):
-        parts = joint_triangular_factors(equations) / np.diag(scale)[:, None, None]
-        return _solved(_stacked(parts), parts)
+def least_squares(
+    equations: TorqueEquations, noise_root: FloatArray, weights: FloatArray | None = None
+) -> LeastSquaresFit:
+    """Minimise ‖W^½ C⁻¹(τ − Γθ)‖²; of minimum norm, columns scaled to unit norm, where rank-deficient.
+
+    Args:
+        equations: The equations.
+        noise_root: C. Shape (n, n) [N m].
+        weights: Diagonal of W. Shape (N, n); all 1 by default.
+    """
+    if weights is None and np.count_nonzero(noise_root) == len(noise_root):
+        factors = joint_triangular_factors(equations) / np.diag(noise_root)[:, None, None]
+        return _solved(_stacked(factors), factors)
     white = dataclasses.replace(
         equations,
-        torque=whiten(equations.torque, scale),
-        regressor=whiten(equations.regressor, scale),
+        torque=whiten(equations.torque, noise_root),
+        regressor=whiten(equations.regressor, noise_root),
     )
     if weights is not None:
         root = np.sqrt(weights)
         white = dataclasses.replace(
             white, torque=white.torque * root, regressor=white.regressor * root[:, :, None]
         )
-    parts = joint_triangular_factors(white)
-    return _solved(_stacked(parts), parts)
+    factors = joint_triangular_factors(white)
+    return _solved(_stacked(factors), factors)
 
 
-def _reweighted(parts: Array, passes: int, rows: int) -> tuple[LeastSquaresFit, Array]:
-    """Least squares and the joints' noise in turn, from the joints' triangles alone: Fit, C diagonal."""
-    scale = np.ones(len(parts))
-    fit = _solved(_stacked(parts), parts)
-    for _ in range(passes):
-        left = parts[:, :, -1] - parts[:, :, :-1] @ fit.theta
-        scale = np.sqrt(
-            np.maximum(np.sum(left**2, axis=1) / np.maximum(rows - fit.leverage, 1.0), 1e-300)
+def _reweighted(
+    factors: FloatArray, iterations: int, rows: int
+) -> tuple[LeastSquaresFit, FloatArray]:
+    """Alternate between least squares and the joints' noise variances.
+
+    Args:
+        factors: QR factor of each joint's [Γ | τ]. Shape (n, p + 1, p + 1).
+        iterations: Number of alternations.
+        rows: Number of rows per joint.
+
+    Returns:
+        The fit, and C, diagonal.
+    """
+    deviation = np.ones(len(factors))
+    fit = _solved(_stacked(factors), factors)
+    for _ in range(iterations):
+        residual = factors[:, :, -1] - factors[:, :, :-1] @ fit.theta
+        deviation = np.sqrt(
+            np.maximum(np.sum(residual**2, axis=1) / np.maximum(rows - fit.leverage, 1.0), 1e-300)
         )
-        own = parts / scale[:, None, None]
-        fit = _solved(_stacked(own), own)
-    return fit, np.diag(scale)
+        weighted = factors / deviation[:, None, None]
+        fit = _solved(_stacked(weighted), weighted)
+    return fit, np.diag(deviation)
 
 
 def estimate(
     equations: TorqueEquations,
     method: Method = Method.WLS,
     *,
-    instruments: Array | None = None,
-    nuisance: Array | None = None,
+    instruments: FloatArray | None = None,
+    nuisance: FloatArray | None = None,
 ) -> Estimate:
-    """θ̂ by `method`.
+    """Estimate base parameters.
 
-    instruments: Z for Method.IV, correlated with Γ and not with the noise. Shape (N, n, p), or (N, n, p + k) with instruments of the
-    nuisances, which else are their own. nuisance: columns that explain
-    torque too and are nobody's parameter, such as the slope by a friction's width: θ̂ is unbiased by them and as uncertain as
-    they make it. Shape (N, n, k).
+    Args:
+        equations: The equations.
+        method: The estimator.
+        instruments: Z for `Method.IV`: correlated with Γ, uncorrelated with the noise. Shape
+            (N, n, p), or (N, n, p + k) with instruments of the nuisance columns, which otherwise
+            are their own instruments.
+        nuisance: Columns that explain torque and belong to no parameter of θ, such as the
+            derivative by a friction width. They are estimated jointly and integrated out, so that θ̂
+            is not biased by them and its covariance accounts for them. Shape (N, n, k).
+
+    Raises:
+        UnusableInput: Instruments are missing or excite less than the recorded motion.
     """
     if nuisance is not None:
-        wider = dataclasses.replace(
+        extended = dataclasses.replace(
             equations, regressor=np.concatenate([equations.regressor, nuisance], axis=2)
         )
         if instruments is not None and instruments.shape[2] == equations.regressor.shape[2]:
             instruments = np.concatenate([instruments, nuisance], axis=2)
-        return _marginal(estimate(wider, method, instruments=instruments), equations)
-    fit, scale = _reweighted(
-        joint_triangular_factors(equations), 0 if method is Method.OLS else PASSES, len(equations)
+        return _marginal(estimate(extended, method, instruments=instruments), equations)
+    fit, noise_root = _reweighted(
+        joint_triangular_factors(equations),
+        0 if method is Method.OLS else VARIANCE_ITERATIONS,
+        len(equations),
     )
     if method is Method.FULL:
-        scale = covariance_root(equations.torque - equations.predicted(fit.theta), fit.leverage)
-        fit = least_squares(equations, scale)
+        noise_root = covariance_root(
+            equations.torque - equations.predicted(fit.theta), fit.leverage
+        )
+        fit = least_squares(equations, noise_root)
     if method is Method.HUBER:
-        return _huber(equations, fit, scale)
+        return _huber(equations, fit, noise_root)
     if method is Method.IV:
         if instruments is None:
-            raise UnusableInput("instruments: the estimator needs some; see instruments.build")
-        return _instrumental(equations, fit, scale, instruments)
-    left = whiten(equations.torque - equations.predicted(fit.theta), scale)
-    return _assembled(method, equations, fit, fit.theta, scale, left)
+            raise UnusableInput("estimator 'iv': needs instruments; see instruments.build_instruments")
+        return _instrumental(equations, fit, noise_root, instruments)
+    residual = whiten(equations.torque - equations.predicted(fit.theta), noise_root)
+    return _assembled(method, equations, fit, fit.theta, noise_root, residual)
 
 
-def _marginal(wide: Estimate, equations: TorqueEquations) -> Estimate:
-    """The estimate of the parameters alone, nuisances integrated out: their block of the covariance, and its inverse's root."""
+def _marginal(extended: Estimate, equations: TorqueEquations) -> Estimate:
+    """Marginal estimate of θ: its block of the covariance, and the root of the block's inverse."""
     p = equations.regressor.shape[2]
-    # information left in θ when the nuisances are free: rows of R that have no part in them
-    Q = np.linalg.qr(wide.root[:, p:], mode="complete")[0]
-    nuisances = np.linalg.matrix_rank(wide.root[:, p:])
-    root = Q[:, nuisances:].T @ wide.root[:, :p]
-    theta, covariance = wide.theta[:p], wide.covariance[:p, :p]
+    # information on θ with the nuisances unknown: the rows of R in which they take no part
+    Q = np.linalg.qr(extended.information_root[:, p:], mode="complete")[0]
+    nuisances = np.linalg.matrix_rank(extended.information_root[:, p:])
+    root = Q[:, nuisances:].T @ extended.information_root[:, :p]
+    theta, covariance = extended.theta[:p], extended.covariance[:p, :p]
     return dataclasses.replace(
-        wide, theta=theta, root=root, covariance=covariance, beside=wide.theta[p:]
+        extended,
+        theta=theta,
+        information_root=root,
+        covariance=covariance,
+        nuisance_coefficients=extended.theta[p:],
     )
 
 
@@ -239,66 +304,81 @@ def _assembled(
     method: Method,
     equations: TorqueEquations,
     fit: LeastSquaresFit,
-    theta: Array,
-    scale: Array,
-    score: Array,
+    theta: FloatArray,
+    noise_root: FloatArray,
+    score: FloatArray,
     slope: float = 1.0,
     outliers: float = 0.0,
 ) -> Estimate:
-    """The estimate with its sandwich: in coordinates H the slope is `slope`, so the covariance is H S Hᵀ/slope²."""
-    inside = whiten(equations.regressor @ fit.half, scale)
-    spectrum, spread = noise_spectrum(equations, score, inside, scale)
+    """Estimate with its sandwich covariance H S Hᵀ/slope², as A = slope · 1 in coordinates H."""
+    regressor = whiten(equations.regressor @ fit.half, noise_root)
+    spectrum, spread = noise_spectrum(equations, score, regressor, noise_root)
     spread = spread / slope**2
     residual = equations.torque - equations.predicted(theta)
     root = np.linalg.solve(np.linalg.cholesky(spread), fit.inward)
     covariance = with_unidentified_variances(fit.half @ spread @ fit.half.T, fit)
     freedom = float(score.size - fit.half.shape[1])
-    return Estimate(method, theta, root, covariance, scale, spectrum, residual, freedom, outliers)
+    return Estimate(
+        method, theta, root, covariance, noise_root, spectrum, residual, freedom, outliers
+    )
 
 
-def with_unidentified_variances(covariance: Array, fit: LeastSquaresFit) -> Array:
-    """The covariance with ∞ where a parameter has part in what the data doesn't show."""
+def with_unidentified_variances(covariance: FloatArray, fit: LeastSquaresFit) -> FloatArray:
+    """Set the variances to ∞ of parameters that take part in a direction that is not excited."""
     touched = np.any(np.abs(fit.hidden * fit.size) > 1e-6, axis=0)
     out = covariance.copy()
     out[touched, touched] = np.inf
     return out
 
 
-def _huber(equations: TorqueEquations, fit: LeastSquaresFit, scale: Array) -> Estimate:
-    """Iteratively reweighted, with a scale by the median so that outliers don't widen it."""
+def _huber(equations: TorqueEquations, fit: LeastSquaresFit, noise_root: FloatArray) -> Estimate:
+    """Huber's estimator by reweighting, with deviations by the median, which resists outliers."""
     theta = fit.theta
-    for _ in range(ROBUST_PASSES):
-        left = whiten(equations.torque - equations.predicted(theta), scale)
-        scale = scale * (np.median(np.abs(left), axis=0) / SPREAD)[:, None]
-        left = whiten(equations.torque - equations.predicted(theta), scale)
-        found = least_squares(
-            equations, scale, np.minimum(1.0, HUBER_THRESHOLD / np.maximum(np.abs(left), 1e-300))
+    for _ in range(MAX_HUBER_ITERATIONS):
+        residual = whiten(equations.torque - equations.predicted(theta), noise_root)
+        noise_root = (
+            noise_root * (np.median(np.abs(residual), axis=0) / NORMAL_MEDIAN_DEVIATION)[:, None]
         )
-        moved, theta = found.theta - theta, found.theta
-        if np.linalg.norm(found.inward @ moved) < 1e-4:
+        residual = whiten(equations.torque - equations.predicted(theta), noise_root)
+        weights = np.minimum(1.0, HUBER_THRESHOLD / np.maximum(np.abs(residual), 1e-300))
+        refit = least_squares(equations, noise_root, weights)
+        change, theta = refit.theta - theta, refit.theta
+        if np.linalg.norm(refit.inward @ change) < HUBER_TOLERANCE:
             break
-    left = whiten(equations.torque - equations.predicted(theta), scale)
-    plain = least_squares(equations, scale)
-    size = np.abs(left)
-    slope, outliers = float(np.mean(size <= HUBER_THRESHOLD)), float(np.mean(size > 2.0 * HUBER_THRESHOLD))
+    residual = whiten(equations.torque - equations.predicted(theta), noise_root)
+    unweighted = least_squares(equations, noise_root)
+    size = np.abs(residual)
+    slope = float(np.mean(size <= HUBER_THRESHOLD))
+    outliers = float(np.mean(size > 2.0 * HUBER_THRESHOLD))
+    score = np.clip(residual, -HUBER_THRESHOLD, HUBER_THRESHOLD)
     return _assembled(
-        Method.HUBER, equations, plain, theta, scale, np.clip(left, -HUBER_THRESHOLD, HUBER_THRESHOLD), slope, outliers
+        Method.HUBER, equations, unweighted, theta, noise_root, score, slope, outliers
     )
 
 
-def _instrumental(equations: TorqueEquations, fit: LeastSquaresFit, scale: Array, instruments: Array) -> Estimate:
-    """θ̂ = (Σ Zᵀ Σ⁻¹ Γ)⁻¹ Σ Zᵀ Σ⁻¹ τ (Janot, Vandanjon & Gautier 2014), in coordinates H of what the recording shows."""
-    inside, Z = (whiten(x @ fit.half, scale) for x in (equations.regressor, instruments))
-    torque = whiten(equations.torque, scale)
-    product = np.einsum("tip,tiq->pq", Z, inside, optimize=True)
+def _instrumental(
+    equations: TorqueEquations,
+    fit: LeastSquaresFit,
+    noise_root: FloatArray,
+    instruments: FloatArray,
+) -> Estimate:
+    """θ̂ = (Σ Zᵀ Σ⁻¹ Γ)⁻¹ Σ Zᵀ Σ⁻¹ τ in coordinates H of the excited directions.
+
+    Janot, Vandanjon & Gautier, "A generic instrumental variable approach for industrial robot
+    identification", IEEE Trans. Control Systems Technology 22(1), 2014.
+    """
+    regressor, Z = (whiten(x @ fit.half, noise_root) for x in (equations.regressor, instruments))
+    torque = whiten(equations.torque, noise_root)
+    product = np.einsum("tip,tiq->pq", Z, regressor, optimize=True)
     values = np.linalg.svd(product, compute_uv=False)
-    if values[-1] < RANK * values[0]:
+    if values[-1] < RANK_TOLERANCE * values[0]:
         raise UnusableInput(
-            "instruments: show less of the robot than its recorded motion does; take another estimator"
+            "instruments: the reference motion excites fewer parameters than the recorded motion; "
+            "use another --estimator"
         )
     theta = fit.half @ np.linalg.solve(product, np.einsum("tip,ti->p", Z, torque, optimize=True))
-    left = whiten(equations.torque - equations.predicted(theta), scale)
-    spectrum, scores = noise_spectrum(equations, left, inside, scale, Z)
+    white = whiten(equations.torque - equations.predicted(theta), noise_root)
+    spectrum, scores = noise_spectrum(equations, white, regressor, noise_root, Z)
     inverse = np.linalg.inv(product)
     spread = inverse @ scores @ inverse.T
     root = np.linalg.solve(np.linalg.cholesky(spread), fit.inward)
@@ -309,8 +389,37 @@ def _instrumental(equations: TorqueEquations, fit: LeastSquaresFit, scale: Array
         theta,
         root,
         covariance,
-        scale,
+        noise_root,
         spectrum,
         residual,
-        float(left.size - fit.half.shape[1]),
+        float(white.size - fit.half.shape[1]),
     )
+
+
+def student_quantile(freedom: float, level: float = CONFIDENCE_LEVEL) -> float:
+    """Return Student's t for a two-sided interval, as the noise variance is estimated too."""
+    from scipy import stats  # slow to import
+
+    return float(stats.t.ppf(0.5 + 0.5 * level, max(freedom, 1.0)))
+
+
+def interval_half_widths(
+    estimate: Estimate, combinations: FloatArray, level: float = CONFIDENCE_LEVEL
+) -> FloatArray:
+    """Compute half-widths of confidence intervals of linear combinations of θ.
+
+    Args:
+        estimate: The estimate.
+        combinations: Coefficients of the combinations. Shape (m, p).
+        level: Confidence level.
+
+    Returns:
+        Half-widths; ∞ for combinations that the data do not excite. Shape (m,).
+    """
+    hidden = ~np.isfinite(np.diag(estimate.covariance))
+    covariance = np.where(np.isfinite(estimate.covariance), estimate.covariance, 0.0)
+    deviation = np.sqrt(
+        np.maximum(np.einsum("mi,ij,mj->m", combinations, covariance, combinations), 0.0)
+    )
+    deviation[np.any(np.abs(combinations[:, hidden]) > 0.0, axis=1)] = np.inf
+    return student_quantile(estimate.degrees_of_freedom, level) * deviation

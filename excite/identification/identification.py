@@ -1,4 +1,9 @@
-"""Identification: recordings in, physically consistent parameters and how sure they are out."""
+"""Identification of a robot: from recordings to physically consistent parameters and their uncertainty.
+
+Steps: segments of recordings → filtered regression equations → widths of Coulomb friction → estimate of
+base parameters from the data alone → weight of the prior → physically consistent estimate →
+identifiability and torque predictions.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from .._types import FloatArray
 from ..designer import identifiability
 from ..designer.identifiability import Identifiability
 from ..errors import UnusableInput
@@ -34,27 +40,43 @@ from .estimators import Estimate, Method
 from .hausman_test import HausmanTest, durbin_wu_hausman
 from .inertia_distance import Distance
 from .regression import IdentificationModel, TorqueEquations
-from .segments import Segment, TorqueSpectra
+from .segments import RecordingSegment, TorqueSpectra
 from .simulation_error import SimulationError
 from .torque_delay import TorqueDelay
 
-Array = np.ndarray
 Progress = Callable[[str], None]
-FOLDS = 5
+"""Receives one line of text per step."""
+CROSS_VALIDATION_FOLDS = 5
+"""Number of contiguous parts of the recordings that γ is validated on."""
 WIDTH_STEPS = 2
-"""Gauss-Newton steps of the friction's widths, from the best of a grid."""
-SURE = 1e8
-"""γ of what a trusted prior states."""
-FREE = 1e-14
-"""γ of what the data alone should decide."""
+"""Gauss-Newton steps of the friction widths, starting from the best of a grid."""
+TRUSTED_GAMMA = 1e8
+"""γ of parameters that a trusted prior states: keeps them at their stated values."""
+UNINFORMATIVE_GAMMA = 1e-14
+"""γ of parameters that only the data should determine."""
+REDUCED_GAMMA = 1e-3
+"""γ of the prior in `Identification.reduced`, small against the information of a direction that counts
+as identified."""
+MAX_BAND_SHARE = 0.45
+"""Cutoff frequency over the rate of a recording, at most, for predictions."""
 
 
 @dataclass(frozen=True)
 class IdentificationOptions:
-    """method: how rows are weighted. distance: of the prior. gamma: (bodies, drives), or how to choose: "evidence" or
-    "heldout". band: [Hz], from the data if None. threshold: largest scale-free variance that counts as identified.
-    bounds: further constraints. align: torque is moved by the delay found. trusted: parameter -> value that is right as it stands.
-    hausman: test whether instruments are needed. simulate, refine: positions simulated ahead, and the model refined against them.
+    """Options of `identify`.
+
+    Attributes:
+        method: Estimator of the base parameters.
+        distance: Distance of link inertias from nominal.
+        gamma: γ of inertial and of joint parameters, or how to choose them: "evidence" or "heldout".
+        band: Cutoff frequency [Hz]; chosen from the data if None.
+        threshold: Largest scale-free variance of a direction that counts as identified.
+        bounds: Bounds of masses and centres of mass.
+        align: Shift torque by the estimated delay.
+        trusted: Index in ψ and value of the parameters that are known.
+        hausman: Test whether instruments are needed.
+        simulate: Compute the simulation error.
+        refine: Refine the parameters against the simulation error.
     """
 
     method: Method = Method.WLS
@@ -72,44 +94,76 @@ class IdentificationOptions:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Torque of a recording against the models' below the band. measured, nominal, fitted: Shape (N, n) [N m]. time: [s].
+    """Measured torque of a recording and the predictions of two models, below the band.
 
-    floor: standard deviation of its noise below the band per joint, None where not known. Shape (n,).
+    Attributes:
+        source: Name of the recording.
+        time: Times of the rows. Shape (N,) [s].
+        measured: Measured torque. Shape (N, n) [N m].
+        nominal: Torque predicted with the nominal parameters. Shape (N, n) [N m].
+        fitted: Torque predicted with the identified parameters. Shape (N, n) [N m].
+        noise_floor: Standard deviation of the torque noise below the band per joint; None if the
+            recording does not repeat. Shape (n,) [N m].
+        starts: Row at which each segment begins.
     """
 
     source: str
-    time: Array
-    measured: Array
-    nominal: Array
-    fitted: Array
-    floor: Array | None
+    time: FloatArray
+    measured: FloatArray
+    nominal: FloatArray
+    fitted: FloatArray
+    noise_floor: FloatArray | None
     starts: tuple[int, ...]
 
-    def error(self, which: str = "fitted") -> Array:
-        """RMS torque error per joint. Shape (n,) [N m]."""
+    def error(self, which: str = "fitted") -> FloatArray:
+        """Return the RMS torque error of the model `which` per joint. Shape (n,) [N m]."""
         return np.sqrt(np.mean((self.measured - getattr(self, which)) ** 2, axis=0))
 
-    def in_floors(self) -> Array | None:
-        """The error of the fitted model over the noise floor; ∞ where the floor is 0, None where it is not known. Shape (n,)."""
-        if self.floor is None:
+    def error_over_noise_floor(self) -> FloatArray | None:
+        """Return the error of the identified model over the noise floor.
+
+        ∞ where the noise floor is 0; None if it is not known. Shape (n,).
+        """
+        if self.noise_floor is None:
             return None
         return np.divide(
-            self.error(), self.floor, out=np.full_like(self.floor, np.inf), where=self.floor > 0.0
+            self.error(),
+            self.noise_floor,
+            out=np.full_like(self.noise_floor, np.inf),
+            where=self.noise_floor > 0.0,
         )
 
-    def relative(self, which: str = "fitted") -> Array:
-        """The same over the RMS of the torque; ∞ for a joint whose measured torque is 0 throughout."""
+    def relative(self, which: str = "fitted") -> FloatArray:
+        """Return the error over the RMS of the measured torque; ∞ where that is 0. Shape (n,)."""
         size = np.sqrt(np.mean(self.measured**2, axis=0))
         return np.divide(self.error(which), size, out=np.full_like(size, np.inf), where=size > 0.0)
 
 
 @dataclass(frozen=True)
 class Identification:
-    """What was learnt. psi: ψ̂, physically consistent. reduced: the same with what the data can't say left as it was.
+    """Result of an identification.
 
-    data: θ̂ by the data alone. posterior: with the prior. analysis: which directions the recordings show, in
-    the metric of `metric` and `metric_base`.
-    floor: standard deviation of torque noise below the band by repeated periods, None without. tried: (γ, held-out error) pairs.
+    Attributes:
+        model: The model, with estimated friction widths.
+        options: The options.
+        spectra: Spectra of torque, and the cutoff frequency.
+        equations: The regression equations.
+        data: Base parameters estimated from the data alone.
+        posterior: Physically consistent estimate with the prior.
+        reduced: Physically consistent estimate that takes the identified directions from the data
+            and all others from the nominal robot.
+        prior: ψ₀, the distance and γ.
+        analysis: Identifiability of the directions in the metric of `metric` and `metric_base`.
+        metric: Standard parameters with the scales of that metric.
+        metric_base: Base parameters in that metric.
+        delay: Delay of the torque signals.
+        noise_floor: Standard deviation of torque noise below the band by repeated periods; None
+            without. Shape (n,) [N m].
+        fits: Predictions of the recordings that the model was fitted to.
+        validations: Predictions of the validation recordings.
+        gamma_trials: Pairs of γ and validation error, if γ was chosen by validation.
+        endogeneity: Result of the Hausman test.
+        simulation: The simulation error.
     """
 
     model: IdentificationModel
@@ -124,42 +178,54 @@ class Identification:
     metric: Parameters
     metric_base: Base
     delay: TorqueDelay
-    floor: Array | None
+    noise_floor: FloatArray | None
     fits: tuple[Prediction, ...]
     validations: tuple[Prediction, ...]
-    tried: tuple[tuple[float, float], ...] = ()
+    gamma_trials: tuple[tuple[float, float], ...] = ()
     endogeneity: HausmanTest | None = None
     simulation: SimulationError | None = None
 
     @property
-    def psi(self) -> Array:
+    def psi(self) -> FloatArray:
+        """Identified standard parameters ψ̂. Shape (P,)."""
         return self.posterior.psi
 
     @property
     def gamma(self) -> tuple[float, float]:
-        """γ of bodies and, on average, of drives."""
-        return self.prior.bodies, float(np.mean(self.prior.drives)) if len(
-            self.prior.drives
-        ) else 0.0
+        """γ of the inertial parameters and the mean γ of the joint parameters."""
+        weights = self.prior.joint_weights
+        return self.prior.inertial_weight, float(np.mean(weights)) if len(weights) else 0.0
 
-    def decided(self) -> Array:
-        """Share of each direction's value that the data decided: λ/(λ + 2γ), or with several γ what the prior says of θ. Shape (p,)."""
+    def data_shares(self) -> FloatArray:
+        """Compute the share of each direction's value that the data determine.
+
+        It is λ/(λ + information of the prior), the latter being 2γ if all γ are equal. Shape (p,).
+        """
         base = self.model.base
-        values, vectors = identifiability.eigenvalues_and_directions(self.data.root @ base.matrix, self.metric_base)
-        ways = base.matrix @ self.metric_base.geometric @ vectors
-        known = consistency.prior_information(self.model.parameters, self.prior)
-        spread = base.matrix @ consistency.symmetric_pseudo_inverse(known) @ base.matrix.T
-        prior = np.einsum("ik,ij,jk->k", ways, consistency.symmetric_pseudo_inverse(spread), ways)
+        values, vectors = identifiability.eigenvalues_and_directions(
+            self.data.information_root @ base.matrix, self.metric_base
+        )
+        directions = base.matrix @ self.metric_base.geometric @ vectors
+        information = consistency.prior_information(self.model.parameters, self.prior)
+        covariance = (
+            base.matrix @ consistency.symmetric_pseudo_inverse(information) @ base.matrix.T
+        )
+        prior = np.einsum(
+            "ik,ij,jk->k",
+            directions,
+            consistency.symmetric_pseudo_inverse(covariance),
+            directions,
+        )
         return np.asarray(values / np.maximum(values + prior, 1e-300))
 
 
 @dataclass(frozen=True)
-class _Data:
-    """The recordings as equations, and the parameters by the data alone."""
+class _DataFit:
+    """Equations of the recordings, and the base parameters by the data alone."""
 
     model: IdentificationModel
-    parts: list[Segment]
-    rows: TorqueEquations
+    segments: list[RecordingSegment]
+    equations: TorqueEquations
     estimate: Estimate
     delay: TorqueDelay
 
@@ -173,255 +239,327 @@ def identify(
     options: IdentificationOptions | None = None,
     progress: Progress = lambda _: None,
 ) -> Identification:
-    """Parameters from recordings. Raises UnusableInput where a recording has no torque or is too short for the band."""
+    """Identify parameters from recordings.
+
+    Args:
+        robot: The robot.
+        parameters: Its standard parameters.
+        base: Its base parameters.
+        recordings: Recordings that the model is fitted to.
+        validate: Recordings that the model is validated on.
+        options: Options.
+        progress: Called with a line of text at each step.
+
+    Raises:
+        UnusableInput: A recording has no torque or is too short for the band.
+    """
     options = options or IdentificationOptions()
     model = IdentificationModel(robot, parameters, base, np.full(robot.n, COULOMB_WIDTH))
     parts = list(segments.extract_segments(recordings))
     if not parts:
         raise UnusableInput(
-            f"{recordings[0].source}: has no stretch without a gap that is long enough; record again"
+            f"{recordings[0].source}: has no gap-free stretch that is long enough; record again"
         )
     spectra = segments.torque_spectra(parts, options.band)
     progress(
-        f"{sum(len(r) for r in recordings)} rows; band {spectra.hertz:.3g} Hz; building the equations"
+        f"{sum(len(r) for r in recordings)} rows, band {spectra.hertz:.3g} Hz: "
+        "building the regression equations"
     )
-    own = _data(model, parts, spectra.hertz, options)
+    fit = _fit_data(model, parts, spectra.hertz, options)
     progress(
-        f"{len(own.rows)} × {robot.n} equations in {base.count} base parameters; physically consistent ones"
+        f"{len(fit.equations)} × {robot.n} equations, {base.count} base parameters: "
+        "computing the physically consistent estimate"
     )
-    data, rows = own.estimate, own.rows
-    prior, tried = _prior(parameters, base, rows, data, options)
-    posterior = _posterior(parameters, base, data, prior, options)
+    data, equations = fit.estimate, fit.equations
+    prior, gamma_trials = _choose_prior(parameters, base, equations, data, options)
+    posterior = _consistent_estimate(parameters, base, data, prior, options)
     endogeneity = None
     if options.method is Method.IV or options.hausman:
-        progress("instruments from a simulated robot that follows the reference")
-        instrumented, endogeneity = _instrumented(own, recordings, posterior.psi)
+        progress("computing instruments by simulating the robot along the reference")
+        instrumental, endogeneity = _instrumental_estimate(fit, recordings, posterior.psi)
         if options.method is Method.IV:
-            data = instrumented
-            prior, tried = _prior(parameters, base, rows, data, options)
-            posterior = _posterior(parameters, base, data, prior, options)
+            data = instrumental
+            prior, gamma_trials = _choose_prior(parameters, base, equations, data, options)
+            posterior = _consistent_estimate(parameters, base, data, prior, options)
     simulation = None
     if options.simulate or options.refine:
-        progress("simulating ahead")
-        posterior, simulation = _simulated(own, data, posterior, prior, options, spectra.hertz)
-    scaled, sized = _sized(parameters, base, posterior.psi)
+        progress("simulating the identified robot")
+        posterior, simulation = _simulate(fit, data, posterior, prior, options, spectra.hertz)
+    metric, metric_base = _identifiability_metric(parameters, base, posterior.psi)
     analysis = identifiability.analyse_root(
-        scaled,
-        sized,
-        data.root @ base.matrix,
+        metric,
+        metric_base,
+        data.information_root @ base.matrix,
         data.noise,
         robot,
         threshold=options.threshold,
         samples=sum(len(r) for r in recordings),
     )
-    predict = _predictor(own, posterior.psi, prior.nominal, options)
-    same = (
-        rows if not any(rows.periods) and len(recordings) == 1 else None
-    )  # rows of single periods are not at hand
+    predict = functools.partial(
+        _predict,
+        fit.model,
+        hertz=equations.hertz,
+        psi=posterior.psi,
+        nominal=prior.nominal,
+        shift=fit.delay.seconds if options.align else None,
+    )
+    # equations of a mean period, or of several recordings, are not those of a prediction
+    same = equations if not any(equations.periods) and len(recordings) == 1 else None
     return Identification(
-        model=own.model,
+        model=fit.model,
         options=options,
         spectra=spectra,
-        equations=rows,
+        equations=equations,
         data=data,
         posterior=posterior,
-        reduced=_reduced(scaled, sized, data, prior, options),
+        reduced=_reduced_estimate(metric, metric_base, data, prior, options),
         prior=prior,
         analysis=analysis,
-        metric=scaled,
-        metric_base=sized,
-        delay=own.delay,
-        floor=segments.noise_floor(parts, spectra.hertz),
-        fits=tuple(predict(r, rows=same) for r in recordings),
+        metric=metric,
+        metric_base=metric_base,
+        delay=fit.delay,
+        noise_floor=segments.noise_floor(parts, spectra.hertz),
+        fits=tuple(predict(r, equations=same) for r in recordings),
         validations=tuple(predict(r) for r in validate),
-        tried=tried,
+        gamma_trials=gamma_trials,
         endogeneity=endogeneity,
         simulation=simulation,
     )
 
 
-def _data(model: IdentificationModel, parts: list[Segment], hertz: float, options: IdentificationOptions) -> _Data:
-    """Equations with friction as wide as the data has it, and θ̂ by the data alone."""
-    few = segments.leading_segments(parts, friction_width.MAX_WIDTH_SAMPLES)
-    rows = regression.build_equations(model, few, hertz)
-    model = friction_width.fit_widths(model, rows, few)
-    enough = sum(map(len, few)) == sum(map(len, parts))
-    rows = (
-        friction_width.apply_widths(model, rows, few)
-        if enough
+def _fit_data(
+    model: IdentificationModel,
+    parts: list[RecordingSegment],
+    hertz: float,
+    options: IdentificationOptions,
+) -> _DataFit:
+    """Build the equations with estimated friction widths, and estimate θ from the data alone."""
+    leading = segments.leading_segments(parts, friction_width.MAX_WIDTH_SAMPLES)
+    equations = regression.build_equations(model, leading, hertz)
+    model = friction_width.fit_widths(model, equations, leading)
+    complete = sum(map(len, leading)) == sum(map(len, parts))
+    equations = (
+        friction_width.apply_widths(model, equations, leading)
+        if complete
         else regression.build_equations(model, parts, hertz)
     )
-    method = (
-        Method.WLS if options.method is Method.IV else options.method
-    )  # instruments need a model first
-    data = estimators.estimate(rows, method, nuisance=_nuisance(model, rows))
-    for _ in range(WIDTH_STEPS if enough else 0):
+    # instruments are computed with a first estimate by weighted least squares
+    method = Method.WLS if options.method is Method.IV else options.method
+    data = estimators.estimate(equations, method, nuisance=_width_slopes(model, equations))
+    for _ in range(WIDTH_STEPS if complete else 0):
         model = friction_width.refine_widths(model, data)
-        rows = friction_width.apply_widths(model, rows, parts)
-        data = estimators.estimate(rows, method, nuisance=_nuisance(model, rows))
-    late = torque_delay.estimate_delay(rows, data)
+        equations = friction_width.apply_widths(model, equations, parts)
+        data = estimators.estimate(equations, method, nuisance=_width_slopes(model, equations))
+    delay = torque_delay.estimate_delay(equations, data)
     if options.align:
-        parts = [_moved(piece, late.seconds) for piece in parts]
-        rows = regression.build_equations(model, parts, hertz)
-        data = estimators.estimate(rows, method, nuisance=_nuisance(model, rows))
-    return _Data(model, parts, rows, data, late)
+        parts = [_aligned(segment, delay.seconds) for segment in parts]
+        equations = regression.build_equations(model, parts, hertz)
+        data = estimators.estimate(equations, method, nuisance=_width_slopes(model, equations))
+    return _DataFit(model, parts, equations, data, delay)
 
 
-def _predictor(
-    own: _Data, psi: Array, nominal: Array, options: IdentificationOptions
-) -> Callable[..., Prediction]:
-    shift = own.delay.seconds if options.align else None
-    return functools.partial(
-        _predicted, own.model, hertz=own.rows.hertz, psi=psi, nominal=nominal, shift=shift
-    )
-
-
-def _posterior(
-    parameters: Parameters, base: Base, data: Estimate, prior: Prior, options: IdentificationOptions
+def _consistent_estimate(
+    parameters: Parameters,
+    base: Base,
+    data: Estimate,
+    prior: Prior,
+    options: IdentificationOptions,
 ) -> ConsistentEstimate:
+    """Physically consistent parameters given the data and the prior."""
     return consistency.maximum_a_posteriori(
-        parameters, data.root @ base.matrix, data.root @ data.theta, prior, options.bounds
+        parameters,
+        data.information_root @ base.matrix,
+        data.information_root @ data.theta,
+        prior,
+        options.bounds,
     )
 
 
-def _instrumented(
-    own: _Data, recordings: Sequence[Recording], psi: Array
+def _instrumental_estimate(
+    fit: _DataFit, recordings: Sequence[Recording], psi: FloatArray
 ) -> tuple[Estimate, HausmanTest]:
-    """θ̂ by instruments, and the test whether they are needed. Raises UnusableInput where a recording has no reference motion."""
-    found = instruments.build_instruments(own.model, recordings, own.rows.hertz, psi)
-    nuisance, its = _nuisance(own.model, own.rows), _nuisance(own.model, found.equations)
-    rows = found.rows if its is None else np.concatenate([found.rows, its], axis=2)
-    estimate = estimators.estimate(own.rows, Method.IV, instruments=rows, nuisance=nuisance)
-    return estimate, durbin_wu_hausman(own.estimate, estimate, own.rows, rows, nuisance)
+    """Estimate θ by instruments, and test whether they are needed."""
+    built = instruments.build_instruments(fit.model, recordings, fit.equations.hertz, psi)
+    nuisance = _width_slopes(fit.model, fit.equations)
+    nuisance_instruments = _width_slopes(fit.model, built.equations)
+    Z = (
+        built.rows
+        if nuisance_instruments is None
+        else np.concatenate([built.rows, nuisance_instruments], axis=2)
+    )
+    estimate = estimators.estimate(fit.equations, Method.IV, instruments=Z, nuisance=nuisance)
+    return estimate, durbin_wu_hausman(fit.estimate, estimate, fit.equations, Z, nuisance)
 
 
-def _simulated(
-    own: _Data, data: Estimate, posterior: ConsistentEstimate, prior: Prior, options: IdentificationOptions, hertz: float
+def _simulate(
+    fit: _DataFit,
+    data: Estimate,
+    posterior: ConsistentEstimate,
+    prior: Prior,
+    options: IdentificationOptions,
+    hertz: float,
 ) -> tuple[ConsistentEstimate, SimulationError | None]:
-    """Positions simulated ahead by the model, refined against them if asked; nothing where no window is long enough."""
-    groups, share = simulation_error.cut_windows(own.parts, hertz)
+    """Compute the simulation error, after a refinement if requested; None without a window."""
+    groups, share = simulation_error.cut_windows(fit.segments, hertz)
     if options.refine:
         refined = simulation_refinement.refine(
-            own.model, groups, posterior.psi, data, prior, options.bounds
+            fit.model, groups, posterior.psi, data, prior, options.bounds
         )
         posterior = dataclasses.replace(posterior, psi=refined.psi)
+    if not groups:
+        return posterior, None
     return posterior, simulation_error.compute_simulation_error(
-        own.model, posterior.psi, prior.nominal, groups, share
-    ) if groups else None
+        fit.model, posterior.psi, prior.nominal, groups, share
+    )
 
 
-def _nuisance(model: IdentificationModel, rows: TorqueEquations) -> Array | None:
-    """What errors of the friction's widths do to torque. Shape (N, n, n)."""
+def _width_slopes(model: IdentificationModel, equations: TorqueEquations) -> FloatArray | None:
+    """Nuisance columns: derivatives of torque by the friction widths. Shape (N, n, n)."""
     joints = list(model.friction_columns().values())
     if not joints:
         return None
-    out = np.zeros((len(rows), rows.n, len(joints)))
-    out[:, joints, range(len(joints))] = rows.slopes[:, joints]
+    out = np.zeros((len(equations), equations.n, len(joints)))
+    out[:, joints, range(len(joints))] = equations.slopes[:, joints]
     return out
 
 
-def _moved(piece: Segment, seconds: Array) -> Segment:
-    """The piece with each joint's torque taken that much later."""
-    t = np.arange(len(piece)) / piece.rate
-    length = len(piece) / piece.rate
+def _aligned(segment: RecordingSegment, delay: FloatArray) -> RecordingSegment:
+    """The segment with each joint's torque shifted to compensate a delay [s]."""
+    t = np.arange(len(segment)) / segment.rate
+    length = len(segment) / segment.rate
     columns = [
-        np.interp(t + d, t, tau, period=length if piece.periodic else None)
-        for d, tau in zip(seconds, piece.torque.T, strict=True)
+        np.interp(t + d, t, tau, period=length if segment.periodic else None)
+        for d, tau in zip(delay, segment.torque.T, strict=True)
     ]
-    return dataclasses.replace(piece, torque=np.column_stack(columns))
+    return dataclasses.replace(segment, torque=np.column_stack(columns))
 
 
-def _prior(
-    parameters: Parameters, base: Base, rows: TorqueEquations, data: Estimate, options: IdentificationOptions
+def _choose_prior(
+    parameters: Parameters,
+    base: Base,
+    equations: TorqueEquations,
+    data: Estimate,
+    options: IdentificationOptions,
 ) -> tuple[Prior, tuple[tuple[float, float], ...]]:
-    """ψ₀ and γ: as given, by evidence, or by what predicts left-out blocks; what is trusted is held fast."""
+    """Choose ψ₀ and γ: given, by evidence, or by validation; trusted parameters are kept."""
     nominal = consistency.consistent_nominal(parameters)
     edge, scales = 10 * parameters.bodies, prior_weight.joint_parameter_scales(parameters)
     for place, value in options.trusted.items():
         nominal[place] = value
     if options.trusted:
-        drives = np.full(parameters.count - edge, FREE)
-        drives[[place - edge for place in options.trusted if place >= edge]] = SURE
-        return Prior(nominal, options.distance, SURE, drives, scales), ()
+        weights = np.full(parameters.count - edge, UNINFORMATIVE_GAMMA)
+        weights[[place - edge for place in options.trusted if place >= edge]] = TRUSTED_GAMMA
+        return Prior(nominal, options.distance, TRUSTED_GAMMA, weights, scales), ()
     start = Prior(nominal, options.distance, 1.0, np.ones(parameters.count - edge), scales)
     if not isinstance(options.gamma, str):
         return dataclasses.replace(
-            start, bodies=options.gamma[0], drives=options.gamma[1] * start.drives
+            start,
+            inertial_weight=options.gamma[0],
+            joint_weights=options.gamma[1] * start.joint_weights,
         ), ()
-    bodies, drives = prior_weight.gamma_by_evidence(
-        parameters, data.root @ base.matrix, data.root @ data.theta, start
+    inertial, joint = prior_weight.gamma_by_evidence(
+        parameters, data.information_root @ base.matrix, data.information_root @ data.theta, start
     )
-    prior = dataclasses.replace(start, bodies=bodies, drives=drives)
+    prior = dataclasses.replace(start, inertial_weight=inertial, joint_weights=joint)
     if options.gamma == "evidence":
         return prior, ()
-    folds = _folds(rows, data)
+    folds = _fold_factors(equations, data)
 
-    def fit(gamma: float, fold: int) -> float:
-        own = np.vstack([part for k, part in enumerate(folds) if k != fold])
-        trial = dataclasses.replace(prior, bodies=gamma)
-        found = consistency.maximum_a_posteriori(
-            parameters, own[:, :-1] @ base.matrix, own[:, -1], trial, options.bounds
+    def squared_error(gamma: float, fold: int) -> float:
+        training = np.vstack([factor for k, factor in enumerate(folds) if k != fold])
+        trial = dataclasses.replace(prior, inertial_weight=gamma)
+        solution = consistency.maximum_a_posteriori(
+            parameters, training[:, :-1] @ base.matrix, training[:, -1], trial, options.bounds
         )
-        left = folds[fold][:, :-1] @ (base.matrix @ found.psi) - folds[fold][:, -1]
-        return float(left @ left)
+        residual = folds[fold][:, :-1] @ (base.matrix @ solution.psi) - folds[fold][:, -1]
+        return float(residual @ residual)
 
-    chosen, tried = prior_weight.gamma_by_validation(fit, bodies, FOLDS)
-    return dataclasses.replace(prior, bodies=chosen), tuple(tried)
-
-
-def _folds(rows: TorqueEquations, data: Estimate) -> list[Array]:
-    """R and R θ̂ of each of FOLDS contiguous parts of the recordings: [R | z]. Shape (≤ p + 1, p + 1)."""
-    edges = np.linspace(0, len(rows), FOLDS + 1).astype(int)
-    parts = [rows.rows(slice(low, high)) for low, high in itertools.pairwise(edges)]
-    return [estimators.triangular_factor(part, data.scale) for part in parts]
+    chosen, trials = prior_weight.gamma_by_validation(
+        squared_error, inertial, CROSS_VALIDATION_FOLDS
+    )
+    return dataclasses.replace(prior, inertial_weight=chosen), tuple(trials)
 
 
-def _sized(parameters: Parameters, base: Base, psi: Array) -> tuple[Parameters, Base]:
-    """The metric in which practical identifiability is judged: a drive's scale is its identified value where that is larger than the
-    stated one, which is a guess where the URDF says nothing."""
+def _fold_factors(equations: TorqueEquations, data: Estimate) -> list[FloatArray]:
+    """QR factor [R | R θ̂] of each contiguous fold of the recordings. Shape (≤ p + 1, p + 1)."""
+    edges = np.linspace(0, len(equations), CROSS_VALIDATION_FOLDS + 1).astype(int)
+    folds = [equations.rows(slice(low, high)) for low, high in itertools.pairwise(edges)]
+    return [estimators.triangular_factor(fold, data.noise_root) for fold in folds]
+
+
+def _identifiability_metric(
+    parameters: Parameters, base: Base, psi: FloatArray
+) -> tuple[Parameters, Base]:
+    """Metric in which identifiability is judged.
+
+    The scale of a joint parameter is its identified value if that is larger than the stated scale,
+    which is a guess where the URDF states nothing.
+    """
     edge = 10 * parameters.bodies
     scale = parameters.scale.copy()
     index = np.arange(edge, parameters.count)
     scale[index, index] = np.maximum(scale[index, index], np.abs(psi[edge:]))
-    sized = dataclasses.replace(parameters, scale=scale)
-    return sized, dataclasses.replace(
+    metric = dataclasses.replace(parameters, scale=scale)
+    return metric, dataclasses.replace(
         base, geometric=scale @ np.linalg.qr((base.matrix @ scale).T)[0]
     )
 
 
-def _reduced(
-    parameters: Parameters, base: Base, data: Estimate, prior: Prior, options: IdentificationOptions
+def _reduced_estimate(
+    parameters: Parameters,
+    base: Base,
+    data: Estimate,
+    prior: Prior,
+    options: IdentificationOptions,
 ) -> ConsistentEstimate:
-    """The estimate that takes identified directions from the data and all others from the nominal robot (Lee, Lee & Park 2021, 4.4)."""
-    values, vectors = identifiability.eigenvalues_and_directions(data.root @ base.matrix, base)
-    seen = values * options.threshold >= 1.0
+    """Identified directions from the data, all others nominal (Lee, Lee & Park 2021, section 4.4)."""
+    values, vectors = identifiability.eigenvalues_and_directions(data.information_root @ base.matrix, base)
+    identified = values * options.threshold >= 1.0
     # coordinates of θ in which the metric is 1 and the information diagonal
-    frame = vectors[:, seen].T @ np.linalg.inv(base.matrix @ base.geometric)
-    root = np.sqrt(values[seen])[:, None] * frame
+    frame = vectors[:, identified].T @ np.linalg.inv(base.matrix @ base.geometric)
+    root = np.sqrt(values[identified])[:, None] * frame
     edge = 10 * parameters.bodies
-    same = np.full(len(prior.drives), 1e-3)
-    weak = Prior(prior.nominal, Distance.PULLBACK, 1e-3, same, np.diag(parameters.scale)[edge:])
+    weak = Prior(
+        prior.nominal,
+        Distance.PULLBACK,
+        REDUCED_GAMMA,
+        np.full(len(prior.joint_weights), REDUCED_GAMMA),
+        np.diag(parameters.scale)[edge:],
+    )
     return consistency.maximum_a_posteriori(
         parameters, root @ base.matrix, root @ data.theta, weak, options.bounds
     )
 
 
-def _predicted(
+def _predict(
     model: IdentificationModel,
     recording: Recording,
     *,
     hertz: float,
-    psi: Array,
-    nominal: Array,
-    shift: Array | None,
-    rows: TorqueEquations | None = None,
+    psi: FloatArray,
+    nominal: FloatArray,
+    shift: FloatArray | None,
+    equations: TorqueEquations | None = None,
 ) -> Prediction:
-    """Measured and predicted torque of every row, not of mean periods; the noise floor where periods repeat."""
-    if rows is None:
+    """Predict the torque at every row of a recording, without averaging periods."""
+    if equations is None:
         parts = list(segments.extract_segments([recording], average=False))
         if shift is not None:
-            parts = [_moved(piece, shift) for piece in parts]
-        rows = regression.build_equations(model, parts, min(hertz, 0.45 * min(piece.rate for piece in parts)))
-    floor = segments.noise_floor(list(segments.extract_segments([recording])), hertz, tapered=True)
-    fitted, before = (rows.predicted(model.base.matrix @ one) for one in (psi, nominal))
-    return Prediction(recording.source, rows.time, rows.torque, before, fitted, floor, rows.starts)
+            parts = [_aligned(segment, shift) for segment in parts]
+        cutoff = min(hertz, MAX_BAND_SHARE * min(segment.rate for segment in parts))
+        equations = regression.build_equations(model, parts, cutoff)
+    noise_floor = segments.noise_floor(
+        list(segments.extract_segments([recording])), hertz, tapered=True
+    )
+    fitted, before = (
+        equations.predicted(model.base.matrix @ parameters) for parameters in (psi, nominal)
+    )
+    return Prediction(
+        recording.source,
+        equations.time,
+        equations.torque,
+        before,
+        fitted,
+        noise_floor,
+        equations.starts,
+    )

@@ -1,4 +1,4 @@
-"""`model.json`: an identified robot, whole; `excite predict` needs it, a recording and nothing else."""
+"""Identified robot and its file `model.json`, from which torque is predicted along any recording."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from .._types import FloatArray
 from ..errors import UnusableInput
 from ..recordings import Recording
 from ..robot.dynamics import regressor
@@ -20,7 +21,7 @@ from ..schemas.document_file import DocumentFile
 from ..schemas.effects import EffectDocument
 from ..schemas.model import SCHEMA, ModelDocument
 from ..trajectory import trajectory_file
-from . import confidence
+from . import estimators
 from .hausman_test import HausmanTest
 from .identification import Identification, Prediction
 from .lowpass import MOTION_BANDWIDTH_RATIO, Grid, LowPassFilter, friction_speed
@@ -28,8 +29,13 @@ from .regression import BLOCK_ROWS
 from .simulation_error import SimulationError
 from .urdf_export import identified_urdf
 
-Array = np.ndarray
-JOINT_PARAMETER_UNITS = {"rotor_inertia": "kg m²", "viscous": "N m s/rad", "coulomb": "N m", "offset": "N m"}
+JOINT_PARAMETER_UNITS = {
+    "rotor_inertia": "kg m²",
+    "viscous": "N m s/rad",
+    "coulomb": "N m",
+    "offset": "N m",
+}
+"""Unit of each kind of joint parameter, of a revolute joint."""
 INERTIAL_UNITS = (
     "kg",
     "kg m",
@@ -42,24 +48,36 @@ INERTIAL_UNITS = (
     "kg m²",
     "kg m²",
 )
+"""Units of a link's ten inertial parameters."""
+MAX_BAND_SHARE = 0.45
+"""Cutoff frequency over the rate of a recording, at most."""
 
 
 @dataclass(frozen=True)
 class IdentifiedModel:
-    """What predicts torque. psi: standard parameters. Shape (P,). widths: of Coulomb friction. Shape (n,). hertz: the band of the
-    recordings it was fitted to; motion is filtered accordingly. effects: what a diagnosis found beyond it, as stated."""
+    """A robot with identified parameters.
+
+    Attributes:
+        source: Path of the `model.json`.
+        robot: The robot of its URDF.
+        drive: Kinds of joint parameters.
+        psi: Standard parameters. Shape (P,).
+        widths: Widths of Coulomb friction. Shape (n,) [rad/s or m/s].
+        hertz: Cutoff frequency of the fit [Hz]; motion is filtered in the same way for prediction.
+        effects: Effects found by a diagnosis, as stated in the file.
+    """
 
     source: str
     robot: Robot
     drive: tuple[str, ...]
-    psi: Array
-    widths: Array
+    psi: FloatArray
+    widths: FloatArray
     hertz: float
     effects: tuple[EffectDocument, ...] = ()
 
     @property
     def layout(self) -> Parameters:
-        """What stands where in ψ."""
+        """Positions of the parameters in ψ; names and scales are left empty."""
         return Parameters(
             self.drive,
             ("",) * len(self.psi),
@@ -70,10 +88,18 @@ class IdentifiedModel:
             (),
         )
 
-    def torque(self, motion: Samples, speed: Array) -> Array:
-        """Y ψ, with `speed` in Coulomb friction. Shape (N, n) [N m]."""
+    def torque(self, motion: Samples, speed: FloatArray) -> FloatArray:
+        """Compute the torque Y ψ.
+
+        Args:
+            motion: The motion.
+            speed: Speed in Coulomb friction, see `lowpass.friction_speed`. Shape (N, n).
+
+        Returns:
+            Shape (N, n) [N m].
+        """
         layout, out = self.layout, np.empty_like(motion.q)
-        friction = (
+        coulomb = (
             self.psi[layout.block("coulomb")] if "coulomb" in self.drive else np.zeros(self.robot.n)
         )
         smooth = self.psi.copy()
@@ -83,117 +109,142 @@ class IdentifiedModel:
             part = slice(start, start + BLOCK_ROWS)
             out[part] = regressor(
                 self.robot, layout, motion.rows(part)
-            ) @ smooth + friction * np.tanh(speed[part] / self.widths)
+            ) @ smooth + coulomb * np.tanh(speed[part] / self.widths)
         return out
 
     def predict(
-        self, recording: Recording, beyond: Callable[[Recording], Array] | None = None
-    ) -> tuple[Array, Array]:
-        """Torque along a recording at its own times: (times, torque). Shapes (N,) [s], (N, n) [N m].
+        self, recording: Recording, effect_torque: Callable[[Recording], FloatArray] | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Predict the torque along a recording, below the model's band.
 
-        Below the model's band, zero phase; in gaps of the recording there is no prediction. beyond: further torque along each stretch,
-        at its rows, below the band.
+        Args:
+            recording: The motion. Gaps in it get no prediction.
+            effect_torque: Additional torque of each gap-free stretch, below the band, at its rows.
+
+        Returns:
+            Times of the recording's rows, shape (N,) [s], and torque, shape (N, n) [N m].
+
+        Raises:
+            UnusableInput: The recording has no gap-free stretch that is long enough.
         """
         times, torques = [], []
-        for piece in recording.segments():
+        for stretch in recording.segments():
             band = LowPassFilter(
-                min(self.hertz, 0.45 * piece.rate),
-                piece.rate,
-                len(piece),
+                min(self.hertz, MAX_BAND_SHARE * stretch.rate),
+                stretch.rate,
+                len(stretch),
                 encoder=float(recording.encoder.max()),
             )
-            position = band.transformed(piece.q)
-            motion = Samples(*(position.low(Grid.RECORDED, order, MOTION_BANDWIDTH_RATIO) for order in range(3)))
-            torque = band.low(
-                self.torque(motion, friction_speed(piece.q, band, position)), Grid.RECORDED
+            position = band.transform(stretch.q)
+            motion = Samples(
+                *(
+                    position.filter(Grid.RECORDED, order, MOTION_BANDWIDTH_RATIO)
+                    for order in range(3)
+                )
             )
-            if beyond is not None:
-                torque = torque + beyond(piece)
-            own = recording.own_times[
-                (recording.own_times >= piece.t[0] - 1e-9)
-                & (recording.own_times <= piece.t[-1] + 1e-9)
+            torque = band.filter(
+                self.torque(motion, friction_speed(stretch.q, band, position)), Grid.RECORDED
+            )
+            if effect_torque is not None:
+                torque = torque + effect_torque(stretch)
+            rows = recording.own_times[
+                (recording.own_times >= stretch.t[0] - 1e-9)
+                & (recording.own_times <= stretch.t[-1] + 1e-9)
             ]
-            times.append(own)
+            times.append(rows)
             torques.append(
-                np.column_stack([np.interp(own, piece.t, column) for column in torque.T])
+                np.column_stack([np.interp(rows, stretch.t, column) for column in torque.T])
             )
         if not times:
             raise UnusableInput(
-                f"{recording.source}: has no stretch without a gap that is long enough; record again"
+                f"{recording.source}: has no gap-free stretch that is long enough; record again"
             )
         return np.concatenate(times), np.concatenate(torques)
 
 
-def model_document(found: Identification, recordings: Sequence[Recording]) -> dict[str, Any]:
-    """The content of `model.json`."""
-    robot, parameters = found.model.robot, found.model.parameters
-    widths, edge = found.model.widths, 10 * parameters.bodies
-    stated = {**robot.options, "locked": {}, "payload": None}  # both are in the identified URDF
+def model_document(identification: Identification, recordings: Sequence[Recording]) -> dict[str, Any]:
+    """Return the content of `model.json`.
+
+    Args:
+        identification: The result of an identification.
+        recordings: The recordings that the model was fitted to.
+    """
+    robot, parameters = identification.model.robot, identification.model.parameters
+    widths, edge = identification.model.widths, 10 * parameters.bodies
+    # locked joints and payload are part of the identified URDF
+    options = {**robot.options, "locked": {}, "payload": None}
+    prior, data, delay = identification.prior, identification.data, identification.delay
+    gamma = identification.options.gamma
     return {
         "schema": SCHEMA,
-        "robot": {"name": robot.name, "source": robot.source, "sha256": robot.sha256, **stated},
-        "urdf": identified_urdf(robot, parameters, found.psi, widths),
+        "robot": {"name": robot.name, "source": robot.source, "sha256": robot.sha256, **options},
+        "urdf": identified_urdf(robot, parameters, identification.psi, widths),
         "joints": list(robot.joints),
         "links": list(parameters.links),
         "drive": list(parameters.drive),
-        "standard_parameters": _standard(found),
+        "standard_parameters": _standard_parameter_table(identification),
         "coulomb_width": dict(zip(robot.joints, widths.tolist(), strict=True)),
-        "base_parameters": base_parameter_table(found),
-        "directions": _directions(found),
-        "identifiable": found.analysis.identifiable,
-        "threshold": found.options.threshold,
+        "base_parameters": base_parameter_table(identification),
+        "directions": _direction_table(identification),
+        "identifiable": identification.analysis.identifiable,
+        "threshold": identification.options.threshold,
         "prior": {
-            "distance": found.options.distance.value,
-            "gamma": {"bodies": found.prior.bodies, **_by_kind(found)},
-            "chosen_by": found.options.gamma if isinstance(found.options.gamma, str) else "given",
-            "scales": dict(zip(parameters.names[edge:], found.prior.scales.tolist(), strict=True)),
+            "distance": identification.options.distance.value,
+            "gamma": {"bodies": prior.inertial_weight, **_joint_gamma(identification)},
+            "chosen_by": gamma if isinstance(gamma, str) else "given",
+            "scales": dict(zip(parameters.names[edge:], prior.joint_scales.tolist(), strict=True)),
         },
         "consistency": {
-            "misfit": found.posterior.misfit,
-            "distance_squared": found.posterior.distance,
+            "misfit": identification.posterior.misfit,
+            "distance_squared": identification.posterior.distance,
         },
-        "method": found.options.method.value,
-        "outliers": found.data.outliers,
-        "band_hz": found.spectra.hertz,
-        "rows": len(found.equations),
+        "method": identification.options.method.value,
+        "outliers": data.outliers,
+        "band_hz": identification.spectra.hertz,
+        "rows": len(identification.equations),
         "noise": {
             joint: {
-                "model": float(a),
-                "periods": None if found.floor is None else float(found.floor[i]),
+                "model": float(deviation),
+                "periods": None
+                if identification.noise_floor is None
+                else float(identification.noise_floor[i]),
             }
-            for i, (joint, a) in enumerate(zip(robot.joints, found.data.noise, strict=True))
+            for i, (joint, deviation) in enumerate(zip(robot.joints, data.noise, strict=True))
         },
         "delay": {
             joint: {"seconds": float(s), "std": float(d)}
-            for joint, s, d in zip(
-                robot.joints, found.delay.seconds, found.delay.deviation, strict=True
-            )
+            for joint, s, d in zip(robot.joints, delay.seconds, delay.deviation, strict=True)
         },
         "recordings": [r.source for r in recordings],
-        "fit": [prediction_summary(p, robot.joints) for p in found.fits],
-        "validation": [prediction_summary(p, robot.joints) for p in found.validations],
-        "endogeneity": None if found.endogeneity is None else _endogeneity(found.endogeneity),
+        "fit": [prediction_summary(p, robot.joints) for p in identification.fits],
+        "validation": [prediction_summary(p, robot.joints) for p in identification.validations],
+        "endogeneity": None
+        if identification.endogeneity is None
+        else _hausman_summary(identification.endogeneity),
         "simulation": None
-        if found.simulation is None
-        else _simulation(found.simulation, robot.joints),
+        if identification.simulation is None
+        else _simulation_summary(identification.simulation, robot.joints),
         "effects": [],
         "versions": trajectory_file.package_versions(),
     }
 
 
-def _standard(found: Identification) -> list[dict[str, Any]]:
-    parameters = found.model.parameters
-    deviation = np.sqrt(np.maximum(np.diag(found.posterior.covariance), 0.0))
-    drives = [
-        entry.unit(JOINT_PARAMETER_UNITS[kind]) for kind in parameters.drive for entry in found.model.robot.entries
+def _standard_parameter_table(identification: Identification) -> list[dict[str, Any]]:
+    """Nominal and identified value, standard deviation and unit of each standard parameter."""
+    parameters = identification.model.parameters
+    deviation = np.sqrt(np.maximum(np.diag(identification.posterior.covariance), 0.0))
+    joint_units = [
+        entry.unit(JOINT_PARAMETER_UNITS[kind])
+        for kind in parameters.drive
+        for entry in identification.model.robot.entries
     ]
-    units = [*INERTIAL_UNITS] * parameters.bodies + drives
+    units = [*INERTIAL_UNITS] * parameters.bodies + joint_units
     columns = (
         parameters.names,
         parameters.owners(),
         parameters.nominal,
-        found.psi,
-        found.reduced.psi,
+        identification.psi,
+        identification.reduced.psi,
         deviation,
         units,
     )
@@ -201,17 +252,19 @@ def _standard(found: Identification) -> list[dict[str, Any]]:
     return [dict(zip(keys, row, strict=True)) for row in zip(*columns, strict=True)]
 
 
-def _endogeneity(test: HausmanTest) -> dict[str, Any]:
-    facts = {
+def _hausman_summary(test: HausmanTest) -> dict[str, Any]:
+    """Content of "endogeneity"."""
+    return {
         "statistic": test.statistic,
-        "freedom": test.freedom,
-        "p": test.p,
-        "needed": test.needed,
+        "freedom": test.degrees_of_freedom,
+        "p": test.p_value,
+        "needed": test.needs_instruments,
+        "words": test.summary,
     }
-    return facts | {"words": test.words}
 
 
-def _simulation(error: SimulationError, joints: Sequence[str]) -> dict[str, Any]:
+def _simulation_summary(error: SimulationError, joints: Sequence[str]) -> dict[str, Any]:
+    """Content of "simulation": the error at the end of the windows."""
     rows = {
         key: dict(zip(joints, getattr(error, key)[-1].tolist(), strict=True))
         for key in ("fitted", "nominal")
@@ -219,22 +272,23 @@ def _simulation(error: SimulationError, joints: Sequence[str]) -> dict[str, Any]
     return {"ahead": float(error.lag[-1]), "windows": error.windows, "share": error.share, **rows}
 
 
-def _by_kind(found: Identification) -> dict[str, list[float]]:
-    """γ of each kind of drive parameter, joint by joint."""
-    n = found.model.robot.n
+def _joint_gamma(identification: Identification) -> dict[str, list[float]]:
+    """γ of each kind of joint parameter, joint by joint."""
+    n = identification.model.robot.n
     return {
-        kind: found.prior.drives[k * n : k * n + n].tolist()
-        for k, kind in enumerate(found.model.parameters.drive)
+        kind: identification.prior.joint_weights[k * n : k * n + n].tolist()
+        for k, kind in enumerate(identification.model.parameters.drive)
     }
 
 
-def base_parameter_table(found: Identification) -> list[dict[str, Any]]:
-    """θ: nominal, by the data alone with its 95 % interval, and as the consistent model has it."""
-    base, data = found.model.base, found.data
-    names = [found.model.parameters.names[i] for i in base.independent]
-    half = confidence.interval_half_widths(data, np.eye(base.count))
+def base_parameter_table(identification: Identification) -> list[dict[str, Any]]:
+    """Return the base parameters: nominal, by the data alone with 95 % interval, and of the model."""
+    base, data = identification.model.base, identification.data
+    names = [identification.model.parameters.names[i] for i in base.independent]
+    half = estimators.interval_half_widths(data, np.eye(base.count))
     deviation = np.sqrt(np.diag(data.covariance))
-    value, nominal = base.matrix @ found.psi, base.matrix @ found.model.parameters.nominal
+    value = base.matrix @ identification.psi
+    nominal = base.matrix @ identification.model.parameters.nominal
     return [
         {
             "name": names[k],
@@ -251,9 +305,9 @@ def base_parameter_table(found: Identification) -> list[dict[str, Any]]:
     ]
 
 
-def _directions(found: Identification) -> list[dict[str, Any]]:
-    """Each direction of I·H₀⁻¹, how well it is known, and how much of the model's value in it the data decided."""
-    shares = found.decided()
+def _direction_table(identification: Identification) -> list[dict[str, Any]]:
+    """Directions of I·H₀⁻¹: variance, and the share of the model's value that the data determine."""
+    shares = identification.data_shares()
     return [
         {
             "variance": d.variance,
@@ -262,12 +316,12 @@ def _directions(found: Identification) -> list[dict[str, Any]]:
             "words": d.words,
             "weights": dict(d.weights),
         }
-        for d, share in zip(found.analysis.directions, shares, strict=True)
+        for d, share in zip(identification.analysis.directions, shares, strict=True)
     ]
 
 
 def prediction_summary(prediction: Prediction, joints: Sequence[str]) -> dict[str, Any]:
-    """Torque errors of one recording, joint by joint."""
+    """Return the torque errors of one recording, joint by joint."""
     errors = {
         key: (prediction.error(key), prediction.relative(key)) for key in ("fitted", "nominal")
     }
@@ -277,7 +331,9 @@ def prediction_summary(prediction: Prediction, joints: Sequence[str]) -> dict[st
             "relative": float(errors["fitted"][1][i]),
             "rmse_nominal": float(errors["nominal"][0][i]),
             "relative_nominal": float(errors["nominal"][1][i]),
-            "noise_floor": None if prediction.floor is None else float(prediction.floor[i]),
+            "noise_floor": None
+            if prediction.noise_floor is None
+            else float(prediction.noise_floor[i]),
         }
         for i, joint in enumerate(joints)
     }
@@ -288,7 +344,8 @@ def read_model(path: Path) -> IdentifiedModel:
     """Read `model.json`.
 
     Raises:
-        UnusableInput: The file is missing, is of another schema, breaks a rule of `schemas.model`, or its URDF is none.
+        UnusableInput: The file is missing, is of another schema, breaks a rule of `schemas.model`,
+            or contains an invalid URDF.
     """
     file = DocumentFile(
         path, "a model", "identify or diagnose again", "the model.json of 'excite identify'"
@@ -299,7 +356,15 @@ def read_model(path: Path) -> IdentifiedModel:
 
 
 def model_from_document(file: DocumentFile, content: Any) -> IdentifiedModel:
-    """The model of the plain values of a `model.json`; raises as `read` does."""
+    """Build the model from the plain values of a `model.json`.
+
+    Args:
+        file: The file, for error messages.
+        content: Its parsed content.
+
+    Raises:
+        UnusableInput: As `read_model`.
+    """
     document = file.converted(content, ModelDocument)
     with tempfile.TemporaryDirectory() as folder:
         urdf = Path(folder) / "identified.urdf"

@@ -1,10 +1,13 @@
-"""Instruments for IDIM-IV: regressors along a motion that has no noise of the encoders in it (Janot, Vandanjon & Gautier 2014).
+"""Instruments for IDIM-IV: regressors along a motion free of encoder noise.
 
-Z is Γ along the motion of the auxiliary model, which is the identified robot under the identified controller, tracking q_ref; or along
-q_ref itself. Either may be told q_ref as much later (or earlier: clocks differ) as brings it closest to the recorded motion, joint by
-joint: commands are interpolated and filtered before a controller follows them. All of this knows of the recording's noise only through
-a few parameters. What is taken is the motion closest to the recorded one, by the geometric mean over the joints of RMS distances
-below the band.
+Janot, Vandanjon & Gautier, "A generic instrumental variable approach for industrial robot
+identification", IEEE Trans. Control Systems Technology 22(1), 2014. Z is Γ along the motion of an
+auxiliary model, the identified robot under its identified controllers that track q_ref, or along
+q_ref itself. In either case q_ref may be shifted in time, joint by joint, to be closest to the
+recorded motion, because commands are interpolated and filtered before a controller follows them and
+clocks differ. Only these few parameters depend on the noise of the recording. Of the motions, the one
+closest to the recorded motion is used, by the geometric mean over the joints of RMS distances below
+the band.
 """
 
 from __future__ import annotations
@@ -16,20 +19,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .._types import FloatArray
 from ..errors import UnusableInput
 from ..recordings import Recording
-from . import controller_model, forward_dynamics, regression, segments
-from .controller_model import ControllerModel
-from .forward_dynamics import RobotDynamics
+from .controller_model import (
+    ControllerCommand,
+    ControllerModel,
+    controller_command,
+    identify_controller,
+    simulate_tracking,
+)
+from .forward_dynamics import RobotDynamics, build_dynamics
 from .lowpass import Grid
-from .regression import IdentificationModel, TorqueEquations
-from .segments import Segment
+from .regression import IdentificationModel, TorqueEquations, build_equations
+from .segments import RecordingSegment, extract_segments
 
-Array = np.ndarray
+DELAY_ITERATIONS = 3
+"""Number of Gauss-Newton steps for the delay of the reference."""
+MIN_DISTANCE = 1e-9
+"""Distance from the recorded motion below which motions count as equally close [rad or m]."""
 
 
 class InstrumentMotion(enum.Enum):
-    """Along which motion instruments are computed."""
+    """Motions along which instruments are computed."""
 
     AUXILIARY = "auxiliary model"
     REFERENCE = "reference motion"
@@ -37,182 +49,249 @@ class InstrumentMotion(enum.Enum):
 
 @dataclass(frozen=True)
 class Instruments:
-    """equations: those along the motion, row by row with the recorded ones; Z is their regressor, and what is computed of them as
-    nuisance is its instrument. pieces: the motion. kind: which.
+    """Instruments and the motion that they come from.
 
-    law: of the controller. delay: of the reference, as taken. Shape (n,) [s]. strayed: RMS distance of the auxiliary motion from the
-    recorded one, inf where it was lost; behind: that of the reference. Shapes (n,) [rad or m], below the band. asked: the kind was.
+    Attributes:
+        equations: Equations along the motion, row by row with the recorded ones. Their regressor is
+            Z; nuisance columns computed from them are the instruments of the recorded ones.
+        segments: The motion.
+        motion: Kind of motion.
+        controller: The identified controllers.
+        delay: Delay given to the reference. Shape (n,) [s].
+        auxiliary_distance: RMS distance below the band of the auxiliary motion from the recorded
+            one, ∞ if it loses the reference. Shape (n,) [rad or m].
+        reference_distance: RMS distance of the reference from the recorded motion. Shape (n,).
+        is_requested: True if the caller requested this kind of motion.
     """
 
     equations: TorqueEquations
-    pieces: tuple[Segment, ...]
-    kind: InstrumentMotion
-    law: ControllerModel
-    delay: Array
-    strayed: Array
-    behind: Array
-    asked: bool = False
+    segments: tuple[RecordingSegment, ...]
+    motion: InstrumentMotion
+    controller: ControllerModel
+    delay: FloatArray
+    auxiliary_distance: FloatArray
+    reference_distance: FloatArray
+    is_requested: bool = False
 
     @property
-    def rows(self) -> Array:
+    def rows(self) -> FloatArray:
         """Z. Shape (N, n, p)."""
         return self.equations.regressor
 
     @property
-    def words(self) -> str:
-        """Which motion, and why."""
-        if self.asked:
-            why = "as asked"
-        elif not np.isfinite(self.strayed).all():
-            why = "the model loses it under the controller that the recording suggests"
+    def summary(self) -> str:
+        """The kind of motion and the reason for it in one line."""
+        if self.is_requested:
+            reason = "as requested"
+        elif not np.isfinite(self.auxiliary_distance).all():
+            reason = "the auxiliary model loses the reference under the identified controllers"
         else:
-            why = f"the auxiliary one is off the recorded one by {_mean(self.strayed) / _mean(self.behind):.2g} of what the reference is"
-        return f"instruments along the {self.kind.value}: {why}"
+            ratio = _geometric_mean(self.auxiliary_distance) / _geometric_mean(
+                self.reference_distance
+            )
+            reason = (
+                "distance of the auxiliary motion from the recorded one over that of the reference: "
+                f"{ratio:.2g}"
+            )
+        return f"instruments along the {self.motion.value}: {reason}"
 
 
 def build_instruments(
     model: IdentificationModel,
     recordings: Sequence[Recording],
     hertz: float,
-    psi: Array,
-    kind: InstrumentMotion | None = None,
+    psi: FloatArray,
+    motion: InstrumentMotion | None = None,
     *,
     average: bool = True,
 ) -> Instruments:
-    """Z with the filter, the grid and the mean periods of `equations.build(model, signals.pieces(recordings, average=average), hertz)`.
+    """Compute instruments, row by row with the equations of the recordings.
 
-    psi: a first, physically consistent estimate, such as one by least squares. Shape (P,). kind: which motion; None: by the rule above.
-    Raises UnusableInput, naming file and joint, where there is no q_ref, and where the auxiliary model was asked for and is lost.
+    The rows are those of
+    `build_equations(model, extract_segments(recordings, average=average), hertz)`.
+
+    Args:
+        model: The model.
+        recordings: Recordings with commanded positions.
+        hertz: Cutoff frequency [Hz].
+        psi: A first, physically consistent estimate, as by least squares. Shape (P,).
+        motion: Kind of motion; by default the one closest to the recorded motion.
+        average: Average whole periods.
+
+    Raises:
+        UnusableInput: Commanded positions are missing, or the auxiliary model was requested and
+            loses the reference.
     """
     for recording in recordings:
         _require_reference(recording)
-    measured = list(segments.extract_segments(recordings, average=average))
-    told = list(
-        segments.extract_segments(
+    measured = list(extract_segments(recordings, average=average))
+    commanded = list(
+        extract_segments(
             [dataclasses.replace(r, q=r.qref) for r in recordings if r.qref is not None],
             average=average,
         )
     )
-    body, best = forward_dynamics.build_dynamics(model, psi), None
-    for delay in (np.zeros(model.robot.n), _delay(measured, told, hertz)):
-        late = [_later(piece, delay) for piece in told]
-        trial = _trial(body, measured, late, hertz, kind, delay)
-        if trial is not None and (best is None or trial.distance < best.distance):
-            best = trial
+    dynamics, best = build_dynamics(model, psi), None
+    for delay in (np.zeros(model.robot.n), _reference_delay(measured, commanded, hertz)):
+        delayed = [_delayed(segment, delay) for segment in commanded]
+        candidate = _candidate(dynamics, measured, delayed, hertz, motion, delay)
+        if candidate is not None and (best is None or candidate.distance < best.distance):
+            best = candidate
     if best is None:
         raise UnusableInput(
-            f"{recordings[0].source}: the model loses qref under the controller found; take the reference motion as instrument"
+            f"{recordings[0].source}: the auxiliary model loses qref under the identified "
+            "controllers; use the reference motion as instrument"
         )
-    rows = regression.build_equations(model, best.pieces, hertz)
+    equations = build_equations(model, best.segments, hertz)
     return Instruments(
-        rows,
-        tuple(best.pieces),
-        best.kind,
-        best.law,
+        equations,
+        tuple(best.segments),
+        best.motion,
+        best.controller,
         best.delay,
-        best.strayed,
-        best.behind,
-        kind is not None,
+        best.auxiliary_distance,
+        best.reference_distance,
+        motion is not None,
     )
 
 
 @dataclass(frozen=True)
-class _Trial:
-    pieces: Sequence[Segment]
-    kind: InstrumentMotion
-    law: ControllerModel
-    delay: Array
-    strayed: Array
-    behind: Array
+class _Candidate:
+    """A motion for instruments; attributes as of `Instruments`."""
+
+    segments: Sequence[RecordingSegment]
+    motion: InstrumentMotion
+    controller: ControllerModel
+    delay: FloatArray
+    auxiliary_distance: FloatArray
+    reference_distance: FloatArray
 
     @property
     def distance(self) -> float:
-        return _mean(self.strayed if self.kind is InstrumentMotion.AUXILIARY else self.behind)
+        """Distance from the recorded motion."""
+        return _geometric_mean(
+            self.auxiliary_distance
+            if self.motion is InstrumentMotion.AUXILIARY
+            else self.reference_distance
+        )
 
 
-def _trial(
-    body: RobotDynamics,
-    measured: Sequence[Segment],
-    told: Sequence[Segment],
+def _candidate(
+    dynamics: RobotDynamics,
+    measured: Sequence[RecordingSegment],
+    commanded: Sequence[RecordingSegment],
     hertz: float,
-    kind: InstrumentMotion | None,
-    delay: Array,
-) -> _Trial | None:
-    """The better motion of one reference; None where the auxiliary one was asked for and is lost."""
-    commands = [controller_model.controller_command(body, piece, hertz) for piece in told]
-    law = controller_model.identify_controller(commands, measured, hertz)
-    behind = _distance(measured, told, hertz)
-    moved = [] if kind is InstrumentMotion.REFERENCE else _auxiliary(body, law, commands, told)
-    strayed = _distance(measured, moved, hertz) if moved else np.full(len(behind), np.inf)
-    if kind is InstrumentMotion.AUXILIARY and not moved:
+    motion: InstrumentMotion | None,
+    delay: FloatArray,
+) -> _Candidate | None:
+    """The better motion for one delay; None if the auxiliary model was requested and is lost."""
+    commands = [controller_command(dynamics, segment, hertz) for segment in commanded]
+    controller = identify_controller(commands, measured, hertz)
+    reference_distance = _distance(measured, commanded, hertz)
+    auxiliary = (
+        []
+        if motion is InstrumentMotion.REFERENCE
+        else _auxiliary_motion(dynamics, controller, commands, commanded)
+    )
+    auxiliary_distance = (
+        _distance(measured, auxiliary, hertz)
+        if auxiliary
+        else np.full(len(reference_distance), np.inf)
+    )
+    if motion is InstrumentMotion.AUXILIARY and not auxiliary:
         return None
-    chosen = kind or (InstrumentMotion.AUXILIARY if _mean(strayed) < _mean(behind) else InstrumentMotion.REFERENCE)
-    return _Trial(moved if chosen is InstrumentMotion.AUXILIARY else told, chosen, law, delay, strayed, behind)
+    chosen = motion or (
+        InstrumentMotion.AUXILIARY
+        if _geometric_mean(auxiliary_distance) < _geometric_mean(reference_distance)
+        else InstrumentMotion.REFERENCE
+    )
+    return _Candidate(
+        auxiliary if chosen is InstrumentMotion.AUXILIARY else commanded,
+        chosen,
+        controller,
+        delay,
+        auxiliary_distance,
+        reference_distance,
+    )
 
 
-def _delay(measured: Sequence[Segment], told: Sequence[Segment], hertz: float) -> Array:
-    """How much later q_ref(t − d) is closest to q, to first order and improved once. Shape (n,) [s]."""
+def _reference_delay(
+    measured: Sequence[RecordingSegment], commanded: Sequence[RecordingSegment], hertz: float
+) -> FloatArray:
+    """Delay d for which q_ref(t − d) is closest to q, by Gauss-Newton steps. Shape (n,) [s]."""
     delay = np.zeros(measured[0].q.shape[1])
-    for _ in range(3):
-        up, down = np.zeros_like(delay), np.zeros_like(delay)
-        for piece, reference in zip(measured, told, strict=True):
-            band, late = piece.band(hertz), _later(reference, delay)
-            speed = band.low(late.q, Grid.KEPT, 1)
-            up += np.sum(speed * band.low(late.q - piece.q, Grid.KEPT), axis=0)
-            down += np.sum(speed**2, axis=0)
-        delay = delay + up / np.maximum(down, 1e-300)
+    for _ in range(DELAY_ITERATIONS):
+        product, square = np.zeros_like(delay), np.zeros_like(delay)
+        for segment, reference in zip(measured, commanded, strict=True):
+            band, delayed = segment.band(hertz), _delayed(reference, delay)
+            speed = band.filter(delayed.q, Grid.KEPT, 1)
+            product += np.sum(speed * band.filter(delayed.q - segment.q, Grid.KEPT), axis=0)
+            square += np.sum(speed**2, axis=0)
+        delay = delay + product / np.maximum(square, 1e-300)
     return delay
 
 
-def _later(piece: Segment, delay: Array) -> Segment:
-    """The piece with each joint's position so much later, held beyond its ends."""
+def _delayed(segment: RecordingSegment, delay: FloatArray) -> RecordingSegment:
+    """The segment with each joint's position delayed, constant beyond its ends."""
     if not delay.any():
-        return piece
+        return segment
     from scipy.interpolate import CubicSpline  # slow to import
 
-    t, length = np.arange(len(piece)) / piece.rate, len(piece) / piece.rate
-    q = np.vstack([piece.q, piece.q[:1]]) if piece.periodic else piece.q
+    t, length = np.arange(len(segment)) / segment.rate, len(segment) / segment.rate
+    q = np.vstack([segment.q, segment.q[:1]]) if segment.periodic else segment.q
     splines = CubicSpline(
-        np.arange(len(q)) / piece.rate, q, bc_type="periodic" if piece.periodic else "not-a-knot"
+        np.arange(len(q)) / segment.rate,
+        q,
+        bc_type="periodic" if segment.periodic else "not-a-knot",
     )
-    times = [(t - d) % length if piece.periodic else np.clip(t - d, 0.0, t[-1]) for d in delay]
+    times = [(t - d) % length if segment.periodic else np.clip(t - d, 0.0, t[-1]) for d in delay]
     return dataclasses.replace(
-        piece, q=np.column_stack([splines(time)[:, j] for j, time in enumerate(times)])
+        segment, q=np.column_stack([splines(time)[:, j] for j, time in enumerate(times)])
     )
 
 
 def _require_reference(recording: Recording) -> None:
+    """Refuse a recording without the commanded position of a joint."""
     for i, joint in enumerate(recording.joints):
         if recording.qref is None or not np.isfinite(recording.qref[:, i]).all():
-            lack = "has rows without" if recording.has("qref", joint) else "has no"
+            problem = (
+                "lacks the commanded position in some rows"
+                if recording.has("qref", joint)
+                else "has no commanded position"
+            )
             raise UnusableInput(
-                f"{recording.source}: joint '{joint}' {lack} commanded position, which instruments come from; record qref.{joint}, "
-                "or take another estimator"
+                f"{recording.source}: joint '{joint}' {problem}, from which instruments are "
+                f"computed; record qref.{joint} or use another --estimator"
             )
 
 
-def _auxiliary(
-    body: RobotDynamics, law: ControllerModel, commands: Sequence[controller_model.ControllerCommand], told: Sequence[Segment]
-) -> list[Segment]:
-    """The pieces as the model under the law moves; none where it is lost in any."""
+def _auxiliary_motion(
+    dynamics: RobotDynamics,
+    controller: ControllerModel,
+    commands: Sequence[ControllerCommand],
+    commanded: Sequence[RecordingSegment],
+) -> list[RecordingSegment]:
+    """The segments as the model moves under its controllers; empty if it is lost in any of them."""
     out = []
-    for k, (command, piece) in enumerate(zip(commands, told, strict=True)):
-        q = controller_model.simulate_tracking(body, law, command, k)
+    for k, (command, segment) in enumerate(zip(commands, commanded, strict=True)):
+        q = simulate_tracking(dynamics, controller, command, k)
         if q is None:
             return []
-        out.append(dataclasses.replace(piece, q=q))
+        out.append(dataclasses.replace(segment, q=q))
     return out
 
 
-def _distance(measured: Sequence[Segment], others: Sequence[Segment], hertz: float) -> Array:
-    """RMS of the difference of positions below the band. Shape (n,)."""
+def _distance(
+    measured: Sequence[RecordingSegment], others: Sequence[RecordingSegment], hertz: float
+) -> FloatArray:
+    """RMS difference of positions below the band. Shape (n,) [rad or m]."""
     parts = []
-    for piece, other in zip(measured, others, strict=True):
-        band = piece.band(hertz)
-        parts.append(band.low(piece.q - other.q, Grid.KEPT))
+    for segment, other in zip(measured, others, strict=True):
+        band = segment.band(hertz)
+        parts.append(band.filter(segment.q - other.q, Grid.KEPT))
     return np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0))
 
 
-def _mean(distances: Array) -> float:
-    """Geometric mean over joints, none of which counts as closer than a nanoradian."""
-    return float(np.exp(np.mean(np.log(np.maximum(distances, 1e-9)))))
+def _geometric_mean(distances: FloatArray) -> float:
+    """Geometric mean over the joints of distances, each at least MIN_DISTANCE."""
+    return float(np.exp(np.mean(np.log(np.maximum(distances, MIN_DISTANCE)))))

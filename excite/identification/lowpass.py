@@ -1,8 +1,10 @@
-"""One low-pass for both sides of the equation τ = Y(q, q̇, q̈) ψ, with zero phase, and exact derivatives below it.
+"""Zero-phase low-pass filter for both sides of τ = Y(q, q̇, q̈) ψ, with exact derivatives.
 
-Torque and every column of the regressor pass the same filter (Gautier 1997, "decimate"): what it takes from one side it takes from
-the other. It acts on Fourier coefficients, so that derivatives are exact multiplications by iω; a periodic signal is its own
-continuation, any other is continued by reflection through its ends, and what lies within `margin` of them is dropped.
+Torque and every column of the regressor pass the same filter, so that the equation still holds after
+filtering (parallel filtering: Gautier, "Dynamic identification of robots with power model", ICRA
+1997). The filter multiplies Fourier coefficients, so that a derivative is an exact multiplication by
+iω. A periodic signal is its own continuation; any other signal is continued by reflection about its
+end points, and the samples within `LowPassFilter.margin` of the ends are discarded.
 """
 
 from __future__ import annotations
@@ -12,26 +14,31 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
+from .._types import BoolArray, FloatArray
 from ..errors import UnusableInput
 
-Array = np.ndarray
 TAPER_FRACTION = 0.2
-"""Part of the band over which the gain falls to zero, for signals that are not periodic: a sharp edge rings for long."""
+"""Share of the band over which the gain falls to zero for aperiodic signals, as a sharp edge rings."""
 SETTLING_FACTOR = 1.5
-"""Margin in units of 1/(taper · band): there a reflected end is felt by less than a thousandth."""
+"""Discarded margin at an end in units of 1/(TAPER_FRACTION · cutoff) [s]: beyond it the effect of the
+reflection is below a thousandth of the signal."""
 MOTION_BANDWIDTH_RATIO = 2.0
-"""Positions keep this many bands: torque below the band depends on motion above it, the more so where a joint reverses."""
+"""Cutoff of positions over the cutoff of torque: torque below the band depends on motion above it,
+the more so where a joint reverses."""
 FRICTION_BANDWIDTH_RATIO = 10.0
-"""The speed in Coulomb friction keeps this many bands: its steps are placed by it."""
+"""Cutoff of the speed in Coulomb friction over the cutoff of torque: it sets the time of each step."""
 MAX_FRICTION_SPEED_NOISE = 3e-3
-"""Noise of a speed that a friction step can bear, about its width [rad/s]: a smoother speed would put the step at another time."""
+"""Largest standard deviation of the speed in Coulomb friction due to quantization [rad/s]: about the
+width of a friction step. A smoother speed would displace the steps in time."""
 REGRESSOR_OVERSAMPLING = 3.0
-"""The regressor is sampled at this many times twice the band before it is filtered: products of motions reach beyond it."""
+"""Rate at which the regressor is sampled before filtering, over twice the cutoff: products of
+motions reach beyond the band of each of them."""
 
 
 class Grid(enum.Enum):
-    """Where samples lie: as recorded, where the regressor is evaluated, or where rows are kept."""
+    """Sampling grids of a stretch: as recorded, for evaluating the regressor, and of the kept rows."""
 
     RECORDED = enum.auto()
     COARSE = enum.auto()
@@ -40,10 +47,17 @@ class Grid(enum.Enum):
 
 @dataclass(frozen=True)
 class LowPassFilter:
-    """A low-pass to `hertz` for a stretch of `count` samples at `rate` [Hz], and the sampling it leads to.
+    """Low-pass filter for a stretch of evenly spaced samples, and the sampling that follows from it.
 
-    Rows are kept at twice the band; of a period just as many as have harmonics in it, so that white noise stays white.
-    encoder: standard deviation of positions by the coarsest encoder's steps [rad or m].
+    Rows are kept at twice the cutoff frequency. Of a period as many rows are kept as there are
+    Fourier coefficients in the band, so that white noise stays white.
+
+    Attributes:
+        hertz: Cutoff frequency [Hz].
+        rate: Sample rate of the stretch [Hz].
+        count: Number of samples of the stretch.
+        periodic: True if the stretch is one period of a periodic signal.
+        encoder: Standard deviation of the quantization error of the coarsest encoder [rad or m].
     """
 
     hertz: float
@@ -55,11 +69,12 @@ class LowPassFilter:
     def __post_init__(self) -> None:
         if not 0.0 < self.hertz < 0.5 * self.rate:
             raise UnusableInput(
-                f"--band {self.hertz:g}: should lie between 0 and half the recording's rate, {0.5 * self.rate:g} Hz"
+                f"--band {self.hertz:g}: must be above 0 and below half of the recording's rate, "
+                f"{0.5 * self.rate:g} Hz"
             )
 
     def steps(self, grid: Grid) -> int:
-        """Samples of the recording per sample of a grid, of a stretch that is not periodic."""
+        """Return the number of recorded samples per sample of a grid; aperiodic stretches only."""
         coarse = max(1, int(self.rate / (2.0 * REGRESSOR_OVERSAMPLING * self.hertz)))
         if grid is Grid.RECORDED:
             return 1
@@ -70,20 +85,20 @@ class LowPassFilter:
         )
 
     def samples(self, grid: Grid) -> int:
-        """Samples on a grid."""
+        """Return the number of samples on a grid."""
         if not self.periodic:
             return -(-self.count // self.steps(grid))
         length = self.count / self.rate
-        fewest = 2 * int(self.hertz * length + 1e-9) + 1
-        wanted = {
+        coefficients = 2 * int(self.hertz * length + 1e-9) + 1
+        samples = {
             Grid.RECORDED: self.count,
             Grid.COARSE: int(np.ceil(2.0 * REGRESSOR_OVERSAMPLING * self.hertz * length)),
-            Grid.KEPT: fewest,
+            Grid.KEPT: coefficients,
         }
-        return min(self.count, wanted[grid])
+        return min(self.count, samples[grid])
 
     def rate_of(self, grid: Grid) -> float:
-        """Samples a second on a grid [Hz]."""
+        """Return the sample rate of a grid [Hz]."""
         return (
             self.samples(grid) * self.rate / self.count
             if self.periodic
@@ -92,16 +107,21 @@ class LowPassFilter:
 
     @property
     def margin(self) -> int:
-        """Samples of the recording that an end spoils, a whole number of kept steps."""
+        """Recorded samples to discard at each end: a whole number of kept steps, 0 if periodic."""
         step = self.steps(Grid.KEPT)
         return (
             0
             if self.periodic
-            else int(np.ceil(SETTLING_FACTOR / (TAPER_FRACTION * self.hertz) * self.rate / step)) * step
+            else int(np.ceil(SETTLING_FACTOR / (TAPER_FRACTION * self.hertz) * self.rate / step))
+            * step
         )
 
-    def gain(self, frequencies: Array, hertz: float) -> Array:
-        """1 below the taper, 0 above the band, a raised cosine between; of periodic signals sharp."""
+    def gain(self, frequencies: FloatArray, hertz: float) -> FloatArray:
+        """Return the gain at frequencies [Hz] for a cutoff of `hertz`.
+
+        The gain is 1 below the taper, 0 above the cutoff and a raised cosine between them. For
+        periodic signals the edge is sharp.
+        """
         f = np.abs(frequencies)
         if self.periodic:
             return (f <= hertz * (1.0 + 1e-9)).astype(float)
@@ -110,126 +130,178 @@ class LowPassFilter:
             0.5 + 0.5 * np.cos(np.pi * np.clip((f - edge) / (hertz - edge), 0.0, 1.0))
         )
 
-    def low(
+    def filter(
         self,
-        x: Array,
+        x: FloatArray,
         to: Grid,
         order: int = 0,
         *,
-        of: Grid = Grid.RECORDED,
-        reach: float = 1.0,
-        late: float = 0.0,
-        lag: float = 0.0,
-    ) -> Array:
-        """The order-th derivative below the band, from one grid to a coarser one. Shapes (samples(of), …) -> (samples(to), …).
+        source: Grid = Grid.RECORDED,
+        bandwidth_ratio: float = 1.0,
+        delay: float = 0.0,
+        time_constant: float = 0.0,
+    ) -> FloatArray:
+        """Filter signals and differentiate them, from one grid to a coarser one.
 
-        reach: how many bands are kept, at the most what the grid can show. late: by which it comes later; lag: of a filter of first order
-        that it has passed [s].
+        Args:
+            x: Signals on the grid `source`. Shape (samples(source), …).
+            to: Grid of the result.
+            order: Order of the time derivative.
+            source: Grid of `x`.
+            bandwidth_ratio: Cutoff in units of `hertz`; at most half the rate of `source`.
+            delay: Time by which the result is delayed [s].
+            time_constant: Time constant of an additional first-order lag [s].
+
+        Returns:
+            The derivative below the cutoff. Shape (samples(to), …).
         """
-        return self.transformed(x, of).low(to, order, reach, late, lag)
+        return self.transform(x, source).filter(to, order, bandwidth_ratio, delay, time_constant)
 
-    def transformed(self, x: Array, of: Grid = Grid.RECORDED) -> SignalSpectrum:
-        """Fourier coefficients of signals, for several filters and derivatives of the same. Shape (samples(of), …)."""
+    def transform(self, x: FloatArray, source: Grid = Grid.RECORDED) -> SignalSpectrum:
+        """Compute the Fourier coefficients of signals, to filter the same signals several times.
+
+        Args:
+            x: Signals on the grid `source`. Shape (samples(source), …).
+            source: Grid of `x`.
+        """
         columns = x.reshape(len(x), -1).T
-        seen = np.any(columns != 0.0, axis=1)  # half of a regressor's columns are zero by structure
-        lines, head = np.ascontiguousarray(columns[seen]), 0
+        nonzero = np.any(columns != 0.0, axis=1)  # half of a regressor is zero by structure
+        lines, head = np.ascontiguousarray(columns[nonzero]), 0
         if not self.periodic:
-            step = self.steps(Grid.KEPT) // self.steps(of)
-            lines, head = _continued(
-                lines, int(np.ceil(SETTLING_FACTOR / (TAPER_FRACTION * self.hertz) * self.rate_of(of))), step
+            step = self.steps(Grid.KEPT) // self.steps(source)
+            margin = int(
+                np.ceil(SETTLING_FACTOR / (TAPER_FRACTION * self.hertz) * self.rate_of(source))
             )
-        return SignalSpectrum(self, of, np.fft.rfft(lines), lines.shape[1], head, seen, x.shape)
+            lines, head = _continued(lines, margin, step)
+        return SignalSpectrum(
+            self, source, np.fft.rfft(lines), lines.shape[1], head, nonzero, x.shape
+        )
 
 
 @dataclass(frozen=True)
 class SignalSpectrum:
-    """Fourier coefficients of continued signals. coefficients: Shape (lines, length // 2 + 1). head: samples put before each line.
+    """Fourier coefficients of signals that were continued into closed loops.
 
-    seen: which columns are lines, the others being zero. shape: of the signals.
+    Attributes:
+        band: Filter of the stretch.
+        source: Grid of the signals.
+        coefficients: Coefficients of the signals that are not zero. Shape (lines, length // 2 + 1).
+        length: Number of samples of a continued signal.
+        head: Number of samples prepended to each signal.
+        nonzero: True for signals that are not zero throughout.
+        shape: Shape of the array of signals.
     """
 
     band: LowPassFilter
-    of: Grid
-    coefficients: Array
+    source: Grid
+    coefficients: NDArray[np.complex128]
     length: int
     head: int
-    seen: Array
+    nonzero: BoolArray
     shape: tuple[int, ...]
 
-    def low(
-        self, to: Grid, order: int = 0, reach: float = 1.0, late: float = 0.0, lag: float = 0.0
-    ) -> Array:
-        """See Band.low."""
-        rate = self.band.rate_of(self.of)
+    def filter(
+        self,
+        to: Grid,
+        order: int = 0,
+        bandwidth_ratio: float = 1.0,
+        delay: float = 0.0,
+        time_constant: float = 0.0,
+    ) -> FloatArray:
+        """Filter and differentiate the signals; arguments as in `LowPassFilter.filter`."""
+        rate = self.band.rate_of(self.source)
         if self.band.periodic:
             step, kept, target = 1, self.band.samples(to), self.band.samples(to)
         else:
-            step = self.band.steps(to) // self.band.steps(self.of)
+            step = self.band.steps(to) // self.band.steps(self.source)
             kept, target = -(-self.shape[0] // step), self.length // step
         bins = target // 2 + 1
-        factor = _response(
-            self.band, bins, rate / self.length, min(reach * self.band.hertz, 0.5 * rate), order
-        )
-        if late or lag:
+        cutoff = min(bandwidth_ratio * self.band.hertz, 0.5 * rate)
+        factor = _response(self.band, bins, rate / self.length, cutoff, order)
+        if delay or time_constant:
             s = 2j * np.pi * np.arange(bins) * (rate / self.length)
-            factor = factor * np.exp(-late * s) / (1.0 + lag * s)
+            factor = factor * np.exp(-delay * s) / (1.0 + time_constant * s)
         filtered = np.fft.irfft(self.coefficients[:, :bins] * factor, target) * (
             target / self.length
         )
-        out = np.zeros((kept, len(self.seen)))
-        out[:, self.seen] = filtered[:, self.head // step : self.head // step + kept].T
+        out = np.zeros((kept, len(self.nonzero)))
+        out[:, self.nonzero] = filtered[:, self.head // step : self.head // step + kept].T
         return out.reshape(kept, *self.shape[1:])
 
 
 @lru_cache(256)
-def _response(band: LowPassFilter, bins: int, apart: float, hertz: float, order: int) -> Array:
-    """Of a derivative below a band, at frequencies that lie `apart` [Hz]. Shape (bins,)."""
-    frequencies = apart * np.arange(bins)
+def _response(
+    band: LowPassFilter, bins: int, spacing: float, hertz: float, order: int
+) -> NDArray[np.complex128]:
+    """Frequency response of a filtered derivative at multiples of `spacing` [Hz]. Shape (bins,)."""
+    frequencies = spacing * np.arange(bins)
     return np.asarray(band.gain(frequencies, hertz) * (2j * np.pi * frequencies) ** order)
 
 
-def _continued(lines: Array, least: int, step: int) -> tuple[Array, int]:
-    """Lines continued at both ends by reflection through their end points and faded into a closed loop, and where they begin in it.
+def _continued(lines: FloatArray, min_margin: int, step: int) -> tuple[FloatArray, int]:
+    """Continue signals by point reflection at both ends and fade them into a closed loop.
 
-    A loop without a jump keeps the Fourier series from ringing at the seam. Its length is one that transforms fast, in steps.
+    A loop without a jump avoids ringing at the seam. Its length is a whole number of steps with a
+    fast Fourier transform.
+
+    Returns:
+        The loops, and the index at which the signals begin in them.
     """
     count = lines.shape[1]
-    head = -(-least // step) * step
-    total = step * _fast(-(-(head + count + least) // step))
-    after = total - head - count
-    reach = np.minimum(np.arange(1, max(head, after) + 1), count - 1)
-    before = 2.0 * lines[:, :1] - lines[:, reach[:head][::-1]]
-    behind = 2.0 * lines[:, -1:] - lines[:, count - 1 - reach[:after]]
-    fade = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, after + 1) / (after + 1))
+    head = -(-min_margin // step) * step
+    total = step * _fast_length(-(-(head + count + min_margin) // step))
+    tail = total - head - count
+    offsets = np.minimum(np.arange(1, max(head, tail) + 1), count - 1)
+    before = 2.0 * lines[:, :1] - lines[:, offsets[:head][::-1]]
+    behind = 2.0 * lines[:, -1:] - lines[:, count - 1 - offsets[:tail]]
+    fade = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, tail + 1) / (tail + 1))
     return np.concatenate(
         [before, lines, behind + fade * (before[:, :1] - behind[:, -1:])], axis=1
     ), head
 
 
-def _fast(least: int) -> int:
-    """The smallest product of 2, 3 and 5 that is no smaller."""
-    best = 1 << (least - 1).bit_length()
+def _fast_length(minimum: int) -> int:
+    """Return the smallest product of powers of 2, 3 and 5 that is not below `minimum`."""
+    best = 1 << (minimum - 1).bit_length()
     five = 1
     while five < best:
         three = five
         while three < best:
-            best = min(best, three << max(0, (-(-least // three) - 1).bit_length()))
+            best = min(best, three << max(0, (-(-minimum // three) - 1).bit_length()))
             three *= 3
         five *= 5
     return best
 
 
-def friction_speed(positions: Array, band: LowPassFilter, transformed: SignalSpectrum | None = None) -> Array:
-    """The speed that Coulomb friction sees, at every sample. transformed: of the positions, where it is at hand. Shapes (M, n).
+def friction_speed(
+    positions: FloatArray, band: LowPassFilter, spectrum: SignalSpectrum | None = None
+) -> FloatArray:
+    """Compute the speed in Coulomb friction at every recorded sample.
 
-    It keeps EDGE bands, or as many as leave it quieter than QUIET with a coarse encoder.
+    Its cutoff is FRICTION_BANDWIDTH_RATIO bands, or lower where a coarse encoder would make it
+    noisier than MAX_FRICTION_SPEED_NOISE.
+
+    Args:
+        positions: Joint positions. Shape (M, n) [rad or m].
+        band: Filter of the stretch.
+        spectrum: Fourier coefficients of the positions, if they are at hand.
+
+    Returns:
+        Joint speeds. Shape (M, n) [rad/s or m/s].
     """
-    return (transformed or band.transformed(positions)).low(Grid.RECORDED, 1, _edge(band))
+    return (spectrum or band.transform(positions)).filter(
+        Grid.RECORDED, 1, _friction_bandwidth_ratio(band)
+    )
 
 
-def _edge(band: LowPassFilter) -> float:
-    """How many bands that speed may keep: white noise σ of positions makes σ 2πf √(2f/3f_s) of speed below f."""
+def _friction_bandwidth_ratio(band: LowPassFilter) -> float:
+    """Cutoff of the friction speed in bands.
+
+    White noise σ of positions at rate f_s causes noise σ 2πf √(2f/3f_s) of the speed below f.
+    """
     if band.encoder == 0.0:
         return FRICTION_BANDWIDTH_RATIO
-    f = (MAX_FRICTION_SPEED_NOISE / (2.0 * np.pi * band.encoder) * np.sqrt(1.5 * band.rate)) ** (2.0 / 3.0)
+    f = (
+        MAX_FRICTION_SPEED_NOISE / (2.0 * np.pi * band.encoder) * np.sqrt(1.5 * band.rate)
+    ) ** (2.0 / 3.0)
     return float(np.clip(f / band.hertz, 1.0, FRICTION_BANDWIDTH_RATIO))

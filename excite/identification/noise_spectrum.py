@@ -1,10 +1,12 @@
-"""The noise of the torque equations: how large in each joint, how much alike in them, and how coloured in time.
+"""Noise of the torque equations: variance per joint, correlation of joints, and spectrum.
 
-Rows are weighted by Σ^{-1/2}, Σ the covariance over the joints at one time. Colour is left out of the weights, because a residual
-that is physics and not noise would turn a whitening filter against the low frequencies that matter, but not out of the
-uncertainty: the spectrum of the weighted residual says how uncertain every score is. A fit takes away most where the motion has
-its power; each frequency's power is therefore divided by the degrees of freedom left there, and what differs between repeated
-periods, which no fit has touched, is added where it tells the same story.
+Rows are weighted by Σ^{-1/2}, Σ the covariance over the joints at one time. The spectrum is left out
+of the weights, because a residual that is unmodelled physics would turn a whitening filter against
+the low frequencies that matter. It enters the uncertainty: the spectrum of the weighted residual
+gives the covariance of every score. As a fit explains most of the power at the frequencies of the
+motion, the power at each frequency is divided by the degrees of freedom that remain there.
+Deviations between repeated periods, which no fit has changed, are added where they agree with the
+residual.
 """
 
 from __future__ import annotations
@@ -14,35 +16,52 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from .._types import BoolArray, FloatArray
 from .regression import TorqueEquations
 
-Array = np.ndarray
-RESOLUTION = 0.1
-"""Width of a spectrum's bins, at the least [Hz]; of LONG recordings five times as much."""
-LONG = 10_000
-FREEDOM = 12.0
-"""Degrees of freedom that a density is averaged over, at the least."""
-WINDOW = 2048
-"""Rows of a long stretch that are transformed together."""
-DOUBT = 1e-3
-"""Probability, were the model right, of a residual so much larger than the spread between periods that the spread is left out."""
+MIN_BIN_WIDTH_HZ = 0.1
+"""Smallest width of a bin of the spectrum [Hz]."""
+LONG_RECORDING_ROWS = 10_000
+"""Number of rows from which on the bins are LONG_RECORDING_BIN_FACTOR times as wide, to save time."""
+LONG_RECORDING_BIN_FACTOR = 5.0
+"""Width of a bin for long recordings over MIN_BIN_WIDTH_HZ."""
+MIN_BIN_FREEDOM = 12.0
+"""Degrees of freedom over which a density is averaged, at least: its relative error is then
+√(2/12) = 0.4."""
+WINDOW_ROWS = 2048
+"""Number of rows of a long segment that are transformed together."""
+MIN_AGREEMENT_PROBABILITY = 1e-3
+"""p-value below which a residual is larger than the deviations between periods, which are then not
+used for that joint."""
 
 
 @dataclass(frozen=True)
 class NoiseSpectrum:
-    """Densities of n series of weighted noise; their mean up to half the rate of rows is the variance.
+    """Spectral densities of weighted noise; their mean up to the Nyquist frequency is the variance.
 
-    frequency: Shape (F,) [Hz]. density: Shape (F, n). repeated: joints for which repeated periods bear it out. Shape (n,).
+    Attributes:
+        frequency: Centres of the bins. Shape (F,) [Hz].
+        density: Density per joint. Shape (F, n).
+        repeated: True for joints whose repeated periods contributed. Shape (n,).
     """
 
-    frequency: Array
-    density: Array
-    repeated: Array
+    frequency: FloatArray
+    density: FloatArray
+    repeated: BoolArray
 
 
-def covariance_root(residual: Array, leverage: Array) -> Array:
-    """C with Σ = C Cᵀ, of residuals over the joints. leverage: trace of the hat matrix per joint. Shape (n, n) [N m]."""
+def covariance_root(residual: FloatArray, leverage: FloatArray) -> FloatArray:
+    """Estimate C with Σ = C Cᵀ, the covariance of residuals over the joints.
+
+    Args:
+        residual: Residual torque. Shape (N, n) [N m].
+        leverage: Trace of the hat matrix per joint. Shape (n,).
+
+    Returns:
+        Shape (n, n) [N m].
+    """
     deviation = np.sqrt(
         np.maximum(np.sum(residual**2, axis=0) / np.maximum(len(residual) - leverage, 1.0), 1e-300)
     )
@@ -51,74 +70,99 @@ def covariance_root(residual: Array, leverage: Array) -> Array:
 
 
 def noise_spectrum(
-    equations: TorqueEquations, series: Array, rows: Array, scale: Array, instruments: Array | None = None
-) -> tuple[NoiseSpectrum, Array]:
-    """Densities of weighted residuals, and the covariance of the scores Σₜ Zₜᵀ uₜ that noise of such densities has (Parseval).
+    equations: TorqueEquations,
+    residual: FloatArray,
+    rows: FloatArray,
+    noise_root: FloatArray,
+    instruments: FloatArray | None = None,
+) -> tuple[NoiseSpectrum, FloatArray]:
+    """Estimate the spectrum of weighted residuals and the covariance of the scores Σₜ Zₜᵀ uₜ.
 
-    rows: weighted regressor in coordinates where the information is 1. Shape (N, n, r). instruments: Z where it is another. Shape
-    (N, n, q). Returns the covariance in Z's coordinates. Shape (q, q).
+    The covariance follows from the densities by Parseval's theorem.
+
+    Args:
+        equations: The equations.
+        residual: Weighted residual u. Shape (N, n).
+        rows: Weighted regressor in coordinates where the information is 1. Shape (N, n, r).
+        noise_root: C with Σ = C Cᵀ. Shape (n, n) [N m].
+        instruments: Z if it is not the regressor. Shape (N, n, q).
+
+    Returns:
+        The spectrum, and the covariance of the scores. Shape (q, q).
     """
     n, rate = equations.n, equations.rate
     longest = max(length for _, length, _ in _windows(equations))
-    finest = RESOLUTION if len(equations) < LONG else 5.0 * RESOLUTION
+    finest = (
+        MIN_BIN_WIDTH_HZ
+        if len(equations) < LONG_RECORDING_ROWS
+        else LONG_RECORDING_BIN_FACTOR * MIN_BIN_WIDTH_HZ
+    )
     count = max(2, int(0.5 * rate / max(finest, rate / longest)))
     power, freedom, spread, repeats = (np.zeros((count, n)) for _ in range(4))
     scores = rows if instruments is None else instruments
     grams = np.zeros((count, n, scores.shape[2], scores.shape[2]))
-    inverse = np.linalg.inv(scale)
+    inverse = np.linalg.inv(noise_root)
     for part, length, (periods, deviations) in _windows(equations):
-        # the noise of a mean period goes round; of a long window the ends don't matter
-        points = length if periods or length >= WINDOW // 2 else 2 * length
-        where = np.minimum(
+        # the noise of a mean period is periodic; of a long window the ends do not matter
+        points = length if periods or length >= WINDOW_ROWS // 2 else 2 * length
+        bins = np.minimum(
             (np.arange(points // 2 + 1) / points * 2.0 * count).astype(int), count - 1
         )
-        sides = np.full(len(where), 2.0)
+        sides = np.full(len(bins), 2.0)
         sides[0], sides[-1] = 1.0, 2.0 if points % 2 else 1.0
         share = length / points
         for joint in range(n):
-            own = np.abs(np.fft.rfft(series[part, joint], points)) ** 2 / length
+            periodogram = np.abs(np.fft.rfft(residual[part, joint], points)) ** 2 / length
             X = _transformed(rows[part, joint], points)
-            taken = np.sum(np.abs(X) ** 2, axis=1) / length
-            np.add.at(power[:, joint], where, share * own)
-            np.add.at(freedom[:, joint], where, share * np.maximum(1.0 - taken, 0.0))
+            fitted = np.sum(np.abs(X) ** 2, axis=1) / length
+            np.add.at(power[:, joint], bins, share * periodogram)
+            np.add.at(freedom[:, joint], bins, share * np.maximum(1.0 - fitted, 0.0))
             Z = X if instruments is None else _transformed(instruments[part, joint], points)
             Z = Z * np.sqrt(sides / points)[:, None]
-            for k, first in zip(*np.unique(where, return_index=True), strict=True):
-                block = Z[first : first + int(np.sum(where == k))]
+            for k, first in zip(*np.unique(bins, return_index=True), strict=True):
+                block = Z[first : first + int(np.sum(bins == k))]
                 parted = np.vstack([block.real, block.imag])
                 grams[k, joint] += parted.T @ parted
         if deviations is not None:
             between = np.abs(deviations @ inverse.T) ** 2 / length / periods
-            np.add.at(spread, where[1 : 1 + between.shape[1]], between.sum(axis=0))
-            np.add.at(repeats, where[1 : 1 + between.shape[1]], float(periods - 1))
-    alike = _alike(power, freedom, spread, repeats)
-    density = _smoothed(power + alike * spread, freedom + alike * repeats)
-    found = NoiseSpectrum((np.arange(count) + 0.5) * 0.5 * rate / count, density, alike)
-    return found, np.einsum("fj,fjpq->pq", density, grams)
+            np.add.at(spread, bins[1 : 1 + between.shape[1]], between.sum(axis=0))
+            np.add.at(repeats, bins[1 : 1 + between.shape[1]], float(periods - 1))
+    agrees = _agrees_with_periods(power, freedom, spread, repeats)
+    density = _smoothed(power + agrees * spread, freedom + agrees * repeats)
+    spectrum = NoiseSpectrum((np.arange(count) + 0.5) * 0.5 * rate / count, density, agrees)
+    return spectrum, np.einsum("fj,fjpq->pq", density, grams)
 
 
-def _windows(equations: TorqueEquations) -> Iterator[tuple[slice, int, tuple[int, Array | None]]]:
-    """Stretches, long ones in parts that count as independent: their rows, how many, periods and deviations."""
+def _windows(
+    equations: TorqueEquations,
+) -> Iterator[tuple[slice, int, tuple[int, NDArray[np.complex128] | None]]]:
+    """Yield segments, long ones in windows treated as independent.
+
+    Yields:
+        Rows, number of rows, and number of periods with their deviations.
+    """
     for stretch, periods, deviations in zip(
         equations.stretches(), equations.periods, equations.repeats, strict=True
     ):
         length = stretch.stop - stretch.start
-        parts = 1 if periods else -(-length // WINDOW)
+        parts = 1 if periods else -(-length // WINDOW_ROWS)
         edges = np.linspace(stretch.start, stretch.stop, parts + 1).astype(int)
         for low, high in itertools.pairwise(edges):
             yield slice(low, high), int(high - low), (periods, deviations)
 
 
-def _transformed(rows: Array, points: int) -> Array:
-    """Fourier coefficients along the first axis; columns that are zero by structure stay so."""
-    seen = np.any(rows != 0.0, axis=0)
+def _transformed(rows: FloatArray, points: int) -> NDArray[np.complex128]:
+    """Fourier coefficients along the first axis; columns that are zero throughout are skipped."""
+    nonzero = np.any(rows != 0.0, axis=0)
     out = np.zeros((points // 2 + 1, rows.shape[1]), complex)
-    out[:, seen] = np.fft.rfft(np.ascontiguousarray(rows[:, seen].T), points).T
+    out[:, nonzero] = np.fft.rfft(np.ascontiguousarray(rows[:, nonzero].T), points).T
     return out
 
 
-def _alike(power: Array, freedom: Array, spread: Array, repeats: Array) -> Array:
-    """Joints whose residual is no larger than the spread between periods explains (an F test)."""
+def _agrees_with_periods(
+    power: FloatArray, freedom: FloatArray, spread: FloatArray, repeats: FloatArray
+) -> BoolArray:
+    """True for joints whose residual is not larger than the deviations between periods (F test)."""
     from scipy import stats  # slow to import
 
     total = repeats.sum(axis=0)
@@ -129,16 +173,17 @@ def _alike(power: Array, freedom: Array, spread: Array, repeats: Array) -> Array
         / freedom.sum(axis=0)
         / np.maximum(spread.sum(axis=0) / np.maximum(total, 1e-300), 1e-300)
     )
-    return np.asarray(stats.f.sf(ratio, 2.0 * freedom.sum(axis=0), 2.0 * total) > DOUBT)
+    probability = stats.f.sf(ratio, 2.0 * freedom.sum(axis=0), 2.0 * total)
+    return np.asarray(probability > MIN_AGREEMENT_PROBABILITY)
 
 
-def _smoothed(power: Array, freedom: Array) -> Array:
-    """Power over freedom, each bin with as many neighbours as it takes to have FREEDOM of them."""
+def _smoothed(power: FloatArray, freedom: FloatArray) -> FloatArray:
+    """Power over degrees of freedom; a bin is joined with neighbours until it has MIN_BIN_FREEDOM."""
     out = np.empty_like(power)
     count = len(power)
     P, F = (np.vstack([np.zeros(x.shape[1]), np.cumsum(x, axis=0)]) for x in (power, freedom))
     for joint in range(power.shape[1]):
-        enough = min(FREEDOM, 0.5 * F[-1, joint])
+        enough = min(MIN_BIN_FREEDOM, 0.5 * F[-1, joint])
         for k in range(count):
             reach = 0
             while True:

@@ -1,4 +1,4 @@
-"""`excite.prior/1`: what is known of a robot beforehand and should be kept."""
+"""Prior file `excite.prior/1`: parameters that are known and kept as they are."""
 
 from __future__ import annotations
 
@@ -16,31 +16,46 @@ from ..schemas.model import SCHEMA as MODEL_SCHEMA
 from ..schemas.prior import PriorDocument
 from . import identified_model
 
+PLACEMENT_TOLERANCE = 1e-6
+"""Difference of joint placements in two URDFs that rounding of their numbers explains [m, 1]."""
 
-def read_trusted_parameters(path: Path, robot: Robot, parameters: Parameters) -> Mapping[int, float]:
-    """Places in ψ -> values that are right as they stand: all inertial parameters and what is stated of the joints.
 
-    A `model.json` serves too: all that it says.
+def read_trusted_parameters(
+    path: Path, robot: Robot, parameters: Parameters
+) -> Mapping[int, float]:
+    """Read the parameters that a prior file or a `model.json` states.
+
+    A prior trusts all inertial parameters of the URDF and the stated joint parameters; a `model.json`
+    trusts all its parameters.
+
+    Args:
+        path: Path of the file.
+        robot: The robot to identify.
+        parameters: Its standard parameters.
+
+    Returns:
+        Indices in ψ and their values.
 
     Raises:
-        UnusableInput: The file is missing, breaks a rule of `schemas.prior` or `schemas.model`, or does not fit the robot.
+        UnusableInput: The file is missing, breaks a rule of `schemas.prior` or `schemas.model`, or
+            does not fit the robot.
     """
     file = DocumentFile(
         path, "a prior", "correct it", f"{{'schema': '{prior.SCHEMA}', …}} or a model.json"
     )
     content = file.json()
     if file.schema(content, (prior.SCHEMA, MODEL_SCHEMA)) == MODEL_SCHEMA:
-        return _of_model(path, robot, parameters)
+        return _model_parameters(path, robot, parameters)
     document = file.converted(content, PriorDocument)
     if not document.trust_prior:
         raise UnusableInput(
-            f'{path}: says "trust_prior": false; leave --prior out where the URDF is a guess'
+            f'{path}: "trust_prior" is false; leave --prior out where the URDF is only a guess'
         )
     known = dict(enumerate(parameters.nominal[: 10 * parameters.bodies].tolist()))
     for joint, values in document.joints.items():
         if joint not in parameters.joints:
             raise file.error(
-                f"no joint '{joint}'; there are {', '.join(parameters.joints)}", "joints"
+                f"no joint '{joint}'; the joints are {', '.join(parameters.joints)}", "joints"
             )
         for kind in parameters.drive:
             value = getattr(values, kind)
@@ -49,27 +64,32 @@ def read_trusted_parameters(path: Path, robot: Robot, parameters: Parameters) ->
     return known
 
 
-def _of_model(path: Path, robot: Robot, parameters: Parameters) -> Mapping[int, float]:
+def _model_parameters(path: Path, robot: Robot, parameters: Parameters) -> Mapping[int, float]:
+    """All parameters of a `model.json` of the same robot."""
     fitted = identified_model.read_model(path)
     if fitted.robot.joints != parameters.joints:
         raise UnusableInput(
-            f"{path}: is a model of other joints ({', '.join(fitted.robot.joints)}); choose them with --joints"
+            f"{path}: is a model of other joints ({', '.join(fitted.robot.joints)}); choose them "
+            "with --joints"
         )
-    if not _built_alike(fitted.robot, robot):
+    if not _have_equal_placements(fitted.robot, robot):
         raise UnusableInput(
-            f"{path}: is a model of another robot, whose joints sit elsewhere than in {robot.source}; identify this one"
+            f"{path}: is a model of another robot, as its joint placements differ from those of "
+            f"{robot.source}; identify this robot"
         )
     if fitted.drive != parameters.drive or len(fitted.psi) != parameters.count:
         raise UnusableInput(
-            f"{path}: has {', '.join(fitted.drive) or 'no parameters of drives'}, wanted are {', '.join(parameters.drive) or 'none'}; "
-            "identify with the same --parameters and --without"
+            f"{path}: has the joint parameters {', '.join(fitted.drive) or 'none'}, expected "
+            f"{', '.join(parameters.drive) or 'none'}; identify with the same --parameters and "
+            "--without"
         )
     return dict(enumerate(fitted.psi.tolist()))
 
 
-def _built_alike(one: Robot, other: Robot) -> bool:
-    """Whether the joints of two robots sit alike in their links, to what a URDF's digits leave."""
-    here, there = (
-        [place.homogeneous for place in robot.model.jointPlacements] for robot in (one, other)
+def _have_equal_placements(first: Robot, second: Robot) -> bool:
+    """True if the joint placements of two robots agree within PLACEMENT_TOLERANCE."""
+    a, b = (
+        [placement.homogeneous for placement in robot.model.jointPlacements]
+        for robot in (first, second)
     )
-    return len(here) == len(there) and bool(np.allclose(here, there, atol=1e-6))
+    return len(a) == len(b) and bool(np.allclose(a, b, atol=PLACEMENT_TOLERANCE))

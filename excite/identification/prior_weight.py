@@ -1,8 +1,11 @@
-"""How much the prior counts: γ by evidence, or by what predicts blocks of the recording that were left out.
+"""Weight γ of the prior, by the evidence or by validation on recording parts that were left out.
 
-Evidence: with ψ ~ N(ψ₀, (2γG)⁻¹), a γ for bodies and one for each kind of drive parameter, the whitened data R θ̂ have a likelihood
-that MacKay's fixed point maximises (1992): 2γ_g = (well-determined parameters of group g + 1) / (their squared length + z_g²).
-The added one is a parameter as far from nominal as such usually are: a recording that says nothing leaves its word in force.
+Evidence: with ψ ~ N(ψ₀, (2γG)⁻¹), one γ for the inertial parameters and one for each kind of joint
+parameter, the whitened data R θ̂ have a likelihood that MacKay's fixed point maximises ("Bayesian
+interpolation", Neural Computation 4, 1992):
+2γ_g = (well-determined parameters of group g + 1) / (their squared length + z_g²). The additional
+parameter, at a usual distance z_g from nominal, keeps a recording without information from
+determining γ.
 """
 
 from __future__ import annotations
@@ -11,44 +14,65 @@ from collections.abc import Callable
 
 import numpy as np
 
+from .._types import FloatArray
 from ..robot.inertial_parameters import Parameters
 from .consistency import Prior, prior_information, symmetric_pseudo_inverse
 
-Array = np.ndarray
-BODIES_OFF = 0.1
-"""How far the bodies of a URDF usually are from the true ones, in the metric."""
-DRIVES_OFF = 1.0
-"""The same for friction, rotor inertia and offset: their stated scales are guesses."""
-LONGEST = 0.1
-"""Rotor inertia over viscous friction that is nothing unusual [s]; where a joint's own scale is smaller the prior takes this."""
-ROUNDS, SETTLED = 60, 1e-3
-RANGE = (1e-8, 1e8)
+USUAL_INERTIAL_DISTANCE = 0.1
+"""Usual distance of a URDF's inertial parameters from the true ones in the metric: about 10 %."""
+USUAL_JOINT_DISTANCE = 1.0
+"""The same for joint parameters, in their scales, which are guesses."""
+MAX_TIME_CONSTANT = 0.1
+"""Rotor inertia over viscous friction that is not unusual [s]; where a joint's own scale of rotor
+inertia is smaller, the prior takes this."""
+MAX_EVIDENCE_ITERATIONS = 60
+"""Number of iterations of the fixed point, at most."""
+EVIDENCE_TOLERANCE = 1e-3
+"""Change of log γ below which the fixed point has converged."""
+WEIGHT_RANGE = (1e-8, 1e8)
+"""Smallest and largest 2γ."""
+VALIDATION_FACTORS = 10.0 ** np.arange(-4.0, 4.5, 0.5)
+"""Values of γ compared by validation, in units of the initial γ."""
 
 
-def joint_parameter_scales(parameters: Parameters) -> Array:
-    """Scales of the drive parameters in the prior. Those of rotor inertia may be far too small in a wrist, where the links weigh little
-    and the rotor behind its gear is most of what moves. Shape (P − 10 bodies,)."""
+def joint_parameter_scales(parameters: Parameters) -> FloatArray:
+    """Return the scales of the joint parameters in the prior.
+
+    The stated scale of rotor inertia may be far too small in a wrist, where the links weigh little
+    and most of the inertia is the rotor's behind its gear. Shape (P − 10 bodies,).
+    """
     edge = 10 * parameters.bodies
-    own = np.diag(parameters.scale)[edge:].copy()
+    scales = np.diag(parameters.scale)[edge:].copy()
     if {"rotor_inertia", "viscous"} <= set(parameters.drive):
         rotor, viscous = (parameters.block(kind) for kind in ("rotor_inertia", "viscous"))
         known = parameters.nominal[rotor] > 0.0
         usual = np.maximum(
-            np.diag(parameters.scale)[rotor], LONGEST * np.diag(parameters.scale)[viscous]
+            np.diag(parameters.scale)[rotor], MAX_TIME_CONSTANT * np.diag(parameters.scale)[viscous]
         )
-        own[rotor.start - edge : rotor.stop - edge] = np.where(
+        scales[rotor.start - edge : rotor.stop - edge] = np.where(
             known, np.diag(parameters.scale)[rotor], usual
         )
-    return own
+    return scales
 
 
 def gamma_by_evidence(
-    parameters: Parameters, root: Array, target: Array, start: Prior
-) -> tuple[float, Array]:
-    """The most likely γ of bodies, and of every drive parameter, alike within a kind. root: R B. Shape (m, P). target: R θ̂."""
+    parameters: Parameters, root: FloatArray, target: FloatArray, start: Prior
+) -> tuple[float, FloatArray]:
+    """Find the γ that maximise the evidence.
+
+    Args:
+        parameters: Standard parameters.
+        root: R B. Shape (m, P).
+        target: R θ̂. Shape (m,).
+        start: Prior with γ = 1.
+
+    Returns:
+        γ of the inertial parameters, and γ of every joint parameter, equal within a kind. Shape
+        (P − 10 bodies,).
+    """
     edge, n = 10 * parameters.bodies, len(parameters.joints)
     unit = prior_information(parameters, start)
-    half: Array = np.zeros(unit.shape)  # ψ − ψ₀ = half x with x ~ N(0, 1/(2γ))
+    half: FloatArray = np.zeros(unit.shape)  # ψ − ψ₀ = half x with x ~ N(0, 1/(2γ))
     for i in range(0, edge, 10):
         half[i : i + 10, i : i + 10] = np.linalg.inv(
             np.linalg.cholesky(unit[i : i + 10, i : i + 10] / 2.0)
@@ -58,27 +82,39 @@ def gamma_by_evidence(
     A, b = root @ half, target - root @ start.nominal
     information, score = A.T @ A, A.T @ b
     group = np.concatenate([np.zeros(edge, int), 1 + np.arange(len(parameters.drive)).repeat(n)])
-    off = np.array([BODIES_OFF**2, *[DRIVES_OFF**2] * len(parameters.drive)])
-    weights = 1.0 / off
-    for _ in range(ROUNDS):
+    usual = np.array(
+        [USUAL_INERTIAL_DISTANCE**2, *[USUAL_JOINT_DISTANCE**2] * len(parameters.drive)]
+    )
+    weights = 1.0 / usual
+    for _ in range(MAX_EVIDENCE_ITERATIONS):
         covariance = symmetric_pseudo_inverse(information + np.diag(weights[group]))
         x = covariance @ score
-        told = np.bincount(group, 1.0 - weights[group] * np.diag(covariance), len(off))
-        fresh = np.clip(
-            (np.maximum(told, 0.0) + 1.0) / (np.bincount(group, x**2, len(off)) + off), *RANGE
+        determined = np.bincount(group, 1.0 - weights[group] * np.diag(covariance), len(usual))
+        updated = np.clip(
+            (np.maximum(determined, 0.0) + 1.0) / (np.bincount(group, x**2, len(usual)) + usual),
+            *WEIGHT_RANGE,
         )
-        change, weights = float(np.abs(np.log(fresh / weights)).max()), fresh
-        if change < SETTLED:
+        change, weights = float(np.abs(np.log(updated / weights)).max()), updated
+        if change < EVIDENCE_TOLERANCE:
             break
     return float(weights[0] / 2.0), weights[1:].repeat(n) / 2.0
 
 
 def gamma_by_validation(
-    fit: Callable[[float, int], float], start: float, folds: int
+    squared_error: Callable[[float, int], float], start: float, folds: int
 ) -> tuple[float, list[tuple[float, float]]]:
-    """γ with the least error on blocks left out, and every (γ, error) tried. fit: (γ, fold) -> squared error there."""
-    tried = [
-        (g, sum(fit(g, fold) for fold in range(folds)))
-        for g in start * 10.0 ** np.arange(-4.0, 4.5, 0.5)
+    """Find the γ of the inertial parameters with the smallest error on parts that were left out.
+
+    Args:
+        squared_error: Squared error on a fold of the model fitted to the others with a given γ.
+        start: γ around which values are compared.
+        folds: Number of folds.
+
+    Returns:
+        The best γ, and all pairs of γ and error.
+    """
+    trials = [
+        (gamma, sum(squared_error(gamma, fold) for fold in range(folds)))
+        for gamma in start * VALIDATION_FACTORS
     ]
-    return min(tried, key=lambda pair: pair[1])[0], tried
+    return min(trials, key=lambda trial: trial[1])[0], trials

@@ -1,4 +1,4 @@
-"""The equations τ = Γ θ of recordings, both sides below one band (Lee, Wensing & Park, eq. 9): what every estimator works on."""
+"""Regression equations τ = Γ θ of recordings, both sides filtered (Lee, Wensing & Park, eq. 9)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from .._types import FloatArray
 from ..errors import UnusableInput
 from ..robot.base_parameters import Base
 from ..robot.dynamics import regressor
@@ -15,26 +17,31 @@ from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot
 from ..robot.samples import Samples
 from .lowpass import MOTION_BANDWIDTH_RATIO, Grid, LowPassFilter, friction_speed
-from .segments import Segment, split_into_chunks
+from .segments import RecordingSegment, split_into_chunks
 
-Array = np.ndarray
 BLOCK_ROWS = 4096
+"""Number of samples whose regressor is held in memory at a time."""
 
 
 @dataclass(frozen=True)
 class IdentificationModel:
-    """What an identification is about: a robot's parameters and which of them motion can show.
+    """Dynamic model whose parameters are identified.
 
-    widths: of each joint's smooth Coulomb friction tanh(q̇/width). Shape (n,) [rad/s or m/s].
+    Attributes:
+        robot: The robot.
+        parameters: Its standard parameters ψ.
+        base: Its base parameters θ = B ψ.
+        widths: Speed scale of each joint's smooth Coulomb friction tanh(q̇/width). Shape (n,)
+            [rad/s or m/s].
     """
 
     robot: Robot
     parameters: Parameters
     base: Base
-    widths: Array
+    widths: FloatArray
 
     def friction_columns(self) -> dict[int, int]:
-        """Columns of Γ that are Coulomb friction alone -> their joints."""
+        """Map the columns of Γ that are Coulomb friction alone to their joints."""
         if "coulomb" not in self.parameters.drive:
             return {}
         block = self.parameters.block("coulomb")
@@ -47,24 +54,33 @@ class IdentificationModel:
 
 @dataclass(frozen=True)
 class TorqueEquations:
-    """Rows of τ = Γ θ, twice the band a second.
+    """Rows of τ = Γ θ at twice the cutoff frequency.
 
-    torque: Shape (N, n) [N m]. regressor: Γ. Shape (N, n, p). slopes: of torque by the log of Coulomb friction's width, over the
-    friction. Shape (N, n). motion: of the rows. time: of each row [s]. starts: rows at
-    which a stretch begins, the first being 0. sources: name of each stretch's recording. hertz: the band. rate: rows a second.
-    periods: how many periods each stretch is the mean of, 0 where it is none. repeats: per stretch what distinguishes its periods' torque
-    from their mean, Fourier coefficients at the rows' frequencies above 0. Shape (periods, (N − 1)/2, n), or None.
+    Attributes:
+        torque: Filtered torque. Shape (N, n) [N m].
+        regressor: Filtered Γ. Shape (N, n, p).
+        slopes: Derivative of torque with respect to the logarithm of the Coulomb width, over the
+            Coulomb friction. Shape (N, n).
+        motion: Motion at the rows.
+        time: Time of each row. Shape (N,) [s].
+        starts: Row at which each segment begins, the first being 0.
+        sources: Name of each segment's recording.
+        periods: Number of periods that each segment is the mean of; 0 if it is not periodic.
+        repeats: For each segment, Fourier coefficients of each period's torque minus the mean, at
+            the frequencies of the rows above 0. Shape (periods, (N − 1)/2, n), or None.
+        hertz: Cutoff frequency [Hz].
+        rate: Rate of the rows [Hz].
     """
 
-    torque: Array
-    regressor: Array
-    slopes: Array
+    torque: FloatArray
+    regressor: FloatArray
+    slopes: FloatArray
     motion: Samples
-    time: Array
+    time: FloatArray
     starts: tuple[int, ...]
     sources: tuple[str, ...]
     periods: tuple[int, ...]
-    repeats: tuple[Array | None, ...]
+    repeats: tuple[NDArray[np.complex128] | None, ...]
     hertz: float
     rate: float
 
@@ -73,24 +89,22 @@ class TorqueEquations:
 
     @property
     def n(self) -> int:
+        """Number of joints."""
         return int(self.torque.shape[1])
 
     def stretches(self) -> Iterator[slice]:
-        """Rows of each stretch."""
+        """Yield the rows of each segment."""
         for start, stop in zip(self.starts, (*self.starts[1:], len(self)), strict=True):
             yield slice(start, stop)
 
     def rows(self, which: slice) -> TorqueEquations:
-        """Some rows, as one stretch."""
-        part = dataclasses.replace(
+        """Return a range of rows as one aperiodic segment."""
+        return dataclasses.replace(
             self,
             torque=self.torque[which],
             regressor=self.regressor[which],
             slopes=self.slopes[which],
-        )
-        part = dataclasses.replace(part, motion=self.motion.rows(which))
-        return dataclasses.replace(
-            part,
+            motion=self.motion.rows(which),
             time=self.time[which],
             starts=(0,),
             sources=self.sources[:1],
@@ -98,26 +112,43 @@ class TorqueEquations:
             repeats=(None,),
         )
 
-    def predicted(self, theta: Array) -> Array:
-        """Γ θ. Shape (N, n) [N m]."""
-        out: Array = self.regressor @ theta
+    def predicted(self, theta: FloatArray) -> FloatArray:
+        """Return the torque Γ θ. Shape (N, n) [N m]."""
+        out: FloatArray = self.regressor @ theta
         return out
 
 
-def build_equations(model: IdentificationModel, pieces: Iterable[Segment], hertz: float) -> TorqueEquations:
-    """The equations of all stretches below `hertz`. Raises UnusableInput when no row is left."""
-    parts, starts, count, shortest = list[TorqueEquations](), list[tuple[int, Segment, int]](), 0, 0.0
-    for piece in pieces:
-        band = piece.band(hertz)
-        own = list(_chunked(model, piece, band))
-        if own:
-            starts.append((count, piece, sum(map(len, own))))
+def build_equations(
+    model: IdentificationModel, segments: Iterable[RecordingSegment], hertz: float
+) -> TorqueEquations:
+    """Build the equations of all segments below a cutoff frequency.
+
+    Args:
+        model: The model to identify.
+        segments: Segments of recordings.
+        hertz: Cutoff frequency [Hz].
+
+    Raises:
+        UnusableInput: All segments are shorter than the margins that the filter discards.
+    """
+    parts, starts, count, margins = (
+        list[TorqueEquations](),
+        list[tuple[int, RecordingSegment, int]](),
+        0,
+        0.0,
+    )
+    for segment in segments:
+        band = segment.band(hertz)
+        chunks = list(_chunk_equations(model, segment, band))
+        if chunks:
+            starts.append((count, segment, sum(map(len, chunks))))
             count += starts[-1][2]
-            parts += own
-        shortest = 2.0 * band.margin / piece.rate
+            parts += chunks
+        margins = 2.0 * band.margin / segment.rate
     if not parts:
         raise UnusableInput(
-            f"recordings: no stretch is longer than the {shortest:.2g} s that a band of {hertz:g} Hz takes at its ends"
+            f"recordings: no gap-free stretch is longer than the {margins:.2g} s that a band of "
+            f"{hertz:g} Hz discards at its ends; record for longer or give a higher --band"
         )
     return TorqueEquations(
         torque=np.concatenate([part.torque for part in parts]),
@@ -131,84 +162,123 @@ def build_equations(model: IdentificationModel, pieces: Iterable[Segment], hertz
         ),
         time=np.concatenate([part.time for part in parts]),
         starts=tuple(start for start, _, _ in starts),
-        sources=tuple(piece.source for _, piece, _ in starts),
-        periods=tuple(piece.periods for _, piece, _ in starts),
-        repeats=tuple(_repeats(piece, rows) for _, piece, rows in starts),
+        sources=tuple(segment.source for _, segment, _ in starts),
+        periods=tuple(segment.periods for _, segment, _ in starts),
+        repeats=tuple(_period_deviations(segment, rows) for _, segment, rows in starts),
         hertz=hertz,
         rate=parts[-1].rate,
     )
 
 
-def _repeats(piece: Segment, rows: int) -> Array | None:
-    """Fourier coefficients of each period's torque less the mean's, as those of a period of so many rows."""
-    if piece.noise is None:
+def _period_deviations(segment: RecordingSegment, rows: int) -> NDArray[np.complex128] | None:
+    """Fourier coefficients of each period's torque minus the mean, scaled to a period of `rows`."""
+    if segment.noise is None:
         return None
     return np.asarray(
-        np.fft.rfft(piece.noise, axis=1)[:, 1 : (rows - 1) // 2 + 1] * (rows / len(piece))
+        np.fft.rfft(segment.noise, axis=1)[:, 1 : (rows - 1) // 2 + 1] * (rows / len(segment))
     )
 
 
-def kept_rows(piece: Segment, band: LowPassFilter) -> Iterator[tuple[slice, slice]]:
-    """Chunks of a stretch, and which of a chunk's kept rows count: not those that an end spoils or another chunk has."""
+def kept_rows(segment: RecordingSegment, band: LowPassFilter) -> Iterator[tuple[slice, slice]]:
+    """Yield the chunks of a segment and the kept rows of each chunk.
+
+    Rows within the margin of an end, and rows that belong to another chunk, are not kept.
+
+    Yields:
+        Samples of the chunk, and the range of its rows on the kept grid.
+    """
     step = band.steps(Grid.KEPT)
-    for rows, own in split_into_chunks(piece, 3 * band.margin, step):
-        low = max(own.start, band.margin if rows.start == 0 else 0)
+    for samples, inner in split_into_chunks(segment, 3 * band.margin, step):
+        low = max(inner.start, band.margin if samples.start == 0 else 0)
         high = min(
-            own.stop, len(piece) - rows.start - (band.margin if rows.stop == len(piece) else 0)
+            inner.stop,
+            len(segment) - samples.start - (band.margin if samples.stop == len(segment) else 0),
         )
         kept = (
-            slice(0, None) if piece.periodic else slice(-(-low // step), max(-(-high // step), 0))
+            slice(0, None) if segment.periodic else slice(-(-low // step), max(-(-high // step), 0))
         )
-        if piece.periodic or kept.stop > kept.start:
-            yield rows, kept
+        if segment.periodic or kept.stop > kept.start:
+            yield samples, kept
 
 
-def _chunked(model: IdentificationModel, piece: Segment, band: LowPassFilter) -> Iterator[TorqueEquations]:
-    for rows, kept in kept_rows(piece, band):
-        part = dataclasses.replace(band, count=rows.stop - rows.start)
-        torque = part.low(piece.torque[rows], Grid.KEPT)[kept]
+def _chunk_equations(
+    model: IdentificationModel, segment: RecordingSegment, band: LowPassFilter
+) -> Iterator[TorqueEquations]:
+    """Yield the equations of a segment chunk by chunk."""
+    for samples, kept in kept_rows(segment, band):
+        part = dataclasses.replace(band, count=samples.stop - samples.start)
+        torque = part.filter(segment.torque[samples], Grid.KEPT)[kept]
         time = (
-            piece.start
-            + rows.start / piece.rate
+            segment.start
+            + samples.start / segment.rate
             + np.arange(part.samples(Grid.KEPT))[kept] / band.rate_of(Grid.KEPT)
         )
-        gamma, slopes, motion = filtered_regressor(model, piece.q[rows], part)
-        stretch = ((0,), (piece.source,), (piece.periods,), (None,))
+        gamma, slopes, motion = filtered_regressor(model, segment.q[samples], part)
         yield TorqueEquations(
             torque,
             gamma[kept],
             slopes[kept],
             motion.rows(kept),
             time,
-            *stretch,
+            (0,),
+            (segment.source,),
+            (segment.periods,),
+            (None,),
             band.hertz,
             band.rate_of(Grid.KEPT),
         )
 
 
-def filtered_regressor(model: IdentificationModel, q: Array, band: LowPassFilter) -> tuple[Array, Array, Samples]:
-    """Γ along positions, filtered and thinned, friction's slopes and the motion at its rows. Shapes (M, n, p), (M, n), M rows."""
-    position = band.transformed(q)
-    samples = Samples(*(position.low(Grid.COARSE, order, MOTION_BANDWIDTH_RATIO) for order in range(3)))
+def filtered_regressor(
+    model: IdentificationModel, q: FloatArray, band: LowPassFilter
+) -> tuple[FloatArray, FloatArray, Samples]:
+    """Compute the filtered base regressor along recorded positions.
+
+    Args:
+        model: The model.
+        q: Positions at every recorded sample. Shape (samples, n).
+        band: Filter of the stretch.
+
+    Returns:
+        Γ at the M kept rows, shape (M, n, p); the slopes by the Coulomb widths, shape (M, n), see
+        `TorqueEquations.slopes`; the motion at the kept rows.
+    """
+    position = band.transform(q)
+    samples = Samples(
+        *(position.filter(Grid.COARSE, order, MOTION_BANDWIDTH_RATIO) for order in range(3))
+    )
     blocks = [
         regressor(model.robot, model.parameters, samples.rows(slice(start, start + BLOCK_ROWS)))[
             :, :, model.base.independent
         ]
         for start in range(0, len(samples), BLOCK_ROWS)
     ]
-    gamma = band.low(np.concatenate(blocks), Grid.KEPT, of=Grid.COARSE)
+    gamma = band.filter(np.concatenate(blocks), Grid.KEPT, source=Grid.COARSE)
     slopes = np.zeros(gamma.shape[:2])
     columns = model.friction_columns()
-    if columns:  # from every sample of the recording: their steps are too short for the coarse grid
+    if columns:  # from every recorded sample: the coarse grid does not resolve the friction steps
         coulomb, slopes = filtered_friction(model.widths, friction_speed(q, band, position), band)
         for k, joint in columns.items():
             gamma[:, :, k] = 0.0
             gamma[:, joint, k] = coulomb[:, joint]
-    return gamma, slopes, Samples(*(position.low(Grid.KEPT, order) for order in range(3)))
+    return gamma, slopes, Samples(*(position.filter(Grid.KEPT, order) for order in range(3)))
 
 
-def filtered_friction(widths: Array, speed: Array, band: LowPassFilter) -> tuple[Array, Array]:
-    """Filtered tanh(q̇/width), and its slope by log width: what an error of a width adds to a joint's torque. Shapes (M, n)."""
+def filtered_friction(
+    widths: FloatArray, speed: FloatArray, band: LowPassFilter
+) -> tuple[FloatArray, FloatArray]:
+    """Compute filtered tanh(q̇/width) and its derivative with respect to log width.
+
+    Args:
+        widths: Coulomb widths. Shape (n,) [rad/s or m/s].
+        speed: Joint speeds at every recorded sample. Shape (samples, n).
+        band: Filter of the stretch.
+
+    Returns:
+        Two arrays at the M kept rows. Shapes (M, n).
+    """
     step = np.tanh(speed / widths)
-    both = band.low(np.concatenate([step, -(speed / widths) * (1.0 - step**2)], axis=1), Grid.KEPT)
+    both = band.filter(
+        np.concatenate([step, -(speed / widths) * (1.0 - step**2)], axis=1), Grid.KEPT
+    )
     return both[:, : len(widths)], both[:, len(widths) :]

@@ -1,7 +1,8 @@
-"""Stretches of motion and torque that an identification can use: whole periods averaged, anything else as it is.
+"""Segments of recordings for identification: mean periods of periodic motion, else gap-free stretches.
 
-The mean over P periods has 1/P of the noise variance, and the spread about it is the noise, with no model in between (Swevers et al.,
-IEEE TRA 1997): what repeats is physics.
+The mean over P periods has 1/P of the noise variance, and the deviations of the periods from it
+measure the noise without a model, because what repeats is not noise (Swevers et al., "Optimal robot
+excitation and identification", IEEE Trans. Robotics and Automation 13(5), 1997).
 """
 
 from __future__ import annotations
@@ -12,49 +13,61 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from .._types import BoolArray, FloatArray
 from ..recordings import Recording
 from ..recordings.recording import SHORTEST
 from .lowpass import LowPassFilter
 
-Array = np.ndarray
 DEFAULT_BAND_HZ = 20.0
+"""Cutoff frequency unless the data ask for another [Hz]."""
 MIN_TORQUE_TO_NOISE_POWER = 4.0
-"""Power of torque over its noise, below which there is nothing left to fit."""
+"""Power of torque over the power of its noise below which the torque holds no usable signal."""
 TORQUE_BANDWIDTH_RATIO = 10.0
-"""Torque reaches to this many times the highest frequency of the motion: products of joints, reversals of friction."""
+"""Bandwidth of torque over bandwidth of motion: products of joint motions and reversals of friction
+reach beyond the motion's own band."""
 MAX_BAND_HZ = 50.0
-"""Above this a rigid body is no model of an arm [Hz]."""
+"""Highest cutoff chosen automatically [Hz]: above it links and gears of an arm are not rigid."""
 CHUNK_SAMPLES = 1 << 17
-"""Rows of a long stretch that are worked on at a time."""
+"""Number of samples of a long segment that are processed together, to bound memory."""
 
 
 @dataclass(frozen=True)
-class Segment:
-    """An evenly sampled stretch. q, torque: Shape (N, n) [rad, N m]. start: its time [s]. source: the recording's name.
+class RecordingSegment:
+    """An evenly sampled segment of a recording, or the mean of its periods.
 
-    periods: how many were averaged; 0: not periodic. noise: each period's torque less the mean's. Shape (periods, N, n). encoder: standard
-    deviation of positions by the encoders' steps, as they were read. smoothed: joints whose positions are the smoothest within these.
-    Shape (n,) or, where none are, (1,). temperature: Shape (N, n), NaN where a joint's was not recorded; None where no joint's was [°C].
-    began: when its recording did, where that is another time than its own [s].
+    Attributes:
+        source: Name of the recording.
+        start: Time of the first sample [s].
+        rate: Sample rate [Hz].
+        q: Joint positions. Shape (N, n) [rad or m].
+        torque: Joint torques. Shape (N, n) [N m or N].
+        periods: Number of averaged periods; 0 if the segment is not periodic.
+        noise: Torque of each period minus the mean. Shape (periods, N, n).
+        encoder: Standard deviation of the quantization error of positions. Shape (n,) or (1,).
+        smoothed: True for joints whose positions were smoothed within the encoder's resolution.
+            Shape (n,), or (1,) if there are none.
+        temperature: Joint temperatures, NaN where a joint's was not recorded; None if none was.
+            Shape (N, n) [°C].
+        recording_start: Time of the recording's first sample [s], if not `start`.
     """
 
     source: str
     start: float
     rate: float
-    q: Array
-    torque: Array
+    q: FloatArray
+    torque: FloatArray
     periods: int = 0
-    noise: Array | None = None
-    encoder: Array = field(default_factory=lambda: np.zeros(1))
-    smoothed: Array = field(default_factory=lambda: np.zeros(1, bool))
-    temperature: Array | None = None
-    began: float | None = None
+    noise: FloatArray | None = None
+    encoder: FloatArray = field(default_factory=lambda: np.zeros(1))
+    smoothed: BoolArray = field(default_factory=lambda: np.zeros(1, bool))
+    temperature: FloatArray | None = None
+    recording_start: float | None = None
 
     def __len__(self) -> int:
         return len(self.q)
 
-    def head(self, count: int) -> Segment:
-        """The first rows, of a stretch that is not periodic."""
+    def head(self, count: int) -> RecordingSegment:
+        """Return the first samples of an aperiodic segment."""
         temperature = None if self.temperature is None else self.temperature[:count]
         return dataclasses.replace(
             self, q=self.q[:count], torque=self.torque[:count], temperature=temperature
@@ -62,15 +75,26 @@ class Segment:
 
     @property
     def periodic(self) -> bool:
+        """True if the segment is a mean period."""
         return self.periods > 0
 
     def band(self, hertz: float) -> LowPassFilter:
-        """The low-pass to `hertz` of this stretch."""
-        return LowPassFilter(hertz, self.rate, len(self), self.periodic, float(self.encoder.max()))
+        """Return the low-pass filter of this segment with a cutoff frequency [Hz]."""
+        return LowPassFilter(
+            hertz, self.rate, len(self), self.periodic, float(self.encoder.max())
+        )
 
 
-def extract_segments(recordings: Iterable[Recording], *, average: bool = True) -> Iterator[Segment]:
-    """The stretches of recordings, in order: the mean period of those that repeat, else every stretch without a gap."""
+def extract_segments(
+    recordings: Iterable[Recording], *, average: bool = True
+) -> Iterator[RecordingSegment]:
+    """Yield the segments of recordings in order.
+
+    Args:
+        recordings: Recordings with torque.
+        average: Average whole periods where a recording repeats; else every gap-free stretch of it
+            is a segment.
+    """
     for recording in recordings:
         if average and recording.repeats is not None:
             mean = average_periods(recording, *recording.repeats)
@@ -78,33 +102,48 @@ def extract_segments(recordings: Iterable[Recording], *, average: bool = True) -
                 yield mean
                 continue
         for part in recording.segments():
-            whole = (recording.source, float(part.t[0]), part.rate, part.q, part.torque)
-            yield Segment(
-                *whole,
+            signals = (recording.source, float(part.t[0]), part.rate, part.q, part.torque)
+            yield RecordingSegment(
+                *signals,
                 encoder=recording.encoder,
                 smoothed=recording.smoothed,
                 temperature=part.temperature,
-                began=float(recording.t[0]),
+                recording_start=float(recording.t[0]),
             )
 
 
-def leading_segments(parts: Sequence[Segment], samples: int) -> list[Segment]:
-    """The pieces from the beginning until there are that many samples; all where there are no more, in parts where one is long."""
-    out: list[Segment] = []
-    for piece in parts:
-        left = samples - sum(len(one) for one in out)
-        if left <= 0:
+def leading_segments(
+    segments: Sequence[RecordingSegment], samples: int
+) -> list[RecordingSegment]:
+    """Return the first segments until they hold a number of samples.
+
+    The last of them is cut if it is aperiodic and more than twice as long as needed.
+    """
+    out: list[RecordingSegment] = []
+    for segment in segments:
+        missing = samples - sum(map(len, out))
+        if missing <= 0:
             break
-        whole = piece.periodic or len(piece) <= 2 * left
-        out.append(piece if whole else piece.head(left))
+        keep = segment.periodic or len(segment) <= 2 * missing
+        out.append(segment if keep else segment.head(missing))
     return out
 
 
-def average_periods(recording: Recording, period: float, window: tuple[float, float]) -> Segment | None:
-    """The mean over the whole periods within a window, on a grid of a whole number of samples; None where fewer than two are, or where a
-    period has fewer than SHORTEST samples.
+def average_periods(
+    recording: Recording, period: float, window: tuple[float, float]
+) -> RecordingSegment | None:
+    """Average the whole periods within a window, on a grid of a whole number of samples.
 
-    Periods that a gap interrupts are left out.
+    Periods interrupted by a gap are left out.
+
+    Args:
+        recording: Recording of a periodic motion.
+        period: Period [s].
+        window: Start and end of the periodic part [s].
+
+    Returns:
+        The mean period; None if fewer than two periods are complete, or if a period has fewer than
+        SHORTEST samples.
     """
     first = float(
         recording.t[min(int(np.searchsorted(recording.t, window[0] - 1e-9)), len(recording) - 1)]
@@ -114,132 +153,183 @@ def average_periods(recording: Recording, period: float, window: tuple[float, fl
     if samples < SHORTEST or (last - first) / period + 1e-6 < 2.0:
         return None
     starts = first + period * np.arange(int((last - first) / period + 1e-6))
-    inside = np.arange(samples) * (period / samples)
-    found = [
-        _folded(part, starts[whole, None] + inside)
+    offsets = np.arange(samples) * (period / samples)
+    folded = [
+        _folded(part, starts[complete, None] + offsets)
         for part in recording.segments()
         if (
-            whole := (starts > part.t[0] - 0.5 * part.step)
-            & (starts + inside[-1] < part.t[-1] + 0.5 * part.step)
+            complete := (starts > part.t[0] - 0.5 * part.step)
+            & (starts + offsets[-1] < part.t[-1] + 0.5 * part.step)
         ).any()
     ]
-    count = sum(len(q) for q, _ in found)
+    count = sum(len(q) for q, _ in folded)
     if count < 2:
         return None
-    q, torque = (np.concatenate(values) for values in zip(*found, strict=True))
+    q, torque = (np.concatenate(values) for values in zip(*folded, strict=True))
     mean = torque.mean(axis=0)
-    told = (recording.encoder / np.sqrt(count), recording.smoothed)
-    return Segment(
-        recording.source, first, samples / period, q.mean(axis=0), mean, count, torque - mean, *told
+    return RecordingSegment(
+        recording.source,
+        first,
+        samples / period,
+        q.mean(axis=0),
+        mean,
+        count,
+        torque - mean,
+        recording.encoder / np.sqrt(count),
+        recording.smoothed,
     )
 
 
-def _folded(part: Recording, wanted: Array) -> tuple[Array, Array]:
-    """Positions and torque of a stretch without a gap, at times. Shapes (count, samples) -> (count, samples, n)."""
-    both, step = (part.q, part.torque), wanted[0, 1] - wanted[0, 0]
-    index = np.searchsorted(part.t, wanted - 0.25 * step)
-    if index.max() < len(part) and np.abs(part.t[index] - wanted).max() < 1e-3 * step:
+def _folded(part: Recording, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Sample positions and torque of a gap-free stretch at the times of its periods.
+
+    Shape (count, samples) of `times` -> (count, samples, n).
+    """
+    both, step = (part.q, part.torque), times[0, 1] - times[0, 0]
+    index = np.searchsorted(part.t, times - 0.25 * step)
+    if index.max() < len(part) and np.abs(part.t[index] - times).max() < 1e-3 * step:
         return both[0][index], both[1][index]
     from scipy.interpolate import CubicSpline  # slow to import
 
-    q, torque = (np.asarray(CubicSpline(part.t, values, axis=0)(wanted)) for values in both)
+    q, torque = (np.asarray(CubicSpline(part.t, values, axis=0)(times)) for values in both)
     return q, torque
 
 
-# -- noise and band --------------------------------------------------------------------------------------------------
+def noise_floor(
+    segments: Sequence[RecordingSegment], hertz: float, *, tapered: bool = False
+) -> FloatArray | None:
+    """Estimate the standard deviation of torque noise below a cutoff from the spread of periods.
 
+    Differences between the periods' means are left out, as they may be warming up.
 
-def noise_floor(parts: Sequence[Segment], hertz: float, *, tapered: bool = False) -> Array | None:
-    """Standard deviation of the torque noise below `hertz`, from the spread between periods; None without. Shape (n,) [N m].
+    Args:
+        segments: Segments, of which those with averaged periods are used.
+        hertz: Cutoff frequency [Hz].
+        tapered: Use the tapered gain of aperiodic signals, to compare with torque that was not
+            averaged over periods.
 
-    What the means of periods differ by may be warming up, and is left out. tapered: what the filter leaves of it in
-    torque that was not averaged over periods, where the band has no sharp edge.
+    Returns:
+        Standard deviation per joint; None without repeated periods. Shape (n,) [N m].
     """
     power, weight = 0.0, 0
-    for piece in parts:
-        if piece.noise is None:
+    for segment in segments:
+        if segment.noise is None:
             continue
-        spectrum = np.fft.rfft(piece.noise, axis=1)
-        gain = LowPassFilter(hertz, piece.rate, len(piece), periodic=not tapered).gain(
-            np.fft.rfftfreq(len(piece), 1.0 / piece.rate), hertz
+        spectrum = np.fft.rfft(segment.noise, axis=1)
+        gain = LowPassFilter(hertz, segment.rate, len(segment), periodic=not tapered).gain(
+            np.fft.rfftfreq(len(segment), 1.0 / segment.rate), hertz
         )
         sides = np.where(np.arange(len(gain)) > 0, 2.0, 0.0) * gain**2
-        square = np.sum(sides[:, None] * np.abs(spectrum) ** 2, axis=1) / len(piece) ** 2
+        square = np.sum(sides[:, None] * np.abs(spectrum) ** 2, axis=1) / len(segment) ** 2
         power = power + square.sum(axis=0)
-        weight += piece.periods - 1
+        weight += segment.periods - 1
     return None if weight == 0 else np.sqrt(np.asarray(power) / weight)
 
 
 @dataclass(frozen=True)
 class TorqueSpectra:
-    """Power densities, joint by joint, that a band is chosen by. frequency: Shape (F,) [Hz]. torque, noise: (F, n) [(N m)²/Hz].
+    """Power spectral densities of torque and of its noise, and the band chosen by them.
 
-    motion: see `motion` [Hz]. hertz: the band chosen.
+    Attributes:
+        frequency: Frequencies. Shape (F,) [Hz].
+        torque: Density of the measured torque. Shape (F, n) [(N m)²/Hz].
+        noise: Density of the torque noise. Shape (F, n) [(N m)²/Hz].
+        motion: Bandwidth of the motion [Hz], see `motion_bandwidth`.
+        hertz: Cutoff frequency [Hz].
     """
 
-    frequency: Array
-    torque: Array
-    noise: Array
+    frequency: FloatArray
+    torque: FloatArray
+    noise: FloatArray
     motion: float
     hertz: float
 
 
-def torque_spectra(parts: Sequence[Segment], hertz: float | None = None) -> TorqueSpectra:
-    """The band, from the data: 20 Hz, more where the motion is faster, less where torque drowns in its noise before.
+def torque_spectra(
+    segments: Sequence[RecordingSegment], hertz: float | None = None
+) -> TorqueSpectra:
+    """Compute the spectra of the longest segment and choose the cutoff frequency by them.
 
-    The noise is that between periods where there are some, else the median density above half of the highest frequency.
+    The cutoff is 20 Hz, higher if the motion is faster, lower if noise covers the torque before. The
+    noise spectrum is that of the deviations between periods if there are any, else the median
+    density above half of the Nyquist frequency.
+
+    Args:
+        segments: Segments of recordings.
+        hertz: Cutoff frequency to use instead [Hz].
     """
     from scipy import signal  # slow to import
 
-    longest = leading_segments([max(parts, key=len)], CHUNK_SAMPLES)[0]
-    rate, size = longest.rate, _window(longest)
+    longest = leading_segments([max(segments, key=len)], CHUNK_SAMPLES)[0]
+    rate, size = longest.rate, _welch_window(longest)
     frequency, torque = signal.welch(longest.torque, rate, nperseg=size, axis=0, detrend="linear")
     if longest.noise is not None:
         noise = np.mean(
-            [signal.welch(one, rate, nperseg=size, axis=0)[1] for one in longest.noise], axis=0
+            [signal.welch(deviation, rate, nperseg=size, axis=0)[1] for deviation in longest.noise],
+            axis=0,
         )
         noise *= longest.periods / (longest.periods - 1)
     else:
         noise = np.tile(np.median(torque[frequency >= 0.25 * rate], axis=0), (len(frequency), 1))
-    moved = motion_bandwidth(longest)
-    chosen = _chosen(frequency, torque, noise, moved, rate) if hertz is None else hertz
-    return TorqueSpectra(frequency, torque, noise, moved, chosen)
+    motion = motion_bandwidth(longest)
+    chosen = _chosen_cutoff(frequency, torque, noise, motion, rate) if hertz is None else hertz
+    return TorqueSpectra(frequency, torque, noise, motion, chosen)
 
 
-def motion_bandwidth(piece: Segment) -> float:
-    """The frequency below which 99 % of the joint velocities' power lies [Hz]."""
+def motion_bandwidth(segment: RecordingSegment) -> float:
+    """Return the frequency below which 99 % of the power of the joint velocities lies [Hz]."""
     from scipy import signal  # slow to import
 
-    size = _window(piece)
+    size = _welch_window(segment)
     frequency, speed = signal.welch(
-        np.gradient(piece.q, 1.0 / piece.rate, axis=0), piece.rate, nperseg=size, axis=0
+        np.gradient(segment.q, 1.0 / segment.rate, axis=0), segment.rate, nperseg=size, axis=0
     )
     share = np.cumsum((speed / np.maximum(speed.sum(axis=0), 1e-300)).sum(axis=1)) / speed.shape[1]
     return float(frequency[np.searchsorted(share, 0.99 * share[-1])])
 
 
-def _window(piece: Segment) -> int:
-    """Samples of which a spectrum is made, one after the other."""
-    return min(len(piece), max(256, int(4.0 * piece.rate)))
+def _welch_window(segment: RecordingSegment) -> int:
+    """Number of samples per window of Welch's method."""
+    return min(len(segment), max(256, int(4.0 * segment.rate)))
 
 
-def _chosen(frequency: Array, torque: Array, noise: Array, motion: float, rate: float) -> float:
-    least = min(max(TORQUE_BANDWIDTH_RATIO * motion, 5.0), MAX_BAND_HZ, 0.4 * rate)
+def _chosen_cutoff(
+    frequency: FloatArray, torque: FloatArray, noise: FloatArray, motion: float, rate: float
+) -> float:
+    """Cutoff frequency by the bandwidth of the motion and the frequency at which noise prevails."""
+    lowest = min(max(TORQUE_BANDWIDTH_RATIO * motion, 5.0), MAX_BAND_HZ, 0.4 * rate)
     above = (torque > MIN_TORQUE_TO_NOISE_POWER * noise).any(axis=1)
-    drowned = float(frequency[np.flatnonzero(above)[-1]]) if above.any() else least
-    return float(min(max(least, min(DEFAULT_BAND_HZ, drowned)), 0.4 * rate, max(DEFAULT_BAND_HZ, least)))
+    noisy_from = float(frequency[np.flatnonzero(above)[-1]]) if above.any() else lowest
+    return float(
+        min(
+            max(lowest, min(DEFAULT_BAND_HZ, noisy_from)),
+            0.4 * rate,
+            max(DEFAULT_BAND_HZ, lowest),
+        )
+    )
 
 
-def split_into_chunks(piece: Segment, overlap: int, multiple: int) -> Iterator[tuple[slice, slice]]:
-    """Parts of a long stretch: the rows to work on, and of those the ones that are not overlap. Starts are multiples of `multiple`."""
-    if piece.periodic or len(piece) <= CHUNK_SAMPLES + 2 * overlap:
-        yield slice(0, len(piece)), slice(0, len(piece))
+def split_into_chunks(
+    segment: RecordingSegment, overlap: int, multiple: int
+) -> Iterator[tuple[slice, slice]]:
+    """Split a long aperiodic segment into overlapping chunks that are processed one by one.
+
+    Args:
+        segment: The segment.
+        overlap: Minimum number of samples that a chunk shares with its neighbour at either end.
+        multiple: Chunks start at multiples of this number of samples.
+
+    Yields:
+        The rows of a chunk, and those of its rows (relative to its start) that are not overlap.
+    """
+    if segment.periodic or len(segment) <= CHUNK_SAMPLES + 2 * overlap:
+        yield slice(0, len(segment)), slice(0, len(segment))
         return
-    size, reach = CHUNK_SAMPLES // multiple * multiple, -(-overlap // multiple) * multiple
-    starts = list(range(0, len(piece), size))
-    if len(piece) - starts[-1] <= 2 * overlap:
+    size, margin = CHUNK_SAMPLES // multiple * multiple, -(-overlap // multiple) * multiple
+    starts = list(range(0, len(segment), size))
+    if len(segment) - starts[-1] <= 2 * overlap:
         starts.pop()
     for k, start in enumerate(starts):
-        stop = len(piece) if k == len(starts) - 1 else start + size
-        begin, end = max(0, start - reach), min(len(piece), stop + reach)
+        stop = len(segment) if k == len(starts) - 1 else start + size
+        begin, end = max(0, start - margin), min(len(segment), stop + margin)
         yield slice(begin, end), slice(start - begin, stop - begin)

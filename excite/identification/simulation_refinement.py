@@ -1,10 +1,12 @@
-"""Parameters refined against simulation error, from the equation-error solution: Gauss-Newton with exact sensitivities.
+"""Refinement of parameters against the simulation error, by Gauss-Newton with exact sensitivities.
 
-min ½ Σ ‖q(ψ, x₀) − q_recorded‖²_Λ + ½‖R(Bψ − θ̂)‖² + γ d(ψ, ψ₀)², over ψ and the initial state of every window (review, eq. 6 and 21).
-Motion depends on ψ by θ = Bψ alone, so sensitivities are taken with respect to θ and nothing depends on the choice of B. Each step is
-solved by `consistent.maximum_a_posteriori` with the linearised simulation error as further rows: every iterate is a robot that
-could exist, and the second term, what equation error says with its own certainty, keeps it from leaving that. The noise of torque
-enters both terms, so that no covariance is given: intervals stay those of the equation error.
+Minimises ½ Σ ‖q(ψ, x₀) − q_recorded‖²_Λ + ½‖R(Bψ − θ̂)‖² + γ d(ψ, ψ₀)² over ψ and the initial state of
+every window (review, eq. 6 and 21), starting from the equation-error solution. The motion depends on
+ψ through θ = Bψ alone, so sensitivities are taken with respect to θ and nothing depends on the choice
+of B. Each step is solved by `consistency.maximum_a_posteriori` with the linearised simulation error as
+additional rows: every iterate is physically consistent, and the second term, the equation-error
+estimate with its covariance, keeps it near the data. The torque noise enters both terms, so no
+covariance is given; confidence intervals remain those of the equation error.
 """
 
 from __future__ import annotations
@@ -14,130 +16,163 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .._types import FloatArray
 from ..errors import UnusableInput
-from . import consistency, forward_dynamics, simulation_error
-from .consistency import Bounds, Prior
+from .consistency import Bounds, Prior, map_objective, maximum_a_posteriori
 from .estimators import Estimate
+from .forward_dynamics import RobotDynamics, build_dynamics
 from .regression import IdentificationModel
-from .simulation_error import SimulationWindows
+from .simulation_error import (
+    SimulationWindows,
+    simulate_positions,
+    simulate_sensitivities,
+    widen_friction,
+)
 
-Array = np.ndarray
-STEPS = 8
-ENOUGH = 1e-3
-"""Relative decrease of the cost below which a step was the last."""
-HALVINGS = 6
+MAX_STEPS = 8
+"""Number of Gauss-Newton steps, at most."""
+COST_TOLERANCE = 1e-3
+"""Relative decrease of the cost below which the refinement has converged."""
+MAX_HALVINGS = 6
+"""Number of step lengths tried per step, each half of the one before."""
+ESTIMATED_STATE_PARAMETERS = 2
+"""Parameters of the initial state per joint and window: position and speed."""
 
 
 @dataclass(frozen=True)
 class Refinement:
-    """psi: refined, physically consistent. Shape (P,). costs: what is minimised, at the start and after every step.
+    """Result of a refinement.
 
-    states: of each group of windows, q and q̇ at the start as they fit best. Shape (W, 2n).
+    Attributes:
+        psi: Refined, physically consistent parameters. Shape (P,).
+        costs: Cost at the start and after every step.
+        states: For each group of windows, the estimated q and q̇ at the start. Shape (W, 2n).
     """
 
-    psi: Array
+    psi: FloatArray
     costs: tuple[float, ...]
-    states: tuple[Array, ...]
+    states: tuple[FloatArray, ...]
 
 
 @dataclass(frozen=True)
 class _Iterate:
-    psi: Array
-    states: tuple[Array, ...]
+    """Parameters and initial states."""
+
+    psi: FloatArray
+    states: tuple[FloatArray, ...]
 
 
 @dataclass(frozen=True)
-class _Task:
-    """What stays the same from step to step. weights: of position errors, by group. Shape (n,) [1/rad or 1/m]."""
+class _RefinementProblem:
+    """Terms of the cost; `weights`: of position errors, by group. Shape (n,) [1/rad or 1/m]."""
 
     model: IdentificationModel
     groups: Sequence[SimulationWindows]
-    root: Array
-    target: Array
+    root: FloatArray
+    target: FloatArray
     prior: Prior
     bounds: Bounds | None
-    weights: tuple[Array, ...]
+    weights: tuple[FloatArray, ...]
 
-    def cost(self, x: _Iterate) -> float:
-        body, total = forward_dynamics.build_dynamics(self.model, x.psi), 0.0
-        for windows, states, weight in zip(self.groups, x.states, self.weights, strict=True):
+    def cost(self, iterate: _Iterate) -> float:
+        """Cost of an iterate."""
+        dynamics, total = build_dynamics(self.model, iterate.psi), 0.0
+        for windows, states, weight in zip(self.groups, iterate.states, self.weights, strict=True):
             total += 0.5 * float(
-                np.sum(
-                    (weight * (simulation_error.simulate_positions(body, windows, states) - windows.q)) ** 2
-                )
+                np.sum((weight * (simulate_positions(dynamics, windows, states) - windows.q)) ** 2)
             )
-        return total + consistency.map_objective(
-            self.model.parameters, self.root, self.target, self.prior, x.psi
+        return total + map_objective(
+            self.model.parameters, self.root, self.target, self.prior, iterate.psi
         )
 
-    def step(self, x: _Iterate) -> _Iterate:
-        """The minimum of the problem linearised at x."""
+    def gauss_newton(self, iterate: _Iterate) -> _Iterate:
+        """Minimum of the problem linearised at an iterate."""
         B = self.model.base.matrix
-        theta, body = B @ x.psi, forward_dynamics.build_dynamics(self.model, x.psi)
-        rows, target, moves = [self.root], [self.target], []
-        for windows, states, weight in zip(self.groups, x.states, self.weights, strict=True):
-            left, slopes, move = _eliminated(
-                *simulation_error.simulate_sensitivities(body, windows, states), windows.q, weight
+        theta, dynamics = B @ iterate.psi, build_dynamics(self.model, iterate.psi)
+        rows, target, state_changes = [self.root], [self.target], []
+        for windows, states, weight in zip(self.groups, iterate.states, self.weights, strict=True):
+            error, slopes, state_change = _eliminate_states(
+                *simulate_sensitivities(dynamics, windows, states), windows.q, weight
             )
-            R: Array = np.linalg.qr(np.column_stack([slopes, slopes @ theta - left]), mode="r")  # type: ignore[assignment]
+            R: FloatArray = np.linalg.qr(  # type: ignore[assignment]
+                np.column_stack([slopes, slopes @ theta - error]), mode="r"
+            )
             rows.append(R[:, :-1] @ B)
             target.append(R[:, -1])
-            moves.append(move)
-        found = consistency.maximum_a_posteriori(
+            state_changes.append(state_change)
+        solution = maximum_a_posteriori(
             self.model.parameters, np.vstack(rows), np.concatenate(target), self.prior, self.bounds
         )
-        change = B @ found.psi - theta
+        change = B @ solution.psi - theta
         return _Iterate(
-            found.psi, tuple(s + a + b @ change for s, (a, b) in zip(x.states, moves, strict=True))
+            solution.psi,
+            tuple(
+                s + a + b @ change for s, (a, b) in zip(iterate.states, state_changes, strict=True)
+            ),
         )
 
 
 def refine(
     model: IdentificationModel,
     groups: Sequence[SimulationWindows],
-    start: Array,
+    start: FloatArray,
     data: Estimate,
     prior: Prior,
     bounds: Bounds | None = None,
     *,
     anchored: bool = True,
 ) -> Refinement:
-    """ψ that foresees positions best. groups: by `forward.cut`. start: of equation error, physically consistent. Shape (P,).
-    data, prior, bounds: as for it. anchored: whether the equation-error term is there.
+    """Refine parameters so that they predict positions best.
 
-    A position error counts by its RMS at the start, and a window of S positions as (tr C)²/tr C² of them, C the covariance of its errors:
-    neighbours in time say nearly the same (Satterthwaite 1946). Raises UnusableInput where there is no window and where the
-    starting parameters lose one.
+    A position error is weighted by its RMS at the start, and a window of S positions counts as
+    (tr C)²/tr C² of them, C the covariance of its errors, because errors close in time are correlated
+    (Satterthwaite, Biometrics Bulletin 2(6), 1946).
+
+    Args:
+        model: The model.
+        groups: Windows, as `simulation_error.cut_windows` returns them.
+        start: Physically consistent equation-error estimate. Shape (P,).
+        data: Equation-error estimate of the base parameters.
+        prior: ψ₀, the distance and γ.
+        bounds: Bounds of masses and centres of mass.
+        anchored: Keep the equation-error term in the cost.
+
+    Raises:
+        UnusableInput: There is no window, or the starting parameters lose the recorded motion.
     """
     if not groups:
         raise UnusableInput(
-            "refinement: no recording is as long as one window and the ends a filter spoils; take a shorter horizon"
+            "--refine: no recording is as long as one window and the margins of the filter; record "
+            "for longer"
         )
-    soft = simulation_error.widen_friction(model, start, groups)
-    body = forward_dynamics.build_dynamics(soft, start)
+    widened = widen_friction(model, start, groups)
+    dynamics = build_dynamics(widened, start)
     for windows in groups:
-        if (joint := _lost(body, windows)) is not None:
+        if (joint := _lost_joint(dynamics, windows)) is not None:
             raise UnusableInput(
-                f"refinement: the identified model loses the recorded motion within a window, joint '{model.robot.joints[joint]}' first; "
-                "take a shorter horizon, or a motion that shows that joint's inertia"
+                "--refine: the identified model loses the recorded motion within a window, joint "
+                f"'{model.robot.joints[joint]}' first; record a motion that excites that joint's "
+                "inertia, or leave --refine out"
             )
-    root, target = data.root @ model.base.matrix, data.root @ data.theta
+    root, target = data.information_root @ model.base.matrix, data.information_root @ data.theta
     kept = slice(None) if anchored else slice(0)
-    weights = tuple(_weight(body, windows) for windows in groups)
-    task = _Task(soft, groups, root[kept], target[kept], prior, bounds, weights)
-    x = _Iterate(start, tuple(windows.states for windows in groups))
-    costs = [task.cost(x)]
-    for _ in range(STEPS):
-        x, now = _searched(task, x, task.step(x), costs[-1])
-        costs.append(now)
-        if costs[-2] - now <= ENOUGH * costs[-2]:
+    weights = tuple(_error_weights(dynamics, windows) for windows in groups)
+    problem = _RefinementProblem(
+        widened, groups, root[kept], target[kept], prior, bounds, weights
+    )
+    iterate = _Iterate(start, tuple(windows.states for windows in groups))
+    costs = [problem.cost(iterate)]
+    for _ in range(MAX_STEPS):
+        iterate, cost = _line_search(problem, iterate, problem.gauss_newton(iterate), costs[-1])
+        costs.append(cost)
+        if costs[-2] - cost <= COST_TOLERANCE * costs[-2]:
             break
-    return Refinement(x.psi, tuple(costs), x.states)
+    return Refinement(iterate.psi, tuple(costs), iterate.states)
 
 
-def _lost(body: forward_dynamics.RobotDynamics, windows: SimulationWindows) -> int | None:
-    """The joint that is furthest off in the last position before the first window is lost; None where none is."""
-    errors = np.abs(simulation_error.simulate_positions(body, windows, windows.states) - windows.q)
+def _lost_joint(dynamics: RobotDynamics, windows: SimulationWindows) -> int | None:
+    """Joint with the largest error just before the first window is lost; None if none is lost."""
+    errors = np.abs(simulate_positions(dynamics, windows, windows.states) - windows.q)
     first = int(np.isfinite(errors).all(axis=2).sum(axis=1).min())
     if first == errors.shape[1]:
         return None
@@ -145,49 +180,62 @@ def _lost(body: forward_dynamics.RobotDynamics, windows: SimulationWindows) -> i
     return int(np.argmax(np.max(last[~np.isfinite(errors[:, first]).all(axis=1)], axis=0)))
 
 
-def _searched(task: _Task, x: _Iterate, to: _Iterate, now: float) -> tuple[_Iterate, float]:
-    """The furthest of x + (to − x)/2ᵏ that costs less, or x itself. Parameters between two consistent ones are consistent."""
-    for k in range(HALVINGS):
+def _line_search(
+    problem: _RefinementProblem, start: _Iterate, end: _Iterate, cost: float
+) -> tuple[_Iterate, float]:
+    """First of start + (end − start)/2ᵏ that costs less, else start, with its cost.
+
+    Parameters between two consistent ones are consistent.
+    """
+    for k in range(MAX_HALVINGS):
         part = 0.5**k
         trial = _Iterate(
-            x.psi + part * (to.psi - x.psi),
-            tuple(a + part * (b - a) for a, b in zip(x.states, to.states, strict=True)),
+            start.psi + part * (end.psi - start.psi),
+            tuple(a + part * (b - a) for a, b in zip(start.states, end.states, strict=True)),
         )
-        cost = task.cost(trial)
-        if cost < now:
-            return trial, cost
-    return x, now
+        trial_cost = problem.cost(trial)
+        if trial_cost < cost:
+            return trial, trial_cost
+    return start, cost
 
 
-def _eliminated(
-    q: Array, slopes: Array, measured: Array, weight: Array
-) -> tuple[Array, Array, tuple[Array, Array]]:
-    """Weighted errors and their slopes by θ, less what initial states take up, and how the states follow: a + b δθ.
+def _eliminate_states(
+    q: FloatArray, slopes: FloatArray, measured: FloatArray, weight: FloatArray
+) -> tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray]]:
+    """Project weighted errors and slopes off what changes of the initial states explain.
 
-    Shapes (W, S, n), (W, S, n, 2n + p) -> (m,), (m, p), ((W, 2n), (W, 2n, p)).
+    Args:
+        q: Simulated positions. Shape (W, S, n).
+        slopes: Derivatives with respect to state and θ. Shape (W, S, n, 2n + p).
+        measured: Recorded positions. Shape (W, S, n).
+        weight: Weight of an error of each joint. Shape (n,).
+
+    Returns:
+        Errors, shape (m,), their slopes by θ, shape (m, p), and the change a + b δθ of the states,
+        shapes (W, 2n) and (W, 2n, p).
     """
     W, states = len(q), 2 * q.shape[2]
     error = (weight * (q - measured)).reshape(W, -1, 1)
     slopes = (weight[:, None] * slopes).reshape(W, error.shape[1], -1)
     Q, R = np.linalg.qr(slopes[:, :, :states])
     joined = np.concatenate([error, slopes[:, :, states:]], axis=2)
-    taken = np.swapaxes(Q, 1, 2) @ joined
-    moves = -np.linalg.solve(R, taken)
-    left = (joined - Q @ taken).reshape(-1, joined.shape[2])
-    return left[:, 0], left[:, 1:], (moves[:, :, 0], moves[:, :, 1:])
+    explained = np.swapaxes(Q, 1, 2) @ joined
+    changes = -np.linalg.solve(R, explained)
+    remaining = (joined - Q @ explained).reshape(-1, joined.shape[2])
+    return remaining[:, 0], remaining[:, 1:], (changes[:, :, 0], changes[:, :, 1:])
 
 
-def _weight(body: forward_dynamics.RobotDynamics, windows: SimulationWindows) -> Array:
-    """Weight of a position error of each joint. Shape (n,)."""
+def _error_weights(dynamics: RobotDynamics, windows: SimulationWindows) -> FloatArray:
+    """Weight of a position error of each joint. Shape (n,) [1/rad or 1/m]."""
     n = windows.q.shape[2]
-    q, slopes = simulation_error.simulate_sensitivities(body, windows, windows.states)
-    left, _, _ = _eliminated(q, slopes, windows.q, np.ones(n))
-    errors = left.reshape(windows.q.shape)
+    q, slopes = simulate_sensitivities(dynamics, windows, windows.states)
+    residual, _, _ = _eliminate_states(q, slopes, windows.q, np.ones(n))
+    errors = residual.reshape(windows.q.shape)
     out = np.empty(n)
     for joint in range(n):
         C = errors[:, :, joint].T @ errors[:, :, joint] / len(windows)
         power = max(float(np.trace(C)), 1e-24)
-        alike = power**2 / max(float(np.sum(C * C)), 1e-300)
-        freedom = max(len(C) - 2, 1)  # two went into the initial state
-        out[joint] = np.sqrt(alike / len(C) * freedom / power)
+        independent = power**2 / max(float(np.sum(C * C)), 1e-300)
+        freedom = max(len(C) - ESTIMATED_STATE_PARAMETERS, 1)
+        out[joint] = np.sqrt(independent / len(C) * freedom / power)
     return out

@@ -242,7 +242,7 @@ def _clearance_banner(trajectory: Trajectory) -> Banner:
 
 def _identifiability_banner(identifiability: Identifiability) -> Banner:
     """The verdict on what the motion will identify."""
-    seen, count = identifiability.identifiable, len(identifiability.directions)
+    seen, count = identifiability.identifiable_count, len(identifiability.directions)
     text = f"Identifiability: {seen} of {plural(count, 'direction')} of the base parameters"
     threshold = float(np.sqrt(identifiability.threshold))
     text += f" will be known to ±{100.0 * threshold:.2g} % or better."

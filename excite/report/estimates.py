@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..identification import confidence, consistency
+from ..identification import consistency, estimators
 from ..identification.identification import Identification
 from ..identification.identified_model import JOINT_PARAMETER_UNITS, base_parameter_table
 from ..robot.parameter_names import percent, spoken
@@ -108,7 +108,7 @@ def _row(entry: dict[str, Any], parameters: Any) -> tuple[str, ...]:
 def _drives(found: Identification) -> str:
     """Drive parameters of every joint with what data and prior together leave open."""
     robot, parameters = found.model.robot, found.model.parameters
-    half = confidence.student_quantile(found.data.freedom) * np.sqrt(
+    half = estimators.student_quantile(found.data.degrees_of_freedom) * np.sqrt(
         np.maximum(np.diag(found.posterior.covariance), 0.0)
     )
     scale = np.diag(found.metric.scale)
@@ -141,10 +141,10 @@ def _drives(found: Identification) -> str:
 
 def directions_section(found: Identification) -> Section:
     """Which directions did the recording show, which did the prior decide?"""
-    analysis, shares = found.analysis, found.decided()
+    analysis, shares = found.analysis, found.data_shares()
     count, ours = len(shares), int(np.sum(shares > 0.5))
     sharp = percent(float(np.sqrt(analysis.threshold)))
-    answer = f"The recording identifies {analysis.identifiable} of {plural(count, 'direction')} to ±{sharp} or better; "
+    answer = f"The recording identifies {analysis.identifiable_count} of {plural(count, 'direction')} to ±{sharp} or better; "
     answer += f"of all, the data decided {ours}, the prior {'none' if ours == count else f'the other {count - ours}'}."
     body = figure(information_spectrum.draw_spectrum(analysis)) + figure(
         parameters_module.decided(shares)

@@ -54,7 +54,7 @@ def identifiability_page(
         stated: Further facts to list, name to text.
     """
     facts = ({"motion": motion} if motion else {}) | dict(stated or {})
-    count, total = identifiability.identifiable, len(identifiability.directions)
+    count, total = identifiability.identifiable_count, len(identifiability.directions)
     verdict = (
         f"This motion identifies {count} of {plural(total, 'direction')} of the base parameters."
     )
@@ -80,7 +80,7 @@ def key_figures(
         (str(robot.n), "moving joints" if robot.n != 1 else "moving joint"),
         (str(base.count), "base parameters"),
         (
-            f"{identifiability.identifiable} of {len(identifiability.directions)}",
+            f"{identifiability.identifiable_count} of {len(identifiability.directions)}",
             "directions identifiable",
         ),
     ]
@@ -107,7 +107,7 @@ def without_verdict(words: str) -> str:
 
 def _spectrum_section(identifiability: Identifiability) -> Section:
     """How accurately the recording will show each direction."""
-    count, seen = len(identifiability.directions), identifiability.identifiable
+    count, seen = len(identifiability.directions), identifiability.identifiable_count
     best, worst = identifiability.directions[0], identifiability.directions[-1]
     return Section(
         "spectrum",
@@ -205,8 +205,8 @@ def _scenarios_section(cases: Sequence[Scenario], threshold: float) -> Section:
     rows = [
         (
             _SCENARIO_NAMES.get(case.name, case.name),
-            f"{case.identifiable} of {len(case.eigenvalues)}",
-            ", ".join(f"{b.limit} of {b.joint} ({b.factor:.2g}×)" for b in case.broken) or "none",
+            f"{case.identifiable_count} of {len(case.eigenvalues)}",
+            ", ".join(f"{b.limit} of {b.joint} ({b.factor:.2g}×)" for b in case.broken_limits) or "none",
         )
         for case in cases
     ]

@@ -82,7 +82,7 @@ def _head(found: Identification) -> str:
     worst = max(float(one.relative().max()) for one in shown)
     entries = [
         (str(robot.n), "moving joint" if robot.n == 1 else "moving joints"),
-        (f"{found.analysis.identifiable} of {found.model.base.count}", "directions identified"),
+        (f"{found.analysis.identifiable_count} of {found.model.base.count}", "directions identified"),
         (
             percent(worst),
             f"error over RMS torque, worst joint, {'held out' if found.validations else 'of the fit'}",
@@ -219,8 +219,8 @@ def made_section(
     }
     body = table(("what", "value"), [(escape(k), escape(v)) for k, v in facts.items()])
     body += remarked.listed(remarks)
-    if found.tried:
-        rows = [(number(g, 2), number(error, 4)) for g, error in found.tried]
+    if found.gamma_trials:
+        rows = [(number(g, 2), number(error, 4)) for g, error in found.gamma_trials]
         body += folded(
             "Every γ that was tried, with its squared error on blocks left out",
             table(("γ of bodies", "error"), rows, (0, 1)),

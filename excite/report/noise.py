@@ -21,7 +21,7 @@ WHITE = 2.0
 
 def residual(found: Identification) -> Densities:
     """Density of what the fit leaves, in torque: the weighted residual's with the weights undone. Shape (F, n) [(N m)²/Hz]."""
-    colour, scale = found.data.colour, found.data.scale
+    colour, scale = found.data.noise_spectrum, found.data.noise_root
     kept = colour.frequency <= found.spectra.hertz
     return Densities(
         colour.frequency[kept], (colour.density @ (scale**2).T * (2.0 / found.equations.rate))[kept]
@@ -113,7 +113,7 @@ def _note(found: Identification) -> str:
     text += "A residual above the noise is physics that the model lacks, or noise that repeats with the motion."
     untrue = [
         j
-        for j, same in zip(found.model.robot.joints, found.data.colour.repeated, strict=True)
+        for j, same in zip(found.model.robot.joints, found.data.noise_spectrum.repeated, strict=True)
         if not same
     ]
     if any(found.equations.periods) and untrue:
@@ -126,7 +126,7 @@ def _table(found: Identification, slant: Array, periods: int) -> str:
         (
             escape(joint),
             f"{number(found.data.noise[k], 3)} {unit}",
-            "–" if found.floor is None else f"{number(found.floor[k], 3)} {unit}",
+            "–" if found.noise_floor is None else f"{number(found.noise_floor[k], 3)} {unit}",
             _times(slant[k]),
             f"{number(1e3 * found.delay.seconds[k], 2)} ± {number(1e3 * INTERVAL * found.delay.deviation[k], 2)}",
             number(1e3 * found.model.widths[k], 2) + _edge(float(found.model.widths[k])),

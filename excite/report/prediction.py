@@ -74,7 +74,7 @@ def verdict(predictions: Sequence[Prediction], robot: Robot) -> tuple[str, str]:
         else f"{len(predictions)} held-out recordings"
     )
     relative = np.max([one.relative() for one in predictions], axis=0)
-    ratios = [ratio for one in predictions if (ratio := one.in_floors()) is not None]
+    ratios = [ratio for one in predictions if (ratio := one.error_over_noise_floor()) is not None]
     span = _span(predictions, robot)
     if len(ratios) == len(predictions):
         ratio = np.max(ratios, axis=0)
@@ -114,10 +114,10 @@ def _span(predictions: Sequence[Prediction], robot: Robot) -> str:
 
 def _table(one: Prediction, robot: Robot) -> str:
     before, after = one.error("nominal"), one.error()
-    relative, relative_before, ratios = one.relative(), one.relative("nominal"), one.in_floors()
+    relative, relative_before, ratios = one.relative(), one.relative("nominal"), one.error_over_noise_floor()
     rows = []
     for k, (joint, unit) in enumerate(zip(robot.joints, torque_units(robot), strict=True)):
-        floor = None if one.floor is None else float(one.floor[k])
+        floor = None if one.noise_floor is None else float(one.noise_floor[k])
         ratio = None if ratios is None else float(ratios[k])
         tone = (
             "bad"
@@ -159,9 +159,9 @@ def _torque(value: float | None) -> str:
 def _note(predictions: Sequence[Prediction], found: Identification) -> str:
     text = f"Torque below {number(found.spectra.hertz, 3)} Hz, the same filter on both sides. "
     text += "Relative: over the RMS of the measured torque. Before: the nominal robot, as the URDF has it. "
-    if any(one.floor is not None for one in predictions):
+    if any(one.noise_floor is not None for one in predictions):
         text += f"Noise floor: standard deviation between repeated periods; {SURE:g} of them hold 95 % of the noise. "
-    if any(one.floor is None for one in predictions):
+    if any(one.noise_floor is None for one in predictions):
         text += "Where no period repeats, no noise floor is known: an error may be noise or physics that the model lacks. "
     if any(one.time[-1] - one.time[0] > EXCERPT for one in predictions):
         text += f"Of recordings longer than {EXCERPT:g} s the stretch around the largest error is drawn; the table is of all of it."

@@ -124,7 +124,7 @@ class Motion:
         return self.segments[-1].end
 
     @property
-    def rest(self) -> tuple[Array, Array]:
+    def end_poses(self) -> tuple[Array, Array]:
         """Poses at the beginning and at the end. Shapes (n,)."""
         first, last = self.segments[0], self.segments[-1]
         begin = self.fourier.at(np.zeros(1))[0] if first.profile is None else first.profile.position
@@ -142,7 +142,7 @@ class Motion:
     def at(self, t: Array, order: int = 0) -> Array:
         """The order-th derivative at times t; outside [0, duration] the motion rests. Shape (len(t), n)."""
         t = np.asarray(t, float)
-        begin, end = self.rest
+        begin, end = self.end_poses
         out = (
             np.where((t <= self.duration / 2)[:, None], begin, end)
             if order == 0

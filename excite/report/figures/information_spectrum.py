@@ -267,7 +267,7 @@ def draw_scenarios(cases: Sequence[Scenario], threshold: float) -> str:
         for case, color in zip(cases, (BLUE, ORANGE, GREEN), strict=False):
             kept = case.eigenvalues > 0.0
             rank = np.arange(1, len(kept) + 1)[kept]
-            label = f"{names.get(case.name, case.name)}: {case.identifiable} identifiable"
+            label = f"{names.get(case.name, case.name)}: {case.identifiable_count} identifiable"
             axes.plot(
                 rank,
                 1.0 / case.eigenvalues[kept],

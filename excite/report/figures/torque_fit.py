@@ -100,7 +100,7 @@ def traces(prediction: Prediction, robot: Robot, points: int) -> str:
                 lower.set_xlabel("time [s]")
             if column == 0:
                 lower.set_ylabel("residual")
-        _legend(figure, floored=prediction.floor is not None)
+        _legend(figure, floored=prediction.noise_floor is not None)
 
     return render_svg(
         f"Measured and predicted torque of every joint on {prediction.source}", height, draw
@@ -109,7 +109,7 @@ def traces(prediction: Prediction, robot: Robot, points: int) -> str:
 
 def _error_words(prediction: Prediction, joint: int) -> str:
     text = percent(float(prediction.relative()[joint]))
-    floors = prediction.in_floors()
+    floors = prediction.error_over_noise_floor()
     return f"error {text}" if floors is None else f"{multiple(floors[joint])} floors, {text}"
 
 
@@ -151,8 +151,8 @@ def _residual(
 ) -> None:
     left = prediction.measured[:, joint] - prediction.fitted[:, joint]
     axes.axhline(0.0, color=GREY, linewidth=0.5)
-    if prediction.floor is not None:
-        reach = SURE * float(prediction.floor[joint])
+    if prediction.noise_floor is not None:
+        reach = SURE * float(prediction.noise_floor[joint])
         axes.axhspan(-reach, reach, color=GREY, alpha=0.35, linewidth=0.0)
     axes.plot(*_curve(prediction, left, span, points), color=ORANGE, linewidth=0.7)
     limit_ticks(axes, 6, 2)

@@ -96,7 +96,9 @@ def bench(name: str, colour: float | None, folder: Path, periods: int) -> Bench:
     other = folder / f"{name}.json"
     if not other.exists():
         period = trajectory_file.read_trajectory(first).motion.fourier.period
-        delivery = pipeline.design_trajectory(machine, table, DesignOptions(period=period, seed=11, starts=1))
+        delivery = pipeline.design_trajectory(
+            machine, table, DesignOptions(period=period, seed=11, starts=1)
+        )
         other.write_text(_json.dumps(delivery.trajectory.document()), encoding="utf-8")
     urdf = robot.locate(name)
     setting = ExperimentSettings(seed=3, colour=colour)

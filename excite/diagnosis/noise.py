@@ -77,7 +77,9 @@ class NoiseEstimate:
 
 
 def estimate_noise(
-    identified: Identification, halves: Sequence[Sequence[RecordedMotion]], recordings: Sequence[Recording]
+    identified: Identification,
+    halves: Sequence[Sequence[RecordedMotion]],
+    recordings: Sequence[Recording],
 ) -> NoiseEstimate:
     """The noise of recordings: from what does not repeat, else from the torque's density above the motion, a lower bound."""
     every = [one for half in halves for one in half]
@@ -102,13 +104,17 @@ def estimate_noise(
     return refine_by_repetition(nothing_repeats, every, [one.residual for one in every])
 
 
-def refine_by_repetition(noisy: NoiseEstimate, every: Sequence[RecordedMotion], left: Sequence[Array]) -> NoiseEstimate:
+def refine_by_repetition(
+    noisy: NoiseEstimate, every: Sequence[RecordedMotion], left: Sequence[Array]
+) -> NoiseEstimate:
     """The noise by what repeats of the torque that a model leaves of every stretch; as it was, where nothing does. left: Shapes (N, n)."""
     periods = noisy.periods
     pairs = [
         (one, own) for one, own in zip(every, left, strict=True) if one.segment.source in periods
     ]
-    again = [made for one, own in pairs for made in _repeats(one, own, *periods[one.segment.source])]
+    again = [
+        made for one, own in pairs for made in _repeats(one, own, *periods[one.segment.source])
+    ]
     if not again:
         return noisy
     spread = np.sqrt(np.mean([made.square for made in again], axis=0))
@@ -144,7 +150,9 @@ class _Again:
     square: Array
 
 
-def _repeats(track: RecordedMotion, left: Array, period: float, window: tuple[float, float]) -> list[_Again]:
+def _repeats(
+    track: RecordedMotion, left: Array, period: float, window: tuple[float, float]
+) -> list[_Again]:
     """Of a recording that repeats for long enough, else nothing. left: Shape (N, n) [N m]."""
     low, high = window
     rate = 1.0 / (track.time[1] - track.time[0])
@@ -166,7 +174,9 @@ def _momentum(track: RecordedMotion) -> Array:
     Read δ late, positions are off by q̇ δ, and torque by (M q̇ δ)¨ to first order: in the band, as if white, by momentum.
     """
     mass, speed = track.derivatives[2], track.coarse_samples.dq
-    carried = np.einsum("tij,tj->ti", mass, speed) + track.fitted_robot.drive("rotor_inertia") * speed
+    carried = (
+        np.einsum("tij,tj->ti", mass, speed) + track.fitted_robot.drive("rotor_inertia") * speed
+    )
     return np.square(track.lowpass(carried, Grid.COARSE))
 
 
@@ -309,11 +319,14 @@ def _reversing(one: RecordedMotion) -> Array:
     speed, ends = one.samples.dq, np.zeros((1, one.n))
     sharper = speed - BENT * np.vstack([ends, np.diff(speed, 2, axis=0), ends])
     return one.lowpass(
-        one.fitted_robot.drive("coulomb") * (np.tanh(sharper / one.widths) - np.tanh(speed / one.widths))
+        one.fitted_robot.drive("coulomb")
+        * (np.tanh(sharper / one.widths) - np.tanh(speed / one.widths))
     )
 
 
-def stepped(model: IdentificationModel, halves: Sequence[Sequence[RecordedMotion]]) -> tuple[tuple[Array, Array], ...]:
+def stepped(
+    model: IdentificationModel, halves: Sequence[Sequence[RecordedMotion]]
+) -> tuple[tuple[Array, Array], ...]:
     """Residuals that coarse encoders alone would leave of the base model, of each half, drawn anew; none where all are fine.
 
     Which error each reading has is not known, only how errors come about: smooth positions are rounded once more, from another origin.

@@ -1,4 +1,4 @@
-"""What the catalogue is made of: effects, each with the shapes that it can take and what would be needed to believe it."""
+"""Base types of the catalogue: an effect, and the candidate models by which it is fitted."""
 
 from __future__ import annotations
 
@@ -8,19 +8,26 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .._types import FloatArray
 from .recorded_motion import RecordedMotion
 
-Array = np.ndarray
-MULTIPLES = {2: "twice", 3: "thrice"}
-"""Of an order, that are told with it where a shape states them."""
-KIN = 4
-"""Steps from kin to kin, at the most."""
-CORNER, TURNS = 0.3, 150
-"""How far off the logarithms of values are tried first that are turned together, and how many are."""
+HARMONIC_KEYS = {2: "twice", 3: "thrice"}
+"""Multiples of a spatial frequency that a candidate may fit jointly, by their key in its values."""
+MAX_VARIANT_STEPS = 4
+"""Largest number of moves from a model variant to a better neighbouring one."""
+SIMPLEX_SIZE = 0.3
+"""Edge of the initial Nelder-Mead simplex [natural logarithm of a parameter]."""
+MAX_SIMPLEX_EVALUATIONS = 150
+"""Largest number of evaluations of a Nelder-Mead search."""
 
 
 class RecordingDelay(NamedTuple):
-    """By how much torque is recorded later than position [s]: as it was, or lagging, through a filter of first order."""
+    """Time by which the torque is recorded later than the position.
+
+    Attributes:
+        seconds: Dead time, or the time constant of a first-order lag [s].
+        lagging: True for a first-order lag, False for a dead time.
+    """
 
     seconds: float
     lagging: bool = False
@@ -28,248 +35,362 @@ class RecordingDelay(NamedTuple):
 
 @dataclass(frozen=True)
 class CandidateModel:
-    """One form of an effect at one joint: linear in its coefficients once `values` are fixed.
+    """One form of an effect at one joint: a torque that is linear in its coefficients.
 
-    joint: index of the joint that carries it, None where it is nobody's. add: the torque it adds, which depends on what is said here and
-    nothing else. values: the fixed, non-linear parameters. other: a further joint it is tied to. interval, source: when [s] and in
-    which recording, if only then. parameters: from coefficients (k,) to the contract's names and values. plausible: whether
-    coefficients (k,) can be physics: sign, range, dissipation. knob: turns the value that a grid has fixed. kin: knobs of the shapes beside
-    it, by a further value that no grid is worth. several: whether one joint can have more than one of the kind. doubt: how many times the
-    usual gain it takes to be believed where an encoder is coarse, and its root where it is fine. grain: noise over the torque up to which
-    its columns, of measured torque, are not noise themselves; noisy: of such columns times coefficients (k,), RMS of the noise in them over
-    that of the torque. words: its signature, if not the effect's.
+    Nonlinear parameters are fixed in `values`; `nonlinear` and `variants` say how they may be
+    optimised.
+
+    Attributes:
+        effect: Name of the effect in the catalogue.
+        joint: Index of the joint that carries the effect; None for an effect of no single joint.
+        torque_columns: Function that returns the torque per unit of each coefficient. It depends
+            on nothing but the recorded motion and this model.
+        values: Fixed nonlinear parameters by name.
+        other: Index of a second joint that the effect depends on.
+        interval: Start and end of an effect that acts for some of the time [s].
+        source: Recording in which `interval` lies.
+        parameters: Converts coefficients, shape (k,), to the reported parameters by name.
+        is_plausible: Tells whether coefficients, shape (k,), are physically possible: sign, range,
+            dissipation.
+        nonlinear: The nonlinear parameter to optimise; None if there is none.
+        variants: Returns nonlinear parameters of neighbouring models that no grid contains.
+        allows_several: Whether a joint may have more than one effect of this kind.
+        threshold_factor: Factor on the evidence required if an encoder is coarse; its root applies
+            to fine encoders.
+        max_noise_ratio: Torque noise over torque above which columns made of measured torque are
+            too noisy to be used.
+        column_noise: RMS noise in columns · coefficients over the torque noise, of columns made of
+            measured torque.
+        signature: Description of the residual, if it differs from the effect's.
     """
 
     effect: str
     joint: int | None
-    add: Add
+    torque_columns: TorqueColumns
     values: Mapping[str, float] = field(default_factory=dict)
     other: int | None = None
     interval: tuple[float, float] | None = None
     source: str = ""
-    parameters: Callable[[Array], dict[str, float]] = lambda c: {}
-    plausible: Callable[[Array], bool] = lambda c: bool(np.isfinite(c).all())
+    parameters: Callable[[FloatArray], dict[str, float]] = lambda c: {}
+    is_plausible: Callable[[FloatArray], bool] = lambda c: bool(np.isfinite(c).all())
     nonlinear: NonlinearParameter | None = None
     variants: Callable[[], Sequence[NonlinearParameter | NonlinearParameterSet]] = tuple
     allows_several: bool = False
     threshold_factor: float = 1.0
     max_noise_ratio: float = np.inf
-    noisy: Callable[[Array], float] = lambda c: 0.0
+    column_noise: Callable[[FloatArray], float] = lambda c: 0.0
     signature: str = ""
 
-    def columns(self, track: RecordedMotion) -> Array:
-        """Torque that it adds, where the track's rows are, per unit of each coefficient. Shape (N, n, k)."""
+    def columns(self, motion: RecordedMotion) -> FloatArray:
+        """Return the torque per unit of each coefficient at the motion's rows.
+
+        Where the values state a recording delay, the columns are delayed: those of one joint
+        ("late_joint"), or all.
+
+        Returns:
+            Torque columns [N m], shape (N, n, k).
+        """
         if "late" not in self.values:
-            return self.add(track, self)
-        late = self.add(track.delayed(self.values["late"], "lagging" in self.values), self)
+            return self.torque_columns(motion, self)
+        delayed = self.torque_columns(
+            motion.delayed(self.values["late"], "lagging" in self.values), self
+        )
         if "late_joint" not in self.values:
-            return late
+            return delayed
         joint = int(self.values["late_joint"])
-        if not np.delete(late, joint, axis=1).any():
-            return late
-        out = self.add(track, self)
-        out[:, joint] = late[:, joint]
+        if not np.delete(delayed, joint, axis=1).any():
+            return delayed
+        out = self.torque_columns(motion, self)
+        out[:, joint] = delayed[:, joint]
         return out
 
     def delayed(self, delay: RecordingDelay, joint: int | None) -> CandidateModel:
-        """The same where a joint's torque, or all, is recorded later; turned, too."""
+        """Return the same model for torque that is recorded later.
+
+        Args:
+            delay: The recording delay.
+            joint: Index of the joint whose torque is delayed; None for all joints.
+        """
         values = {**self.values, "late": delay.seconds} | (
             {} if joint is None else {"late_joint": float(joint)}
         )
         values |= {"lagging": 1.0} if delay.lagging else {}
-        knob = None if self.nonlinear is None else self.nonlinear.delayed(delay, joint)
+        nonlinear = None if self.nonlinear is None else self.nonlinear.delayed(delay, joint)
         return replace(
             self,
             values=values,
-            nonlinear=knob,
-            variants=lambda: [other.delayed(delay, joint) for other in self.variants()],
+            nonlinear=nonlinear,
+            variants=lambda: [variant.delayed(delay, joint) for variant in self.variants()],
         )
 
     @property
     def joint_index(self) -> int:
-        """The joint, of a shape that has one."""
+        """Index of the joint, of a model that has one."""
         assert self.joint is not None
         return self.joint
 
 
-Add = Callable[[RecordedMotion, CandidateModel], Array]
-Recorded = Callable[[RecordedMotion, CandidateModel, Array, Array], Array]
+TorqueColumns = Callable[[RecordedMotion, CandidateModel], FloatArray]
+"""Torque per unit of each coefficient, shape (N, n, k)."""
+PredictedTorque = Callable[[RecordedMotion, CandidateModel, FloatArray, FloatArray], FloatArray]
+"""Torque of an effect of measured torque where none is measured: by coefficients, shape (k,), and
+the torque that the actuators produce, shape (M, n); returns shape (M, n)."""
+FittedModels = Sequence[tuple[CandidateModel, FloatArray]]
+"""Candidate models of one effect at one joint with their coefficients, the largest first."""
 
 
 @dataclass(frozen=True)
 class NonlinearParameter:
-    """A non-linear parameter: the value that a shape has, between its neighbours on the grid, and the shape at any other."""
+    """A nonlinear parameter of a candidate model, between its neighbours on a grid.
+
+    Attributes:
+        value: Present value.
+        low: Lower bound.
+        high: Upper bound.
+        model: Returns the candidate model at a value.
+    """
 
     value: float
     low: float
     high: float
-    shape: Callable[[float], CandidateModel]
+    model: Callable[[float], CandidateModel]
 
-    def turned(self, gain: Callable[[CandidateModel], float]) -> CandidateModel:
-        """The shape where the gain is highest, between the neighbours, or one of its kin where that is more, from kin to kin."""
-        best, most = self.best(gain, gain(self.here))
-        for _ in range(KIN):
-            gains = [(gain(near.here), near) for near in best.variants()]
+    def optimised(self, gain: Callable[[CandidateModel], float]) -> CandidateModel:
+        """Return the model with the highest gain between the bounds, or a better model variant.
+
+        Args:
+            gain: Log-likelihood gain of a model.
+        """
+        best, best_gain = self.maximise(gain, gain(self.current))
+        for _ in range(MAX_VARIANT_STEPS):
+            gains = [(gain(variant.current), variant) for variant in best.variants()]
             if not gains:
                 break
-            together = [pair for pair in gains if isinstance(pair[1], NonlinearParameterSet)]
-            tried = together or [max(gains, key=lambda pair: pair[0])]
-            better, found = max(
-                (near.best(gain, now) for now, near in tried), key=lambda pair: pair[1]
+            sets = [pair for pair in gains if isinstance(pair[1], NonlinearParameterSet)]
+            attempts = sets or [max(gains, key=lambda pair: pair[0])]
+            better, better_gain = max(
+                (variant.maximise(gain, start) for start, variant in attempts),
+                key=lambda pair: pair[1],
             )
-            if found <= most + 1e-6:
+            if better_gain <= best_gain + 1e-6:
                 break
-            best, most = better, found
-            if together:
-                break  # turned every way
+            best, best_gain = better, better_gain
+            if sets:
+                break  # all parameters were optimised jointly
         return best
 
     @property
-    def here(self) -> CandidateModel:
-        """The shape at the value that it has."""
+    def current(self) -> CandidateModel:
+        """The model at the present value."""
         return self.at(self.value)
 
-    def best(self, gain: Callable[[CandidateModel], float], now: float) -> tuple[CandidateModel, float]:
-        """By this value alone, where the gain is `now`, with the gain. In the logarithm, to two parts in a thousand of the range."""
+    def maximise(
+        self, gain: Callable[[CandidateModel], float], current_gain: float
+    ) -> tuple[CandidateModel, float]:
+        """Maximise the gain over this parameter alone.
+
+        The search is bounded and runs over the logarithm, to 0.4 % of its range.
+
+        Returns:
+            The best model and its gain; the present model and `current_gain` if none is better.
+        """
         from scipy.optimize import minimize_scalar  # slow to import
 
         low, high = np.log(self.low), np.log(self.high)
-        found = minimize_scalar(
+        solution = minimize_scalar(
             lambda x: -max(gain(self.at(float(np.exp(x)))), -1e12),
             bounds=(low, high),
             method="bounded",
             options={"xatol": 4e-3 * (high - low), "maxiter": 12},
         )
-        best, most = self.at(float(np.exp(found.x))), -float(found.fun)
-        return (best, most) if most > max(now + 1e-6, -1e12) else (self.here, now)
+        best, best_gain = self.at(float(np.exp(solution.x))), -float(solution.fun)
+        if best_gain > max(current_gain + 1e-6, -1e12):
+            return best, best_gain
+        return self.current, current_gain
 
     def delayed(self, delay: RecordingDelay, joint: int | None) -> NonlinearParameter:
-        """See `Shape.late`."""
-        return replace(self, shape=lambda value: self.shape(value).delayed(delay, joint))
+        """Return the parameter of the delayed model; see `CandidateModel.delayed`."""
+        return replace(self, model=lambda value: self.model(value).delayed(delay, joint))
 
     def at(self, value: float) -> CandidateModel:
-        """The shape at a value, which can be turned further within the same range."""
-        return replace(self.shape(value), nonlinear=replace(self, value=value))
+        """Return the model at a value; the value may be optimised further in the same range."""
+        return replace(self.model(value), nonlinear=replace(self, value=value))
 
 
 @dataclass(frozen=True)
 class NonlinearParameterSet:
-    """Several non-linear parameters that make up for each other: of each the value, what it is at the least and at the most; and the shape
-    at any other."""
+    """Several nonlinear parameters that compensate each other and are optimised jointly.
+
+    Attributes:
+        values: By name: present value, lower bound, upper bound.
+        model: Returns the candidate model at other values.
+    """
 
     values: Mapping[str, tuple[float, float, float]]
-    shape: Callable[[Mapping[str, float]], CandidateModel]
+    model: Callable[[Mapping[str, float]], CandidateModel]
 
     @property
-    def here(self) -> CandidateModel:
-        """The shape at the values that it has."""
-        return self.shape({name: value for name, (value, _, _) in self.values.items()})
+    def current(self) -> CandidateModel:
+        """The model at the present values."""
+        return self.model({name: value for name, (value, _, _) in self.values.items()})
 
-    def best(self, gain: Callable[[CandidateModel], float], now: float) -> tuple[CandidateModel, float]:
-        """By all values together, where the gain is `now`, with the gain. In logarithms, without derivatives (Nelder & Mead 1965)."""
+    def maximise(
+        self, gain: Callable[[CandidateModel], float], current_gain: float
+    ) -> tuple[CandidateModel, float]:
+        """Maximise the gain over all parameters, in logarithms, by Nelder & Mead (1965).
+
+        Returns:
+            The best model and its gain; the present model and `current_gain` if none is better.
+        """
         from scipy.optimize import minimize  # slow to import
 
         start, low, high = np.log(np.array(list(self.values.values()))).T
 
-        def at(x: Array) -> CandidateModel:
-            return self.shape(dict(zip(self.values, np.exp(x).tolist(), strict=True)))
+        def at(x: FloatArray) -> CandidateModel:
+            return self.model(dict(zip(self.values, np.exp(x).tolist(), strict=True)))
 
-        corners = np.vstack(
-            [start, start + np.diag(np.where(start + CORNER < high, CORNER, -CORNER))]
-        )
-        found = minimize(
+        step = np.where(start + SIMPLEX_SIZE < high, SIMPLEX_SIZE, -SIMPLEX_SIZE)
+        corners = np.vstack([start, start + np.diag(step)])
+        solution = minimize(
             lambda x: -max(gain(at(x)), -1e12),
             start,
             method="Nelder-Mead",
             bounds=list(zip(low, high, strict=True)),
-            options={"xatol": 3e-3, "fatol": 0.1, "maxfev": TURNS, "initial_simplex": corners},
+            options={
+                "xatol": 3e-3,
+                "fatol": 0.1,
+                "maxfev": MAX_SIMPLEX_EVALUATIONS,
+                "initial_simplex": corners,
+            },
         )
-        return (at(found.x), -float(found.fun)) if -found.fun > now + 1e-6 else (self.here, now)
+        if -solution.fun > current_gain + 1e-6:
+            return at(solution.x), -float(solution.fun)
+        return self.current, current_gain
 
     def delayed(self, delay: RecordingDelay, joint: int | None) -> NonlinearParameterSet:
-        """See `Shape.late`."""
-        return replace(self, shape=lambda values: self.shape(values).delayed(delay, joint))
+        """Return the parameters of the delayed model; see `CandidateModel.delayed`."""
+        return replace(self, model=lambda values: self.model(values).delayed(delay, joint))
 
 
-def beside(value: float, factor: float, families: Iterable[Callable[[float], CandidateModel]]) -> list[NonlinearParameter]:
-    """Each of several families at one value, to be turned within a factor."""
-    return [NonlinearParameter(value, value / factor, value * factor, shape) for shape in families]
+def variants_within(
+    value: float, factor: float, families: Iterable[Callable[[float], CandidateModel]]
+) -> list[NonlinearParameter]:
+    """Return the parameter of each model family at one value, free within a factor of it."""
+    return [
+        NonlinearParameter(value, value / factor, value * factor, family) for family in families
+    ]
 
 
-def family(grid: Sequence[float], shape: Callable[[float], CandidateModel]) -> Iterator[CandidateModel]:
-    """A shape at each value of a rising grid, to be turned between the neighbours."""
+def grid_candidates(
+    grid: Sequence[float], family: Callable[[float], CandidateModel]
+) -> Iterator[CandidateModel]:
+    """Yield a model at each value of a rising grid, free between the neighbouring values."""
     for i, value in enumerate(grid):
         low = grid[i - 1] if i else value**2 / grid[1]
         high = grid[i + 1] if i + 1 < len(grid) else value**2 / grid[-2]
-        yield NonlinearParameter(value, low, high, shape).at(value)
+        yield NonlinearParameter(value, low, high, family).at(value)
 
 
-def multiples(values: Mapping[str, float]) -> list[int]:
-    """Those of a shape, the order itself first."""
-    return [1, *(k for k, name in MULTIPLES.items() if name in values)]
+def harmonic_numbers(values: Mapping[str, float]) -> list[int]:
+    """Return the multiples of a model's spatial frequency that it fits; 1 comes first."""
+    return [1, *(k for k, key in HARMONIC_KEYS.items() if key in values)]
 
 
-def waves(values: Mapping[str, float], angle: Array) -> Array:
-    """Cosine and sine of a shape's order, and of those of its multiples, over a joint's angle. Shapes (M,) -> (M, k)."""
+def harmonic_columns(values: Mapping[str, float], angle: FloatArray) -> FloatArray:
+    """Return cosine and sine of a model's spatial frequency and its multiples.
+
+    Args:
+        values: Values of the model: "order" is the spatial frequency [1/rad].
+        angle: Joint angle [rad], shape (M,).
+
+    Returns:
+        Columns of shape (M, k).
+    """
     return np.column_stack(
-        [f(k * values["order"] * angle) for k in multiples(values) for f in (np.cos, np.sin)]
+        [
+            f(k * values["order"] * angle)
+            for k in harmonic_numbers(values)
+            for f in (np.cos, np.sin)
+        ]
     )
 
 
 @dataclass(frozen=True)
 class Effect:
-    """An entry of the catalogue.
+    """An entry of the catalogue: physics that the base model leaves out.
 
-    name: the contract's. add: the torque that a shape of it adds. shapes: all forms on a robot whose recordings are these tracks.
-    units: of its parameters. prior_only: a refit of the base model absorbs it. signature: what it looks like. confused: names it
-    is taken for. experiment: what would tell them apart. form: relative standard deviation of parameters where a robot's form is not
-    quite this one. loose: by how much more than of most the logarithm of the share is that it leaves where it is right (`belief.py`).
-    told: the contract's parameters of a joint's shapes with their coefficients, the largest first. recorded: of an effect with shapes of
-    measured torque, what one adds where nothing is measured yet, by all the torque that is made, Shape (M, n). unseen: standard
-    deviation of parameters by what such shapes could have and recordings would not show.
+    Attributes:
+        name: Name in `diagnosis.json`.
+        equation: Equation and its source.
+        torque_columns: Torque per unit of each coefficient of a candidate model.
+        candidates: Yields all candidate models for a robot with these recorded motions.
+        units: Units of the reported parameters.
+        signature: Description of the residual that the effect causes.
+        similar: Names of effects that this one may be confused with.
+        experiment: Experiment that would tell them apart.
+        prior_only: Whether a refit of the base model absorbs the effect, so that it can be found
+            only with a trusted prior.
+        form_std: Relative standard deviation of the parameters where the robot's effect has not
+            exactly the form of the model; fitted by `scripts/calibrate.py`.
+        residual_log_offset: Mean logarithm of the residual share that a correct finding leaves,
+            above the mean over all effects (see `diagnosis/belief.py`); fitted by
+            `scripts/calibrate.py`.
+        reported_parameters: Combines the candidate models found at one joint, the largest first,
+            into reported parameters.
+        predicted_torque: Torque of candidate models of measured torque where none is measured.
+        unobserved_std: Standard deviation of parameters by what no recording shows.
     """
 
     name: str
-    source: str
-    add: Add
-    shapes: Callable[[Sequence[RecordedMotion]], Iterator[CandidateModel]]
+    equation: str
+    torque_columns: TorqueColumns
+    candidates: Callable[[Sequence[RecordedMotion]], Iterator[CandidateModel]]
     units: Mapping[str, str]
     signature: str
-    are_confusable: tuple[str, ...]
+    similar: tuple[str, ...]
     experiment: str
     prior_only: bool = False
-    form: Mapping[str, float] = field(default_factory=dict)
+    form_std: Mapping[str, float] = field(default_factory=dict)
     residual_log_offset: float = 0.0
-    told: Callable[[Sequence[tuple[CandidateModel, Array]]], dict[str, float]] = lambda parts: parts[0][
+    reported_parameters: Callable[[FittedModels], dict[str, float]] = lambda parts: parts[0][
         0
     ].parameters(parts[0][1])
-    recorded: Recorded | None = None
-    unobserved_std: Callable[[Sequence[tuple[CandidateModel, Array]]], dict[str, float]] = lambda parts: {}
+    predicted_torque: PredictedTorque | None = None
+    unobserved_std: Callable[[FittedModels], dict[str, float]] = lambda parts: {}
 
 
-def alone(track: RecordedMotion, joint: int, x: Array) -> Array:
-    """Columns in one joint's torque only, from values at every sample: (M,) or (M, k)."""
-    low = track.lowpass(x[:, None] if x.ndim == 1 else x)
-    out = np.zeros((len(low), track.n, low.shape[1]))
+def single_joint_columns(motion: RecordedMotion, joint: int, x: FloatArray) -> FloatArray:
+    """Return low-passed columns that act on one joint only.
+
+    Args:
+        motion: The recorded motion.
+        joint: Index of the joint.
+        x: Torque at every sample, shape (M,) or (M, k).
+
+    Returns:
+        Columns of shape (N, n, k).
+    """
+    low = motion.lowpass(x[:, None] if x.ndim == 1 else x)
+    out = np.zeros((len(low), motion.n, low.shape[1]))
     out[:, joint] = low
     return out
 
 
-def named(*names: str, **fixed: float) -> Callable[[Array], dict[str, float]]:
-    """Coefficients by name, and values that are fixed."""
+def named_coefficients(*names: str, **fixed: float) -> Callable[[FloatArray], dict[str, float]]:
+    """Return a conversion of coefficients to parameters of these names, and of fixed values."""
     return lambda c: {name: float(value) for name, value in zip(names, c, strict=False)} | fixed
 
 
-def amplitude(**fixed: float) -> Callable[[Array], dict[str, float]]:
-    """The size of a pair of cosine and sine, and values that are fixed."""
+def pair_amplitude(**fixed: float) -> Callable[[FloatArray], dict[str, float]]:
+    """Return a conversion of a cosine and sine pair to its amplitude, and of fixed values."""
     return lambda c: {"amplitude": float(np.hypot(c[0], c[1]))} | fixed
 
 
-def within(low: float, high: float) -> Callable[[Array], bool]:
-    """The first coefficient lies between two bounds."""
+def is_between(low: float, high: float) -> Callable[[FloatArray], bool]:
+    """Return a check that the first coefficient lies between two bounds."""
     return lambda c: bool(low < c[0] < high)
 
 
-def positive(c: Array) -> bool:
-    """Every coefficient is above zero."""
+def is_positive(c: FloatArray) -> bool:
+    """Return True if every coefficient is above zero."""
     return bool((c > 0.0).all())

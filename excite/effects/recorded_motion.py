@@ -115,7 +115,9 @@ class RecordedMotion:
         position = self.band.transform(self.segment.q)
         speed = friction_speed(self.segment.q, self.band, position)
         return Samples(
-            position.filter(Grid.RECORDED, 0, MOTION_BANDWIDTH_RATIO), speed, position.filter(Grid.RECORDED, 2, MOTION_BANDWIDTH_RATIO)
+            position.filter(Grid.RECORDED, 0, MOTION_BANDWIDTH_RATIO),
+            speed,
+            position.filter(Grid.RECORDED, 2, MOTION_BANDWIDTH_RATIO),
         )
 
     def sign(self, joint: int) -> Array:
@@ -161,7 +163,9 @@ class RecordedMotion:
     def coarse_samples(self) -> Samples:
         """Motion where rigid-body dynamics are evaluated. Shapes (C, n)."""
         position = self.band.transform(self.segment.q)
-        return Samples(*(position.filter(Grid.COARSE, order, MOTION_BANDWIDTH_RATIO) for order in range(3)))
+        return Samples(
+            *(position.filter(Grid.COARSE, order, MOTION_BANDWIDTH_RATIO) for order in range(3))
+        )
 
     @memoized
     def times(self) -> Array:
@@ -171,7 +175,11 @@ class RecordedMotion:
     @property
     def run_time(self) -> Array:
         """For how long the recording has been going on, at every sample. Shape (M,) [s]."""
-        return self.times - (self.segment.start if self.segment.recording_start is None else self.segment.recording_start)
+        return self.times - (
+            self.segment.start
+            if self.segment.recording_start is None
+            else self.segment.recording_start
+        )
 
     def lowpass(self, x: Array, of: Grid = Grid.RECORDED) -> Array:
         """Below the band, at the kept rows, as late as it comes. Shapes (M or C, …) -> (N, …)."""
@@ -179,7 +187,11 @@ class RecordedMotion:
             x = self.upsample(x.reshape(len(x), -1)).reshape(-1, *x.shape[1:])
         late, lag = self.behind
         return self.band.filter(
-            x, self.grid, source=Grid.RECORDED if self.grid is Grid.RECORDED else of, delay=late, time_constant=lag
+            x,
+            self.grid,
+            source=Grid.RECORDED if self.grid is Grid.RECORDED else of,
+            delay=late,
+            time_constant=lag,
         )[self.kept]
 
     def upsample(self, x: Array) -> Array:
@@ -264,14 +276,18 @@ class RecordedMotion:
     @memoized
     def base_dynamics(self) -> FloatingBaseDynamics:
         """What a base that gives way would do, at the coarse samples."""
-        return floating_base_dynamics(self.fitted_robot.robot, self.fitted_robot.model, self.coarse_samples)
+        return floating_base_dynamics(
+            self.fitted_robot.robot, self.fitted_robot.model, self.coarse_samples
+        )
 
     @memoized
     def upright_inertia(self) -> Array:
         """Mass and moments of inertia of the whole robot about the base's axes with all joints at zero, and above zero: the same of every
         recording of a robot. Shape (6,)."""
         still = np.zeros((1, self.n))
-        stretched = floating_base_dynamics(self.fitted_robot.robot, self.fitted_robot.model, Samples(still, still, still))
+        stretched = floating_base_dynamics(
+            self.fitted_robot.robot, self.fitted_robot.model, Samples(still, still, still)
+        )
         return np.maximum(np.diag(stretched.mass[0, :6]), 1e-9)
 
     @memoized
@@ -323,7 +339,11 @@ def split_by_motion(rows: Array, stretches: Sequence[RecordedMotion]) -> list[Ar
 
 
 def recorded_motions(
-    model: IdentificationModel, fitted: FittedRobot, theta: Array, pieces: Sequence[RecordingSegment], hertz: float
+    model: IdentificationModel,
+    fitted: FittedRobot,
+    theta: Array,
+    pieces: Sequence[RecordingSegment],
+    hertz: float,
 ) -> list[RecordedMotion]:
     """Every stretch that is long enough for the band."""
     out = []

@@ -48,11 +48,17 @@ def _late(t: RecordedMotion, s: CandidateModel) -> Array:
     if not seconds:
         return _of(
             s,
-            -t.band.transform(t.measured_torque if s.values["measured"] else t.motor_torque).filter(t.grid, 1)[t.kept],
+            -t.band.transform(t.measured_torque if s.values["measured"] else t.motor_torque).filter(
+                t.grid, 1
+            )[t.kept],
         )
     if "lagging" in s.values:
         of_all = t.band.transform(t.motor_torque)
-        return _of(s, (of_all.filter(t.grid, time_constant=seconds) - of_all.filter(t.grid))[t.kept] / seconds)
+        return _of(
+            s,
+            (of_all.filter(t.grid, time_constant=seconds) - of_all.filter(t.grid))[t.kept]
+            / seconds,
+        )
     then = np.column_stack([np.interp(t.times - seconds, t.times, x) for x in t.motor_torque.T])
     return _of(s, t.lowpass((then - t.motor_torque) / seconds))
 
@@ -91,7 +97,10 @@ def _delay(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
         return shape
 
     alone = tracks[0].n == 1  # the joint is the whole robot
-    hides = min((float(t.reversal_dwell.min()) for t in tracks if np.isfinite(t.reversal_dwell).any()), default=0.0)
+    hides = min(
+        (float(t.reversal_dwell.min()) for t in tracks if np.isfinite(t.reversal_dwell).any()),
+        default=0.0,
+    )
     gate = _told(BEHIND * hides, AHEAD * hides)
     for joint in (*(() if alone else (None,)), *range(tracks[0].n)):
         for measured in (0.0, 1.0):
@@ -122,7 +131,8 @@ def _misread(t: RecordedMotion, s: CandidateModel) -> Array:
     first, second = line.filter(Grid.COARSE, 1, 2.0), line.filter(Grid.COARSE, 2, 2.0)
     torque = by_q * shifts[:, None] + by_v * first[:, None] + mass * second[:, None]
     torque[:, joint] += (
-        t.fitted_robot.drive("rotor_inertia")[joint] * second + t.fitted_robot.drive("viscous")[joint] * first
+        t.fitted_robot.drive("rotor_inertia")[joint] * second
+        + t.fitted_robot.drive("viscous")[joint] * first
     )
     return -t.lowpass(torque, Grid.COARSE)
 

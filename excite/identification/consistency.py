@@ -379,9 +379,7 @@ def is_consistent(parameters: Parameters, psi: FloatArray) -> bool:
 
     Every pseudo-inertia is positive definite; friction and rotor inertia are not negative.
     """
-    bodies = bool(
-        (np.linalg.eigvalsh(pseudo_inertias(inertial_rows(parameters, psi))) > 0.0).all()
-    )
+    bodies = bool((np.linalg.eigvalsh(pseudo_inertias(inertial_rows(parameters, psi))) > 0.0).all())
     return bodies and all(
         float(psi[parameters.block(kind)].min()) >= 0.0
         for kind in NONNEGATIVE_KINDS

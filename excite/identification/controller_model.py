@@ -81,9 +81,7 @@ def controller_command(
     band = reference.band(hertz)
     motion = Samples(
         *(
-            band.filter(
-                reference.q, Grid.RECORDED, order, bandwidth_ratio=FRICTION_BANDWIDTH_RATIO
-            )
+            band.filter(reference.q, Grid.RECORDED, order, bandwidth_ratio=FRICTION_BANDWIDTH_RATIO)
             for order in range(3)
         )
     )

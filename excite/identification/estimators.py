@@ -277,7 +277,9 @@ def estimate(
         return _huber(equations, fit, noise_root)
     if method is Method.IV:
         if instruments is None:
-            raise UnusableInput("estimator 'iv': needs instruments; see instruments.build_instruments")
+            raise UnusableInput(
+                "estimator 'iv': needs instruments; see instruments.build_instruments"
+            )
         return _instrumental(equations, fit, noise_root, instruments)
     residual = whiten(equations.torque - equations.predicted(fit.theta), noise_root)
     return _assembled(method, equations, fit, fit.theta, noise_root, residual)

@@ -167,9 +167,7 @@ def stable_friction_widths(dynamics: RobotDynamics, q: FloatArray, step: float) 
         Widths, not below those of the model. Shape (n,).
     """
     mobility = np.linalg.inv(dynamics.mass_matrix(q)).diagonal(axis1=1, axis2=2).max(axis=0)
-    return np.maximum(
-        dynamics.widths, step * dynamics.coulomb * mobility / MAX_FRICTION_STIFFNESS
-    )
+    return np.maximum(dynamics.widths, step * dynamics.coulomb * mobility / MAX_FRICTION_STIFFNESS)
 
 
 def with_widths(model: IdentificationModel, widths: FloatArray) -> IdentificationModel:

@@ -207,9 +207,7 @@ class Identification:
         )
         directions = base.matrix @ self.metric_base.geometric @ vectors
         information = consistency.prior_information(self.model.parameters, self.prior)
-        covariance = (
-            base.matrix @ consistency.symmetric_pseudo_inverse(information) @ base.matrix.T
-        )
+        covariance = base.matrix @ consistency.symmetric_pseudo_inverse(information) @ base.matrix.T
         prior = np.einsum(
             "ik,ij,jk->k",
             directions,
@@ -513,7 +511,9 @@ def _reduced_estimate(
     options: IdentificationOptions,
 ) -> ConsistentEstimate:
     """Identified directions from the data, all others nominal (Lee, Lee & Park 2021, section 4.4)."""
-    values, vectors = identifiability.eigenvalues_and_directions(data.information_root @ base.matrix, base)
+    values, vectors = identifiability.eigenvalues_and_directions(
+        data.information_root @ base.matrix, base
+    )
     identified = values * options.threshold >= 1.0
     # coordinates of θ in which the metric is 1 and the information diagonal
     frame = vectors[:, identified].T @ np.linalg.inv(base.matrix @ base.geometric)

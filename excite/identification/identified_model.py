@@ -162,7 +162,9 @@ class IdentifiedModel:
         return np.concatenate(times), np.concatenate(torques)
 
 
-def model_document(identification: Identification, recordings: Sequence[Recording]) -> dict[str, Any]:
+def model_document(
+    identification: Identification, recordings: Sequence[Recording]
+) -> dict[str, Any]:
     """Return the content of `model.json`.
 
     Args:

@@ -301,7 +301,7 @@ def _friction_bandwidth_ratio(band: LowPassFilter) -> float:
     """
     if band.encoder == 0.0:
         return FRICTION_BANDWIDTH_RATIO
-    f = (
-        MAX_FRICTION_SPEED_NOISE / (2.0 * np.pi * band.encoder) * np.sqrt(1.5 * band.rate)
-    ) ** (2.0 / 3.0)
+    f = (MAX_FRICTION_SPEED_NOISE / (2.0 * np.pi * band.encoder) * np.sqrt(1.5 * band.rate)) ** (
+        2.0 / 3.0
+    )
     return float(np.clip(f / band.hertz, 1.0, FRICTION_BANDWIDTH_RATIO))

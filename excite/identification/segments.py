@@ -80,9 +80,7 @@ class RecordingSegment:
 
     def band(self, hertz: float) -> LowPassFilter:
         """Return the low-pass filter of this segment with a cutoff frequency [Hz]."""
-        return LowPassFilter(
-            hertz, self.rate, len(self), self.periodic, float(self.encoder.max())
-        )
+        return LowPassFilter(hertz, self.rate, len(self), self.periodic, float(self.encoder.max()))
 
 
 def extract_segments(
@@ -112,9 +110,7 @@ def extract_segments(
             )
 
 
-def leading_segments(
-    segments: Sequence[RecordingSegment], samples: int
-) -> list[RecordingSegment]:
+def leading_segments(segments: Sequence[RecordingSegment], samples: int) -> list[RecordingSegment]:
     """Return the first segments until they hold a number of samples.
 
     The last of them is cut if it is aperiodic and more than twice as long as needed.

@@ -179,9 +179,7 @@ def widen_friction(
     for windows in groups:
         dynamics = build_dynamics(model, psi)
         step = 1.0 / (windows.rate * windows.steps)
-        widths = np.maximum(
-            widths, stable_friction_widths(dynamics, windows.states[:, :n], step)
-        )
+        widths = np.maximum(widths, stable_friction_widths(dynamics, windows.states[:, :n], step))
     return with_widths(model, widths)
 
 

@@ -157,9 +157,7 @@ def refine(
     root, target = data.information_root @ model.base.matrix, data.information_root @ data.theta
     kept = slice(None) if anchored else slice(0)
     weights = tuple(_error_weights(dynamics, windows) for windows in groups)
-    problem = _RefinementProblem(
-        widened, groups, root[kept], target[kept], prior, bounds, weights
-    )
+    problem = _RefinementProblem(widened, groups, root[kept], target[kept], prior, bounds, weights)
     iterate = _Iterate(start, tuple(windows.states for windows in groups))
     costs = [problem.cost(iterate)]
     for _ in range(MAX_STEPS):

@@ -80,9 +80,7 @@ def _constant_torque(
         yield Remark(Kind.FROZEN, text, joint)
 
 
-def _excessive_torque(
-    recording: Recording, torque: FloatArray, limits: Limits
-) -> Iterator[Remark]:
+def _excessive_torque(recording: Recording, torque: FloatArray, limits: Limits) -> Iterator[Remark]:
     """Yield a remark for each joint whose torque exceeds its limit by far."""
     ratio = np.abs(torque) / limits.torque
     for i in np.flatnonzero(ratio.max(axis=0) > MAX_TORQUE_RATIO).tolist():
@@ -94,9 +92,7 @@ def _excessive_torque(
         yield Remark(Kind.UNIT, text, joint, float(recording.t[row]), float(recording.t[row]))
 
 
-def _inverted_torque(
-    recording: Recording, robot: Robot, constant: BoolArray
-) -> Iterator[Remark]:
+def _inverted_torque(recording: Recording, robot: Robot, constant: BoolArray) -> Iterator[Remark]:
     """Yield a remark for each joint whose torque is anticorrelated with the nominal model's."""
     stretch = max(recording.segments(), key=len, default=None)
     if stretch is None:

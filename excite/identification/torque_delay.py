@@ -43,9 +43,7 @@ def estimate_delay(equations: TorqueEquations, estimate: Estimate) -> TorqueDela
         estimate: Estimate of their parameters, which predicts τ̂.
     """
     equations = (
-        equations
-        if len(equations) <= MAX_DELAY_ROWS
-        else equations.rows(slice(0, MAX_DELAY_ROWS))
+        equations if len(equations) <= MAX_DELAY_ROWS else equations.rows(slice(0, MAX_DELAY_ROWS))
     )
     n, p = equations.n, equations.regressor.shape[2]
     slope = np.zeros_like(equations.torque)

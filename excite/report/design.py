@@ -315,7 +315,9 @@ def _margin_row(
     if joint in robot.joints:
         unit = robot.entries[robot.joints.index(joint)].unit(unit)
     is_violated = relative < -ROUNDING
-    size = f"{number(100.0 * relative, 2) if abs(relative) >= 1e-4 else '0'} %"
+    size = (
+        f"{number(100.0 * relative, 2 if relative < 1.0 else 3) if abs(relative) >= 1e-4 else 0} %"
+    )
     return (
         limit,
         joint,
@@ -333,9 +335,7 @@ def _torque_section(subject: _Subject) -> Section:
     radius = float(trajectory.design.get("uncertainty", 0.0))
     at_most = 1000 if robot.n <= COMPACT_LAYOUT_JOINTS else 600
     t = trajectory_figures.sample_times(trajectory.motion, at_most)
-    nominal, width = torque_band(
-        robot, subject.parameters, trajectory.motion.samples(t), radius
-    )
+    nominal, width = torque_band(robot, subject.parameters, trajectory.motion.samples(t), radius)
     ratio = (np.abs(nominal) + width).max(axis=0) / trajectory.limits.torque
     worst = int(np.argmax(ratio))
     answer = (

@@ -206,7 +206,8 @@ def _scenarios_section(cases: Sequence[Scenario], threshold: float) -> Section:
         (
             _SCENARIO_NAMES.get(case.name, case.name),
             f"{case.identifiable_count} of {len(case.eigenvalues)}",
-            ", ".join(f"{b.limit} of {b.joint} ({b.factor:.2g}×)" for b in case.broken_limits) or "none",
+            ", ".join(f"{b.limit} of {b.joint} ({b.factor:.2g}×)" for b in case.broken_limits)
+            or "none",
         )
         for case in cases
     ]

@@ -82,7 +82,10 @@ def _head(found: Identification) -> str:
     worst = max(float(one.relative().max()) for one in shown)
     entries = [
         (str(robot.n), "moving joint" if robot.n == 1 else "moving joints"),
-        (f"{found.analysis.identifiable_count} of {found.model.base.count}", "directions identified"),
+        (
+            f"{found.analysis.identifiable_count} of {found.model.base.count}",
+            "directions identified",
+        ),
         (
             percent(worst),
             f"error over RMS torque, worst joint, {'held out' if found.validations else 'of the fit'}",

@@ -113,7 +113,9 @@ def _note(found: Identification) -> str:
     text += "A residual above the noise is physics that the model lacks, or noise that repeats with the motion."
     untrue = [
         j
-        for j, same in zip(found.model.robot.joints, found.data.noise_spectrum.repeated, strict=True)
+        for j, same in zip(
+            found.model.robot.joints, found.data.noise_spectrum.repeated, strict=True
+        )
         if not same
     ]
     if any(found.equations.periods) and untrue:

@@ -114,7 +114,11 @@ def _span(predictions: Sequence[Prediction], robot: Robot) -> str:
 
 def _table(one: Prediction, robot: Robot) -> str:
     before, after = one.error("nominal"), one.error()
-    relative, relative_before, ratios = one.relative(), one.relative("nominal"), one.error_over_noise_floor()
+    relative, relative_before, ratios = (
+        one.relative(),
+        one.relative("nominal"),
+        one.error_over_noise_floor(),
+    )
     rows = []
     for k, (joint, unit) in enumerate(zip(robot.joints, torque_units(robot), strict=True)):
         floor = None if one.noise_floor is None else float(one.noise_floor[k])

@@ -172,7 +172,9 @@ def _places(panel: AtlasCurve) -> FloatArray:
     return np.log10(panel.centres) if panel.logarithmic else panel.centres
 
 
-def _reaches(panels: Sequence[AtlasCurve], floor: float, *, has_findings: bool) -> dict[bool, float]:
+def _reaches(
+    panels: Sequence[AtlasCurve], floor: float, *, has_findings: bool
+) -> dict[bool, float]:
     """Upper end of the axis of means (False) and of amplitudes (True): one scale for a joint."""
     out = {}
     for is_amplitude in (False, True):
@@ -183,7 +185,9 @@ def _reaches(panels: Sequence[AtlasCurve], floor: float, *, has_findings: bool) 
     return out
 
 
-def _draw_panel(axes: _PanelAxes, panel: AtlasCurve, floor: float, *, has_findings: bool) -> list[str]:
+def _draw_panel(
+    axes: _PanelAxes, panel: AtlasCurve, floor: float, *, has_findings: bool
+) -> list[str]:
     """Elements of a panel."""
     places, is_significant = _places(panel), panel.p_before < SIGNIFICANT
     weight = 600 if is_significant else 0

@@ -1,0 +1,33 @@
+"""Figure of residuals that no effect explains, over the quantity that predicts them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from .drawing import BLUE, GREY, limit_ticks, render_panels
+from .trajectory import short
+
+PANEL_HEIGHT = 1.6
+"""Height of a panel's axes [in]."""
+
+
+def draw_responses(unknown: Sequence[Mapping[str, Any]], units: Mapping[str, str]) -> str:
+    """Draw a panel for each entry of `unknown` of `diagnosis.json` that has a response.
+
+    Args:
+        unknown: The entries.
+        units: Unit of each joint's torque.
+    """
+
+    def draw(axes: Any, entry: Mapping[str, Any]) -> None:
+        response = entry["where"]["response"]
+        axes.axhline(0.0, color=GREY, linewidth=0.5)
+        axes.plot(response["x"], response["y"], color=BLUE, linewidth=1.0)
+        unit = "" if response["relative"] else f" [{units[entry['joint']]}]"
+        axes.set_title(short(entry["joint"], 24) + unit, loc="left", fontweight="bold", pad=3)
+        axes.set_xlabel(response["over"])
+        limit_ticks(axes, 5, 4)
+
+    label = "Unexplained residual over the quantity that predicts it"
+    return render_panels(label, unknown, draw, PANEL_HEIGHT)

@@ -295,7 +295,7 @@ def _read_both(
     ]
     recordings.refuse_same(*both)
     train_set, held_out_set = (
-        [torque_check.checked(one, robot, limits) for one in some] for some in both
+        [torque_check.check_torque(one, robot, limits) for one in some] for some in both
     )
     return train_set, held_out_set
 

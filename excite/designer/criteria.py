@@ -190,7 +190,7 @@ def evaluate_criteria(
 
 
 def _rows_of_all(
-    weights: Mapping[str, CriterionWeighting], blocks: Iterable[Array]
+    weights: Mapping[str, Weighting], blocks: Iterable[Array]
 ) -> dict[str, Array]:
     """A with AᵀA the mean information per sample of all blocks, for each weighting. Shape (m, p)."""
     rows: dict[str, Array] = {}

@@ -1,1 +1,1 @@
-"""excite.trajectory."""
+"""Motions: Fourier series, motions from rest to rest, and the trajectory file."""

@@ -1,4 +1,4 @@
-"""`trajectory.json`: a designed motion with all that is needed to replay and to check it."""
+"""The trajectory file `trajectory.json`: all that is needed to replay and to verify a motion."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
+from .._types import FloatArray
 from ..errors import UnusableInput
 from ..robot import limits
 from ..robot.limits import Limits
@@ -20,24 +21,31 @@ from ..schemas.trajectory import SCHEMA, TrajectoryDocument
 from .fourier import FourierSeries
 from .rest_to_rest import Motion, segments_from_document, segments_to_document
 
-Array = np.ndarray
-
 
 @dataclass(frozen=True)
 class Trajectory:
-    """What `trajectory.json` says. Fields carry the names of its keys where these are one word.
+    """Content of a trajectory file.
 
-    robot: name, source, sha256, and how it was loaded (locked, payload, gravity).
-    noise: torque standard deviation per joint. Shape (n,) [N m].
-    design: the options of the design (criterion, plain, parameters, uncertainty, boxes, samples …).
-    criteria, margins, collision: as certified when the file was written.
+    Attributes:
+        robot: Name, source and sha256 of the URDF, and how it was loaded (locked, payload, gravity).
+        motion: Motion from rest to rest.
+        rate: Rows per second of the exported table [Hz].
+        limits: Limits that the motion keeps, and their sources.
+        noise: Standard deviation of the torque of each joint. Shape (n,) [N m].
+        design: Options of the design (criterion, plain, uncertainty, boxes, samples, …).
+        criteria: All criteria of the periodic part and of the exported motion.
+        margins: Nearest margin to each limit, as certified when the file was written.
+        collision: Sentence about the clearance, as certified when the file was written.
+        seed: Seed of the random starts.
+        forced: True if the file was written although its certificate failed.
+        versions: Versions of the packages that computed the file.
     """
 
     robot: Mapping[str, Any]
     motion: Motion
     rate: float
     limits: Limits
-    noise: Array
+    noise: FloatArray
     design: Mapping[str, Any]
     criteria: Mapping[str, Any]
     margins: list[dict[str, Any]]
@@ -48,10 +56,11 @@ class Trajectory:
 
     @property
     def joints(self) -> tuple[str, ...]:
+        """Names of the joints."""
         return self.motion.joints
 
     def document(self) -> dict[str, Any]:
-        """The file's content; floats are written so that they read back exactly."""
+        """Return the content of the file; floats read back exactly."""
         f = self.motion.fourier
         return {
             "schema": SCHEMA,
@@ -79,9 +88,13 @@ class Trajectory:
         }
 
     def load_robot(self, source: str | None = None) -> Robot:
-        """The robot the motion was designed for; `source` overrides where its URDF is looked for.
+        """Load the robot that the motion was designed for.
 
-        Raises UnusableInput when the URDF's sha256 differs from the file's.
+        Args:
+            source: Path of the URDF, or name of a built-in model; None: as the file says.
+
+        Raises:
+            UnusableInput: The URDF is not the one of the design (its sha256 differs).
         """
         stated = self.robot
         payload = stated.get("payload")
@@ -94,25 +107,33 @@ class Trajectory:
         )
         if robot.sha256 != stated["sha256"]:
             raise UnusableInput(
-                f"{robot.source}: is not the URDF this trajectory was designed for (sha256 differs); give that one with --robot"
+                f"{robot.source}: is not the URDF this trajectory was designed for "
+                "(sha256 differs); give that one with --robot"
             )
         return robot
 
 
 def _payload(stated: Mapping[str, Any]) -> Payload:
+    """Return the payload that a trajectory file states."""
     numbers = [tuple(float(v) for v in stated[key]) for key in ("centre", "inertia")]
     return Payload(str(stated["link"]), float(stated["mass"]), numbers[0], numbers[1])  # type: ignore[arg-type]
 
 
 def package_versions() -> dict[str, str]:
-    """Versions of what computed a file."""
+    """Return the versions of excite and of the packages that compute its results."""
     return {"excite": __version__} | {
         name: metadata.version(name) for name in ("casadi", "pin", "numpy", "scipy", "ruckig")
     }
 
 
 def read_trajectory(path: Path) -> Trajectory:
-    """Read `trajectory.json`.
+    """Read a `trajectory.json`.
+
+    Args:
+        path: Path of the file.
+
+    Returns:
+        The validated content.
 
     Raises:
         UnusableInput: The file is missing, is of another schema, or breaks a rule of
@@ -122,24 +143,40 @@ def read_trajectory(path: Path) -> Trajectory:
 
 
 def parse_trajectory(content: Any, path: Path) -> Trajectory:
-    """The trajectory of the plain values of a `trajectory.json`; path: of the file, for messages. Raises as `read` does."""
+    """Validate the parsed JSON of a trajectory file.
+
+    Args:
+        content: Content of the file as plain values.
+        path: Path of the file, for messages.
+
+    Raises:
+        UnusableInput: The content is of another schema, or breaks a rule of `schemas.trajectory`.
+    """
     file = _document_file(path)
     file.schema(content, (SCHEMA,))
     return _from_document(file.converted(content, TrajectoryDocument), content)
 
 
 def _document_file(path: Path) -> DocumentFile:
+    """Return the adapter that words the errors of a trajectory file."""
     return DocumentFile(
         path, "a trajectory", "design it again", "the trajectory.json of 'excite design'"
     )
 
 
 def _from_document(document: TrajectoryDocument, content: Mapping[str, Any]) -> Trajectory:
-    """The trajectory of a validated document. content: the same as plain values, with keys that the schema does not know."""
+    """Build the trajectory of a validated document.
+
+    Args:
+        document: The validated document.
+        content: The same as plain values, with keys that the schema does not know.
+    """
     joints: tuple[str, ...] = tuple(document.joints)
     arrays = [np.array(rows, float) for rows in (document.sine, document.cosine, document.offset)]
     fourier = FourierSeries(arrays[0], arrays[1], arrays[2], float(document.period))
-    motion = Motion(joints, fourier, document.periods, segments_from_document(document.segments, joints))
+    motion = Motion(
+        joints, fourier, document.periods, segments_from_document(document.segments, joints)
+    )
     return Trajectory(
         robot=content["robot"],
         motion=motion,

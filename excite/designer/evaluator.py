@@ -214,7 +214,7 @@ class Evaluator:
             by_q[:, j], by_dq[:, j] = sign / half, 2.0 * sign * over / brake.rate / half
         return value, by_q, by_dq
 
-    def worst(self, x: Array) -> float:
+    def max_constraint_value(self, x: Array) -> float:
         """The largest row value anywhere; ≤ 1 means feasible on the grid."""
         return max(float(values.max()) for values in self.constraint_values(x).values())
 

@@ -119,7 +119,7 @@ def predict(fitted: IdentifiedModel, recording: Recording) -> tuple[Array, Array
         still, warmth = np.zeros(stretch.q.shape), stretch.temperature
         whole = (recording.source, float(stretch.t[0]), stretch.rate, stretch.q, still)
         piece = RecordingSegment(
-            *whole, encoder=recording.encoder, temperature=warmth, began=float(recording.t[0])
+            *whole, encoder=recording.encoder, temperature=warmth, recording_start=float(recording.t[0])
         )
         band = piece.band(min(fitted.hertz, 0.45 * piece.rate))
         empty = nothing[:, :, None]

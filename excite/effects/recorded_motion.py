@@ -1,4 +1,4 @@
-"""Recordings as a diagnosis sees them: motion, measured torque and what the base model makes of them, on one band."""
+"""Recorded motion as the effects and the diagnosis use it: low-passed motion, torque, base model."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Generic, TypeVar, cast
 import numpy as np
 import pinocchio as pin
 
+from .._types import BoolArray, FloatArray
 from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid, LowPassFilter, friction_speed
 from ..identification.regression import IdentificationModel, filtered_regressor
 from ..identification.segments import RecordingSegment
@@ -19,36 +20,52 @@ from ..robot.robot import Robot
 from ..robot.samples import Samples
 from .base_dynamics import FloatingBaseDynamics, floating_base_dynamics
 
-Array = np.ndarray
 T = TypeVar("T")
-STILL, LOOSE = 0.01, 0.02
-"""Of a joint's largest speed, below which it stands; and of its range, by how much it must have moved since it rested: until then friction
-is whatever held it."""
-REST, BLURRED, COUNTS = 0.06, 0.2, 50.0
-"""For how long a joint stands until that is rest [s]; and where an encoder hides how fast it turns back: so many of its steps, at the
-least, should lie in the way that a joint can have gone meanwhile."""
-MOVING = 0.3
-"""Of its time, what a joint must move at the least, lest it be judged where it stands too: there is little else."""
+STANDSTILL_SPEED_RATIO = 0.01
+"""Speed below which a joint stands still, over its largest speed."""
+BREAKAWAY_TRAVEL_RATIO = 0.02
+"""Travel after a standstill until friction is no longer static, over the joint's range."""
+MIN_STANDSTILL = 0.06
+"""Duration from which a joint at standstill is excluded [s]."""
+MIN_STANDSTILL_COARSE = 0.2
+"""The same for a coarse encoder, which hides how fast a joint reverses [s]."""
+MIN_RESOLVED_STEPS = 50.0
+"""Encoder steps that a joint should be able to travel within `MIN_STANDSTILL`; below, the encoder
+counts as coarse."""
+MIN_MOVING_SHARE = 0.3
+"""Share of the time that a joint must move. A joint that moves less is judged at all times, as
+little would remain."""
 
 
 @dataclass(frozen=True)
 class FittedRobot:
-    """The rigid robot that the base fit found. model: Pinocchio's, with its inertias. psi: ψ̂. Shape (P,)."""
+    """The robot with the parameters of the fitted base model.
+
+    Attributes:
+        robot: The robot.
+        parameters: Layout of the standard parameters.
+        model: Pinocchio model with the fitted link inertias.
+        psi: Standard parameters ψ̂, shape (P,).
+    """
 
     robot: Robot
     parameters: Parameters
     model: pin.Model
-    psi: Array
+    psi: FloatArray
 
-    def drive(self, kind: str) -> Array:
-        """A drive parameter of every joint, 0 where the base model has none. Shape (n,)."""
+    def actuator_parameter(self, kind: str) -> FloatArray:
+        """Return an actuator parameter of every joint, shape (n,); 0 if the model has none.
+
+        Args:
+            kind: "rotor_inertia", "viscous", "coulomb" or "offset".
+        """
         if kind not in self.parameters.drive:
             return np.zeros(self.robot.n)
         return np.asarray(self.psi[self.parameters.block(kind)])
 
 
-def fitted_robot(robot: Robot, parameters: Parameters, psi: Array) -> FittedRobot:
-    """The robot with bodies ψ."""
+def fitted_robot(robot: Robot, parameters: Parameters, psi: FloatArray) -> FittedRobot:
+    """Return the robot with standard parameters ψ, shape (P,)."""
     model = robot.model.copy()
     for i in range(parameters.bodies):
         model.inertias[i + 1] = pin.Inertia.FromDynamicParameters(psi[10 * i : 10 * i + 10])
@@ -56,37 +73,51 @@ def fitted_robot(robot: Robot, parameters: Parameters, psi: Array) -> FittedRobo
 
 
 class memoized(Generic[T]):
-    """A property that is found once for a track and for all that see it later."""
+    """A property that is computed once for a recorded motion and all its delayed copies."""
 
-    def __init__(self, found: Callable[[RecordedMotion], T]) -> None:
-        self.found, self.__doc__ = found, found.__doc__
+    def __init__(self, compute: Callable[[RecordedMotion], T]) -> None:
+        self.compute, self.__doc__ = compute, compute.__doc__
 
-    def __get__(self, track: RecordedMotion, owner: type[RecordedMotion]) -> T:
-        name = self.found.__name__
-        if name not in track.cache:
-            track.cache[name] = self.found(track)
-        return cast(T, track.cache[name])
+    def __get__(self, motion: RecordedMotion, owner: type[RecordedMotion]) -> T:
+        name = self.compute.__name__
+        if name not in motion.cache:
+            motion.cache[name] = self.compute(motion)
+        return cast(T, motion.cache[name])
 
 
 @dataclass(frozen=True)
 class RecordedMotion:
-    """One stretch of a recording. torque: measured, below the band, at the kept rows. Shape (N, n). gamma: Γ there. Shape (N, n, p).
+    """A segment of a recording, low-passed, with the fitted base model.
 
-    theta: θ̂ of the base fit. to: where its rows lie. behind: by which what acts on it is recorded later, and the lag of the filter that it
-    has passed [s]. slopes: of torque by the log of friction's width. Shape (N, n). time: of the kept rows [s]. piece: as recorded. body:
-    the base fit. known: what is `remembered`.
+    Arrays have N rows on the grid of the regression, M on that of the recording, and C on the
+    coarse grid on which the rigid-body dynamics are evaluated.
+
+    Attributes:
+        segment: The segment as it was recorded.
+        band: Low-pass filter of the segment.
+        fitted_robot: Robot with the parameters of the base model.
+        widths: Widths of the smooth Coulomb friction [rad/s], shape (n,).
+        theta: Base parameters θ̂ of the fit.
+        torque: Measured torque, low-passed [N m], shape (N, n).
+        gamma: Base regressor Γ, low-passed, shape (N, n, p).
+        slopes: Derivative of the torque by the logarithm of the friction width, shape (N, n).
+        kept: Rows of the regression's grid that are far enough from the segment's ends.
+        time: Times of the kept rows [s], shape (N,).
+        grid: Grid to which `lowpass` reduces.
+        behind: Dead time and first-order time constant by which the torque is recorded later [s].
+        cache: Values of the `memoized` properties.
     """
 
     segment: RecordingSegment
     band: LowPassFilter
     fitted_robot: FittedRobot
-    widths: Array
-    theta: Array
-    torque: Array
-    gamma: Array
-    slopes: Array
+    widths: FloatArray
+    theta: FloatArray
+    torque: FloatArray
+    gamma: FloatArray
+    slopes: FloatArray
     kept: slice
-    time: Array
+    time: FloatArray
     grid: Grid = Grid.KEPT
     behind: tuple[float, float] = (0.0, 0.0)
     cache: dict[str, object] = field(default_factory=dict, init=False, repr=False, compare=False)
@@ -96,22 +127,28 @@ class RecordedMotion:
 
     @property
     def n(self) -> int:
+        """Number of joints."""
         return int(self.torque.shape[1])
 
     def delayed(self, seconds: float, lagging: bool = False) -> RecordedMotion:
-        """The same with all that is remembered, as seen by what is recorded later; or, lagging, through a filter of first order."""
+        """Return the motion for torque that is recorded later, with the same cache.
+
+        Args:
+            seconds: Dead time, or the time constant of a first-order lag [s].
+            lagging: True for a first-order lag.
+        """
         out = copy.copy(self)
         object.__setattr__(out, "behind", (0.0, seconds) if lagging else (seconds, 0.0))
         return out
 
     @memoized
-    def residual(self) -> Array:
-        """Torque that the base fit leaves. Shape (N, n)."""
+    def residual(self) -> FloatArray:
+        """Measured torque minus the base model's [N m], shape (N, n)."""
         return self.torque - self.gamma @ self.theta
 
     @memoized
     def samples(self) -> Samples:
-        """Motion at every sample of the recording. Shapes (M, n)."""
+        """Low-passed motion at every sample of the recording, shapes (M, n)."""
         position = self.band.transform(self.segment.q)
         speed = friction_speed(self.segment.q, self.band, position)
         return Samples(
@@ -120,31 +157,38 @@ class RecordedMotion:
             position.filter(Grid.RECORDED, 2, MOTION_BANDWIDTH_RATIO),
         )
 
-    def sign(self, joint: int) -> Array:
-        """The smooth sign of a joint's speed that the base model's Coulomb friction has, at every sample. Shape (M,)."""
+    def sign(self, joint: int) -> FloatArray:
+        """Return the smooth sign tanh(q̇/w) of the base model's Coulomb friction, shape (M,)."""
         return np.asarray(np.tanh(self.samples.dq[:, joint] / self.widths[joint]))
 
     @property
-    def temperature(self) -> Array:
-        """Of every joint, at every sample; NaN where a joint's was not recorded. Shape (M, n) [°C]."""
-        told = self.segment.temperature
-        return np.full((len(self.segment), self.n), np.nan) if told is None else told
+    def temperature(self) -> FloatArray:
+        """Joint temperatures [°C], shape (M, n); NaN where none was recorded."""
+        recorded = self.segment.temperature
+        return np.full((len(self.segment), self.n), np.nan) if recorded is None else recorded
 
     @memoized
-    def moving(self) -> Array:
-        """Kept rows at which a joint moves, friction known but for its law: at rest it can be anything that sticks. Shape (N, n)."""
+    def moving(self) -> BoolArray:
+        """Rows at which a joint moves, shape (N, n); static friction is not modelled."""
         rows = np.rint((self.time - self.segment.start) * self.segment.rate).astype(int)
         out = np.empty((len(self), self.n), bool)
         for j in range(self.n):
-            speed, steps = self.samples.dq[:, j], COUNTS * float(self.steps.max())
-            rest = REST if STILL * float(np.abs(speed).max()) * REST > steps else BLURRED
-            moving = _moving(self.samples.q[:, j], speed, self.segment.rate, rest)[rows]
-            out[:, j] = moving if moving.mean() > MOVING else True
+            speed, steps = self.samples.dq[:, j], MIN_RESOLVED_STEPS * float(self.steps.max())
+            standstill = (
+                MIN_STANDSTILL
+                if STANDSTILL_SPEED_RATIO * float(np.abs(speed).max()) * MIN_STANDSTILL > steps
+                else MIN_STANDSTILL_COARSE
+            )
+            moving = _moving(self.samples.q[:, j], speed, self.segment.rate, standstill)[rows]
+            out[:, j] = moving if moving.mean() > MIN_MOVING_SHARE else True
         return out
 
     @memoized
-    def reversal_dwell(self) -> Array:
-        """How long each joint stays within a step Δ of its encoder where it turns back, √(2 Δ/|q̈|); ∞ where it does not. Shape (n,) [s]."""
+    def reversal_dwell(self) -> FloatArray:
+        """Time that each joint stays within one encoder step Δ when it reverses, √(2 Δ/|q̈|).
+
+        Shape (n,) [s]; ∞ for a joint that does not reverse.
+        """
         out = np.full(self.n, np.inf)
         for j, step in enumerate(self.steps):
             turns = np.flatnonzero(np.diff(np.sign(self.samples.dq[:, j])))
@@ -155,90 +199,109 @@ class RecordedMotion:
         return out
 
     @property
-    def steps(self) -> Array:
-        """Δ of each encoder. Shape (n,) [rad or m]."""
+    def steps(self) -> FloatArray:
+        """Step Δ of each encoder, √12 times its quantisation error [rad or m], shape (n,)."""
         return np.asarray(np.sqrt(12.0) * self.segment.encoder)
 
     @memoized
     def coarse_samples(self) -> Samples:
-        """Motion where rigid-body dynamics are evaluated. Shapes (C, n)."""
+        """Low-passed motion on the grid of the rigid-body dynamics, shapes (C, n)."""
         position = self.band.transform(self.segment.q)
         return Samples(
             *(position.filter(Grid.COARSE, order, MOTION_BANDWIDTH_RATIO) for order in range(3))
         )
 
     @memoized
-    def times(self) -> Array:
-        """Times of every sample [s]. Shape (M,)."""
+    def times(self) -> FloatArray:
+        """Times of all samples of the recording [s], shape (M,)."""
         return self.segment.start + np.arange(len(self.segment)) / self.segment.rate
 
     @property
-    def run_time(self) -> Array:
-        """For how long the recording has been going on, at every sample. Shape (M,) [s]."""
+    def run_time(self) -> FloatArray:
+        """Time since the start of the recording [s], shape (M,)."""
         return self.times - (
             self.segment.start
             if self.segment.recording_start is None
             else self.segment.recording_start
         )
 
-    def lowpass(self, x: Array, of: Grid = Grid.RECORDED) -> Array:
-        """Below the band, at the kept rows, as late as it comes. Shapes (M or C, …) -> (N, …)."""
+    def lowpass(self, x: FloatArray, of: Grid = Grid.RECORDED) -> FloatArray:
+        """Low-pass signals and return their kept rows, with the recording delay.
+
+        Args:
+            x: Signals of shape (M, …) or (C, …).
+            of: Grid of x.
+
+        Returns:
+            Shape (N, …).
+        """
         if self.grid is Grid.RECORDED and of is Grid.COARSE:
             x = self.upsample(x.reshape(len(x), -1)).reshape(-1, *x.shape[1:])
-        late, lag = self.behind
+        delay, time_constant = self.behind
         return self.band.filter(
             x,
             self.grid,
             source=Grid.RECORDED if self.grid is Grid.RECORDED else of,
-            delay=late,
-            time_constant=lag,
+            delay=delay,
+            time_constant=time_constant,
         )[self.kept]
 
-    def upsample(self, x: Array) -> Array:
-        """From the coarse grid to every sample. Shapes (C, k) -> (M, k)."""
+    def upsample(self, x: FloatArray) -> FloatArray:
+        """Interpolate from the coarse grid to every sample: (C, k) -> (M, k)."""
         t = np.arange(len(x)) / self.band.rate_of(Grid.COARSE)
         fine = np.arange(len(self.segment)) / self.segment.rate
         return np.column_stack([np.interp(fine, t, column) for column in x.T])
 
     @memoized
-    def rigid_torque(self) -> Array:
-        """Torque of the rigid bodies alone, without drives, at the coarse samples. Shape (C, n)."""
-        return self._inverse(self.coarse_samples.q, self.coarse_samples.dq, self.coarse_samples.ddq)
+    def rigid_torque(self) -> FloatArray:
+        """Torque of the rigid links without actuators [N m], shape (C, n)."""
+        return self._inverse_dynamics(
+            self.coarse_samples.q, self.coarse_samples.dq, self.coarse_samples.ddq
+        )
 
     @memoized
-    def initial_torque(self) -> Array:
-        """Torque of the rigid bodies where they begin, at rest. Shape (n,)."""
+    def initial_torque(self) -> FloatArray:
+        """Static torque of the rigid links in the first pose [N m], shape (n,)."""
         q = self.coarse_samples.q[:1]
-        return np.asarray(self._inverse(q, np.zeros_like(q), np.zeros_like(q))[0])
+        return np.asarray(self._inverse_dynamics(q, np.zeros_like(q), np.zeros_like(q))[0])
 
     @memoized
-    def transmitted_torque(self) -> Array:
-        """What the gear carries: the rigid bodies' torque at every sample. Shape (M, n)."""
+    def transmitted_torque(self) -> FloatArray:
+        """Torque that the gears transmit: `rigid_torque` at every sample [N m], shape (M, n)."""
         return self.upsample(self.rigid_torque)
 
     @memoized
-    def motor_torque(self) -> Array:
-        """What the base model says the drive makes: rigid, rotor, friction, offset, at every sample. Shape (M, n)."""
-        s, drive = self.samples, self.fitted_robot.drive
-        friction = drive("viscous") * s.dq + drive("coulomb") * np.tanh(s.dq / self.widths)
-        return self.transmitted_torque + drive("rotor_inertia") * s.ddq + friction + drive("offset")
+    def motor_torque(self) -> FloatArray:
+        """Torque of the base model with actuators, at every sample [N m], shape (M, n)."""
+        s, parameter = self.samples, self.fitted_robot.actuator_parameter
+        friction = parameter("viscous") * s.dq + parameter("coulomb") * np.tanh(s.dq / self.widths)
+        return (
+            self.transmitted_torque
+            + parameter("rotor_inertia") * s.ddq
+            + friction
+            + parameter("offset")
+        )
 
     @memoized
-    def measured_torque(self) -> Array:
-        """What the drive was measured to make, below the band: with all that the base model lacks, and noise. Shape (M, n)."""
+    def measured_torque(self) -> FloatArray:
+        """Measured torque, low-passed, at every sample, with its noise [N m], shape (M, n)."""
         return self.band.filter(self.segment.torque, Grid.RECORDED)
 
-    def _inverse(self, q: Array, dq: Array, ddq: Array) -> Array:
+    def _inverse_dynamics(self, q: FloatArray, dq: FloatArray, ddq: FloatArray) -> FloatArray:
+        """Torque of the rigid links by recursive Newton-Euler; shapes (C, n)."""
         robot, data = self.fitted_robot.robot, self.fitted_robot.model.createData()
         Q, V, A = robot.expand(q), dq @ robot.spread.T, ddq @ robot.spread.T
         out = np.array(
-            [pin.rnea(self.fitted_robot.model, data, *state) for state in zip(Q, V, A, strict=True)]
+            [
+                pin.rnea(self.fitted_robot.model, data, *state)
+                for state in zip(Q, V, A, strict=True)
+            ]
         )
         return out @ robot.spread
 
     @memoized
-    def derivatives(self) -> tuple[Array, Array, Array]:
-        """∂τ/∂q, ∂τ/∂q̇ and M of the rigid bodies at the coarse samples. Three arrays of shape (C, n, n)."""
+    def derivatives(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Derivatives ∂τ/∂q, ∂τ/∂q̇ and mass matrix M of the rigid links, each (C, n, n)."""
         robot, model = self.fitted_robot.robot, self.fitted_robot.model
         data, s = model.createData(), self.coarse_samples
         out = np.empty((3, len(s), robot.n, robot.n))
@@ -252,113 +315,125 @@ class RecordedMotion:
         return out[0], out[1], out[2]
 
     @memoized
-    def gravity(self) -> Array:
-        """Torque of a unit acceleration of the base against x, y and z: −∂τ/∂g. Shape (C, n, 3)."""
+    def gravity(self) -> FloatArray:
+        """Torque per unit acceleration of the base along x, y, z, −∂τ/∂g; shape (C, n, 3)."""
         robot = self.fitted_robot.robot
         out = np.empty((len(self.coarse_samples), robot.n, 3))
-        q, rest = self.coarse_samples.q, np.zeros_like(self.coarse_samples.q)
+        q, zero = self.coarse_samples.q, np.zeros_like(self.coarse_samples.q)
         for axis in range(3):
             model = self.fitted_robot.model.copy()
             model.gravity.linear = -np.eye(3)[axis]
             data = model.createData()
             torque = [
-                pin.rnea(model, data, one, still, still)
-                for one, still in zip(robot.expand(q), rest @ robot.spread.T, strict=True)
+                pin.rnea(model, data, pose, still, still)
+                for pose, still in zip(robot.expand(q), zero @ robot.spread.T, strict=True)
             ]
             out[:, :, axis] = np.array(torque) @ robot.spread
         return out
 
     @memoized
-    def leaning(self) -> Array:
-        """Torque of a base turned by a radian about x, y, z, to first order: it sees gravity turned back, δg = g × φ. Shape (C, n, 3)."""
+    def leaning(self) -> FloatArray:
+        """Torque per rotation of the base about x, y, z: δg = g × φ to first order; (C, n, 3)."""
         return np.asarray(-self.gravity @ pin.skew(self.fitted_robot.model.gravity.linear))
 
     @memoized
     def base_dynamics(self) -> FloatingBaseDynamics:
-        """What a base that gives way would do, at the coarse samples."""
+        """Dynamics of a compliant base, linearised along the motion, at the coarse samples."""
         return floating_base_dynamics(
             self.fitted_robot.robot, self.fitted_robot.model, self.coarse_samples
         )
 
     @memoized
-    def upright_inertia(self) -> Array:
-        """Mass and moments of inertia of the whole robot about the base's axes with all joints at zero, and above zero: the same of every
-        recording of a robot. Shape (6,)."""
-        still = np.zeros((1, self.n))
-        stretched = floating_base_dynamics(
-            self.fitted_robot.robot, self.fitted_robot.model, Samples(still, still, still)
+    def upright_inertia(self) -> FloatArray:
+        """Mass and moments of inertia of the robot about the base axes, all joints at zero.
+
+        Positive, and the same for all recordings of a robot. Shape (6,) [kg, kg m²].
+        """
+        zero = np.zeros((1, self.n))
+        dynamics = floating_base_dynamics(
+            self.fitted_robot.robot, self.fitted_robot.model, Samples(zero, zero, zero)
         )
-        return np.maximum(np.diag(stretched.mass[0, :6]), 1e-9)
+        return np.maximum(np.diag(dynamics.mass[0, :6]), 1e-9)
 
     @memoized
-    def link_jacobians(self) -> Array:
-        """How a force on the centre of each link acts on the joints, base frame, at the coarse samples. Shape (C, n links, 3, n)."""
+    def link_jacobians(self) -> FloatArray:
+        """Jacobians of the links' centres of mass in the base frame, shape (C, n links, 3, n)."""
         robot, model = self.fitted_robot.robot, self.fitted_robot.model
-        data, held = (
-            model.createData(),
-            [int(np.flatnonzero(column)[0]) + 1 for column in robot.spread.T],
-        )
-        # column v of the Jacobian of joint i: the joint of v carries i
-        carried = np.zeros((robot.n, model.nv))
-        for k, joint in enumerate(held):
-            carried[k, [model.joints[int(i)].idx_v for i in model.supports[joint] if i > 0]] = 1.0
-        jacobians, centres = (
-            np.empty((len(self.coarse_samples), 6, model.nv)),
-            np.empty((len(self.coarse_samples), robot.n, 3)),
-        )
+        data = model.createData()
+        joints = [int(np.flatnonzero(column)[0]) + 1 for column in robot.spread.T]
+        # column v of the Jacobian of joint i is zero unless the joint of v carries joint i
+        carries = np.zeros((robot.n, model.nv))
+        for k, joint in enumerate(joints):
+            carries[k, [model.joints[int(i)].idx_v for i in model.supports[joint] if i > 0]] = 1.0
+        jacobians = np.empty((len(self.coarse_samples), 6, model.nv))
+        centres = np.empty((len(self.coarse_samples), robot.n, 3))
         for t, q in enumerate(robot.expand(self.coarse_samples.q)):
             jacobians[t] = np.reshape(pin.computeJointJacobians(model, data, q), (6, -1))
-            centres[t] = [data.oMi[joint].act(model.inertias[joint].lever) for joint in held]
+            centres[t] = [data.oMi[joint].act(model.inertias[joint].lever) for joint in joints]
         turning = np.cross(
             jacobians[:, None, 3:], centres[:, :, :, None], axisa=2, axisb=2, axisc=2
         )
-        return np.asarray((jacobians[:, None, :3] + turning) * carried[:, None] @ robot.spread)
+        return np.asarray((jacobians[:, None, :3] + turning) * carries[:, None] @ robot.spread)
 
 
-def _moving(q: Array, dq: Array, rate: float, rest: float) -> Array:
-    """Samples at which a joint moves: not at rest, nor within a little of where it rested. rest: how long it stands until that is [s].
-    Shapes (M,)."""
-    out, far = np.ones(len(q), bool), LOOSE * float(np.ptp(q))
-    still = np.abs(dq) < STILL * np.abs(dq).max()
+def _moving(q: FloatArray, dq: FloatArray, rate: float, standstill: float) -> BoolArray:
+    """Samples at which a joint moves: neither at standstill nor still close to where it stood.
+
+    Args:
+        q: Joint position, shape (M,).
+        dq: Joint velocity, shape (M,).
+        rate: Sample rate [Hz].
+        standstill: Duration from which a standstill counts [s].
+    """
+    out, breakaway = np.ones(len(q), bool), BREAKAWAY_TRAVEL_RATIO * float(np.ptp(q))
+    still = np.abs(dq) < STANDSTILL_SPEED_RATIO * np.abs(dq).max()
     for start, end in runs(still).tolist():
-        if end - start > rest * rate:
-            away = np.abs(q[end:] - q[end - 1]) > far
+        if end - start > standstill * rate:
+            away = np.abs(q[end:] - q[end - 1]) > breakaway
             out[start : end + int(np.argmax(away)) if away.any() else len(q)] = False
     return out
 
 
-def position_range(stretches: Sequence[RecordedMotion], joint: int) -> tuple[float, float]:
-    """Ends of where a joint was [rad or m]."""
-    places = [one.samples.q[:, joint] for one in stretches]
-    return min(float(q.min()) for q in places), max(float(q.max()) for q in places)
+def position_range(motions: Sequence[RecordedMotion], joint: int) -> tuple[float, float]:
+    """Return the smallest and largest position of a joint [rad or m]."""
+    positions = [motion.samples.q[:, joint] for motion in motions]
+    return min(float(q.min()) for q in positions), max(float(q.max()) for q in positions)
 
 
-def split_by_motion(rows: Array, stretches: Sequence[RecordedMotion]) -> list[Array]:
-    """Rows of several stretches, one after the other, by stretch."""
-    return np.split(rows, np.cumsum([len(one) for one in stretches])[:-1])
+def split_by_motion(rows: FloatArray, motions: Sequence[RecordedMotion]) -> list[FloatArray]:
+    """Split rows of several motions, one after the other, by motion."""
+    return np.split(rows, np.cumsum([len(motion) for motion in motions])[:-1])
 
 
 def recorded_motions(
     model: IdentificationModel,
     fitted: FittedRobot,
-    theta: Array,
-    pieces: Sequence[RecordingSegment],
+    theta: FloatArray,
+    segments: Sequence[RecordingSegment],
     hertz: float,
 ) -> list[RecordedMotion]:
-    """Every stretch that is long enough for the band."""
+    """Return the motion of every segment that is long enough for the low-pass filter.
+
+    Args:
+        model: The base model.
+        fitted: Robot with fitted parameters.
+        theta: Base parameters of the fit.
+        segments: Segments of the recordings.
+        hertz: Cutoff frequency of the filter [Hz].
+    """
     out = []
-    for piece in pieces:
-        band = piece.band(hertz)
+    for segment in segments:
+        band = segment.band(hertz)
         step, margin = band.steps(Grid.KEPT), band.margin
-        kept = slice(margin // step, -(-(len(piece) - margin) // step))
-        if len(piece) <= 2 * margin + 8 * step:
+        kept = slice(margin // step, -(-(len(segment) - margin) // step))
+        if len(segment) <= 2 * margin + 8 * step:
             continue
-        gamma, slopes, _ = filtered_regressor(model, piece.q, band)
-        torque = band.filter(piece.torque, Grid.KEPT)
-        time = piece.start + np.arange(len(torque)) * step / piece.rate
+        gamma, slopes, _ = filtered_regressor(model, segment.q, band)
+        torque = band.filter(segment.torque, Grid.KEPT)
+        time = segment.start + np.arange(len(torque)) * step / segment.rate
         out.append(
             RecordedMotion(
-                piece,
+                segment,
                 band,
                 fitted,
                 model.widths,

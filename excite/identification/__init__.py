@@ -1,1 +1,1 @@
-"""From recordings to physically consistent parameters: signals ← equations ← estimators ← consistent ← confidence ← pipeline."""
+"""Identification of physically consistent robot parameters from recordings."""

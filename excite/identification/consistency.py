@@ -1,9 +1,9 @@
 """Physically consistent parameters: the maximum a-posteriori estimate (review, eq. 15 and 21).
 
-Minimises ½‖R(Bψ − θ̂)‖² + γ d(ψ, ψ₀)² such that the pseudo-inertia of every body is positive definite
-and friction and rotor inertia are not negative. A damped Newton method minimises the sum of this and
-a logarithmic barrier (Boyd & Vandenberghe, "Convex Optimization", 2004, chapter 11), whose weight is
-reduced until it costs at most a hundredth of a unit of log-likelihood.
+Minimises ½‖R(Bψ − θ̂)‖² + γ d(ψ, ψ₀)² such that the pseudo-inertia of every body is positive
+definite and friction and rotor inertia are not negative. A damped Newton method minimises the sum
+of this and a logarithmic barrier (Boyd & Vandenberghe, "Convex Optimization", 2004, chapter 11),
+whose weight is reduced until it costs at most a hundredth of a unit of log-likelihood.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from .inertia_distance import Distance, NominalFrames, distance_metrics, pseudo_
 NONNEGATIVE_KINDS = ("rotor_inertia", "viscous", "coulomb")
 """Joint parameters that cannot be negative."""
 BARRIER_WEIGHTS = (1.0, 1e-1, 1e-2, 1e-3, 1e-4)
-"""Weights of the barrier, one after the other. With the last the barrier costs at most 1e-4 per term
-(Boyd & Vandenberghe 2004, 11.2.2): 0.01 for 100 terms."""
+"""Weights of the barrier, one after the other. With the last the barrier costs at most 1e-4 per
+term (Boyd & Vandenberghe 2004, 11.2.2): 0.01 for 100 terms."""
 MIN_PSEUDO_INERTIA = 1e-6
 """Lower bound of the pseudo-inertia, P ≻ MIN_PSEUDO_INERTIA · P₀: at the boundary of the consistent
 set a body has no finite metric."""
@@ -238,7 +238,8 @@ def maximum_a_posteriori(
     psi = _interior_point(parameters, prior.nominal, bounds or Bounds())
     if rows.size and float(problem.slack(psi).min()) <= 0.0:
         raise UnusableInput(
-            "bounds: no physically consistent body satisfies the bounds of mass and centre; widen them"
+            "bounds: no physically consistent body satisfies the bounds of mass and centre; "
+            "widen them"
         )
     steps, ridge = 0, 1e-13 * np.eye(parameters.count)  # below rounding
     for weight in BARRIER_WEIGHTS:

@@ -6,9 +6,9 @@ u = a₁ τ_rigid(q_ref) + a₂ τ_Coulomb(q_ref) + a₃ q̇_ref + K_p e + K_d �
 e = q_ref − q: a cascade, PD or PID controller with any share of feed-forward. Its coefficients are
 fitted to the measured torque, all signals filtered to the same band, gains not below 0.
 
-Limitations: the controller is linear and acts on its own joint only; its behaviour above the band is
-not seen; position noise biases the gains towards 0. It need not be exact: instruments have to be
-correlated with the motion and uncorrelated with its noise.
+Limitations: the controller is linear and acts on its own joint only; its behaviour above the band
+is not seen; position noise biases the gains towards 0. It need not be exact: instruments have to
+be correlated with the motion and uncorrelated with its noise.
 """
 
 from __future__ import annotations

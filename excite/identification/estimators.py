@@ -1,8 +1,9 @@
-"""Estimators of base parameters: ordinary, weighted and robust least squares, instrumental variables.
+"""Estimators of base parameters: least squares, robust and instrumental estimation.
 
-The estimate solves Σ Γᵀ Σ⁻¹ ρ(τ − Γθ) = 0. Its covariance is the sandwich A⁻¹ S A⁻¹, A the derivative
-of the left side with respect to θ and S the covariance of the left side under noise of the estimated
-spectrum (Huber, "Robust Statistics", 1981, chapter 7; White, Econometrica 48(4), 1980).
+The estimate solves Σ Γᵀ Σ⁻¹ ρ(τ − Γθ) = 0. Its covariance is the sandwich A⁻¹ S A⁻¹, A the
+derivative of the left side with respect to θ and S the covariance of the left side under noise of
+the estimated spectrum (Huber, "Robust Statistics", 1981, chapter 7; White, Econometrica 48(4),
+1980).
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ ZERO_COLUMN_RATIO = 1e-9
 """Norm of a column of Γ, relative to the largest, below which it counts as zero: rounding in the
 derivatives of a resting joint's position."""
 RANK_TOLERANCE = 1e-9
-"""Relative singular value of Γ, columns scaled to unit norm, below which a combination of parameters
-counts as not excited."""
+"""Relative singular value of Γ, columns scaled to unit norm, below which a combination of
+parameters counts as not excited."""
 BLOCK_ROWS = 4096
 """Number of rows that are orthogonalised at a time."""
 CONFIDENCE_LEVEL = 0.95
@@ -161,7 +162,7 @@ def triangular_factor(equations: TorqueEquations, noise_root: FloatArray) -> Flo
 
 
 def _solved(factor: FloatArray, joint_factors: FloatArray) -> LeastSquaresFit:
-    """Solve least squares from the QR factor of all rows; each joint's factor gives its leverage."""
+    """Solve least squares from the QR factor of all rows; joint factors give the leverages."""
     p = factor.shape[1] - 1
     root, right = factor[:p, :p].copy(), factor[:p, p]
     size = np.linalg.norm(root, axis=0)
@@ -185,7 +186,9 @@ def _solved(factor: FloatArray, joint_factors: FloatArray) -> LeastSquaresFit:
 def least_squares(
     equations: TorqueEquations, noise_root: FloatArray, weights: FloatArray | None = None
 ) -> LeastSquaresFit:
-    """Minimise ‖W^½ C⁻¹(τ − Γθ)‖²; of minimum norm, columns scaled to unit norm, where rank-deficient.
+    """Minimise ‖W^½ C⁻¹(τ − Γθ)‖².
+
+    Of several minima the one of minimum norm is returned, columns scaled to unit norm.
 
     Args:
         equations: The equations.
@@ -250,8 +253,8 @@ def estimate(
             (N, n, p), or (N, n, p + k) with instruments of the nuisance columns, which otherwise
             are their own instruments.
         nuisance: Columns that explain torque and belong to no parameter of θ, such as the
-            derivative by a friction width. They are estimated jointly and integrated out, so that θ̂
-            is not biased by them and its covariance accounts for them. Shape (N, n, k).
+            derivative by a friction width. They are estimated jointly and integrated out, so that
+            θ̂ is not biased by them and its covariance accounts for them. Shape (N, n, k).
 
     Raises:
         UnusableInput: Instruments are missing or excite less than the recorded motion.

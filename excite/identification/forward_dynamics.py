@@ -1,9 +1,9 @@
 """Forward dynamics of the identified robot, M(q) q̈ + h(q, q̇) + friction = τ, with derivatives.
 
-∂q̈/∂θ = −M⁻¹Γ and ∂q̈/∂(q, q̇) = −M⁻¹ ∂τ/∂(q, q̇) at constant q̈: the derivatives of inverse dynamics
-give those of forward dynamics (Carpentier & Mansard, "Analytical derivatives of rigid body dynamics
-algorithms", RSS 2018). Friction and rotor inertia are included; mimic joints enter through the
-robot's `spread` matrix.
+∂q̈/∂θ = −M⁻¹Γ and ∂q̈/∂(q, q̇) = −M⁻¹ ∂τ/∂(q, q̇) at constant q̈: the derivatives of inverse
+dynamics give those of forward dynamics (Carpentier & Mansard, "Analytical derivatives of rigid
+body dynamics algorithms", RSS 2018). Friction and rotor inertia are included; mimic joints enter
+through the robot's `spread` matrix.
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ from ..robot.samples import Samples
 from .regression import IdentificationModel
 
 MAX_FRICTION_STIFFNESS = 2.0
-"""Largest step size times friction decay rate of a joint in explicit integration: below the stability
-limit 2.78 of the classical Runge-Kutta method, to allow for the coupling with other joints."""
+"""Largest step size times friction decay rate of a joint in explicit integration: below the
+stability limit 2.78 of the classical Runge-Kutta method, to allow for the coupling with other
+joints."""
 
 
 @dataclass(frozen=True)

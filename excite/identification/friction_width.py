@@ -1,4 +1,4 @@
-"""Speed scale (width) of each joint's smooth Coulomb friction tanh(q̇/width), estimated from the data.
+"""Estimation of the speed scale (width) of smooth Coulomb friction tanh(q̇/width).
 
 A width that is too large is mistaken for Stribeck friction.
 """

@@ -1,11 +1,11 @@
 """Durbin-Wu-Hausman test of whether instruments are needed, robust to coloured noise.
 
-The part of Γ that the instruments do not explain, V̂ = Γ − Z Ẑ, is added to the regression of torque
-on Γ. If position noise is in Γ and in the residual, V̂ explains some of the residual (Hausman,
-Econometrica 46(6), 1978; Wooldridge, "Econometric Analysis of Cross Section and Panel Data", 6.2.1;
-for robots Janot, Vandanjon & Gautier, IEEE Trans. Control Systems Technology 22(1), 2014). The
-coefficients of V̂ are tested by Wald's statistic with the covariance of `estimators`, which accounts
-for the noise spectrum.
+The part of Γ that the instruments do not explain, V̂ = Γ − Z Ẑ, is added to the regression of
+torque on Γ. If position noise is in Γ and in the residual, V̂ explains some of the residual
+(Hausman, Econometrica 46(6), 1978; Wooldridge, "Econometric Analysis of Cross Section and Panel
+Data", 6.2.1; for robots Janot, Vandanjon & Gautier, IEEE Trans. Control Systems Technology 22(1),
+2014). The coefficients of V̂ are tested by Wald's statistic with the covariance of `estimators`,
+which accounts for the noise spectrum.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ SIGNIFICANCE_LEVEL = 0.05
 MAX_BIAS = 0.5
 """Bias in standard deviations that is tolerated: 95 % intervals then cover 92 %."""
 TESTED_POWER_SHARE = 0.99
-"""Share of the power of V̂ held by the principal directions that are tested, in coordinates where the
-information is 1. The others are nearly combinations of the columns of Γ: they add degrees of freedom
-and no power to the test."""
+"""Share of the power of V̂ held by the principal directions that are tested, in coordinates where
+the information is 1. The others are nearly combinations of the columns of Γ: they add degrees of
+freedom and no power to the test."""
 MIN_SINE = 1e-6
 """Sine of the angle between the spaces of Γ and Z below which a direction is not tested."""
 

@@ -1,8 +1,8 @@
-"""Identification of a robot: from recordings to physically consistent parameters and their uncertainty.
+"""Identification of a robot: physically consistent parameters from recordings.
 
-Steps: segments of recordings → filtered regression equations → widths of Coulomb friction → estimate of
-base parameters from the data alone → weight of the prior → physically consistent estimate →
-identifiability and torque predictions.
+Steps: segments of recordings → filtered regression equations → widths of Coulomb friction →
+estimate of base parameters from the data alone → weight of the prior → physically consistent
+estimate → identifiability and torque predictions.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ TRUSTED_GAMMA = 1e8
 UNINFORMATIVE_GAMMA = 1e-14
 """γ of parameters that only the data should determine."""
 REDUCED_GAMMA = 1e-3
-"""γ of the prior in `Identification.reduced`, small against the information of a direction that counts
-as identified."""
+"""γ of the prior in `Identification.reduced`, small against the information of a direction that
+counts as identified."""
 MAX_BAND_SHARE = 0.45
 """Cutoff frequency over the rate of a recording, at most, for predictions."""
 
@@ -68,7 +68,7 @@ class IdentificationOptions:
     Attributes:
         method: Estimator of the base parameters.
         distance: Distance of link inertias from nominal.
-        gamma: γ of inertial and of joint parameters, or how to choose them: "evidence" or "heldout".
+        gamma: γ of inertial and joint parameters, or how to choose it: "evidence", "heldout".
         band: Cutoff frequency [Hz]; chosen from the data if None.
         threshold: Largest scale-free variance of a direction that counts as identified.
         bounds: Bounds of masses and centres of mass.
@@ -510,7 +510,7 @@ def _reduced_estimate(
     prior: Prior,
     options: IdentificationOptions,
 ) -> ConsistentEstimate:
-    """Identified directions from the data, all others nominal (Lee, Lee & Park 2021, section 4.4)."""
+    """Identified directions from the data, others nominal (Lee, Lee & Park 2021, 4.4)."""
     values, vectors = identifiability.eigenvalues_and_directions(
         data.information_root @ base.matrix, base
     )

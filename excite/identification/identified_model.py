@@ -1,4 +1,4 @@
-"""Identified robot and its file `model.json`, from which torque is predicted along any recording."""
+"""Identified robot and its file `model.json`, from which torque is predicted."""
 
 from __future__ import annotations
 
@@ -284,7 +284,7 @@ def _joint_gamma(identification: Identification) -> dict[str, list[float]]:
 
 
 def base_parameter_table(identification: Identification) -> list[dict[str, Any]]:
-    """Return the base parameters: nominal, by the data alone with 95 % interval, and of the model."""
+    """Return the base parameters: nominal, from the data with 95 % interval, of the model."""
     base, data = identification.model.base, identification.data
     names = [identification.model.parameters.names[i] for i in base.independent]
     half = estimators.interval_half_widths(data, np.eye(base.count))
@@ -308,7 +308,7 @@ def base_parameter_table(identification: Identification) -> list[dict[str, Any]]
 
 
 def _direction_table(identification: Identification) -> list[dict[str, Any]]:
-    """Directions of I·H₀⁻¹: variance, and the share of the model's value that the data determine."""
+    """Directions of I·H₀⁻¹: variance, and share of the value that the data determine."""
     shares = identification.data_shares()
     return [
         {

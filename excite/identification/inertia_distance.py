@@ -2,12 +2,12 @@
 
 The four distances of Lee, Wensing & Park (review): Riemannian (eq. 16), d² = ½ tr Log²(P₀⁻¹P);
 log-det Bregman divergence (eq. 17), D = log(|P₀|/|P|) + tr(P₀⁻¹P) − 4 ≈ d²; pullback of the
-Riemannian metric at φ₀ (eq. 18), d² = δᵀ g(φ₀) δ; and, for comparison, the Euclidean distance of the
-SI values, d² = δᵀδ, which depends on units and frames. φ holds one body per row, shape (b, 10), in
-Pinocchio's order.
+Riemannian metric at φ₀ (eq. 18), d² = δᵀ g(φ₀) δ; and, for comparison, the Euclidean distance of
+the SI values, d² = δᵀδ, which depends on units and frames. φ holds one body per row, shape (b,
+10), in Pinocchio's order.
 
-All are computed in normalised coordinates M = L⁻¹PL⁻ᵀ with P₀ = LLᵀ, in which nominal bodies are the
-identity and numbers are of order 1.
+All are computed in normalised coordinates M = L⁻¹PL⁻ᵀ with P₀ = LLᵀ, in which nominal bodies are
+the identity and numbers are of order 1.
 """
 
 from __future__ import annotations
@@ -29,8 +29,9 @@ MIN_EIGENVALUE = 1e-12
 EQUAL_EIGENVALUES = 1e-6
 """Relative difference of two eigenvalues below which a divided difference is a derivative."""
 MIN_RIEMANNIAN_CURVATURE = 0.1
-"""Smallest divided difference of the Riemannian distance's derivative, in units of 1/(dᵢdⱼ): far from
-the nominal body d² is not convex in φ, and a Newton step needs a positive definite Hessian."""
+"""Smallest divided difference of the Riemannian distance's derivative, in units of 1/(dᵢdⱼ): far
+from the nominal body d² is not convex in φ, and a Newton step needs a positive definite
+Hessian."""
 
 
 class Distance(enum.Enum):
@@ -135,7 +136,7 @@ class NominalFrames:
         )
 
     def _riemannian(self, phi: FloatArray) -> BodyFunction:
-        """Riemannian distance f = Σ h(dᵢ), h = ½ log² d, of the eigenvalues dᵢ of M (review, eq. 16).
+        """Riemannian distance Σ h(dᵢ), h = ½ log² d, dᵢ the eigenvalues of M (review, eq. 16).
 
         Derivatives of spectral functions by divided differences of h′ (Daleckii & Krein).
         """

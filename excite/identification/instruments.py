@@ -5,9 +5,9 @@ identification", IEEE Trans. Control Systems Technology 22(1), 2014. Z is Γ alo
 auxiliary model, the identified robot under its identified controllers that track q_ref, or along
 q_ref itself. In either case q_ref may be shifted in time, joint by joint, to be closest to the
 recorded motion, because commands are interpolated and filtered before a controller follows them and
-clocks differ. Only these few parameters depend on the noise of the recording. Of the motions, the one
-closest to the recorded motion is used, by the geometric mean over the joints of RMS distances below
-the band.
+clocks differ. Only these few parameters depend on the noise of the recording. Of the motions, the
+one closest to the recorded motion is used, by the geometric mean over the joints of RMS distances
+below the band.
 """
 
 from __future__ import annotations
@@ -90,8 +90,7 @@ class Instruments:
                 self.reference_distance
             )
             reason = (
-                "distance of the auxiliary motion from the recorded one over that of the reference: "
-                f"{ratio:.2g}"
+                f"the distance of the auxiliary motion over that of the reference is {ratio:.2g}"
             )
         return f"instruments along the {self.motion.value}: {reason}"
 

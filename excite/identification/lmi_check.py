@@ -2,8 +2,8 @@
 
 Solves min ½‖R ψ − z‖² + γ d(ψ, ψ₀)² subject to P(φᵢ) ⪰ 0 for every body (Wensing, Kim & Slotine,
 "Linear matrix inequalities for physically consistent inertial parameter identification", IEEE
-Robotics and Automation Letters 3(1), 2018; review, eq. 15, 17, 18, 21), stated in cvxpy and solved by
-Clarabel. The Riemannian distance is not convex in the parameters and has no such form.
+Robotics and Automation Letters 3(1), 2018; review, eq. 15, 17, 18, 21), stated in cvxpy and solved
+by Clarabel. The Riemannian distance is not convex in the parameters and has no such form.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from .consistency import (
 from .inertia_distance import PSEUDO_INERTIA_BASIS, Distance, distance_metrics, pseudo_inertias
 
 AGREEMENT_TOLERANCE = 1e-4
-"""Difference of the objectives, relative to the objective where that is above 1, up to which the two
-solvers agree, in addition to the cost of the barrier."""
+"""Difference of the objectives, relative to the objective where that is above 1, up to which the
+two solvers agree, in addition to the cost of the barrier."""
 SOLVER_TOLERANCE = 1e-9
 """Gap and feasibility tolerances of Clarabel."""
 INSTALL_COMMAND = "pip install 'excite[lmi]'"

@@ -1,10 +1,11 @@
 """Zero-phase low-pass filter for both sides of τ = Y(q, q̇, q̈) ψ, with exact derivatives.
 
-Torque and every column of the regressor pass the same filter, so that the equation still holds after
-filtering (parallel filtering: Gautier, "Dynamic identification of robots with power model", ICRA
-1997). The filter multiplies Fourier coefficients, so that a derivative is an exact multiplication by
-iω. A periodic signal is its own continuation; any other signal is continued by reflection about its
-end points, and the samples within `LowPassFilter.margin` of the ends are discarded.
+Torque and every column of the regressor pass the same filter, so that the equation still holds
+after filtering (parallel filtering: Gautier, "Dynamic identification of robots with power model",
+ICRA 1997). The filter multiplies Fourier coefficients, so that a derivative is an exact
+multiplication by iω. A periodic signal is its own continuation; any other signal is continued by
+reflection about its end points, and the samples within `LowPassFilter.margin` of the ends are
+discarded.
 """
 
 from __future__ import annotations
@@ -20,25 +21,25 @@ from .._types import BoolArray, FloatArray
 from ..errors import UnusableInput
 
 TAPER_FRACTION = 0.2
-"""Share of the band over which the gain falls to zero for aperiodic signals, as a sharp edge rings."""
+"""Share of the band over which the gain falls to zero for aperiodic signals: a sharp edge rings."""
 SETTLING_FACTOR = 1.5
-"""Discarded margin at an end in units of 1/(TAPER_FRACTION · cutoff) [s]: beyond it the effect of the
-reflection is below a thousandth of the signal."""
+"""Discarded margin at an end in units of 1/(TAPER_FRACTION · cutoff) [s]: beyond it the effect of
+the reflection is below a thousandth of the signal."""
 MOTION_BANDWIDTH_RATIO = 2.0
 """Cutoff of positions over the cutoff of torque: torque below the band depends on motion above it,
 the more so where a joint reverses."""
 FRICTION_BANDWIDTH_RATIO = 10.0
-"""Cutoff of the speed in Coulomb friction over the cutoff of torque: it sets the time of each step."""
+"""Cutoff of the speed in Coulomb friction over the cutoff of torque, to resolve friction steps."""
 MAX_FRICTION_SPEED_NOISE = 3e-3
-"""Largest standard deviation of the speed in Coulomb friction due to quantization [rad/s]: about the
-width of a friction step. A smoother speed would displace the steps in time."""
+"""Largest standard deviation of the speed in Coulomb friction due to quantization [rad/s]: about
+the width of a friction step. A smoother speed would displace the steps in time."""
 REGRESSOR_OVERSAMPLING = 3.0
 """Rate at which the regressor is sampled before filtering, over twice the cutoff: products of
 motions reach beyond the band of each of them."""
 
 
 class Grid(enum.Enum):
-    """Sampling grids of a stretch: as recorded, for evaluating the regressor, and of the kept rows."""
+    """Sampling grids: as recorded, coarse for the regressor, and of the kept rows."""
 
     RECORDED = enum.auto()
     COARSE = enum.auto()
@@ -47,7 +48,7 @@ class Grid(enum.Enum):
 
 @dataclass(frozen=True)
 class LowPassFilter:
-    """Low-pass filter for a stretch of evenly spaced samples, and the sampling that follows from it.
+    """Low-pass filter for a stretch of evenly spaced samples, with the grids that it needs.
 
     Rows are kept at twice the cutoff frequency. Of a period as many rows are kept as there are
     Fourier coefficients in the band, so that white noise stays white.

@@ -1,12 +1,12 @@
 """Noise of the torque equations: variance per joint, correlation of joints, and spectrum.
 
-Rows are weighted by Σ^{-1/2}, Σ the covariance over the joints at one time. The spectrum is left out
-of the weights, because a residual that is unmodelled physics would turn a whitening filter against
-the low frequencies that matter. It enters the uncertainty: the spectrum of the weighted residual
-gives the covariance of every score. As a fit explains most of the power at the frequencies of the
-motion, the power at each frequency is divided by the degrees of freedom that remain there.
-Deviations between repeated periods, which no fit has changed, are added where they agree with the
-residual.
+Rows are weighted by Σ^{-1/2}, Σ the covariance over the joints at one time. The spectrum is left
+out of the weights, because a residual that is unmodelled physics would turn a whitening filter
+against the low frequencies that matter. It enters the uncertainty: the spectrum of the weighted
+residual gives the covariance of every score. As a fit explains most of the power at the
+frequencies of the motion, the power at each frequency is divided by the degrees of freedom that
+remain there. Deviations between repeated periods, which no fit has changed, are added where they
+agree with the residual.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .regression import TorqueEquations
 MIN_BIN_WIDTH_HZ = 0.1
 """Smallest width of a bin of the spectrum [Hz]."""
 LONG_RECORDING_ROWS = 10_000
-"""Number of rows from which on the bins are LONG_RECORDING_BIN_FACTOR times as wide, to save time."""
+"""Number of rows from which on bins are LONG_RECORDING_BIN_FACTOR times as wide, to save time."""
 LONG_RECORDING_BIN_FACTOR = 5.0
 """Width of a bin for long recordings over MIN_BIN_WIDTH_HZ."""
 MIN_BIN_FREEDOM = 12.0
@@ -178,7 +178,7 @@ def _agrees_with_periods(
 
 
 def _smoothed(power: FloatArray, freedom: FloatArray) -> FloatArray:
-    """Power over degrees of freedom; a bin is joined with neighbours until it has MIN_BIN_FREEDOM."""
+    """Power over freedom; a bin is joined with neighbours until it has MIN_BIN_FREEDOM."""
     out = np.empty_like(power)
     count = len(power)
     P, F = (np.vstack([np.zeros(x.shape[1]), np.cumsum(x, axis=0)]) for x in (power, freedom))

@@ -25,8 +25,8 @@ def read_trusted_parameters(
 ) -> Mapping[int, float]:
     """Read the parameters that a prior file or a `model.json` states.
 
-    A prior trusts all inertial parameters of the URDF and the stated joint parameters; a `model.json`
-    trusts all its parameters.
+    A prior trusts all inertial parameters of the URDF and the stated joint parameters; a
+    `model.json` trusts all its parameters.
 
     Args:
         path: Path of the file.

@@ -1,4 +1,4 @@
-"""Segments of recordings for identification: mean periods of periodic motion, else gap-free stretches.
+"""Segments of recordings for identification: mean periods or gap-free stretches.
 
 The mean over P periods has 1/P of the noise variance, and the deviations of the periods from it
 measure the noise without a model, because what repeats is not noise (Swevers et al., "Optimal robot
@@ -246,8 +246,8 @@ def torque_spectra(
 ) -> TorqueSpectra:
     """Compute the spectra of the longest segment and choose the cutoff frequency by them.
 
-    The cutoff is 20 Hz, higher if the motion is faster, lower if noise covers the torque before. The
-    noise spectrum is that of the deviations between periods if there are any, else the median
+    The cutoff is 20 Hz, higher if the motion is faster, lower if noise covers the torque before.
+    The noise spectrum is that of the deviations between periods if there are any, else the median
     density above half of the Nyquist frequency.
 
     Args:

@@ -1,11 +1,11 @@
 """Simulation error: deviation of the identified robot, simulated forward, from the recorded motion.
 
-Multiple shooting (review, eq. 6): the recording is cut into short windows. Each is simulated from its
-own initial state, with the recorded torque as input (linear between samples), by the classical
-Runge-Kutta method. The derivatives of the positions with respect to θ and the initial state are those
-of the same steps, so that they are exact for the discrete map (variational equations: Hairer, Nørsett
-& Wanner, "Solving Ordinary Differential Equations I", section I.14). Coulomb friction is widened
-where its stiffness would make the steps unstable.
+Multiple shooting (review, eq. 6): the recording is cut into short windows. Each is simulated from
+its own initial state, with the recorded torque as input (linear between samples), by the classical
+Runge-Kutta method. The derivatives of the positions with respect to θ and the initial state are
+those of the same steps, so that they are exact for the discrete map (variational equations:
+Hairer, Nørsett & Wanner, "Solving Ordinary Differential Equations I", section I.14). Coulomb
+friction is widened where its stiffness would make the steps unstable.
 """
 
 from __future__ import annotations
@@ -104,8 +104,8 @@ def cut_windows(
 ) -> tuple[list[SimulationWindows], float]:
     """Cut windows from segments.
 
-    Initial states come from positions filtered below FRICTION_BANDWIDTH_RATIO bands; margins that the
-    filter spoils are left out.
+    Initial states come from positions filtered below FRICTION_BANDWIDTH_RATIO bands; margins that
+    the filter spoils are left out.
 
     Args:
         segments: Segments of recordings.

@@ -1,12 +1,12 @@
 """Refinement of parameters against the simulation error, by Gauss-Newton with exact sensitivities.
 
-Minimises ½ Σ ‖q(ψ, x₀) − q_recorded‖²_Λ + ½‖R(Bψ − θ̂)‖² + γ d(ψ, ψ₀)² over ψ and the initial state of
-every window (review, eq. 6 and 21), starting from the equation-error solution. The motion depends on
-ψ through θ = Bψ alone, so sensitivities are taken with respect to θ and nothing depends on the choice
-of B. Each step is solved by `consistency.maximum_a_posteriori` with the linearised simulation error as
-additional rows: every iterate is physically consistent, and the second term, the equation-error
-estimate with its covariance, keeps it near the data. The torque noise enters both terms, so no
-covariance is given; confidence intervals remain those of the equation error.
+Minimises ½ Σ ‖q(ψ, x₀) − q_recorded‖²_Λ + ½‖R(Bψ − θ̂)‖² + γ d(ψ, ψ₀)² over ψ and the initial
+state of every window (review, eq. 6 and 21), starting from the equation-error solution. The motion
+depends on ψ through θ = Bψ alone, so sensitivities are taken with respect to θ and nothing depends
+on the choice of B. Each step is solved by `consistency.maximum_a_posteriori` with the linearised
+simulation error as additional rows: every iterate is physically consistent, and the second term,
+the equation-error estimate with its covariance, keeps it near the data. The torque noise enters
+both terms, so no covariance is given; confidence intervals remain those of the equation error.
 """
 
 from __future__ import annotations
@@ -125,8 +125,8 @@ def refine(
     """Refine parameters so that they predict positions best.
 
     A position error is weighted by its RMS at the start, and a window of S positions counts as
-    (tr C)²/tr C² of them, C the covariance of its errors, because errors close in time are correlated
-    (Satterthwaite, Biometrics Bulletin 2(6), 1946).
+    (tr C)²/tr C² of them, C the covariance of its errors, because errors close in time are
+    correlated (Satterthwaite, Biometrics Bulletin 2(6), 1946).
 
     Args:
         model: The model.

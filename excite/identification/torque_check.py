@@ -1,7 +1,8 @@
 """Checks of measured torque before it is fitted: constant columns, wrong units, inverted signs.
 
-A fit partly absorbs all three: torque with an inverted sign gives masses near 0 and no error message.
-Each finding is a remark of the recording and a warning that states the figure it rests on.
+A fit partly absorbs all three: torque with an inverted sign gives masses near 0 and no error
+message. Each finding is a remark of the recording and a warning that states the figure it rests
+on.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ INVERTED_CORRELATION = -0.75
 machines reach −0.72 (joint 7 of a KUKA LWR4+, whose nominal torque is small) and recordings with
 inverted signs −0.86 to −0.99 where gravity or inertia prevails."""
 MIN_NOMINAL_RATIO = 0.05
-"""Standard deviation of the nominal torque over that of the measured one below which the sign is not
-checked."""
+"""Standard deviation of the nominal torque over that of the measured one below which the sign is
+not checked."""
 
 
 def check_torque(recording: Recording, robot: Robot, limits: Limits) -> Recording:

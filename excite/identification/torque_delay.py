@@ -1,4 +1,4 @@
-"""Delay between torque and position per joint: τ(t − d) ≈ τ − d τ̇, fitted jointly with all parameters."""
+"""Delay d between torque and position: τ(t − d) ≈ τ − d τ̇, fitted with all parameters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Export of the identified robot as a URDF: the user's file with the inertia of moving links replaced.
+"""Export of the identified robot as a URDF: the user's file with new inertial parameters.
 
 A body is the link that a joint moves together with all that is fixed to it. Its inertia is written
 into that link, and the links fixed to it get none. Locked joints become fixed at the position at

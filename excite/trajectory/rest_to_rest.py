@@ -1,4 +1,4 @@
-"""A whole motion from rest to rest: approach, ramp-in, whole Fourier periods, ramp-out, return."""
+"""Complete motions from rest to rest: approach, ramp-in, Fourier periods, ramp-out, return."""
 
 from __future__ import annotations
 
@@ -8,46 +8,62 @@ from typing import Any
 
 import numpy as np
 
+from .._types import FloatArray
 from ..errors import UnusableInput
 from ..robot.samples import Samples
 from ..schemas.trajectory import SegmentDocument
 from .fourier import FourierSeries
 
-Array = np.ndarray
+TIME_TOLERANCE = 1e-9
+"""Times closer than this to the start or the end of a motion are at rest [s]."""
 
 
 @dataclass(frozen=True)
 class JerkProfile:
-    """Joint motions of piecewise constant jerk, replayable without the planner that found them.
+    """Joint motion of piecewise constant jerk, replayable without the planner that made it.
 
-    position, velocity, acceleration: the state at the start. Shape (n,).
-    pieces: per joint, (duration [s], jerk [rad/s³]) one after the other; after the last the acceleration stays.
+    Attributes:
+        position: Positions at the start. Shape (n,) [rad].
+        velocity: Velocities at the start. Shape (n,) [rad/s].
+        acceleration: Accelerations at the start. Shape (n,) [rad/s²].
+        pieces: For each joint its consecutive pieces (duration [s], jerk [rad/s³]). The
+            acceleration stays constant after the last piece.
     """
 
-    position: Array
-    velocity: Array
-    acceleration: Array
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
     pieces: tuple[tuple[tuple[float, float], ...], ...]
 
-    def at(self, t: Array, order: int = 0) -> Array:
-        """The order-th derivative at times t ≥ 0 since the start. Shape (len(t), n)."""
-        t = np.asarray(t, float)
-        out = np.empty((len(t), len(self.position)))
+    def at(self, t: float | FloatArray, order: int = 0) -> FloatArray:
+        """Evaluate the motion or one of its time derivatives.
+
+        Args:
+            t: Times since the start, not negative [s]. Shape () or (N,).
+            order: Order of the derivative, 0 to 3.
+
+        Returns:
+            Positions [rad] or derivatives [rad/s^order]. Shape (n,) or (N, n).
+        """
+        times = np.atleast_1d(np.asarray(t, float))
+        out = np.empty((len(times), len(self.position)))
         for j, pieces in enumerate(self.pieces):
             knots, states = self._states(j, pieces)
-            index = np.clip(np.searchsorted(knots, t, side="right") - 1, 0, len(knots) - 1)
+            index = np.clip(np.searchsorted(knots, times, side="right") - 1, 0, len(knots) - 1)
             q, v, a, jerk = states[index].T
-            s = t - knots[index]
+            s = times - knots[index]
             out[:, j] = (
                 q + s * (v + s * (a / 2 + s * jerk / 6)),
                 v + s * (a + s * jerk / 2),
                 a + s * jerk,
                 jerk,
             )[order]
-        return out
+        return out[0] if np.ndim(t) == 0 else out
 
-    def _states(self, joint: int, pieces: Sequence[tuple[float, float]]) -> tuple[Array, Array]:
-        """Knot times and (position, velocity, acceleration, jerk) at each."""
+    def _states(
+        self, joint: int, pieces: Sequence[tuple[float, float]]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the knots of a joint and (position, velocity, acceleration, jerk) at each."""
         q, v, a = self.position[joint], self.velocity[joint], self.acceleration[joint]
         time, knots, states = 0.0, [], []
         for duration, jerk in pieces:
@@ -61,15 +77,22 @@ class JerkProfile:
         states.append((q, v, a, 0.0))
         return np.array(knots), np.array(states)
 
-    def knots(self) -> Array:
-        """All times at which some joint's jerk changes [s]."""
+    def knots(self) -> FloatArray:
+        """Return all times at which the jerk of any joint changes [s]."""
         return np.unique(np.concatenate([self._states(j, p)[0] for j, p in enumerate(self.pieces)]))
 
-    def critical_times(self, length: float) -> Array:
-        """Every time in [0, length] at which a derivative of some joint up to the third can be extreme [s].
+    def critical_times(self, length: float) -> FloatArray:
+        """Return all times at which position, velocity, acceleration or jerk can be extreme.
 
-        These are both ends, the knots, and on each cubic the roots of its acceleration and of its velocity: position, velocity and
-        acceleration over [0, length] are bounded exactly by their values there, and jerk is constant between them.
+        These are both ends, the knots, and on each cubic the roots of its acceleration and of its
+        velocity. Position, velocity and acceleration over [0, length] are bounded exactly by their
+        values at these times, and jerk is constant between them.
+
+        Args:
+            length: Duration that is considered, from the start [s].
+
+        Returns:
+            Ascending times in [0, length] [s].
         """
         times = [np.array([0.0, length])]
         for joint, pieces in enumerate(self.pieces):
@@ -80,19 +103,19 @@ class JerkProfile:
                 inside = (root > 0.0) & (root < duration)
                 times.append(knots[inside] + root[inside])
             times.append(knots)
-        every = np.unique(np.concatenate(times))
-        return every[(every >= 0.0) & (every <= length)]
+        candidates = np.unique(np.concatenate(times))
+        return candidates[(candidates >= 0.0) & (candidates <= length)]
 
 
-def _ratio(numerator: Array, denominator: Array) -> Array:
-    """Quotients; NaN where the denominator vanishes, which no comparison accepts as a root."""
+def _ratio(numerator: FloatArray, denominator: FloatArray) -> FloatArray:
+    """Divide element by element; NaN where the denominator is 0, so that it is not a root."""
     return np.divide(
         numerator, denominator, out=np.full_like(numerator, np.nan), where=denominator != 0.0
     )
 
 
-def _quadratic_roots(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
-    """Real roots of a x² + b x + c, element by element and without cancellation; NaN where there is none."""
+def _quadratic_roots(a: FloatArray, b: FloatArray, c: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the real roots of a x² + b x + c without cancellation, NaN where there are none."""
     discriminant = b * b - 4.0 * a * c
     root = np.sqrt(np.where(discriminant >= 0.0, discriminant, np.nan))
     half = -0.5 * (b + np.where(b >= 0.0, root, -root))
@@ -101,7 +124,14 @@ def _quadratic_roots(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class MotionSegment:
-    """One part of a motion, from `start` to `end` [s]; its profile, or None for the Fourier part."""
+    """Part of a motion.
+
+    Attributes:
+        kind: approach, ramp_in, fourier, ramp_out or return.
+        start: Time at which it starts [s].
+        end: Time at which it ends [s].
+        profile: Its motion in time since `start`; None for the Fourier part.
+    """
 
     kind: str
     start: float
@@ -111,7 +141,14 @@ class MotionSegment:
 
 @dataclass(frozen=True)
 class Motion:
-    """Segments in order of time; the Fourier part repeats `periods` times."""
+    """Complete motion from rest to rest.
+
+    Attributes:
+        joints: Names of the n joints.
+        fourier: Periodic part.
+        periods: Number of periods of the periodic part.
+        segments: Consecutive parts in order of time.
+    """
 
     joints: tuple[str, ...]
     fourier: FourierSeries
@@ -124,8 +161,8 @@ class Motion:
         return self.segments[-1].end
 
     @property
-    def end_poses(self) -> tuple[Array, Array]:
-        """Poses at the beginning and at the end. Shapes (n,)."""
+    def end_poses(self) -> tuple[FloatArray, FloatArray]:
+        """Poses at the start and at the end. Shape (n,) each [rad]."""
         first, last = self.segments[0], self.segments[-1]
         begin = self.fourier.at(np.zeros(1))[0] if first.profile is None else first.profile.position
         if last.profile is None:
@@ -133,45 +170,68 @@ class Motion:
         return begin, last.profile.at(np.array([last.end - last.start]))[0]
 
     def segment(self, kind: str) -> MotionSegment:
-        """The segment of that kind; KeyError where the motion has none."""
+        """Return the first segment of a kind.
+
+        Raises:
+            KeyError: The motion has no segment of this kind.
+        """
         for segment in self.segments:
             if segment.kind == kind:
                 return segment
         raise KeyError(kind)
 
-    def at(self, t: Array, order: int = 0) -> Array:
-        """The order-th derivative at times t; outside [0, duration] the motion rests. Shape (len(t), n)."""
-        t = np.asarray(t, float)
+    def at(self, t: float | FloatArray, order: int = 0) -> FloatArray:
+        """Evaluate the motion or one of its time derivatives; outside [0, duration] it rests.
+
+        Args:
+            t: Times [s]. Shape () or (N,).
+            order: Order of the derivative, 0 to 3.
+
+        Returns:
+            Positions [rad] or derivatives [rad/s^order]. Shape (n,) or (N, n).
+        """
+        times = np.atleast_1d(np.asarray(t, float))
         begin, end = self.end_poses
         out = (
-            np.where((t <= self.duration / 2)[:, None], begin, end)
+            np.where((times <= self.duration / 2)[:, None], begin, end)
             if order == 0
-            else np.zeros((len(t), len(begin)))
+            else np.zeros((len(times), len(begin)))
         )
-        inside = (t > 1e-9) & (t < self.duration - 1e-9)
+        inside = (times > TIME_TOLERANCE) & (times < self.duration - TIME_TOLERANCE)
         for segment in self.segments:
-            # a joint of two segments belongs to the later one, the end to the last
-            here = inside & (t >= segment.start - 1e-12) & (t <= segment.end)
+            # where two segments meet the later one is evaluated, at the very end the last one
+            here = inside & (times >= segment.start - 1e-12) & (times <= segment.end)
             if not here.any():
                 continue
-            local = np.maximum(t[here] - segment.start, 0.0)
+            local = np.maximum(times[here] - segment.start, 0.0)
             out[here] = (
                 self.fourier.at(local, order)
                 if segment.profile is None
                 else segment.profile.at(local, order)
             )
-        return out
+        return out[0] if np.ndim(t) == 0 else out
 
-    def samples(self, t: Array) -> Samples:
-        """Position, velocity and acceleration at times t."""
+    def samples(self, t: FloatArray) -> Samples:
+        """Return position, velocity and acceleration at times `t` [s]. Shape of `t`: (N,)."""
         return Samples(self.at(t), self.at(t, 1), self.at(t, 2))
 
-    def grid(self, rate: float) -> Array:
-        """Times k/rate from 0 to the first at or after the end [s]; the last row is at rest."""
+    def grid(self, rate: float) -> FloatArray:
+        """Return the times k/rate from 0 to the first one at or after the end [s].
+
+        Args:
+            rate: Samples per second [Hz].
+        """
         return np.arange(int(np.ceil(self.duration * rate - 1e-6)) + 1) / rate
 
     def slowed(self, speed: float) -> Motion:
-        """The same path at `speed` times the speed (a first, careful run)."""
+        """Return the same path at a lower speed, as for a first careful run.
+
+        Args:
+            speed: Share of the speed, above 0 and at most 1 [1].
+
+        Raises:
+            UnusableInput: `speed` is outside its range.
+        """
         if not 0.0 < speed <= 1.0:
             raise UnusableInput(f"--speed {speed:g} should be above 0 and at most 1")
         parts = []
@@ -192,7 +252,7 @@ class Motion:
 
 
 def segments_to_document(motion: Motion) -> list[dict[str, Any]]:
-    """The segments as `trajectory.json` holds them."""
+    """Return the segments of a motion as `trajectory.json` holds them."""
     out: list[dict[str, Any]] = []
     for s in motion.segments:
         entry: dict[str, Any] = {"kind": s.kind, "start": s.start, "end": s.end}
@@ -213,7 +273,12 @@ def segments_to_document(motion: Motion) -> list[dict[str, Any]]:
 def segments_from_document(
     document: Sequence[SegmentDocument], joints: tuple[str, ...]
 ) -> tuple[MotionSegment, ...]:
-    """The inverse of `segment_document`."""
+    """Return the segments of a validated `trajectory.json`; inverse of `segments_to_document`.
+
+    Args:
+        document: Entries of the key `segments`.
+        joints: Names of the joints, in the order of the motion.
+    """
     out = []
     for entry in document:
         profile, stated = None, entry.profile

@@ -27,7 +27,7 @@ class Trajectory:
     """Content of a trajectory file.
 
     Attributes:
-        robot: Name, source and sha256 of the URDF, and how it was loaded (locked, payload, gravity).
+        robot: Name, source and sha256 of the URDF; locked joints, payload and gravity.
         motion: Motion from rest to rest.
         rate: Rows per second of the exported table [Hz].
         limits: Limits that the motion keeps, and their sources.

@@ -76,7 +76,7 @@ class Change:
             np.sqrt(
                 max(
                     NominalFrames(self.before.phi[None])
-                    .squared(Distance.RIEMANNIAN, self.after.phi[None])
+                    .squared_distance(Distance.RIEMANNIAN, self.after.phi[None])
                     .value[0],
                     0.0,
                 )

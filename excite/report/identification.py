@@ -1,4 +1,4 @@
-"""The report of an identification: does the model hold, what changed, who decided it, and what to record next."""
+"""The report of an identification: prediction, parameters, noise, and the next experiment."""
 
 from __future__ import annotations
 
@@ -14,29 +14,21 @@ from ..recordings import Remark
 from ..robot.inertial_parameters import DRIVE
 from ..robot.parameter_names import percent
 from ..trajectory.trajectory_file import package_versions
-from . import estimates, noise, prediction
-from . import remarks as remarked
-from .identifiability import without_verdict as bare
-from .page import (
-    Section,
-    banner,
-    bullets,
-    cards,
-    escape,
-    folded,
-    number,
-    page,
-    paragraph,
-    plural,
-    table,
-)
+from .content import Banner, ReportContent, Section, Table
+from .estimates import bodies_section, directions_section, parameters_section
+from .formatting import number, plural, uncapitalized
+from .identifiability import without_verdict
+from .noise import noise_section
+from .prediction import prediction_section, prediction_verdict
+from .remarks import count_remarks, list_remarks
+from .render import render
 
-_GRAVITY = (0.0, 0.0, -9.81)
+_STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 _METHODS = {
-    "ols": "least squares, all rows alike",
+    "ols": "ordinary least squares",
     "wls": "least squares, weighted by each joint's noise",
-    "full": "least squares, weighted by the noise's covariance over the joints",
-    "huber": "robust (Huber), weighted by each joint's noise",
+    "full": "least squares, weighted by the covariance of the noise over the joints",
+    "huber": "robust estimation (Huber), weighted by each joint's noise",
     "iv": "instrumental variables, weighted by each joint's noise",
 }
 _DISTANCES = {
@@ -48,89 +40,103 @@ _DISTANCES = {
 
 
 def identification_page(
-    found: Identification,
+    identification: Identification,
     remarks: Sequence[Remark] = (),
     *,
     stated: Mapping[str, str] | None = None,
 ) -> str:
-    """The report of `excite identify` as HTML.
+    """Render the report of `excite identify` as HTML.
 
-    remarks: what the health check of the recordings found. stated: further facts to show, name -> text.
+    Args:
+        identification: The result.
+        remarks: Remarks of the data-quality checks on the recordings.
+        stated: Further facts to list, name to text.
     """
-    robot = found.model.robot
-    sections = [
-        prediction.section(found),
-        estimates.parameters_section(found),
-        estimates.directions_section(found),
-        estimates.bodies_section(found),
-        noise.section(found),
-        next_section(found),
-        made_section(found, remarks, stated or {}),
-    ]
-    lede = "From recordings to physically consistent parameters: what they predict, how sure they are, and what is still missing."
-    return page(
-        f"Identification of {robot.name}",
-        lede,
-        _head(found),
-        sections,
-        f"excite {package_versions()['excite']}",
+    content = ReportContent(
+        title=f"Identification of {identification.model.robot.name}",
+        subtitle="Physically consistent parameters from recordings: how well they predict, how "
+        "certain they are, and what to record next.",
+        banners=_banners(identification),
+        cards=_cards(identification),
+        sections=[
+            prediction_section(identification),
+            parameters_section(identification),
+            directions_section(identification),
+            bodies_section(identification),
+            noise_section(identification),
+            _next_section(identification),
+            _provenance_section(identification, remarks, stated or {}),
+        ],
+        footer=f"excite {package_versions()['excite']}",
     )
+    return render("identification", content)
 
 
-def _head(found: Identification) -> str:
-    robot, shown = found.model.robot, found.validations or found.fits
-    worst = max(float(one.relative().max()) for one in shown)
-    entries = [
-        (str(robot.n), "moving joint" if robot.n == 1 else "moving joints"),
+# -- first screen ----------------------------------------------------------------------------------
+
+
+def _banners(identification: Identification) -> list[Banner]:
+    """Verdicts on the prediction and on physical consistency, and warnings."""
+    parameters = identification.model.parameters
+    verdict, tone = prediction_verdict(identification)
+    banners = [Banner(f"Does it predict another recording? {verdict}", tone)]
+    if consistency.is_consistent(parameters, identification.psi):
+        text = "All links are physically consistent; friction and rotor inertia are not negative."
+        banners.append(Banner(text, "good"))
+    else:
+        text = (
+            "These parameters are NOT physically consistent: do not simulate or control with them."
+        )
+        banners.append(Banner(text, "bad"))
+    if parameters.repaired:
+        text = (
+            f"The inertia of {', '.join(parameters.repaired)} in the URDF is not physically "
+            "consistent; the prior uses a small substitute."
+        )
+        banners.append(Banner(text, "warn"))
+    return banners
+
+
+def _cards(identification: Identification) -> list[tuple[str, str]]:
+    """Key figures of an identification."""
+    robot = identification.model.robot
+    predictions = identification.validations or identification.fits
+    worst = max(float(p.relative().max()) for p in predictions)
+    data = "held out" if identification.validations else "of the fit"
+    return [
+        (percent(worst), f"error over RMS torque, worst joint, {data}"),
         (
-            f"{found.analysis.identifiable_count} of {found.model.base.count}",
+            f"{identification.analysis.identifiable_count} of {identification.model.base.count}",
             "directions identified",
         ),
+        (str(robot.n), "moving joint" if robot.n == 1 else "moving joints"),
         (
-            percent(worst),
-            f"error over RMS torque, worst joint, {'held out' if found.validations else 'of the fit'}",
+            f"{len(identification.equations)} × {robot.n}",
+            f"equations below {number(identification.spectra.hertz, 3)}\u00a0Hz",
         ),
         (
-            f"{len(found.equations)} × {robot.n}",
-            f"equations below {number(found.spectra.hertz, 3)}\u00a0Hz",
-        ),
-        (
-            f"{number(found.gamma[0], 2)}, {number(found.gamma[1], 2)}",
-            "weight γ of the prior: bodies, drives",
+            f"{number(identification.gamma[0], 2)}, {number(identification.gamma[1], 2)}",
+            "weight γ of the prior: links, joint drives",
         ),
     ]
-    if consistency.is_consistent(found.model.parameters, found.psi):
-        verdict = banner(
-            "Every link is a body that could be built; friction and rotor inertia are not negative.",
-            "good",
-        )
-    else:
-        verdict = banner(
-            "These parameters are NOT physically consistent: do not simulate or control with them.",
-            "bad",
-        )
-    if found.model.parameters.repaired:
-        text = f"No proper body in the URDF: {', '.join(found.model.parameters.repaired)}. A small substitute stands for it in the prior."
-        verdict += banner(text, "warn")
-    return cards(entries) + verdict
 
 
-# -- what next -----------------------------------------------------------------------------------------------
+# -- next experiment -------------------------------------------------------------------------------
 
 
-def command(found: Identification) -> str:
-    """The shell command that designs a motion for what these recordings leave open."""
-    robot, drive = found.model.robot, found.model.parameters.drive
+def next_design_command(identification: Identification) -> str:
+    """Shell command that designs a motion for the directions not identified yet."""
+    robot, drive = identification.model.robot, identification.model.parameters.drive
     words = ["excite", "design", robot.source]
-    for one in found.fits:
-        words += ["--given", one.source]
+    for fit in identification.fits:
+        words += ["--given", fit.source]
     locked = robot.options.get("locked")
     if isinstance(locked, Mapping) and locked:
         words += ["--joints", ",".join(robot.joints)]
         for name, value in locked.items():
             words += ["--lock", f"{name}={value:.9g}"]
     gravity = robot.options.get("gravity")
-    if isinstance(gravity, list) and not np.allclose(gravity, _GRAVITY):
+    if isinstance(gravity, list) and not np.allclose(gravity, _STANDARD_GRAVITY):
         words += [f"--gravity={','.join(f'{v:.9g}' for v in gravity)}"]
     payload = robot.options.get("payload")
     if isinstance(payload, Mapping):
@@ -144,33 +150,34 @@ def command(found: Identification) -> str:
     return shlex.join([*words, "--validation", "-o", "next"])
 
 
-def next_section(found: Identification) -> Section:
-    """What should the next trajectory ask for?"""
-    weak = [d for d in found.analysis.directions if not d.identifiable]
+def _next_section(identification: Identification) -> Section:
+    """Command for the next design, and the directions that it is for."""
+    weak = [d for d in identification.analysis.directions if not d.identifiable]
     if weak:
-        what = bare(weak[-1].words).split(";")[0]
-        hidden = sum(not np.isfinite(d.variance) for d in weak)
+        worst = without_verdict(weak[-1].words).split(";")[0]
+        unexcited = sum(not np.isfinite(d.variance) for d in weak)
         answer = (
-            f"The {plural(len(weak), 'direction')} not identified yet, above all {uncapital(what)}"
+            f"The {plural(len(weak), 'direction')} not identified yet, above all "
+            f"{uncapitalized(worst)}"
         )
-        answer += f"; {hidden} of them it does not excite at all." if hidden else "."
+        answer += f"; the recording does not excite {unexcited} of them at all" if unexcited else ""
+        answer += "."
     else:
-        answer = "Nothing in particular: every direction is identified; another motion is needed only to judge the model by."
-    body = paragraph(
-        "The command adds to what is already known and adds a second motion to validate with:"
-    )
-    body += f"<p><code>{escape(command(found))}</code></p>"
-    body += paragraph(
-        "Give --limits, --torque-noise and --box again if they were given before.", "note"
-    )
-    if weak:
-        body += "<h3>Where they lie, most of them first</h3>" + bullets(_whose(found, weak))
-    return Section("next", "What should the next trajectory ask for?", answer, body)
+        answer = (
+            "Nothing in particular: every direction is identified; another motion is needed only "
+            "to validate the model."
+        )
+    data = {
+        "command": next_design_command(identification),
+        "weak": _weak_parts(identification, weak) if weak else [],
+    }
+    return Section("next", "What should the next trajectory identify?", answer, data)
 
 
-def _whose(found: Identification, weak: Sequence[Direction]) -> list[str]:
-    """A line for each link and joint that weak directions are mostly about: how many, and the worst."""
-    owners = dict(zip(found.model.parameters.names, found.model.parameters.owners(), strict=True))
+def _weak_parts(identification: Identification, weak: Sequence[Direction]) -> list[str]:
+    """For each link and joint the number of weak directions that it dominates, and the worst."""
+    parameters = identification.model.parameters
+    owners = dict(zip(parameters.names, parameters.owners(), strict=True))
     groups: dict[str, list[Direction]] = {}
     for direction in weak:
         shares: dict[str, float] = {}
@@ -178,78 +185,79 @@ def _whose(found: Identification, weak: Sequence[Direction]) -> list[str]:
             shares[owners[name]] = shares.get(owners[name], 0.0) + weight
         groups.setdefault(max(shares, key=lambda owner: shares[owner]), []).append(direction)
     return [
-        f"{owner}: {plural(len(group), 'direction')}, the worst {uncapital(bare(group[-1].words))}"
-        for owner, group in sorted(groups.items(), key=lambda item: -len(item[1]))
+        f"{owner}: {plural(len(group), 'direction')}, the worst "
+        f"{uncapitalized(without_verdict(group[-1].words))}"
+        for owner, group in sorted(groups.items(), key=lambda entry: -len(entry[1]))
     ]
 
 
-def uncapital(text: str) -> str:
-    """With a small first letter, to stand inside a sentence."""
-    return text[:1].lower() + text[1:]
+# -- provenance ------------------------------------------------------------------------------------
 
 
-# -- how -----------------------------------------------------------------------------------------------------
-
-
-def made_section(
-    found: Identification, remarks: Sequence[Remark], stated: Mapping[str, str]
+def _provenance_section(
+    identification: Identification, remarks: Sequence[Remark], stated: Mapping[str, str]
 ) -> Section:
-    """How was it made?"""
-    robot, options = found.model.robot, found.options
-    answer = f"By {_METHODS[options.method.value]}, then the consistent robot nearest to data and prior at once, "
-    answer += f"from {plural(len(found.fits), 'recording')}"
-    answer += f"; {remarked.said(remarks)}."
+    """Method, options, data and versions."""
+    robot, options = identification.model.robot, identification.options
+    method = _METHODS[options.method.value]
+    count = plural(len(identification.fits), "recording")
+    answer = (
+        f"By {method}, then by the physically consistent robot that is nearest to data and prior "
+        f"together, from {count}; {count_remarks(remarks)}."
+    )
+    segments = plural(len(identification.equations.starts), "segment")
+    drive = [kind.replace("_", " ") for kind in identification.model.parameters.drive]
+    gamma = f"{number(identification.gamma[0])}, {number(identification.gamma[1])}"
+    accuracy = percent(float(np.sqrt(options.threshold)))
+    requested = "" if options.band is None else ", as requested"
     facts = {
         "robot": f"{robot.name} ({robot.source})",
         "SHA-256 of the URDF": robot.sha256,
-        "fitted to": ", ".join(one.source for one in found.fits),
-        "held out": ", ".join(one.source for one in found.validations) or "nothing",
-        "rows": f"{len(found.equations)} × {robot.n} equations in {plural(len(found.equations.starts), 'part')}{_averaged(found)}",
-        "parameters": "inertial"
-        + "".join(f", {kind.replace('_', ' ')}" for kind in found.model.parameters.drive),
-        "band": f"{number(found.spectra.hertz)} Hz"
-        + ("" if options.band is None else ", as asked for"),
-        "estimator": _METHODS[options.method.value],
-        "kind of distance": _DISTANCES[options.distance.value],
-        "γ of bodies, of drives": f"{number(found.gamma[0])}, {number(found.gamma[1])} ({_chosen(found)})",
-        "what consistency and prior cost": f"{number(found.posterior.misfit, 3)} in log-likelihood",
-        "distance² from the nominal robot": number(found.posterior.distance, 3),
-        "threshold of identified": f"variance {number(options.threshold)}, ±{percent(float(np.sqrt(options.threshold)))}",
-        "bounds": _bounds(found),
+        "fitted to": ", ".join(p.source for p in identification.fits),
+        "held out": ", ".join(p.source for p in identification.validations) or "nothing",
+        "equations": f"{len(identification.equations)} × {robot.n} in {segments}"
+        f"{_averaged(identification)}",
+        "parameters": ", ".join(["inertial", *drive]),
+        "band": f"{number(identification.spectra.hertz)} Hz{requested}",
+        "estimator": method,
+        "distance from the nominal robot": _DISTANCES[options.distance.value],
+        "γ of links, of joint drives": f"{gamma} ({_gamma_source(identification)})",
+        "log-likelihood lost to consistency and prior": number(identification.posterior.misfit, 3),
+        "squared distance from the nominal robot": number(identification.posterior.distance, 3),
+        "threshold of identified": f"variance {number(options.threshold)}, ±{accuracy}",
+        "bounds": _bounds(identification),
         "delay": "removed (--align)" if options.align else "left as recorded",
         **stated,
         "versions": ", ".join(f"{k} {v}" for k, v in package_versions().items()),
     }
-    body = table(("what", "value"), [(escape(k), escape(v)) for k, v in facts.items()])
-    body += remarked.listed(remarks)
-    if found.gamma_trials:
-        rows = [(number(g, 2), number(error, 4)) for g, error in found.gamma_trials]
-        body += folded(
-            "Every γ that was tried, with its squared error on blocks left out",
-            table(("γ of bodies", "error"), rows, (0, 1)),
-        )
-    return Section("made", "How was it made?", answer, body)
+    trials = [(number(gamma, 2), number(error, 4)) for gamma, error in identification.gamma_trials]
+    data = {
+        "facts": Table(("quantity", "value"), list(facts.items())),
+        "remarks": list_remarks(remarks),
+        "trials": Table(("γ of links", "squared error"), trials, (0, 1)) if trials else None,
+    }
+    return Section("made", "How was it made?", answer, data)
 
 
-def _averaged(found: Identification) -> str:
-    periods = [p for p in found.equations.periods if p]
+def _averaged(identification: Identification) -> str:
+    """Number of periods that were averaged."""
+    periods = [p for p in identification.equations.periods if p]
     return f", the mean of {' and '.join(map(str, periods))} periods" if periods else ""
 
 
-def _chosen(found: Identification) -> str:
-    if found.options.trusted:
-        return f"{plural(len(found.options.trusted), 'value')} held fast by --prior"
-    gamma = found.options.gamma
-    return (
-        {"evidence": "by evidence", "heldout": "by blocks left out"}[gamma]
-        if isinstance(gamma, str)
-        else "as given"
-    )
+def _gamma_source(identification: Identification) -> str:
+    """How the weight of the prior was chosen."""
+    if identification.options.trusted:
+        return f"{plural(len(identification.options.trusted), 'value')} fixed by --prior"
+    gamma = identification.options.gamma
+    if not isinstance(gamma, str):
+        return "as given"
+    return {"evidence": "by evidence", "heldout": "by cross-validation"}[gamma]
 
 
-def _bounds(found: Identification) -> str:
-    bounds = found.options.bounds
-    parts = [f"mass of {link} {low:g} to {high:g} kg" for link, (low, high) in bounds.mass.items()]
-    return (
-        ", ".join([*parts, *(f"centre of {link} in its box" for link in bounds.centre)]) or "none"
-    )
+def _bounds(identification: Identification) -> str:
+    """Bounds on masses and centres of mass."""
+    bounds = identification.options.bounds
+    masses = [f"mass of {link} {low:g} to {high:g} kg" for link, (low, high) in bounds.mass.items()]
+    centres = [f"centre of mass of {link} in its box" for link in bounds.centre]
+    return ", ".join([*masses, *centres]) or "none"

@@ -1,36 +1,39 @@
-"""What the health check of recordings had to say, as reports show it."""
+"""Remarks of the data-quality checks on recordings, as reports show them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from ..recordings import Remark
-from .page import escape, number, plural, table
+from .content import Table
+from .formatting import plural, seconds_between
 
 
-def said(remarks: Sequence[Remark]) -> str:
-    """How much it had to say, as the end of a sentence."""
-    return (
-        f"the health check had {plural(len(remarks), 'remark')}"
-        if remarks
-        else "the health check had nothing to remark"
-    )
-
-
-def listed(remarks: Sequence[Remark]) -> str:
-    """All of it as a table with its heading; nothing where there is none."""
+def count_remarks(remarks: Sequence[Remark]) -> str:
+    """Number of remarks, as the end of a sentence."""
     if not remarks:
-        return ""
+        return "the data-quality checks have no remark"
+    return f"the data-quality checks have {plural(len(remarks), 'remark')}"
+
+
+def list_remarks(remarks: Sequence[Remark]) -> dict[str, Any]:
+    """List all remarks in a table; empty where there is none."""
+    if not remarks:
+        return {}
     rows = [
         (
-            escape(r.kind.value),
-            escape(r.joint or "all"),
-            "–" if r.start is None or r.end is None else f"{number(r.start)} to {number(r.end)}",
-            escape(r.text),
-            "yes" if r.repaired else "no",
+            remark.kind.value,
+            remark.joint or "all",
+            "–"
+            if remark.start is None or remark.end is None
+            else seconds_between(remark.start, remark.end),
+            remark.text,
+            "yes" if remark.repaired else "no",
         )
-        for r in remarks
+        for remark in remarks
     ]
-    repaired = sum(r.repaired for r in remarks)
-    head = f"<h3>Remarks on the recordings ({repaired} repaired by a stated rule)</h3>"
-    return head + table(("about", "joint", "when [s]", "what", "repaired"), rows)
+    return {
+        "repaired": sum(remark.repaired for remark in remarks),
+        "table": Table(("about", "joint", "time [s]", "remark", "repaired"), rows),
+    }

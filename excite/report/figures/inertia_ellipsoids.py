@@ -1,4 +1,4 @@
-"""Each link's body before and after: the ellipsoid of uniform density that has its mass, centre and inertia."""
+"""Figure of each link's inertia before and after, as an ellipsoid of uniform density."""
 
 from __future__ import annotations
 
@@ -8,49 +8,49 @@ from typing import Any
 
 import numpy as np
 
+from ..._types import FloatArray
 from ...identification.inertia_distance import Distance, NominalFrames
 from ...robot.inertial_parameters import pseudo_inertia
 from .drawing import BLUE, GREY, INK, SOFT, render_svg
 from .trajectory import short
 
-Array = np.ndarray
 VIEWS = ((0, 1), (0, 2), (1, 2))
 _AXES = "xyz"
-_CELL = 1.28
-_ACROSS = 2
-"""Links side by side, with three views each."""
+_VIEW_SIZE = 1.28
+"""Width and height of a view [in]."""
+_LINKS_PER_ROW = 2
 
 
 @dataclass(frozen=True)
-class Body:
-    """Ten inertial parameters of a link in its joint's frame. Shape (10,)."""
+class LinkBody:
+    """Ten inertial parameters of a link in its joint's frame; phi: shape (10,)."""
 
-    phi: Array
+    phi: FloatArray
 
     @property
     def mass(self) -> float:
         return float(self.phi[0])
 
     @property
-    def centre(self) -> Array:
+    def centre(self) -> FloatArray:
         """Centre of mass. Shape (3,) [m]."""
         return np.asarray(self.phi[1:4] / self.phi[0])
 
     @property
-    def shape(self) -> Array:
-        """E of the solid ellipsoid {c + x: xᵀ E⁻¹ x ≤ 1} of uniform density with this mass and inertia. Shape (3, 3) [m²]."""
+    def shape(self) -> FloatArray:
+        """Matrix E of the ellipsoid {c + x: xᵀ E⁻¹ x ≤ 1} of uniform density. Shape (3, 3) [m²]."""
         return np.asarray(
             5.0
             * (pseudo_inertia(self.phi)[:3, :3] / self.mass - np.outer(self.centre, self.centre))
         )
 
     @property
-    def half_axes(self) -> Array:
-        """Of that ellipsoid, the longest first. Shape (3,) [m]."""
+    def half_axes(self) -> FloatArray:
+        """Half axes of the ellipsoid, the longest first. Shape (3,) [m]."""
         return np.sqrt(np.maximum(np.linalg.eigvalsh(self.shape)[::-1], 0.0))
 
-    def outline(self, view: tuple[int, int], points: int = 64) -> Array:
-        """Its shadow on the plane of two axes: an ellipse. Shape (points, 2) [m]."""
+    def outline(self, view: tuple[int, int], points: int = 64) -> FloatArray:
+        """Projection of the ellipsoid on the plane of two axes. Shape (points, 2) [m]."""
         index = list(view)
         values, vectors = np.linalg.eigh(self.shape[np.ix_(index, index)])
         angle = np.linspace(0.0, 2.0 * np.pi, points)
@@ -61,17 +61,17 @@ class Body:
 
 
 @dataclass(frozen=True)
-class Change:
-    """A link's body as the nominal robot has it, and as identified. share: of what can be known of it, what the recording shows."""
+class LinkBodyChange:
+    """Inertia of a link, nominal and identified; share: identifiable share of its parameters."""
 
     link: str
-    before: Body
-    after: Body
+    before: LinkBody
+    after: LinkBody
     share: float | None
 
     @property
     def distance(self) -> float:
-        """Affine-invariant distance of the two: 0.07 where a mass changed by about 10 %."""
+        """Affine-invariant distance of both: 0.07 for a mass by about 10 %."""
         return float(
             np.sqrt(
                 max(
@@ -85,28 +85,28 @@ class Change:
 
     @property
     def shift(self) -> float:
-        """How far the centre of mass moved [m]."""
+        """Displacement of the centre of mass [m]."""
         return float(np.linalg.norm(self.after.centre - self.before.centre))
 
 
-def ellipsoids(changes: Sequence[Change]) -> str:
-    """Three views of every link's ellipsoid at its centre of mass, before and after, in one scale for a link."""
-    across = min(_ACROSS, len(changes))
-    rows = -(-len(changes) // across)
-    step = _CELL + 0.5
+def draw_ellipsoids(changes: Sequence[LinkBodyChange]) -> str:
+    """Draw three views of every link's ellipsoid before and after, one scale for a link."""
+    columns = min(_LINKS_PER_ROW, len(changes))
+    rows = -(-len(changes) // columns)
+    step = _VIEW_SIZE + 0.5
     height = 0.3 + rows * step
-    block = 3 * (_CELL + 0.35) + 0.3
+    block = 3 * (_VIEW_SIZE + 0.35) + 0.3
 
     def draw(figure: Any) -> None:
         width = figure.get_size_inches()[0]
         for k, change in enumerate(changes):
-            row, column = divmod(k, across)
-            half = _reach(change)
+            row, column = divmod(k, columns)
+            half = _bounding_cube(change)
             for v, view in enumerate(VIEWS):
-                left = 0.2 + column * block + v * (_CELL + 0.35)
-                bottom = height - 0.3 - row * step - 0.2 - _CELL
+                left = 0.2 + column * block + v * (_VIEW_SIZE + 0.35)
+                bottom = height - 0.3 - row * step - 0.2 - _VIEW_SIZE
                 axes = figure.add_axes(
-                    (left / width, bottom / height, _CELL / width, _CELL / height)
+                    (left / width, bottom / height, _VIEW_SIZE / width, _VIEW_SIZE / height)
                 )
                 _view(axes, change, view, half)
                 if v == 0:
@@ -119,11 +119,12 @@ def ellipsoids(changes: Sequence[Change]) -> str:
     )
 
 
-def _heading(change: Change) -> str:
+def _heading(change: LinkBodyChange) -> str:
+    """Link with its mass before and after."""
     return f"{short(change.link)}: {change.before.mass:.3g} → {change.after.mass:.3g} kg"
 
 
-def _reach(change: Change) -> tuple[Array, float]:
+def _bounding_cube(change: LinkBodyChange) -> tuple[FloatArray, float]:
     """Middle and half width of a cube that holds both ellipsoids and the joint."""
     spread = [
         np.sqrt(np.maximum(np.diag(body.shape), 0.0)) for body in (change.before, change.after)
@@ -145,7 +146,10 @@ def _reach(change: Change) -> tuple[Array, float]:
     return 0.5 * (low + high), 0.54 * max(float((high - low).max()), 1e-4)
 
 
-def _view(axes: Any, change: Change, view: tuple[int, int], reach: tuple[Array, float]) -> None:
+def _view(
+    axes: Any, change: LinkBodyChange, view: tuple[int, int], reach: tuple[FloatArray, float]
+) -> None:
+    """Draw one view of both ellipsoids."""
     middle, half = reach
     axes.axhline(0.0, color="#dfe4e9", linewidth=0.6, zorder=0)
     axes.axvline(0.0, color="#dfe4e9", linewidth=0.6, zorder=0)
@@ -169,7 +173,7 @@ def _view(axes: Any, change: Change, view: tuple[int, int], reach: tuple[Array, 
     axes.set_ylabel(_AXES[view[1]], labelpad=1.5, rotation=0)
 
 
-def _scale_bar(axes: Any, reach: tuple[Array, float]) -> None:
+def _scale_bar(axes: Any, reach: tuple[FloatArray, float]) -> None:
     """A bar of round length in the lower left corner."""
     middle, half = reach
     power = 10.0 ** np.floor(np.log10(half))
@@ -181,6 +185,7 @@ def _scale_bar(axes: Any, reach: tuple[Array, float]) -> None:
 
 
 def _legend(figure: Any) -> None:
+    """Legend of all views."""
     from matplotlib.lines import Line2D
 
     handles = [
@@ -188,7 +193,7 @@ def _legend(figure: Any) -> None:
         Line2D([], [], color=BLUE, marker="o", markersize=3.5),
         Line2D([], [], color=SOFT, marker="+", linestyle="none"),
     ]
-    labels = ["nominal", "identified", "the joint's frame"]
+    labels = ["nominal", "identified", "joint frame"]
     figure.legend(
         handles, labels, loc="upper right", ncols=3, bbox_to_anchor=(0.995, 1.0), borderaxespad=0.0
     )

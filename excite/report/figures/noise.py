@@ -1,4 +1,4 @@
-"""What the torque signals are made of over frequency, and how the clock and the friction's steps lie in time and speed."""
+"""Figures of torque, noise and residual spectra, of delays and of Coulomb friction widths."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..._types import FloatArray
 from ...identification.torque_delay import TorqueDelay
 from .drawing import (
     BLUE,
@@ -25,29 +26,43 @@ from .drawing import (
 )
 from .trajectory import short
 
-Array = np.ndarray
-INTERVAL = 1.96
-"""Standard errors on either side that hold 95 %."""
-_POINTS = 160
+NORMAL_QUANTILE = 1.96
+"""Standard errors on either side that contain 95 % of a normal distribution."""
+_CURVE_POINTS = 160
+"""Points of a curve that a small panel can show."""
 
 
 @dataclass(frozen=True)
-class Densities:
-    """Power densities of one kind. frequency: Shape (F,) [Hz]. power: Shape (F, n) [(N m)²/Hz]."""
+class PowerDensities:
+    """Power densities of a signal of every joint.
 
-    frequency: Array
-    power: Array
+    Attributes:
+        frequency: Shape (F,) [Hz].
+        power: Shape (F, n) [(N m)²/Hz].
+    """
+
+    frequency: FloatArray
+    power: FloatArray
 
 
-def spectra(
+def draw_spectra(
     joints: Sequence[str],
-    torque: Densities,
-    noise: Densities,
-    residual: Densities,
+    torque: PowerDensities,
+    noise: PowerDensities,
+    residual: PowerDensities,
     hertz: float,
-    words: str,
+    noise_words: str,
 ) -> str:
-    """Torque, its noise and the residual of every joint over frequency. hertz: the band. words: what `noise` is."""
+    """Draw torque, noise and residual of every joint over frequency.
+
+    Args:
+        joints: Names of the joints.
+        torque: Power density of the torque.
+        noise: Power density of its noise.
+        residual: Power density of the residual of the fit.
+        hertz: End of the band [Hz].
+        noise_words: Description of the noise estimate.
+    """
     columns = (
         1
         if len(joints) == 1
@@ -74,7 +89,7 @@ def spectra(
             if k + columns >= len(joints):
                 axes.set_xlabel("frequency [Hz]")
         handles, labels = cells[0, 0].get_legend_handles_labels()
-        named = {"noise": words}
+        named = {"noise": noise_words}
         texts = [named.get(label, label) for label in labels]
         figure.legend(
             handles,
@@ -93,8 +108,14 @@ def spectra(
 
 
 def _joint(
-    axes: Any, k: int, torque: Densities, noise: Densities, residual: Densities, far: float
+    axes: Any,
+    k: int,
+    torque: PowerDensities,
+    noise: PowerDensities,
+    residual: PowerDensities,
+    far: float,
 ) -> None:
+    """Draw the spectra of a joint."""
     axes.set_yscale("log")
     for kind, color, width, label in (
         (torque, INK, 0.9, "torque"), (noise, GREY, 0.9, "noise"), (residual, ORANGE, 1.1, "residual of the fit"),
@@ -102,7 +123,7 @@ def _joint(
         kept = (kind.frequency <= far) & (kind.power[:, k] > 0.0)
         if kept.any():
             axes.plot(
-                *thin_curve(kind.frequency[kept], kind.power[kept, k], _POINTS),
+                *thin_curve(kind.frequency[kept], kind.power[kept, k], _CURVE_POINTS),
                 color=color,
                 linewidth=width,
                 label=label,
@@ -111,14 +132,22 @@ def _joint(
     axes.set_xlim(0.0, far)
 
 
-def clock(
+def draw_delays(
     joints: Sequence[str],
     delay: TorqueDelay,
-    widths: Array,
+    widths: FloatArray,
     edges: tuple[float, float],
     prismatic: Sequence[bool],
 ) -> str:
-    """Delay of each joint with its error bar; the width of its Coulomb friction's step. edges: of the widths that were tried."""
+    """Draw delay and Coulomb friction width of each joint.
+
+    Args:
+        joints: Names of the joints.
+        delay: Delays with their standard errors.
+        widths: Velocity over which Coulomb friction changes sign. Shape (n,) [rad/s or m/s].
+        edges: Smallest and largest candidate of these widths.
+        prismatic: For each joint, whether it slides.
+    """
     names, places = [short(j, 22) for j in joints], np.arange(len(joints))
     unit = "mm/s" if all(prismatic) else "mrad/s" if not any(prismatic) else "mrad/s or mm/s"
     cut = np.isclose(widths, edges[0]) | np.isclose(widths, edges[1])
@@ -129,9 +158,11 @@ def clock(
         size = height - 0.75
         left = figure.add_axes((1.5 / width, 0.45 / height, 3.9 / width, size / height))
         left.axvline(0.0, color=INK, linewidth=0.8)
-        left.errorbar(1e3 * delay.seconds, places, xerr=1e3 * INTERVAL * delay.deviation, **bars)
+        left.errorbar(
+            1e3 * delay.seconds, places, xerr=1e3 * NORMAL_QUANTILE * delay.deviation, **bars
+        )
         limit_ticks(left, 6, 4)
-        left.set_xlabel("torque later than position by [ms], 95 % interval")
+        left.set_xlabel("delay of torque after position [ms], 95 % interval")
         left.set_title("Delay", loc="left", fontweight="bold")
         left.set_yticks(places, names, fontsize=7, color=INK)
         right = figure.add_axes((6.1 / width, 0.45 / height, 4.3 / width, size / height))
@@ -152,10 +183,10 @@ def clock(
         right.set_axisbelow(True)
         right.set_xlim(0.7e3 * edges[0], 1.4e3 * edges[1])
         right.set_xlabel(
-            f"width of Coulomb friction's step [{unit}]; hollow: at an end of what was tried",
+            f"width of Coulomb friction [{unit}]; hollow: smallest or largest candidate",
             color=SOFT,
         )
-        right.set_title("Step of Coulomb friction", loc="left", fontweight="bold")
+        right.set_title("Width of Coulomb friction", loc="left", fontweight="bold")
         right.set_yticks(places, [""] * len(places))
         for axes in (left, right):
             axes.set_ylim(len(places) - 0.5, -0.5)

@@ -1,4 +1,4 @@
-"""Where each base parameter went from its nominal value, with its interval, on one scale for all."""
+"""Figures of base parameters: changes with intervals, and shares of data and prior."""
 
 from __future__ import annotations
 
@@ -8,62 +8,70 @@ from typing import Any
 
 import numpy as np
 
+from ..._types import FloatArray
 from .drawing import BLUE, GREEN, GREY, INK, ORANGE, SOFT, limit_ticks, render_svg
 
-Array = np.ndarray
-_LINE = 0.155
-_ROOM = 1.2
-_SHARP = 0.5
-"""An interval narrower than this share of a parameter's scale may widen the axis; others are cut off."""
+_LINE_HEIGHT = 0.155
+"""Height of a parameter's line [in]."""
+_AXIS_FACTOR = 1.2
+"""Half range of the axis over the largest change."""
+_NARROW_INTERVAL = 0.5
+"""Intervals narrower than this share of a parameter's scale widen the axis; others are cut."""
 
 
 @dataclass(frozen=True)
-class Moved:
-    """A base parameter's way from its nominal value in units of its scale. data: by the data alone; None where it isn't shown.
+class ParameterChange:
+    """Change of a base parameter from its nominal value, in units of its scale.
 
-    half: of its 95 % interval. value: as the consistent model has it. body: of a link, not of a drive alone.
+    Attributes:
+        name: Name of the parameter.
+        data: Change by the data alone; None where they do not identify it.
+        half_width: Half width of its 95 % interval.
+        value: Change of the physically consistent model.
+        is_inertial: Whether it is a parameter of links, not of a joint drive alone.
     """
 
     name: str
     data: float | None
-    half: float
+    half_width: float
     value: float
-    body: bool
+    is_inertial: bool
 
 
-def changes(entries: Sequence[Moved]) -> str:
-    """A line for each base parameter: bodies on the left, drives on the right."""
+def draw_changes(entries: Sequence[ParameterChange]) -> str:
+    """Draw a line for each base parameter: links on the left, joint drives on the right."""
     groups = [
-        ("bodies", [e for e in entries if e.body]),
-        ("friction, rotor inertia, offset", [e for e in entries if not e.body]),
+        ("links", [e for e in entries if e.is_inertial]),
+        ("friction, rotor inertia, offset", [e for e in entries if not e.is_inertial]),
     ]
     groups = [(title, group) for title, group in groups if group]
-    most = max(len(group) for _, group in groups)
-    height = 0.85 + _LINE * most
+    rows = max(len(group) for _, group in groups)
+    height = 0.85 + _LINE_HEIGHT * rows
 
     def draw(figure: Any) -> None:
         width = figure.get_size_inches()[0]
         cell = (width - 0.6 - 0.75 * (len(groups) - 1) - 0.15) / len(groups)
         for k, (title, group) in enumerate(groups):
-            size = _LINE * len(group)
+            size = _LINE_HEIGHT * len(group)
             left = 0.6 + k * (cell + 0.75)
             axes = figure.add_axes(
                 (left / width, (height - 0.42 - size) / height, cell / width, size / height)
             )
-            _forest(axes, group)
+            _draw_intervals(axes, group)
             axes.set_title(title, loc="left")
         _legend(figure)
 
     return render_svg("Change of every base parameter with its 95 % interval", height, draw)
 
 
-def _forest(axes: Any, group: Sequence[Moved]) -> None:
+def _draw_intervals(axes: Any, group: Sequence[ParameterChange]) -> None:
+    """Draw the interval and the identified value of each parameter."""
     limit = _limit(group)
     axes.axvline(0.0, color=INK, linewidth=0.8)
     for row, entry in enumerate(group):
-        known = entry.data is not None and np.isfinite(entry.half)
+        known = entry.data is not None and np.isfinite(entry.half_width)
         if known and entry.data is not None:
-            low, high = entry.data - entry.half, entry.data + entry.half
+            low, high = entry.data - entry.half_width, entry.data + entry.half_width
             axes.plot(
                 np.clip([low, high], -limit, limit),
                 [row, row],
@@ -97,7 +105,7 @@ def _forest(axes: Any, group: Sequence[Moved]) -> None:
     axes.xaxis.set_major_formatter(
         lambda value, _: f"{100.0 * value:+.5g} %".replace("-", "−") if value else "nominal"
     )
-    vague = [entry.data is None or entry.half > 1.0 for entry in group]
+    vague = [entry.data is None or entry.half_width > 1.0 for entry in group]
     axes.set_yticks(range(len(group)), [e.name for e in group], fontsize=6.8)
     for label, pale in zip(axes.get_yticklabels(), vague, strict=True):
         label.set_color(GREY if pale else INK)
@@ -105,12 +113,18 @@ def _forest(axes: Any, group: Sequence[Moved]) -> None:
     axes.tick_params(axis="y", length=0)
 
 
-def _limit(group: Sequence[Moved]) -> float:
-    sharp = [abs(e.data) + e.half for e in group if e.data is not None and e.half < _SHARP]
-    return _ROOM * max([0.02, *sharp, *(abs(e.value) for e in group)])
+def _limit(group: Sequence[ParameterChange]) -> float:
+    """Half range of the axis."""
+    narrow = [
+        abs(e.data) + e.half_width
+        for e in group
+        if e.data is not None and e.half_width < _NARROW_INTERVAL
+    ]
+    return _AXIS_FACTOR * max([0.02, *narrow, *(abs(e.value) for e in group)])
 
 
 def _legend(figure: Any) -> None:
+    """Legend of both columns."""
     from matplotlib.lines import Line2D
 
     handles = [
@@ -125,14 +139,14 @@ def _legend(figure: Any) -> None:
             linestyle="none",
         ),
     ]
-    labels = ["by the data alone, 95 % interval", "as identified: consistent, with the prior"]
+    labels = ["data alone, 95 % interval", "identified: physically consistent, with prior"]
     figure.legend(
         handles, labels, loc="upper right", ncols=2, bbox_to_anchor=(0.995, 1.0), borderaxespad=0.0
     )
 
 
-def decided(shares: Array) -> str:
-    """How much of each direction's value the data decided, in the order of the spectrum; the rest is the prior's."""
+def draw_data_shares(shares: FloatArray) -> str:
+    """Draw the weight of the data in each direction, in the order of the spectrum."""
 
     def draw(figure: Any) -> None:
         width, height = figure.get_size_inches()
@@ -140,15 +154,13 @@ def decided(shares: Array) -> str:
             (0.6 / width, 0.42 / height, (width - 0.85 - 0.6) / width, (height - 0.72) / height)
         )
         rank = np.arange(1, len(shares) + 1)
-        axes.bar(
-            rank, 1.0 - shares, bottom=shares, color="#f0d9bf", width=0.8, label="the prior decided"
-        )
-        axes.bar(rank, shares, color=GREEN, alpha=0.75, width=0.8, label="the data decided")
+        axes.bar(rank, 1.0 - shares, bottom=shares, color="#f0d9bf", width=0.8, label="prior")
+        axes.bar(rank, shares, color=GREEN, alpha=0.75, width=0.8, label="data")
         axes.axhline(0.5, color=INK, linewidth=0.8, dashes=(4, 2))
         axes.set_xlim(0.2, len(shares) + 0.8)
         axes.set_ylim(0.0, 1.0)
         axes.set_yticks([0.0, 0.5, 1.0], ["0 %", "50 %", "100 %"])
-        axes.set_xlabel("direction of the parameters, the best seen first")
+        axes.set_xlabel("direction of the parameters, the most accurate first")
         axes.tick_params(colors=SOFT)
         handles, labels = axes.get_legend_handles_labels()
         figure.legend(
@@ -160,4 +172,4 @@ def decided(shares: Array) -> str:
             borderaxespad=0.0,
         )
 
-    return render_svg("Share of each direction that the data decided", 1.9, draw)
+    return render_svg("Weight of the data in each direction", 1.9, draw)

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
+from . import svg
 from .drawing import BLUE, GREY, ORANGE, axes_grid, limit_ticks, render_svg, thin_curve
 
 DRAWN_POINTS = 1200
-"""Points of a curve; more are not seen at the picture's width."""
+"""Points of a curve; more are not visible at the width of the figure."""
 
 
 def torque_with_and_without_effects(
     recording: Any, undisturbed: Any, effects: tuple[Any, ...]
 ) -> str:
-    """Draw the recorded torque, that of the robot without effects, and the difference, one row a joint, as SVG.
+    """Draw recorded torque, torque without effects, and their difference, one row a joint, as SVG.
 
     Args:
         recording: The simulated recording.
@@ -49,6 +50,5 @@ def torque_with_and_without_effects(
         for axis in axes[-1]:
             axis.set_xlabel("t [s]")
 
-    svg = render_svg(f"Torque with and without {hidden}", 0.85 + 1.15 * len(joints), draw)
-    namespaces = 'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
-    return svg.replace("<svg ", f"<svg {namespaces} ", 1)
+    height = 0.85 + 1.15 * len(joints)
+    return svg.standalone(render_svg(f"Torque with and without {hidden}", height, draw))

@@ -1,4 +1,4 @@
-"""Measured torque against predicted, joint by joint, and what is left: the picture that a model is judged by."""
+"""Figure of measured and predicted torque of every joint, with the residual."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..._types import FloatArray
 from ...identification.identification import Prediction
 from ...robot.parameter_names import multiple, percent
 from ...robot.robot import Robot
@@ -25,26 +26,30 @@ from .drawing import (
 )
 from .trajectory import short, torque_units
 
-Array = np.ndarray
-EXCERPT = 40.0
-"""Longer recordings are drawn in part [s]; the error of all of it is in the table."""
-SURE = 2.0
-"""Noise floors that hold 95 % of the noise."""
+EXCERPT_SECONDS = 40.0
+"""Longer recordings are drawn in part [s]; the tables state the error of all of it."""
+NOISE_BAND_FLOORS = 2.0
+"""Noise floors on either side that contain 95 % of normal noise."""
+POINTS_PER_PAGE = 60_000
+"""Points of all curves of a page, so that it stays small enough for a browser."""
 
 
 @dataclass(frozen=True)
-class _Row:
-    """Height of a joint's torque panel and of its residual's, and what lies between rows of joints [in]."""
+class _RowHeights:
+    """Heights of a joint's torque panel, of its residual panel, and of the gap below [in]."""
 
     torque: float
     residual: float
     gap: float = 0.62
 
 
-def window(prediction: Prediction) -> tuple[float, float]:
-    """Start and end of what is drawn [s]: all of it, or the stretch around the largest error relative to a joint's torque."""
+def drawn_interval(prediction: Prediction) -> tuple[float, float]:
+    """Start and end of the drawn part [s].
+
+    Of a long recording it is the stretch around the largest error relative to a joint's RMS torque.
+    """
     first, last = float(prediction.time[0]), float(prediction.time[-1])
-    if last - first <= EXCERPT:
+    if last - first <= EXCERPT_SECONDS:
         return first, last
     size = np.sqrt(np.mean(prediction.measured**2, axis=0))
     worst = int(
@@ -56,19 +61,27 @@ def window(prediction: Prediction) -> tuple[float, float]:
             )
         )
     )
-    start = float(np.clip(prediction.time[worst] - 0.5 * EXCERPT, first, last - EXCERPT))
-    return start, start + EXCERPT
+    start = float(
+        np.clip(prediction.time[worst] - 0.5 * EXCERPT_SECONDS, first, last - EXCERPT_SECONDS)
+    )
+    return start, start + EXCERPT_SECONDS
 
 
-def traces(prediction: Prediction, robot: Robot, points: int) -> str:
-    """Torque measured, before and after, and the residual below it with its noise's band. points: of a curve at the most."""
+def draw_torque_fit(prediction: Prediction, robot: Robot, points: int) -> str:
+    """Draw measured, nominal and identified torque, and below it the residual with its noise band.
+
+    Args:
+        prediction: Torques along a recording.
+        robot: The robot.
+        points: Largest number of points of a curve.
+    """
     columns = (
         1 if robot.n == 1 else 2 if robot.n <= 4 else 3 if robot.n <= COMPACT_LAYOUT_JOINTS else 5
     )
-    size = _Row(1.5, 0.8) if columns <= 2 else _Row(1.05, 0.55)
+    size = _RowHeights(1.5, 0.8) if columns <= 2 else _RowHeights(1.05, 0.55)
     rows = -(-robot.n // columns)
     height = 0.3 + rows * (size.torque + size.residual + size.gap)
-    span = window(prediction)
+    span = drawn_interval(prediction)
     units = torque_units(robot)
 
     def draw(figure: Any) -> None:
@@ -100,7 +113,7 @@ def traces(prediction: Prediction, robot: Robot, points: int) -> str:
                 lower.set_xlabel("time [s]")
             if column == 0:
                 lower.set_ylabel("residual")
-        _legend(figure, floored=prediction.noise_floor is not None)
+        _legend(figure, has_floor=prediction.noise_floor is not None)
 
     return render_svg(
         f"Measured and predicted torque of every joint on {prediction.source}", height, draw
@@ -108,20 +121,22 @@ def traces(prediction: Prediction, robot: Robot, points: int) -> str:
 
 
 def _error_words(prediction: Prediction, joint: int) -> str:
+    """Error of a joint."""
     text = percent(float(prediction.relative()[joint]))
     floors = prediction.error_over_noise_floor()
     return f"error {text}" if floors is None else f"{multiple(floors[joint])} floors, {text}"
 
 
-def _legend(figure: Any, *, floored: bool) -> None:
+def _legend(figure: Any, *, has_floor: bool) -> None:
+    """Legend of all panels."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     handles: list[Any] = [Line2D([], [], color=color) for color in (INK, GREY, BLUE, ORANGE)]
     labels = ["measured", "nominal robot", "identified", "residual: measured − identified"]
-    if floored:
+    if has_floor:
         handles.append(Patch(color=GREY, alpha=0.35))
-        labels.append(f"±{SURE:g} noise floors")
+        labels.append(f"±{NOISE_BAND_FLOORS:g} noise floors")
     figure.legend(
         handles,
         labels,
@@ -135,6 +150,7 @@ def _legend(figure: Any, *, floored: bool) -> None:
 def _torque(
     axes: Any, prediction: Prediction, joint: int, span: tuple[float, float], points: int
 ) -> None:
+    """Draw the torque panel of a joint."""
     for values, color, width in (
         (prediction.nominal, GREY, 0.8),
         (prediction.measured, INK, 1.3),
@@ -149,21 +165,22 @@ def _torque(
 def _residual(
     axes: Any, prediction: Prediction, joint: int, span: tuple[float, float], points: int
 ) -> None:
-    left = prediction.measured[:, joint] - prediction.fitted[:, joint]
+    """Draw the residual panel of a joint."""
+    residual = prediction.measured[:, joint] - prediction.fitted[:, joint]
     axes.axhline(0.0, color=GREY, linewidth=0.5)
     if prediction.noise_floor is not None:
-        reach = SURE * float(prediction.noise_floor[joint])
+        reach = NOISE_BAND_FLOORS * float(prediction.noise_floor[joint])
         axes.axhspan(-reach, reach, color=GREY, alpha=0.35, linewidth=0.0)
-    axes.plot(*_curve(prediction, left, span, points), color=ORANGE, linewidth=0.7)
+    axes.plot(*_curve(prediction, residual, span, points), color=ORANGE, linewidth=0.7)
     limit_ticks(axes, 6, 2)
 
 
 def _curve(
-    prediction: Prediction, values: Array, span: tuple[float, float], points: int
-) -> tuple[Array, Array]:
-    """Points of a curve with a break wherever a stretch ends."""
-    times: list[Array] = []
-    curve: list[Array] = []
+    prediction: Prediction, values: FloatArray, span: tuple[float, float], points: int
+) -> tuple[FloatArray, FloatArray]:
+    """Points of a curve, interrupted where a segment of the recording ends."""
+    times: list[FloatArray] = []
+    curve: list[FloatArray] = []
     total = max(1, int(np.sum((prediction.time >= span[0]) & (prediction.time <= span[1]))))
     for start, stop in itertools.pairwise((*prediction.starts, len(values))):
         t = prediction.time[start:stop]
@@ -177,6 +194,6 @@ def _curve(
     return np.concatenate(times), np.concatenate(curve)
 
 
-def drawn_points(predictions: Sequence[Prediction], joints: int) -> int:
-    """Points of a curve, so that all curves of a page stay below what a browser likes to load."""
-    return int(np.clip(60_000 / (4 * joints * max(1, len(predictions))), 60, 700))
+def points_per_curve(predictions: Sequence[Prediction], joints: int) -> int:
+    """Number of points of a curve, so that all of a page have at most `POINTS_PER_PAGE`."""
+    return int(np.clip(POINTS_PER_PAGE / (4 * joints * max(1, len(predictions))), 60, 700))

@@ -34,7 +34,7 @@ from robots import wheel
 from excite.collision import clearance_builder, continuous_check, scene_file
 from excite.collision.workcell import Cell
 from excite.designer import criteria, pipeline
-from excite.designer.problem import DesignOptions
+from excite.designer.options import DesignOptions
 from excite.designer.time_budget import MotionRequest
 from excite.errors import CheckFailed, ExciteError, ExciteWarning, Infeasible, UnusableInput
 from excite.robot import limits, robot

@@ -41,7 +41,8 @@ from excite.designer import criteria, optimize, pipeline, sqp
 from excite.designer.criteria import Criterion
 from excite.designer.evaluator import ConstraintRows, Evaluator
 from excite.designer.optimize import DesignSetup
-from excite.designer.problem import DesignOptions, DesignProblem
+from excite.designer.problem import DesignProblem
+from excite.designer.options import DesignOptions
 from excite.errors import ExciteError, ExciteWarning, UnusableInput
 from excite.robot import dynamics, limits, robot
 from excite.robot.limits import Limits

@@ -19,7 +19,7 @@ from excite.designer import motion_overlap, optimize, pipeline, time_budget
 from excite.designer.motion_overlap import StateScaling
 from excite.designer.optimize import DesignSetup
 from excite.designer.pipeline import CertifiedDesign
-from excite.designer.problem import DesignOptions
+from excite.designer.options import DesignOptions
 from excite.designer.time_budget import MotionRequest
 from excite.errors import ExciteWarning
 from excite.robot import dynamics, limits, robot

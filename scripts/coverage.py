@@ -23,7 +23,7 @@ import pinocchio as pin
 
 from excite import _json
 from excite.designer import identifiability, pipeline
-from excite.designer.problem import DesignOptions as DesignOptions
+from excite.designer.options import DesignOptions as DesignOptions
 from excite.identification import estimators, identification
 from excite.identification.identification import Identification, IdentificationOptions
 from excite.identification.lowpass import LowPassFilter

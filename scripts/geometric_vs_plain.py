@@ -16,7 +16,7 @@ import numpy as np
 
 from excite.designer import criteria, optimize
 from excite.designer.criteria import Criterion
-from excite.designer.problem import DesignOptions
+from excite.designer.options import DesignOptions
 from excite.errors import ExciteWarning
 from excite.robot import dynamics, limits, robot
 from excite.trajectory.fourier import FourierSeries

@@ -24,7 +24,7 @@ from written import Damage, motion
 
 from excite.designer import pipeline
 from excite.designer.pipeline import CertifiedDesign
-from excite.designer.problem import DesignOptions
+from excite.designer.options import DesignOptions
 from excite.identification.regression import IdentificationModel
 from excite.robot.limits import Limits, resolve
 from excite.robot.robot import Robot, load, locate

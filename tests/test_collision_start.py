@@ -11,7 +11,7 @@ from conftest import QUICK
 from excite.collision import clearance_builder, scene_file
 from excite.designer import optimize, pipeline, ramps
 from excite.designer.initial_guess import _within_sight
-from excite.designer.problem import DesignOptions
+from excite.designer.options import DesignOptions
 from excite.designer.time_budget import MotionRequest
 from excite.errors import Infeasible, UnusableInput
 from excite.robot import limits

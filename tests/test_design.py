@@ -10,7 +10,8 @@ from excite.designer import criteria, optimize, pipeline
 from excite.designer.criteria import Criterion
 from excite.designer.evaluator import Evaluator
 from excite.designer.optimize import OptimizedDesign
-from excite.designer.problem import DesignOptions, WorkspaceBox
+from excite.designer.options import WorkspaceBox
+from excite.designer.options import DesignOptions
 from excite.errors import CheckFailed, Infeasible, UnusableInput
 from excite.robot import dynamics
 from excite.robot.limits import Limits, resolve

@@ -11,7 +11,7 @@ from conftest import BUILTIN, loaded, pendulum
 
 from excite.designer import optimize, pipeline, time_budget
 from excite.designer.criteria import Criterion
-from excite.designer.problem import DesignOptions
+from excite.designer.options import DesignOptions
 from excite.designer.time_budget import (
     DEVIATION_TOLERANCE,
     MAX_FREQUENCY,

@@ -18,7 +18,7 @@ from shared_inputs import INPUTS, needs_inputs
 from excite.cli import main as main_module
 from excite.collision import scene_file
 from excite.designer import certificate, pipeline
-from excite.designer.problem import DesignOptions
+from excite.designer.options import DesignOptions
 from excite.robot.limits import resolve
 from excite.robot.robot import load, locate
 from excite.trajectory import trajectory_file

@@ -18,7 +18,9 @@ from ..collision.workcell import NOT_CHECKED, Cell
 from ..designer import experiment_comparison, identifiability, pipeline, time_budget
 from ..designer import validation_trajectory as validation
 from ..designer.motion_overlap import OverlapPenalty
-from ..designer.problem import DesignOptions, WorkspaceBox, torque_noise_levels
+from ..designer.options import torque_noise_levels
+from ..designer.options import WorkspaceBox
+from ..designer.options import DesignOptions
 from ..errors import UnusableInput
 from ..exporters import csv_json, file_format
 from ..report.design_record import DesignRecord

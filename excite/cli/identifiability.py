@@ -10,7 +10,7 @@ from .._json import dumps
 from .._system.output_files import output_folder
 from ..api.design_result import compare_experiments, motion_samples
 from ..designer import experiment_comparison, identifiability
-from ..designer.problem import torque_noise_levels
+from ..designer.options import torque_noise_levels
 from ..robot import base_parameters, inertial_parameters
 from . import options as shared
 from .outcome import Outcome, written_lines

@@ -27,7 +27,7 @@ from ..trajectory.rest_to_rest import Motion, MotionSegment
 from ..trajectory.trajectory_file import Trajectory
 from . import constraint_margins, criteria
 from .constraint_margins import BoundedQuantity, MotionConstraints
-from .problem import WorkspaceBox
+from .options import WorkspaceBox
 from .ramps import with_derived_limits
 
 Array = np.ndarray

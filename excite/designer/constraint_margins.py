@@ -12,7 +12,7 @@ from ..robot.inertial_parameters import COULOMB_WIDTH, Parameters
 from ..robot.limits import Braking, Limits
 from ..robot.robot import Robot
 from ..robot.samples import Samples
-from .problem import WorkspaceBox
+from .options import WorkspaceBox
 
 Array = np.ndarray
 

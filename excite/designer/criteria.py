@@ -1,7 +1,8 @@
-"""Optimality criteria: functions of the spectrum of the information matrix.
+"""Optimality criteria: functions of the eigenvalues of the information matrix.
 
-λ = eigenvalues of I·H₀⁻¹ (geometric, Lee, Wensing & Park, eq. 20) or of I in an orthonormal base (plain). All smooth criteria are
-one family: with s_ρ = Σ λ^{−ρ}, A is ρ = 1, D is ρ → 0 and E is ρ → ∞ of log(s_ρ)/ρ; the condition number joins both
+λ are the eigenvalues of I·H₀⁻¹ (geometric criterion; Lee, Kwon, Wensing and Park, eq. 20) or of I
+in an orthonormal base (plain criterion). The smooth criteria are one family: with s_ρ = Σ λ^{−ρ}, A is
+ρ = 1, D is the limit ρ → 0 and E the limit ρ → ∞ of log(s_ρ)/ρ; the condition number combines both
 ends of the spectrum. Each has an exact gradient with respect to the information matrix.
 """
 
@@ -13,13 +14,12 @@ from enum import Enum
 
 import numpy as np
 
+from .._types import FloatArray, IntArray
 from ..robot.base_parameters import Base
-
-Array = np.ndarray
 
 
 class Criterion(Enum):
-    """What a design optimises; the value says the command line's name."""
+    """Criterion that a design optimises; its value is the name on the command line."""
 
     A = "a"
     D = "d"
@@ -29,25 +29,39 @@ class Criterion(Enum):
 
 
 MAXIMISED_CRITERIA = (Criterion.D, Criterion.E)
+"""Criteria whose largest value is the best; the others are minimised."""
+
 MIN_SPECTRUM_RATIO = 1e-6
-"""Spectra narrower than this keep ten digits when the matrix is squared."""
+"""Smallest ratio of the extreme eigenvalues at which AᵀA still keeps ten digits of them [1]."""
+
+MIN_EIGENVALUE_RATIO = 1e-28
+"""Floor of the eigenvalues over the largest one, below which A itself holds no digits [1]."""
 
 
 @dataclass(frozen=True)
 class Weighting:
-    """The matrices that turn regressor rows into information in coordinates where the criterion is a spectrum.
+    """Coordinates in which a criterion is a function of the eigenvalues of the information.
 
-    columns: W, information is Wᵀ (Σ Yᵀ Σ⁻¹ Y) W. Shape (P, p).
-    noise: standard deviation of torque per joint. Shape (n,) [N m].
-    support: per joint the parameters its torque can depend on, its descendants' and its own drive's; None for all.
+    Attributes:
+        columns: W; the information in these coordinates is Wᵀ (Σ Yᵀ Σ⁻¹ Y) W. Shape (P, p).
+        noise: Standard deviation of the torque of each joint. Shape (n,) [N m].
+        support: For each joint the indices of the parameters that its torque can depend on (those
+            of its descendants and of its own actuator); None for all.
     """
 
-    columns: Array
-    noise: Array
-    support: tuple[Array, ...] | None = None
+    columns: FloatArray
+    noise: FloatArray
+    support: tuple[IntArray, ...] | None = None
 
-    def rows(self, Y: Array) -> Array:
-        """A with AᵀA the mean information per sample. Shapes (N, n, P) -> (n N, p), joint by joint."""
+    def rows(self, Y: FloatArray) -> FloatArray:
+        """Return A, with AᵀA the mean information per sample.
+
+        Args:
+            Y: Regressor at N samples. Shape (N, n, P).
+
+        Returns:
+            Weighted rows, joint by joint. Shape (n·N, p).
+        """
         samples, joints, count = Y.shape
         scale = 1.0 / (np.sqrt(samples) * self.noise)
         if self.support is None:
@@ -56,71 +70,111 @@ class Weighting:
                 @ self.columns
             )
         out = np.empty((joints, samples, self.columns.shape[1]))
-        for j, seen in enumerate(self.support):
-            np.matmul(Y[:, j, seen], scale[j] * self.columns[seen], out=out[j])
+        for j, columns in enumerate(self.support):
+            np.matmul(Y[:, j, columns], scale[j] * self.columns[columns], out=out[j])
         return out.reshape(joints * samples, -1)
 
-    def seed(self, Y: Array, slope: Array) -> Array:
-        """Gradient with respect to Y of a function of AᵀA whose gradient is `slope`. Shapes (N, n, P), (p, p) -> (N, n, P)."""
+    def regressor_gradient(self, Y: FloatArray, slope: FloatArray) -> FloatArray:
+        """Return the gradient with respect to the regressor of a function of AᵀA.
+
+        Args:
+            Y: Regressor at N samples. Shape (N, n, P).
+            slope: Gradient of the function with respect to AᵀA. Shape (p, p).
+
+        Returns:
+            Gradient with respect to `Y`. Shape (N, n, P).
+        """
         kernel = self.columns @ slope @ self.columns.T
         factor = 2.0 / (len(Y) * self.noise**2)
         if self.support is None:
             return (Y @ kernel) * factor[:, None]
         out = np.zeros(Y.shape)
-        for j, seen in enumerate(self.support):
-            out[:, j, seen] = Y[:, j, seen] @ (factor[j] * kernel[np.ix_(seen, seen)])
+        for j, columns in enumerate(self.support):
+            out[:, j, columns] = Y[:, j, columns] @ (factor[j] * kernel[np.ix_(columns, columns)])
         return out
 
-    def root(self, given: Array) -> Array:
-        """G with GᵀG = Wᵀ given W, `given` an information matrix in standard parameters. Shapes (P, P) -> (p, p)."""
-        values, vectors = np.linalg.eigh(self.columns.T @ given @ self.columns)
+    def information_root(self, information: FloatArray) -> FloatArray:
+        """Return G with GᵀG = Wᵀ I W.
+
+        Args:
+            information: Information matrix I in standard parameters. Shape (P, P).
+
+        Returns:
+            The root G. Shape (p, p).
+        """
+        values, vectors = np.linalg.eigh(self.columns.T @ information @ self.columns)
         return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))).T)
 
 
-def criterion_weighting(criterion: Criterion, base: Base, noise: Array, *, plain: bool) -> Weighting:
-    """Coordinates in which `criterion` is evaluated."""
+def criterion_weighting(
+    criterion: Criterion, base: Base, noise: FloatArray, *, plain: bool
+) -> Weighting:
+    """Return the coordinates in which a criterion is evaluated.
+
+    Args:
+        criterion: The criterion.
+        base: Base parameters of the robot.
+        noise: Standard deviation of the torque of each joint. Shape (n,) [N m].
+        plain: Use the Euclidean instead of the geometric metric.
+    """
     if criterion is Criterion.COND_REGRESSOR:
         return Weighting(base.selection, np.ones_like(noise))
     return Weighting(base.plain if plain else base.geometric, noise)
 
 
-def criterion_value(criterion: Criterion, spectrum: Array) -> float:
-    """The criterion of a spectrum in ascending order. inf or 0 where a direction is not seen at all."""
-    low, high = float(spectrum[0]), float(spectrum[-1])
+def criterion_value(criterion: Criterion, eigenvalues: FloatArray) -> float:
+    """Return the value of a criterion.
+
+    Args:
+        criterion: The criterion.
+        eigenvalues: Ascending eigenvalues of the information. Shape (p,).
+
+    Returns:
+        The value; its worst possible value (infinite, or 0 for E) where an eigenvalue is 0.
+    """
+    low, high = float(eigenvalues[0]), float(eigenvalues[-1])
     if criterion is Criterion.E:
         return max(low, 0.0)
     if low <= 0.0:
         return -np.inf if criterion is Criterion.D else np.inf
     if criterion is Criterion.A:
-        return float(np.sum(1.0 / spectrum))
+        return float(np.sum(1.0 / eigenvalues))
     if criterion is Criterion.D:
-        return float(np.sum(np.log(spectrum)))
+        return float(np.sum(np.log(eigenvalues)))
     return float(np.sqrt(high / low)) if criterion is Criterion.COND_REGRESSOR else high / low
 
 
-def _spectrum(rows: Array) -> tuple[Array, Array]:
-    """Eigenvalues and vectors of AᵀA; from A itself where directions are seen so unequally that its square loses digits."""
+def _spectrum(rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return eigenvalues and eigenvectors of AᵀA, from A where squaring it would lose digits."""
     square = rows.T @ rows
     try:
         pivots = np.diag(np.linalg.cholesky(square)) ** 2
     except np.linalg.LinAlgError:
         pivots = np.zeros(1)
-    if (
-        pivots.min() > MIN_SPECTRUM_RATIO * pivots.max()
-    ):  # cheap, and hardly ever wrong; the eigenvalues have the last word
+    # the pivots are a cheap test that is hardly ever wrong; the eigenvalues decide
+    if pivots.min() > MIN_SPECTRUM_RATIO * pivots.max():
         values, vectors = np.linalg.eigh(square)
         if values[0] > MIN_SPECTRUM_RATIO * values[-1]:
             return values, vectors
     _, singular, right = np.linalg.svd(np.linalg.qr(rows, mode="r"))
-    return np.maximum(singular**2, 1e-28 * singular[0] ** 2), right.T
+    return np.maximum(singular**2, MIN_EIGENVALUE_RATIO * singular[0] ** 2), right.T
 
 
-def smooth_objective(criterion: Criterion, rows: Array, sharpness: float) -> tuple[float, Array]:
-    """A smooth function of the information AᵀA to minimise, and its gradient with respect to that matrix.
+def smooth_objective(
+    criterion: Criterion, rows: FloatArray, sharpness: float
+) -> tuple[float, FloatArray]:
+    """Evaluate the smooth objective of a criterion, to be minimised, and its gradient.
 
-    rows: A. Shape (m, p), m ≥ p.
-    sharpness: ρ, how closely the extreme eigenvalues are followed by E and the condition numbers; as it
-        grows the value tends to log(1/e), log cond or log cond². A (log a) and D (−d/p) are exact.
+    A (log a) and D (−d/p) are exact. The extreme eigenvalues of E and of the condition numbers are
+    smoothed; as the sharpness grows the value tends to log(1/e), log cond or log cond².
+
+    Args:
+        criterion: The criterion.
+        rows: A, with AᵀA the information. Shape (m, p), m ≥ p.
+        sharpness: ρ, sharpness of the smoothed extreme eigenvalues [1].
+
+    Returns:
+        The objective, and its gradient with respect to AᵀA. Shape (p, p).
     """
     values, vectors = _spectrum(rows)
     logs = np.log(values)
@@ -136,16 +190,23 @@ def smooth_objective(criterion: Criterion, rows: Array, sharpness: float) -> tup
     return low + high, (vectors * ((high_slope - low_slope) / values)) @ vectors.T
 
 
-def _soft_max(values: Array, sharpness: float) -> tuple[float, Array]:
-    """log Σ exp(ρ v) / ρ and its gradient."""
+def _soft_max(values: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
+    """Return log(Σ exp(ρ v))/ρ and its gradient."""
     top = float(values.max())
     weights = np.exp(sharpness * (values - top))
     total = float(weights.sum())
     return top + np.log(total) / sharpness, weights / total
 
 
-def information_eigenvalues(rows: Array) -> Array:
-    """Ascending eigenvalues of AᵀA. Shapes (m, p) -> (p,)."""
+def information_eigenvalues(rows: FloatArray) -> FloatArray:
+    """Return the ascending eigenvalues of AᵀA.
+
+    Args:
+        rows: A. Shape (m, p).
+
+    Returns:
+        Eigenvalues, 0 for directions without information. Shape (p,).
+    """
     singular = np.linalg.svd(np.linalg.qr(rows, mode="r"), compute_uv=False)
     out = np.zeros(rows.shape[1])
     out[: len(singular)] = singular**2
@@ -153,17 +214,20 @@ def information_eigenvalues(rows: Array) -> Array:
 
 
 def evaluate_criteria(
-    blocks: Array | Iterable[Array], base: Base, noise: Array, given: Array | None = None
+    blocks: FloatArray | Iterable[FloatArray],
+    base: Base,
+    noise: FloatArray,
+    earlier_information: FloatArray | None = None,
 ) -> dict[str, object]:
-    """Evaluate all criteria of one motion, per sample, as the contract's `criteria` states them.
+    """Evaluate all criteria of one motion, per sample, as `criteria` of a trajectory file.
 
     Args:
-        blocks: The regressor Y of all samples, or of consecutive ones block by block. Shape
+        blocks: Regressor Y of all samples, or of consecutive samples block by block. Shape
             (N, n, P).
-        base: Base parameters.
-        noise: Standard deviation of torque per joint. Shape (n,) [N m].
-        given: Information of earlier recordings over this motion's number of samples, in standard
-            parameters. Shape (P, P).
+        base: Base parameters of the robot.
+        noise: Standard deviation of the torque of each joint. Shape (n,) [N m].
+        earlier_information: Information of earlier recordings over N, in standard parameters.
+            Shape (P, P).
 
     Returns:
         {"geometric": {criterion: value}, "plain": {criterion: value}, "cond_regressor": value}.
@@ -176,7 +240,11 @@ def evaluate_criteria(
     rows = _rows_of_all(weights, [blocks] if isinstance(blocks, np.ndarray) else blocks)
     out: dict[str, object] = {}
     for name in ("geometric", "plain"):
-        known = [] if given is None else [weights[name].root(given)]
+        known = (
+            []
+            if earlier_information is None
+            else [weights[name].information_root(earlier_information)]
+        )
         eigenvalues = information_eigenvalues(np.vstack([rows[name], *known]))
         out[name] = {
             c.value: criterion_value(c, eigenvalues)
@@ -190,15 +258,15 @@ def evaluate_criteria(
 
 
 def _rows_of_all(
-    weights: Mapping[str, Weighting], blocks: Iterable[Array]
-) -> dict[str, Array]:
-    """A with AᵀA the mean information per sample of all blocks, for each weighting. Shape (m, p)."""
-    rows: dict[str, Array] = {}
+    weights: Mapping[str, Weighting], blocks: Iterable[FloatArray]
+) -> dict[str, FloatArray]:
+    """Return A, with AᵀA the mean information per sample, for each weighting. Shape (m, p)."""
+    rows: dict[str, FloatArray] = {}
     count = 0
     for Y in blocks:
         here = {name: weighting.rows(Y) for name, weighting in weights.items()}
         total = count + len(Y)
-        # A of both parts stacked, each scaled by the root of its share of the samples, and reduced
+        # stack A of both parts, each scaled by the root of its share of the samples, and reduce it
         shares = np.sqrt(count / total), np.sqrt(len(Y) / total)
         rows = (
             {n: _triangle(np.vstack([shares[0] * rows[n], shares[1] * here[n]])) for n in here}
@@ -209,20 +277,28 @@ def _rows_of_all(
     return rows
 
 
-def _triangle(rows: Array) -> Array:
-    """R of the QR factorisation."""
+def _triangle(rows: FloatArray) -> FloatArray:
+    """Return R of the QR factorisation."""
     return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
 def select_criterion(criteria: Mapping[str, object], criterion: Criterion, *, plain: bool) -> float:
-    """One number out of what `score` returns."""
+    """Return the value of one criterion among those that `evaluate_criteria` returns."""
     if criterion is Criterion.COND_REGRESSOR:
         return float(criteria["cond_regressor"])  # type: ignore[arg-type]
     return float(criteria["plain" if plain else "geometric"][criterion.value])  # type: ignore[index]
 
 
-def information_matrix(Y: Array, noise: Array) -> Array:
-    """Σₜ Yᵀ Σ⁻¹ Y over all samples, in standard parameters. Shapes (N, n, P) -> (P, P)."""
+def information_matrix(Y: FloatArray, noise: FloatArray) -> FloatArray:
+    """Return the information Σₜ Yᵀ Σ⁻¹ Y of all samples, in standard parameters.
+
+    Args:
+        Y: Regressor along the motion. Shape (N, n, P).
+        noise: Standard deviation of the torque of each joint. Shape (n,) [N m].
+
+    Returns:
+        Information matrix. Shape (P, P).
+    """
     rows = (Y / noise[:, None]).reshape(-1, Y.shape[2])
-    out: Array = rows.T @ rows
+    out: FloatArray = rows.T @ rows
     return out

@@ -23,7 +23,8 @@ from .criteria import Criterion
 from .evaluator import Evaluator
 from .motion_overlap import OverlapPenalty
 from .multistart import Attempt, Progress
-from .problem import DesignOptions, DesignProblem
+from .problem import DesignProblem
+from .options import DesignOptions
 
 Array = np.ndarray
 

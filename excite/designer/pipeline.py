@@ -23,7 +23,8 @@ from .certificate import CELL_KEY, CLEARANCE, Certificate
 from .motion_overlap import OverlapPenalty
 from .multistart import Progress
 from .optimize import OptimizedDesign
-from .problem import LIMIT_RESERVE, DesignOptions
+from .problem import LIMIT_RESERVE
+from .options import DesignOptions
 
 Array = np.ndarray
 Whole = tuple[Trajectory, Certificate]

@@ -27,7 +27,7 @@ from . import criteria, optimize, problem, ramps
 from .criteria import Criterion
 from .optimize import DesignSetup
 from .pipeline import CertifiedDesign
-from .problem import DesignOptions
+from .options import DesignOptions
 
 Array = np.ndarray
 DEFAULT_HARMONICS = 5

@@ -1,115 +1,187 @@
-"""How far a link lies behind its motor, where a spring or play is between them, and what all joints feel of it.
+"""Dynamics of a link behind an elastic gear or a backlash gap, and the torque on all joints.
 
-The motor's encoder is what was recorded, so the link's motion has to be found: M δ̈ + ∂τ/∂q̇ δ̇ + ∂τ/∂q δ = τ_r − (what the gear passes on),
-with δ = θ − q the wind-up, τ_r the torque that would carry a rigid joint's link along θ, and M the link's own inertia (Spong 1987).
+The recorded position θ is the motor's, so the link's motion q = θ − δ must be simulated:
+M δ̈ + ∂τ/∂q̇ δ̇ + ∂τ/∂q δ = τ_r − τ_gear, where τ_r is the torque that a rigid joint would need along
+θ, τ_gear what the gear transmits, and M the link's inertia about its joint (Spong, Modeling and
+control of elastic joint robots, J. Dyn. Syst. Meas. Control 109, 1987).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from .._types import FloatArray
 from ..identification.lowpass import Grid
 from .recorded_motion import RecordedMotion
 
-Array = np.ndarray
-LEAST_DAMPED, MOST_DAMPED = 0.008, 0.3
-"""Damping ratios that are tried, between those of steel and of rubber."""
-NEAR = 1.06
-"""Factor by which a frequency may turn with its damping."""
-SOFTEST, STEADIEST = 0.2, 0.9
-"""Of a spring, what may be left of it beside gravity; and the largest damping ratio, of either sign."""
-LAUNCHED, CARRIED = 0.01, 0.5
-"""Of its largest speed, from which a motor turns already, and from which it has taken its link along."""
-OIL = 0.3
-"""Damping ratio of a link that is held in its play."""
-FLIGHT = 32
-"""Samples of a free link that are looked at first."""
+MIN_DAMPING_RATIO = 0.008
+"""Smallest damping ratio that is tried: that of steel."""
+MAX_DAMPING_RATIO = 0.3
+"""Largest damping ratio that is tried: that of rubber."""
+FREQUENCY_FACTOR = 1.06
+"""Factor within which a resonance frequency is optimised jointly with its damping."""
+MIN_STIFFNESS_SHARE = 0.2
+"""Smallest share of a spring's stiffness that gravity leaves, which would otherwise topple it."""
+MAX_OSCILLATOR_DAMPING = 0.9
+"""Largest damping ratio of a simulated oscillator, of either sign."""
+MIN_INITIAL_SPEED_RATIO = 0.01
+"""Initial over largest motor speed from which a recording starts in motion."""
+MAX_INITIAL_SPEED_RATIO = 0.5
+"""Initial over largest motor speed up to which the link may still hang at rest."""
+GAP_DAMPING_RATIO = 0.3
+"""Damping ratio of a link inside its backlash gap, by oil and seals."""
+FIRST_FLIGHT_SAMPLES = 32
+"""Samples of free motion in a backlash gap that are simulated before the next impact is sought."""
 
 
-def felt(track: RecordedMotion, joint: int, lag: Array, of: Grid) -> Array:
-    """Torque on all joints when a link lies `lag` behind its motor [rad, on a grid]. Shapes (M or C,) -> (N, n, 1).
+def link_lag_torque(motion: RecordedMotion, joint: int, lag: FloatArray, of: Grid) -> FloatArray:
+    """Return the torque on all joints by a link that lags behind its motor.
 
-    First order: −(∂τ/∂q δ + ∂τ/∂q̇ δ̇ + M δ̈), the rotor staying with the encoder.
+    To first order −(∂τ/∂q δ + ∂τ/∂q̇ δ̇ + M δ̈); the rotor moves with the encoder.
+
+    Args:
+        motion: The recorded motion.
+        joint: Index of the joint.
+        lag: δ = θ − q [rad], shape (M,) or (C,).
+        of: Grid of `lag`.
+
+    Returns:
+        Shape (N, n, 1) [N m].
     """
-    by_q, by_v, mass = track.derivatives
-    lines = track.band.transform(lag[:, None], of)
-    shift, first, second = (lines.filter(Grid.COARSE, order, 1.0) for order in range(3))
-    torque = by_q[:, :, joint] * shift + by_v[:, :, joint] * first + mass[:, :, joint] * second
-    return -track.lowpass(torque, Grid.COARSE)[:, :, None]
+    by_q, by_v, mass = motion.derivatives
+    spectrum = motion.band.transform(lag[:, None], of)
+    position, speed, acceleration = (
+        spectrum.filter(Grid.COARSE, order, 1.0) for order in range(3)
+    )
+    torque = (
+        by_q[:, :, joint] * position
+        + by_v[:, :, joint] * speed
+        + mass[:, :, joint] * acceleration
+    )
+    return -motion.lowpass(torque, Grid.COARSE)[:, :, None]
 
 
-def mass(track: RecordedMotion, joint: int) -> Array:
-    """The link's own inertia about a joint, at the coarse samples. Shape (C,) [kg m²]."""
-    return np.maximum(track.derivatives[2][:, joint, joint], 1e-9)
+def link_inertia(motion: RecordedMotion, joint: int) -> FloatArray:
+    """Return the links' inertia about a joint at the coarse samples [kg m²], shape (C,)."""
+    return np.maximum(motion.derivatives[2][:, joint, joint], 1e-9)
 
 
-def damped(ratio: float) -> list[float]:
-    """Damping ratios that are tried beside one: twice and half of it."""
-    return [ratio * by for by in (0.5, 2.0) if LEAST_DAMPED < ratio * by < MOST_DAMPED]
+def neighbouring_damping_ratios(ratio: float) -> list[float]:
+    """Return half and twice a damping ratio, as far as they are within the limits."""
+    return [
+        ratio * factor
+        for factor in (0.5, 2.0)
+        if MIN_DAMPING_RATIO < ratio * factor < MAX_DAMPING_RATIO
+    ]
 
 
-def launched(track: RecordedMotion, joint: int) -> bool:
-    """Whether a recording begins with a motor that turns already, and a link that may hang still."""
-    speed = np.abs(track.coarse_samples.dq[:, joint])
-    return bool(LAUNCHED * speed.max() < speed[0] < CARRIED * speed.max())
+def starts_in_motion(motion: RecordedMotion, joint: int) -> bool:
+    """Return True if the motor turns when the recording starts, while the link may be at rest."""
+    speed = np.abs(motion.coarse_samples.dq[:, joint])
+    return bool(
+        MIN_INITIAL_SPEED_RATIO * speed.max() < speed[0] < MAX_INITIAL_SPEED_RATIO * speed.max()
+    )
 
 
-def wound(track: RecordedMotion, joint: int, stiffness: float, ratio: float, rests: bool) -> Array:
-    """Wind-up of a spring of `stiffness` [N m/rad] and a damping ratio, at the coarse samples. Shape (C,).
+def elastic_deflection(
+    motion: RecordedMotion, joint: int, stiffness: float, ratio: float, starts_at_rest: bool
+) -> FloatArray:
+    """Simulate the elastic deflection δ of a joint.
 
-    M δ̈ + (∂τ/∂q̇ + D) δ̇ + (∂τ/∂q + K) δ = τ_r: the link's load is not quite what it would be where its motor is. rests: whether the
-    link hung still where a recording begins with a motor that turns (`launched`); else it turned with it.
+    M δ̈ + (∂τ/∂q̇ + D) δ̇ + (∂τ/∂q + K) δ = τ_r: the load is that at the link's position, not at the
+    motor's.
+
+    Args:
+        motion: The recorded motion.
+        joint: Index of the joint.
+        stiffness: K [N m/rad].
+        ratio: Damping ratio D / (2 √(K M)).
+        starts_at_rest: Whether the link is at rest where the recording starts with a turning
+            motor (`starts_in_motion`); otherwise it moves with the motor.
+
+    Returns:
+        δ at the coarse samples [rad], shape (C,).
     """
-    by_q, by_v = (part[:, joint, joint] for part in track.derivatives[:2])
-    force, inertia = track.rigid_torque[:, joint], mass(track, joint)
+    by_q, by_v = (part[:, joint, joint] for part in motion.derivatives[:2])
+    force, inertia = motion.rigid_torque[:, joint], link_inertia(motion, joint)
     damping = 2.0 * ratio * np.sqrt(stiffness * inertia.mean())
-    stiff = np.maximum(stiffness + by_q, SOFTEST * stiffness)
+    total_stiffness = np.maximum(stiffness + by_q, MIN_STIFFNESS_SHARE * stiffness)
     start = (
-        (track.initial_torque[joint] / stiffness, track.coarse_samples.dq[0, joint])
-        if rests and launched(track, joint)
+        (motion.initial_torque[joint] / stiffness, motion.coarse_samples.dq[0, joint])
+        if starts_at_rest and starts_in_motion(motion, joint)
         else None
     )
-    return oscillator(
-        force, inertia, stiff, damping + by_v, 1.0 / track.band.rate_of(Grid.COARSE), start
+    return simulate_oscillator(
+        force,
+        inertia,
+        total_stiffness,
+        damping + by_v,
+        1.0 / motion.band.rate_of(Grid.COARSE),
+        start,
     )[0]
 
 
-def oscillator(
-    force: Array,
-    inertia: Array,
-    stiffness: Array,
-    damping: Array,
+def simulate_oscillator(
+    force: FloatArray,
+    inertia: FloatArray,
+    stiffness: FloatArray,
+    damping: FloatArray,
     dt: float,
     start: tuple[float, float] | None = None,
-) -> tuple[Array, Array]:
-    """m ẍ + d ẋ + k x = f, from a place and a speed, or else from where f holds it: both at every sample. Each step is exact for the means
-    of f, m, k and d at its ends. Shapes (M,)."""
+) -> tuple[FloatArray, FloatArray]:
+    """Simulate m ẍ + d ẋ + k x = f with time-varying coefficients.
+
+    Each step is exact for the means of f, m, k and d over the step. All arrays have shape (M,).
+
+    Args:
+        force: f.
+        inertia: m.
+        stiffness: k.
+        damping: d.
+        dt: Step [s].
+        start: Initial position and velocity; static equilibrium when None.
+
+    Returns:
+        Position and velocity at every sample.
+    """
     x, v = start or (float(force[0] / stiffness[0]), 0.0)
     force, inertia, stiffness, damping = (
         0.5 * (x[1:] + x[:-1]) for x in (force, inertia, stiffness, damping)
     )
     omega = np.sqrt(stiffness / inertia)
-    ratio = np.clip(damping / (2.0 * omega * inertia), -STEADIEST, STEADIEST)
+    ratio = np.clip(
+        damping / (2.0 * omega * inertia), -MAX_OSCILLATOR_DAMPING, MAX_OSCILLATOR_DAMPING
+    )
     root = np.sqrt(1.0 - ratio**2)
-    slow, decay = omega * root, np.exp(-ratio * omega * dt)
-    cosine, sine = decay * np.cos(slow * dt), decay * np.sin(slow * dt)
+    damped_omega, decay = omega * root, np.exp(-ratio * omega * dt)
+    cosine, sine = decay * np.cos(damped_omega * dt), decay * np.sin(damped_omega * dt)
+    # transition matrix [[a, b], [c, d]] of a damped oscillator over one step
     a, b, c, d = (
         cosine + ratio / root * sine,
-        sine / slow,
+        sine / damped_omega,
         -sine * omega / root,
         cosine - ratio / root * sine,
     )
-    rest = force / stiffness
-    turn, push = (
-        np.array([[a, b], [c, d]]).transpose(2, 0, 1),
-        np.array([rest - a * rest, -c * rest]).T[:, :, None],
-    )
-    out = stepped(turn, push, np.array([[x], [v]]))
+    equilibrium = force / stiffness
+    transition = np.array([[a, b], [c, d]]).transpose(2, 0, 1)
+    push = np.array([equilibrium - a * equilibrium, -c * equilibrium]).T[:, :, None]
+    out = solve_linear_recursion(transition, push, np.array([[x], [v]]))
     return out[:, 0, 0], out[:, 1, 0]
 
 
-def stepped(turn: Array, push: Array, start: Array) -> Array:
-    """zₖ₊₁ = A(k) zₖ + b(k), all steps at once: a banded triangular system. Shapes (M, m, m), (M, m, c), (m, c) -> (M + 1, m, c)."""
+def solve_linear_recursion(
+    transition: FloatArray, push: FloatArray, start: FloatArray
+) -> FloatArray:
+    """Solve zₖ₊₁ = A(k) zₖ + b(k) for all k at once, as a banded triangular system.
+
+    Args:
+        transition: A, shape (M, m, m).
+        push: b, shape (M, m, c).
+        start: z₀, shape (m, c).
+
+    Returns:
+        z, shape (M + 1, m, c).
+    """
     from scipy.linalg.lapack import dtbtrs  # slow to import
 
     m, right = len(start), np.concatenate([start[None], push]).reshape(-1, start.shape[1])
@@ -117,49 +189,76 @@ def stepped(turn: Array, push: Array, start: Array) -> Array:
     bands[0] = 1.0
     for i in range(m):
         for j in range(m):
-            bands[m + i - j, j:-m:m] = -turn[:, i, j]
+            bands[m + i - j, j:-m:m] = -transition[:, i, j]
     return np.asarray(dtbtrs(bands, right, uplo="L")[0]).reshape(-1, *start.shape)
 
 
-def played(track: RecordedMotion, joint: int, width: float, hold: float) -> Array:
-    """Where a link is in a play of `width` [rad]: driven by its load, it stops where it meets the other flank. Shape (M,).
+def backlash_lag(
+    motion: RecordedMotion, joint: int, width: float, holding_frequency: float
+) -> FloatArray:
+    """Simulate the position of a link in its backlash gap; its load drives it from side to side.
 
-    hold: how fast it would swing in there, for what a gear's soft first stage, oil and seals hold of it [Hz].
+    Args:
+        motion: The recorded motion.
+        joint: Index of the joint.
+        width: Width of the gap [rad].
+        holding_frequency: Natural frequency of the link inside the gap, by what holds it there:
+            a compliant first gear stage, oil and seals [Hz].
+
+    Returns:
+        Position of the link relative to the centre of the gap [rad], shape (M,).
     """
-    push = track.upsample((track.rigid_torque[:, joint] / mass(track, joint))[:, None])[:, 0]
-    return between_flanks(push, 1.0 / track.segment.rate, 0.5 * width, 2.0 * np.pi * hold)
+    push = motion.upsample(
+        (motion.rigid_torque[:, joint] / link_inertia(motion, joint))[:, None]
+    )[:, 0]
+    return simulate_backlash_gap(
+        push, 1.0 / motion.segment.rate, 0.5 * width, 2.0 * np.pi * holding_frequency
+    )
 
 
-def between_flanks(push: Array, dt: float, half: float, omega: float) -> Array:
-    """Where a link is between flanks at ±half, at which it stops dead: ẍ = a − ω² x − 2 ζ ω ẋ, ζ = `OIL`. Shape (M,) [rad].
+def simulate_backlash_gap(
+    push: FloatArray, dt: float, half_gap: float, omega: float
+) -> FloatArray:
+    """Simulate a link inside its backlash gap: free motion with inelastic impacts.
 
-    By steps (Euler, implicit in the place): free of the flanks, xₖ = b xₖ₋₁ − c xₖ₋₂ + aₖ dt². push: a [rad/s²]. dt [s], half [rad],
-    omega [rad/s].
+    ẍ = a − ω² x − 2 ζ ω ẋ inside ±`half_gap`, with ζ = `GAP_DAMPING_RATIO`; impacts at the gap
+    boundaries are perfectly inelastic. Euler steps, implicit in the position: between the
+    boundaries xₖ = b xₖ₋₁ − c xₖ₋₂ + aₖ dt².
+
+    Args:
+        push: Acceleration a by the load [rad/s²], shape (M,).
+        dt: Step [s].
+        half_gap: Half of the gap [rad].
+        omega: Natural angular frequency ω inside the gap [rad/s].
+
+    Returns:
+        x [rad], shape (M,).
     """
     from scipy.signal import lfilter  # slow to import
 
-    c = 1.0 - 2.0 * OIL * omega * dt
+    c = 1.0 - 2.0 * GAP_DAMPING_RATIO * omega * dt
     b, count = 1.0 + c - (omega * dt) ** 2, len(push)
-    leaves = (
-        np.flatnonzero(push < omega**2 * half),
-        np.flatnonzero(push > -(omega**2) * half),
-    )  # the upper flank, the lower one
-    out, x, k = np.empty(count), half if push[0] > 0.0 else -half, 0
+    # samples at which the load would drive the link off the upper and off the lower boundary
+    departures = (
+        np.flatnonzero(push < omega**2 * half_gap),
+        np.flatnonzero(push > -(omega**2) * half_gap),
+    )
+    out, x, k = np.empty(count), half_gap if push[0] > 0.0 else -half_gap, 0
     while k < count:
-        own = leaves[0 if x > 0.0 else 1]
-        place, rested = int(np.searchsorted(own, k)), k
-        k = int(own[place]) if place < len(own) else count
-        out[rested:k] = x
-        state, size = x * np.array([b - c, -c]), FLIGHT
+        samples = departures[0 if x > 0.0 else 1]
+        place, arrival = int(np.searchsorted(samples, k)), k
+        k = int(samples[place]) if place < len(samples) else count
+        out[arrival:k] = x
+        state, size = x * np.array([b - c, -c]), FIRST_FLIGHT_SAMPLES
         while k < count:
-            flies, state = lfilter([dt**2], [1.0, -b, c], push[k : k + size], zi=state)
-            met = np.abs(flies) > half
-            meets = int(met.argmax())
-            if met[meets]:
-                x = half if flies[meets] > 0.0 else -half
-                out[k : k + meets], out[k + meets] = flies[:meets], x
-                k += meets + 1
+            flight, state = lfilter([dt**2], [1.0, -b, c], push[k : k + size], zi=state)
+            outside = np.abs(flight) > half_gap
+            impact = int(outside.argmax())
+            if outside[impact]:
+                x = half_gap if flight[impact] > 0.0 else -half_gap
+                out[k : k + impact], out[k + impact] = flight[:impact], x
+                k += impact + 1
                 break
-            out[k : k + size] = flies
-            k, size = k + len(flies), 4 * size
+            out[k : k + size] = flight
+            k, size = k + len(flight), 4 * size
     return out

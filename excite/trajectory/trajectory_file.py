@@ -115,8 +115,11 @@ class Trajectory:
 
 def _payload(stated: Mapping[str, Any]) -> Payload:
     """Return the payload that a trajectory file states."""
-    numbers = [tuple(float(v) for v in stated[key]) for key in ("centre", "inertia")]
-    return Payload(str(stated["link"]), float(stated["mass"]), numbers[0], numbers[1])  # type: ignore[arg-type]
+    x, y, z = (float(value) for value in stated["centre"])
+    ixx, ixy, iyy, ixz, iyz, izz = (float(value) for value in stated["inertia"])
+    return Payload(
+        str(stated["link"]), float(stated["mass"]), (x, y, z), (ixx, ixy, iyy, ixz, iyz, izz)
+    )
 
 
 def package_versions() -> dict[str, str]:

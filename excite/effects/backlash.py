@@ -1,0 +1,90 @@
+"""Backlash: lost motion between motor and link, with impacts at the boundaries of the gap."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from .._types import FloatArray
+from ..identification.lowpass import Grid
+from .effect import (
+    CandidateModel,
+    Effect,
+    NonlinearParameter,
+    grid_candidates,
+    is_between,
+    variants_within,
+)
+from .gear_dynamics import backlash_lag, link_lag_torque
+from .recorded_motion import RecordedMotion
+
+WIDTHS = np.geomspace(1e-4, 1e-2, 13)
+"""Grid of backlash widths [rad]."""
+HOLDING_FREQUENCIES = (0.0, 1.5, 3.0, 6.0, 12.0)
+"""Grid of natural frequencies of the link inside the gap [Hz]: compliant teeth, oil and seals hold
+it there."""
+VARIANT_FACTOR = 1.5
+"""Factor between neighbouring holding frequencies, and within which the width is optimised."""
+MAX_HOLDING_FREQUENCY = 20.0
+"""Largest holding frequency [Hz]; above, the joint is elastic."""
+
+
+def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+    """Torque of a link that moves freely inside its backlash gap."""
+    lag = backlash_lag(motion, model.joint_index, model.values["width"], model.values["hold"])
+    return link_lag_torque(motion, model.joint_index, lag, Grid.RECORDED)
+
+
+def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+    """Backlash of every joint whose load changes sign; otherwise the gap stays closed."""
+    # the samples must follow the link
+    max_frequency = min(
+        MAX_HOLDING_FREQUENCY, *(motion.segment.rate / (2.0 * np.pi) for motion in motions)
+    )
+
+    def family(joint: int, holding_frequency: float) -> Callable[[float], CandidateModel]:
+        def model(width: float) -> CandidateModel:
+            neighbours = [
+                holding_frequency * factor
+                for factor in (1.0 / VARIANT_FACTOR, VARIANT_FACTOR)
+                if 0.0 < holding_frequency * factor <= max_frequency
+            ]
+
+            def variants() -> list[NonlinearParameter]:
+                return variants_within(
+                    width, VARIANT_FACTOR, (family(joint, f) for f in neighbours)
+                )
+
+            return CandidateModel(
+                "backlash",
+                joint,
+                _columns,
+                {"width": width, "hold": holding_frequency},
+                parameters=lambda c: {"width": float(width * c[0])},
+                is_plausible=is_between(0.4, 2.5),
+                variants=variants,
+            )
+
+        return model
+
+    for j in range(motions[0].n):
+        if any(np.ptp(np.sign(motion.rigid_torque[:, j])) > 1.0 for motion in motions):
+            for frequency in (f for f in HOLDING_FREQUENCIES if f <= max_frequency):
+                yield from grid_candidates(WIDTHS.tolist(), family(j, frequency))
+
+
+BACKLASH = Effect(
+    "backlash",
+    "ẍ = τ/M inside a gap ±b/2 with inelastic impacts at its boundaries, x seen from the motor "
+    "encoder",
+    _columns,
+    _candidates,
+    {"width": "rad"},
+    "a kick where the load changes sign",
+    ("hysteresis", "elasticity"),
+    "slow reversals through zero load",
+    form_std={"width": 0.47},
+    residual_log_offset=3.0,
+)
+"""Backlash; users call it gear play or lost motion."""

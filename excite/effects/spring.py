@@ -1,0 +1,107 @@
+"""Spring: a conservative torque that depends on the joint position only."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+import numpy as np
+
+from .._types import FloatArray
+from .effect import CandidateModel, Effect, grid_candidates, single_joint_columns
+from .recorded_motion import RecordedMotion, position_range
+
+FORMS: tuple[Callable[[FloatArray], FloatArray], ...] = (
+    lambda q: q[:, None],
+    lambda q: np.column_stack([np.cos(q), np.sin(q)]),
+    lambda q: np.column_stack([q, q**2]),
+    lambda q: np.column_stack([q, q**2, q**3]),
+    lambda q: np.column_stack([np.cos(q), np.sin(q), np.cos(2 * q), np.sin(2 * q)]),
+)
+"""Torque of usual springs and counterbalances over the joint position, linear in coefficients."""
+WAVES_OVER_RANGE = (0.35, 0.6, 0.9)
+"""Periods over the joint's range of the slow wave that is added to a linear spring."""
+KINK_POSITIONS = np.linspace(0.15, 0.85, 8)
+"""Positions, as shares of the joint's range, at which a spring's stiffness may change."""
+CURVE_POINTS = 200
+"""Positions at which a spring's torque is evaluated to report stiffness and amplitude."""
+MIN_RANGE = 1e-6
+"""Range from which a joint moves at all [rad or m]."""
+MIN_CURVE_RANGE = 0.05
+"""Range from which more than a standard form is fitted [rad or m]."""
+
+
+def _torque(values: Mapping[str, float], q: FloatArray) -> FloatArray:
+    """Torque per coefficient over the joint position, (M,) -> (M, k)."""
+    if "bend" in values:
+        distance = q - values["bend"]
+        return np.column_stack([np.minimum(distance, 0.0), np.maximum(distance, 0.0)])
+    if "order" in values:
+        distance = q - values["about"]
+        return np.column_stack(
+            [
+                distance,
+                np.cos(values["order"] * distance) - 1.0,
+                np.sin(values["order"] * distance),
+            ]
+        )
+    return FORMS[int(values["form"])](q)
+
+
+def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+    """Torque of a spring at one joint."""
+    j = model.joint_index
+    return single_joint_columns(motion, j, _torque(model.values, motion.samples.q[:, j]))
+
+
+def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+    """Standard forms; a line with a slow wave; and two lines that meet.
+
+    The wave stands for springs that stiffen, soften or pass a dead centre, the two lines for an
+    end stop or a slack cable. Both are zero at their centre, as a constant torque is the base
+    model's offset.
+    """
+
+    def candidates(j: int, low: float, high: float) -> Iterator[CandidateModel]:
+        q = np.linspace(low, high, CURVE_POINTS)
+
+        def model(**values: float) -> CandidateModel:
+            def parameters(c: FloatArray) -> dict[str, float]:
+                """Steepest slope, with the sign of the whole curve, and half of the range."""
+                torque = _torque(values, q) @ c
+                steepest = np.abs(np.gradient(torque, q)).max() * np.sign((q - q.mean()) @ torque)
+                return {"stiffness": float(steepest), "amplitude": 0.5 * float(np.ptp(torque))}
+
+            return CandidateModel("spring", j, _columns, values, parameters=parameters)
+
+        for form in range(len(FORMS)):
+            yield model(form=float(form))
+        if high - low > MIN_CURVE_RANGE:
+            slow = (2.0 * np.pi / (high - low) * np.array(WAVES_OVER_RANGE)).tolist()
+            yield from grid_candidates(
+                slow, lambda order: model(order=order, about=0.5 * (low + high))
+            )
+            yield from grid_candidates(
+                ((high - low) * KINK_POSITIONS).tolist(),
+                lambda distance: model(bend=low + distance),
+            )
+
+    for j in range(motions[0].n):
+        low, high = position_range(motions, j)
+        if high - low >= MIN_RANGE:
+            yield from candidates(j, low, high)
+
+
+SPRING = Effect(
+    "spring",
+    "a conservative torque of position: k q, K sin(q + φ), …",
+    _columns,
+    _candidates,
+    {"stiffness": "N m/rad", "amplitude": "N m"},
+    "the same in both directions, pose alone",
+    ("payload", "gravity_tilt"),
+    "poses up to both ends",
+    # a refit base model absorbs as much of the slope into gravity as the form permits
+    form_std={"stiffness": 1.0, "amplitude": 0.25},
+    residual_log_offset=-0.9,
+)
+"""Position-dependent torque; users call it counterbalance, gas spring, cable or dress pack."""

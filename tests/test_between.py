@@ -112,7 +112,7 @@ def test_the_report_says_that_the_robot_is_another() -> None:
     one = found(None)
     stated = document(one)
     text = diagnosis_page(one, stated, residual_atlas.compute_atlas(one))
-    assert "Is the robot the same in all recordings?" in text and "No law is missing" in text
+    assert "Is the robot the same in all recordings?" in text and "No effect is missing" in text
     same = found(None, 0.0)
     assert "Is the robot the same" not in diagnosis_page(
         same, document(same), residual_atlas.compute_atlas(same)
@@ -126,7 +126,7 @@ def test_another_day_does_not_excuse_what_has_no_name() -> None:
     assert (
         regimes["joint_2"]["regime"] != "recording" and "besides" in regimes["joint_2"]["statement"]
     )
-    assert "No law is missing" not in diagnosis_page(one, document(one), residual_atlas.compute_atlas(one))
+    assert "No effect is missing" not in diagnosis_page(one, document(one), residual_atlas.compute_atlas(one))
 
 
 @pytest.mark.parametrize("planted", [True, False])

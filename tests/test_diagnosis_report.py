@@ -1,4 +1,4 @@
-"""The report of a diagnosis: every question answered, with and without findings, and what it says is what was found."""
+"""The report of a diagnosis answers every question and states its results."""
 
 from __future__ import annotations
 
@@ -18,77 +18,82 @@ from excite.diagnosis import diagnosis, residual_atlas
 from excite.diagnosis.diagnosis import Diagnosis
 from excite.diagnosis.diagnosis_file import document
 from excite.recordings import Kind, Recording, Remark
-from excite.report import diagnosis as pages
 from excite.report import diagnosis_page
-from excite.report.figures.residual_atlas import plain, probability
+from excite.report.figures.residual_atlas import p_value
+from excite.report.formatting import number
 
 QUESTIONS = {
-    "missing": "Is anything missing?",
-    "what": "What is it?",
-    "where": "Where does it show?",
-    "better": "Does the model with it predict better?",
-    "apart": "What cannot be told apart by these recordings?",
+    "missing": "Does the model lack anything?",
+    "what": "Which effect is it?",
+    "where": "What does the residual depend on?",
+    "better": "Do the findings improve the prediction?",
+    "apart": "Which effects can these recordings not distinguish?",
     "next": "What to do next?",
     "made": "How was it made?",
 }
 
 
-def drawn(one: Diagnosis, stated: dict[str, Any], remarks: Sequence[Remark] = ()) -> str:
-    return diagnosis_page(one, stated, residual_atlas.compute_atlas(one), remarks)
+def report_of(result: Diagnosis, stated: dict[str, Any], remarks: Sequence[Remark] = ()) -> str:
+    return diagnosis_page(result, stated, residual_atlas.compute_atlas(result), remarks)
 
 
-def noisy(one: Recording, seed: int) -> Recording:
-    """With noise of its own: what is the same in two recordings can be foreseen."""
-    assert one.tau is not None
+def noisy(result: Recording, seed: int) -> Recording:
+    """Add noise that is independent between recordings."""
+    assert result.tau is not None
     return dataclasses.replace(
-        one, tau=one.tau + 0.1 * np.random.default_rng(10 + seed).normal(size=one.tau.shape)
+        result,
+        tau=result.tau + 0.1 * np.random.default_rng(10 + seed).normal(size=result.tau.shape),
     )
 
 
 @cache
-def found(amplitude: float) -> Diagnosis:
-    """Two links whose second joint has Stribeck friction of that amplitude."""
+def diagnosis_of(amplitude: float) -> Diagnosis:
+    """Diagnose two links whose second joint has Stribeck friction of an amplitude [N m]."""
     model = two_links()
     psi = perturbed(model.parameters, np.random.default_rng(3))
     both = []
     for seed, name in ((1, "train.csv"), (2, "validate.csv")):
-        one = noisy(recorded(model, psi, motion(2, seed), 3.0, 0.0), seed)
-        dq = np.gradient(one.q, 1.0 / one.rate, axis=0)[:, 1]
+        result = noisy(recorded(model, psi, motion(2, seed), 3.0, 0.0), seed)
+        dq = np.gradient(result.q, 1.0 / result.rate, axis=0)[:, 1]
         extra = np.column_stack(
             [0.0 * dq, amplitude * np.exp(-((dq / 0.3) ** 2)) * np.tanh(dq / WIDTH)]
         )
-        both.append(dataclasses.replace(one, source=name, tau=one.tau + extra))
-    options = diagnosis.DiagnosisOptions(names=("stribeck", "drag", "asymmetric_viscous", "delay", "spring"))
+        both.append(dataclasses.replace(result, source=name, tau=result.tau + extra))
+    options = diagnosis.DiagnosisOptions(
+        names=("stribeck", "drag", "asymmetric_viscous", "delay", "spring")
+    )
     return diagnosis.diagnose(
         model.robot, model.parameters, model.base, both[:1], both[1:], options
     )
 
 
 @cache
-def ringing() -> Diagnosis:
-    """Two links with a liquid in the second: an oscillator that its acceleration excites, no louder than noise."""
+def sloshing() -> Diagnosis:
+    """Diagnose two links with a sloshing liquid: an oscillator excited by acceleration."""
     model = two_links()
     psi = perturbed(model.parameters, np.random.default_rng(3))
     both = []
     for seed, name in ((1, "train.csv"), (2, "validate.csv")):
-        one = noisy(recorded(model, psi, motion(2, seed), 3.0, 0.0), seed)
-        ddq = np.gradient(np.gradient(one.q[:, 1], 1.0 / one.rate), 1.0 / one.rate)
+        result = noisy(recorded(model, psi, motion(2, seed), 3.0, 0.0), seed)
+        ddq = np.gradient(np.gradient(result.q[:, 1], 1.0 / result.rate), 1.0 / result.rate)
         omega, damping, place, speed, felt = 2.0 * np.pi * 0.45, 0.04, 0.0, 0.0, []
         for push in ddq:
-            speed -= (push + 2.0 * damping * omega * speed + omega**2 * place) / one.rate
-            place += speed / one.rate
+            speed -= (push + 2.0 * damping * omega * speed + omega**2 * place) / result.rate
+            place += speed / result.rate
             felt.append(omega**2 * place + 2.0 * damping * omega * speed)
         extra = np.column_stack([0.0 * ddq, 0.05 * np.array(felt) / np.std(felt)])
-        both.append(dataclasses.replace(one, source=name, tau=one.tau + extra))
+        both.append(dataclasses.replace(result, source=name, tau=result.tau + extra))
     return diagnosis.diagnose(model.robot, model.parameters, model.base, both[:1], both[1:])
 
 
-def test_what_no_name_takes_is_drawn_over_what_foresees_it() -> None:
-    one = ringing()
+def test_unexplained_residual_is_drawn_over_its_predictor() -> None:
+    result = sloshing()
     assert (
-        one.unknown == [1] and one.name == "unexplained" and one.fitted[1][1] < 1.6 * one.noise_rms[1]
+        result.unknown == [1]
+        and result.name == "unexplained"
+        and result.fitted[1][1] < 1.6 * result.noise_rms[1]
     )
-    stated = document(one)
+    stated = document(result)
     (unknown,) = stated["unknown"]
     assert (
         unknown["joint"] == "joint_2"
@@ -96,54 +101,58 @@ def test_what_no_name_takes_is_drawn_over_what_foresees_it() -> None:
         and "sharp stop" in unknown["experiment"]
     )
     json.loads(json.dumps(stated["unknown"], allow_nan=False))
-    text = drawn(one, stated)
+    text = report_of(result, stated)
     check_page(text)
-    assert "Left without a name" in section(
-        text, "what"
-    ) and "What is left without a name, over what foresees it" in section(text, "what")
+    effects = section(text, "what")
+    assert "Residual that no effect explains" in effects
+    assert "Unexplained residual over the quantity that predicts it" in effects
     assert "joint_2" in answer(text, "what") and unknown["experiment"] in section(text, "next")
 
 
-def test_what_held_out_recordings_refute_is_told() -> None:
-    stated = document(found(0.0))
-    assert "Refuted" not in drawn(found(0.0), stated)
+def test_refuted_effect_is_stated() -> None:
+    stated = document(diagnosis_of(0.0))
+    assert "Refuted" not in report_of(diagnosis_of(0.0), stated)
     stated["considered"][0]["evidence"]["foretold"] = 9.0
-    assert "makes what is left of the others 3 times as large" in drawn(found(0.0), stated)
+    assert "residual of the others\nbecomes 3 times as large" in report_of(
+        diagnosis_of(0.0), stated
+    )
 
 
-def test_what_the_health_check_did_to_the_recordings_is_told() -> None:
-    one = found(0.0)
-    assert "the health check had nothing to remark" in answer(page(0.0), "made")
-    text = drawn(
-        one,
-        document(one),
+def test_remarks_on_recordings_are_listed() -> None:
+    result = diagnosis_of(0.0)
+    assert "the data-quality checks have no remark" in answer(page(0.0), "made")
+    text = report_of(
+        result,
+        document(result),
         remarks=[Remark(Kind.WAVER, "read 0.05 ms off their stamps", repaired=True)],
     )
-    assert "the health check had 1 remark" in answer(
+    assert "the data-quality checks have 1 remark" in answer(
         text, "made"
     ) and "read 0.05 ms off their stamps" in section(text, "made")
 
 
-def test_what_is_foreseen_is_no_noise_though_it_never_repeats() -> None:
-    one = ringing()
-    loud = dataclasses.replace(
-        one, floor=one.floor * [1.0, 1.5], noise_rms=one.noise_rms * [1.0, 1.5]
+def test_predictable_residual_is_unknown_though_it_does_not_repeat() -> None:
+    result = sloshing()
+    noisier = dataclasses.replace(
+        result, floor=result.floor * [1.0, 1.5], noise_rms=result.noise_rms * [1.0, 1.5]
     )  # as if periods differed by it
-    assert loud.unknown == [1]
-    (unknown,) = document(loud)["unknown"]
-    assert unknown["share"] >= loud.residual_predictions[1].share
-    sights = {j: dataclasses.replace(s, share=0.0) for j, s in loud.residual_predictions.items()}
-    deaf = dataclasses.replace(loud, residual_predictions=sights, doubted=0.0 * loud.doubted)
-    assert not deaf.unknown
+    assert noisier.unknown == [1]
+    (unknown,) = document(noisier)["unknown"]
+    assert unknown["share"] >= noisier.residual_predictions[1].share
+    sights = {j: dataclasses.replace(s, share=0.0) for j, s in noisier.residual_predictions.items()}
+    unpredicted = dataclasses.replace(
+        noisier, residual_predictions=sights, doubted=0.0 * noisier.doubted
+    )
+    assert not unpredicted.unknown
 
 
 @cache
 def page(amplitude: float) -> str:
-    return drawn(found(amplitude), document(found(amplitude)))
+    return report_of(diagnosis_of(amplitude), document(diagnosis_of(amplitude)))
 
 
 @pytest.mark.parametrize("amplitude", [0.0, 2.0])
-def test_it_stands_alone_and_answers_every_question(amplitude: float) -> None:
+def test_report_is_self_contained_and_answers_every_question(amplitude: float) -> None:
     text = page(amplitude)
     check_page(text)
     assert re.findall(r'<section id="(\w+)"', text) == list(QUESTIONS)
@@ -152,14 +161,16 @@ def test_it_stands_alone_and_answers_every_question(amplitude: float) -> None:
         assert answer(text, key).endswith(".") and len(answer(text, key)) > 20, key
 
 
-def test_a_finding_is_told_with_its_parameters_and_its_picture() -> None:
-    text, stated = page(2.0), document(found(2.0))
+def test_finding_is_shown_with_parameters_and_curves() -> None:
+    text, stated = page(2.0), document(diagnosis_of(2.0))
     first = stated["findings"][0]
     assert (first["effect"], first["joint"]) == ("stribeck", "joint_2") and first["evidence"][
         "p_value"
     ] is None
-    looked = document(found(2.0), residual_atlas.compute_atlas(found(2.0)))["findings"][0]
-    assert looked["evidence"]["p_value"] < 0.01
+    finding = document(diagnosis_of(2.0), residual_atlas.compute_atlas(diagnosis_of(2.0)))[
+        "findings"
+    ][0]
+    assert finding["evidence"]["p_value"] < 0.01
     assert answer(text, "what").startswith("Stribeck at joint_2")
     assert "amplitude" in section(text, "what") and "95 % interval" in section(
         text, "what"
@@ -170,34 +181,43 @@ def test_a_finding_is_told_with_its_parameters_and_its_picture() -> None:
     assert "with the findings" in section(text, "where")
 
 
-def test_the_interval_of_a_size_ends_at_zero() -> None:
-    first = document(found(2.0))["findings"][0]
-    told = {"value": 0.1, "std": 0.1, "unit": ""}
-    assert ">0 … 0.296<" in pages._finding({**first, "parameters": {"velocity": told}})
-    assert "0 … 0.296" not in pages._finding(
-        {**first, "effect": "spring", "parameters": {"stiffness": told}}
+def test_interval_of_a_nonnegative_parameter_ends_at_zero() -> None:
+    result = diagnosis_of(2.0)
+    stated = document(result)
+    first = stated["findings"][0]
+    parameter = {"value": 0.1, "std": 0.1, "unit": ""}
+    speed = {**first, "parameters": {"velocity": parameter}}
+    assert ">0 … 0.296<" in report_of(result, {**stated, "findings": [speed]})
+    spring = {**first, "effect": "spring", "parameters": {"stiffness": parameter}}
+    assert "0 … 0.296" not in report_of(result, {**stated, "findings": [spring]}).replace(
+        "−0.096 … 0.296", ""
     )
 
 
-def test_nothing_missing_is_said_and_nothing_else_is_claimed() -> None:
-    text, stated = page(0.0), document(found(0.0))
+def test_same_input_gives_the_same_bytes() -> None:
+    result = diagnosis_of(2.0)
+    assert report_of(result, document(result)) == page(2.0)
+
+
+def test_report_without_findings() -> None:
+    text, stated = page(0.0), document(diagnosis_of(0.0))
     assert stated["verdict"] == "no-mismatch"
     assert answer(text, "missing").startswith("No: ")
-    assert answer(text, "what").startswith("Nothing is asserted")
-    assert answer(text, "where").startswith("Nowhere: ")
+    assert answer(text, "what").startswith("No finding: ")
+    assert answer(text, "where").startswith("On nothing: ")
     assert "with the findings" not in section(text, "where")
 
 
-def test_what_a_refit_absorbs_is_named_and_names_that_are_markup_stay_text() -> None:
-    one = dataclasses.replace(found(2.0), options=diagnosis.DiagnosisOptions())
-    model = one.identified.model
+def test_absorbed_effects_are_named_and_markup_is_escaped() -> None:
+    result = dataclasses.replace(diagnosis_of(2.0), options=diagnosis.DiagnosisOptions())
+    model = result.identified.model
     evil = dataclasses.replace(model.robot, name="<b>x</b>")
-    changed = dataclasses.replace(one.identified, model=dataclasses.replace(model, robot=evil))
-    text = drawn(dataclasses.replace(one, identified=changed), document(one))
+    changed = dataclasses.replace(result.identified, model=dataclasses.replace(model, robot=evil))
+    text = report_of(dataclasses.replace(result, identified=changed), document(result))
     assert "<b>x</b>" not in text and "&lt;b&gt;x" in text
     assert "--prior" in section(text, "apart") and "payload" in section(text, "apart")
 
 
-def test_small_numbers_survive_the_drawing() -> None:
-    assert (plain(0.005), plain(-0.25), plain(20.0)) == (".005", "−.25", "20")
-    assert (probability(0.001), probability(0.034)) == ("p ≤ .001", "p = .034")
+def test_numbers_in_figures() -> None:
+    assert (number(0.005), number(-0.25), number(20.0)) == ("0.005", "−0.25", "20")
+    assert (p_value(0.001), p_value(0.034)) == ("p ≤ 0.001", "p = 0.034")

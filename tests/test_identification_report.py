@@ -1,4 +1,4 @@
-"""The report of an identification: what it says is what the identification found, for one joint and without a held-out recording too."""
+"""The report of an identification states its results, also for result joint or no held-out data."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from excite.identification.identification import Identification, IdentificationO
 from excite.recordings import Kind, Recording, Remark, Sidecar
 from excite.report import identification_page, noise
 from excite.report.figures import torque_fit
-from excite.report.figures.inertia_ellipsoids import Body
-from excite.report.identification import command
-from excite.report.page import number
+from excite.report.figures.inertia_ellipsoids import LinkBody
+from excite.report.formatting import number
+from excite.report.identification import next_design_command
 from excite.robot import base_parameters, inertial_parameters, limits, robot
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "recordings"
 QUESTIONS = {
     "prediction": "Does the model predict another recording?",
-    "parameters": "What were the parameters, what are they now?",
-    "directions": "Which directions did the recording show, which did the prior decide?",
-    "bodies": "How did each link's body change?",
+    "parameters": "How did the base parameters change?",
+    "directions": "Which directions did the recording determine, which the prior?",
+    "bodies": "How did each link's inertia change?",
     "noise": "Is the noise white, and which band was used?",
-    "next": "What should the next trajectory ask for?",
+    "next": "What should the next trajectory identify?",
     "made": "How was it made?",
 }
 PERIOD, PERIODS, RATE = 3.0, 3, 100.0
@@ -66,7 +66,7 @@ def recorded(name: str, seed: int) -> Recording:
 
 
 @cache
-def found(*, held_out: bool = True, periodic: bool = True) -> Identification:
+def identification_of(*, held_out: bool = True, periodic: bool = True) -> Identification:
     loaded = robot.load("two_link")
     table = limits.resolve(loaded)
     standard = inertial_parameters.standard(loaded, table)
@@ -91,29 +91,36 @@ REMARKS = (
 @cache
 def page_of(*, held_out: bool = True, periodic: bool = True) -> str:
     return identification_page(
-        found(held_out=held_out, periodic=periodic), REMARKS, stated={"asked by": "a test"}
+        identification_of(held_out=held_out, periodic=periodic),
+        REMARKS,
+        stated={"asked by": "a test"},
     )
 
 
 @pytest.mark.parametrize(("held_out", "periodic"), [(True, True), (False, True), (True, False)])
-def test_the_page_stands_alone_and_answers_every_question(held_out: bool, periodic: bool) -> None:
+def test_report_is_self_contained_and_answers_every_question(
+    held_out: bool, periodic: bool
+) -> None:
     page = page_of(held_out=held_out, periodic=periodic)
     check_page(page)
     assert re.findall(r'<section id="(\w+)"', page) == list(QUESTIONS)
     for key, question in QUESTIONS.items():
-        assert question in section(page, key).replace("&#x27;", "'")
+        assert question in section(page, key).replace("&#39;", "'")
         assert answer(page, key).endswith(".") and len(answer(page, key)) > 20, key
     for key in ("prediction", "parameters", "directions", "bodies", "noise"):
         assert "<svg" in section(page, key), key
     assert len(page.encode()) < 1_500_000
 
 
-def test_the_page_is_the_same_twice() -> None:
-    assert identification_page(found(), REMARKS, stated={"asked by": "a test"}) == page_of()
+def test_same_input_gives_the_same_bytes() -> None:
+    assert (
+        identification_page(identification_of(), REMARKS, stated={"asked by": "a test"})
+        == page_of()
+    )
 
 
-def test_errors_are_those_of_the_identification() -> None:
-    prediction, text = found().validations[0], section(page_of(), "prediction")
+def test_table_states_the_errors_of_the_identification() -> None:
+    prediction, text = identification_of().validations[0], section(page_of(), "prediction")
     rows = re.findall(r"<tr><td>(joint_\d)</td>(.*?)</tr>", text)
     held_out = rows[:2]
     for k, (joint, cells) in enumerate(held_out):
@@ -130,87 +137,90 @@ def test_errors_are_those_of_the_identification() -> None:
 
 
 def prediction_joints() -> tuple[str, ...]:
-    return found().model.robot.joints
+    return identification_of().model.robot.joints
 
 
-def test_base_parameters_are_those_of_the_identification() -> None:
-    one, text = found(), section(page_of(), "parameters")
-    half = estimators.interval_half_widths(one.data, np.eye(one.model.base.count))
-    now = one.model.base.matrix @ one.psi
-    for k, place in enumerate(one.model.base.independent):
+def test_table_states_the_base_parameters_of_the_identification() -> None:
+    result, text = identification_of(), section(page_of(), "parameters")
+    half = estimators.interval_half_widths(result.data, np.eye(result.model.base.count))
+    now = result.model.base.matrix @ result.psi
+    for k, place in enumerate(result.model.base.independent):
         row = re.search(
-            rf"<tr><td><code>{one.model.parameters.names[place]}</code></td>(.*?)</tr>", text
+            rf"<tr><td><code>{result.model.parameters.names[place]}</code></td>(.*?)</tr>", text
         )
         assert row
         values = [
             re.sub(r"<[^>]*>", "", cell) for cell in re.findall(r"<td[^>]*>(.*?)</td>", row[1])
         ]
-        assert values[2:5] == [number(one.data.theta[k]), number(half[k], 2), number(now[k])]
+        assert values[2:5] == [number(result.data.theta[k]), number(half[k], 2), number(now[k])]
 
 
-def test_without_a_held_out_recording_the_page_says_so() -> None:
+def test_missing_held_out_recording_is_stated() -> None:
     page = page_of(held_out=False)
-    assert answer(page, "prediction").startswith("Not known, for no recording was held out")
+    assert answer(page, "prediction").startswith("Not known, because no recording was held out")
     assert "fitted to: a small error here says little" in section(page, "prediction")
 
 
-def test_a_recording_that_was_fitted_is_not_held_out() -> None:
-    cheated = dataclasses.replace(found(), validations=found().fits)
-    page = identification_page(cheated)
+def test_warning_if_a_fitted_recording_is_held_out() -> None:
+    contaminated = dataclasses.replace(identification_of(), validations=identification_of().fits)
+    page = identification_page(contaminated)
     assert "among those held out" in page and 'class="answer warn"' in section(page, "prediction")
     assert "among those held out" not in page_of()
 
 
-def test_without_periods_no_floor_is_claimed() -> None:
+def test_no_noise_floor_without_periods() -> None:
     text = section(page_of(periodic=False), "prediction")
     assert "no noise floor is known" in text and "noise floors" not in answer(
         page_of(periodic=False), "prediction"
     )
 
 
-def test_a_joint_predicted_worse_than_by_nothing_is_named_in_red() -> None:
-    one = found(periodic=False)
+def test_joint_predicted_worse_than_by_zero_torque_is_named() -> None:
+    result = identification_of(periodic=False)
     bad = dataclasses.replace(
-        one.validations[0], fitted=one.validations[0].fitted * np.array([1.0, -3.0])
+        result.validations[0], fitted=result.validations[0].fitted * np.array([1.0, -3.0])
     )
-    page = identification_page(dataclasses.replace(one, validations=(bad,)))
-    assert answer(page, "prediction").startswith("Not for joint_2, where predicting no torque")
+    page = identification_page(dataclasses.replace(result, validations=(bad,)))
+    assert answer(page, "prediction").startswith("Not for joint_2, where a prediction of no torque")
     assert 'class="answer bad"' in section(page, "prediction")
 
 
-def test_remarks_and_stated_facts_are_told() -> None:
+def test_remarks_and_facts_are_listed() -> None:
     text = section(page_of(), "made")
     assert (
         "a gap of &lt;12&gt; rows &amp; more" in text and "1 to 1.12" in text and "a test" in text
     )
-    assert "the health check had 2 remarks" in answer(page_of(), "made")
+    assert "the data-quality checks have 2 remarks" in answer(page_of(), "made")
 
 
-def test_the_data_decide_what_they_show_and_the_prior_the_rest() -> None:
-    """With one γ for all, the share is λ/(λ + 2γ) exactly."""
-    one = found()
-    own = np.diag(one.model.parameters.scale)[10 * one.model.parameters.bodies :]
-    prior = dataclasses.replace(one.prior, bodies=50.0, drives=np.full_like(own, 50.0), scales=own)
+def test_data_share_of_each_direction() -> None:
+    """With result γ for all, the share is λ/(λ + 2γ) exactly."""
+    result = identification_of()
+    drive_scale = np.diag(result.model.parameters.scale)[10 * result.model.parameters.bodies :]
+    prior = dataclasses.replace(
+        result.prior, bodies=50.0, drives=np.full_like(drive_scale, 50.0), scales=drive_scale
+    )
     alike = dataclasses.replace(
-        one, prior=prior, metric=one.model.parameters, metric_base=one.model.base
+        result, prior=prior, metric=result.model.parameters, metric_base=result.model.base
     )
     values = (
         np.linalg.svd(
-            one.data.information_root @ one.model.base.matrix @ one.model.base.geometric, compute_uv=False
+            result.data.information_root @ result.model.base.matrix @ result.model.base.geometric,
+            compute_uv=False,
         )
         ** 2
     )
     assert np.allclose(alike.data_shares(), values / (values + 100.0), rtol=1e-6)
 
 
-def test_the_next_command_is_one_that_the_command_line_takes() -> None:
-    words = shlex.split(command(found()))
+def test_next_command_is_valid() -> None:
+    words = shlex.split(next_design_command(identification_of()))
     arguments = main.parser().parse_args(words[1:])
     assert words[:2] == ["excite", "design"] and arguments.robot == "two_link"
     assert arguments.given == ["first.csv"] and arguments.validation
 
 
-def test_the_next_command_repeats_how_the_robot_was_loaded() -> None:
+def test_next_command_repeats_the_options_of_the_robot() -> None:
     payload = robot.Payload("link_2", 0.5, (0.1, 0.0, 0.02))
     other = robot.load(
         "two_link",
@@ -219,51 +229,55 @@ def test_the_next_command_repeats_how_the_robot_was_loaded() -> None:
         payload=payload,
         gravity=(0.0, 0.0, -1.62),
     )
-    one = dataclasses.replace(found(), model=dataclasses.replace(found().model, robot=other))
-    arguments = main.parser().parse_args(shlex.split(command(one))[1:])
+    result = dataclasses.replace(
+        identification_of(), model=dataclasses.replace(identification_of().model, robot=other)
+    )
+    arguments = main.parser().parse_args(shlex.split(next_design_command(result))[1:])
     assert arguments.joints == "joint_2" and arguments.lock == [("joint_1", (0.25,))]
     assert arguments.gravity == (0.0, 0.0, -1.62)
     assert arguments.payload == ("link_2", (0.5, 0.1, 0.0, 0.02, *(0.0,) * 6))
 
 
-def test_an_ellipsoid_has_the_mass_and_inertia_of_its_body() -> None:
+def test_ellipsoid_has_the_mass_and_inertia_of_its_link() -> None:
     a, b, c, centre = 0.3, 0.2, 0.1, np.array([0.1, -0.2, 0.3])
     phi = pin.Inertia(
         2.0, centre, 0.4 * np.diag([b**2 + c**2, a**2 + c**2, a**2 + b**2])
     ).toDynamicParameters()
-    body = Body(phi)
+    body = LinkBody(phi)
     assert np.allclose(body.half_axes, [a, b, c]) and np.allclose(body.centre, centre)
     outline = body.outline((0, 2)) - centre[[0, 2]]
     assert np.allclose((outline[:, 0] / a) ** 2 + (outline[:, 1] / c) ** 2, 1.0)
 
 
-def test_the_residual_density_holds_the_power_of_the_residual() -> None:
-    """White noise: the density of what the fit leaves, over the band, is its variance but for what the spread between periods adds."""
-    one = found()
-    density = noise.residual(one)
-    power = density.power.mean(axis=0) * one.spectra.hertz
-    assert np.allclose(power, one.data.noise**2, rtol=0.3)
-    assert np.all(noise.slants(density) < 3.0)
+def test_residual_density_integrates_to_the_residual_power() -> None:
+    """Of white noise the mean density over the band times the band is the variance."""
+    result = identification_of()
+    density = noise.residual_density(result)
+    power = density.power.mean(axis=0) * result.spectra.hertz
+    assert np.allclose(power, result.data.noise**2, rtol=0.3)
+    assert np.all(noise.density_ratios(density) < 3.0)
 
 
-def test_long_recordings_are_drawn_around_their_largest_error() -> None:
+def test_long_recording_is_drawn_around_its_largest_error() -> None:
     t = np.arange(0.0, 300.0, 0.1)
     torque = np.sin(t)[:, None]
-    left = np.where(np.abs(t - 200.0) < 0.5, 0.4, 0.0)[:, None]
-    one = dataclasses.replace(
-        found().validations[0],
+    residual = np.where(np.abs(t - 200.0) < 0.5, 0.4, 0.0)[:, None]
+    result = dataclasses.replace(
+        identification_of().validations[0],
         time=t,
         measured=torque,
         nominal=torque,
-        fitted=torque - left,
+        fitted=torque - residual,
         floor=None,
         starts=(0, 1000),
     )
-    start, end = torque_fit.window(one)
-    assert end - start == pytest.approx(torque_fit.EXCERPT) and start < 199.5 and end > 200.5
+    start, end = torque_fit.drawn_interval(result)
+    assert (
+        end - start == pytest.approx(torque_fit.EXCERPT_SECONDS) and start < 199.5 and end > 200.5
+    )
 
 
-def test_one_sliding_joint() -> None:
+def test_robot_with_one_sliding_joint() -> None:
     folder = REAL / "emps"
     if not folder.is_dir():
         pytest.skip(
@@ -275,7 +289,7 @@ def test_one_sliding_joint() -> None:
     train, pulses = (
         recordings.read(folder / f"{name}.csv", loaded) for name in ("train", "validate_pulses")
     )
-    one = identify(
+    result = identify(
         loaded,
         standard,
         base_parameters.find(loaded, standard, table),
@@ -283,12 +297,10 @@ def test_one_sliding_joint() -> None:
         [pulses],
         IdentificationOptions(band=25.0),
     )
-    page = identification_page(one, train.remarks)
+    page = identification_page(result, train.remarks)
     check_page(page)
     assert answer(page, "prediction").startswith(
         "Yes: on validate_pulses.csv the error is 4.6 % of the RMS torque"
     )
     assert "[N s/m]" in page and "[N m]" not in section(page, "parameters")
-    assert "1 body" not in answer(page, "bodies") and "Nothing in particular" in answer(
-        page, "next"
-    )
+    assert "Nothing in particular" in answer(page, "next")

@@ -1,4 +1,4 @@
-"""The reports: self-contained, honest about what failed, and an answer in every section."""
+"""Reports are self-contained, state failures, and answer the question of every section."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ import pytest
 from excite.designer import criteria, identifiability, ramps
 from excite.designer.constraint_margins import MotionConstraints
 from excite.report import DesignRecord, design_page, identifiability_page
+from excite.report.design import relative_margins
 from excite.report.figures.drawing import thin_curve
-from excite.report.figures.small_multiples import ticks
-from excite.report.page import number
+from excite.report.figures.svg import round_ticks
+from excite.report.formatting import number
 from excite.robot import base_parameters, dynamics, inertial_parameters, limits, robot
 from excite.trajectory import trajectory_file
 from excite.trajectory.fourier import FourierSeries
@@ -57,7 +58,7 @@ def parts(source: str) -> tuple:
     loaded = robot.load(source)
     table = limits.resolve(loaded)
     standard = inertial_parameters.standard(loaded, table)
-    found = base_parameters.find(loaded, standard, table)
+    base = base_parameters.find(loaded, standard, table)
     rng = np.random.default_rng(0)
     offset = 0.2 * rng.normal(size=loaded.n) + (
         np.array([0.0, -1.2, 0.8, 0.0, 0.5, 0.0]) if loaded.n == 6 else 0.0
@@ -66,10 +67,12 @@ def parts(source: str) -> tuple:
         0.15 * rng.normal(size=(loaded.n, 4)), 0.15 * rng.normal(size=(loaded.n, 4)), offset, 5.0
     )
     stated = ramps.with_derived_limits(table, series)
-    motion = ramps.plan_rest_to_rest(MotionConstraints(loaded, stated, standard, 0.05), series, 2, 100.0)
+    motion = ramps.plan_rest_to_rest(
+        MotionConstraints(loaded, stated, standard, 0.05), series, 2, 100.0
+    )
     noise = 0.01 * table.torque
     scores = {
-        name: criteria.evaluate_criteria(dynamics.regressor(loaded, standard, samples), found, noise)
+        name: criteria.evaluate_criteria(dynamics.regressor(loaded, standard, samples), base, noise)
         for name, samples in (
             ("optimum", series.samples(series.grid(100))),
             ("exported", motion.samples(motion.grid(50.0))),
@@ -115,8 +118,8 @@ def parts(source: str) -> tuple:
     root = identifiability.information_root(
         loaded, standard, motion.samples(motion.grid(100.0)), noise
     )
-    analysis = identifiability.analyse_root(standard, found, root, noise, loaded)
-    return trajectory, loaded, standard, found, analysis
+    analysis = identifiability.analyse_root(standard, base, root, noise, loaded)
+    return trajectory, loaded, standard, base, analysis
 
 
 def record() -> DesignRecord:
@@ -139,15 +142,15 @@ def page_of(source: str = "ur10e") -> str:
 
 
 def section(page: str, key: str) -> str:
-    found = re.search(rf'<section id="{key}">.*?</section>', page, flags=re.S)
-    assert found, key
-    return found[0]
+    match = re.search(rf'<section id="{key}">.*?</section>', page, flags=re.S)
+    assert match, key
+    return match[0]
 
 
 def answer(page: str, key: str) -> str:
-    found = re.search(r'<p class="answer[^"]*">(.*?)</p>', section(page, key), flags=re.S)
-    assert found, key
-    return found[1].replace("\u00a0", " ")
+    match = re.search(r'<p class="answer[^"]*">(.*?)</p>', section(page, key), flags=re.S)
+    assert match, key
+    return match[1].replace("\u00a0", " ")
 
 
 def check_page(page: str) -> None:
@@ -190,12 +193,12 @@ def test_design_report_stands_alone_and_answers_every_question() -> None:
 
 def test_answers_are_computed_from_the_data() -> None:
     page = page_of()
-    trajectory, loaded, _, found, analysis = parts("ur10e")
+    trajectory, loaded, _, base, analysis = parts("ur10e")
     assert answer(page, "limits").startswith(
         "Yes; closest is the position of wrist_3_joint at 1.50 s"
     )
     assert answer(page, "spectrum").startswith(
-        f"{analysis.identifiable_count} of {found.count} directions"
+        f"{analysis.identifiable_count} of {base.count} directions"
     )
     joints = dynamics.band(
         dynamics.regressor(
@@ -226,8 +229,8 @@ def test_answers_are_computed_from_the_data() -> None:
         assert joint in page
 
 
-def test_a_broken_limit_is_shouted() -> None:
-    trajectory, *rest = parts("ur10e")
+def test_a_violated_limit_is_stated_on_the_first_screen() -> None:
+    trajectory, *others = parts("ur10e")
     margins = [
         *trajectory.margins,
         {
@@ -240,40 +243,41 @@ def test_a_broken_limit_is_shouted() -> None:
         },
     ]
     page = design_page(
-        dataclasses.replace(trajectory, margins=margins, forced=True), *rest, record()
+        dataclasses.replace(trajectory, margins=margins, forced=True), *others, record()
     )
     assert "FAILED" in page and "Do not run this motion" in page
-    assert answer(page, "limits").startswith("No: 1 limit broken, worst the jerk of elbow_joint")
+    assert answer(page, "limits").startswith(
+        "No: 1 limit violated, the worst the jerk of elbow_joint"
+    )
     assert "FAILED" not in page_of()
 
 
-def test_room_is_worked_out_where_a_file_does_not_state_it() -> None:
-    from excite.report.design import rooms
-
+def test_relative_margin_is_computed_if_the_file_does_not_state_it() -> None:
     trajectory = parts("ur10e")[0]
     margins = [
         {"limit": "velocity", "joint": "elbow_joint", "time": 0.0, "value": -2.0, "bound": -2.5},
         {"limit": "position", "joint": "elbow_joint", "time": 0.0, "value": 6.0, "bound": 6.283185},
     ]
-    found = rooms(dataclasses.replace(trajectory, margins=margins))
-    assert [m["limit"] for _, m in found] == ["position", "velocity"]
-    assert found[0][0] == pytest.approx(0.283185 / 6.283185) and found[1][0] == pytest.approx(0.2)
+    sizes = relative_margins(dataclasses.replace(trajectory, margins=margins))
+    assert [m["limit"] for _, m in sizes] == ["position", "velocity"]
+    assert sizes[0][0] == pytest.approx(0.283185 / 6.283185)
+    assert sizes[1][0] == pytest.approx(0.2)
 
 
-def test_texts_cannot_become_markup() -> None:
-    trajectory, loaded, *rest = parts("ur10e")
-    nasty = "<script>alert('x')</script> & \"quotes\""
+def test_texts_of_files_are_escaped() -> None:
+    trajectory, loaded, *others = parts("ur10e")
+    markup = "<script>alert('x')</script> & \"quotes\""
     page = design_page(
         trajectory,
-        dataclasses.replace(loaded, name=nasty),
-        *rest,
-        dataclasses.replace(record(), notes=(nasty,)),
+        dataclasses.replace(loaded, name=markup),
+        *others,
+        dataclasses.replace(record(), notes=(markup,)),
     )
     assert "<script" not in page
     assert "&lt;script&gt;" in page
 
 
-def test_many_joints_and_sliding_ones(tmp_path: Path) -> None:
+def test_robot_with_many_joints_and_a_sliding_one(tmp_path: Path) -> None:
     path = tmp_path / "chain.urdf"
     path.write_text(chain(12), encoding="utf-8")
     page = design_page(*parts(str(path)), DesignRecord([]))
@@ -284,13 +288,13 @@ def test_many_joints_and_sliding_ones(tmp_path: Path) -> None:
     )
 
 
-def test_directions_that_nothing_excites_do_not_break_the_report() -> None:
-    trajectory, loaded, standard, found, analysis = parts("ur10e")
+def test_report_of_directions_without_excitation() -> None:
+    trajectory, loaded, standard, base, analysis = parts("ur10e")
     root = np.zeros((6, standard.count))
     root[:, :6] = np.eye(6)
-    unseen = identifiability.analyse_root(standard, found, root, trajectory.noise, loaded)
+    unseen = identifiability.analyse_root(standard, base, root, trajectory.noise, loaded)
     assert any(np.isinf(d.variance) for d in unseen.directions)
-    check_page(identifiability_page(loaded, standard, found, unseen, "a motion"))
+    check_page(identifiability_page(loaded, standard, base, unseen, "a motion"))
     nothing = {
         "optimum": {"geometric": {"a": None, "d": None}},
         "exported": {"geometric": {"a": None, "d": None}},
@@ -299,7 +303,7 @@ def test_directions_that_nothing_excites_do_not_break_the_report() -> None:
         dataclasses.replace(trajectory, criteria=nothing, margins=[]),
         loaded,
         standard,
-        found,
+        base,
         unseen,
         DesignRecord([]),
         cases=(),
@@ -309,8 +313,8 @@ def test_directions_that_nothing_excites_do_not_break_the_report() -> None:
 
 
 def test_identifiability_report() -> None:
-    _, loaded, standard, found, analysis = parts("ur10e")
-    page = identifiability_page(loaded, standard, found, analysis, "trajectory.json")
+    _, loaded, standard, base, analysis = parts("ur10e")
+    page = identifiability_page(loaded, standard, base, analysis, "trajectory.json")
     check_page(page)
     assert re.findall(r'<section id="(\w+)"', page) == ["spectrum", "parts", "parameters", "made"]
     assert "trajectory.json" in page
@@ -318,7 +322,7 @@ def test_identifiability_report() -> None:
 
 def pair(source: str, independent: bool = True, overlap: float = 0.3, criterion: str = "a") -> str:
     """A report with a second motion: the first, half a radian on and run faster."""
-    trajectory, *rest = parts(source)
+    trajectory, *others = parts(source)
     series = trajectory.motion.fourier
     moved = FourierSeries(1.2 * series.sine, series.cosine, series.offset + 0.5, series.period)
     likeness = {"overlap": overlap, "torque_correlation": dict.fromkeys(trajectory.joints, 0.45)}
@@ -335,17 +339,17 @@ def pair(source: str, independent: bool = True, overlap: float = 0.3, criterion:
         trajectory, motion=dataclasses.replace(trajectory.motion, fourier=moved)
     )
     return design_page(
-        dataclasses.replace(trajectory, design=design), *rest, record(), second=second
+        dataclasses.replace(trajectory, design=design), *others, record(), second=second
     )
 
 
-def test_a_validation_motion_is_compared() -> None:
+def test_validation_motion_is_compared_with_the_first() -> None:
     page = pair("ur10e")
     check_page(page)
     text = answer(page, "validation")
     assert (
-        text.startswith("Yes: the motions overlap by 0.30")
-        and "comes to 0.60" in text
+        text.startswith("Yes: the overlap of the motions is 0.30")
+        and "another start of the design has 0.60" in text
         and text.endswith("is 4 % worse.")
     )
     drawn = section(page, "validation")
@@ -359,7 +363,7 @@ def test_a_validation_motion_is_compared() -> None:
     assert "another start" not in section(alone, "validation")
 
 
-def test_a_validation_motion_of_many_joints(tmp_path: Path) -> None:
+def test_validation_motion_of_many_joints(tmp_path: Path) -> None:
     path = tmp_path / "chain.urdf"
     path.write_text(chain(12), encoding="utf-8")
     page = pair(str(path))
@@ -367,8 +371,8 @@ def test_a_validation_motion_of_many_joints(tmp_path: Path) -> None:
     assert "joint_3 (m)" in section(page, "validation")
 
 
-def test_a_plan_shows_what_was_tried() -> None:
-    trajectory, *rest = parts("two_link")
+def test_time_budget_lists_all_candidates() -> None:
+    trajectory, *others = parts("two_link")
     tried = [
         {
             "period": t,
@@ -388,21 +392,38 @@ def test_a_plan_shows_what_was_tried() -> None:
         plan = {"budget": 25.0, "tolerance": 0.05, "candidates": tried, "chosen": chosen}
         page = design_page(
             dataclasses.replace(trajectory, design={**trajectory.design, "plan": plan}),
-            *rest,
+            *others,
             record(),
         )
         check_page(page)
-        assert answer(page, "plan").startswith(
-            "Into 25 s fit 3 periods of 8 s"
-        ) and words in answer(page, "plan")
+        assert answer(page, "plan").startswith("25 s hold 3 periods of 8 s") and words in answer(
+            page, "plan"
+        )
         assert "<svg" in section(page, "plan") and "+20.0" in section(page, "plan")
 
 
-def test_one_input_gives_one_file() -> None:
+def test_table_of_contents_lists_the_sections_in_order() -> None:
+    page = page_of()
+    contents = re.findall(r'<li><a href="#(\w+)"', page)
+    assert contents == re.findall(r'<section id="(\w+)"', page)
+
+
+def test_names_with_dollar_signs_and_markup_stay_text_in_figures(tmp_path: Path) -> None:
+    name = "a$b_1$ & <i>"
+    path = tmp_path / "chain.urdf"
+    escaped = name.replace("&", "&amp;").replace("<", "&lt;")
+    path.write_text(chain(2).replace('"joint_1"', f'"{escaped}"'), encoding="utf-8")
+    page = design_page(*parts(str(path)), record())
+    check_page(page)
+    pictures = "".join(re.findall(r"<svg.*?</svg>", page, flags=re.S))
+    assert "a$b_1$ &amp; &lt;i&gt;" in pictures and "<i>" not in pictures
+
+
+def test_same_input_gives_the_same_bytes() -> None:
     assert design_page(*parts("two_link"), record()) == design_page(*parts("two_link"), record())
 
 
-def test_thinning_keeps_extremes() -> None:
+def test_thinned_curve_keeps_extremes() -> None:
     t = np.linspace(0.0, 10.0, 5000)
     y = np.sin(5.0 * t)
     y[1234] = 9.0
@@ -415,12 +436,13 @@ def test_thinning_keeps_extremes() -> None:
 @pytest.mark.parametrize(
     ("low", "high"), [(-9.0, 9.0), (0.0, 21.1), (-1e-6, 3e-6), (5.1, 5.3), (-4000.0, 12.0)]
 )
-def test_ticks_are_few_and_inside(low: float, high: float) -> None:
-    found = ticks(low, high, 3)
-    assert 3 <= len(found) <= 9 and low - 1e-9 <= found[0] and found[-1] <= high * (1 + 1e-9)
+def test_ticks_are_few_and_within_the_range(low: float, high: float) -> None:
+    ticks = round_ticks(low, high, 3)
+    assert 3 <= len(ticks) <= 9
+    assert low - 1e-9 <= ticks[0] and ticks[-1] <= high * (1 + 1e-9)
 
 
-def test_numbers_for_people() -> None:
+def test_number_format() -> None:
     assert [number(v) for v in (1.23456, -0.05, 0.0, 2.28e7, 3.1e-7, None, float("inf"))] == [
         "1.235", "−0.05", "0", "2.28·10⁷", "3.1·10⁻⁷", "–", "∞",
     ]  # fmt: skip

@@ -41,7 +41,7 @@ LISTED_MARGINS = 12
 LISTED_PAIRS = 8
 """Pairs of bodies that are listed before the others are folded."""
 LARGE_OVERLAP = 0.7
-"""Overlap above which more than half of the variance of a model error recurs in the second motion."""
+"""Overlap above which half of a model error's variance recurs in the second motion."""
 _UNITS = {
     "position": "rad",
     "velocity": "rad/s",

@@ -18,7 +18,7 @@ from .figures import information_spectrum
 from .formatting import number, plural
 
 NEAR_BEST = 0.05
-"""Starts that end within this much of the best in the logarithm of the criterion (5 %) count as equal."""
+"""Starts whose log criterion ends within this much of the best (5 %) count as equal."""
 MAX_LOG_EXCESS = 20.0
 """Cap on the logarithm of an excess, against overflow."""
 DEFAULT_NOISE_SHARE = 0.01

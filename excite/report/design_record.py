@@ -13,10 +13,10 @@ class DesignRecord:
 
     Attributes:
         starts: For each start: `seed` (its number), `value` (smoothed objective at its end, a
-            logarithm, lower is better), `feasible`, and per iterate `objective` and `worst` (largest
-            constraint value, ≤ 1 inside all limits). Where the criterion is smoothed in stages,
-            `stage` per iterate: only values of the last stage are comparable. `stopped`: ended early
-            by successive halving.
+            logarithm, lower is better), `feasible`, and per iterate `objective` and `worst`
+            (largest constraint value, ≤ 1 inside all limits). Where the criterion is smoothed in
+            stages, `stage` per iterate: only values of the last stage are comparable. `stopped`:
+            ended early by successive halving.
         chosen: Index of the chosen start.
         notes: Remarks of the run, in words.
     """

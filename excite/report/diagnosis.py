@@ -164,7 +164,7 @@ def _effect_at(effect: str, joint: str | None) -> str:
 
 
 def _has_only_session_changes(document: Document) -> bool:
-    """Whether everything unexplained is a change of friction or offset between recordings."""
+    """Tell whether all that is unexplained are changes between recordings."""
     unknown = document["unknown"]
     return bool(unknown) and all(u["where"]["regime"] == "recording" for u in unknown)
 
@@ -186,7 +186,7 @@ def _missing_section(diagnosis: Diagnosis, document: Document) -> Section:
         worst = max(above, key=lambda j: ratios[j])
         is_certain = document["findings"] or document["unknown"]
         answer = (
-            f"{'Yes' if is_certain else 'Hardly'}: the error with the base model is above the noise "
+            f"{'Yes' if is_certain else 'Hardly'}: the error with the base model is above noise "
             f"in {some(above)}, most in {worst}: {number(ratios[worst], 3)} noise floors, with "
             f"{percent(joints[worst]['systematic_share'])} of its power systematic."
         )
@@ -383,12 +383,11 @@ def _next_section(diagnosis: Diagnosis, document: Document) -> Section:
     """Experiments that separate or confirm effects."""
     lines = []
     for finding in document["findings"]:
-        for name in finding["equivalents"]:
-            lines.append(
-                f"To distinguish {effect_words(finding['effect'])} from {effect_words(name)} at "
-                f"{_place(finding['joint'])}: {finding['experiment']}; and "
-                f"{BY_NAME[name].experiment}."
-            )
+        lines += [
+            f"To distinguish {effect_words(finding['effect'])} from {effect_words(name)} at "
+            f"{_place(finding['joint'])}: {finding['experiment']}; and {BY_NAME[name].experiment}."
+            for name in finding["equivalents"]
+        ]
         if not finding["equivalents"]:
             name = _effect_at(finding["effect"], finding["joint"])
             lines.append(f"To confirm {name}: {finding['experiment']}.")
@@ -420,9 +419,9 @@ def _provenance_section(diagnosis: Diagnosis, atlas: Atlas, remarks: Sequence[Re
         list(dict.fromkeys(track.piece.source for track in tracks)) for tracks in diagnosis.tracks
     )
     answer = (
-        f"{plural(len(diagnosis.design.shapes), 'candidate model')} of {len(EFFECTS)} effects, alone "
-        f"and together, each refitted with the base model to {plural(len(fitted), 'recording')} and "
-        f"evaluated on {plural(len(held_out), 'other recording')}; {count_remarks(remarks)}."
+        f"{plural(len(diagnosis.design.shapes), 'candidate model')} of {len(EFFECTS)} effects, "
+        f"alone and together, each refitted with the base model to "
+        f"{plural(len(fitted), 'recording')} and evaluated on {plural(len(held_out), 'other recording')}; {count_remarks(remarks)}."
     )
     trusted = diagnosis.options.trusted
     refit = f"{plural(len(trusted), 'value')} fixed by --prior" if trusted else "all refitted"
@@ -436,8 +435,8 @@ def _provenance_section(diagnosis: Diagnosis, atlas: Atlas, remarks: Sequence[Re
         "band": f"{number(diagnosis.hertz)} Hz",
         "base model": f"{identified.model.base.count} parameters, {refit}",
         "noise floor": _NOISE_FLOORS.get(diagnosis.method, diagnosis.method),
-        "p-values": f"{residual_atlas.DRAWS} permutations by random signs of {atlas.blocks} blocks; "
-        f"maximum over {len(atlas.panels)} curves",
+        "p-values": f"{residual_atlas.DRAWS} permutations by random signs of {atlas.blocks} "
+        f"blocks; maximum over {len(atlas.panels)} curves",
         "versions": ", ".join(f"{k} {v}" for k, v in package_versions().items()),
     }
     data = {

@@ -6,7 +6,7 @@ import numpy as np
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """Format a number with significant digits: '1.234', '−0.05', '3.1·10⁻⁷'; '–' for None and NaN."""
+    """Format a number: '1.234', '−0.05', '3.1·10⁻⁷'; '–' for None and NaN."""
     if value is None or np.isnan(value):
         return "–"
     if np.isinf(value):

@@ -82,7 +82,7 @@ def prediction_verdict(identification: Identification) -> tuple[str, str]:
 
 
 def _is_contaminated(identification: Identification) -> bool:
-    """Whether a recording is both fitted and held out."""
+    """Tell whether a recording is both fitted and held out."""
     fitted = {prediction.source for prediction in identification.fits}
     return any(prediction.source in fitted for prediction in identification.validations)
 

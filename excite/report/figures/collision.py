@@ -113,7 +113,7 @@ def outlines(cell: Cell, body: Body, q: FloatArray, view: tuple[int, int]) -> It
 
 
 def _points(shape: Shape) -> FloatArray:
-    """Points whose convex hull, widened by the radius where it is round, is the shape. Shape (m, 3)."""
+    """Points whose convex hull, plus the radius of a round shape, is the shape. Shape (m, 3)."""
     if shape.kind is Kind.SPHERE:
         return np.zeros((1, 3))
     if shape.kind is Kind.CAPSULE:

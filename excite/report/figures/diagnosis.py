@@ -93,7 +93,7 @@ def draw_gains(document: Mapping[str, Any]) -> str:
 
 
 def held_out_predictions(diagnosis: Diagnosis) -> Iterator[Prediction]:
-    """Predictions of held-out recordings: `nominal` is the base model, `fitted` has the findings."""
+    """Held-out predictions: `nominal` is the base model, `fitted` has the findings."""
     tracks = diagnosis.tracks[1]
     residuals = (
         split(np.where(diagnosis.moves, residual, np.nan), tracks)

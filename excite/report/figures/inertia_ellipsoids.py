@@ -29,6 +29,7 @@ class LinkBody:
 
     @property
     def mass(self) -> float:
+        """Mass [kg]."""
         return float(self.phi[0])
 
     @property

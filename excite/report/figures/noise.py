@@ -118,8 +118,10 @@ def _joint(
     """Draw the spectra of a joint."""
     axes.set_yscale("log")
     for kind, color, width, label in (
-        (torque, INK, 0.9, "torque"), (noise, GREY, 0.9, "noise"), (residual, ORANGE, 1.1, "residual of the fit"),
-    ):  # fmt: skip
+        (torque, INK, 0.9, "torque"),
+        (noise, GREY, 0.9, "noise"),
+        (residual, ORANGE, 1.1, "residual of the fit"),
+    ):
         kept = (kind.frequency <= far) & (kind.power[:, k] > 0.0)
         if kept.any():
             axes.plot(

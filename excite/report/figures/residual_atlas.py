@@ -121,7 +121,7 @@ def draw_joint(
 
 @dataclass(frozen=True)
 class _PanelAxes:
-    """A panel's place in the SVG and its scales; low, high: of x as drawn (logarithm, or bin number)."""
+    """A panel's place and scales; low, high: of x as drawn (logarithm or bin number)."""
 
     x: float
     y: float

@@ -1,7 +1,7 @@
 """Elements of SVG pictures, and the clean-up of those that matplotlib writes.
 
-Matplotlib draws most figures (see `drawing`). Grids of small panels and tables of shades are assembled
-from the elements below: a robot of 30 joints needs 150 panels, too many for matplotlib.
+Matplotlib draws most figures (see `drawing`). Grids of small panels and tables of shades are
+assembled from the elements below: a robot of 30 joints needs 150 panels, too many for matplotlib.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ PIXELS_PER_INCH = 96.0
 
 
 def escape(text: object) -> str:
-    """Escape text for an element or an attribute; a percent sign stays in the line of its number."""
+    """Escape text for an element or an attribute; a percent sign stays with its number."""
     return html.escape(str(text).replace(" %", "\u00a0%"), quote=True)
 
 

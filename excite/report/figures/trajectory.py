@@ -152,7 +152,7 @@ def draw_torques(t: FloatArray, nominal: FloatArray, width: FloatArray, scene: M
 
 
 def branch_ends(robot: Robot) -> list[int]:
-    """Index of the frame at the end of each branch: the last joint's frame furthest from the joint."""
+    """Frame at the end of each branch: of its last joint the one furthest from the joint."""
     model = robot.model
     parents = {model.parents[i] for i in range(1, model.njoints)}
     tips = []

@@ -124,11 +124,11 @@ def test_remarks_on_recordings_are_listed() -> None:
     text = report_of(
         result,
         document(result),
-        remarks=[Remark(Kind.WAVER, "read 0.05 ms off their stamps", repaired=True)],
+        remarks=[Remark(Kind.GAP, "a gap of 12 rows", repaired=True)],
     )
     assert "the data-quality checks have 1 remark" in answer(
         text, "made"
-    ) and "read 0.05 ms off their stamps" in section(text, "made")
+    ) and "a gap of 12 rows" in section(text, "made")
 
 
 def test_predictable_residual_is_unknown_though_it_does_not_repeat() -> None:

@@ -39,7 +39,7 @@ PERIOD, PERIODS, RATE = 3.0, 3, 100.0
 
 
 def recorded(name: str, seed: int) -> Recording:
-    """Three periods of a two-link arm whose second link is 0.4 kg heavier than its URDF, by Pinocchio alone."""
+    """Simulate three periods of a two-link arm; its second link is 0.4 kg heavier than its URDF."""
     loaded = robot.load("two_link")
     model = loaded.model.copy()
     model.inertias[2] = pin.Inertia(

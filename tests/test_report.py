@@ -47,8 +47,10 @@ def chain(joints: int) -> str:
     for k in range(1, joints + 1):
         kind = "prismatic" if k == 3 else "revolute"
         axis = ("0 0 1", "0 1 0", "1 0 0")[k % 3]
-        text += f'<link name="link_{k}">{inertial}</link><joint name="joint_{k}" type="{kind}"><origin xyz="0 0 0.1"/><parent link="{parent}"/>'
-        text += f'<child link="link_{k}"/><axis xyz="{axis}"/><limit lower="-1.5" upper="1.5" velocity="3" effort="200"/></joint>'
+        text += f'<link name="link_{k}">{inertial}</link><joint name="joint_{k}" type="{kind}">'
+        text += f'<origin xyz="0 0 0.1"/><parent link="{parent}"/><child link="link_{k}"/>'
+        text += f'<axis xyz="{axis}"/>'
+        text += '<limit lower="-1.5" upper="1.5" velocity="3" effort="200"/></joint>'
         parent = f"link_{k}"
     return text + "</robot>"
 

@@ -211,7 +211,7 @@ def test_support_and_blocks_change_nothing_but_the_cost(name):
         seen[:, j, columns] = True
     assert not Y[~seen].any()
     assert np.allclose(
-        sparse.seed(Y, slope)[seen], dense.seed(Y, slope)[seen], rtol=1e-9, atol=1e-12
+        sparse.regressor_gradient(Y, slope)[seen], dense.regressor_gradient(Y, slope)[seen], rtol=1e-9, atol=1e-12
     )
     flat = Y.reshape(-1, Y.shape[2])
     whole = np.einsum("rp,pq,rq->r", flat, built.parameters.scale @ built.parameters.scale.T, flat)

@@ -1,4 +1,4 @@
-"""`excite simulate` as a person uses it."""
+"""`excite simulate` on the command line."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from excite.simulator.experiment import ExperimentSettings
 TRAJECTORY = Path(__file__).parents[1] / "trajectories" / "two_link.json"
 
 
-def simulate(*arguments: str) -> list[str]:
+def simulate_arguments(*arguments: str) -> list[str]:
     return ["simulate", "two_link", str(TRAJECTORY), "--periods", "1", *arguments]
 
 
@@ -28,7 +28,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("simulated")
     assert (
         main(
-            simulate(
+            simulate_arguments(
                 "--effect",
                 "load_friction:joint_2:mu=0.2",
                 "--seed",
@@ -42,7 +42,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_one_command_gives_a_recording_its_sidecar_its_truth_and_a_plot(folder):
+def test_command_writes_recording_sidecar_truth_and_plot(folder):
     assert {p.name for p in folder.iterdir()} == {
         "rec.csv",
         "rec.json",
@@ -51,7 +51,7 @@ def test_one_command_gives_a_recording_its_sidecar_its_truth_and_a_plot(folder):
     }
     header = (folder / "rec.csv").read_text().split("\n", 1)[0]
     assert header == "t," + ",".join(
-        f"{kind}.joint_{i}" for kind in ("q", "tau", "qref") for i in (1, 2)
+        f"{quantity}.joint_{i}" for quantity in ("q", "tau", "qref") for i in (1, 2)
     )
     sidecar = json.loads((folder / "rec.json").read_text())
     assert sidecar["schema"] == "excite.recording/1" and sidecar["motor_side"] is True
@@ -72,20 +72,22 @@ def test_one_command_gives_a_recording_its_sidecar_its_truth_and_a_plot(folder):
     )
 
 
-def test_the_rest_of_excite_reads_it(folder):
+def test_recording_is_readable(folder):
     recording = recordings.read(folder / "rec.csv", load("two_link"))
     assert len(recording.t) > 1000 and np.isfinite(recording.q).all()
 
 
-def test_json_says_what_was_written(tmp_path, capsys):
-    assert main(simulate("--rate", "250", "--json", "-o", str(tmp_path / "plain.csv"))) == 0
+def test_json_lists_the_written_files(tmp_path, capsys):
+    assert (
+        main(simulate_arguments("--rate", "250", "--json", "-o", str(tmp_path / "plain.csv"))) == 0
+    )
     document = json.loads(capsys.readouterr().out)
     assert document["effects"] == [] and len(document["files"]) == 4
     rows = (tmp_path / "plain.csv").read_text().splitlines()
     assert len(rows) - 1 == document["rows"] and float(rows[2].split(",")[0]) == 0.004
 
 
-def test_severity_is_reached(tmp_path, capsys):
+def test_effect_is_scaled_to_the_severity(tmp_path, capsys):
     arguments = (
         "--effect",
         "torque_ripple:joint_1",
@@ -95,13 +97,13 @@ def test_severity_is_reached(tmp_path, capsys):
         "-o",
         str(tmp_path / "rec.csv"),
     )
-    assert main(simulate(*arguments)) == 0
+    assert main(simulate_arguments(*arguments)) == 0
     assert json.loads(capsys.readouterr().out)["severity"]["joint_1"] == pytest.approx(
         10.0, rel=0.2
     )
 
 
-def test_another_motion_of_the_same_robot_hides_the_same(tmp_path, capsys):
+def test_like_simulates_the_same_robot_on_another_motion(tmp_path, capsys):
     asked = (
         "--effect",
         "coupling:joint_2",
@@ -114,7 +116,7 @@ def test_another_motion_of_the_same_robot_hides_the_same(tmp_path, capsys):
         "--rate",
         "250",
     )
-    assert main(simulate(*asked, "-o", str(tmp_path / "one.csv"))) == 0
+    assert main(simulate_arguments(*asked, "-o", str(tmp_path / "one.csv"))) == 0
     document = json.loads(TRAJECTORY.read_text())
     document["offset"] = [value + 0.3 for value in document["offset"]]
     (tmp_path / "other.json").write_text(json.dumps(document))
@@ -129,16 +131,16 @@ def test_another_motion_of_the_same_robot_hides_the_same(tmp_path, capsys):
     ]
     assert main([*again, "--noise", "0.01", "-o", str(tmp_path / "two.csv")]) == 0
     assert f"--like {tmp_path / 'one.truth.json'}" in capsys.readouterr().out
-    one, two = (
+    first, second = (
         json.loads((tmp_path / f"{name}.truth.json").read_text()) for name in ("one", "two")
     )
     assert (
-        one["effects"] == two["effects"]
-        and one["bodies"] == two["bodies"]
-        and one["drive"] == two["drive"]
+        first["effects"] == second["effects"]
+        and first["bodies"] == second["bodies"]
+        and first["drive"] == second["drive"]
     )
-    assert two["setting"] == {**one["setting"], "noise": 0.01}
-    assert one["severity"] != two["severity"]
+    assert second["setting"] == {**first["setting"], "noise": 0.01}
+    assert first["severity"] != second["severity"]
     for more, words in (
         (("--seed", "6"), "--seed"),
         (("--effect", "drag:joint_1"), "--effect"),
@@ -160,23 +162,23 @@ def test_another_motion_of_the_same_robot_hides_the_same(tmp_path, capsys):
         == 2
     )
     assert "has joints joint_1, joint_2" in capsys.readouterr().err
-    bodies = json.loads(json.dumps(one["bodies"]))
+    bodies = json.loads(json.dumps(first["bodies"]))
     next(iter(bodies.values()))[0] += 0.1
     for change, words in (
         ({"setting": {}}, "setting: has no 'seed'"),
-        ({"effects": [{**one["effects"][0], "family": "mine"}]}, "no coupling of this form"),
-        ({"effects": [{**one["effects"][0], "joint": "elbow"}]}, "coupling in joint elbow"),
+        ({"effects": [{**first["effects"][0], "family": "mine"}]}, "no coupling of this form"),
+        ({"effects": [{**first["effects"][0], "joint": "elbow"}]}, "coupling in joint elbow"),
         ({"bodies": bodies}, "its bodies are not those of"),
     ):
-        (tmp_path / "one.truth.json").write_text(json.dumps({**one, **change}))
+        (tmp_path / "one.truth.json").write_text(json.dumps({**first, **change}))
         assert main([*again, "-o", str(tmp_path / "no.csv")]) == 2
         assert words in capsys.readouterr().err
     assert not list(tmp_path.glob("no.*"))
 
 
-def test_what_help_says_is_the_default_is(capsys):
+def test_help_states_the_defaults(capsys):
     assert main(["simulate", "--help"]) == 0
-    said = " ".join(capsys.readouterr().out.split())
+    message = " ".join(capsys.readouterr().out.split())
     for value in (
         ExperimentSettings().seed,
         ExperimentSettings().rate,
@@ -184,25 +186,28 @@ def test_what_help_says_is_the_default_is(capsys):
         ExperimentSettings().encoder,
         ExperimentSettings().model_error,
     ):
-        assert f"(default {value:g})" in said.replace("2e-6", "2e-06")
+        assert f"(default {value:g})" in message.replace("2e-6", "2e-06")
 
 
-def test_a_misspelt_effect_is_told_what_it_resembles_and_its_parameters(tmp_path, capsys):
-    assert main(simulate("--effect", "stribek:joint_1", "-o", str(tmp_path / "rec.csv"))) == 2
-    said = capsys.readouterr().err
+def test_misspelt_effect_is_answered_with_a_suggestion(tmp_path, capsys):
     assert (
-        len(said.strip().splitlines()) == 1
-        and "did you mean stribeck(amplitude [N m], velocity [rad/s]" in said
+        main(simulate_arguments("--effect", "stribek:joint_1", "-o", str(tmp_path / "rec.csv")))
+        == 2
     )
-    assert "backlash" not in said and not list(tmp_path.iterdir())
+    message = capsys.readouterr().err
+    assert (
+        len(message.strip().splitlines()) == 1
+        and "did you mean stribeck(amplitude [N m], velocity [rad/s]" in message
+    )
+    assert "backlash" not in message and not list(tmp_path.iterdir())
 
 
-def test_what_resembles_no_effect_lists_all_and_their_parameters(tmp_path, capsys):
-    assert main(simulate("--effect", "list", "-o", str(tmp_path / "rec.csv"))) == 2
-    said = capsys.readouterr().err
-    assert len(said.strip().splitlines()) == 1
-    for name, kind in EFFECT_TYPES.items():
-        assert f"{name}({', '.join(f'{q.name} [{q.unit}]' for q in kind.quantities)})" in said
+def test_unknown_effect_lists_all_effects_with_parameters(tmp_path, capsys):
+    assert main(simulate_arguments("--effect", "list", "-o", str(tmp_path / "rec.csv"))) == 2
+    message = capsys.readouterr().err
+    assert len(message.strip().splitlines()) == 1
+    for name, effect_type in EFFECT_TYPES.items():
+        assert f"{name}({', '.join(f'{q.name} [{q.unit}]' for q in effect_type.parameters)})" in message
     assert not list(tmp_path.iterdir())
 
 
@@ -232,19 +237,19 @@ def test_what_resembles_no_effect_lists_all_and_their_parameters(tmp_path, capsy
         (("--severity", "0", "--effect", "drag:joint_1"), "from 0.001"),
     ],
 )
-def test_wrong_use_is_one_line_with_the_remedy(tmp_path, capsys, arguments, words):
-    assert main(simulate(*arguments, "-o", str(tmp_path / "rec.csv"))) == 2
-    said = capsys.readouterr().err
-    assert words in said and len(said.strip().splitlines()) == 1
+def test_wrong_use_prints_one_line_with_the_remedy(tmp_path, capsys, arguments, words):
+    assert main(simulate_arguments(*arguments, "-o", str(tmp_path / "rec.csv"))) == 2
+    message = capsys.readouterr().err
+    assert words in message and len(message.strip().splitlines()) == 1
 
 
-def test_other_files_and_names_are_refused(tmp_path, capsys):
-    assert main(simulate("-o", str(tmp_path / "rec.txt"))) == 2
+def test_wrong_files_and_names_are_refused(tmp_path, capsys):
+    assert main(simulate_arguments("-o", str(tmp_path / "rec.txt"))) == 2
     assert main(["simulate", "no_robot", str(TRAJECTORY), "-o", str(tmp_path / "rec.csv")]) == 2
     assert (
         main(["simulate", "two_link", str(tmp_path / "none.json"), "-o", str(tmp_path / "rec.csv")])
         == 2
     )
     assert main(["simulate", "ur10e", str(TRAJECTORY), "-o", str(tmp_path / "rec.csv")]) == 2
-    said = capsys.readouterr().err.strip().splitlines()
-    assert len(said) == 4 and "joint_1" in said[3]
+    message = capsys.readouterr().err.strip().splitlines()
+    assert len(message) == 4 and "joint_1" in message[3]

@@ -1,5 +1,5 @@
-"""The concealed trial: robots with hidden physics, answers from recordings alone, then the key.
+"""The concealed trial: analysts name hidden physics from recordings; then the answers are scored.
 
-It shares no code with what identifies or diagnoses, any more than the plant does: it knows an analyst as a command that
-turns a CSV and a URDF into a `diagnosis.json`.
+The package shares no code with identification or diagnosis. It knows an analyst only as a command
+that turns a URDF and two CSV files into a `diagnosis.json`.
 """

@@ -1,11 +1,12 @@
 #!/usr/bin/env python
-"""A trial that can't be cheated: conceal physics in simulated robots, let analysts answer from the recordings alone, open the key, score.
+"""Test diagnoses blindly: hide physics in simulated robots, collect answers, then score them.
 
     scripts/concealed_trial run --quick -o out/quick
     scripts/concealed_trial run --family scored --cases 300 --seed 1 -o out/scored \\
         --analyst 'excite=excite diagnose {robot} {train} --validate {validate} {prior} -o {out}'
 
-`run` is `conceal` (a process of its own), `answer` and `score`, one after the other; each goes on where it was interrupted.
+`run` executes `conceal` (in a process of its own), `answer` and `score` in turn. Each can be
+interrupted and continues where it stopped when it is started again.
 """
 
 from __future__ import annotations
@@ -17,123 +18,140 @@ from pathlib import Path
 
 sys.path.insert(
     0, str(Path(__file__).resolve().parent.parent)
-)  # to be run as `python scripts/concealed_trial`
+)  # for `python scripts/concealed_trial`
 
 from concealed_trial import baselines, run
-from concealed_trial.case_plan import ROBOTS, Plan
+from concealed_trial.case_plan import ROBOTS, CasePlan
 from concealed_trial.run_analyst import BASELINES, Analyst, baseline_analysts
 from excite.designer.cluster import BACKENDS, backend
 from excite.errors import ExciteError, UnusableInput
 
-QUICK = 24
+QUICK_CASES = 24
+"""Cases of `--quick`: at most five minutes on two cores."""
+DEFAULT_CASES = 300
+"""Cases without `--cases`: enough for 95 % intervals of ±6 % on the rates."""
 
 
-def say(text: str) -> None:
+def report_progress(text: str) -> None:
+    """Print a line of progress to standard error."""
     print(text, file=sys.stderr, flush=True)
 
 
-def analysts(arguments: argparse.Namespace) -> list[Analyst]:
-    out = [] if arguments.no_baselines else [baseline_analysts()]
+def parse_analysts(arguments: argparse.Namespace) -> list[Analyst]:
+    """Return the analysts to ask: the baselines, unless excluded, and those of `--analyst`."""
+    analysts = [] if arguments.no_baselines else [baseline_analysts()]
     for text in arguments.analyst:
         name, separator, command = text.partition("=")
         if not separator or not name.isidentifier() or name in BASELINES:
             raise UnusableInput(
-                f"--analyst {text}: should read NAME=COMMAND, with a name of its own"
+                f"--analyst {text}: must read NAME=COMMAND; NAME must be an identifier "
+                f"other than {', '.join(BASELINES)}"
             )
-        out.append(Analyst((name,), command))
-    return out
+        analysts.append(Analyst((name,), command))
+    return analysts
 
 
 def conceal(arguments: argparse.Namespace) -> None:
-    plan = Plan(
+    """Generate the cases and publish the hash of their ground truth."""
+    plan = CasePlan(
         arguments.cases, arguments.seed, arguments.family, tuple(arguments.robots.split(","))
     )
-    sealed = run.conceal(run.Place(arguments.out), plan, arguments.jobs, say)
-    print(f"key sealed, sha256 {sealed}", flush=True)
+    digest = run.conceal(run.TrialFolder(arguments.out), plan, arguments.jobs, report_progress)
+    print(f"ground truth committed, sha256 {digest}", flush=True)
 
 
 def answer(arguments: argparse.Namespace) -> None:
-    run.answer(run.Place(arguments.out), analysts(arguments), arguments.jobs, say)
+    """Ask all analysts."""
+    run.answer(
+        run.TrialFolder(arguments.out), parse_analysts(arguments), arguments.jobs, report_progress
+    )
 
 
 def score(arguments: argparse.Namespace) -> None:
-    print(run.report(run.Place(arguments.out)))
+    """Score all answers and print the table."""
+    print(run.report(run.TrialFolder(arguments.out)))
 
 
-def everything(arguments: argparse.Namespace) -> None:
-    analysts(arguments)  # a wrong --analyst is found before an hour of concealing
+def run_all(arguments: argparse.Namespace) -> None:
+    """Conceal in a process of its own, then answer and score."""
+    parse_analysts(arguments)  # refuse a wrong --analyst before an hour of simulation
     words = sys.argv[1:]
     words[words.index("run")] = "conceal"
-    done = subprocess.run([sys.executable, str(Path(__file__).parent), *words], check=False)
-    if done.returncode != 0:
+    process = subprocess.run([sys.executable, str(Path(__file__).parent), *words], check=False)
+    if process.returncode != 0:
         raise UnusableInput(
-            "the concealing process failed; see above, then run the same command again"
+            "generating the cases failed; see the message above, then run the same command again"
         )
     answer(arguments)
     score(arguments)
 
 
 def main() -> int:
+    """Run the command line of the trial."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     if sys.argv[1:2] == ["baselines"]:
         return baselines.main(sys.argv[2:])
-    parser.add_argument("act", choices=("run", "conceal", "answer", "score"))
+    parser.add_argument("step", choices=("run", "conceal", "answer", "score"))
     parser.add_argument("-o", dest="out", type=Path, required=True, metavar="DIR")
-    parser.add_argument("--cases", type=int, metavar="N", help="default 300")
+    parser.add_argument(
+        "--cases", type=int, metavar="N", help=f"number of cases (default {DEFAULT_CASES})"
+    )
     parser.add_argument(
         "--quick",
         action="store_true",
-        help=f"{QUICK} cases, for CI: at most five minutes on two cores",
+        help=f"{QUICK_CASES} cases, for CI: at most five minutes on two cores",
     )
     parser.add_argument(
         "--family",
         choices=("tuning", "scored"),
         default="tuning",
-        help="forms of the effects; default %(default)s",
+        help="model forms of the hidden effects (default %(default)s)",
     )
     parser.add_argument(
         "--seed",
         type=int,
         default=0,
         metavar="N",
-        help="of the plan, with the family; default %(default)s",
+        help="seed of the case plan (default %(default)s)",
     )
     parser.add_argument(
-        "--robots", default=",".join(ROBOTS), metavar="A,B,…", help="default %(default)s"
+        "--robots",
+        default=",".join(ROBOTS),
+        metavar="A,B,…",
+        help="robots of the cases (default %(default)s)",
     )
     parser.add_argument(
         "--analyst",
         action="append",
         default=[],
         metavar="NAME=COMMAND",
-        help="see above; answers in diagnosis.json",
+        help="command that writes diagnosis.json, see above; may be repeated",
     )
-    parser.add_argument("--no-baselines", action="store_true")
+    parser.add_argument("--no-baselines", action="store_true", help="do not ask the baselines")
     parser.add_argument(
-        "--jobs", type=int, default=-1, metavar="N", help="processes (default: one a core)"
+        "--jobs", type=int, default=-1, metavar="N", help="processes (default: one per core)"
     )
     parser.add_argument(
         "--backend",
         choices=BACKENDS,
         default="loky",
-        help="joblib's; where cases are made and answered",
+        help="joblib backend that generates and answers the cases",
     )
     parser.add_argument(
         "--cluster",
         metavar="ADDRESS",
-        help="of a Dask scheduler or Ray head that shares the folder DIR",
+        help="address of a Dask scheduler or Ray head that shares the folder DIR",
     )
     arguments = parser.parse_args()
-    arguments.cases = arguments.cases or (QUICK if arguments.quick else 300)
+    arguments.cases = arguments.cases or (QUICK_CASES if arguments.quick else DEFAULT_CASES)
+    steps = {"run": run_all, "conceal": conceal, "answer": answer, "score": score}
     try:
         with backend(arguments.backend, arguments.cluster):
-            {"run": everything, "conceal": conceal, "answer": answer, "score": score}[
-                arguments.act
-            ](arguments)
+            steps[arguments.step](arguments)
     except ExciteError as error:
-        say(f"concealed_trial: {error}")
+        report_progress(f"concealed_trial: {error}")
         return error.exit_code
     return 0
 

@@ -1,4 +1,4 @@
-"""What a greedy search tries: columns for the effects of the contract's list, as a textbook has them."""
+"""Candidate effects of the greedy search: textbook models of the effects of the catalogue."""
 
 from __future__ import annotations
 
@@ -9,53 +9,64 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from excite.simulator import mujoco_dynamics as arms
+from excite._types import FloatArray
+from excite.simulator import mujoco_dynamics
 from excite.simulator.regressor import rigid_body_regressor
 
-from .baseline_data import Problem, Scene
-from .baseline_fit import OUT
-
-Array = np.ndarray
+from .baseline_data import BaselineProblem, RecordedScene
+from .baseline_fit import FIT_RATE
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """name, joint: as an answer states them. make: a scene's columns, Shape (N, m) at joint j or (N, n, m) at all.
+    """A candidate effect.
 
-    stated: names of parameters that the coefficients are; each with a unit, the coefficient's number, and what turns it into the value.
+    Attributes:
+        name: Name of the effect.
+        joint: Joint in the answer.
+        j: Index of the joint that the columns act on; None: all.
+        make: Function from a scene to columns, shape (N, m) at joint j or (N, n, m).
+        stated: Parameters that are coefficients: name, unit, index of the coefficient, and the
+            function from the coefficient to the value.
+        fixed: Parameters of the candidate itself: name, unit and value.
+        time: Begin and end of the effect [s].
     """
 
     name: str
     joint: str | None
     j: int | None
-    make: Callable[[Scene], Array]
+    make: Callable[[RecordedScene], FloatArray]
     stated: tuple[tuple[str, str, int, Callable[[float], float]], ...] = ()
     fixed: tuple[tuple[str, str, float], ...] = ()
     time: tuple[float, float] | None = None
 
 
-def same(x: float) -> float:
+def identity(x: float) -> float:
+    """Return the argument."""
     return x
 
 
-def candidates(problem: Problem) -> Iterator[Candidate]:
-    """All of them, joint by joint, then those of the whole robot."""
+def candidates(problem: BaselineProblem) -> Iterator[Candidate]:
+    """Yield all candidates, joint by joint, then those of the whole robot."""
     for j, joint in enumerate(problem.joints):
-        yield from _friction(j, joint)
-        yield from _drive(j, joint, problem)
+        yield from _friction_candidates(j, joint)
+        yield from _actuator_candidates(j, joint, problem)
         if problem.trusted:
-            yield from _absorbed(j, joint)
-    yield from _windows(problem)
+            yield from _absorbed_candidates(j, joint)
+    yield from _contact_candidates(problem)
     if problem.trusted:
-        yield from _robot(problem)
+        yield from _whole_robot_candidates(problem)
 
 
-def sign(scene: Scene, j: int) -> Array:
+def friction_sign(scene: RecordedScene, j: int) -> FloatArray:
+    """Return the smooth sign of a joint's velocity, shape (N,)."""
     return np.tanh(scene.data.v[:, j] / scene.width[j])
 
 
-def _friction(j: int, joint: str) -> Iterator[Candidate]:
-    def v(s: Scene) -> Array:
+def _friction_candidates(j: int, joint: str) -> Iterator[Candidate]:
+    """Yield the friction models of a joint."""
+
+    def v(s: RecordedScene) -> FloatArray:
         return s.data.v[:, j]
 
     for speed in (0.03, 0.1, 0.3):
@@ -63,8 +74,8 @@ def _friction(j: int, joint: str) -> Iterator[Candidate]:
             "stribeck",
             joint,
             j,
-            partial(_stribeck, j=j, speed=speed),
-            (("amplitude", "N m", 0, same),),
+            partial(_stribeck_column, j=j, speed=speed),
+            (("amplitude", "N m", 0, identity),),
             (("velocity", "rad/s", speed),),
         )
     yield Candidate("asymmetric_viscous", joint, j, lambda s: np.abs(v(s))[:, None])
@@ -73,7 +84,7 @@ def _friction(j: int, joint: str) -> Iterator[Candidate]:
         joint,
         j,
         lambda s: (v(s) * np.abs(v(s)))[:, None],
-        (("coefficient", "N m s²/rad²", 0, same),),
+        (("coefficient", "N m s²/rad²", 0, identity),),
     )
     yield Candidate(
         "nonlinear_viscous", joint, j, lambda s: (v(s) ** 3)[:, None], (), (("exponent", "1", 3.0),)
@@ -82,7 +93,7 @@ def _friction(j: int, joint: str) -> Iterator[Candidate]:
         "nonlinear_viscous",
         joint,
         j,
-        lambda s: (sign(s, j) * np.sqrt(np.abs(v(s))))[:, None],
+        lambda s: (friction_sign(s, j) * np.sqrt(np.abs(v(s))))[:, None],
         (),
         (("exponent", "1", 0.5),),
     )
@@ -90,15 +101,15 @@ def _friction(j: int, joint: str) -> Iterator[Candidate]:
         "load_friction",
         joint,
         j,
-        lambda s: (sign(s, j) * np.abs(_load(s, j)))[:, None],
-        (("mu", "1", 0, same),),
+        lambda s: (friction_sign(s, j) * np.abs(_load_torque(s, j)))[:, None],
+        (("mu", "1", 0, identity),),
     )
     yield Candidate(
         "position_friction",
         joint,
         j,
         lambda s: (
-            sign(s, j)[:, None]
+            friction_sign(s, j)[:, None]
             * np.column_stack([f(k * s.data.q[:, j]) for k in (1, 2) for f in (np.cos, np.sin)])
         ),
     )
@@ -106,77 +117,89 @@ def _friction(j: int, joint: str) -> Iterator[Candidate]:
         "thermal_drift",
         joint,
         j,
-        lambda s: np.exp(-s.data.t / 10.0)[:, None] * np.column_stack([v(s), sign(s, j)]),
+        lambda s: np.exp(-s.data.t / 10.0)[:, None] * np.column_stack([v(s), friction_sign(s, j)]),
     )
-    for way in (1e-3, 5e-3):
+    for distance in (1e-3, 5e-3):
         yield Candidate(
-            "hysteresis", joint, j, partial(_dahl, j=j, way=way), (("amplitude", "N m", 0, same),)
+            "hysteresis",
+            joint,
+            j,
+            partial(_dahl_column, j=j, distance=distance),
+            (("amplitude", "N m", 0, identity),),
         )
 
 
-def _load(s: Scene, j: int) -> Array:
+def _load_torque(s: RecordedScene, j: int) -> FloatArray:
+    """Return the torque that the base model predicts in a joint, shape (N,) [N m]."""
     return np.asarray(s.load[:, j])
 
 
-def _stribeck(s: Scene, j: int, speed: float) -> Array:
-    return np.asarray(sign(s, j) * np.exp(-np.square(s.data.v[:, j] / speed)))[:, None]
+def _stribeck_column(s: RecordedScene, j: int, speed: float) -> FloatArray:
+    """Return the column of Stribeck friction, shape (N, 1)."""
+    return np.asarray(friction_sign(s, j) * np.exp(-np.square(s.data.v[:, j] / speed)))[:, None]
 
 
-def _coupled(s: Scene, i: int) -> Array:
-    return np.column_stack([s.data.v[:, i], sign(s, i)])
+def _coupling_columns(s: RecordedScene, i: int) -> FloatArray:
+    """Return velocity and its sign of the coupled joint, shape (N, 2)."""
+    return np.column_stack([s.data.v[:, i], friction_sign(s, i)])
 
 
-def _waver(s: Scene, j: int, k: int) -> Array:
-    """Inertial torque of a wave in the position read."""
+def _encoder_error_torque(s: RecordedScene, j: int, k: int) -> FloatArray:
+    """Return the inertial torque of a position error of order k, shape (N, 2)."""
     return np.asarray(
         s.mass[:, j, None]
-        * np.column_stack([_rate(s, _rate(s, f(k * s.data.q[:, j]))) for f in (np.cos, np.sin)])
+        * np.column_stack(
+            [_derivative(s, _derivative(s, f(k * s.data.q[:, j]))) for f in (np.cos, np.sin)]
+        )
     )
 
 
-def _dahl(s: Scene, j: int, way: float) -> Array:
-    """Dahl's friction state less its sign: what memory adds. Shape (N, 1)."""
+def _dahl_column(s: RecordedScene, j: int, distance: float) -> FloatArray:
+    """Return Dahl's friction state minus the sign of velocity, shape (N, 1)."""
     q, z, out = s.data.q[:, j], 0.0, np.zeros(len(s.data.t))
-    keep, towards = np.exp(-np.abs(np.diff(q)) / way), np.sign(np.diff(q))
-    for k in range(len(keep)):
-        z = towards[k] + (z - towards[k]) * keep[k]
+    decay, direction = np.exp(-np.abs(np.diff(q)) / distance), np.sign(np.diff(q))
+    for k in range(len(decay)):
+        z = direction[k] + (z - direction[k]) * decay[k]
         out[k + 1] = z
-    return np.asarray(out - sign(s, j))[:, None]
+    return np.asarray(out - friction_sign(s, j))[:, None]
 
 
-def _rate(s: Scene, x: Array) -> Array:
+def _derivative(s: RecordedScene, x: FloatArray) -> FloatArray:
+    """Return the time derivative of a signal by central differences."""
     return np.gradient(x, s.data.t)
 
 
-def _drive(j: int, joint: str, problem: Problem) -> Iterator[Candidate]:
+def _actuator_candidates(j: int, joint: str, problem: BaselineProblem) -> Iterator[Candidate]:
+    """Yield effects of transmission, motor and sensors of a joint."""
     yield Candidate(
         "delay",
         joint,
         j,
-        lambda s: _rate(s, _smooth(s, j))[:, None],
+        lambda s: _derivative(s, _smooth_load(s, j))[:, None],
         (("seconds", "s", 0, lambda c: -c),),
     )
     yield Candidate(
         "elasticity",
         joint,
         j,
-        lambda s: (s.mass[:, j] * _rate(s, _rate(s, _smooth(s, j))))[:, None],
+        lambda s: (s.mass[:, j] * _derivative(s, _derivative(s, _smooth_load(s, j))))[:, None],
         (("stiffness", "N m/rad", 0, lambda c: -1.0 / c if c else 0.0),),
     )
     yield Candidate(
         "backlash",
         joint,
         j,
-        lambda s: (s.mass[:, j] * _rate(s, _rate(s, np.tanh(_smooth(s, j) / (0.02 * s.limit[j])))))[
-            :, None
-        ],
+        lambda s: (
+            s.mass[:, j]
+            * _derivative(s, _derivative(s, np.tanh(_smooth_load(s, j) / (0.02 * s.limit[j]))))
+        )[:, None],
         (("width", "rad", 0, lambda c: abs(2.0 * c)),),
     )
     yield Candidate(
         "torque_saturation",
         joint,
         j,
-        lambda s: (_load(s, j) * np.abs(_load(s, j)) / s.limit[j])[:, None],
+        lambda s: (_load_torque(s, j) * np.abs(_load_torque(s, j)) / s.limit[j])[:, None],
     )
     yield Candidate(
         "spring",
@@ -187,9 +210,13 @@ def _drive(j: int, joint: str, problem: Problem) -> Iterator[Candidate]:
     for i, _ in enumerate(problem.joints):
         if abs(i - j) == 1:
             yield Candidate(
-                "coupling", joint, j, partial(_coupled, i=i), (("viscous", "N m s/rad", 0, same),)
+                "coupling",
+                joint,
+                j,
+                partial(_coupling_columns, i=i),
+                (("viscous", "N m s/rad", 0, identity),),
             )
-    order = _order(problem, j)
+    order = _dominant_order(problem, j)
     yield Candidate(
         "torque_ripple",
         joint,
@@ -203,14 +230,14 @@ def _drive(j: int, joint: str, problem: Problem) -> Iterator[Candidate]:
             "encoder_error",
             joint,
             j,
-            partial(_waver, j=j, k=k),
+            partial(_encoder_error_torque, j=j, k=k),
             (),
             (("order", "1/turn", float(k)),),
         )
 
 
-def _smooth(s: Scene, j: int) -> Array:
-    """Torque that may be differentiated twice: below 30 Hz, at the scene's own rate."""
+def _smooth_load(s: RecordedScene, j: int) -> FloatArray:
+    """Return the predicted torque below 30 Hz, which can be differentiated twice, shape (N,)."""
     from scipy import signal
 
     rate = 1.0 / float(np.median(np.diff(s.data.t)))
@@ -219,54 +246,58 @@ def _smooth(s: Scene, j: int) -> Array:
     )
 
 
-def _order(problem: Problem, j: int) -> float:
-    """The order at which the residual has its largest line in the angle's spectrum."""
-    s, rest = problem.train, problem.rest[0][:, j]
+def _dominant_order(problem: BaselineProblem, j: int) -> float:
+    """Return the order with the largest line in the residual's spectrum over position [1/turn]."""
+    s, residual = problem.train, problem.residuals[0][:, j]
     dt = float(np.median(np.diff(s.data.t)))
-    edge, every = round(0.5 / dt), max(1, round(1.0 / (dt * OUT)))
+    edge, every = round(0.5 / dt), max(1, round(1.0 / (dt * FIT_RATE)))
     q = s.data.q[edge:-edge:every, j]
     orders = np.arange(5.0, 80.0, 0.25)
-    power = np.abs(np.exp(-1j * np.multiply.outer(orders, q)) @ rest)
+    power = np.abs(np.exp(-1j * np.multiply.outer(orders, q)) @ residual)
     return float(orders[int(np.argmax(power))])
 
 
-def _absorbed(j: int, joint: str) -> Iterator[Candidate]:
+def _absorbed_candidates(j: int, joint: str) -> Iterator[Candidate]:
+    """Yield the effects that a refit of the base model absorbs."""
     yield Candidate(
         "rotor_inertia",
         joint,
         j,
         lambda s: s.data.a[:, j][:, None],
-        (("inertia", "kg m²", 0, same),),
+        (("inertia", "kg m²", 0, identity),),
     )
     yield Candidate(
         "torque_offset",
         joint,
         j,
         lambda s: np.ones((len(s.data.t), 1)),
-        (("offset", "N m", 0, same),),
+        (("offset", "N m", 0, identity),),
     )
     yield Candidate(
         "friction",
         joint,
         j,
-        lambda s: np.column_stack([sign(s, j), s.data.v[:, j]]),
-        (("coulomb", "N m", 0, same), ("viscous", "N m s/rad", 1, same)),
+        lambda s: np.column_stack([friction_sign(s, j), s.data.v[:, j]]),
+        (("coulomb", "N m", 0, identity), ("viscous", "N m s/rad", 1, identity)),
     )
     yield Candidate(
         "torque_gain",
         joint,
         j,
-        lambda s: _load(s, j)[:, None],
+        lambda s: _load_torque(s, j)[:, None],
         (("gain", "1", 0, lambda c: 1.0 - c),),
     )
 
 
-def _windows(problem: Problem) -> Iterator[Candidate]:
+def _contact_candidates(problem: BaselineProblem) -> Iterator[Candidate]:
+    """Yield contacts in sliding time windows."""
     t, n = problem.train.data.t, len(problem.joints)
     for length in (2.0, 4.0):
         for start in np.arange(t[0] + 1.0, t[-1] - length, 1.0):
 
-            def pulse(s: Scene, start: float = float(start), length: float = length) -> Array:
+            def pulse(
+                s: RecordedScene, start: float = float(start), length: float = length
+            ) -> FloatArray:
                 u = np.clip((s.data.t - start) / length, 0.0, 1.0)
                 return np.sin(np.pi * u)[:, None, None] * np.eye(n)
 
@@ -279,50 +310,63 @@ def _windows(problem: Problem) -> Iterator[Candidate]:
             )
 
 
-def _robot(problem: Problem) -> Iterator[Candidate]:
-    arm = problem.train.arm
-    across = [
-        arms.build_dynamics(arm.tree, arm.joints, gravity=axis)
+def _whole_robot_candidates(problem: BaselineProblem) -> Iterator[Candidate]:
+    """Yield gravity tilt, payloads and kinematic errors."""
+    dynamics = problem.train.dynamics
+    horizontal = [
+        mujoco_dynamics.build_dynamics(dynamics.tree, dynamics.joints, gravity=axis)
         for axis in ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
     ]
-    size = float(np.linalg.norm(arm.model.opt.gravity))
+    gravity = float(np.linalg.norm(dynamics.model.opt.gravity))
 
-    def tilt(s: Scene) -> Array:
-        still = np.zeros_like(s.data.q)
-        return size * np.stack([one.inverse(s.data.q, still, still) for one in across], axis=2)
+    def tilt(s: RecordedScene) -> FloatArray:
+        zero = np.zeros_like(s.data.q)
+        return gravity * np.stack(
+            [tilted.inverse_dynamics(s.data.q, zero, zero) for tilted in horizontal], axis=2
+        )
 
     yield Candidate(
         "gravity_tilt",
         None,
         None,
         tilt,
-        (("roll", "rad", 0, lambda c: -c), ("pitch", "rad", 1, same)),
+        (("roll", "rad", 0, lambda c: -c), ("pitch", "rad", 1, identity)),
     )
-    for j, joint in enumerate(arm.joints):
-        yield Candidate("payload", joint, None, partial(_body, j=j), (("mass", "kg", 0, same),))
+    for j, joint in enumerate(dynamics.joints):
+        yield Candidate(
+            "payload", joint, None, partial(_body_columns, j=j), (("mass", "kg", 0, identity),)
+        )
         if j:
-            yield Candidate("kinematic_error", joint, None, partial(_frame, joint=joint))
+            yield Candidate("kinematic_error", joint, None, partial(_frame_columns, joint=joint))
 
 
-def _body(s: Scene, j: int) -> Array:
-    """Mass and first moments of the link that joint j moves."""
-    y, model = rigid_body_regressor(s.arm, s.data.q, s.data.v, s.data.a), s.arm.model
+def _body_columns(s: RecordedScene, j: int) -> FloatArray:
+    """Return the columns of mass and first moments of the link that joint j moves."""
+    y, model = rigid_body_regressor(s.dynamics, s.data.q, s.data.v, s.data.a), s.dynamics.model
     moving = [b for b in range(1, model.nbody) if model.body_weldid[b] != 0]
     at = 10 * moving.index(int(model.jnt_bodyid[j]))
     return y[:, :, at : at + 4]
 
 
-def _frame(s: Scene, joint: str) -> Array:
-    """Derivatives of the torque by two turns and a shift of the joint's frame."""
+def _frame_columns(s: RecordedScene, joint: str) -> FloatArray:
+    """Return derivatives of the torque by two rotations and a shift of a joint frame."""
     out, h = [], 1e-4
-    plain = s.arm.inverse(s.data.q, s.data.v, s.data.a)
-    for turn, shift in (
+    nominal = s.dynamics.inverse_dynamics(s.data.q, s.data.v, s.data.a)
+    for rotation, shift in (
         ((h, 0.0, 0.0), (0.0,) * 3),
         ((0.0, h, 0.0), (0.0,) * 3),
         ((0.0,) * 3, (h, 0.0, 0.0)),
     ):
-        tree = s.arm.tree.moved(joint, Rotation.from_rotvec(turn).as_matrix(), np.array(shift))
+        tree = s.dynamics.tree.with_moved_frame(
+            joint, Rotation.from_rotvec(rotation).as_matrix(), np.array(shift)
+        )
         out.append(
-            (arms.build_dynamics(tree, s.arm.joints).inverse(s.data.q, s.data.v, s.data.a) - plain) / h
+            (
+                mujoco_dynamics.build_dynamics(tree, s.dynamics.joints).inverse_dynamics(
+                    s.data.q, s.data.v, s.data.a
+                )
+                - nominal
+            )
+            / h
         )
     return np.stack(out, axis=2)

@@ -1,4 +1,4 @@
-"""A case as a baseline sees it: both recordings in one band, the base model fitted or trusted, what is left."""
+"""A case as a baseline sees it: filtered recordings, base model and residuals."""
 
 from __future__ import annotations
 
@@ -9,117 +9,161 @@ from typing import Any
 
 import numpy as np
 
-from excite.simulator import urdf_tree as trees
+from excite._types import FloatArray
+from excite.simulator import urdf_tree
 from excite.simulator.mujoco_dynamics import RigidBodyDynamics
 
 from . import baseline_fit
-from .baseline_fit import Data
-
-Array = np.ndarray
+from .baseline_fit import FilteredRecording
 
 
 @dataclass(frozen=True)
-class Scene:
-    """One recording. data: in the arm's order of joints, at fit.RATE. mass: diagonal of the mass matrix along it, Shape (N, n).
+class RecordedScene:
+    """A recording with the quantities that candidate effects need.
 
-    load: torque that the base model predicts, without the noise of what was measured. Shape (N, n) [N m].
-    width: of the smooth sign of each joint's Coulomb friction. Shape (n,) [rad/s].
+    Attributes:
+        dynamics: Rigid-body dynamics of the URDF.
+        limit: Torque limits, shape (n,) [N m].
+        data: The recording, in the joint order of `dynamics`, at `baseline_fit.RATE`.
+        mass: Diagonal of the mass matrix along the motion, shape (N, n) [kg m²].
+        load: Torque predicted by the base model, shape (N, n) [N m].
+        width: Width of the smooth sign of Coulomb friction, shape (n,) [rad/s].
     """
 
-    arm: RigidBodyDynamics
-    limit: Array
-    data: Data
-    mass: Array
-    load: Array
-    width: Array
+    dynamics: RigidBodyDynamics
+    limit: FloatArray
+    data: FilteredRecording
+    mass: FloatArray
+    load: FloatArray
+    width: FloatArray
 
-    def low(self, x: Array) -> Array:
-        """Below 20 Hz, at 50 Hz."""
-        return baseline_fit.low(x, self.data.t)
+    def low_passed(self, x: FloatArray) -> FloatArray:
+        """Low-pass a signal at 20 Hz and resample it at 50 Hz."""
+        return baseline_fit.low_passed(x, self.data.t)
 
 
 @dataclass(frozen=True)
-class Problem:
-    """noise: torque's standard deviation per joint in the band, (n,). rest: torque left on the training and validation recordings.
+class BaselineProblem:
+    """The residuals that the baselines have to explain.
 
-    basis: orthonormal columns that a candidate must get past, Shape (N, n, r), over noise; r = 0 where a prior is trusted.
+    Attributes:
+        train: Training recording.
+        validate: Validation recording.
+        trusted: Whether a prior is trusted, so that nothing is refit.
+        noise: Standard deviation of the torque in the band, shape (n,) [N m].
+        basis: Orthonormal basis of the base regressor over noise, shape (N, n, r); r = 0 where a
+            prior is trusted.
+        residuals: Residual torque of both recordings, shapes (N, n) [N m].
+        columns: Base regressors of both recordings, shapes (N, n, P).
     """
 
-    train: Scene
-    validate: Scene
+    train: RecordedScene
+    validate: RecordedScene
     trusted: bool
-    noise: Array
-    basis: Array
-    rest: tuple[Array, Array]
-    columns: tuple[Array, Array]
+    noise: FloatArray
+    basis: FloatArray
+    residuals: tuple[FloatArray, FloatArray]
+    columns: tuple[FloatArray, FloatArray]
 
     @property
     def joints(self) -> tuple[str, ...]:
-        return self.train.arm.joints
+        """Names of the joints."""
+        return self.train.dynamics.joints
 
 
-def scene(arm: RigidBodyDynamics, limit: Array, path: Path) -> Scene:
+def read_scene(dynamics: RigidBodyDynamics, limit: FloatArray, path: Path) -> RecordedScene:
     """Read a recording."""
-    data = baseline_fit.ordered(baseline_fit.read(path), arm.joints)
+    data = baseline_fit.with_joint_order(baseline_fit.read_recording(path), dynamics.joints)
     every = 5
     coarse = np.array(
-        [np.diag(arm.terms(q, v)[0]) for q, v in zip(data.q[::every], data.v[::every], strict=True)]
+        [
+            np.diag(dynamics.mass_and_bias(q, v)[0])
+            for q, v in zip(data.q[::every], data.v[::every], strict=True)
+        ]
     )
     mass = np.column_stack([np.interp(data.t, data.t[::every], column) for column in coarse.T])
-    return Scene(arm, limit, data, mass, data.tau, np.full(arm.n, baseline_fit.WIDTHS[1]))
+    return RecordedScene(
+        dynamics, limit, data, mass, data.tau, np.full(dynamics.n, baseline_fit.FRICTION_WIDTHS[1])
+    )
 
 
-def load(folder: Path) -> Problem:
-    """A case's folder: robot.urdf, train.csv, validate.csv, and prior.json where there is one."""
-    tree = trees.read_urdf(folder / "robot.urdf")
-    arm = baseline_fit.arm_of(folder / "robot.urdf", tree.joints)
-    limit = np.array([tree.limits(name)[1] for name in arm.joints])
-    first, second = (scene(arm, limit, folder / f"{name}.csv") for name in ("train", "validate"))
+def load_case(folder: Path) -> BaselineProblem:
+    """Read a case: robot.urdf, train.csv, validate.csv, and prior.json where there is one."""
+    tree = urdf_tree.read_urdf(folder / "robot.urdf")
+    dynamics = baseline_fit.dynamics_of_urdf(folder / "robot.urdf", tree.joints)
+    limit = np.array([tree.velocity_and_torque_limit(name)[1] for name in dynamics.joints])
+    first, second = (
+        read_scene(dynamics, limit, folder / f"{name}.csv") for name in ("train", "validate")
+    )
     prior = folder / "prior.json"
     if prior.exists():
-        return _trusted(first, second, json.loads(prior.read_text(encoding="utf-8"))["joints"])
-    width = baseline_fit.best_width(arm, first.data, first.low(first.data.tau))
+        return _trusted_problem(
+            first, second, json.loads(prior.read_text(encoding="utf-8"))["joints"]
+        )
+    width = baseline_fit.best_friction_width(dynamics, first.data, first.low_passed(first.data.tau))
     first, second = replace(first, width=width), replace(second, width=width)
-    wide = [baseline_fit.columns(arm, one.data, width) for one in (first, second)]
-    y, held = (one.low(all_) for one, all_ in zip((first, second), wide, strict=True))
-    tau, other = (one.low(one.data.tau) for one in (first, second))
-    base = baseline_fit.fit(y, tau)
+    regressors = [
+        baseline_fit.base_regressor(dynamics, scene.data, width) for scene in (first, second)
+    ]
+    y_train, y_validation = (
+        scene.low_passed(regressor)
+        for scene, regressor in zip((first, second), regressors, strict=True)
+    )
+    tau_train, tau_validation = (scene.low_passed(scene.data.tau) for scene in (first, second))
+    base = baseline_fit.fit_base(y_train, tau_train)
     first, second = (
-        replace(one, load=base.predict(all_))
-        for one, all_ in zip((first, second), wide, strict=True)
+        replace(scene, load=base.predict(regressor))
+        for scene, regressor in zip((first, second), regressors, strict=True)
     )
-    rest = (tau - base.predict(y), other - base.predict(held))
-    return Problem(
-        first, second, False, base.noise, base.basis.reshape(*tau.shape, -1), rest, (y, held)
+    residuals = (tau_train - base.predict(y_train), tau_validation - base.predict(y_validation))
+    return BaselineProblem(
+        first,
+        second,
+        False,
+        base.noise,
+        base.basis.reshape(*tau_train.shape, -1),
+        residuals,
+        (y_train, y_validation),
     )
 
 
-def _trusted(first: Scene, second: Scene, prior: dict[str, Any]) -> Problem:
-    arm, known = first.arm, [prior[name] for name in first.arm.joints]
+def _trusted_problem(
+    first: RecordedScene, second: RecordedScene, prior: dict[str, Any]
+) -> BaselineProblem:
+    """Return the problem of a case whose prior is trusted."""
+    dynamics, parameters = first.dynamics, [prior[name] for name in first.dynamics.joints]
     inertia, viscous, coulomb, offset = (
-        np.array([k[key] for k in known])
+        np.array([k[key] for k in parameters])
         for key in ("rotor_inertia", "viscous", "coulomb", "offset")
     )
 
-    def model(one: Scene, width: Array) -> Array:
-        d = one.data
+    def model(scene: RecordedScene, width: FloatArray) -> FloatArray:
+        data = scene.data
         return (
-            arm.inverse(d.q, d.v, d.a)
-            + inertia * d.a
-            + viscous * d.v
-            + coulomb * np.tanh(d.v / width)
+            dynamics.inverse_dynamics(data.q, data.v, data.a)
+            + inertia * data.a
+            + viscous * data.v
+            + coulomb * np.tanh(data.v / width)
             + offset
         )
 
-    tried = [
-        baseline_fit.rmse(first.low(first.data.tau - model(first, np.full(arm.n, width))))
-        for width in baseline_fit.WIDTHS
+    errors = [
+        baseline_fit.rmse(
+            first.low_passed(first.data.tau - model(first, np.full(dynamics.n, width)))
+        )
+        for width in baseline_fit.FRICTION_WIDTHS
     ]
-    width = np.array(baseline_fit.WIDTHS)[np.argmin(np.array(tried), axis=0)]
-    scenes = [replace(one, load=model(one, width), width=width) for one in (first, second)]
-    rest = [one.low(one.data.tau - one.load) for one in scenes]
-    noise = 1.4826 * np.median(np.abs(np.diff(rest[0], axis=0)), axis=0) / np.sqrt(2.0)
-    empty = [np.zeros((*x.shape, 0)) for x in rest]
-    return Problem(
-        scenes[0], scenes[1], True, noise, empty[0], (rest[0], rest[1]), (empty[0], empty[1])
+    width = np.array(baseline_fit.FRICTION_WIDTHS)[np.argmin(np.array(errors), axis=0)]
+    scenes = [replace(scene, load=model(scene, width), width=width) for scene in (first, second)]
+    residuals = [scene.low_passed(scene.data.tau - scene.load) for scene in scenes]
+    noise = 1.4826 * np.median(np.abs(np.diff(residuals[0], axis=0)), axis=0) / np.sqrt(2.0)
+    empty = [np.zeros((*x.shape, 0)) for x in residuals]
+    return BaselineProblem(
+        scenes[0],
+        scenes[1],
+        True,
+        noise,
+        empty[0],
+        (residuals[0], residuals[1]),
+        (empty[0], empty[1]),
     )

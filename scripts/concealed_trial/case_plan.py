@@ -1,4 +1,7 @@
-"""What is hidden in which case: drawn from one seed, known to the process that conceals and to the key, to nobody else."""
+"""The plan of a trial: which case hides which effects, drawn from one seed.
+
+Only the process that generates the cases and the ground truth know it.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +16,10 @@ from excite.simulator.effects import CATALOGUE_NAMES, OUT_OF_CATALOGUE_NAMES
 
 T = TypeVar("T")
 ROBOTS = ("two_link", "tx40", "ur10e", "panda")
+"""Built-in robots of the cases."""
 SEVERITIES = (1.0, 3.0, 10.0, 30.0)
-TRAPS = (
+"""Severities that the effects are scaled to [1]; see `excite.simulator.severity`."""
+NUISANCES = (
     "none",
     "coarse_encoder",
     "heavy_noise",
@@ -22,10 +27,13 @@ TRAPS = (
     "jitter",
     "poor_excitation",
     "changed_gains",
-    "another_day",
+    "changed_session",
 )
-"""What makes recordings harder than a laboratory's best; on another day friction is another by the second recording."""
-PRIOR_ONLY = (
+"""Conditions that make a recording harder than the best of a laboratory.
+
+With `changed_session`, friction differs between the training and the validation recording.
+"""
+PRIOR_ONLY_EFFECTS = (
     "payload",
     "gravity_tilt",
     "rotor_inertia",
@@ -34,9 +42,10 @@ PRIOR_ONLY = (
     "torque_gain",
     "kinematic_error",
 )
-"""What a refit of the base model absorbs (the contract): hidden where the prior is trusted."""
-REFIT = tuple(name for name in CATALOGUE_NAMES if name not in PRIOR_ONLY)
-CONFUSABLE = (
+"""Effects that a refit of the base model absorbs; they are hidden where a prior is trusted."""
+REFIT_EFFECTS = tuple(name for name in CATALOGUE_NAMES if name not in PRIOR_ONLY_EFFECTS)
+"""Effects that show beyond a refit of the base model."""
+CONFUSABLE_PAIRS = (
     ("delay", "hysteresis"),
     ("load_friction", "position_friction"),
     ("stribeck", "nonlinear_viscous"),
@@ -48,95 +57,140 @@ CONFUSABLE = (
     ("stribeck", "delay"),
     ("torque_saturation", "load_friction"),
 )
+"""Pairs of effects with similar torques."""
+NULL_SHARE = 0.2
+"""Share of cases that hide nothing [1]."""
+PAIR_SHARE = 0.15
+"""Share of cases that hide two effects [1]."""
+OUT_OF_CATALOGUE_SHARE = 0.1
+"""Share of cases that hide an effect outside the catalogue [1]."""
+PRIOR_SHARE = 0.2
+"""Share of cases with a trusted prior [1], the same whether something is hidden or not."""
+CONFUSABLE_SHARE = 0.6
+"""Share of pairs that are drawn from `CONFUSABLE_PAIRS` [1]."""
 
 
 @dataclass(frozen=True)
-class Spec:
-    """One case. sort: null, single, pair or outsider. names, severities: of its effects. trusted: a prior comes with it."""
+class CaseSpec:
+    """Specification of a case.
+
+    The fields are the keys of `spec` in the ground truth of a case.
+
+    Attributes:
+        number: Number of the case.
+        name: Random name of its folder.
+        robot: Built-in robot.
+        category: "null", "single", "pair" or "out_of_catalogue".
+        trusted: Whether a trusted prior comes with it.
+        names: Names of the hidden effects.
+        severities: Severity of each [1].
+        nuisance: One of `NUISANCES`.
+        family: Family of the model forms.
+        seed: Seed of all other draws.
+    """
 
     number: int
     name: str
     robot: str
-    sort: str
+    category: str
     trusted: bool
     names: tuple[str, ...]
     severities: tuple[float, ...]
-    trap: str
+    nuisance: str
     family: str
     seed: int
 
 
 @dataclass(frozen=True)
-class Plan:
-    """count cases of one family of forms, from one seed; a fifth of them nulls, and a fifth with a trusted prior."""
+class CasePlan:
+    """Cases of one family of model forms, drawn from one seed.
+
+    Attributes:
+        count: Number of cases.
+        seed: Seed of the draw.
+        family: "tuning" or "scored".
+        robots: Robots to choose from.
+    """
 
     count: int
     seed: int
     family: str
     robots: tuple[str, ...] = ROBOTS
 
-    def specs(self) -> list[Spec]:
-        """All cases, in an order that says nothing."""
-        # the family is in the seed: tuning and scored cases share no draw even where the number is the same
+    def specs(self) -> list[CaseSpec]:
+        """Return all cases, in random order."""
+        # the family is part of the seed, so that the two families share no draw for equal seeds
         rng = np.random.default_rng([self.seed, 0 if self.family == "tuning" else 1])
-        sorts = self._sorts()
-        rng.shuffle(sorts)
+        categories = self._categories()
+        rng.shuffle(categories)
         tags = rng.choice(16**6, self.count, replace=False)
-        singles = _rounds(REFIT, rng)
-        with_prior = _rounds(PRIOR_ONLY, rng)
-        pairs, odd = _rounds(CONFUSABLE, rng), _rounds(OUT_OF_CATALOGUE_NAMES, rng)
-        mixed = _rounds(
-            [pair for pair in combinations(REFIT, 2) if set(pair) != {"elasticity", "backlash"}],
+        singles = _permutations(REFIT_EFFECTS, rng)
+        with_prior = _permutations(PRIOR_ONLY_EFFECTS, rng)
+        pairs = _permutations(CONFUSABLE_PAIRS, rng)
+        unnamed = _permutations(OUT_OF_CATALOGUE_NAMES, rng)
+        any_pairs = _permutations(
+            [
+                pair
+                for pair in combinations(REFIT_EFFECTS, 2)
+                if set(pair) != {"elasticity", "backlash"}
+            ],
             rng,
         )
-        levels = _rounds(SEVERITIES, rng)
-        traps = {True: _rounds(TRAPS, rng), False: _rounds(TRAPS, rng)}
+        levels = _permutations(SEVERITIES, rng)
+        nuisances = {is_null: _permutations(NUISANCES, rng) for is_null in (True, False)}
         robots = {
-            sort: _rounds(self.robots, rng) for sort in ("null", "single", "pair", "outsider")
+            category: _permutations(self.robots, rng)
+            for category in ("null", "single", "pair", "out_of_catalogue")
         }
-        out = []
-        for number, (sort, trusted) in enumerate(sorts):
+        specs = []
+        for number, (category, trusted) in enumerate(categories):
             names: tuple[str, ...] = ()
-            if sort == "single":
+            if category == "single":
                 names = (next(with_prior if trusted else singles),)
-            elif sort == "pair":
-                names = next(pairs) if rng.random() < 0.6 else next(mixed)
-            elif sort == "outsider":
-                names = (next(odd),)
+            elif category == "pair":
+                names = next(pairs) if rng.random() < CONFUSABLE_SHARE else next(any_pairs)
+            elif category == "out_of_catalogue":
+                names = (next(unnamed),)
             level = next(levels)
             severities = () if not names else (level,) * len(names)
-            trap = next(traps[sort == "null"])
+            nuisance = next(nuisances[category == "null"])
             seed = int(rng.integers(2**31))
-            out.append(
-                Spec(
+            specs.append(
+                CaseSpec(
                     number,
                     f"{tags[number]:06x}",
-                    next(robots[sort]),
-                    sort,
+                    next(robots[category]),
+                    category,
                     trusted,
                     names,
                     severities,
-                    trap,
+                    nuisance,
                     self.family,
                     seed,
                 )
             )
-        return out
+        return specs
 
-    def _sorts(self) -> list[tuple[str, bool]]:
-        """Sort and prior of every case; the share of priors is the same among nulls and among the rest."""
-        null, pair, odd = round(0.2 * self.count), round(0.15 * self.count), round(0.1 * self.count)
-        rest = self.count - null - pair - odd
-        out = [("null", False)] * (null - round(0.2 * null)) + [("null", True)] * round(0.2 * null)
-        prior = round(0.2 * (self.count - null))
-        out += [("pair", False)] * pair + [("outsider", False)] * odd
-        return (
-            out + [("single", True)] * min(prior, rest) + [("single", False)] * max(rest - prior, 0)
-        )
+    def _categories(self) -> list[tuple[str, bool]]:
+        """Return category and prior of every case."""
+        null = round(NULL_SHARE * self.count)
+        pair = round(PAIR_SHARE * self.count)
+        unnamed = round(OUT_OF_CATALOGUE_SHARE * self.count)
+        single = self.count - null - pair - unnamed
+        null_with_prior = round(PRIOR_SHARE * null)
+        with_prior = round(PRIOR_SHARE * (self.count - null))
+        return [
+            *[("null", False)] * (null - null_with_prior),
+            *[("null", True)] * null_with_prior,
+            *[("pair", False)] * pair,
+            *[("out_of_catalogue", False)] * unnamed,
+            *[("single", True)] * min(with_prior, single),
+            *[("single", False)] * max(single - with_prior, 0),
+        ]
 
 
-def _rounds(items: Sequence[T], rng: np.random.Generator) -> Iterator[T]:
-    """Each item once in random order, then again: no name is left to luck."""
+def _permutations(items: Sequence[T], rng: np.random.Generator) -> Iterator[T]:
+    """Yield random permutations of the items for ever, so that all occur equally often."""
     while True:
         for i in rng.permutation(len(items)):
             yield items[i]

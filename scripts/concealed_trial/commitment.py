@@ -1,4 +1,4 @@
-"""The key: one file, whose salted SHA-256 is published before the first answer."""
+"""Hash commitment to the ground truth: its salted SHA-256 is published before the first answer."""
 
 from __future__ import annotations
 
@@ -12,8 +12,16 @@ from typing import Any
 from excite.errors import UnusableInput
 
 
-def close(folder: Path, names: Sequence[str]) -> str:
-    """Bind the cases' keys into `key.json` with a salt; returns the hash, the same one when it is bound already."""
+def commit(folder: Path, names: Sequence[str]) -> str:
+    """Collect the ground truth of all cases in `key.json`, with a salt, unless it exists.
+
+    Args:
+        folder: Folder with one `<name>.json` per case.
+        names: Names of the cases.
+
+    Returns:
+        SHA-256 of `key.json`.
+    """
     path = folder / "key.json"
     if not path.exists():
         entries = {
@@ -30,16 +38,24 @@ def close(folder: Path, names: Sequence[str]) -> str:
 
 
 def digest(path: Path) -> str:
-    """SHA-256 of the key, salt and all."""
+    """Return the SHA-256 of a ground-truth file, salt included."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def unlock(folder: Path, sealed: str) -> dict[str, Any]:
-    """The cases of a key whose hash is the published one. Raises UnusableInput when it is another."""
+def open_ground_truth(folder: Path, published: str) -> dict[str, Any]:
+    """Return the ground truth of all cases, by name.
+
+    Args:
+        folder: Folder of `key.json`.
+        published: SHA-256 that was published.
+
+    Raises:
+        UnusableInput: The file has another hash.
+    """
     path = folder / "key.json"
-    if not path.exists() or digest(path) != sealed:
+    if not path.exists() or digest(path) != published:
         raise UnusableInput(
-            f"{path}: is not the key whose hash was published ({sealed}); the trial is void"
+            f"{path}: its hash is not the published one ({published}); the trial is void"
         )
     cases: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))["cases"]
     return cases

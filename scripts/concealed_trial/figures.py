@@ -1,4 +1,4 @@
-"""The confusion matrix and the reliability diagram, as SVG."""
+"""Confusion matrix and reliability diagram of a trial, as SVG."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ import numpy as np
 
 from excite.simulator.effects import CATALOGUE_NAMES, OUT_OF_CATALOGUE_NAMES
 
-from .score import NO_ANSWER, NOTHING, UNKNOWN
-
-Array = np.ndarray
+from .score import NO_ANSWER, NO_FINDING, UNKNOWN
 
 
 def _svg(width: float, height: float, draw: Callable[[Any], None]) -> str:
+    """Draw a figure and return it as SVG."""
     import matplotlib
     from matplotlib.figure import Figure
 
@@ -35,9 +34,12 @@ def _svg(width: float, height: float, draw: Callable[[Any], None]) -> str:
 
 
 def confusion(tables: Mapping[str, Mapping[str, Mapping[str, int]]]) -> str:
-    """One matrix per analyst: rows are what was hidden, columns the first name answered; shade is the row's share."""
-    rows = [NOTHING, *CATALOGUE_NAMES, *OUT_OF_CATALOGUE_NAMES]
-    columns = [NOTHING, UNKNOWN, NO_ANSWER, *CATALOGUE_NAMES]
+    """Draw a confusion matrix per analyst.
+
+    Rows are the hidden effect, columns the first effect answered; the shade is the row's share.
+    """
+    rows = [NO_FINDING, *CATALOGUE_NAMES, *OUT_OF_CATALOGUE_NAMES]
+    columns = [NO_FINDING, UNKNOWN, NO_ANSWER, *CATALOGUE_NAMES]
 
     def draw(figure: Any) -> None:
         axes = figure.subplots(1, len(tables), sharey=True, squeeze=False)[0]
@@ -46,7 +48,9 @@ def confusion(tables: Mapping[str, Mapping[str, Mapping[str, int]]]) -> str:
             shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1.0)
             axis.imshow(shares, cmap="Blues", vmin=0.0, vmax=1.0, aspect="equal")
             for i, j in np.argwhere(counts > 0):
-                right = rows[i] == columns[j] or (rows[i] in OUT_OF_CATALOGUE_NAMES and columns[j] == UNKNOWN)
+                right = rows[i] == columns[j] or (
+                    rows[i] in OUT_OF_CATALOGUE_NAMES and columns[j] == UNKNOWN
+                )
                 axis.text(
                     j,
                     i,
@@ -69,24 +73,24 @@ def confusion(tables: Mapping[str, Mapping[str, Mapping[str, int]]]) -> str:
     return _svg(1.4 + 4.6 * len(tables), 6.9, draw)
 
 
-def reliability(found: Mapping[str, Mapping[str, Any]]) -> str:
-    """How often what was said with a probability was true; on the diagonal it is what it says."""
+def reliability(calibrations: Mapping[str, Mapping[str, Any]]) -> str:
+    """Draw how often findings are true against the probability that was reported."""
 
     def draw(figure: Any) -> None:
-        axes = figure.subplots(1, len(found), sharey=True, squeeze=False)[0]
-        for axis, (name, calibration) in zip(axes, found.items(), strict=True):
+        axes = figure.subplots(1, len(calibrations), sharey=True, squeeze=False)[0]
+        for axis, (name, calibration) in zip(axes, calibrations.items(), strict=True):
             axis.plot([0.5, 1.0], [0.5, 1.0], color="#9aa4af", linewidth=0.8)
             for row in calibration["bins"]:
                 axis.plot(
-                    row["said"],
-                    row["was"],
+                    row["reported"],
+                    row["observed"],
                     "o",
                     color="#2f6fb5",
                     markersize=2.5 + 1.2 * np.sqrt(row["count"]) ** 0.8,
                 )
                 axis.annotate(
                     f"{row['count']}",
-                    (row["said"], row["was"]),
+                    (row["reported"], row["observed"]),
                     xytext=(5, -9),
                     textcoords="offset points",
                     fontsize=6.5,
@@ -95,7 +99,7 @@ def reliability(found: Mapping[str, Mapping[str, Any]]) -> str:
             axis.set_title(f"{name}{'' if error is None else f', error {error:.2f}'}", loc="left")
             axis.set_xlim(0.48, 1.02)
             axis.set_ylim(-0.03, 1.03)
-            axis.set_xlabel("probability stated")
-        axes[0].set_ylabel("share that is true")
+            axis.set_xlabel("reported probability")
+        axes[0].set_ylabel("share of true findings")
 
-    return _svg(0.6 + 2.6 * len(found), 2.9, draw)
+    return _svg(0.6 + 2.6 * len(calibrations), 2.9, draw)

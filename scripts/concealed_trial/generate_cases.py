@@ -1,4 +1,4 @@
-"""A case on disk: what the analyst is given in one folder, what it must not know in another."""
+"""Generate a case: files for the analyst in one folder, the ground truth in another."""
 
 from __future__ import annotations
 
@@ -13,266 +13,382 @@ from typing import Any
 
 import numpy as np
 
+from excite._types import FloatArray
 from excite.errors import UnusableInput
-from excite.simulator import effect_instance as effects
-from excite.simulator import experiment, recording_file, severity
-from excite.simulator import urdf_tree as trees
 from excite.simulator.actuator import ControllerGains, JointActuators
-from excite.simulator.effect_instance import EffectInstance
+from excite.simulator.effect_instance import EffectInstance, draw_effect, with_effects
 from excite.simulator.effects import EFFECT_TYPES
-from excite.simulator.experiment import ExperimentSettings, SimulatedSession
+from excite.simulator.experiment import (
+    ExperimentSettings,
+    SimulatedSession,
+    build_robot,
+    measurement_chain,
+    run_session,
+)
+from excite.simulator.recording_file import json_text
 from excite.simulator.reference_trajectory import ReferenceTrajectory
+from excite.simulator.severity import (
+    SEVERITY_BAND,
+    evaluate_severity,
+    hidden_torque,
+    scale_to_severity,
+)
 from excite.simulator.simulated_robot import SimulatedRobot
+from excite.simulator.urdf_tree import read_urdf
 
-from . import random_excitation
-from .baseline_fit import oracle
-from .case_plan import Spec
+from .baseline_fit import oracle_rmse
+from .case_plan import CaseSpec
+from .random_excitation import draw_excitation
 
-Array = np.ndarray
-NOISE, COARSE, JITTER, STEP = 0.002, 2.0 * np.pi / 2**16, 5e-5, 2e-3
-CHANGES = 0.1, 0.3
-"""Of friction, by how much it is another on another day."""
-LARGEST = 10.0
-"""An effect is at most this many times its usual size, whatever severity was asked for."""
-DRAWS, FURTHER, SHOWS = 3, 12, 0.5
-"""Times that a robot, or an effect's place and size, is drawn; how often at the most where none shows this severity: what is not in the
-recording (a limit that the torque never comes to, drag of a robot that crawls) is no truth to be found."""
+TORQUE_NOISE = 0.002
+"""Usual standard deviation of the torque noise over the torque limit [1]."""
+COARSE_ENCODER = 2.0 * np.pi / 2**16
+"""Resolution of position under `coarse_encoder` [rad]: 16 bits per turn."""
+JITTER = 5e-5
+"""Standard deviation of the sampling times under `jitter` [s]."""
+TIME_STEP = 2e-3
+"""Time step of the simulation [s]."""
+SESSION_CHANGE = 0.1, 0.3
+"""Range of the relative change of friction under `changed_session` [1]."""
+LARGEST_SCALE = 10.0
+"""Largest factor on the usual size of an effect, for any severity."""
+DRAWS = 3
+"""Number of times that a robot, or place and size of an effect, is usually drawn."""
+MAX_EFFECT_DRAWS = 12
+"""Number of draws of an effect where none reaches `LEAST_SEVERITY`."""
+LEAST_SEVERITY = 0.5
+"""Least severity of a hidden effect [1].
+
+An effect that does not show in the recording (saturation at torques that are never reached, drag at
+low speed) cannot be found by anyone.
+"""
 
 
 @dataclass(frozen=True)
-class Bench:
-    """A case before it is written. plant: the robot without what it hides. hidden: (effect, its severity alone).
+class GeneratedCase:
+    """A case before it is written.
 
-    sessions: the recording to learn from and the one to judge by. motion: of the first.
+    Attributes:
+        spec: Its specification.
+        urdf: The URDF that the analyst is given.
+        robot: The robot without hidden effects.
+        hidden: The hidden effects, each with its severity when it is alone.
+        sessions: Training and validation recording.
+        motion: Commanded motion of the training recording.
     """
 
-    spec: Spec
+    spec: CaseSpec
     urdf: str
-    plant: SimulatedRobot
+    robot: SimulatedRobot
     hidden: tuple[tuple[EffectInstance, float], ...]
     sessions: tuple[SimulatedSession, ...]
     motion: ReferenceTrajectory
 
 
-def setting(spec: Spec) -> ExperimentSettings:
-    """Measurement and controller of a case, with its trap. The true bodies are the URDF's where a prior is trusted."""
+def case_settings(spec: CaseSpec) -> ExperimentSettings:
+    """Return measurement and controller of a case, with its nuisance condition.
+
+    Where a prior is trusted, the true bodies are those of the URDF.
+    """
     rng = np.random.default_rng([spec.seed, 1])
-    control = ControllerGains(
+    gains = ControllerGains(
         position=float(rng.uniform(20.0, 40.0)),
         speed=float(rng.uniform(120.0, 200.0)),
         forward=float(rng.uniform(0.6, 0.95)),
     )
-    if spec.trap == "changed_gains":
-        control = replace(control, position=8.0, speed=60.0, forward=0.3)
+    if spec.nuisance == "changed_gains":
+        gains = replace(gains, position=8.0, speed=60.0, forward=0.3)
     return ExperimentSettings(
         seed=int(rng.integers(2**31)),
-        noise=NOISE * (5.0 if spec.trap == "heavy_noise" else float(rng.uniform(0.7, 1.4))),
-        colour=8.0 if spec.trap == "coloured_noise" else None,
-        jitter=JITTER if spec.trap == "jitter" else 0.0,
-        encoder=COARSE if spec.trap == "coarse_encoder" else 2e-6,
+        noise=TORQUE_NOISE
+        * (5.0 if spec.nuisance == "heavy_noise" else float(rng.uniform(0.7, 1.4))),
+        colour=8.0 if spec.nuisance == "coloured_noise" else None,
+        jitter=JITTER if spec.nuisance == "jitter" else 0.0,
+        encoder=COARSE_ENCODER if spec.nuisance == "coarse_encoder" else 2e-6,
         model_error=0.0 if spec.trusted else 0.05,
-        control=control,
+        control=gains,
     )
 
 
-def bench(spec: Spec, models: Path) -> Bench:
-    """Simulate a case. models: folder of the robots' URDFs. The same spec gives the same numbers.
+def generate_case(spec: CaseSpec, models: Path) -> GeneratedCase:
+    """Simulate a case; the same specification gives the same numbers.
 
-    A robot that its controller loses whatever is hidden, or where an effect does not show by itself, is drawn anew; at last without the
-    trap, or as it is. Raises UnusableInput where all are lost.
+    A robot whose control loop is unstable, or in which an effect does not show, is drawn again; at
+    last without the nuisance condition, then without the demand that the effect shows.
+
+    Args:
+        spec: Specification of the case.
+        models: Folder of the robots' URDFs.
+
+    Raises:
+        UnusableInput: All draws are unstable.
     """
-    for again in range(DRAWS - 1):
+    for draw in range(DRAWS - 1):
         with suppress(UnusableInput):
-            return _drawn(replace(spec, seed=spec.seed + again), models, SHOWS)
+            return draw_case(replace(spec, seed=spec.seed + draw), models, LEAST_SEVERITY)
     last = replace(spec, seed=spec.seed + DRAWS - 1)
     with suppress(UnusableInput):
-        return _drawn(replace(last, trap="none"), models, SHOWS)
-    return _drawn(last, models, 0.0)
+        return draw_case(replace(last, nuisance="none"), models, LEAST_SEVERITY)
+    return draw_case(last, models, 0.0)
 
 
-def _drawn(spec: Spec, models: Path, least: float) -> Bench:
-    """A case, every effect of which shows a severity of `least` by itself."""
-    rng, chosen, path = (
+def draw_case(spec: CaseSpec, models: Path, least_severity: float) -> GeneratedCase:
+    """Draw a case in which every effect alone has at least a given severity.
+
+    Args:
+        spec: Specification of the case.
+        models: Folder of the robots' URDFs.
+        least_severity: Least severity of each effect [1].
+
+    Raises:
+        UnusableInput: An effect does not reach the severity, or the loop is unstable.
+    """
+    rng, settings, path = (
         np.random.default_rng([spec.seed, 2]),
-        setting(spec),
+        case_settings(spec),
         models / f"{spec.robot}.urdf",
     )
-    tree = trees.read_urdf(path)
-    plant = experiment.build_robot(path, _standing(tree.joints), chosen)
-    # where a prior is trusted, the handed-over URDF is right, to the last digit
-    plant = replace(plant, step=STEP, tree=tree if spec.trusted else plant.tree)
-    poor = spec.trap == "poor_excitation"
-    states = [
+    tree = read_urdf(path)
+    robot = build_robot(path, _joints_only(tree.joints), settings)
+    # where a prior is trusted, the URDF is exact
+    robot = replace(robot, step=TIME_STEP, tree=tree if spec.trusted else robot.tree)
+    poor = spec.nuisance == "poor_excitation"
+    # the short motion is the first period of the training motion
+    generators = [
         np.random.default_rng([spec.seed, 3]),
         np.random.default_rng([spec.seed, 3]),
         np.random.default_rng([spec.seed, 4]),
     ]
     short, train, validate = (
-        random_excitation.draw(plant, n, state, poor=poor)
-        for n, state in zip((1, 2, 1), states, strict=True)
+        draw_excitation(robot, n, generator, poor=poor)
+        for n, generator in zip((1, 2, 1), generators, strict=True)
     )
     hidden: list[tuple[EffectInstance, float]] = []
     for name, level in zip(spec.names, spec.severities, strict=True):
-        # of two effects most sit in one joint, where they mask each other
+        # most pairs share a joint, where they mask each other
         joint = hidden[0][0].joint if hidden and rng.random() < 0.6 else None
-        hidden.append(_effect(spec, name, level, plant, chosen, (short, train), joint, rng, least))
-    return _measured(Bench(spec, tree.text, plant, tuple(hidden), (), train), validate, chosen)
+        hidden.append(
+            _draw_effect(
+                spec, name, level, robot, settings, (short, train), joint, rng, least_severity
+            )
+        )
+    return _record(
+        GeneratedCase(spec, tree.xml, robot, tuple(hidden), (), train), validate, settings
+    )
 
 
-def _measured(case: Bench, validate: ReferenceTrajectory, chosen: ExperimentSettings) -> Bench:
-    """The case with its two recordings; effects that together are more than the controller can hold are made smaller."""
+def _record(
+    case: GeneratedCase, validate: ReferenceTrajectory, settings: ExperimentSettings
+) -> GeneratedCase:
+    """Return the case with two recordings; effects that make the loop unstable are reduced."""
     for _ in range(4):
-        robot = effects.with_effects(case.plant, tuple(effect for effect, _ in case.hidden))
+        robot = with_effects(case.robot, tuple(effect for effect, _ in case.hidden))
         try:
-            first = experiment.run_session(robot, case.motion, chosen)
-            second = experiment.run_session(
-                replace(robot, drive=_later(case)), validate, replace(chosen, seed=chosen.seed + 1)
+            first = run_session(robot, case.motion, settings)
+            second = run_session(
+                replace(robot, actuators=_later_actuators(case)),
+                validate,
+                replace(settings, seed=settings.seed + 1),
             )
         except UnusableInput:
             case = replace(
                 case,
-                hidden=tuple((effect.sized(0.3), 0.3 * alone) for effect, alone in case.hidden),
+                hidden=tuple(
+                    (effect.scaled(0.3), 0.3 * severity) for effect, severity in case.hidden
+                ),
             )
             continue
         return replace(case, sessions=(first, second))
     raise UnusableInput(
-        f"case {case.spec.name}: the controller loses this robot whatever is hidden; plan another seed"
+        f"case {case.spec.name}: the control loop is unstable even with small effects; "
+        "plan with another seed"
     )
 
 
-def _later(case: Bench) -> JointActuators:
-    """The drives as they are when the second recording is made: on another day colder or warmer, all of them, each about as much."""
-    drive = case.plant.drive
-    if case.spec.trap != "another_day":
-        return drive
+def _later_actuators(case: GeneratedCase) -> JointActuators:
+    """Return the actuators of the validation recording.
+
+    Under `changed_session` the friction of all joints has changed by about the same factor.
+    """
+    actuators = case.robot.actuators
+    if case.spec.nuisance != "changed_session":
+        return actuators
     rng = np.random.default_rng([case.spec.seed, 5])
-    factor = 1.0 + rng.choice((-1.0, 1.0)) * rng.uniform(*CHANGES) * rng.uniform(
-        0.8, 1.2, len(case.plant.joints)
+    factor = 1.0 + rng.choice((-1.0, 1.0)) * rng.uniform(*SESSION_CHANGE) * rng.uniform(
+        0.8, 1.2, len(case.robot.joints)
     )
-    return replace(drive, viscous=factor * drive.viscous, coulomb=factor * drive.coulomb)
+    return replace(
+        actuators, viscous=factor * actuators.viscous, coulomb=factor * actuators.coulomb
+    )
 
 
-def _standing(joints: tuple[str, ...]) -> ReferenceTrajectory:
-    """A reference that only names the joints."""
+def _joints_only(joints: tuple[str, ...]) -> ReferenceTrajectory:
+    """Return a reference that states the joints and no motion."""
     return ReferenceTrajectory(joints, lambda t: (t, t, t), 0.0, 1.0, (0.0, 1.0), {})
 
 
-def given(case: Bench) -> dict[str, str]:
-    """Files of the analyst's folder: nothing in them but what a laboratory would hand over."""
-    out = {"robot.urdf": case.urdf}
+def analyst_files(case: GeneratedCase) -> dict[str, str]:
+    """Return the files that the analyst is given, by name."""
+    files = {"robot.urdf": case.urdf}
     for name, session in zip(("train", "validate"), case.sessions, strict=True):
-        out[f"{name}.csv"] = session.recording.csv()
-        out[f"{name}.json"] = recording_file.json_text({**session.recording.sidecar(), "notes": ""})
+        files[f"{name}.csv"] = session.recording.to_csv()
+        files[f"{name}.json"] = json_text({**session.recording.to_sidecar(), "notes": ""})
     if case.spec.trusted:
-        out["prior.json"] = _prior(case.plant)
-    return out
+        files["prior.json"] = _prior(case.robot)
+    return files
 
 
-def _effect(
-    spec: Spec,
+def _draw_effect(
+    spec: CaseSpec,
     name: str,
     level: float,
-    plant: SimulatedRobot,
-    chosen: ExperimentSettings,
+    robot: SimulatedRobot,
+    settings: ExperimentSettings,
     motions: tuple[ReferenceTrajectory, ReferenceTrajectory],
     joint: str | None,
     rng: np.random.Generator,
-    least: float,
+    least_severity: float,
 ) -> tuple[EffectInstance, float]:
-    """An effect of random size and place (`joint` first, where it may sit there), scaled to its severity; and the severity reached.
+    """Draw an effect and scale it to its severity.
 
-    Where a joint shows too little of it whatever its size (a wrist that hardly loads its spring), or the controller loses the
-    robot at any, another draw is made; and more where none shows. Raises UnusableInput where none shows a severity of `least`.
+    Place and parameters are drawn again where the joint shows too little of the effect whatever
+    its size (a wrist that hardly loads its spring), or where the loop is unstable.
+
+    Args:
+        spec: Specification of the case.
+        name: Name of the effect.
+        level: Wanted severity [1].
+        robot: The robot without effects.
+        settings: Its measurement.
+        motions: A short and the complete training motion.
+        joint: Joint to try first.
+        rng: Generator of the draw.
+        least_severity: Least accepted severity [1].
+
+    Returns:
+        The effect and its severity.
+
+    Raises:
+        UnusableInput: No draw reaches the least severity, or all are unstable.
     """
-    kind, n, (short, whole) = EFFECT_TYPES[name], len(plant.joints), motions
+    effect_type, n, (short, complete) = EFFECT_TYPES[name], len(robot.joints), motions
     first = {"payload": n // 2, "contact": n // 2}.get(name, 0)
     end = max(n - 1, 1) if name == "kinematic_error" else n
-    chain, along = experiment.measurement_chain(plant, chosen), whole if name == "thermal_drift" else short
-    all_late = rng.random() < 0.3
-    found: list[tuple[float, EffectInstance, float]] = []
-    for draw in range(FURTHER):
-        if draw >= DRAWS and (not found or max(value for _, _, value in found) > SHOWS):
+    chain = measurement_chain(robot, settings)
+    motion = complete if name == "thermal_drift" else short
+    on_whole_robot = rng.random() < 0.3
+    candidates: list[tuple[float, EffectInstance, float]] = []
+    for draw in range(MAX_EFFECT_DRAWS):
+        if draw >= DRAWS and (
+            not candidates or max(value for _, _, value in candidates) > LEAST_SEVERITY
+        ):
             break
-        drawn = plant.joints[int(rng.integers(first, end))]
-        where = joint if draw == 0 and joint in plant.joints[first:end] else drawn
-        place = None if kind.place == "robot" or (kind.place == "either" and all_late) else where
-        effect = effects.draw_effect(kind, plant, place, spec.family, rng)
+        drawn = robot.joints[int(rng.integers(first, end))]
+        where = joint if draw == 0 and joint in robot.joints[first:end] else drawn
+        is_jointless = effect_type.place == "robot" or (
+            effect_type.place == "either" and on_whole_robot
+        )
+        effect = draw_effect(effect_type, robot, None if is_jointless else where, spec.family, rng)
         try:
-            sized, _, reached = severity.scale_to_severity(
+            scaled, _, severity = scale_to_severity(
                 effect,
                 level,
-                plant,
-                along,
+                robot,
+                motion,
                 chain,
                 trusted=spec.trusted,
                 tolerance=0.5,
                 tries=3,
-                largest=LARGEST,
+                largest=LARGEST_SCALE,
             )
         except UnusableInput as error:
-            lost = error
+            unstable = error
             continue
-        found.append((abs(float(np.log(max(reached.value, 1e-9) / level))), sized, reached.value))
-        if found[-1][0] < np.log(2.0):
+        distance = abs(float(np.log(max(severity.value, 1e-9) / level)))
+        candidates.append((distance, scaled, severity.value))
+        if distance < np.log(2.0):
             break
-    if not found:
-        raise lost
-    shown = [entry for entry in found if entry[2] >= least]
-    if not shown:
-        raise UnusableInput(f"case {spec.name}: no joint shows {name}; plan another seed")
-    _, best, value = min(shown, key=lambda entry: entry[0])
+    if not candidates:
+        raise unstable
+    visible = [entry for entry in candidates if entry[2] >= least_severity]
+    if not visible:
+        raise UnusableInput(f"case {spec.name}: no joint shows {name}; plan with another seed")
+    _, best, value = min(visible, key=lambda entry: entry[0])
     return best, value
 
 
-def _prior(plant: SimulatedRobot) -> str:
-    drive = plant.drive
+def _prior(robot: SimulatedRobot) -> str:
+    """Return the true actuators as an `excite.prior/1`."""
+    actuators = robot.actuators
     joints = {
         name: {
-            "coulomb": float(drive.coulomb[j]),
-            "viscous": float(drive.viscous[j]),
-            "rotor_inertia": float(drive.inertia[j]),
-            "offset": float(drive.offset[j]),
+            "coulomb": float(actuators.coulomb[j]),
+            "viscous": float(actuators.viscous[j]),
+            "rotor_inertia": float(actuators.inertia[j]),
+            "offset": float(actuators.offset[j]),
         }
-        for j, name in enumerate(plant.joints)
+        for j, name in enumerate(robot.joints)
     }
-    return recording_file.json_text({"schema": "excite.prior/1", "trust_prior": True, "joints": joints})
+    return json_text({"schema": "excite.prior/1", "trust_prior": True, "joints": joints})
 
 
-def key(case: Bench, folder: Path) -> dict[str, Any]:
-    """What the analyst must not know; `folder` holds the files it is given. held_out: RMSE of the second recording [N m]."""
+def ground_truth(case: GeneratedCase, folder: Path) -> dict[str, Any]:
+    """Return the ground truth of a case.
+
+    `held_out` are RMSEs on the validation recording [N m]: of the refit base model, of the oracle
+    that knows the hidden torque, and of the noise.
+
+    Args:
+        case: The case.
+        folder: Folder with the analyst's files.
+    """
     first, second = case.sessions
-    before, after = oracle(
-        folder,
-        (_torque(first, case.plant), _torque(second, replace(case.plant, drive=_later(case)))),
+    later = replace(case.robot, actuators=_later_actuators(case))
+    before, after = oracle_rmse(
+        folder, (_true_torque(first, case.robot), _true_torque(second, later))
     )
-    whole = severity.evaluate_severity(first.run, case.plant, case.motion, first.chain, trusted=case.spec.trusted)
+    severity = evaluate_severity(
+        first.motion, case.robot, case.motion, first.chain, trusted=case.spec.trusted
+    )
     return {
         "spec": asdict(case.spec),
-        "joints": list(case.plant.joints),
-        "effects": [{**effect.document(), "severity": alone} for effect, alone in case.hidden],
-        "severity": whole.joints.tolist(),
+        "joints": list(case.robot.joints),
+        "effects": [{**effect.to_document(), "severity": alone} for effect, alone in case.hidden],
+        "severity": severity.joints.tolist(),
         "held_out": {
             "before": before.tolist(),
             "oracle": after.tolist(),
-            "noise": second.chain.floor(severity.SEVERITY_BAND).tolist(),
+            "noise": second.chain.noise_floor(SEVERITY_BAND).tolist(),
         },
         "truth": first.truth,
     }
 
 
-def _torque(session: SimulatedSession, plant: SimulatedRobot) -> Callable[[Array], Array]:
-    return lambda t: severity.hidden_torque(session.run, plant, t).torque
+def _true_torque(
+    session: SimulatedSession, robot: SimulatedRobot
+) -> Callable[[FloatArray], FloatArray]:
+    """Return the hidden torque of a session as a function of time."""
+    return lambda t: hidden_torque(session.motion, robot, t).torque
 
 
-def write(case: Bench, folder: Path, secret: Path) -> None:
-    """Put a case's files and its key into their places: a case whose folder is there is whole. All files bear one date."""
+def write_case(case: GeneratedCase, folder: Path, truth_path: Path) -> None:
+    """Write a case and its ground truth.
+
+    The folder appears at once, with all files, so that an interruption leaves no half case. All
+    files have the same date.
+
+    Args:
+        case: The case.
+        folder: Folder that the analyst is given.
+        truth_path: File of the ground truth.
+    """
     staged = folder.with_name(f".{folder.name}")
     shutil.rmtree(staged, ignore_errors=True)
     staged.mkdir(parents=True)
-    for name, text in given(case).items():
+    for name, text in analyst_files(case).items():
         (staged / name).write_text(text, encoding="utf-8")
         os.utime(staged / name, (0, 0))
-    secret.parent.mkdir(parents=True, exist_ok=True)
-    secret.write_text(json.dumps(key(case, staged), allow_nan=False), encoding="utf-8")
+    truth_path.parent.mkdir(parents=True, exist_ok=True)
+    truth_path.write_text(json.dumps(ground_truth(case, staged), allow_nan=False), encoding="utf-8")
     os.utime(staged, (0, 0))
     staged.rename(folder)

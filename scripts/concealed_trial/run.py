@@ -1,4 +1,4 @@
-"""The trial's three acts, each resumable at any case: conceal, answer, score."""
+"""The three steps of a trial, each resumable at any case: conceal, answer, score."""
 
 from __future__ import annotations
 
@@ -15,42 +15,58 @@ import joblib
 
 from excite.errors import UnusableInput
 
-from . import commitment
-from . import generate_cases as concealing
-from . import run_analyst as answers
-from .case_plan import Plan, Spec
+from . import commitment, generate_cases, run_analyst
+from .case_plan import CasePlan, CaseSpec
 from .run_analyst import Analyst
-from .score import Mark, confusion, mark, score
+from .score import Mark, compare_answer, confusion, score
 
 MODELS = Path(str(resources.files("excite") / "robot" / "models"))
-Say = Callable[[str], None]
-BATCH = 24
+"""Folder of the built-in robots."""
+Progress = Callable[[str], None]
+BATCH_SIZE = 24
+"""Cases that are handed to the processes at once.
+
+Not every joblib backend (Ray, multiprocessing) returns results as they come; batches keep progress
+visible.
+"""
 
 
 @dataclass(frozen=True)
-class Place:
-    """Folders of a trial: what analysts are given, what they answered, and the key, out of their sight."""
+class TrialFolder:
+    """Folders and files of a trial.
+
+    Attributes:
+        root: Folder of the trial.
+    """
 
     root: Path
 
     @property
     def cases(self) -> Path:
+        """Folder of the cases that analysts see."""
         return self.root / "cases"
 
     @property
     def key(self) -> Path:
+        """Folder of the ground truth, which analysts do not see."""
         return self.root / "key"
 
     @property
     def answers(self) -> Path:
+        """Folder of the answers."""
         return self.root / "answers"
 
     @property
-    def sealed(self) -> Path:
-        return self.root / "sealed.sha256"
+    def commitment(self) -> Path:
+        """File with the published hash of the ground truth."""
+        return self.root / "commitment.sha256"
+
+    def published_hash(self) -> str:
+        """Return the published hash of the ground truth."""
+        return self.commitment.read_text(encoding="utf-8").strip()
 
     def names(self) -> list[str]:
-        """Names of the concealed cases, in the order of their random names."""
+        """Return the random names of the cases, sorted."""
         return sorted(
             path.name
             for path in self.cases.iterdir()
@@ -58,148 +74,179 @@ class Place:
         )
 
     def log(self, text: str) -> None:
-        """A line of the log, with the date: it is only ever appended to."""
+        """Append a line with the date to `log.txt`."""
         self.root.mkdir(parents=True, exist_ok=True)
         with (self.root / "log.txt").open("a", encoding="utf-8") as stream:
             stream.write(f"{time.strftime('%Y-%m-%dT%H:%M:%S%z')} {text}\n")
 
 
-def conceal(place: Place, plan: Plan, jobs: int, say: Say) -> str:
-    """Make the cases that are not there yet and bind the key; returns its hash, which is also published in `sealed.sha256`."""
+def conceal(folder: TrialFolder, plan: CasePlan, jobs: int, progress: Progress) -> str:
+    """Generate the missing cases and commit to their ground truth.
+
+    Args:
+        folder: Folder of the trial.
+        plan: The cases.
+        jobs: Number of processes.
+        progress: Function that reports a line of progress.
+
+    Returns:
+        Hash of the ground truth, which is also published in `commitment.sha256`.
+
+    Raises:
+        UnusableInput: Another hash was published in this folder.
+    """
     specs = plan.specs()
-    missing = [spec for spec in specs if not (place.cases / spec.name).exists()]
-    place.log(f"conceal: {len(missing)} of {len(specs)} cases of family {plan.family}")
-    for number, taken in enumerate(
-        _spread(_conceal_one, ((place, spec) for spec in missing), jobs), start=1
+    missing = [spec for spec in specs if not (folder.cases / spec.name).exists()]
+    folder.log(f"conceal: {len(missing)} of {len(specs)} cases of family {plan.family}")
+    for number, seconds in enumerate(
+        _in_parallel(_conceal_case, ((folder, spec) for spec in missing), jobs), start=1
     ):
-        say(f"concealed {number} of {len(missing)}, {taken:.1f} s")
-    sealed = commitment.close(place.key, [spec.name for spec in specs])
-    if place.sealed.exists() and place.sealed.read_text(encoding="utf-8").strip() != sealed:
+        progress(f"concealed {number} of {len(missing)}, {seconds:.1f} s")
+    digest = commitment.commit(folder.key, [spec.name for spec in specs])
+    if folder.commitment.exists() and folder.published_hash() != digest:
         raise UnusableInput(
-            f"{place.sealed}: another key was published here before; start a trial in a new folder"
+            f"{folder.commitment}: another ground truth was published here; "
+            "start a trial in a new folder"
         )
-    place.sealed.write_text(sealed + "\n", encoding="utf-8")
-    place.log(f"sealed: {sealed}")
-    return sealed
+    folder.commitment.write_text(digest + "\n", encoding="utf-8")
+    folder.log(f"ground truth committed: {digest}")
+    return digest
 
 
-def _conceal_one(place: Place, spec: Spec) -> float:
+def _conceal_case(folder: TrialFolder, spec: CaseSpec) -> float:
+    """Generate a case and return the time that it took [s]."""
     start = time.perf_counter()
-    concealing.write(
-        concealing.bench(spec, MODELS), place.cases / spec.name, place.key / f"{spec.name}.json"
+    generate_cases.write_case(
+        generate_cases.generate_case(spec, MODELS),
+        folder.cases / spec.name,
+        folder.key / f"{spec.name}.json",
     )
     return time.perf_counter() - start
 
 
-def answer(place: Place, analysts: Sequence[Analyst], jobs: int, say: Say) -> None:
-    """Ask every analyst what it has not answered yet, a process a case. Raises UnusableInput before the key is sealed."""
-    if not place.sealed.exists():
-        raise UnusableInput(f"{place.root}: its key is not sealed yet; run 'conceal' first")
+def answer(folder: TrialFolder, analysts: Sequence[Analyst], jobs: int, progress: Progress) -> None:
+    """Ask every analyst for the answers that are missing, one process per case.
+
+    Raises:
+        UnusableInput: The ground truth is not committed yet.
+    """
+    if not folder.commitment.exists():
+        raise UnusableInput(
+            f"{folder.root}: its ground truth is not committed yet; run 'conceal' first"
+        )
     work = [
-        (analyst, place.cases / name, place.answers)
-        for name in place.names()
+        (analyst, folder.cases / name, folder.answers)
+        for name in folder.names()
         for analyst in analysts
     ]
-    place.log(
-        f"answer: {len(work)} questions to {', '.join(name for analyst in analysts for name in analyst.names)}"
-    )
-    for number, taken in enumerate(_spread(answers.ask, work, jobs), start=1):
-        if taken is not None:
-            say(f"answered {number} of {len(work)}, {taken:.1f} s")
-    place.log("answered")
+    analyst_names = ", ".join(name for analyst in analysts for name in analyst.names)
+    folder.log(f"answer: {len(work)} questions to {analyst_names}")
+    for number, seconds in enumerate(_in_parallel(run_analyst.ask, work, jobs), start=1):
+        if seconds is not None:
+            progress(f"answered {number} of {len(work)}, {seconds:.1f} s")
+    folder.log("answered")
 
 
-def _spread(task: Callable[..., Any], work: Iterable[tuple[Any, ...]], jobs: int) -> Iterable[Any]:
-    """Results in the order of the work, batch by batch; where they are computed is joblib's configuration.
-
-    Batches, because not every back end (Ray, multiprocessing) hands over results as they come, and an hour of silence is long.
-    """
-    todo = iter(work)
+def _in_parallel(
+    task: Callable[..., Any], work: Iterable[tuple[Any, ...]], jobs: int
+) -> Iterable[Any]:
+    """Yield results in the order of the work, batch by batch, from joblib's configured backend."""
+    remaining = iter(work)
     with joblib.Parallel(n_jobs=jobs) as pool:
-        while batch := list(islice(todo, BATCH)):
-            yield from pool(joblib.delayed(task)(*one) for one in batch)
+        while batch := list(islice(remaining, BATCH_SIZE)):
+            yield from pool(joblib.delayed(task)(*arguments) for arguments in batch)
 
 
-def marks(place: Place) -> dict[str, list[Mark]]:
-    """Marks of every analyst that answered, once the key is open."""
-    cases = commitment.unlock(place.key, place.sealed.read_text(encoding="utf-8").strip())
-    out: dict[str, list[Mark]] = {}
-    for folder in sorted(place.answers.iterdir()):
-        paths = {path.stem: path for path in folder.glob("*.json")}
-        lacking = set(cases) - set(paths)
-        if lacking:
+def marks(folder: TrialFolder) -> dict[str, list[Mark]]:
+    """Open the ground truth and return the marks of every analyst.
+
+    Raises:
+        UnusableInput: The ground truth is not the committed one, or answers are missing.
+    """
+    cases = commitment.open_ground_truth(folder.key, folder.published_hash())
+    marks_by_analyst: dict[str, list[Mark]] = {}
+    for analyst in sorted(folder.answers.iterdir()):
+        paths = {path.stem: path for path in analyst.glob("*.json")}
+        missing = set(cases) - set(paths)
+        if missing:
             raise UnusableInput(
-                f"{folder}: {len(lacking)} cases are not answered yet, {min(lacking)} for one; run 'answer' again"
+                f"{analyst}: {len(missing)} cases are not answered yet (such as {min(missing)}); "
+                "run 'answer' again"
             )
-        out[folder.name] = [
-            mark(cases[name], json.loads(paths[name].read_text(encoding="utf-8")))
+        marks_by_analyst[analyst.name] = [
+            compare_answer(cases[name], json.loads(paths[name].read_text(encoding="utf-8")))
             for name in sorted(cases)
         ]
-    return out
+    return marks_by_analyst
 
 
-def report(place: Place) -> str:
-    """Score, tables and pictures, written beside the answers; returns the table in Markdown."""
+def report(folder: TrialFolder) -> str:
+    """Write score, tables and figures into the trial's folder; return the Markdown table."""
     from . import figures
 
-    found = marks(place)
-    scores = {name: score(of) for name, of in found.items()}
-    tables = {name: confusion(of) for name, of in found.items()}
+    marks_by_analyst = marks(folder)
+    scores = {name: score(of_analyst) for name, of_analyst in marks_by_analyst.items()}
+    tables = {name: confusion(of_analyst) for name, of_analyst in marks_by_analyst.items()}
     text = table(scores)
     document = {
-        "schema": "concealed_trial/1",
-        "sealed": place.sealed.read_text(encoding="utf-8").strip(),
+        "schema": "concealed_trial/2",
+        "commitment": folder.published_hash(),
         "scores": scores,
         "confusion": tables,
     }
-    (place.root / "score.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
-    (place.root / "score.md").write_text(text + "\n", encoding="utf-8")
-    (place.root / "confusion.svg").write_text(figures.confusion(tables), encoding="utf-8")
-    (place.root / "reliability.svg").write_text(
-        figures.reliability({name: of["calibration"] for name, of in scores.items()}),
+    (folder.root / "score.json").write_text(json.dumps(document, indent=1), encoding="utf-8")
+    (folder.root / "score.md").write_text(text + "\n", encoding="utf-8")
+    (folder.root / "confusion.svg").write_text(figures.confusion(tables), encoding="utf-8")
+    (folder.root / "reliability.svg").write_text(
+        figures.reliability({name: figure["calibration"] for name, figure in scores.items()}),
         encoding="utf-8",
     )
-    place.log("scored")
+    folder.log("scored")
     return text
 
 
 ROWS = (
-    ("false_alarms", "false alarms on nulls"),
-    ("abstained", "abstains, or no answer, where something is hidden"),
-    ("right_first", "right name first"),
-    ("right_first_from_3", "… at severity ≥ 2, where 3, 10 or 30 was aimed at"),
+    ("false_alarms", "false alarms where nothing is hidden"),
+    ("abstained", "no finding, or no answer, where something is hidden"),
+    ("right_first", "right effect first"),
+    ("right_first_from_3", "… at severity ≥ 2 (targets 3, 10 and 30)"),
     ("right_first_trusted", "… where a prior is trusted"),
-    ("within_equivalents", "truth within the first and its equivalents"),
-    ("equivalents", "… how many equivalents then"),
-    ("right_joint", "right joint, where rightly named"),
-    ("both_of_two", "both of two named"),
-    ("unknown_where_it_is", "`unknown` where it is"),
-    ("contact_overlap", "time interval of contacts, overlap"),
-    ("parameter_error", "parameter error, median, relative"),
+    ("within_equivalents", "truth among the first effect and its equivalents"),
+    ("equivalents", "… number of equivalents then"),
+    ("right_joint", "right joint, where the effect is right"),
+    ("both_of_two", "both of two effects named"),
+    ("unknown_where_it_is", "`unknown` where the effect is not in the catalogue"),
+    ("contact_overlap", "overlap of the time interval of contacts"),
+    ("parameter_error", "relative parameter error, median"),
     ("interval_coverage", "parameter ± 2 std covers the truth"),
     ("held_out_gain", "held-out gain, oracle = 1, median"),
 )
+"""Rows of the table: key of the score and its words."""
 
 
 def table(scores: dict[str, dict[str, Any]]) -> str:
-    """Markdown: a row per figure, a column per analyst; the 95 % interval of each rate, and the number of cases behind it, in brackets."""
+    """Return a Markdown table with a row per figure and a column per analyst.
+
+    Each rate has its 95 % interval and the number of cases.
+    """
     names = list(scores)
     lines = [f"| | {' | '.join(names)} |", "|---" * (len(names) + 1) + "|"]
     for key, words in ROWS:
         lines.append(f"| {words} | {' | '.join(_cell(scores[name][key]) for name in names)} |")
     for bounds in scores[names[0]]["right_first_by_severity"]:
         cells = (_cell(scores[name]["right_first_by_severity"][bounds]) for name in names)
-        lines.append(f"| right name first, severity {bounds} | {' | '.join(cells)} |")
+        lines.append(f"| right effect first, severity {bounds} | {' | '.join(cells)} |")
     errors = (scores[name]["calibration"]["error"] for name in names)
     lines.append(
         f"| calibration error | {' | '.join('–' if e is None else f'{e:.2f}' for e in errors)} |"
     )
     seconds = (scores[name]["seconds"] for name in names)
-    lines.append(f"| seconds a case, median | {' | '.join(f'{s:.1f}' for s in seconds)} |")
+    lines.append(f"| seconds per case, median | {' | '.join(f'{s:.1f}' for s in seconds)} |")
     return "\n".join(lines)
 
 
 def _cell(figure: dict[str, Any]) -> str:
+    """Return a value with its interval and count, as a cell of the table."""
     if figure["value"] is None:
         return "–"
     low, high = figure.get("interval", (None, None))

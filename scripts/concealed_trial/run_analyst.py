@@ -1,4 +1,4 @@
-"""Asking an analyst: one process a case, which sees a copy of the case's files and nothing else."""
+"""Ask an analyst: one process per case, which sees a copy of the case's files and nothing else."""
 
 from __future__ import annotations
 
@@ -14,15 +14,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 BASELINES = ("greedy", "stribeck", "blackbox")
-PATIENCE = 600.0
-"""After this an analyst has no answer [s]."""
+"""Names of the baseline analysts."""
+TIMEOUT = 600.0
+"""Time after which an analyst counts as having given no answer [s]."""
 
 
 @dataclass(frozen=True)
 class Analyst:
-    """names: of the answers it gives, one file `<name>.json` each (or `diagnosis.json`, where it gives one).
+    """A command that answers cases.
 
-    command: with {robot}, {train}, {validate}, {prior} ("--prior FILE" or nothing), {case} (the folder), {out}.
+    Attributes:
+        names: Names of the answers that it gives, each in a file `<name>.json`; a single answer may
+            be called `diagnosis.json`.
+        command: Command with the placeholders {robot}, {train}, {validate}, {prior} ("--prior FILE"
+            or nothing), {case} (folder of the case) and {out} (folder of the answers).
     """
 
     names: tuple[str, ...]
@@ -30,23 +35,31 @@ class Analyst:
 
 
 def baseline_analysts() -> Analyst:
-    """The three baselines, in one process."""
+    """Return the three baselines, which answer in one process."""
+    package = shlex.quote(str(Path(__file__).parent))
     return Analyst(
-        BASELINES,
-        f"{shlex.quote(sys.executable)} {shlex.quote(str(Path(__file__).parent))} baselines {{case}} -o {{out}}",
+        BASELINES, f"{shlex.quote(sys.executable)} {package} baselines {{case}} -o {{out}}"
     )
 
 
 def ask(analyst: Analyst, case: Path, answers: Path) -> float | None:
-    """Let an analyst answer a case unless it has; returns the seconds it took, None where the answer was there.
+    """Let an analyst answer a case, unless it has already.
 
-    A process that fails or says nothing leaves an answer that says so: no answer is an answer, and a wrong one.
+    The answer of a process that fails or writes nothing is `{"error": …}`, which counts as wrong.
+
+    Args:
+        analyst: The analyst.
+        case: Folder of the case.
+        answers: Folder of all answers.
+
+    Returns:
+        Time that the analyst took [s]; None where the answer exists already.
     """
     targets = {name: answers / name / f"{case.name}.json" for name in analyst.names}
     if all(path.exists() for path in targets.values()):
         return None
-    with tempfile.TemporaryDirectory(prefix="case") as place:
-        folder, out = Path(place) / "case", Path(place) / "out"
+    with tempfile.TemporaryDirectory(prefix="case") as work:
+        folder, out = Path(work) / "case", Path(work) / "out"
         shutil.copytree(case, folder)
         out.mkdir()
         prior = folder / "prior.json"
@@ -59,48 +72,48 @@ def ask(analyst: Analyst, case: Path, answers: Path) -> float | None:
             "out": out,
         }
         start = time.perf_counter()
-        fault = _run(analyst.command.format(**words), Path(place))
-        taken = time.perf_counter() - start
+        fault = _run_command(analyst.command.format(**words), Path(work))
+        seconds = time.perf_counter() - start
         for name, path in targets.items():
-            found = next(
+            written = next(
                 (f for f in (out / f"{name}.json", out / "diagnosis.json") if f.exists()), None
             )
             document = (
                 {"error": fault or "no diagnosis.json"}
-                if found is None or fault
-                else json.loads(found.read_text(encoding="utf-8"))
+                if written is None or fault
+                else json.loads(written.read_text(encoding="utf-8"))
             )
             path.parent.mkdir(parents=True, exist_ok=True)
             staged = path.with_suffix(".part")
-            staged.write_text(json.dumps({"seconds": taken, "answer": document}), encoding="utf-8")
+            staged.write_text(
+                json.dumps({"seconds": seconds, "answer": document}), encoding="utf-8"
+            )
             staged.rename(path)
-    return taken
+    return seconds
 
 
-def _run(command: str, place: Path) -> str:
-    """Run in a bare environment; returns what went wrong, or nothing."""
+def _run_command(command: str, folder: Path) -> str:
+    """Run a command in a minimal environment; return its error, or an empty text."""
     kept = {
         key: os.environ[key]
         for key in ("PATH", "HOME", "LANG", "VIRTUAL_ENV", "PYTHONPATH")
         if key in os.environ
     }
-    # the commands of this environment, `excite` for one, whether or not it is activated
+    # find `excite` and other commands of this environment even where it is not activated
     kept["PATH"] = os.pathsep.join([str(Path(sys.executable).parent), kept.get("PATH", os.defpath)])
     environment = {**kept, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     try:
-        done = subprocess.run(
+        process = subprocess.run(
             shlex.split(command),
-            cwd=place,
+            cwd=folder,
             env=environment,
             capture_output=True,
             text=True,
-            timeout=PATIENCE,
+            timeout=TIMEOUT,
             check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         return str(error)
-    return (
-        ""
-        if done.returncode == 0
-        else (done.stderr.strip().splitlines() or [f"exit {done.returncode}"])[-1]
-    )
+    if process.returncode == 0:
+        return ""
+    return (process.stderr.strip().splitlines() or [f"exit {process.returncode}"])[-1]

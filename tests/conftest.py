@@ -23,8 +23,8 @@ from hypothesis import strategies as st
 from written import Damage, motion
 
 from excite.designer import pipeline
-from excite.designer.pipeline import CertifiedDesign
 from excite.designer.options import DesignOptions
+from excite.designer.pipeline import CertifiedDesign
 from excite.identification.regression import IdentificationModel
 from excite.robot.limits import Limits, resolve
 from excite.robot.robot import Robot, load, locate
@@ -308,9 +308,9 @@ def two_link() -> Robot:
 @pytest.fixture(scope="session")
 def subject() -> IdentificationModel:
     """The two-link robot that diagnoses are tried on."""
-    from made import two_links  # which takes from here
+    from synthetic_recordings import two_link_model  # which takes from here
 
-    return two_links()
+    return two_link_model()
 
 
 @pytest.fixture

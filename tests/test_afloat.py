@@ -139,9 +139,9 @@ def test_the_exponential_of_a_step_holds_however_long_it_is(size):
 
 def test_a_bases_spring_is_the_same_in_every_recording(monkeypatch):
     """Whatever the poses: told by what swings with all joints at zero."""
-    from made import two_links
+    from synthetic_recordings import two_link_model
 
-    result, told = found(two_links(), None), list[Array]()
+    result, told = found(two_link_model(), None), list[Array]()
 
     def seen(
         inertia: Array, damping: Array, stiffness: Array, force: Array, dt: float

@@ -7,7 +7,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from made import motion, perturbed, recorded, two_links
+from synthetic_recordings import (
+    perturbed_parameters,
+    random_fourier,
+    synthetic_recording,
+    two_link_model,
+)
 
 from excite.diagnosis import diagnosis, residual_atlas, residual_curves
 from excite.diagnosis.diagnosis import Diagnosis
@@ -40,11 +45,11 @@ def plant(recording: Recording, extra: str) -> Recording:
 @cache
 def found(extra: str = "") -> Diagnosis:
     """A diagnosis with nothing looked for, so that what is planted stays in the residual."""
-    model = two_links()
-    psi = perturbed(model.parameters, np.random.default_rng(3))
+    model = two_link_model()
+    psi = perturbed_parameters(model.parameters, np.random.default_rng(3))
     both = []
     for seed, name in ((1, "train.csv"), (2, "validate.csv")):
-        one = recorded(model, psi, motion(2, seed, 9.0), 2.5, NOISE, period=None, periodic=None)
+        one = synthetic_recording(model, psi, random_fourier(2, seed, 9.0), 2.5, NOISE, period=None, periodic=None)
         both.append(plant(dataclasses.replace(one, source=name), extra))
     options = diagnosis.DiagnosisOptions(names=("drag",))
     done = diagnosis.diagnose(

@@ -7,7 +7,13 @@ from functools import cache
 
 import numpy as np
 import pytest
-from made import WIDTH, motion, perturbed, recorded, two_links
+from synthetic_recordings import (
+    FRICTION_WIDTH,
+    perturbed_parameters,
+    random_fourier,
+    synthetic_recording,
+    two_link_model,
+)
 from test_diagnose import PLANTED, recordings_of
 
 from excite.diagnosis import course, diagnosis, equations, residual_atlas, search, session_changes
@@ -22,19 +28,19 @@ MORE = np.array([0.25, -0.15])
 
 
 def friction() -> tuple[Array, Array]:
-    model = two_links()
-    psi = perturbed(model.parameters, np.random.default_rng(4))
+    model = two_link_model()
+    psi = perturbed_parameters(model.parameters, np.random.default_rng(4))
     return psi[model.parameters.block("coulomb")], psi[model.parameters.block("viscous")]
 
 
 @cache
 def found(name: str | None, more: float = 1.0, names: tuple[str, ...] = ()) -> Diagnosis:
     """Of two recordings with something planted, in the second of which friction is another. names: that are looked for."""
-    subject, plant = two_links(), None if name is None else PLANTED[name][0]
+    subject, plant = two_link_model(), None if name is None else PLANTED[name][0]
     train, held_out = recordings_of(subject, plant)
     coulomb, viscous = friction()
     speed = np.gradient(held_out.q, held_out.t, axis=0)
-    rubs = more * MORE * (coulomb * np.tanh(speed / WIDTH) + viscous * speed)
+    rubs = more * MORE * (coulomb * np.tanh(speed / FRICTION_WIDTH) + viscous * speed)
     other = dataclasses.replace(held_out, tau=held_out.torque + rubs)
     return diagnosis.diagnose(
         subject.robot, subject.parameters, subject.base, [train], [other], DiagnosisOptions(names=names)
@@ -63,12 +69,12 @@ def test_another_days_friction_is_told_as_that() -> None:
 
 def test_held_out_torque_is_foretold_with_the_mean_of_days() -> None:
     """The day held out is as warm as the two that teach are on the average."""
-    subject, (coulomb, viscous) = two_links(), friction()
-    psi, days = perturbed(subject.parameters, np.random.default_rng(4)), []
+    subject, (coulomb, viscous) = two_link_model(), friction()
+    psi, days = perturbed_parameters(subject.parameters, np.random.default_rng(4)), []
     for seed, more in ((2, 0.0), (8, 0.4), (5, 0.2)):
-        one = recorded(subject, psi, motion(2, seed), 4, 0.0)
+        one = synthetic_recording(subject, psi, random_fourier(2, seed), 4, 0.0)
         speed = np.gradient(one.q, one.t, axis=0)
-        rubs = more * (coulomb * np.tanh(speed / WIDTH) + viscous * speed)
+        rubs = more * (coulomb * np.tanh(speed / FRICTION_WIDTH) + viscous * speed)
         noise = 0.1 * np.random.default_rng(seed).normal(size=one.q.shape)
         days.append(dataclasses.replace(one, tau=one.torque + rubs + noise, source=f"{seed}.csv"))
     one = diagnosis.diagnose(subject.robot, subject.parameters, subject.base, days[:2], days[2:])
@@ -132,16 +138,16 @@ def test_another_day_does_not_excuse_what_has_no_name() -> None:
 @pytest.mark.parametrize("planted", [True, False])
 def test_a_recording_of_each_speed_shows_a_law_and_not_other_drives(planted: bool) -> None:
     """A ladder of speeds: Coulomb and viscous friction of each file by itself would take most of a law over speed."""
-    subject, runs = two_links(), []
-    psi = perturbed(subject.parameters, np.random.default_rng(4))
+    subject, runs = two_link_model(), []
+    psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
     for number, slower in enumerate((8.0, 4.0, 1.0, 2.0)):
-        fast = motion(2, 2)
+        fast = random_fourier(2, 2)
         fourier = dataclasses.replace(
             fast, sine=fast.sine / slower, cosine=fast.cosine / slower, period=slower * fast.period
         )
-        one = recorded(subject, psi, fourier, 2, 0.0)
+        one = synthetic_recording(subject, psi, fourier, 2, 0.0)
         speed = fourier.samples(one.t).dq[:, 0]
-        bent = planted * 2.0 * np.tanh(speed / WIDTH) * np.sqrt(np.abs(speed))
+        bent = planted * 2.0 * np.tanh(speed / FRICTION_WIDTH) * np.sqrt(np.abs(speed))
         noise = 0.1 * np.random.default_rng(number).normal(size=one.q.shape)
         runs.append(
             dataclasses.replace(
@@ -160,11 +166,11 @@ def test_a_recording_of_each_speed_shows_a_law_and_not_other_drives(planted: boo
 
 def test_a_change_is_as_sure_as_its_recording_is_long() -> None:
     """Of a short recording beside a long one: errors are told between its own stretches of time."""
-    subject, ratios = two_links(), list[float]()
-    psi = perturbed(subject.parameters, np.random.default_rng(4))
+    subject, ratios = two_link_model(), list[float]()
+    psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
     for seed in range(6):
         rng = np.random.default_rng(seed)
-        runs = [recorded(subject, psi, motion(2, 2), periods, 0.0) for periods in (6.0, 0.8)]
+        runs = [synthetic_recording(subject, psi, random_fourier(2, 2), periods, 0.0) for periods in (6.0, 0.8)]
         noisy = [
             dataclasses.replace(
                 r, tau=r.torque + 0.1 * rng.normal(size=r.q.shape), source=f"{len(r)}.csv"

@@ -10,7 +10,7 @@ from conftest import QUICK
 
 from excite.collision import clearance_builder, scene_file
 from excite.designer import optimize, pipeline, ramps
-from excite.designer.initial_guess import _within_sight
+from excite.designer.initial_guess import reachable_along_lines
 from excite.designer.options import DesignOptions
 from excite.designer.time_budget import MotionRequest
 from excite.errors import Infeasible, UnusableInput
@@ -33,7 +33,7 @@ def test_poses_within_sight_are_reached_straight(placed):
     _, table, cell = placed
     clearance = clearance_builder.clearance(cell)
     rng = np.random.default_rng(0)
-    poses = _within_sight(clearance, FOLDED, rng.uniform(*table.position.T, (50, 6)), rng)
+    poses = reachable_along_lines(clearance, FOLDED, rng.uniform(*table.position.T, (50, 6)), rng)
     lines = FOLDED + np.linspace(0.0, 1.0, 41)[:, None, None] * (poses - FOLDED)
     # between the poses that were looked at, as little may be lost as the planner finds out later
     assert (clearance.least(lines.reshape(-1, 6))[0] > -0.02).all()

@@ -7,7 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from made import EMPTY, halved, nothing, on_one
+from synthetic_recordings import (
+    NO_KNOWN_COLUMNS,
+    single_joint_columns,
+    single_joint_fold,
+    unexpected_columns,
+)
 
 from excite.diagnosis import contest, hypothesis, judge, search
 from excite.diagnosis.columns import Columns
@@ -33,7 +38,7 @@ def wave(order: float, number: int) -> Array:
 def designed(columns: list[Array], torque: list[Array], grid: tuple[float, float]) -> search.EffectRegression:
     """A spring with a column of its own, and ripples whose order lies between those of a grid."""
     halves = [
-        halved(g, (g @ [1.0, -2.0] + t + n)[:, None], KNOWN)
+        single_joint_fold(g, (g @ [1.0, -2.0] + t + n)[:, None], KNOWN)
         for g, t, n in zip(BASE, torque, NOISE, strict=True)
     ]
 
@@ -43,13 +48,13 @@ def designed(columns: list[Array], torque: list[Array], grid: tuple[float, float
             if shape.effect == "spring"
             else [wave(shape.values["order"], n) for n in range(2)]
         )
-        return on_one(*(row[:, None] for row in rows))
+        return single_joint_columns(*(row[:, None] for row in rows))
 
     def ripple(order: float) -> CandidateModel:
-        return CandidateModel("torque_ripple", 0, nothing, {"order": order})
+        return CandidateModel("torque_ripple", 0, unexpected_columns, {"order": order})
 
     return search.design(
-        (halves[0], halves[1]), [CandidateModel("spring", 0, nothing), *family(grid, ripple)], build
+        (halves[0], halves[1]), [CandidateModel("spring", 0, unexpected_columns), *family(grid, ripple)], build
     )
 
 
@@ -157,14 +162,14 @@ def test_of_names_as_good_as_each_other_the_plain_one_is_told(apart, told):
         "friction": [STRONG[n] + apart * ODD[n] for n in range(2)],
     }
     halves = [
-        halved(g, (g @ [1.0, -2.0] + 1.5 * x + n)[:, None], KNOWN)
+        single_joint_fold(g, (g @ [1.0, -2.0] + 1.5 * x + n)[:, None], KNOWN)
         for g, x, n in zip(BASE, STRONG, NOISE, strict=True)
     ]
-    shapes = [CandidateModel(name, 0, nothing) for name in columns]
+    shapes = [CandidateModel(name, 0, unexpected_columns) for name in columns]
     one = search.design(
         (halves[0], halves[1]),
         shapes,
-        lambda shape: on_one(*(x[:, None] for x in columns[shape.effect])),
+        lambda shape: single_joint_columns(*(x[:, None] for x in columns[shape.effect])),
     )
     assert next(hypothesis.ranked(one)).effect == "nonlinear_viscous"
     assert [h.effect for h in judge.judged(one)[1].chosen] == [told]
@@ -184,7 +189,7 @@ def swings(frequency: float, damping: float, half: int) -> Array:
 @pytest.mark.parametrize("frequency", [1.7, 2.2, 2.82, 3.64])
 def test_a_resonance_between_two_tried_frequencies_is_found(frequency):
     halves = [
-        halved(g, (g @ [1.0, -2.0] + swings(frequency, 0.02, n) + n_)[:, None], KNOWN)
+        single_joint_fold(g, (g @ [1.0, -2.0] + swings(frequency, 0.02, n) + n_)[:, None], KNOWN)
         for n, (g, n_) in enumerate(zip(BASE, NOISE, strict=True))
     ]
 
@@ -194,13 +199,13 @@ def test_a_resonance_between_two_tried_frequencies_is_found(frequency):
                 hertz, gear_dynamics.NEAR, map(swing, gear_dynamics.damped(damping))
             )
             return CandidateModel(
-                "base_compliance", 0, nothing, {"frequency": hertz, "damping": damping}, variants=kin
+                "base_compliance", 0, unexpected_columns, {"frequency": hertz, "damping": damping}, variants=kin
             )
 
         return shape
 
     def build(shape: CandidateModel) -> tuple[Columns, Columns]:
-        return on_one(
+        return single_joint_columns(
             *(
                 swings(shape.values["frequency"], shape.values["damping"], n)[:, None]
                 for n in range(2)
@@ -232,13 +237,13 @@ def test_shapes_that_take_each_other_off_are_no_finding():
         for g, d in zip(gammas, slight, strict=True)
     ]
     known = (1e-2 * np.eye(2), np.zeros(2))
-    first, second = (halved(g, t[:, None], known) for g, t in zip(gammas, torques, strict=True))
+    first, second = (single_joint_fold(g, t[:, None], known) for g, t in zip(gammas, torques, strict=True))
 
     def build(shape: CandidateModel) -> tuple[Columns, Columns]:
-        return on_one(*(own[shape.effect][:, None] for own in columns))
+        return single_joint_columns(*(own[shape.effect][:, None] for own in columns))
 
     one = search.design(
-        (first, second), [CandidateModel("drag", 0, nothing), CandidateModel("stribeck", 0, nothing)], build
+        (first, second), [CandidateModel("drag", 0, unexpected_columns), CandidateModel("stribeck", 0, unexpected_columns)], build
     )
     one = dataclasses.replace(one, prior=np.full(2, 1e-6))
     assert search.trial(one, [0, 1]).gain > 200.0
@@ -255,7 +260,7 @@ def two_joints(blurred: float = 1.0, mend: str = "spring") -> search.EffectRegre
         both = np.column_stack([30.0 * s + 0.8 * r, 0.8 * o])
         left = both + rng.normal(size=(300, 2))
         halves.append(
-            whitened([np.ones((300, 2, 1))], [left], [np.ones(left.shape, bool)], np.ones(2), EMPTY)
+            whitened([np.ones((300, 2, 1))], [left], [np.ones(left.shape, bool)], np.ones(2), NO_KNOWN_COLUMNS)
         )
         joints = {
             ("drag", 0): np.column_stack([s, 0.0 * s]),
@@ -267,7 +272,7 @@ def two_joints(blurred: float = 1.0, mend: str = "spring") -> search.EffectRegre
         first, second = (Columns.of(own[shape.effect, shape.joint][:, :, None]) for own in columns)
         return first, second
 
-    shapes = [CandidateModel(effect, joint, nothing) for effect, joint in columns[0]]
+    shapes = [CandidateModel(effect, joint, unexpected_columns) for effect, joint in columns[0]]
     one = search.design((halves[0], halves[1]), shapes, build)
     return dataclasses.replace(one, measured=Measured(noise=np.ones(2)))
 
@@ -323,7 +328,7 @@ def test_beside_another_a_strong_effect_may_need_another_of_its_shapes():
     x = [rng.normal(size=400) for _ in range(2)]
     torques = [3.0 * own**3 + 20.0 * own / (1.0 + np.abs(own)) for own in x]
     halves = [
-        halved(np.ones((400, 1)), t[:, None] + rng.normal(size=(400, 1)), EMPTY) for t in torques
+        single_joint_fold(np.ones((400, 1)), t[:, None] + rng.normal(size=(400, 1)), NO_KNOWN_COLUMNS) for t in torques
     ]
 
     def build(shape: CandidateModel) -> tuple[Columns, Columns]:
@@ -331,13 +336,13 @@ def test_beside_another_a_strong_effect_may_need_another_of_its_shapes():
             first, second = (own / (1.0 + np.abs(own)) for own in x)
         else:
             first, second = (np.sign(own) * np.abs(own) ** shape.values["exponent"] for own in x)
-        return on_one(first[:, None], second[:, None])
+        return single_joint_columns(first[:, None], second[:, None])
 
     powers = [
-        CandidateModel("drag", 0, nothing, {"exponent": k}, plausible=lambda c: bool(c[0] > 0.0))
+        CandidateModel("drag", 0, unexpected_columns, {"exponent": k}, plausible=lambda c: bool(c[0] > 0.0))
         for k in (2.0, 2.5, 3.0)
     ]
-    shapes = [*powers, CandidateModel("stribeck", 0, nothing, plausible=lambda c: bool(c[0] > 0.0))]
+    shapes = [*powers, CandidateModel("stribeck", 0, unexpected_columns, plausible=lambda c: bool(c[0] > 0.0))]
     one = dataclasses.replace(
         search.design((halves[0], halves[1]), shapes, build), measured=Measured(noise=np.ones(1))
     )
@@ -357,7 +362,7 @@ def test_the_best_of_each_law_is_looked_at():
     rng = np.random.default_rng(4)
     truth = [rng.normal(size=200) for _ in range(2)]
     halves = [
-        halved(np.ones((200, 1)), 5.0 * t[:, None] + rng.normal(size=(200, 1)), EMPTY)
+        single_joint_fold(np.ones((200, 1)), 5.0 * t[:, None] + rng.normal(size=(200, 1)), NO_KNOWN_COLUMNS)
         for t in truth
     ]
     blurred = {
@@ -366,12 +371,12 @@ def test_the_best_of_each_law_is_looked_at():
 
     def build(shape: CandidateModel) -> tuple[Columns, Columns]:
         first, second = (x[:, None] for x in blurred[int(shape.values["ratio"])])
-        return on_one(first, second)
+        return single_joint_columns(first, second)
 
-    heavy = [CandidateModel("coupling", 0, nothing, {"ratio": float(ratio)}, 1) for ratio in range(1, 7)]
+    heavy = [CandidateModel("coupling", 0, unexpected_columns, {"ratio": float(ratio)}, 1) for ratio in range(1, 7)]
     one = search.design(
         (halves[0], halves[1]),
-        [*heavy, CandidateModel("coupling", 0, nothing, {"ratio": 7.0, "light": 1.0}, 1)],
+        [*heavy, CandidateModel("coupling", 0, unexpected_columns, {"ratio": 7.0, "light": 1.0}, 1)],
         build,
     )
     assert [shape.values["ratio"] for shape in one.shapes] == [1.0, 2.0, 3.0, 4.0, 7.0]
@@ -389,11 +394,11 @@ def test_halves_agree_about_what_both_see():
         own = [
             c @ [2.0, k] + 0.1 * n for c, k, n in zip(columns, (first, second), noise_, strict=True)
         ]
-        halves = [halved(np.ones((200, 1)), t[:, None], EMPTY, 0.1) for t in own]
+        halves = [single_joint_fold(np.ones((200, 1)), t[:, None], NO_KNOWN_COLUMNS, 0.1) for t in own]
         return search.design(
             (halves[0], halves[1]),
-            [CandidateModel("drag", 0, nothing)],
-            lambda _: on_one(columns[0] / 0.1, columns[1] / 0.1),
+            [CandidateModel("drag", 0, unexpected_columns)],
+            lambda _: single_joint_columns(columns[0] / 0.1, columns[1] / 0.1),
         )
 
     for other, agree in ((3.0, True), (-40.0, True), (-3e3, False)):

@@ -10,8 +10,7 @@ from excite.designer import criteria, optimize, pipeline
 from excite.designer.criteria import Criterion
 from excite.designer.evaluator import Evaluator
 from excite.designer.optimize import OptimizedDesign
-from excite.designer.options import WorkspaceBox
-from excite.designer.options import DesignOptions
+from excite.designer.options import DesignOptions, WorkspaceBox
 from excite.errors import CheckFailed, Infeasible, UnusableInput
 from excite.robot import dynamics
 from excite.robot.limits import Limits, resolve
@@ -276,7 +275,7 @@ def test_torque_below_gravity_is_unusable_and_names_the_joint():
     )
     with pytest.raises(
         UnusableInput,
-        match=r"'lift': gravity asks .* times its torque limit .* raise the limit or lighten the payload",
+        match=r"'lift': gravity requires .* times its torque limit .* raise the limit or lighten the payload",
     ):
         solved(robot, resolve(robot))
 
@@ -286,14 +285,14 @@ def test_torque_below_gravity_wherever_the_limits_let_the_arm_be_is_unusable(two
         table, torque=np.array([5.0, 20.0]), position=np.array([[-0.4, 0.4], [-0.4, 0.4]])
     )
     with pytest.raises(
-        UnusableInput, match=r"'joint_1': gravity asks .* raise the limit or lighten the payload"
+        UnusableInput, match=r"'joint_1': gravity requires .* raise the limit or lighten the payload"
     ):
         solved(two_link, weak)
 
 
 def test_a_box_out_of_reach_is_infeasible_and_named(two_link, table):
     away = WorkspaceBox("tip", (2.0, -0.1, 0.0), (3.0, 0.1, 1.0))
-    with pytest.raises(Infeasible, match="the box limit of 'tip' fights the others"):
+    with pytest.raises(Infeasible, match="the box limit of 'tip' conflicts with the others"):
         solved(two_link, table, replace(QUICK, boxes=(away,)))
 
 
@@ -301,7 +300,7 @@ def test_a_box_that_fights_the_position_limits_is_infeasible(two_link, table):
     ahead = replace(table, position=np.array([[-0.2, 0.2], [-0.2, 0.2]]))
     behind = WorkspaceBox("tip", (-0.9, -0.1, -0.5), (-0.3, 0.1, 0.5))
     with pytest.raises(
-        Infeasible, match=r"fights the others .*; widen the box or the position limits"
+        Infeasible, match=r"conflicts with the others .*; widen the box or the position limits"
     ):
         solved(two_link, ahead, replace(QUICK, boxes=(behind,)))
 

@@ -9,10 +9,16 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from contract import EFFECT_NAMES
-from made import WIDTH, motion, perturbed, recorded, written
 from scipy import signal
 from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import CubicSpline
+from synthetic_recordings import (
+    FRICTION_WIDTH,
+    perturbed_parameters,
+    random_fourier,
+    synthetic_recording,
+    write_recording,
+)
 
 from excite.cli import main as main_module
 from excite.diagnosis import belief, diagnosis, interval
@@ -32,11 +38,11 @@ Plant = Callable[
 
 
 def recordings_of(subject: IdentificationModel, plant: Plant | None) -> tuple[Recording, Recording]:
-    psi = perturbed(subject.parameters, np.random.default_rng(4))
+    psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
     out = []
     for seed in (2, 5):
-        fourier = motion(2, seed)
-        one = recorded(subject, psi, fourier, 4, 0.0)
+        fourier = random_fourier(2, seed)
+        one = synthetic_recording(subject, psi, fourier, 4, 0.0)
         s = fourier.samples(one.t)
         added = np.zeros_like(one.q) if plant is None else plant(one.t, s.q, s.dq, one.tau)
         noise = 0.1 * np.random.default_rng(seed).normal(size=one.q.shape)
@@ -64,21 +70,21 @@ def on(joint: int, column: Array) -> Array:
 
 def shaft(speed: Array) -> Array:
     """Friction of a shaft that two joints turn."""
-    return 0.9 * np.tanh(speed / WIDTH) + 0.2 * speed
+    return 0.9 * np.tanh(speed / FRICTION_WIDTH) + 0.2 * speed
 
 
 PLANTED: dict[str, tuple[Plant, int | None]] = {
     "asymmetric_viscous": (lambda t, q, dq, tau: on(1, 0.35 * np.abs(dq[:, 1])), 1),
     "stribeck": (
         lambda t, q, dq, tau: on(
-            0, 1.5 * np.tanh(dq[:, 0] / WIDTH) * np.exp(-((np.abs(dq[:, 0]) / 0.12) ** 2))
+            0, 1.5 * np.tanh(dq[:, 0] / FRICTION_WIDTH) * np.exp(-((np.abs(dq[:, 0]) / 0.12) ** 2))
         ),
         0,
     ),
     "torque_ripple": (lambda t, q, dq, tau: on(1, 0.5 * np.cos(23.0 * q[:, 1] + 0.4)), 1),
     "spring": (lambda t, q, dq, tau: on(1, 1.7 * q[:, 1]), 1),
     "position_friction": (
-        lambda t, q, dq, tau: on(0, 0.8 * np.tanh(dq[:, 0] / WIDTH) * np.cos(2.0 * q[:, 0] + 1.0)),
+        lambda t, q, dq, tau: on(0, 0.8 * np.tanh(dq[:, 0] / FRICTION_WIDTH) * np.cos(2.0 * q[:, 0] + 1.0)),
         0,
     ),
     "coupling": (lambda t, q, dq, tau: on(0, shaft(dq[:, 0] - 0.7 * dq[:, 1])), 0),
@@ -124,11 +130,11 @@ class Paused(FourierSeries):
 
 
 def test_what_holds_a_joint_at_rest_is_no_mismatch(subject):
-    psi, pair = perturbed(subject.parameters, np.random.default_rng(4)), []
+    psi, pair = perturbed_parameters(subject.parameters, np.random.default_rng(4)), []
     for seed in (2, 5):
-        plain = motion(2, seed)
+        plain = random_fourier(2, seed)
         paused = Paused(plain.sine, plain.cosine, plain.offset, 2.0 * plain.period)
-        one = recorded(subject, psi, paused, 1.3, 0.1)
+        one = synthetic_recording(subject, psi, paused, 1.3, 0.1)
         s = paused.samples(one.t)
         still = np.abs(s.dq).max(axis=1, keepdims=True) < 1e-3
         assert still.mean() > 0.1
@@ -306,7 +312,7 @@ def test_what_no_name_takes_is_unknown(subject):
 
 
 def test_a_trusted_prior_shows_what_a_refit_absorbs(subject):
-    psi = perturbed(subject.parameters, np.random.default_rng(4))
+    psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
     trusted = dict(enumerate(psi.tolist()))
     plant: Plant = lambda t, q, dq, tau: on(1, np.full(len(t), 1.0))  # noqa: E731
     assert not found(subject, plant).verdict.chosen
@@ -330,7 +336,7 @@ def test_every_shape_gives_finite_columns_and_named_parameters(subject):
     result = found(
         subject,
         PLANTED["spring"][0],
-        trusted=dict(enumerate(perturbed(subject.parameters, np.random.default_rng(4)).tolist())),
+        trusted=dict(enumerate(perturbed_parameters(subject.parameters, np.random.default_rng(4)).tolist())),
     )
     seen = {shape.effect for shape in result.design.shapes}
     assert seen >= set(EFFECT_NAMES) - {"contact", "kinematic_error"}
@@ -367,7 +373,7 @@ def test_the_document_is_the_contracts(subject):
 
 def test_the_command_and_what_it_refuses(subject, tmp_path, capsys):
     train, held_out = recordings_of(subject, PLANTED["asymmetric_viscous"][0])
-    first, second = written(train, tmp_path / "a.csv"), written(held_out, tmp_path / "b.csv")
+    first, second = write_recording(train, tmp_path / "a.csv"), write_recording(held_out, tmp_path / "b.csv")
     go = ["diagnose", "two_link", str(first), "-o", str(tmp_path / "out")]
     assert main_module.main([*go, "--validate", str(second)]) == 0
     assert "asymmetric_viscous" in capsys.readouterr().out

@@ -9,9 +9,16 @@ from collections.abc import Callable
 import numpy as np
 import pinocchio as pin
 import pytest
-from made import EMPTY, WIDTH, halved, nothing, on_one, perturbed
 from scipy import stats
 from scipy.interpolate import CubicSpline
+from synthetic_recordings import (
+    FRICTION_WIDTH,
+    NO_KNOWN_COLUMNS,
+    perturbed_parameters,
+    single_joint_columns,
+    single_joint_fold,
+    unexpected_columns,
+)
 from test_diagnose import PLANTED, found, on, recordings_of
 
 from excite.diagnosis import diagnosis, equations, hypothesis, interval, judge, noise, search
@@ -47,8 +54,8 @@ def test_the_gain_is_the_quotient_of_marginal_likelihoods():
         for g, c in zip(gammas, columns, strict=True)
     ]
     known = (1e-2 * np.eye(p), np.zeros(p))  # a proper prior, so that densities exist
-    first, second = (halved(g, t[:, None], known) for g, t in zip(gammas, torques, strict=True))
-    one = search.design((first, second), [CandidateModel("drag", 0, nothing)], lambda _: on_one(*columns))
+    first, second = (single_joint_fold(g, t[:, None], known) for g, t in zip(gammas, torques, strict=True))
+    one = search.design((first, second), [CandidateModel("drag", 0, unexpected_columns)], lambda _: single_joint_columns(*columns))
     gain = search.trial(one, [0]).gain
 
     def evidence(parts: tuple[int, ...], wide: bool) -> float:
@@ -72,13 +79,13 @@ def test_all_gains_at_once_are_those_of_one_after_the_other():
     rng = np.random.default_rng(7)
     gammas, torques = ([rng.normal(size=(m, k)) for m in (60, 50)] for k in (3, 1))
     first, second = (
-        halved(g, t, (np.eye(3), np.zeros(3))) for g, t in zip(gammas, torques, strict=True)
+        single_joint_fold(g, t, (np.eye(3), np.zeros(3))) for g, t in zip(gammas, torques, strict=True)
     )
     columns = {width: [rng.normal(size=(m, width)) for m in (60, 50)] for width in (1, 2, 4)}
     columns[5] = [np.column_stack([4.0 * c, c[:, :1]]) for c in columns[4]]  # the same once more
-    shapes = [CandidateModel("spring", 0, nothing, {"width": float(width)}) for width in columns]
+    shapes = [CandidateModel("spring", 0, unexpected_columns, {"width": float(width)}) for width in columns]
     one = search.design(
-        (first, second), shapes, lambda shape: on_one(*columns[shape.values["width"]])
+        (first, second), shapes, lambda shape: single_joint_columns(*columns[shape.values["width"]])
     )
     for beside_ in ((), (0,), (2, 1)):
         told, own = search.fits(one, beside_)
@@ -96,9 +103,9 @@ def test_another_residual_is_judged_as_if_it_had_been_measured():
     known = (np.eye(3), np.zeros(3))
 
     def designed(own: list[Array]) -> search.EffectRegression:
-        first, second = (halved(g, t, known) for g, t in zip(gammas, own, strict=True))
+        first, second = (single_joint_fold(g, t, known) for g, t in zip(gammas, own, strict=True))
         return search.design(
-            (first, second), [CandidateModel("drag", 0, nothing)], lambda _: on_one(*columns)
+            (first, second), [CandidateModel("drag", 0, unexpected_columns)], lambda _: single_joint_columns(*columns)
         )
 
     others = [c[:, :1] - g[:, :1] for c, g in zip(columns, gammas, strict=True)]
@@ -126,13 +133,13 @@ def test_what_an_encoder_feigns_at_one_joint_raises_the_bar_there_and_a_little_e
         np.linalg.qr(rng.normal(size=(m, 5)))[0] * np.sqrt(m) for m in (60, 40)
     ]  # what one gains, no other does
     first, second = (
-        halved(q[:, :2], rng.normal(size=(len(q), 1)), (np.eye(2), np.zeros(2))) for q in apart
+        single_joint_fold(q[:, :2], rng.normal(size=(len(q), 1)), (np.eye(2), np.zeros(2))) for q in apart
     )
-    shapes = [CandidateModel("drag", 0, nothing), CandidateModel("drag", 1, nothing), CandidateModel("spring", 1, nothing)]
+    shapes = [CandidateModel("drag", 0, unexpected_columns), CandidateModel("drag", 1, unexpected_columns), CandidateModel("spring", 1, unexpected_columns)]
     columns = {
         judge.who(shape): [q[:, 2 + k : 3 + k] for q in apart] for k, shape in enumerate(shapes)
     }
-    one = search.design((first, second), shapes, lambda shape: on_one(*columns[judge.who(shape)]))
+    one = search.design((first, second), shapes, lambda shape: single_joint_columns(*columns[judge.who(shape)]))
     drawn = tuple(5.0 * c.ravel() for c in columns["drag", 0])
     warned = judge.warned(one, [drawn], (np.zeros(60), np.zeros(40)), 0.0, None)  # type: ignore[list-item]
     bars = {judge.who(shape): warned.bar(i) - search.NATS for i, shape in enumerate(warned.shapes)}
@@ -172,9 +179,9 @@ def test_what_remains_is_what_least_squares_leaves():
         rng.normal(size=(len(g), 1)) + 50.0 * c for g, c in zip(gammas, columns, strict=True)
     ]
     first, second = (
-        halved(g, t, (np.zeros((0, 3)), np.zeros(0))) for g, t in zip(gammas, torques, strict=True)
+        single_joint_fold(g, t, (np.zeros((0, 3)), np.zeros(0))) for g, t in zip(gammas, torques, strict=True)
     )
-    one = search.design((first, second), [CandidateModel("drag", 0, nothing)], lambda _: on_one(*columns))
+    one = search.design((first, second), [CandidateModel("drag", 0, unexpected_columns)], lambda _: single_joint_columns(*columns))
     y = np.concatenate(torques)
     for chosen, wide in (
         ((), gammas),
@@ -207,17 +214,17 @@ def test_a_grid_is_left_for_the_value_between_its_neighbours(monkeypatch):
     rng = np.random.default_rng(1)
     x = np.linspace(0.0, 1.0, 400)
     halves = [
-        halved(
-            np.ones((400, 1)), 5.0 * x[:, None] ** 1.7 + 0.1 * rng.normal(size=(400, 1)), EMPTY, 0.1
+        single_joint_fold(
+            np.ones((400, 1)), 5.0 * x[:, None] ** 1.7 + 0.1 * rng.normal(size=(400, 1)), NO_KNOWN_COLUMNS, 0.1
         )
     ] * 2
 
     def build(shape: CandidateModel) -> tuple[Columns, Columns]:
         column = x[:, None] ** shape.values["power"] / 0.1
-        return on_one(column, column)
+        return single_joint_columns(column, column)
 
     shapes = list(
-        family((1.0, 1.4, 2.0, 2.8), lambda power: CandidateModel("drag", 0, nothing, {"power": power}))
+        family((1.0, 1.4, 2.0, 2.8), lambda power: CandidateModel("drag", 0, unexpected_columns, {"power": power}))
     )
     one = search.design((halves[0], halves[1]), shapes, build)
     coarse = max(range(4), key=lambda i: search.trial(one, [i]).gain)
@@ -238,10 +245,10 @@ def test_a_value_that_no_grid_has_is_found_from_kin_to_kin():
     x = np.linspace(0.0, 1.0, 400)
     noise_of = np.random.default_rng(1).normal(size=(400, 1))
     halves = [
-        halved(
+        single_joint_fold(
             np.ones((400, 1)),
             5.0 * np.exp(-4.0 * x[:, None]) * np.sin(9.0 * x[:, None]) + 0.1 * noise_of,
-            EMPTY,
+            NO_KNOWN_COLUMNS,
             0.1,
         )
     ] * 2
@@ -252,7 +259,7 @@ def test_a_value_that_no_grid_has_is_found_from_kin_to_kin():
             return CandidateModel(
                 "drag",
                 0,
-                nothing,
+                unexpected_columns,
                 {"speed": speed, "damping": damping},
                 variants=lambda: beside(speed, 1.2, map(rung, near)),
             )
@@ -265,7 +272,7 @@ def test_a_value_that_no_grid_has_is_found_from_kin_to_kin():
             * np.sin(shape.values["speed"] * x[:, None])
             / 0.1
         )
-        return on_one(column, column)
+        return single_joint_columns(column, column)
 
     one = search.design(
         (halves[0], halves[1]), list(family((4.0, 6.0, 10.0, 16.0), rung(1.0))), build
@@ -352,7 +359,7 @@ def test_what_hides_behind_another_effect_is_found_beside_it(subject):
     def both(t: Array, q: Array, dq: Array, tau: Array) -> Array:
         out = PLANTED["stribeck"][0](t, q, dq, tau)
         speed = dq[:, 0] - 0.7 * dq[:, 1]
-        out[:, 0] += 3.0 * np.tanh(speed / WIDTH) + 0.5 * speed
+        out[:, 0] += 3.0 * np.tanh(speed / FRICTION_WIDTH) + 0.5 * speed
         return out
 
     result = found(subject, both)
@@ -364,7 +371,7 @@ def test_what_hides_behind_another_effect_is_found_beside_it(subject):
 
 def test_friction_that_warms_up_to_a_tenth_is_named(subject):
     def warmed(t: Array, q: Array, dq: Array, tau: Array) -> Array:
-        friction = 1.5 * np.tanh(dq[:, 0] / WIDTH) + 0.4 * dq[:, 0]
+        friction = 1.5 * np.tanh(dq[:, 0] / FRICTION_WIDTH) + 0.4 * dq[:, 0]
         return on(0, friction * np.exp(-t / t[-1] * 2.0))
 
     first = found(subject, warmed).verdict.chosen[0]
@@ -372,7 +379,7 @@ def test_friction_that_warms_up_to_a_tenth_is_named(subject):
 
 
 def test_what_is_trusted_is_kept_to_the_digit(subject):
-    psi = perturbed(subject.parameters, np.random.default_rng(4))
+    psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
     load = np.zeros(len(psi))
     load[10:14] = 0.4 * np.array([1.0, 0.05, 0.02, 0.1])
 
@@ -401,7 +408,7 @@ def derivatives(recording: Recording) -> Samples:
 
 @pytest.mark.parametrize(("roll", "pitch"), [(0.004, -0.006), (0.2, -0.3), (-0.3, 0.2)])
 def test_a_base_that_leans_is_told_with_its_sign(subject, roll, pitch):
-    psi = perturbed(subject.parameters, np.random.default_rng(4))
+    psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
 
     def leant(recording: Recording) -> Recording:
         body = recorded_motion.fitted_robot(subject.robot, subject.parameters, psi)
@@ -461,8 +468,8 @@ def test_rows_that_do_not_count_change_nothing():
         )
         return search.design(
             (half, half),
-            [CandidateModel("drag", 0, nothing)],
-            lambda _: on_one(c * seen[:, None], c * seen[:, None]),
+            [CandidateModel("drag", 0, unexpected_columns)],
+            lambda _: single_joint_columns(c * seen[:, None], c * seen[:, None]),
         )
 
     part = designed(gamma, column, torque + 9.0 * ~counts[:, None], counts)

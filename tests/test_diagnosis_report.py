@@ -11,7 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made import WIDTH, motion, perturbed, recorded, two_links
+from synthetic_recordings import (
+    FRICTION_WIDTH,
+    perturbed_parameters,
+    random_fourier,
+    synthetic_recording,
+    two_link_model,
+)
 from test_report import answer, check_page, section
 
 from excite.diagnosis import diagnosis, residual_atlas
@@ -49,14 +55,14 @@ def noisy(result: Recording, seed: int) -> Recording:
 @cache
 def diagnosis_of(amplitude: float) -> Diagnosis:
     """Diagnose two links whose second joint has Stribeck friction of an amplitude [N m]."""
-    model = two_links()
-    psi = perturbed(model.parameters, np.random.default_rng(3))
+    model = two_link_model()
+    psi = perturbed_parameters(model.parameters, np.random.default_rng(3))
     both = []
     for seed, name in ((1, "train.csv"), (2, "validate.csv")):
-        result = noisy(recorded(model, psi, motion(2, seed), 3.0, 0.0), seed)
+        result = noisy(synthetic_recording(model, psi, random_fourier(2, seed), 3.0, 0.0), seed)
         dq = np.gradient(result.q, 1.0 / result.rate, axis=0)[:, 1]
         extra = np.column_stack(
-            [0.0 * dq, amplitude * np.exp(-((dq / 0.3) ** 2)) * np.tanh(dq / WIDTH)]
+            [0.0 * dq, amplitude * np.exp(-((dq / 0.3) ** 2)) * np.tanh(dq / FRICTION_WIDTH)]
         )
         both.append(dataclasses.replace(result, source=name, tau=result.tau + extra))
     options = diagnosis.DiagnosisOptions(
@@ -70,11 +76,11 @@ def diagnosis_of(amplitude: float) -> Diagnosis:
 @cache
 def sloshing() -> Diagnosis:
     """Diagnose two links with a sloshing liquid: an oscillator excited by acceleration."""
-    model = two_links()
-    psi = perturbed(model.parameters, np.random.default_rng(3))
+    model = two_link_model()
+    psi = perturbed_parameters(model.parameters, np.random.default_rng(3))
     both = []
     for seed, name in ((1, "train.csv"), (2, "validate.csv")):
-        result = noisy(recorded(model, psi, motion(2, seed), 3.0, 0.0), seed)
+        result = noisy(synthetic_recording(model, psi, random_fourier(2, seed), 3.0, 0.0), seed)
         ddq = np.gradient(np.gradient(result.q[:, 1], 1.0 / result.rate), 1.0 / result.rate)
         omega, damping, place, speed, felt = 2.0 * np.pi * 0.45, 0.04, 0.0, 0.0, []
         for push in ddq:

@@ -19,15 +19,21 @@ import pytest
 from document_mutations import mutated
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made import motion, perturbed, recorded, two_links, written
 from shared_inputs import INPUTS, needs_inputs
+from synthetic_recordings import (
+    perturbed_parameters,
+    random_fourier,
+    synthetic_recording,
+    two_link_model,
+    write_recording,
+)
 
 from excite import recordings
 from excite.cli.main import main
 from excite.collision import scene_file
 from excite.diagnosis import fitted_effects
 from excite.effects import EFFECTS, recorded_motion
-from excite.effects.effect import RecordingDelay, CandidateModel
+from excite.effects.effect import CandidateModel, RecordingDelay
 from excite.errors import ExciteError, ExciteWarning, UnusableInput
 from excite.identification import identification, prior, segments
 from excite.robot import inertial_parameters, limits
@@ -464,10 +470,10 @@ def test_a_mutated_trajectory_is_exported_or_refused(designed, tmp_path_factory,
 def identified(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a recording of a two-link robot, a short one, and the model of the first."""
     folder = tmp_path_factory.mktemp("identified")
-    subject = two_links()
-    psi = perturbed(subject.parameters, np.random.default_rng(4))
-    written(recorded(subject, psi, motion(2, 2), 3, 0.2), folder / "train.csv")
-    written(recorded(subject, psi, motion(2, 5), 0.6, 0.2), folder / "short.csv")
+    subject = two_link_model()
+    psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
+    write_recording(synthetic_recording(subject, psi, random_fourier(2, 2), 3, 0.2), folder / "train.csv")
+    write_recording(synthetic_recording(subject, psi, random_fourier(2, 5), 0.6, 0.2), folder / "short.csv")
     (folder / "short.json").unlink()
     assert run("identify", "two_link", folder / "train.csv", "-o", folder / "model").code == 0
     return folder
@@ -699,9 +705,9 @@ def test_the_mutations_change_something():
 @pytest.fixture(scope="module")
 def tracks() -> list[recorded_motion.RecordedMotion]:
     """Two stretches of a two-link robot that is touched once, with temperatures."""
-    subject = two_links()
-    psi = perturbed(subject.parameters, np.random.default_rng(4))
-    whole_recording = recorded(subject, psi, motion(2, 1), 3.0, 0.1)
+    subject = two_link_model()
+    psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
+    whole_recording = synthetic_recording(subject, psi, random_fourier(2, 1), 3.0, 0.1)
     torque = whole_recording.torque.copy()
     torque[3000:3200] += 5.0
     warm = np.outer(np.linspace(20.0, 40.0, len(torque)), [1.0, 1.2])

@@ -7,7 +7,12 @@ import types
 
 import numpy as np
 import pytest
-from made import EMPTY, halved, nothing, on_one
+from synthetic_recordings import (
+    NO_KNOWN_COLUMNS,
+    single_joint_columns,
+    single_joint_fold,
+    unexpected_columns,
+)
 from test_diagnose import on, recordings_of
 from test_predicted import fitted_with, stated
 
@@ -148,14 +153,14 @@ def test_noise_in_a_column_of_measured_torque_is_no_saturation():
     """Where friction is nearly all of a torque, powers of what was measured have nothing but noise that the base model does not take."""
     rng, way = np.random.default_rng(2), np.sign(np.sin(np.linspace(0.0, 40.0, 600)))
     measured = [1.7 * way + 0.018 * rng.normal(size=600) for _ in range(2)]
-    halves = [halved(way[:, None], x[:, None], EMPTY, 0.018) for x in measured]
+    halves = [single_joint_fold(way[:, None], x[:, None], NO_KNOWN_COLUMNS, 0.018) for x in measured]
 
     def found(slope: float) -> list[bool]:
-        shape = CandidateModel("torque_saturation", 0, nothing, noisy=lambda c: abs(float(c[0])) * slope)
+        shape = CandidateModel("torque_saturation", 0, unexpected_columns, noisy=lambda c: abs(float(c[0])) * slope)
         one = search.design(
             (halves[0], halves[1]),
             [shape],
-            lambda _: on_one(*((x**3 / 2.7**2 / 0.018)[:, None] for x in measured)),
+            lambda _: single_joint_columns(*((x**3 / 2.7**2 / 0.018)[:, None] for x in measured)),
         )
         return [
             h.shows

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from made import motion, perturbed, recorded
+from synthetic_recordings import perturbed_parameters, random_fourier, synthetic_recording
 
 from excite.cli.diagnose import _text
 from excite.diagnosis import diagnosis, gear_encoders, residual_atlas
@@ -29,10 +29,10 @@ def lag(subject: IdentificationModel, psi: Array, recording: Recording, dq: Arra
 
 
 def both(subject: IdentificationModel, *, linked: bool = True, stiff: bool = False) -> list[Recording]:
-    psi, out = perturbed(subject.parameters, np.random.default_rng(4)), []
+    psi, out = perturbed_parameters(subject.parameters, np.random.default_rng(4)), []
     for seed in (2, 5):
-        fourier = motion(2, seed)
-        one = recorded(subject, psi, fourier, 4, 0.1)
+        fourier = random_fourier(2, seed)
+        one = synthetic_recording(subject, psi, fourier, 4, 0.1)
         s, rng = fourier.samples(one.t), np.random.default_rng(seed)
         behind = np.full(one.q.shape, 0.02) if stiff else lag(subject, psi, one, s.dq, s.ddq)
         link = one.q - behind + 2e-5 * rng.normal(size=one.q.shape) if linked else None

@@ -12,8 +12,7 @@ from excite.designer import optimize
 from excite.designer.criteria import Criterion
 from excite.designer.evaluator import ConstraintRows, Evaluator
 from excite.designer.initial_guess import stationary_variables
-from excite.designer.options import WorkspaceBox
-from excite.designer.options import DesignOptions
+from excite.designer.options import DesignOptions, WorkspaceBox
 from excite.robot import dynamics
 from excite.robot.limits import resolve
 from excite.robot.robot import load

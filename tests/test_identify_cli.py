@@ -9,7 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import states, text_of
-from made import motion, perturbed, recorded, two_links, written
+from synthetic_recordings import (
+    perturbed_parameters,
+    random_fourier,
+    synthetic_recording,
+    two_link_model,
+    write_recording,
+)
 
 from excite.cli import main as main_module
 from excite.designer import pipeline
@@ -21,10 +27,10 @@ from excite.robot import dynamics, inertial_parameters, limits, robot
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two recordings of a two-link robot that is not quite its URDF, and the model that was identified from them."""
     folder = tmp_path_factory.mktemp("identify")
-    subject = two_links()
-    psi = perturbed(subject.parameters, np.random.default_rng(4))
+    subject = two_link_model()
+    psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
     for name, seed in (("train", 2), ("other", 5)):
-        written(recorded(subject, psi, motion(2, seed), 3, 0.2), folder / f"{name}.csv")
+        write_recording(synthetic_recording(subject, psi, random_fourier(2, seed), 3, 0.2), folder / f"{name}.csv")
     assert (
         run(
             "identify",
@@ -124,7 +130,7 @@ def test_locked_joints_meshes_and_comments_survive(tmp_path):
     machine = robot.load("ur10e", lock={"wrist_2_joint": 0.7, "wrist_3_joint": -0.3})
     table = limits.resolve(machine)
     standard = inertial_parameters.standard(machine, table)
-    psi = perturbed(standard, np.random.default_rng(1))
+    psi = perturbed_parameters(standard, np.random.default_rng(1))
     path = tmp_path / "identified.urdf"
     path.write_text(identified_urdf(machine, standard, psi, np.full(machine.n, 0.003)))
     assert path.read_text().count("<!--") == text_of("ur10e").count("<!--")

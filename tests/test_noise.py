@@ -6,7 +6,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-from made import PERIOD, motion, perturbed, recorded, torque
+from synthetic_recordings import (
+    PERIOD,
+    perturbed_parameters,
+    random_fourier,
+    rnea_torque,
+    synthetic_recording,
+)
 
 from excite.diagnosis import noise
 from excite.effects import recorded_motion
@@ -20,8 +26,8 @@ Array = np.ndarray
 
 def measured(subject: IdentificationModel, change: float = 0.0, step: float = 0.0) -> tuple[Array, Array]:
     """Noise found and the RMS that the base model leaves, of a periodic recording whose torque noise is known to be 0.1 N m."""
-    psi = perturbed(subject.parameters, np.random.default_rng(4))
-    recording = recorded(subject, psi, motion(2, 1), 3.0, 0.1)
+    psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
+    recording = synthetic_recording(subject, psi, random_fourier(2, 1), 3.0, 0.1)
     q = recording.q + change * np.random.default_rng(7).normal(size=recording.q.shape)
     recording = dataclasses.replace(recording, q=np.round(q / step) * step if step else q)
     done = identification.identify(
@@ -54,8 +60,8 @@ def test_the_floor_is_what_a_right_model_leaves_whatever_is_noisy(subject, chang
 
 
 def test_a_period_is_found_where_nobody_states_it(subject):
-    psi = perturbed(subject.parameters, np.random.default_rng(4))
-    stated = recorded(subject, psi, motion(2, 1), 3.0, 0.1)
+    psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
+    stated = synthetic_recording(subject, psi, random_fourier(2, 1), 3.0, 0.1)
     assert stated.sidecar.period is not None
     silent = dataclasses.replace(
         stated, sidecar=dataclasses.replace(stated.sidecar, period=None, periodic=None)
@@ -64,24 +70,24 @@ def test_a_period_is_found_where_nobody_states_it(subject):
     assert found_period is not None and found_period[0] == pytest.approx(
         stated.sidecar.period, abs=2e-3
     )
-    once = recorded(subject, psi, motion(2, 1, 9.0), 1.0, 0.1, period=None, periodic=None)
+    once = synthetic_recording(subject, psi, random_fourier(2, 1, 9.0), 1.0, 0.1, period=None, periodic=None)
     assert noise._period(once) is None
 
 
 def wavering(subject: IdentificationModel, psi: Array, fourier: FourierSeries, periods: float, by: float) -> Recording:
     """Positions and torque both read a little earlier or later than the clock says, all joints at once. by: [s]."""
-    one = recorded(subject, psi, fourier, periods, 0.0)
+    one = synthetic_recording(subject, psi, fourier, periods, 0.0)
     rng = np.random.default_rng(len(one.t))
     s = fourier.samples(one.t + by * rng.normal(size=len(one.t)))
-    noisy = torque(subject, psi, s.q, s.dq, s.ddq) + 0.02 * rng.normal(size=s.q.shape)
+    noisy = rnea_torque(subject, psi, s.q, s.dq, s.ddq) + 0.02 * rng.normal(size=s.q.shape)
     return dataclasses.replace(one, q=s.q, tau=noisy, source=f"{periods:g}.csv")
 
 
 @pytest.mark.parametrize(("by", "most"), [(1e-4, 5.0), (0.0, 1.8)])
 def test_a_clock_that_wavers_is_louder_where_momentum_is_more(subject, by, most):
     """A recording that repeats, and a faster one that does not: what a right model leaves of both is foretold."""
-    psi, other = perturbed(subject.parameters, np.random.default_rng(4)), motion(2, 2)
-    slow = wavering(subject, psi, motion(2, 1), 4.0, by)
+    psi, other = perturbed_parameters(subject.parameters, np.random.default_rng(4)), random_fourier(2, 2)
+    slow = wavering(subject, psi, random_fourier(2, 1), 4.0, by)
     fast = wavering(
         subject,
         psi,

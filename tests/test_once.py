@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from made import motion, perturbed, recorded
+from synthetic_recordings import perturbed_parameters, random_fourier, synthetic_recording
 
 from excite.diagnosis import belief, diagnosis, once
 from excite.diagnosis.diagnosis import Diagnosis
@@ -20,9 +20,9 @@ def struck(subject: IdentificationModel, again: float) -> Diagnosis:
     """A robot that something pushes at its first link for a while, and `again` times as hard in each further period."""
     pair = []
     for seed in (2, 5):
-        fourier = motion(2, seed)
-        one = recorded(
-            subject, perturbed(subject.parameters, np.random.default_rng(4)), fourier, 2, 0.0
+        fourier = random_fourier(2, seed)
+        one = synthetic_recording(
+            subject, perturbed_parameters(subject.parameters, np.random.default_rng(4)), fourier, 2, 0.0
         )
         turns, within = np.divmod(one.t, fourier.period)
         u = (within / fourier.period - 0.4) / 0.05
@@ -57,10 +57,10 @@ def test_a_touch_that_lasts_for_longer_than_a_period_is_not_what_comes_again(sub
     """A period later it is still the same."""
     pair = []
     for seed in (2, 5):
-        fourier = motion(2, seed)
+        fourier = random_fourier(2, seed)
         fourier = dataclasses.replace(fourier, period=fourier.period / 2.6)
-        one = recorded(
-            subject, perturbed(subject.parameters, np.random.default_rng(4)), fourier, 20, 0.0
+        one = synthetic_recording(
+            subject, perturbed_parameters(subject.parameters, np.random.default_rng(4)), fourier, 20, 0.0
         )
         push = 3.0 * ((one.t > 5.0) & (one.t < 5.0 + 3.0 * fourier.period) & (seed == 2))
         noise = 0.1 * np.random.default_rng(seed).normal(size=one.q.shape)

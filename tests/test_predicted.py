@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made import WIDTH, perturbed
+from synthetic_recordings import FRICTION_WIDTH, perturbed_parameters
 from test_diagnose import PLANTED, found, recordings_of
 
 from excite.diagnosis import fitted_effects
@@ -51,13 +51,13 @@ def test_what_was_found_is_predicted_and_gone_from_the_recording(subject):
 
 def fitted_with(subject: IdentificationModel, effects: tuple[dict[str, Any], ...]) -> IdentifiedModel:
     documents = tuple(validated(effect) for effect in effects)
-    psi = perturbed(subject.parameters, np.random.default_rng(4))
+    psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
     return IdentifiedModel(
         "model.json",
         subject.robot,
         subject.parameters.drive,
         psi,
-        np.full(2, WIDTH),
+        np.full(2, FRICTION_WIDTH),
         20.0,
         documents,
     )

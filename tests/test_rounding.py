@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made import simulated
+from synthetic_recordings import true_parameters
 
 from excite import recordings
 from excite.diagnosis import noise
@@ -160,7 +160,7 @@ def test_what_steps_are_said_to_feign_is_of_the_size_of_what_they_do(tmp_path):
         setting,
         periods=1,
     )
-    true = simulated(fine.plant, standard, table)
+    true = true_parameters(fine.plant, standard, table)
     model = IdentificationModel(
         machine, standard, base_parameters.find(machine, standard, table), fine.plant.drive.width
     )

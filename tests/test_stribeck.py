@@ -7,8 +7,14 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
-from made import WIDTH, motion, nothing, perturbed, recorded
 from scipy.interpolate import CubicSpline
+from synthetic_recordings import (
+    FRICTION_WIDTH,
+    perturbed_parameters,
+    random_fourier,
+    synthetic_recording,
+    unexpected_columns,
+)
 from test_diagnose import on
 
 from excite.diagnosis import diagnosis, fitted_effects, interval
@@ -38,11 +44,11 @@ class Creeping(FourierSeries):
 
 
 def creeping(subject, law) -> list[Recording]:
-    psi, out = perturbed(subject.parameters, np.random.default_rng(4)), []
+    psi, out = perturbed_parameters(subject.parameters, np.random.default_rng(4)), []
     for seed in (2, 5):
-        plain = motion(2, seed)
+        plain = random_fourier(2, seed)
         slow = Creeping(plain.sine, plain.cosine, plain.offset, plain.period)
-        one = recorded(subject, psi, slow, 4, 0.0)
+        one = synthetic_recording(subject, psi, slow, 4, 0.0)
         noise = 0.02 * np.random.default_rng(seed).normal(size=one.q.shape)
         out.append(
             dataclasses.replace(
@@ -65,13 +71,13 @@ LAWS = {
 def test_a_joint_that_creeps_as_it_turns_back_tells_how_high_stribecks_curve_is(subject, law):
     """The base fit, which knows nothing of it, takes friction's step for five times as sharp as it is, and half of the curve with it."""
     train, held_out = creeping(
-        subject, lambda v: HEIGHT * np.tanh(v / WIDTH) * LAWS[law](np.abs(v) / VELOCITY)
+        subject, lambda v: HEIGHT * np.tanh(v / FRICTION_WIDTH) * LAWS[law](np.abs(v) / VELOCITY)
     )
     result = diagnosis.diagnose(
         subject.robot, subject.parameters, subject.base, [train], [held_out]
     )
     assert [(f.main.effect, f.main.joint) for f in result.verdict.findings] == [("stribeck", 0)]
-    assert result.identified.model.widths[0] < 0.3 * WIDTH
+    assert result.identified.model.widths[0] < 0.3 * FRICTION_WIDTH
     told = interval.finding_parameters(result.design, result.verdict, 0)
     assert told["amplitude"][0] == pytest.approx(HEIGHT, rel=0.05)
     assert told["velocity"][0] == pytest.approx(VELOCITY, rel=0.05)
@@ -94,7 +100,7 @@ def test_values_that_make_up_for_each_other_are_turned_together():
         return -1e3 * (x + y - 0.5) ** 2 - 2.0 * (x - y + 1.0) ** 2
 
     def shape(values: Mapping[str, float]) -> CandidateModel:
-        return CandidateModel("drag", 0, nothing, dict(values))
+        return CandidateModel("drag", 0, unexpected_columns, dict(values))
 
     best, most = NonlinearParameterSet({"a": (2.0, 0.1, 4.0), "b": (1.0, 0.1, 4.0)}, shape).best(gain, -1e9)
     assert most > -0.1 and len(asked) < 150

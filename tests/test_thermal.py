@@ -6,8 +6,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from made import WIDTH, perturbed
 from scipy import integrate
+from synthetic_recordings import FRICTION_WIDTH, perturbed_parameters
 from test_diagnose import found, on, recordings_of
 from test_predicted import fitted_with, stated
 
@@ -29,7 +29,7 @@ DAYS = (24.0, 30.0), (38.0, 33.0)
 
 def days(subject: IdentificationModel, dry: bool) -> list[Recording]:
     """Two recordings, the second warmer; only the first joint has a sensor. dry: Coulomb friction changes as viscous friction does."""
-    psi = perturbed(subject.parameters, np.random.default_rng(4))
+    psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
     coulomb, viscous = (
         float(psi[subject.parameters.block(kind)][0]) for kind in ("coulomb", "viscous")
     )
@@ -40,7 +40,7 @@ def days(subject: IdentificationModel, dry: bool) -> list[Recording]:
         changed = (
             PER_DEGREE
             * (degrees - DAYS[0][0])
-            * (viscous * speed + dry * coulomb * np.tanh(speed / WIDTH))
+            * (viscous * speed + dry * coulomb * np.tanh(speed / FRICTION_WIDTH))
         )
         warm = np.column_stack([degrees, np.full(len(degrees), np.nan)])
         out.append(dataclasses.replace(one, tau=one.torque + on(0, changed), temperature=warm))
@@ -90,14 +90,14 @@ def test_a_prediction_needs_the_temperature_that_friction_depends_on(subject):
 
 def test_a_joint_that_its_own_friction_heats_cools_where_it_slows_down(subject):
     """T ϑ̇ = p/p̄ − ϑ over motions that begin and end at rest: by run time alone the time constant would be another."""
-    psi = perturbed(subject.parameters, np.random.default_rng(4))
+    psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
     coulomb, viscous = (
         float(psi[subject.parameters.block(kind)][0]) for kind in ("coulomb", "viscous")
     )
     constant, change, recordings, powers = 4.0, -0.5, [], []
     for one in recordings_of(subject, None):
         speed = np.gradient(one.q[:, 0], one.t)
-        friction = coulomb * np.tanh(speed / WIDTH) + viscous * speed
+        friction = coulomb * np.tanh(speed / FRICTION_WIDTH) + viscous * speed
         recordings.append((one, friction, friction * speed))
         powers.append(float(np.mean(friction * speed)))
     made = []

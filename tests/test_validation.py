@@ -10,8 +10,8 @@ import pytest
 from conftest import off
 
 from excite.designer import motion_overlap, pipeline, validation_trajectory
-from excite.designer.pipeline import CertifiedDesign
 from excite.designer.options import DesignOptions
+from excite.designer.pipeline import CertifiedDesign
 from excite.designer.validation_trajectory import ValidationDesign, torque_correlation
 from excite.robot import base_parameters, dynamics, inertial_parameters
 from excite.robot.limits import Limits

@@ -15,8 +15,8 @@ from excite import _json
 from excite.designer import certificate as certificate_module
 from excite.designer import constraint_margins, pipeline, ramps
 from excite.designer.certificate import Certificate
-from excite.designer.pipeline import CertifiedDesign
 from excite.designer.options import WorkspaceBox
+from excite.designer.pipeline import CertifiedDesign
 from excite.errors import UnusableInput
 from excite.robot import dynamics, inertial_parameters
 from excite.robot.limits import Limits, resolve

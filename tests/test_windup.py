@@ -11,9 +11,9 @@ import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from made import bodied, perturbed
 from scipy import integrate
 from scipy.interpolate import CubicSpline
+from synthetic_recordings import perturbed_parameters, pinocchio_model
 from test_diagnose import found
 
 from excite.diagnosis import interval
@@ -118,7 +118,7 @@ def swung(
 def test_a_link_on_a_spring_that_is_hardly_damped_is_found_between_any_that_are_tried(
     subject, stiffness
 ):
-    bodies = bodied(subject, perturbed(subject.parameters, np.random.default_rng(4)))
+    bodies = pinocchio_model(subject, perturbed_parameters(subject.parameters, np.random.default_rng(4)))
     result = found(subject, lambda t, q, dq, tau: swung(bodies, stiffness, 0.05, t, q, False)[1])
     assert [(h.effect, h.joint) for h in result.verdict.chosen] == [("elasticity", 1)]
     told, _ = interval.finding_parameters(result.design, result.verdict, 0)["stiffness"]

@@ -27,20 +27,20 @@ if TYPE_CHECKING:  # of an extra that need not be there
 
 Array = np.ndarray
 PERIOD, RATE = 5.2, 500.0
-WIDTH = 0.004
+FRICTION_WIDTH = 0.004
 
 
-def two_links() -> IdentificationModel:
+def two_link_model() -> IdentificationModel:
     """The built-in two-link robot with all parameters, and friction steps of WIDTH."""
     machine = robot.load("two_link")
     table = limits.resolve(machine)
     standard = inertial_parameters.standard(machine, table)
     return IdentificationModel(
-        machine, standard, base_parameters.find(machine, standard, table), np.full(machine.n, WIDTH)
+        machine, standard, base_parameters.find(machine, standard, table), np.full(machine.n, FRICTION_WIDTH)
     )
 
 
-def perturbed(standard: Parameters, rng: np.random.Generator, size: float = 0.1) -> Array:
+def perturbed_parameters(standard: Parameters, rng: np.random.Generator, size: float = 0.1) -> Array:
     psi = consistency.consistent_nominal(standard)
     edge = 10 * standard.bodies
     psi[:edge] += size * standard.scale[:edge, :edge] @ rng.normal(size=edge)
@@ -55,7 +55,7 @@ def perturbed(standard: Parameters, rng: np.random.Generator, size: float = 0.1)
     return psi
 
 
-def simulated(plant: SimulatedRobot, standard: Parameters, table: Limits) -> Array:
+def true_parameters(plant: SimulatedRobot, standard: Parameters, table: Limits) -> Array:
     """ψ of a robot that was simulated: its bodies, and what its drives are."""
     psi = inertial_parameters.standard(loaded(plant.tree.text), table).nominal.copy()
     for kind, name in (
@@ -68,7 +68,7 @@ def simulated(plant: SimulatedRobot, standard: Parameters, table: Limits) -> Arr
     return psi
 
 
-def bodied(model: IdentificationModel, psi: Array) -> pin.Model:
+def pinocchio_model(model: IdentificationModel, psi: Array) -> pin.Model:
     """Pinocchio's model with those bodies."""
     own = model.robot.model.copy()
     for i in range(model.parameters.bodies):
@@ -76,9 +76,9 @@ def bodied(model: IdentificationModel, psi: Array) -> pin.Model:
     return own
 
 
-def torque(model: IdentificationModel, psi: Array, q: Array, dq: Array, ddq: Array) -> Array:
+def rnea_torque(model: IdentificationModel, psi: Array, q: Array, dq: Array, ddq: Array) -> Array:
     """Inverse dynamics of a model with those bodies, by Pinocchio's rnea and not by a regressor."""
-    standard, own = model.parameters, bodied(model, psi)
+    standard, own = model.parameters, pinocchio_model(model, psi)
     data = own.createData()
     rigid = np.array([pin.rnea(own, data, *state) for state in zip(q, dq, ddq, strict=True)])
     drive = {kind: psi[standard.block(kind)] for kind in standard.drive}
@@ -86,22 +86,22 @@ def torque(model: IdentificationModel, psi: Array, q: Array, dq: Array, ddq: Arr
         rigid
         + drive["rotor_inertia"] * ddq
         + drive["viscous"] * dq
-        + drive["coulomb"] * np.tanh(dq / WIDTH)
+        + drive["coulomb"] * np.tanh(dq / FRICTION_WIDTH)
         + drive["offset"]
     )
 
 
-def motion(n: int, seed: int = 0, period: float = PERIOD) -> FourierSeries:
+def random_fourier(n: int, seed: int = 0, period: float = PERIOD) -> FourierSeries:
     rng = np.random.default_rng(seed)
     return FourierSeries(rng.normal(0.0, 0.7, (n, 4)), rng.normal(0.0, 0.7, (n, 4)), np.zeros(n), period)
 
 
-def recorded(
+def synthetic_recording(
     model: IdentificationModel, psi: Array, fourier: FourierSeries, periods: float, noise: float, **side: object
 ) -> Recording:
     t = np.arange(round(periods * fourier.period * RATE) + 1) / RATE
     s = fourier.samples(t)
-    exact = torque(model, psi, s.q, s.dq, s.ddq)
+    exact = rnea_torque(model, psi, s.q, s.dq, s.ddq)
     rng = np.random.default_rng(1)
     sidecar = Sidecar(**({"period": fourier.period, "periodic": (0.0, float(t[-1]))} | side))  # type: ignore[arg-type]
     return Recording(
@@ -115,7 +115,7 @@ def recorded(
     )
 
 
-def written(recording: Recording, path: Path, decimals: int = 9) -> Path:
+def write_recording(recording: Recording, path: Path, decimals: int = 9) -> Path:
     """The contract's CSV and its sidecar."""
     names = [f"{kind}.{joint}" for kind in ("q", "tau") for joint in recording.joints]
     table = np.hstack([recording.t[:, None], recording.q, recording.torque])
@@ -138,20 +138,20 @@ def written(recording: Recording, path: Path, decimals: int = 9) -> Path:
     return path
 
 
-EMPTY = (np.zeros((0, 1)), np.zeros(0))
+NO_KNOWN_COLUMNS = (np.zeros((0, 1)), np.zeros(0))
 
 
-def nothing(track: RecordedMotion, shape: CandidateModel) -> Array:
+def unexpected_columns(track: RecordedMotion, shape: CandidateModel) -> Array:
     raise AssertionError("not asked for")
 
 
-def halved(gamma: Array, torque: Array, known: tuple[Array, Array], scale: float = 1.0) -> Half:
+def single_joint_fold(gamma: Array, torque: Array, known: tuple[Array, Array], scale: float = 1.0) -> Half:
     """Of a robot with one joint, which never rests."""
     return whitened(
         [gamma[:, None, :]], [torque], [np.ones(torque.shape, bool)], np.full(1, scale), known
     )
 
 
-def on_one(first: Array, second: Array) -> tuple[Columns, Columns]:
+def single_joint_columns(first: Array, second: Array) -> tuple[Columns, Columns]:
     """Columns of both halves, of a robot with one joint."""
     return Columns.of(first[:, None]), Columns.of(second[:, None])

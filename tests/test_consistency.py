@@ -1,0 +1,83 @@
+"""Physically consistent estimates: consistency for any data, optimality, bounds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import loaded, random_urdf
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from excite.errors import UnusableInput
+from excite.identification import consistency
+from excite.identification.consistency import Bounds, Prior
+from excite.identification.inertia_distance import Distance
+from excite.robot import inertial_parameters, limits, robot
+from excite.robot.inertial_parameters import Parameters
+
+
+@pytest.fixture(scope="module")
+def standard() -> Parameters:
+    machine = robot.load("two_link")
+    return inertial_parameters.standard(machine, limits.resolve(machine))
+
+
+def prior_of(standard: Parameters, kind: Distance = Distance.BREGMAN) -> Prior:
+    edge = 10 * standard.bodies
+    return Prior(
+        consistency.consistent_nominal(standard),
+        kind,
+        1.0,
+        np.ones(standard.count - edge),
+        np.diag(standard.scale)[edge:],
+    )
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 10**6), kind=st.sampled_from(list(Distance)), size=st.floats(0.1, 100.0))
+def test_estimates_are_physically_consistent_for_any_data(seed: int, kind: Distance, size: float):
+    rng = np.random.default_rng(seed)
+    machine = loaded(random_urdf(rng, 3)) if seed % 2 else robot.load("two_link")
+    standard = inertial_parameters.standard(machine, limits.resolve(machine))
+    root = rng.normal(size=(12, standard.count))
+    estimate = consistency.maximum_a_posteriori(
+        standard, root, size * rng.normal(size=12), prior_of(standard, kind)
+    )
+    assert consistency.is_consistent(standard, estimate.psi) and estimate.misfit >= 0.0
+
+
+@pytest.mark.parametrize("kind", list(Distance))
+def test_no_consistent_neighbour_has_a_smaller_objective(standard, kind):
+    rng = np.random.default_rng(3)
+    root, target = rng.normal(size=(10, standard.count)), rng.normal(size=10)
+    prior = prior_of(standard, kind)
+    estimate = consistency.maximum_a_posteriori(standard, root, target, prior)
+
+    def objective(psi: np.ndarray) -> float:
+        return consistency.map_objective(standard, root, target, prior, psi)
+
+    for _ in range(200):
+        neighbour = estimate.psi + 1e-3 * standard.scale @ rng.normal(size=standard.count)
+        if consistency.is_consistent(standard, neighbour):
+            assert objective(neighbour) >= objective(estimate.psi) - 1e-4
+
+
+def test_bounds_of_mass_and_centre_are_respected(standard):
+    mass = standard.nominal[0]
+    box = np.array([[-0.01, -0.01, -0.01], [0.01, 0.01, 0.01]])
+    bounds = Bounds({standard.links[0]: (1.2 * mass, 1.3 * mass)}, {standard.links[1]: box})
+    row = np.zeros((1, standard.count))
+    row[0, 0] = 1e4
+    estimate = consistency.maximum_a_posteriori(
+        standard, row, np.array([1e4 * mass]), prior_of(standard), bounds
+    )
+    assert 1.2 * mass <= estimate.psi[0] < 1.21 * mass
+    assert np.all(np.abs(estimate.psi[11:14] / estimate.psi[10]) <= 0.01 + 1e-9)
+
+
+def test_bounds_of_an_unknown_link_are_refused(standard):
+    row = np.zeros((1, standard.count))
+    with pytest.raises(UnusableInput, match="no moving link 'nobody'"):
+        consistency.maximum_a_posteriori(
+            standard, row, np.array([1.0]), prior_of(standard), Bounds({"nobody": (0.0, 1.0)})
+        )

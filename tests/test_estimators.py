@@ -1,0 +1,131 @@
+"""Estimators of base parameters against known truth: values, covariances, intervals, widths."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from made import PERIOD, WIDTH, motion, perturbed, recorded, two_links
+
+from excite._types import FloatArray
+from excite.identification import estimators, friction_width, regression, segments
+from excite.identification.estimators import Method
+from excite.identification.regression import IdentificationModel, TorqueEquations
+from excite.recordings import Recording
+from excite.trajectory.fourier import FourierSeries
+
+
+@pytest.fixture(scope="module")
+def model() -> IdentificationModel:
+    return two_links()
+
+
+@pytest.fixture(scope="module")
+def truth(model: IdentificationModel) -> FloatArray:
+    """ψ of a robot that differs from the URDF by about 10 %, with friction."""
+    return perturbed(model.parameters, np.random.default_rng(4))
+
+
+def equations_of(
+    model: IdentificationModel, recording: Recording, hertz: float = 20.0
+) -> TorqueEquations:
+    return regression.build_equations(model, segments.extract_segments([recording]), hertz)
+
+
+@pytest.mark.parametrize("method", [Method.OLS, Method.WLS, Method.FULL, Method.HUBER])
+def test_estimators_recover_the_truth_without_noise(model, truth, method):
+    recording = recorded(model, truth, motion(2), 4, 1e-6)
+    estimate = estimators.estimate(equations_of(model, recording), method)
+    # the remaining error is aliasing of the friction steps at the recording's rate
+    assert np.abs(estimate.theta - model.base.matrix @ truth).max() < 2e-2
+
+
+def test_ordinary_least_squares_agrees_with_lstsq(model, truth):
+    equations = equations_of(model, recorded(model, truth, motion(2), 4, 0.3))
+    estimate = estimators.estimate(equations, Method.OLS)
+    stacked = equations.regressor.reshape(-1, model.base.count)
+    expected = np.linalg.lstsq(stacked, equations.torque.ravel(), rcond=None)[0]
+    assert np.allclose(estimate.theta, expected, rtol=1e-8)
+
+
+def test_white_noise_gives_the_covariance_of_weighted_least_squares(model, truth):
+    equations = equations_of(model, recorded(model, truth, motion(2), 40, 0.3))
+    estimate = estimators.estimate(equations, Method.WLS)
+    white = equations.regressor / estimate.noise[:, None]
+    expected = np.linalg.inv(np.einsum("tip,tiq->pq", white, white))
+    assert np.allclose(np.sqrt(np.diag(estimate.covariance) / np.diag(expected)), 1.0, atol=0.25)
+    information = estimate.information_root.T @ estimate.information_root
+    assert np.allclose(np.linalg.inv(information), estimate.covariance, rtol=1e-6)
+
+
+def test_outliers_hardly_change_the_robust_estimate(model, truth):
+    recording = recorded(model, truth, motion(2), 4, 0.1, period=None, periodic=None)
+    disturbed_torque = recording.tau.copy()
+    disturbed_torque[600:700] += 40.0
+    disturbed = dataclasses.replace(recording, tau=disturbed_torque)
+    exact = model.base.matrix @ truth
+    weighted, robust = (
+        estimators.estimate(equations_of(model, disturbed), method)
+        for method in (Method.WLS, Method.HUBER)
+    )
+    deviation = np.sqrt(
+        np.diag(estimators.estimate(equations_of(model, recording)).covariance)
+    )
+    errors = [
+        np.abs((estimate.theta - exact) / deviation).max() for estimate in (weighted, robust)
+    ]
+    assert errors[1] < 0.3 * errors[0]
+    assert robust.outliers > 0.01 and weighted.outliers == 0.0
+
+
+def autoregressive_noise(
+    rng: np.random.Generator, shape: tuple[int, int], pole: float
+) -> FloatArray:
+    """Noise of unit variance; white for pole 0."""
+    out = rng.normal(size=shape)
+    for t in range(1, len(out)):
+        out[t] = pole * out[t - 1] + np.sqrt(1 - pole**2) * out[t]
+    return out
+
+
+@pytest.mark.parametrize("pole", [0.0, 0.97])
+def test_95_percent_intervals_cover_the_truth_under_white_and_coloured_noise(model, truth, pole):
+    exact, covered = model.base.matrix @ truth, []
+    clean = recorded(model, truth, motion(2), 5, 0.0)
+    rng = np.random.default_rng(8)
+    for _ in range(40):
+        noise = 0.5 * autoregressive_noise(rng, clean.tau.shape, pole)
+        equations = equations_of(model, dataclasses.replace(clean, tau=clean.tau + noise))
+        nuisance = np.zeros((len(equations), 2, 2))
+        nuisance[:, [0, 1], [0, 1]] = equations.slopes
+        estimate = estimators.estimate(equations, nuisance=nuisance)
+        half = estimators.interval_half_widths(estimate, np.eye(len(exact)))
+        covered.append(np.abs(estimate.theta - exact) <= half)
+    assert 0.91 < np.mean(covered) < 0.985
+
+
+def test_parameters_that_the_motion_does_not_excite_have_no_interval(model, truth):
+    fourier = motion(2)
+    resting_joint = np.array([[1.0], [0.0]])
+    fourier = FourierSeries(
+        fourier.sine * resting_joint, fourier.cosine * resting_joint, fourier.offset, PERIOD
+    )
+    estimate = estimators.estimate(equations_of(model, recorded(model, truth, fourier, 4, 0.1)))
+    names = [model.parameters.names[i] for i in model.base.independent]
+    variances = np.diag(estimate.covariance)
+    hidden = {
+        name for name, value in zip(names, variances, strict=True) if not np.isfinite(value)
+    }
+    assert {"Fv2", "Fc2"} <= hidden and "Fv1" not in hidden
+    half = estimators.interval_half_widths(estimate, np.eye(len(names)))
+    assert np.isinf(half[names.index("Fv2")]) and np.isfinite(half[names.index("Fv1")])
+
+
+def test_friction_widths_are_estimated(model, truth):
+    parts = list(segments.extract_segments([recorded(model, truth, motion(2), 4, 0.02)]))
+    wide = dataclasses.replace(model, widths=np.full(2, 0.02))
+    fitted = friction_width.fit_widths(
+        wide, regression.build_equations(wide, parts, 20.0), parts
+    )
+    assert np.all(np.abs(np.log(fitted.widths / WIDTH)) < np.log(1.6))

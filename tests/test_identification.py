@@ -1,0 +1,187 @@
+"""The whole identification against known truth, and on a recording of a real machine."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made import PERIOD, motion, perturbed, recorded, two_links
+
+from excite._types import FloatArray
+from excite.identification import consistency, identification
+from excite.identification.identification import Identification, IdentificationOptions
+from excite.identification.inertia_distance import Distance
+from excite.identification.regression import IdentificationModel
+from excite.recordings import Recording
+from excite.robot import base_parameters, inertial_parameters, limits, robot
+from excite.trajectory.fourier import FourierSeries
+
+REAL_RECORDINGS = Path(__file__).resolve().parent.parent.parent / "shared" / "recordings"
+
+
+@pytest.fixture(scope="module")
+def model() -> IdentificationModel:
+    return two_links()
+
+
+@pytest.fixture(scope="module")
+def truth(model: IdentificationModel) -> FloatArray:
+    """ψ of a robot that differs from the URDF by about 10 %, with friction."""
+    return perturbed(model.parameters, np.random.default_rng(4))
+
+
+def identify(
+    model: IdentificationModel, *recordings: Recording, **options: object
+) -> Identification:
+    """Identify from the first recording, validate on the others."""
+    return identification.identify(
+        model.robot,
+        model.parameters,
+        model.base,
+        recordings[:1],
+        recordings[1:],
+        IdentificationOptions(**options),  # type: ignore[arg-type]
+    )
+
+
+def test_validation_torque_is_predicted_to_within_the_noise(model, truth):
+    train, validation = (
+        recorded(model, truth, motion(2), 8, 0.3),
+        recorded(model, truth, motion(2, seed=5), 8, 0.3),
+    )
+    result = identify(model, train, validation)
+    (prediction,) = result.validations
+    ratio = prediction.error() / prediction.noise_floor
+    assert np.all(ratio <= 1.05) and np.all(ratio >= 0.95)
+    assert np.all(prediction.error("nominal") > 2.0 * prediction.noise_floor)
+    assert consistency.is_consistent(model.parameters, result.psi)
+    assert np.all(np.abs(result.delay.seconds) < 5 * result.delay.deviation + 2e-4)
+
+
+def test_a_torque_delay_is_estimated_and_compensated(model, truth):
+    recording = recorded(model, truth, motion(2), 8, 0.05)
+    delayed = dataclasses.replace(
+        recording,
+        tau=np.column_stack(
+            [np.interp(recording.t - 0.004, recording.t, c) for c in recording.tau.T]
+        ),
+    )
+    window = dataclasses.replace(delayed.sidecar, periodic=(PERIOD, 8 * PERIOD))
+    delayed = dataclasses.replace(delayed, sidecar=window)
+    unaligned, aligned = identify(model, delayed), identify(model, delayed, align=True)
+    assert np.allclose(unaligned.delay.seconds, 0.004, atol=6e-4)
+    assert np.all(aligned.data.noise < unaligned.data.noise)
+
+
+def test_evidence_gives_a_correct_nominal_robot_more_weight(model):
+    right = perturbed(model.parameters, np.random.default_rng(0), size=1e-3)
+    wrong = perturbed(model.parameters, np.random.default_rng(0), size=0.15)
+    gammas = [
+        identify(model, recorded(model, psi, motion(2), 4, 0.5)).gamma[0] for psi in (right, wrong)
+    ]
+    assert gammas[0] > 3.0 * gammas[1]
+
+
+@pytest.mark.parametrize("gamma", ["heldout", (3.0, 1e-4)])
+def test_gamma_is_chosen_by_validation_or_used_as_given(model, truth, gamma):
+    result = identify(model, recorded(model, truth, motion(2), 4, 0.3), gamma=gamma)
+    if isinstance(gamma, tuple):
+        assert result.gamma == pytest.approx(gamma)
+    else:
+        assert len(result.gamma_trials) > 5
+    assert consistency.is_consistent(model.parameters, result.psi)
+
+
+def test_trusted_parameters_keep_their_values(model, truth):
+    edge = 10 * model.parameters.bodies
+    trusted = dict(enumerate(truth[:edge].tolist()))
+    result = identify(model, recorded(model, truth, motion(2), 4, 0.3), trusted=trusted)
+    assert np.allclose(result.psi[:edge], truth[:edge], rtol=1e-3, atol=1e-5)
+    friction = model.parameters.block("coulomb")
+    assert np.allclose(result.psi[friction], truth[friction], rtol=0.1)
+
+
+POOR_DATA = {
+    "a joint that hardly moves": lambda f: (
+        FourierSeries(f.sine * [[1.0], [1e-3]], f.cosine * [[1.0], [1e-3]], f.offset, f.period),
+        4.0,
+    ),
+    "a resting robot": lambda f: (
+        FourierSeries(0.0 * f.sine, 0.0 * f.cosine, f.offset + 0.4, f.period),
+        4.0,
+    ),
+    "two seconds": lambda f: (f, 2.0 / PERIOD),
+}
+
+
+@pytest.mark.parametrize("case", list(POOR_DATA))
+def test_poor_data_give_a_consistent_model_with_fewer_identified_directions(model, truth, case):
+    fourier, periods = POOR_DATA[case](motion(2))
+    sidecar = {"period": None, "periodic": None} if periods < 1 else {}
+    poor, rich = (
+        recorded(model, truth, fourier, periods, 0.1, **sidecar),
+        recorded(model, truth, motion(2), 8, 0.1),
+    )
+    result, reference = identify(model, poor), identify(model, rich)
+    assert consistency.is_consistent(model.parameters, result.psi)
+    assert np.isfinite(result.psi).all()
+    assert consistency.is_consistent(model.parameters, result.reduced.psi)
+    counts = [
+        sum(d.identifiable for d in found.analysis.directions) for found in (result, reference)
+    ]
+    assert counts[0] < counts[1]
+    unidentified = " ".join(
+        name
+        for direction in result.analysis.directions
+        if not direction.identifiable
+        for name, share in direction.weights.items()
+        if share > 0.5
+    )
+    if "hardly" in case:
+        assert "Ia2" in unidentified or "Fv2" in unidentified
+    if "resting" in case:
+        assert counts[0] <= 4
+    validation = recorded(model, truth, motion(2, seed=9), 4, 0.1)
+    for kind in (Distance.BREGMAN, Distance.EUCLIDEAN):
+        error = identify(model, poor, validation, distance=kind).validations[0].error()
+        assert np.isfinite(error).all()
+
+
+def test_the_reduced_estimate_keeps_unidentified_directions_nominal(model, truth):
+    fourier, periods = POOR_DATA["a resting robot"](motion(2))
+    result = identify(model, recorded(model, truth, fourier, periods, 0.1))
+    edge = 10 * model.parameters.bodies
+    nominal = consistency.consistent_nominal(model.parameters)
+    change, true_change = (
+        np.linalg.norm(
+            np.linalg.solve(model.parameters.scale[:edge, :edge], (psi - nominal)[:edge])
+        )
+        for psi in (result.reduced.psi, truth)
+    )
+    assert change < true_change
+
+
+def test_torque_of_the_emps_pulses_is_predicted_to_five_percent():
+    """EMPS, pulses of torque that the fit has not seen, both sides filtered below 25 Hz."""
+    if not REAL_RECORDINGS.is_dir():
+        pytest.skip(f"no real recordings at {REAL_RECORDINGS}")
+    from excite import recordings
+
+    machine = robot.load(str(REAL_RECORDINGS / "emps" / "emps.urdf"))
+    table = limits.resolve(machine)
+    standard = inertial_parameters.standard(machine, table)
+    train, pulses = (
+        recordings.read(REAL_RECORDINGS / "emps" / f"{name}.csv", machine)
+        for name in ("train", "validate_pulses")
+    )
+    result = identification.identify(
+        machine,
+        standard,
+        base_parameters.find(machine, standard, table),
+        [train],
+        [pulses],
+        IdentificationOptions(band=25.0),
+    )
+    assert result.validations[0].relative()[0] < 0.049

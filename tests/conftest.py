@@ -20,7 +20,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
-from written import Damage, motion
+from recording_fixtures import DamagedMotion, two_joint_motion
 
 from excite.designer import pipeline
 from excite.designer.options import DesignOptions
@@ -314,8 +314,8 @@ def subject() -> IdentificationModel:
 
 
 @pytest.fixture
-def damage() -> Damage:
-    return Damage(motion())
+def damage() -> DamagedMotion:
+    return DamagedMotion(two_joint_motion())
 
 
 @pytest.fixture(scope="session")

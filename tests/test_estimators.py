@@ -6,7 +6,14 @@ import dataclasses
 
 import numpy as np
 import pytest
-from made import PERIOD, WIDTH, motion, perturbed, recorded, two_links
+from synthetic_recordings import (
+    FRICTION_WIDTH,
+    PERIOD,
+    perturbed_parameters,
+    random_fourier,
+    synthetic_recording,
+    two_link_model,
+)
 
 from excite._types import FloatArray
 from excite.identification import estimators, friction_width, regression, segments
@@ -18,13 +25,13 @@ from excite.trajectory.fourier import FourierSeries
 
 @pytest.fixture(scope="module")
 def model() -> IdentificationModel:
-    return two_links()
+    return two_link_model()
 
 
 @pytest.fixture(scope="module")
 def truth(model: IdentificationModel) -> FloatArray:
     """ψ of a robot that differs from the URDF by about 10 %, with friction."""
-    return perturbed(model.parameters, np.random.default_rng(4))
+    return perturbed_parameters(model.parameters, np.random.default_rng(4))
 
 
 def equations_of(
@@ -35,14 +42,14 @@ def equations_of(
 
 @pytest.mark.parametrize("method", [Method.OLS, Method.WLS, Method.FULL, Method.HUBER])
 def test_estimators_recover_the_truth_without_noise(model, truth, method):
-    recording = recorded(model, truth, motion(2), 4, 1e-6)
+    recording = synthetic_recording(model, truth, random_fourier(2), 4, 1e-6)
     estimate = estimators.estimate(equations_of(model, recording), method)
     # the remaining error is aliasing of the friction steps at the recording's rate
     assert np.abs(estimate.theta - model.base.matrix @ truth).max() < 2e-2
 
 
 def test_ordinary_least_squares_agrees_with_lstsq(model, truth):
-    equations = equations_of(model, recorded(model, truth, motion(2), 4, 0.3))
+    equations = equations_of(model, synthetic_recording(model, truth, random_fourier(2), 4, 0.3))
     estimate = estimators.estimate(equations, Method.OLS)
     stacked = equations.regressor.reshape(-1, model.base.count)
     expected = np.linalg.lstsq(stacked, equations.torque.ravel(), rcond=None)[0]
@@ -50,7 +57,7 @@ def test_ordinary_least_squares_agrees_with_lstsq(model, truth):
 
 
 def test_white_noise_gives_the_covariance_of_weighted_least_squares(model, truth):
-    equations = equations_of(model, recorded(model, truth, motion(2), 40, 0.3))
+    equations = equations_of(model, synthetic_recording(model, truth, random_fourier(2), 40, 0.3))
     estimate = estimators.estimate(equations, Method.WLS)
     white = equations.regressor / estimate.noise[:, None]
     expected = np.linalg.inv(np.einsum("tip,tiq->pq", white, white))
@@ -60,7 +67,9 @@ def test_white_noise_gives_the_covariance_of_weighted_least_squares(model, truth
 
 
 def test_outliers_hardly_change_the_robust_estimate(model, truth):
-    recording = recorded(model, truth, motion(2), 4, 0.1, period=None, periodic=None)
+    recording = synthetic_recording(
+        model, truth, random_fourier(2), 4, 0.1, period=None, periodic=None
+    )
     disturbed_torque = recording.tau.copy()
     disturbed_torque[600:700] += 40.0
     disturbed = dataclasses.replace(recording, tau=disturbed_torque)
@@ -69,12 +78,8 @@ def test_outliers_hardly_change_the_robust_estimate(model, truth):
         estimators.estimate(equations_of(model, disturbed), method)
         for method in (Method.WLS, Method.HUBER)
     )
-    deviation = np.sqrt(
-        np.diag(estimators.estimate(equations_of(model, recording)).covariance)
-    )
-    errors = [
-        np.abs((estimate.theta - exact) / deviation).max() for estimate in (weighted, robust)
-    ]
+    deviation = np.sqrt(np.diag(estimators.estimate(equations_of(model, recording)).covariance))
+    errors = [np.abs((estimate.theta - exact) / deviation).max() for estimate in (weighted, robust)]
     assert errors[1] < 0.3 * errors[0]
     assert robust.outliers > 0.01 and weighted.outliers == 0.0
 
@@ -92,7 +97,7 @@ def autoregressive_noise(
 @pytest.mark.parametrize("pole", [0.0, 0.97])
 def test_95_percent_intervals_cover_the_truth_under_white_and_coloured_noise(model, truth, pole):
     exact, covered = model.base.matrix @ truth, []
-    clean = recorded(model, truth, motion(2), 5, 0.0)
+    clean = synthetic_recording(model, truth, random_fourier(2), 5, 0.0)
     rng = np.random.default_rng(8)
     for _ in range(40):
         noise = 0.5 * autoregressive_noise(rng, clean.tau.shape, pole)
@@ -106,26 +111,26 @@ def test_95_percent_intervals_cover_the_truth_under_white_and_coloured_noise(mod
 
 
 def test_parameters_that_the_motion_does_not_excite_have_no_interval(model, truth):
-    fourier = motion(2)
+    fourier = random_fourier(2)
     resting_joint = np.array([[1.0], [0.0]])
     fourier = FourierSeries(
         fourier.sine * resting_joint, fourier.cosine * resting_joint, fourier.offset, PERIOD
     )
-    estimate = estimators.estimate(equations_of(model, recorded(model, truth, fourier, 4, 0.1)))
+    estimate = estimators.estimate(
+        equations_of(model, synthetic_recording(model, truth, fourier, 4, 0.1))
+    )
     names = [model.parameters.names[i] for i in model.base.independent]
     variances = np.diag(estimate.covariance)
-    hidden = {
-        name for name, value in zip(names, variances, strict=True) if not np.isfinite(value)
-    }
+    hidden = {name for name, value in zip(names, variances, strict=True) if not np.isfinite(value)}
     assert {"Fv2", "Fc2"} <= hidden and "Fv1" not in hidden
     half = estimators.interval_half_widths(estimate, np.eye(len(names)))
     assert np.isinf(half[names.index("Fv2")]) and np.isfinite(half[names.index("Fv1")])
 
 
 def test_friction_widths_are_estimated(model, truth):
-    parts = list(segments.extract_segments([recorded(model, truth, motion(2), 4, 0.02)]))
-    wide = dataclasses.replace(model, widths=np.full(2, 0.02))
-    fitted = friction_width.fit_widths(
-        wide, regression.build_equations(wide, parts, 20.0), parts
+    parts = list(
+        segments.extract_segments([synthetic_recording(model, truth, random_fourier(2), 4, 0.02)])
     )
-    assert np.all(np.abs(np.log(fitted.widths / WIDTH)) < np.log(1.6))
+    wide = dataclasses.replace(model, widths=np.full(2, 0.02))
+    fitted = friction_width.fit_widths(wide, regression.build_equations(wide, parts, 20.0), parts)
+    assert np.all(np.abs(np.log(fitted.widths / FRICTION_WIDTH)) < np.log(1.6))

@@ -18,9 +18,7 @@ from excite.robot.robot import Robot
 WIDTH = 0.02
 
 
-def model_of(
-    arm: Robot, drive: tuple[str, ...] = inertial_parameters.DRIVE
-) -> IdentificationModel:
+def model_of(arm: Robot, drive: tuple[str, ...] = inertial_parameters.DRIVE) -> IdentificationModel:
     table = limits.resolve(arm)
     standard = inertial_parameters.standard(arm, table, drive)
     return IdentificationModel(

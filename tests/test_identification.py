@@ -7,7 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made import PERIOD, motion, perturbed, recorded, two_links
+from synthetic_recordings import (
+    PERIOD,
+    perturbed_parameters,
+    random_fourier,
+    synthetic_recording,
+    two_link_model,
+)
 
 from excite._types import FloatArray
 from excite.identification import consistency, identification
@@ -23,13 +29,13 @@ REAL_RECORDINGS = Path(__file__).resolve().parent.parent.parent / "shared" / "re
 
 @pytest.fixture(scope="module")
 def model() -> IdentificationModel:
-    return two_links()
+    return two_link_model()
 
 
 @pytest.fixture(scope="module")
 def truth(model: IdentificationModel) -> FloatArray:
     """ψ of a robot that differs from the URDF by about 10 %, with friction."""
-    return perturbed(model.parameters, np.random.default_rng(4))
+    return perturbed_parameters(model.parameters, np.random.default_rng(4))
 
 
 def identify(
@@ -48,8 +54,8 @@ def identify(
 
 def test_validation_torque_is_predicted_to_within_the_noise(model, truth):
     train, validation = (
-        recorded(model, truth, motion(2), 8, 0.3),
-        recorded(model, truth, motion(2, seed=5), 8, 0.3),
+        synthetic_recording(model, truth, random_fourier(2), 8, 0.3),
+        synthetic_recording(model, truth, random_fourier(2, seed=5), 8, 0.3),
     )
     result = identify(model, train, validation)
     (prediction,) = result.validations
@@ -61,7 +67,7 @@ def test_validation_torque_is_predicted_to_within_the_noise(model, truth):
 
 
 def test_a_torque_delay_is_estimated_and_compensated(model, truth):
-    recording = recorded(model, truth, motion(2), 8, 0.05)
+    recording = synthetic_recording(model, truth, random_fourier(2), 8, 0.05)
     delayed = dataclasses.replace(
         recording,
         tau=np.column_stack(
@@ -76,17 +82,20 @@ def test_a_torque_delay_is_estimated_and_compensated(model, truth):
 
 
 def test_evidence_gives_a_correct_nominal_robot_more_weight(model):
-    right = perturbed(model.parameters, np.random.default_rng(0), size=1e-3)
-    wrong = perturbed(model.parameters, np.random.default_rng(0), size=0.15)
+    right = perturbed_parameters(model.parameters, np.random.default_rng(0), size=1e-3)
+    wrong = perturbed_parameters(model.parameters, np.random.default_rng(0), size=0.15)
     gammas = [
-        identify(model, recorded(model, psi, motion(2), 4, 0.5)).gamma[0] for psi in (right, wrong)
+        identify(model, synthetic_recording(model, psi, random_fourier(2), 4, 0.5)).gamma[0]
+        for psi in (right, wrong)
     ]
     assert gammas[0] > 3.0 * gammas[1]
 
 
 @pytest.mark.parametrize("gamma", ["heldout", (3.0, 1e-4)])
 def test_gamma_is_chosen_by_validation_or_used_as_given(model, truth, gamma):
-    result = identify(model, recorded(model, truth, motion(2), 4, 0.3), gamma=gamma)
+    result = identify(
+        model, synthetic_recording(model, truth, random_fourier(2), 4, 0.3), gamma=gamma
+    )
     if isinstance(gamma, tuple):
         assert result.gamma == pytest.approx(gamma)
     else:
@@ -97,7 +106,9 @@ def test_gamma_is_chosen_by_validation_or_used_as_given(model, truth, gamma):
 def test_trusted_parameters_keep_their_values(model, truth):
     edge = 10 * model.parameters.bodies
     trusted = dict(enumerate(truth[:edge].tolist()))
-    result = identify(model, recorded(model, truth, motion(2), 4, 0.3), trusted=trusted)
+    result = identify(
+        model, synthetic_recording(model, truth, random_fourier(2), 4, 0.3), trusted=trusted
+    )
     assert np.allclose(result.psi[:edge], truth[:edge], rtol=1e-3, atol=1e-5)
     friction = model.parameters.block("coulomb")
     assert np.allclose(result.psi[friction], truth[friction], rtol=0.1)
@@ -118,11 +129,11 @@ POOR_DATA = {
 
 @pytest.mark.parametrize("case", list(POOR_DATA))
 def test_poor_data_give_a_consistent_model_with_fewer_identified_directions(model, truth, case):
-    fourier, periods = POOR_DATA[case](motion(2))
+    fourier, periods = POOR_DATA[case](random_fourier(2))
     sidecar = {"period": None, "periodic": None} if periods < 1 else {}
     poor, rich = (
-        recorded(model, truth, fourier, periods, 0.1, **sidecar),
-        recorded(model, truth, motion(2), 8, 0.1),
+        synthetic_recording(model, truth, fourier, periods, 0.1, **sidecar),
+        synthetic_recording(model, truth, random_fourier(2), 8, 0.1),
     )
     result, reference = identify(model, poor), identify(model, rich)
     assert consistency.is_consistent(model.parameters, result.psi)
@@ -143,15 +154,15 @@ def test_poor_data_give_a_consistent_model_with_fewer_identified_directions(mode
         assert "Ia2" in unidentified or "Fv2" in unidentified
     if "resting" in case:
         assert counts[0] <= 4
-    validation = recorded(model, truth, motion(2, seed=9), 4, 0.1)
+    validation = synthetic_recording(model, truth, random_fourier(2, seed=9), 4, 0.1)
     for kind in (Distance.BREGMAN, Distance.EUCLIDEAN):
         error = identify(model, poor, validation, distance=kind).validations[0].error()
         assert np.isfinite(error).all()
 
 
 def test_the_reduced_estimate_keeps_unidentified_directions_nominal(model, truth):
-    fourier, periods = POOR_DATA["a resting robot"](motion(2))
-    result = identify(model, recorded(model, truth, fourier, periods, 0.1))
+    fourier, periods = POOR_DATA["a resting robot"](random_fourier(2))
+    result = identify(model, synthetic_recording(model, truth, fourier, periods, 0.1))
     edge = 10 * model.parameters.bodies
     nominal = consistency.consistent_nominal(model.parameters)
     change, true_change = (

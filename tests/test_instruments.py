@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made import simulated
+from synthetic_recordings import true_parameters
 
 from excite._types import FloatArray
 from excite.errors import UnusableInput
@@ -78,9 +78,9 @@ def simulate(encoder: float, step: float) -> SimulatedExperiment:
     signals, arm = session.recording, robot.load("two_link")
     table = limits.resolve(arm)
     standard = inertial_parameters.standard(arm, table)
-    true_psi = simulated(session.plant, standard, table)
+    true_psi = true_parameters(session.robot, standard, table)
     model = IdentificationModel(
-        arm, standard, base_parameters.find(arm, standard, table), session.plant.drive.width
+        arm, standard, base_parameters.find(arm, standard, table), session.robot.actuators.width
     )
     recording = Recording(
         "bench.csv",
@@ -91,9 +91,7 @@ def simulate(encoder: float, step: float) -> SimulatedExperiment:
         qref=signals.qref,
         sidecar=Sidecar(period=signals.period, periodic=signals.periodic),
     )
-    equations = regression.build_equations(
-        model, segments.extract_segments([recording]), HERTZ
-    )
+    equations = regression.build_equations(model, segments.extract_segments([recording]), HERTZ)
     data = estimators.estimate(equations)
     prior = Prior(
         consistency.consistent_nominal(standard),
@@ -151,9 +149,7 @@ def test_instruments_have_the_filter_and_the_periods_of_the_equations(exact):
 
 def test_the_regressor_as_its_own_instrument_gives_least_squares(exact):
     ls = estimators.estimate(exact.equations)
-    iv = estimators.estimate(
-        exact.equations, Method.IV, instruments=exact.equations.regressor
-    )
+    iv = estimators.estimate(exact.equations, Method.IV, instruments=exact.equations.regressor)
     assert np.allclose(iv.theta, ls.theta, rtol=1e-7)
     assert np.allclose(iv.covariance, ls.covariance, rtol=1e-5)
     test = hausman_test.durbin_wu_hausman(ls, iv, exact.equations, exact.equations.regressor)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from made import PERIOD, RATE, motion
+from synthetic_recordings import PERIOD, RATE, random_fourier
 
 from excite.errors import UnusableInput
 from excite.identification.lowpass import Grid, LowPassFilter
 
 
 def test_derivatives_of_periodic_signals_are_exact_below_the_cutoff():
-    fourier = motion(2)
+    fourier = random_fourier(2)
     t = np.arange(round(PERIOD * RATE)) / RATE
     band = LowPassFilter(10.0, RATE, len(t), periodic=True)
     for order in range(3):

@@ -12,7 +12,7 @@ import pytest
 from conftest import document, joint, link, loaded, pendulum
 from hypothesis import given
 from hypothesis import strategies as st
-from written import JOINTS, Array, kinds, motion, refused, repaired, write
+from recording_fixtures import JOINTS, Array, remark_kinds, two_joint_motion, assert_refused, read_with_warnings, write_columns
 
 from excite import recordings
 from excite.errors import UnusableInput
@@ -29,8 +29,8 @@ def test_a_csv_comes_back_whatever_its_separator_and_order(
     two_link, tmp_path_factory, seed, separator
 ):
     rng = np.random.default_rng(seed)
-    columns = motion() | {"flag.mode": np.ones(400)}
-    path = write(
+    columns = two_joint_motion() | {"flag.mode": np.ones(400)}
+    path = write_columns(
         tmp_path_factory.mktemp("csv") / "r.csv",
         columns,
         separator,
@@ -55,7 +55,7 @@ def test_a_csv_comes_back_whatever_its_separator_and_order(
 
 def test_a_csv_of_a_spreadsheet(two_link, tmp_path):
     """Byte order mark, quoted names, CRLF, semicolons, decimal commas, no newline at the end, text in a column nobody reads."""
-    columns = motion()
+    columns = two_joint_motion()
     rows = ["\ufeff" + ";".join(f'"{name}"' for name in [*columns, "state"])]
     rows += [
         ";".join([*(repr(float(v[k])).replace(".", ",") for v in columns.values()), "run"])
@@ -86,18 +86,18 @@ def test_fast_and_tolerant_parsing_agree_or_refuse(seed, noise, at):
 
 @pytest.mark.parametrize("cell", ["2024-01-02", "1.2.3", "0x10", "1_0", "1e5.0", "2x", "1-2"])
 def test_what_starts_like_a_number_is_not_taken_for_one(two_link, tmp_path, cell):
-    path = write(tmp_path / "r.csv", motion())
+    path = write_columns(tmp_path / "r.csv", two_joint_motion())
     lines = path.read_text().splitlines()
     cells = lines[7].split(",")
     lines[7] = ",".join([*cells[:2], cell, *cells[3:]])
     path.write_text("\n".join(lines))
-    refused(path, two_link, "row 8", "each row should hold 7 numbers")
+    assert_refused(path, two_link, "row 8", "each row should hold 7 numbers")
 
 
 @pytest.mark.parametrize("compress", [True, False])
 @pytest.mark.parametrize("form", ["columns", "matrices", "by column"])
 def test_archives(two_link, tmp_path, compress, form):
-    columns = motion()
+    columns = two_joint_motion()
     arrays: dict[str, Array] = dict(columns)
     if form != "columns":
         order = JOINTS[::-1]
@@ -139,7 +139,7 @@ def rtde(rows: int = 300) -> dict[str, Array]:
 def test_recordings_of_ur_rtde(tmp_path, separator):
     robot = load("ur5e")
     columns = rtde()
-    path = write(tmp_path / "r.csv", columns, separator)
+    path = write_columns(tmp_path / "r.csv", columns, separator)
     found = recordings.read(path, robot)
     assert found.joints == robot.joints and found.tau is None
     for value, field in (
@@ -162,14 +162,14 @@ def test_recordings_of_ur_rtde(tmp_path, separator):
 
 def test_rtde_repeats_a_state_where_the_recorder_is_faster_than_the_robot(tmp_path):
     columns = {name: np.repeat(values, 4) for name, values in rtde().items()}
-    found, texts = repaired(write(tmp_path / "r.csv", columns), load("ur5e"))
-    assert kinds(found) == [Kind.REPEATED] and "900 rows" in texts[0] and len(found) == 300
+    found, texts = read_with_warnings(write_columns(tmp_path / "r.csv", columns), load("ur5e"))
+    assert remark_kinds(found) == [Kind.REPEATED] and "900 rows" in texts[0] and len(found) == 300
 
 
 def test_rtde_has_no_names_to_leave_joints_out_by(tmp_path):
     robot = load("ur5e", joints=("elbow_joint", "wrist_1_joint"))
-    refused(
-        write(tmp_path / "r.csv", rtde()),
+    assert_refused(
+        write_columns(tmp_path / "r.csv", rtde()),
         robot,
         "6 joints",
         "2 of the robot move",
@@ -178,13 +178,13 @@ def test_rtde_has_no_names_to_leave_joints_out_by(tmp_path):
     columns = rtde()
     del columns["actual_q_4"]
     columns["actual_q_6"] = columns["actual_q_5"]
-    refused(write(tmp_path / "r.csv", columns), load("ur5e"), "'actual_q_4'", "wrist_2_joint")
+    assert_refused(write_columns(tmp_path / "r.csv", columns), load("ur5e"), "'actual_q_4'", "wrist_2_joint")
 
 
 def test_torque_of_some_joints_and_current_of_others(two_link, tmp_path):
-    columns = motion()
+    columns = two_joint_motion()
     columns["i.joint_2"] = columns.pop("tau.joint_2")
-    path = write(tmp_path / "r.csv", columns)
+    path = write_columns(tmp_path / "r.csv", columns)
     (tmp_path / "r.json").write_text(
         '{"schema": "excite.recording/1", "drive_gain": {"joint_2": -2.5}, "period": 2, "motor_side": true}'
     )
@@ -197,14 +197,14 @@ def test_torque_of_some_joints_and_current_of_others(two_link, tmp_path):
     )
     del columns["i.joint_2"]
     with pytest.raises(UnusableInput, match=r"joint 'joint_2' has no torque; record tau\.joint_2"):
-        _ = recordings.read(write(path, columns), two_link).torque
+        _ = recordings.read(write_columns(path, columns), two_link).torque
 
 
 # -- refusals ------------------------------------------------------------------------------------------------------
 
 
 def test_files_that_are_no_recordings(two_link, tmp_path):
-    refused(tmp_path / "nowhere.csv", two_link, "no such file")
+    assert_refused(tmp_path / "nowhere.csv", two_link, "no such file")
     for name, content, word in (
         ("empty.csv", b"", "no column 't' but nothing"),
         ("binary.csv", b"\xff\xfe\x00\x81", "is no UTF-8 text"),
@@ -223,16 +223,16 @@ def test_files_that_are_no_recordings(two_link, tmp_path):
     ):
         path = tmp_path / name
         path.write_bytes(content)
-        refused(path, two_link, word)
+        assert_refused(path, two_link, word)
     with pytest.raises(UnusableInput, match="has no rows"):
         list(recordings.stream(tmp_path / "header.csv", two_link))
 
 
 def test_a_missing_joint_comes_with_what_is_like_it(two_link, tmp_path):
-    columns = motion()
+    columns = two_joint_motion()
     columns["q.joint2"] = columns.pop("q.joint_2")
-    refused(
-        write(tmp_path / "r.csv", columns),
+    assert_refused(
+        write_columns(tmp_path / "r.csv", columns),
         two_link,
         "no column 'q.joint_2'",
         "(similar:",
@@ -241,11 +241,11 @@ def test_a_missing_joint_comes_with_what_is_like_it(two_link, tmp_path):
     )
     path = tmp_path / "s.csv"
     path.write_text("t,q.joint_1,q.joint_1\n0,0,0\n")
-    refused(path, two_link, "'q.joint_1' stands twice")
+    assert_refused(path, two_link, "'q.joint_1' stands twice")
 
 
 def test_archives_that_do_not_fit(two_link, tmp_path):
-    columns = motion()
+    columns = two_joint_motion()
     t, q = columns["t"], np.column_stack([columns["q.joint_1"], columns["q.joint_2"]])
     names = np.array(JOINTS)
     for arrays, word in (
@@ -257,7 +257,7 @@ def test_archives_that_do_not_fit(two_link, tmp_path):
         ({"t": t, "q.joint_1": q[:, 0]}, "no column 'q.joint_2'"),
     ):
         np.savez(tmp_path / "r.npz", **arrays)
-        refused(tmp_path / "r.npz", two_link, word)
+        assert_refused(tmp_path / "r.npz", two_link, word)
 
 
 @pytest.mark.parametrize(
@@ -289,18 +289,18 @@ def test_archives_that_do_not_fit(two_link, tmp_path):
 def test_sidecars_are_checked(two_link, tmp_path, text, word):
     (tmp_path / "r.json").write_text(text)
     with pytest.raises(UnusableInput, match=re.escape(word)) as caught:
-        recordings.read(write(tmp_path / "r.csv", motion()), two_link)
+        recordings.read(write_columns(tmp_path / "r.csv", two_joint_motion()), two_link)
     assert str(caught.value).startswith(str(tmp_path / "r.json"))
 
 
 def test_a_trajectory_beside_its_csv_is_no_sidecar_and_unknown_keys_are_told(two_link, tmp_path):
-    path = write(tmp_path / "r.csv", motion())
+    path = write_columns(tmp_path / "r.csv", two_joint_motion())
     (tmp_path / "r.json").write_text('{"schema": "excite.trajectory/1", "period": 3}')
     assert recordings.read(path, two_link).sidecar == recordings.Sidecar()
     (tmp_path / "r.json").write_text('{"schema": "excite.recording/1", "gains": 3}')
     found = recordings.read(path, two_link)
     assert (
-        kinds(found) == [Kind.SKIPPED]
+        remark_kinds(found) == [Kind.SKIPPED]
         and "'gains'" in found.remarks[0].text
         and not found.remarks[0].repaired
     )
@@ -314,8 +314,8 @@ def test_degrees(two_link, tmp_path, damage, stated):
     for name in JOINTS:
         damage.columns[f"q.{name}"] = np.rad2deg(damage.columns[f"q.{name}"])
         damage.columns[f"dq.{name}"] = np.rad2deg(damage.columns[f"dq.{name}"])
-    path = write(tmp_path / "r.csv", damage.columns)
-    refused(
+    path = write_columns(tmp_path / "r.csv", damage.columns)
+    assert_refused(
         path,
         two_link,
         "joint 'joint_1'",
@@ -328,29 +328,29 @@ def test_degrees(two_link, tmp_path, damage, stated):
 def test_limits_tightened_for_a_design_say_nothing_of_units(two_link, tmp_path, damage):
     table = resolve(two_link)
     tight = replace(table, position=0.02 * table.position)
-    found = recordings.read(write(tmp_path / "r.csv", damage.columns), two_link, tight)
-    assert kinds(found) == [Kind.OUTSIDE, Kind.OUTSIDE]
+    found = recordings.read(write_columns(tmp_path / "r.csv", damage.columns), two_link, tight)
+    assert remark_kinds(found) == [Kind.OUTSIDE, Kind.OUTSIDE]
 
 
 def test_mixed_units_and_counts(two_link, tmp_path, damage):
     columns = dict(damage.columns)
     for name in JOINTS:
         columns[f"dq.{name}"] = np.rad2deg(columns[f"dq.{name}"])
-    refused(write(tmp_path / "r.csv", columns), two_link, "dq is in degrees/s")
+    assert_refused(write_columns(tmp_path / "r.csv", columns), two_link, "dq is in degrees/s")
     columns = damage.columns | {"q.joint_1": damage.columns["q.joint_1"] * 1e5}
-    refused(
-        write(tmp_path / "r.csv", columns), two_link, "joint 'joint_1' reaches 5e+04", "encoder"
+    assert_refused(
+        write_columns(tmp_path / "r.csv", columns), two_link, "joint 'joint_1' reaches 5e+04", "encoder"
     )
     columns = damage.columns | {"dq.joint_2": -2.0 * damage.columns["dq.joint_2"]}
-    found = recordings.read(write(tmp_path / "r.csv", columns), two_link)
-    assert kinds(found) == [Kind.INCONSISTENT] and "-0.5 times dq" in found.remarks[0].text
+    found = recordings.read(write_columns(tmp_path / "r.csv", columns), two_link)
+    assert remark_kinds(found) == [Kind.INCONSISTENT] and "-0.5 times dq" in found.remarks[0].text
 
 
 def test_reach_of_joints_without_limits_and_of_sliding_ones(tmp_path):
     columns = {"t": np.arange(100) / 100.0, "q.swing": np.linspace(0.0, 100.0, 100)}
-    path = write(tmp_path / "r.csv", columns)
+    path = write_columns(tmp_path / "r.csv", columns)
     assert not recordings.read(path, loaded(pendulum(kind="continuous"))).remarks
-    refused(
+    assert_refused(
         path,
         loaded(pendulum(inside='<limit velocity="3" effort="40"/>')),
         "beyond 12.57 rad",
@@ -359,19 +359,19 @@ def test_reach_of_joints_without_limits_and_of_sliding_ones(tmp_path):
     slide = loaded(
         document(link("base"), link("arm", 2.0), joint("swing", "base", "arm", "prismatic"))
     )
-    refused(path, slide, "beyond 2.5 m", "in mm")
+    assert_refused(path, slide, "beyond 2.5 m", "in mm")
 
 
 # -- signs ---------------------------------------------------------------------------------------------------------
 
 
 def test_channels_that_look_wrong_are_remarked_and_left(two_link, tmp_path):
-    columns = motion(1000)
+    columns = two_joint_motion(1000)
     columns["tau.joint_1"] = np.clip(columns["tau.joint_1"], -2.0, 2.0)
     columns["tau.joint_2"][300:340] = columns["tau.joint_2"][300]
     columns["q.joint_2"] = np.round(columns["q.joint_2"] / 2e-3) * 2e-3
-    found = recordings.read(write(tmp_path / "r.csv", columns), two_link)
-    assert kinds(found) == [Kind.CLIPPED, Kind.COARSE, Kind.FROZEN, Kind.ROUNDED]
+    found = recordings.read(write_columns(tmp_path / "r.csv", columns), two_link)
+    assert remark_kinds(found) == [Kind.CLIPPED, Kind.COARSE, Kind.FROZEN, Kind.ROUNDED]
     clipped, coarse, frozen, rounded = found.remarks
     assert rounded.repaired and not any(r.repaired for r in (clipped, coarse, frozen))
     assert "'joint_2'" in rounded.text and "'joint_1'" not in rounded.text
@@ -384,11 +384,11 @@ def test_channels_that_look_wrong_are_remarked_and_left(two_link, tmp_path):
 
 
 def test_joints_that_stand_still_freeze_or_leave_their_limits(two_link, tmp_path):
-    columns = motion()
+    columns = two_joint_motion()
     columns["q.joint_1"] = np.full(400, 0.3)
     columns["q.joint_2"][100:150] = columns["q.joint_2"][100]
     columns["q.joint_2"] += 3.0
-    found = recordings.read(write(tmp_path / "r.csv", columns), two_link)
+    found = recordings.read(write_columns(tmp_path / "r.csv", columns), two_link)
     assert {(r.kind, r.joint) for r in found.remarks} >= {
         (Kind.STILL, "joint_1"),
         (Kind.FROZEN, "joint_2"),
@@ -415,9 +415,9 @@ def test_real_recordings(folder, urdf, rate, expected):
         )
     robot = load(str(REAL / folder / f"{urdf}.urdf"))
     for path in sorted((REAL / folder).glob("*.csv")):
-        found, _ = repaired(path, robot)
+        found, _ = read_with_warnings(path, robot)
         assert found.rate == pytest.approx(rate, rel=1e-3) and expected <= set(
-            kinds(found)
+            remark_kinds(found)
         ) <= expected | {Kind.GAP}
         assert np.isfinite(found.torque).all() and len(found.samples()) > 0.99 * len(found)
         assert (found.qlink is not None) == (folder == "kuka_kr300")

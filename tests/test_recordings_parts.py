@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from written import Damage, kinds, motion, write
+from recording_fixtures import DamagedMotion, remark_kinds, two_joint_motion, write_columns
 
 from excite import recordings
 from excite.errors import ExciteWarning, UnusableInput
@@ -30,7 +30,7 @@ def test_between(two_link, tmp_path, damage):
     assert (
         part.tau is not None
         and part.tau.shape == (51, 2)
-        and kinds(found.between(1.0, 3.0)) == [Kind.GAP]
+        and remark_kinds(found.between(1.0, 3.0)) == [Kind.GAP]
     )
     with pytest.raises(UnusableInput, match="no rows from 9 to 10 s"):
         found.between(9.0, 10.0)
@@ -44,19 +44,19 @@ def test_between(two_link, tmp_path, damage):
 def test_a_stream_is_the_whole_in_blocks(two_link, tmp_path_factory, seed, rows, overlap):
     """Late rows, repeats, short and long lacks, gaps: repaired across the blocks' borders as in the whole."""
     rng = np.random.default_rng(seed)
-    columns = motion(2000)
+    columns = two_joint_motion(2000)
     columns["q.joint_1"][rng.integers(20, 1980, 40)] = np.nan
     start = rng.integers(100, 1800)
     columns["tau.joint_2"][start : start + 30] = np.nan
     which = np.argsort(np.arange(2000) + rng.uniform(0.0, 20.0, 2000))
     which = np.insert(which, rng.integers(0, 2000, 5), which[rng.integers(0, 2000)])
-    path = write(
+    path = write_columns(
         tmp_path_factory.mktemp("r") / "r.csv",
-        Damage(columns).rows(np.unique(which, return_index=False)).columns,
+        DamagedMotion(columns).rows(np.unique(which, return_index=False)).columns,
     )
-    late = write(
+    late = write_columns(
         path.with_name("late.csv"),
-        Damage(columns).rows(np.argsort(np.arange(2000) + rng.uniform(0.0, 20.0, 2000))).columns,
+        DamagedMotion(columns).rows(np.argsort(np.arange(2000) + rng.uniform(0.0, 20.0, 2000))).columns,
     )
     for file in (path, late):
         with warnings.catch_warnings():
@@ -91,11 +91,11 @@ def _before(blocks: list[recordings.Recording], block: recordings.Recording) -> 
 
 
 def test_a_stream_resamples_on_one_grid_and_warns_once(two_link, tmp_path):
-    columns = motion(3000)
+    columns = two_joint_motion(3000)
     t = columns["t"] = columns["t"] + np.random.default_rng(2).uniform(-1e-3, 1e-3, 3000)
     columns["q.joint_1"] = np.sin(2.0 * t)
     columns["dq.joint_1"] = 2.0 * np.cos(2.0 * t)
-    path = write(tmp_path / "r.csv", columns)
+    path = write_columns(tmp_path / "r.csv", columns)
     with pytest.warns(ExciteWarning) as caught:
         blocks = list(recordings.stream(path, two_link, rows=500, overlap=20))
     assert len(caught) == 1 and len(blocks) == 6
@@ -109,9 +109,9 @@ def test_a_stream_resamples_on_one_grid_and_warns_once(two_link, tmp_path):
 
 
 def test_streams_refuse(two_link, tmp_path):
-    path = write(tmp_path / "r.csv", motion(1000))
+    path = write_columns(tmp_path / "r.csv", two_joint_motion(1000))
     with pytest.raises(UnusableInput, match="at least 256 rows"):
         list(recordings.stream(path, two_link, rows=10))
-    again = write(path, Damage(motion(1000)).rows(np.r_[0:1000, 0:1000]).columns)
+    again = write_columns(path, DamagedMotion(two_joint_motion(1000)).rows(np.r_[0:1000, 0:1000]).columns)
     with pytest.raises(UnusableInput, match="time goes back"):
         list(recordings.stream(again, two_link, rows=300))

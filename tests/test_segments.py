@@ -6,7 +6,14 @@ import dataclasses
 
 import numpy as np
 import pytest
-from made import PERIOD, RATE, motion, perturbed, recorded, two_links
+from synthetic_recordings import (
+    PERIOD,
+    RATE,
+    perturbed_parameters,
+    random_fourier,
+    synthetic_recording,
+    two_link_model,
+)
 
 from excite._types import FloatArray
 from excite.identification import regression, segments
@@ -16,17 +23,19 @@ from excite.identification.regression import IdentificationModel
 
 @pytest.fixture(scope="module")
 def model() -> IdentificationModel:
-    return two_links()
+    return two_link_model()
 
 
 @pytest.fixture(scope="module")
 def truth(model: IdentificationModel) -> FloatArray:
     """ψ of a robot that differs from the URDF by about 10 %, with friction."""
-    return perturbed(model.parameters, np.random.default_rng(4))
+    return perturbed_parameters(model.parameters, np.random.default_rng(4))
 
 
 def test_long_segments_give_the_same_equations_in_chunks(model, truth, monkeypatch):
-    recording = recorded(model, truth, motion(2), 30, 0.0, period=None, periodic=None)
+    recording = synthetic_recording(
+        model, truth, random_fourier(2), 30, 0.0, period=None, periodic=None
+    )
     whole = regression.build_equations(model, segments.extract_segments([recording]), 10.0)
     monkeypatch.setattr(segments, "CHUNK_SAMPLES", 4096)
     chunked = regression.build_equations(model, segments.extract_segments([recording]), 10.0)
@@ -37,7 +46,7 @@ def test_long_segments_give_the_same_equations_in_chunks(model, truth, monkeypat
 
 
 def test_periods_are_averaged_and_their_deviations_give_the_noise_floor(model, truth):
-    recording = recorded(model, truth, motion(2), 8, 0.5)
+    recording = synthetic_recording(model, truth, random_fourier(2), 8, 0.5)
     (segment,) = segments.extract_segments([recording])
     assert (segment.periods, len(segment)) == (8, round(PERIOD * RATE))
     in_band = 0.5 * np.sqrt(20.0 / (RATE / 2))
@@ -52,7 +61,7 @@ def test_periods_are_averaged_and_their_deviations_give_the_noise_floor(model, t
 
 @pytest.mark.parametrize("period", [PERIOD, 5.2017])
 def test_periods_interrupted_by_a_gap_are_left_out(model, truth, period):
-    recording = recorded(model, truth, motion(2, period=period), 6.1, 0.01)
+    recording = synthetic_recording(model, truth, random_fourier(2, period=period), 6.1, 0.01)
     turns = recording.t / period
     gap = ((turns > 2.2) & (turns < 2.3)) | ((turns > 3.9) & (turns < 3.95))
     (segment,) = segments.extract_segments([recording.rows(~gap)])
@@ -62,7 +71,7 @@ def test_periods_interrupted_by_a_gap_are_left_out(model, truth, period):
 
 
 def test_a_period_without_a_window_applies_to_the_whole_recording(model, truth):
-    recording = recorded(model, truth, motion(2), 4, 0.0)
+    recording = synthetic_recording(model, truth, random_fourier(2), 4, 0.0)
     without_window = dataclasses.replace(
         recording, sidecar=dataclasses.replace(recording.sidecar, periodic=None)
     )
@@ -73,8 +82,8 @@ def test_a_period_without_a_window_applies_to_the_whole_recording(model, truth):
 
 
 def test_a_period_of_a_fractional_number_of_samples_is_interpolated(model, truth):
-    fourier = motion(2, period=5.2017)
-    (segment,) = segments.extract_segments([recorded(model, truth, fourier, 4.1, 0.0)])
+    fourier = random_fourier(2, period=5.2017)
+    (segment,) = segments.extract_segments([synthetic_recording(model, truth, fourier, 4.1, 0.0)])
     expected = fourier.at(segment.start + np.arange(len(segment)) / segment.rate)
     assert segment.periods == 4 and np.abs(segment.q - expected).max() < 1e-6
 
@@ -82,7 +91,11 @@ def test_a_period_of_a_fractional_number_of_samples_is_interpolated(model, truth
 def test_the_cutoff_follows_the_motion_and_the_noise(model, truth):
     low_noise, high_noise = (
         segments.torque_spectra(
-            list(segments.extract_segments([recorded(model, truth, motion(2), 6, noise)]))
+            list(
+                segments.extract_segments(
+                    [synthetic_recording(model, truth, random_fourier(2), 6, noise)]
+                )
+            )
         )
         for noise in (1e-4, 30.0)
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from made import simulated
+from synthetic_recordings import true_parameters
 
 from excite._types import FloatArray
 from excite.errors import UnusableInput
@@ -57,9 +57,9 @@ def identified() -> IdentifiedRobot:
     signals, arm = session.recording, robot.load("two_link")
     table = limits.resolve(arm)
     standard = inertial_parameters.standard(arm, table)
-    truth = simulated(session.plant, standard, table)
+    truth = true_parameters(session.robot, standard, table)
     model = IdentificationModel(
-        arm, standard, base_parameters.find(arm, standard, table), session.plant.drive.width
+        arm, standard, base_parameters.find(arm, standard, table), session.robot.actuators.width
     )
     recording = Recording(
         "bench.csv",

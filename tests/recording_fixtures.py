@@ -17,7 +17,7 @@ JOINTS = ("joint_1", "joint_2")
 Array = np.ndarray
 
 
-def motion(rows: int = 400, rate: float = 100.0) -> dict[str, Array]:
+def two_joint_motion(rows: int = 400, rate: float = 100.0) -> dict[str, Array]:
     """Columns of two joints that move, with torques. Keys as in the contract."""
     t = np.arange(rows) / rate
     phase = np.outer(t, [2.0, 3.0])
@@ -29,7 +29,7 @@ def motion(rows: int = 400, rate: float = 100.0) -> dict[str, Array]:
     return columns
 
 
-def write(
+def write_columns(
     path: Path, columns: dict[str, Array], separator: str = ",", order: list[str] | None = None
 ) -> Path:
     names = order or list(columns)
@@ -42,11 +42,11 @@ def write(
     return path
 
 
-def kinds(recording: recordings.Recording) -> list[Kind]:
+def remark_kinds(recording: recordings.Recording) -> list[Kind]:
     return [remark.kind for remark in recording.remarks]
 
 
-def repaired(path: Path, robot, **options) -> tuple[recordings.Recording, list[str]]:
+def read_with_warnings(path: Path, robot, **options) -> tuple[recordings.Recording, list[str]]:
     """The recording and what it warned of; every warning is also a remark, and every repair is warned of but that an encoder rounds."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -59,7 +59,7 @@ def repaired(path: Path, robot, **options) -> tuple[recordings.Recording, list[s
     return found, texts
 
 
-def refused(path: Path, robot, *words: str, **options) -> str:
+def assert_refused(path: Path, robot, *words: str, **options) -> str:
     with pytest.raises(UnusableInput) as caught:
         recordings.read(path, robot, **options)
     text = str(caught.value)
@@ -70,13 +70,13 @@ def refused(path: Path, robot, *words: str, **options) -> str:
 
 
 @dataclass
-class Damage:
+class DamagedMotion:
     """A motion with something wrong, in a file."""
 
     columns: dict[str, Array]
 
-    def rows(self, which: Array) -> Damage:
-        return Damage({name: values[which] for name, values in self.columns.items()})
+    def rows(self, which: Array) -> DamagedMotion:
+        return DamagedMotion({name: values[which] for name, values in self.columns.items()})
 
     def read(self, folder: Path, robot):
-        return repaired(write(folder / "r.csv", self.columns), robot)
+        return read_with_warnings(write_columns(folder / "r.csv", self.columns), robot)

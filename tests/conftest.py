@@ -1,3 +1,5 @@
+"""Fixtures and helpers: robots as URDF text, random robots, references by Pinocchio, designs."""
+
 from __future__ import annotations
 
 import os
@@ -18,12 +20,12 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from excite.designer.options import DesignOptions
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from recording_fixtures import DamagedMotion, two_joint_motion
 
 from excite.designer import pipeline
-from excite.designer.options import DesignOptions
 from excite.designer.pipeline import CertifiedDesign
 from excite.identification.regression import IdentificationModel
 from excite.robot.limits import Limits, resolve
@@ -46,7 +48,7 @@ QUICK = DesignOptions(period=2.0, harmonics=3, samples=40, starts=1, iterations=
 seeds = st.integers(0, 10**6).map(np.random.default_rng)
 
 
-# -- robots written down -------------------------------------------------------------------------------------------
+# -- robots as URDF text ----------------------------------------------------------------------
 
 
 def words(values: np.ndarray | list[float]) -> str:
@@ -123,7 +125,16 @@ def random_urdf(
     tidy: bool = False,
     mimics: dict[int, tuple[int, float, float]] | None = None,
 ) -> str:
-    """Joints j0, j1, …; a fixed tool hangs on the last link. tidy: axes and offsets mostly along x, y, z, as in real arms."""
+    """Return a random robot with joints j0, j1, … and a fixed tool on the last link.
+
+    Args:
+        rng: Generator of the draw.
+        count: Number of joints.
+        kinds: Joint types to choose from.
+        tree: Whether links may branch.
+        tidy: Whether axes and offsets are mostly along x, y, z, as in real arms.
+        mimics: By joint: the joint that it mimics, multiplier and offset.
+    """
     parts = [link("l"), random_link(rng, "tool")]
     for i in range(count):
         parent = "l" if i == 0 else f"l{rng.integers(i) if tree else i - 1}"
@@ -178,7 +189,7 @@ def random_tensor(rng: np.random.Generator) -> np.ndarray:
 
 
 def random_body(rng: np.random.Generator) -> np.ndarray:
-    """Ten parameters of a body that could be built."""
+    """Return the ten parameters of a physically consistent body."""
     return pin.Inertia(
         rng.uniform(0.5, 5.0), rng.uniform(-0.2, 0.2, 3), random_tensor(rng)
     ).toDynamicParameters()
@@ -195,11 +206,11 @@ def text_of(name: str) -> str:
     return locate(name).read_text(encoding="utf-8")
 
 
-# -- the same physics, told otherwise ------------------------------------------------------------------------------
+# -- the same physics in other frames ---------------------------------------------------------
 
 
 def reframed(text: str, rng: np.random.Generator) -> str:
-    """The same robot, each moving link's frame turned at will and slid along its joint's axis."""
+    """Return the same robot with each moving link's frame rotated and shifted along its joint axis."""
     root = ElementTree.fromstring(text)
     moved = {
         element.find("child").get("link"): _new_frame(element, rng)
@@ -249,7 +260,7 @@ def _place(element: ElementTree.Element, where: pin.SE3) -> None:
     origin.set("rpy", words(pin.rpy.matrixToRpy(where.rotation)))
 
 
-# -- motion and numbers --------------------------------------------------------------------------------------------
+# -- motion and numbers -----------------------------------------------------------------------
 
 
 def states(n: int, count: int = 6, seed: int = 0, speed: float = 2.0) -> Samples:
@@ -264,7 +275,10 @@ def states(n: int, count: int = 6, seed: int = 0, speed: float = 2.0) -> Samples
 def raw_torque(
     text: str, joints: tuple[str, ...], motion: Samples, gravity: tuple[float, ...] = (0, 0, -9.81)
 ) -> np.ndarray:
-    """Pinocchio on the URDF as it stands (a continuous joint has two coordinates there); mimics move freely."""
+    """Return Pinocchio's torque for a URDF as it stands; mimic joints move freely.
+
+    A continuous joint has two coordinates there.
+    """
     model = pin.buildModelFromXML(text)
     model.gravity.linear = np.array(gravity, float)
     data = model.createData()
@@ -284,20 +298,20 @@ def raw_torque(
 
 
 def slope(function: Callable[[float], np.ndarray], h: float) -> np.ndarray:
-    """Derivative at 0 by central differences with one Richardson step: error O(h⁴)."""
+    """Return the derivative at 0 by central differences with one Richardson step: error O(h⁴)."""
     coarse = (np.asarray(function(h)) - function(-h)) / (2 * h)
     fine = (np.asarray(function(h / 2)) - function(-h / 2)) / h
     return (4.0 * fine - coarse) / 3.0
 
 
 def off(actual: np.ndarray, expected: np.ndarray) -> float:
-    """Largest deviation relative to the largest expected entry."""
+    """Return the largest deviation relative to the largest expected entry."""
     actual, expected = np.asarray(actual), np.asarray(expected)
     assert actual.shape == expected.shape
     return float(np.abs(actual - expected).max() / np.abs(expected).max())
 
 
-# -- designs, made once a process ----------------------------------------------------------------------------------
+# -- designs, computed once per process -------------------------------------------------------------
 
 
 @pytest.fixture(scope="session")

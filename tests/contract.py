@@ -1,4 +1,4 @@
-"""What the contract fixes, for the tests on both sides of it."""
+"""Facts of the contract that tests on both sides of it use."""
 
 EFFECT_NAMES = (
     "payload",

@@ -1,4 +1,4 @@
-"""Recordings as files, and what reading them says."""
+"""Recordings as files, and the remarks of reading them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = np.ndarray
 
 
 def two_joint_motion(rows: int = 400, rate: float = 100.0) -> dict[str, Array]:
-    """Columns of two joints that move, with torques. Keys as in the contract."""
+    """Return columns of two moving joints with torques; the keys are those of the contract."""
     t = np.arange(rows) / rate
     phase = np.outer(t, [2.0, 3.0])
     q, dq = 0.5 * np.sin(phase), 0.5 * np.array([2.0, 3.0]) * np.cos(phase)
@@ -32,6 +32,7 @@ def two_joint_motion(rows: int = 400, rate: float = 100.0) -> dict[str, Array]:
 def write_columns(
     path: Path, columns: dict[str, Array], separator: str = ",", order: list[str] | None = None
 ) -> Path:
+    """Write columns as CSV."""
     names = order or list(columns)
     lines = [separator.join(names)]
     lines += [
@@ -43,23 +44,28 @@ def write_columns(
 
 
 def remark_kinds(recording: recordings.Recording) -> list[Kind]:
+    """Return the kinds of a recording's remarks."""
     return [remark.kind for remark in recording.remarks]
 
 
 def read_with_warnings(path: Path, robot, **options) -> tuple[recordings.Recording, list[str]]:
-    """The recording and what it warned of; every warning is also a remark, and every repair is warned of but that an encoder rounds."""
+    """Return a recording and its warnings.
+
+    Every warning is also a remark, and every repair is warned of, except that an encoder rounds.
+    """
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        found = recordings.read(path, robot, **options)
+        recording = recordings.read(path, robot, **options)
     texts = [str(w.message) for w in caught]
     assert texts == [
-        f"{path}: {r.text}" for r in found.remarks if r.repaired and r.kind is not Kind.ROUNDED
+        f"{path}: {r.text}" for r in recording.remarks if r.repaired and r.kind is not Kind.ROUNDED
     ]
     assert all(issubclass(w.category, ExciteWarning) for w in caught)
-    return found, texts
+    return recording, texts
 
 
 def assert_refused(path: Path, robot, *words: str, **options) -> str:
+    """Assert that reading a file fails with one line that contains the words; return the line."""
     with pytest.raises(UnusableInput) as caught:
         recordings.read(path, robot, **options)
     text = str(caught.value)
@@ -71,12 +77,14 @@ def assert_refused(path: Path, robot, *words: str, **options) -> str:
 
 @dataclass
 class DamagedMotion:
-    """A motion with something wrong, in a file."""
+    """A motion with a fault, as columns of a file."""
 
     columns: dict[str, Array]
 
     def rows(self, which: Array) -> DamagedMotion:
+        """Return the motion with some of its rows."""
         return DamagedMotion({name: values[which] for name, values in self.columns.items()})
 
     def read(self, folder: Path, robot):
+        """Write and read the motion."""
         return read_with_warnings(write_columns(folder / "r.csv", self.columns), robot)

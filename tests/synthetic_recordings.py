@@ -1,4 +1,4 @@
-"""Recordings of robots of known parameters, made by Pinocchio's inverse dynamics and not by a regressor."""
+"""Recordings of robots with known parameters, by Pinocchio's inverse dynamics without a regressor."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 from conftest import loaded
 
+from excite._types import FloatArray
 from excite.diagnosis.columns import Columns
 from excite.diagnosis.half import Half, whitened
 from excite.effects.effect import CandidateModel
@@ -22,25 +23,34 @@ from excite.robot.inertial_parameters import Parameters
 from excite.robot.limits import Limits
 from excite.trajectory.fourier import FourierSeries
 
-if TYPE_CHECKING:  # of an extra that need not be there
+if TYPE_CHECKING:  # MuJoCo is an optional extra
     from excite.simulator.simulated_robot import SimulatedRobot
 
-Array = np.ndarray
-PERIOD, RATE = 5.2, 500.0
+PERIOD = 5.2
+"""Period of the excitation [s]."""
+RATE = 500.0
+"""Sampling rate [Hz]."""
 FRICTION_WIDTH = 0.004
+"""Speed over which Coulomb friction changes sign [rad/s]."""
 
 
 def two_link_model() -> IdentificationModel:
-    """The built-in two-link robot with all parameters, and friction steps of WIDTH."""
+    """Return the model of the built-in two-link robot with all parameters."""
     machine = robot.load("two_link")
     table = limits.resolve(machine)
     standard = inertial_parameters.standard(machine, table)
     return IdentificationModel(
-        machine, standard, base_parameters.find(machine, standard, table), np.full(machine.n, FRICTION_WIDTH)
+        machine,
+        standard,
+        base_parameters.find(machine, standard, table),
+        np.full(machine.n, FRICTION_WIDTH),
     )
 
 
-def perturbed_parameters(standard: Parameters, rng: np.random.Generator, size: float = 0.1) -> Array:
+def perturbed_parameters(
+    standard: Parameters, rng: np.random.Generator, size: float = 0.1
+) -> FloatArray:
+    """Return physically consistent parameters near the nominal ones, with friction."""
     psi = consistency.consistent_nominal(standard)
     edge = 10 * standard.bodies
     psi[:edge] += size * standard.scale[:edge, :edge] @ rng.normal(size=edge)
@@ -55,32 +65,36 @@ def perturbed_parameters(standard: Parameters, rng: np.random.Generator, size: f
     return psi
 
 
-def true_parameters(plant: SimulatedRobot, standard: Parameters, table: Limits) -> Array:
-    """ψ of a robot that was simulated: its bodies, and what its drives are."""
-    psi = inertial_parameters.standard(loaded(plant.tree.text), table).nominal.copy()
+def true_parameters(simulated: SimulatedRobot, standard: Parameters, table: Limits) -> FloatArray:
+    """Return ψ of a simulated robot: its bodies and actuators."""
+    psi = inertial_parameters.standard(loaded(simulated.tree.xml), table).nominal.copy()
     for kind, name in (
         ("rotor_inertia", "inertia"),
         ("viscous", "viscous"),
         ("coulomb", "coulomb"),
         ("offset", "offset"),
     ):
-        psi[standard.block(kind)] = getattr(plant.drive, name)
+        psi[standard.block(kind)] = getattr(simulated.actuators, name)
     return psi
 
 
-def pinocchio_model(model: IdentificationModel, psi: Array) -> pin.Model:
-    """Pinocchio's model with those bodies."""
-    own = model.robot.model.copy()
+def pinocchio_model(model: IdentificationModel, psi: FloatArray) -> pin.Model:
+    """Return Pinocchio's model with the bodies of ψ."""
+    copy = model.robot.model.copy()
     for i in range(model.parameters.bodies):
-        own.inertias[i + 1] = pin.Inertia.FromDynamicParameters(psi[10 * i : 10 * i + 10])
-    return own
+        copy.inertias[i + 1] = pin.Inertia.FromDynamicParameters(psi[10 * i : 10 * i + 10])
+    return copy
 
 
-def rnea_torque(model: IdentificationModel, psi: Array, q: Array, dq: Array, ddq: Array) -> Array:
-    """Inverse dynamics of a model with those bodies, by Pinocchio's rnea and not by a regressor."""
-    standard, own = model.parameters, pinocchio_model(model, psi)
-    data = own.createData()
-    rigid = np.array([pin.rnea(own, data, *state) for state in zip(q, dq, ddq, strict=True)])
+def rnea_torque(
+    model: IdentificationModel, psi: FloatArray, q: FloatArray, dq: FloatArray, ddq: FloatArray
+) -> FloatArray:
+    """Return the inverse dynamics with parameters ψ, by Pinocchio's rnea and not by a regressor."""
+    standard, rigid_model = model.parameters, pinocchio_model(model, psi)
+    data = rigid_model.createData()
+    rigid = np.array(
+        [pin.rnea(rigid_model, data, *state) for state in zip(q, dq, ddq, strict=True)]
+    )
     drive = {kind: psi[standard.block(kind)] for kind in standard.drive}
     return (
         rigid
@@ -92,20 +106,29 @@ def rnea_torque(model: IdentificationModel, psi: Array, q: Array, dq: Array, ddq
 
 
 def random_fourier(n: int, seed: int = 0, period: float = PERIOD) -> FourierSeries:
+    """Return a random Fourier series of n joints."""
     rng = np.random.default_rng(seed)
-    return FourierSeries(rng.normal(0.0, 0.7, (n, 4)), rng.normal(0.0, 0.7, (n, 4)), np.zeros(n), period)
+    return FourierSeries(
+        rng.normal(0.0, 0.7, (n, 4)), rng.normal(0.0, 0.7, (n, 4)), np.zeros(n), period
+    )
 
 
 def synthetic_recording(
-    model: IdentificationModel, psi: Array, fourier: FourierSeries, periods: float, noise: float, **side: object
+    model: IdentificationModel,
+    psi: FloatArray,
+    fourier: FourierSeries,
+    periods: float,
+    noise: float,
+    **side: object,
 ) -> Recording:
+    """Return a recording of a robot with parameters ψ along a Fourier series, with white torque noise."""
     t = np.arange(round(periods * fourier.period * RATE) + 1) / RATE
     s = fourier.samples(t)
     exact = rnea_torque(model, psi, s.q, s.dq, s.ddq)
     rng = np.random.default_rng(1)
     sidecar = Sidecar(**({"period": fourier.period, "periodic": (0.0, float(t[-1]))} | side))  # type: ignore[arg-type]
     return Recording(
-        "made.csv",
+        "synthetic.csv",
         model.robot.joints,
         t,
         s.q,
@@ -116,7 +139,7 @@ def synthetic_recording(
 
 
 def write_recording(recording: Recording, path: Path, decimals: int = 9) -> Path:
-    """The contract's CSV and its sidecar."""
+    """Write a recording as the contract's CSV and its sidecar."""
     names = [f"{kind}.{joint}" for kind in ("q", "tau") for joint in recording.joints]
     table = np.hstack([recording.t[:, None], recording.q, recording.torque])
     np.savetxt(
@@ -139,19 +162,23 @@ def write_recording(recording: Recording, path: Path, decimals: int = 9) -> Path
 
 
 NO_KNOWN_COLUMNS = (np.zeros((0, 1)), np.zeros(0))
+"""Known columns and torque of a fold without any."""
 
 
-def unexpected_columns(track: RecordedMotion, shape: CandidateModel) -> Array:
+def unexpected_columns(track: RecordedMotion, shape: CandidateModel) -> FloatArray:
+    """Fail: the test does not expect this candidate to be evaluated."""
     raise AssertionError("not asked for")
 
 
-def single_joint_fold(gamma: Array, torque: Array, known: tuple[Array, Array], scale: float = 1.0) -> Half:
-    """Of a robot with one joint, which never rests."""
+def single_joint_fold(
+    gamma: FloatArray, torque: FloatArray, known: tuple[FloatArray, FloatArray], scale: float = 1.0
+) -> Half:
+    """Return a fold of a robot with one joint that never stands still."""
     return whitened(
         [gamma[:, None, :]], [torque], [np.ones(torque.shape, bool)], np.full(1, scale), known
     )
 
 
-def single_joint_columns(first: Array, second: Array) -> tuple[Columns, Columns]:
-    """Columns of both halves, of a robot with one joint."""
+def single_joint_columns(first: FloatArray, second: FloatArray) -> tuple[Columns, Columns]:
+    """Return the columns of both folds for a robot with one joint."""
     return Columns.of(first[:, None]), Columns.of(second[:, None])

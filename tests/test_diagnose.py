@@ -275,7 +275,7 @@ def test_a_coupling_takes_energy_whichever_way_the_other_joint_turns_the_shaft(s
         assert told["coulomb"][0] == pytest.approx(0.9, rel=0.05) and told["viscous"][
             0
         ] == pytest.approx(0.2, rel=0.05)  # the shaft's own
-        assert not result.design.shapes[one.shape].plausible(-one.trial.coefficients)
+        assert not result.design.shapes[one.shape].is_plausible(-one.trial.coefficients)
 
 
 def test_a_spring_that_stiffens_is_no_ripple(subject):

@@ -441,7 +441,7 @@ def test_gravity_may_be_turned_but_not_longer():
     large = next(
         shape for shape in EFFECTS_BY_NAME["gravity_tilt"].shapes([Upright()]) if shape.values["large"]
     )
-    leans = large.plausible
+    leans = large.is_plausible
     roll, pitch = 0.3, -0.2
     gx, gy, gz = pin.rpy.rpyToMatrix(roll, pitch, 0.0).T @ [0.0, 0.0, -1.0]
     exact = np.array([-gy, gx, -1.0 - gz])

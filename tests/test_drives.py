@@ -145,7 +145,7 @@ def test_of_its_usual_torque_a_drive_loses_little(calm, bend, rests):
     usual = float(np.median(np.abs(drawn[len(drawn) * 2 // 3 if rests else 0 :, 0])))
     assert len(shapes) == 6
     for shape in shapes:
-        most = max(c for c in np.linspace(0.01, 1.2, 120) if shape.plausible(np.array([c])))
+        most = max(c for c in np.linspace(0.01, 1.2, 120) if shape.is_plausible(np.array([c])))
         assert most * electrical._missing(shape.values, np.array([usual]))[0] < 0.31 * usual
 
 

@@ -140,7 +140,7 @@ def test_poor_data_give_a_consistent_model_with_fewer_identified_directions(mode
     assert np.isfinite(result.psi).all()
     assert consistency.is_consistent(model.parameters, result.reduced.psi)
     counts = [
-        sum(d.identifiable for d in found.analysis.directions) for found in (result, reference)
+        sum(d.identifiable for d in run.analysis.directions) for run in (result, reference)
     ]
     assert counts[0] < counts[1]
     unidentified = " ".join(

@@ -7,14 +7,14 @@ import pytest
 from nbclient import NotebookClient
 
 FOLDER = Path(__file__).resolve().parent.parent / "notebooks"
-REAL = FOLDER.parent.parent / "shared" / "recordings"
-SAID = {"real_machines": "torque_ripple at"}
-"""What a notebook must print; usually that its motion is certified."""
-PICTURES = {"real_machines": 5}
-"""What it must show; usually a figure for every cell that displays one."""
+REAL_RECORDINGS = FOLDER.parent.parent / "shared" / "recordings"
+EXPECTED_TEXT = {"real_machines": "torque_ripple at"}
+"""Text that a notebook prints; usually that its trajectory is certified."""
+EXPECTED_FIGURES = {"real_machines": 5}
+"""Number of figures that a notebook shows; usually one for every cell that displays one."""
 
 
-# A kernel's own threads and sockets close after the test; their warnings are not ours.
+# The kernel's threads and sockets close after the test; their warnings do not concern us.
 @pytest.mark.filterwarnings(
     "ignore::ResourceWarning",
     "ignore::DeprecationWarning",
@@ -22,8 +22,8 @@ PICTURES = {"real_machines": 5}
 )
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.ipynb")), ids=lambda p: p.stem)
 def test_notebook_runs(path):
-    if path.stem == "real_machines" and not REAL.is_dir():
-        pytest.skip(f"no real recordings at {REAL}")
+    if path.stem == "real_machines" and not REAL_RECORDINGS.is_dir():
+        pytest.skip(f"no real recordings at {REAL_RECORDINGS}")
     notebook = nbformat.read(path, as_version=4)
     NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(FOLDER)}}).execute()
     texts = [
@@ -32,7 +32,7 @@ def test_notebook_runs(path):
         if cell.cell_type == "code"
         for o in cell.outputs
     ]
-    assert any(SAID.get(path.stem, "certified: True") in text for text in texts)
+    assert any(EXPECTED_TEXT.get(path.stem, "certified: True") in text for text in texts)
     shown = [
         o.get("data", {})
         for cell in notebook.cells
@@ -41,6 +41,8 @@ def test_notebook_runs(path):
     ]
     assert (
         sum("image/png" in data for data in shown)
-        == PICTURES.get(path.stem, sum("display(figure)" in cell.source for cell in notebook.cells))
+        == EXPECTED_FIGURES.get(
+            path.stem, sum("display(figure)" in cell.source for cell in notebook.cells)
+        )
         > 0
     )

@@ -1,4 +1,4 @@
-"""Segments of recordings: mean periods, their noise, gaps, and the choice of the cutoff frequency."""
+"""Segments of recordings: mean periods, their noise, gaps, and the choice of the cutoff."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ def test_no_delay_is_told_that_an_encoder_hides(bits, turns):
     assert {shape.joint for shape in delays} == {None, 0, 1, 2}
     for shape in delays:
         told = {
-            part: shape.plausible(np.array([part * hidden]))
+            part: shape.is_plausible(np.array([part * hidden]))
             for part in (0.09, 0.11, 0.29, -0.11, -0.29, -0.31)
         }
         assert told == {
@@ -80,7 +80,7 @@ def test_no_delay_is_told_that_an_encoder_hides(bits, turns):
 def test_fine_encoders_hide_nothing(effect):
     small = np.array([1e-5])
     assert all(
-        s.plausible(small) for s in shapes(effect, [Turning(0.0, 3.0)]) if "seconds" not in s.values
+        s.is_plausible(small) for s in shapes(effect, [Turning(0.0, 3.0)]) if "seconds" not in s.values
     )
 
 
@@ -93,11 +93,11 @@ def test_friction_that_changes_at_speeds_which_an_encoder_does_not_tell_has_no_n
         for shape in shapes("stribeck", [track]):
             assert shape.nonlinear is not None
             if least[shape.joint_index] > 0.0:  # the joint turns back
-                assert shape.nonlinear.at(factor * least[shape.joint_index]).plausible(np.array([0.1])) == (
+                assert shape.nonlinear.at(factor * least[shape.joint_index]).is_plausible(np.array([0.1])) == (
                     factor > 1.0
                 )
         for shape in shapes("nonlinear_viscous", [track]):
             assert shape.nonlinear is not None
             if 0.0 < factor * least[shape.joint_index] < fastest[shape.joint_index]:
                 power = np.log(0.5) / np.log(factor * least[shape.joint_index] / fastest[shape.joint_index])
-                assert shape.nonlinear.at(power).plausible(np.array([0.1])) == (factor > 1.0)
+                assert shape.nonlinear.at(power).is_plausible(np.array([0.1])) == (factor > 1.0)

@@ -147,7 +147,7 @@ def test_friction_of_a_heated_joint_never_falls_far_below_nothing(subject, const
     shape = next(s for s in shapes if s.joint == 0 and "power" in s.values).nonlinear.at(constant)
     warm = thermal._heated(uneven, shape)
     for c in np.linspace(-4.0, -0.01, 200):
-        if shape.plausible(np.array([c])):
+        if shape.is_plausible(np.array([c])):
             assert 1.0 + c * (warm.max() - warm.mean()) > -1e-9
 
 

@@ -151,7 +151,7 @@ def test_a_spring_that_swings_beyond_the_band_is_told_where_its_coefficient_is_o
             other.columns(track).reshape(-1, 1), true.columns(track).ravel(), rcond=None
         )[0]
         assert other.parameters(np.array([c]))["stiffness"] == pytest.approx(stiffness, rel=0.005)
-        assert other.plausible(np.array([c]))
+        assert other.is_plausible(np.array([c]))
         assert abs(over / c - 1.0) >= least  # as it would be without inertia
 
 

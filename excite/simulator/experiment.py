@@ -17,7 +17,7 @@ from .actuator import ControllerGains
 from .measurement import MeasurementChain
 from .model_error import perturb_bodies
 from .physical_effect import PhysicalEffect
-from .recording_file import RecordedMotion, measure, truth_document
+from .recording_file import MeasuredSignals, measure, truth_document
 from .reference_trajectory import ReferenceTrajectory, read_reference
 from .simulated_robot import SimulatedMotion, SimulatedRobot, draw_robot
 from .urdf_tree import UrdfTree, read_urdf
@@ -90,7 +90,7 @@ class SimulatedSession:
     robot: SimulatedRobot
     chain: MeasurementChain
     motion: SimulatedMotion
-    recording: RecordedMotion
+    recording: MeasuredSignals
     truth: dict[str, Any]
 
 

@@ -26,8 +26,8 @@ The loop settles in it; at most a tenth of the period is left out.
 
 
 @dataclass(frozen=True)
-class RecordedMotion:
-    """A recorded motion.
+class MeasuredSignals:
+    """The measured signals of a motion.
 
     Attributes:
         joints: Names of the n joints.
@@ -72,7 +72,7 @@ def measure(
     reference: ReferenceTrajectory,
     chain: MeasurementChain,
     rng: np.random.Generator,
-) -> RecordedMotion:
+) -> MeasuredSignals:
     """Measure a motion.
 
     Args:
@@ -88,7 +88,7 @@ def measure(
         reference.periodic[0] + min(SETTLING_TIME, 0.1 * reference.period),
         reference.periodic[1],
     )
-    return RecordedMotion(
+    return MeasuredSignals(
         reference.joints,
         t,
         chain.quantise_positions(q),

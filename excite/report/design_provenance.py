@@ -211,7 +211,7 @@ def _limits_table(trajectory: Trajectory) -> Table:
     """Limits of each joint with their sources, and its torque noise."""
     limits, sources = trajectory.limits, trajectory.limits.sources
     shown = [q for q in QUANTITIES if np.isfinite(np.asarray(getattr(limits, q))).any()]
-    rows = [
+    rows: list[tuple[str | TableCell, ...]] = [
         (
             joint,
             *(TableCell(_limit(getattr(limits, q)[j]), note=sources[q][j]) for q in shown),

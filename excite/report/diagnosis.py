@@ -12,7 +12,7 @@ from markupsafe import Markup
 from ..diagnosis import residual_atlas
 from ..diagnosis.diagnosis import QUIET, Diagnosis
 from ..diagnosis.residual_atlas import Atlas
-from ..effects import BY_NAME, EFFECTS
+from ..effects import EFFECTS_BY_NAME, EFFECTS
 from ..recordings import Remark
 from ..robot.parameter_names import listed, percent, some
 from ..trajectory.trajectory_file import package_versions
@@ -278,7 +278,7 @@ def _effects_answer(document: Document) -> str:
 
 def _finding(finding: Document) -> dict[str, Any]:
     """A finding with its parameters and the evidence in words."""
-    effect = BY_NAME[finding["effect"]]
+    effect = EFFECTS_BY_NAME[finding["effect"]]
     source = f" (from {finding['from']})" if finding.get("from") else ""
     rows = [
         (
@@ -307,12 +307,12 @@ def _finding(finding: Document) -> dict[str, Any]:
         start, end = finding["where"]["time"]
         recording = Path(finding["where"]["recording"]).name
         facts.append(f"Only from {number(start)} to {number(end)} s of {recording}.")
-    confusable = listed([effect_words(name) for name in effect.confused])
-    purpose = f"To distinguish it from {confusable}" if effect.confused else "To confirm it"
+    confusable = listed([effect_words(name) for name in effect.similar])
+    purpose = f"To distinguish it from {confusable}" if effect.similar else "To confirm it"
     facts.append(f"{purpose}: {finding['experiment']}.")
     return {
         "title": f"{effect_words(finding['effect'])}: {_place(finding['joint'])}{source}",
-        "description": f"{effect.source}. {capitalized(effect.signature)}.",
+        "description": f"{effect.equation}. {capitalized(effect.signature)}.",
         "table": Table(head, rows, (1, 2, 3)),
         "facts": facts,
     }
@@ -385,7 +385,7 @@ def _next_section(diagnosis: Diagnosis, document: Document) -> Section:
     for finding in document["findings"]:
         lines += [
             f"To distinguish {effect_words(finding['effect'])} from {effect_words(name)} at "
-            f"{_place(finding['joint'])}: {finding['experiment']}; and {BY_NAME[name].experiment}."
+            f"{_place(finding['joint'])}: {finding['experiment']}; and {EFFECTS_BY_NAME[name].experiment}."
             for name in finding["equivalents"]
         ]
         if not finding["equivalents"]:
@@ -416,16 +416,17 @@ def _provenance_section(diagnosis: Diagnosis, atlas: Atlas, remarks: Sequence[Re
     """Data, method and versions."""
     identified, robot = diagnosis.identified, diagnosis.identified.model.robot
     fitted, held_out = (
-        list(dict.fromkeys(track.piece.source for track in tracks)) for tracks in diagnosis.tracks
+        list(dict.fromkeys(motion.piece.source for track in tracks)) for tracks in diagnosis.motions
     )
     answer = (
         f"{plural(len(diagnosis.design.shapes), 'candidate model')} of {len(EFFECTS)} effects, "
-        f"alone and together, each refitted with the base model to "
-        f"{plural(len(fitted), 'recording')} and evaluated on {plural(len(held_out), 'other recording')}; {count_remarks(remarks)}."
+        "alone and together, each refitted with the base model to "
+        f"{plural(len(fitted), 'recording')} and evaluated on "
+        f"{plural(len(held_out), 'other recording')}; {count_remarks(remarks)}."
     )
     trusted = diagnosis.options.trusted
     refit = f"{plural(len(trusted), 'value')} fixed by --prior" if trusted else "all refitted"
-    rows_fitted, rows_held_out = (sum(map(len, tracks)) for tracks in diagnosis.tracks)
+    rows_fitted, rows_held_out = (sum(map(len, motions)) for motions in diagnosis.motions)
     facts = {
         "robot": f"{robot.name} ({robot.source})",
         "SHA-256 of the URDF": robot.sha256,

@@ -10,9 +10,9 @@ import numpy as np
 from markupsafe import Markup
 
 from ..diagnosis.diagnosis import Diagnosis
-from ..diagnosis.isolability import ALIKE, Candidate, isolability
+from ..diagnosis.isolability import ALIKE, EffectAtJoint, isolability
 from ..diagnosis.residual_atlas import SIGNIFICANT, Atlas
-from ..effects import BY_NAME, EFFECTS
+from ..effects import EFFECTS_BY_NAME, EFFECTS
 from ..robot.parameter_names import listed, percent, some
 from ..robot.robot import Robot
 from .content import Section, Table, TableCell
@@ -137,7 +137,7 @@ def prediction_section(diagnosis: Diagnosis, document: Mapping[str, Any]) -> Sec
         "others": recordings[UNFOLDED_RECORDINGS:],
         "others_summary": plural(len(recordings) - UNFOLDED_RECORDINGS, "more recording"),
         "band": number(document["band_hz"], 3),
-        "has_standstill": not bool(diagnosis.moves.all()),
+        "has_standstill": not bool(diagnosis.moving.all()),
         "is_excerpt": any(p.time[-1] - p.time[0] > EXCERPT_SECONDS for p in predictions),
         "excerpt": f"{EXCERPT_SECONDS:g}",
     }
@@ -168,7 +168,7 @@ def _prediction_answer(diagnosis: Diagnosis) -> tuple[str, str]:
 def _error_table(diagnosis: Diagnosis, document: Mapping[str, Any]) -> Table:
     """Held-out errors of each joint without and with the findings."""
     robot = diagnosis.identified.model.robot
-    moving = diagnosis.moves.mean(axis=0)
+    moving = diagnosis.moving.mean(axis=0)
     has_findings = bool(document["findings"])
     rows = []
     for k, (joint, unit) in enumerate(zip(robot.joints, torque_units(robot), strict=True)):
@@ -255,7 +255,7 @@ def session_changes_section(diagnosis: Diagnosis, document: Mapping[str, Any]) -
         return
     joints = list(dict.fromkeys(change["joint"] for change in changes))
     recordings = list(dict.fromkeys(Path(change["recording"]).name for change in changes))
-    ratio = (diagnosis.same / diagnosis.floor).tolist()
+    ratio = (diagnosis.rmse_without_changes / diagnosis.floor).tolist()
     residual = dict(zip(diagnosis.identified.model.robot.joints, ratio, strict=True))
     rows = [
         (
@@ -347,7 +347,7 @@ def separability_section(diagnosis: Diagnosis) -> Section:
     robot, result = diagnosis.identified.model.robot, isolability(diagnosis.design)
     pairs, trusted = result.pairs(), diagnosis.options.trusted
 
-    def words(candidate: Candidate) -> str:
+    def words(candidate: EffectAtJoint) -> str:
         name = effect_words(candidate.effect)
         if candidate.joint is None:
             return f"{name} of the whole robot"
@@ -357,7 +357,7 @@ def separability_section(diagnosis: Diagnosis) -> Section:
     wanted = diagnosis.options.names or tuple(effect.name for effect in EFFECTS)
     untested = [effect.name for effect in EFFECTS if effect.name in wanted]
     untested = [name for name in untested if name not in tested]
-    absorbed = [name for name in untested if BY_NAME[name].prior_only and not trusted]
+    absorbed = [name for name in untested if EFFECTS_BY_NAME[name].prior_only and not trusted]
     unseen = [name for name in untested if name not in absorbed]
     count = len(result.candidates)
     if pairs:

@@ -11,7 +11,7 @@ import numpy as np
 from ..._types import FloatArray
 from ...diagnosis.diagnosis import Diagnosis
 from ...diagnosis.isolability import Isolability
-from ...effects.recorded_motion import split
+from ...effects.recorded_motion import split_by_motion
 from ...identification.identification import Prediction
 from .drawing import (
     BLUE,
@@ -94,13 +94,13 @@ def draw_gains(document: Mapping[str, Any]) -> str:
 
 def held_out_predictions(diagnosis: Diagnosis) -> Iterator[Prediction]:
     """Held-out predictions: `nominal` is the base model, `fitted` has the findings."""
-    tracks = diagnosis.tracks[1]
+    motions = diagnosis.motions[1]
     residuals = (
-        split(np.where(diagnosis.moves, residual, np.nan), tracks)
+        split_by_motion(np.where(diagnosis.moving, residual, np.nan), motions)
         for residual in diagnosis.residuals
     )
     for source, group in itertools.groupby(
-        zip(tracks, *residuals, strict=True), key=lambda entry: entry[0].piece.source
+        zip(motions, *residuals, strict=True), key=lambda entry: entry[0].segment.source
     ):
         stretches, without, with_findings = zip(*group, strict=True)
         time = np.concatenate([stretch.time for stretch in stretches])

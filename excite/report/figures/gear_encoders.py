@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...diagnosis.diagnosis import Diagnosis
-from ...diagnosis.gear_encoders import Gear
+from ...diagnosis.gear_encoders import GearEstimate
 from .drawing import GREY, INK, ORANGE, limit_ticks, render_panels
 from .trajectory import short, torque_units
 
@@ -22,7 +22,7 @@ def draw_deflections(diagnosis: Diagnosis) -> str:
     robot = diagnosis.identified.model.robot
     units = torque_units(robot)
 
-    def draw(axes: Any, gear: Gear) -> None:
+    def draw(axes: Any, gear: GearEstimate) -> None:
         _draw_deflection(axes, gear)
         unit = "mm" if units[gear.joint] == "N" else "mrad"
         title = f"{short(robot.joints[gear.joint], 20)} [{unit}]"
@@ -33,7 +33,7 @@ def draw_deflections(diagnosis: Diagnosis) -> str:
     return render_panels(label, diagnosis.gears, draw, PANEL_HEIGHT)
 
 
-def _draw_deflection(axes: Any, gear: Gear) -> None:
+def _draw_deflection(axes: Any, gear: GearEstimate) -> None:
     """Draw measured points and the fitted curve of a gear."""
     load = np.linspace(gear.load.min(), gear.load.max(), 101)
     axes.axhline(0.0, color=GREY, linewidth=0.5)

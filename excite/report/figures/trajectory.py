@@ -193,7 +193,8 @@ def draw_path(scene: MotionScene) -> tuple[str, FloatArray]:
     t = sample_times(motion, 700)
     _, ends = skeleton(robot, motion.at(t))
     part = motion.segment("fourier")
-    poses = motion.at(part.start + motion.fourier.period * np.arange(4) / 4.0)
+    quarters: FloatArray = part.start + motion.fourier.period * np.arange(4.0) / 4.0
+    poses = motion.at(quarters)
     joints, tips = skeleton(robot, poses)
     kinds = np.array(
         [next((s.kind for s in motion.segments if s.start <= x <= s.end), "fourier") for x in t]

@@ -11,7 +11,8 @@ from .errors import UnusableInput
 
 
 def write_all(folder: Path, contents: Mapping[str, str]) -> list[Path]:
-    """Write several text files into a folder, or folders in it: all are complete before the first takes its name.
+    """Write several text files into a folder, or folders in it: all are complete before the first
+    takes its name.
 
     Raises UnusableInput when the folder cannot be made or written.
     """

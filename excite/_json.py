@@ -1,4 +1,5 @@
-"""Strict JSON: what a parser of the standard reads everywhere, with numbers that read back exactly."""
+"""Strict JSON: what a parser of the standard reads everywhere, with numbers that read back
+exactly."""
 
 from __future__ import annotations
 

@@ -10,7 +10,8 @@ RANK = 1e-8
 
 
 def factors(columns: Array) -> tuple[Array, Array]:
-    """Orthonormal Q and S with Γ⁺ = S Qᵀ, with relative tolerance, columns at unit length. Shapes (m, p) -> (m, r), (p, r)."""
+    """Orthonormal Q and S with Γ⁺ = S Qᵀ, with relative tolerance, columns at unit length. Shapes
+    (m, p) -> (m, r), (p, r)."""
     size = np.linalg.norm(columns, axis=0)
     size[size <= 1e-9 * size.max(initial=0.0)] = np.inf
     u, s, vt = np.linalg.svd(columns / size, full_matrices=False)

@@ -95,7 +95,8 @@ def joint(
 ) -> str:
     return (
         f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
-        f'<origin xyz="{words(xyz)}" rpy="{words(rpy)}"/><axis xyz="{words(axis)}"/>{inside}</joint>'
+        f'<origin xyz="{words(xyz)}" rpy="{words(rpy)}"/><axis xyz="{words(axis)}"/>'
+        f"{inside}</joint>"
     )
 
 
@@ -210,7 +211,7 @@ def text_of(name: str) -> str:
 
 
 def reframed(text: str, rng: np.random.Generator) -> str:
-    """Return the same robot with each moving link's frame rotated and shifted along its joint axis."""
+    """Return the same robot with link frames rotated and shifted along the joint axes."""
     root = ElementTree.fromstring(text)
     moved = {
         element.find("child").get("link"): _new_frame(element, rng)
@@ -311,7 +312,7 @@ def off(actual: np.ndarray, expected: np.ndarray) -> float:
     return float(np.abs(actual - expected).max() / np.abs(expected).max())
 
 
-# -- designs, computed once per process -------------------------------------------------------------
+# -- designs, computed once per process -------------------------------------------------------
 
 
 @pytest.fixture(scope="session")

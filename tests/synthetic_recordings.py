@@ -1,4 +1,4 @@
-"""Recordings of robots with known parameters, by Pinocchio's inverse dynamics without a regressor."""
+"""Recordings of robots with known parameters, by Pinocchio's inverse dynamics."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def synthetic_recording(
     noise: float,
     **side: object,
 ) -> Recording:
-    """Return a recording of a robot with parameters ψ along a Fourier series, with white torque noise."""
+    """Return a recording along a Fourier series, with white torque noise."""
     t = np.arange(round(periods * fourier.period * RATE) + 1) / RATE
     s = fourier.samples(t)
     exact = rnea_torque(model, psi, s.q, s.dq, s.ddq)

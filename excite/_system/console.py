@@ -15,8 +15,9 @@ from ..errors import UnusableInput
 def prepared() -> Iterator[None]:
     """Make standard output and standard error usable within the block.
 
-    Characters that an encoding lacks are replaced. A closed stream is replaced by the null device, its file descriptor too, so that no
-    file that is opened later takes its number and receives what libraries print.
+    Characters that an encoding lacks are replaced. A closed stream is replaced by the null device,
+    its file descriptor too, so that no file that is opened later takes its number and receives what
+    libraries print.
     """
     while (handle := os.open(os.devnull, os.O_RDWR)) <= 2:
         pass

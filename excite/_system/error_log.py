@@ -21,7 +21,8 @@ PACKAGES = ("casadi", "coal", "joblib", "matplotlib", "mujoco", "numpy", "pin", 
 
 
 def write_error_log(error: BaseException, argv: Sequence[str]) -> Path | None:
-    """Write what is needed to reproduce an error, into `$XDG_STATE_HOME/excite`, or else into the directory of temporary files.
+    """Write what is needed to reproduce an error, into `$XDG_STATE_HOME/excite`, or else into the
+    directory of temporary files.
 
     Args:
         error: The error.
@@ -35,7 +36,8 @@ def write_error_log(error: BaseException, argv: Sequence[str]) -> Path | None:
         f"command: excite {' '.join(map(repr, argv))}",
         f"directory: {_current_directory()}",
         f"system: {platform.platform()}, Python {platform.python_version()}",
-        f"versions: excite {__version__}{''.join(f', {name} {version}' for name, version in _versions())}",
+        "versions: excite "
+        f"{__version__}{''.join(f', {name} {version}' for name, version in _versions())}",
         "",
         "".join(traceback.format_exception(error)),
     ]

@@ -1,4 +1,5 @@
-"""Replace a folder as a whole: complete a new one beside it, then exchange their names atomically."""
+"""Replace a folder as a whole: complete a new one beside it, then exchange their names
+atomically."""
 
 from __future__ import annotations
 
@@ -28,7 +29,8 @@ class _NotExchangeable(Exception):
 
 
 def replace_folder(folder: Path, files: Mapping[str, bytes], names: frozenset[str]) -> bool:
-    """Replace a set of files in a folder by replacing the folder, such that a killed process leaves the old or the new set.
+    """Replace a set of files in a folder by replacing the folder, such that a killed process leaves
+    the old or the new set.
 
     Entries that are not of the set are carried over, files as hard links.
 
@@ -79,7 +81,8 @@ def _replace_once(folder: Path, files: Mapping[str, bytes], names: frozenset[str
 
 
 def _require_plain(folder: Path, status: os.stat_result) -> None:
-    """Raise _NotExchangeable for folders of other owners, mount points, and folders that some program relies on to stay."""
+    """Raise _NotExchangeable for folders of other owners, mount points, and folders that some
+    program relies on to stay."""
     if not hasattr(os, "geteuid") or os.path.ismount(folder) or not _is_own_folder(status):
         raise _NotExchangeable
     for directory in _directories_in_use():
@@ -88,7 +91,8 @@ def _require_plain(folder: Path, status: os.stat_result) -> None:
 
 
 def _directories_in_use() -> Iterator[str]:
-    """The user's home, the temporary directory, and the current directories of all processes, as far as they are shown."""
+    """The user's home, the temporary directory, and the current directories of all processes, as
+    far as they are shown."""
     yield os.path.expanduser("~")
     yield os.path.realpath(tempfile.gettempdir())
     for link in glob.iglob("/proc/[0-9]*/cwd"):
@@ -107,7 +111,8 @@ def _is_own_folder(status: os.stat_result) -> bool:
 
 
 def _link_others(folder: Path, fresh: Path, names: frozenset[str]) -> None:
-    """Recreate the entries of a folder that are not of the set: folders as folders, everything else as hard links.
+    """Recreate the entries of a folder that are not of the set: folders as folders, everything else
+    as hard links.
 
     Raises:
         OSError, _NotExchangeable: An entry cannot be recreated.
@@ -152,7 +157,8 @@ def _holds_only(folder: Path, name: Path, names: frozenset[str]) -> bool:
 
 
 def _copy_attributes(folder: Path, fresh: Path) -> None:
-    """Copy a folder's group, mode and extended attributes (access control lists among them) to another folder."""
+    """Copy a folder's group, mode and extended attributes (access control lists among them) to
+    another folder."""
     status = os.lstat(folder)
     if os.lstat(fresh).st_gid != status.st_gid:
         os.chown(fresh, -1, status.st_gid)
@@ -185,7 +191,8 @@ def _exchange(one: Path, other: Path) -> None:
 
 
 def _carry_over(old: Path, folder: Path, names: frozenset[str]) -> None:
-    """Move entries that others have added or replaced in the old folder while the new one was staged."""
+    """Move entries that others have added or replaced in the old folder while the new one was
+    staged."""
     for path, folders, others in os.walk(old):
         inner = Path(path).relative_to(old)
         for entry in [*folders, *others]:

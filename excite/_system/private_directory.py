@@ -1,4 +1,5 @@
-"""Directories that nobody but the user can write to or read: the cache of compiled code, the logs."""
+"""Directories that nobody but the user can write to or read: the cache of compiled code, the
+logs."""
 
 from __future__ import annotations
 
@@ -13,12 +14,13 @@ def private_directory(variable: str, default: str) -> Path | None:
     """Find or create the package's private directory of a kind (XDG Base Directory Specification).
 
     Args:
-        variable: The environment variable that names the directory above it; relative paths are ignored, as the specification says.
+        variable: The environment variable that names the directory above it; relative paths are
+            ignored, as the specification says.
         default: That directory where the variable is unset, relative to the user's home.
 
     Returns:
-        `<directory>/excite`, owned by the user and accessible to nobody else; None where there is no such directory and none can
-        be created.
+        `<directory>/excite`, owned by the user and accessible to nobody else; None where there is
+        no such directory and none can be created.
     """
     above = os.environ.get(variable, "")
     if not os.path.isabs(above):
@@ -40,8 +42,8 @@ def opened_privately(path: Path) -> Iterator[int | None]:
     """Open a directory and check that nobody but the user can write to or read it.
 
     Yields:
-        Its file descriptor, or None where it is not private. What is opened relative to the descriptor is in the directory that
-        was checked, whatever happens to its name.
+        Its file descriptor, or None where it is not private. What is opened relative to the
+        descriptor is in the directory that was checked, whatever happens to its name.
 
     Raises:
         OSError: It is no directory or cannot be opened.

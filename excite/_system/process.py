@@ -1,4 +1,5 @@
-"""A command as a process: every outcome becomes an exit code and at most one line on standard error, never a traceback."""
+"""A command as a process: every outcome becomes an exit code and at most one line on standard
+error, never a traceback."""
 
 from __future__ import annotations
 
@@ -28,7 +29,8 @@ def run(command: Callable[[], int], argv: Sequence[str], *, owns_process: bool) 
         owns_process: Whether the process ends after the command: signals end it at once then.
 
     Returns:
-        The exit code: that of the command or of the `ExciteError` it raised, 1 after an interruption, 70 after an unforeseen error.
+        The exit code: that of the command or of the `ExciteError` it raised, 1 after an
+        interruption, 70 after an unforeseen error.
     """
     already = len(replaced_files())
 

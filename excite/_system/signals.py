@@ -23,14 +23,17 @@ class Interruption(KeyboardInterrupt):
 
 @contextlib.contextmanager
 def handled(end: Callable[[str], None] | None) -> Iterator[None]:
-    """Handle the signals within the block, unless they are ignored already (`nohup`, background jobs).
+    """Handle the signals within the block, unless they are ignored already (`nohup`, background
+    jobs).
 
-    Forked worker processes do not see signals to the group of the process (Ctrl-C of a terminal, `timeout`) and end with it.
+    Forked worker processes do not see signals to the group of the process (Ctrl-C of a terminal,
+    `timeout`) and end with it.
 
     Args:
-        end: Called with the word for the signal; it should end the process. It is called where an exception would be lost or printed:
-            Python drops what is raised in callbacks of the garbage collector, and extension modules turn an interrupted import
-            into another error. None: `Interruption` is raised, and the handlers of before are restored after the block.
+        end: Called with the word for the signal; it should end the process. It is called where an
+            exception would be lost or printed: Python drops what is raised in callbacks of the
+            garbage collector, and extension modules turn an interrupted import into another error.
+            None: `Interruption` is raised, and the handlers of before are restored after the block.
     """
     if threading.current_thread() is not threading.main_thread():  # which alone may handle signals
         yield
@@ -47,7 +50,9 @@ def handled(end: Callable[[str], None] | None) -> Iterator[None]:
     _state.end = end
     if (
         end is not None
-    ):  # the first that is registered is called last: after it, Python would restore the system's handlers
+        # the first that is registered is called last: after it, Python would restore the system's
+        # handlers
+    ):
         atexit.register(_replace_handlers, signal.SIG_IGN)
     for kind in before:
         signal.signal(kind, _handle)
@@ -62,7 +67,8 @@ def handled(end: Callable[[str], None] | None) -> Iterator[None]:
 
 @contextlib.contextmanager
 def raised() -> Iterator[None]:
-    """Raise the signals as `Interruption` within the block, for commands that run until they are interrupted."""
+    """Raise the signals as `Interruption` within the block, for commands that run until they are
+    interrupted."""
     end, _state.end = _state.end, None
     try:
         yield
@@ -71,7 +77,8 @@ def raised() -> Iterator[None]:
 
 
 def exit_with(code: int) -> None:
-    """Let signals end the process with an exit code from now on: the command is done, and only the interpreter has to end."""
+    """Let signals end the process with an exit code from now on: the command is done, and only the
+    interpreter has to end."""
     if threading.current_thread() is threading.main_thread():
         _replace_handlers(lambda number, frame: os._exit(code))
 
@@ -111,7 +118,8 @@ def _replace_handlers(handler: Callable[[int, FrameType | None], None] | signal.
 
 
 def _block() -> None:
-    """Before a fork: a signal that reaches the child before it has handlers of its own would be lost, and a pool wait for ever."""
+    """Before a fork: a signal that reaches the child before it has handlers of its own would be
+    lost, and a pool wait for ever."""
     if _state.parent is not None:
         signal.pthread_sigmask(signal.SIG_BLOCK, _kinds())
 
@@ -127,8 +135,11 @@ def _become_worker() -> None:
         return
     _replace_handlers(signal.SIG_DFL)
     os.setpgid(
-        0, 0
-    )  # signals to the group are for the parent: a worker that dies of one may take a lock of the pool with it
+        0,
+        0,
+        # signals to the group are for the parent: a worker that dies of one may take a lock of the pool
+        # with it
+    )
     if (
         _state.prctl is not None
     ):  # without that, workers of a pool wait for ever for a process that was killed

@@ -1,4 +1,5 @@
-"""Staging directories: fresh, hidden directories in which files are completed before they take their place."""
+"""Staging directories: fresh, hidden directories in which files are completed before they take
+their place."""
 
 from __future__ import annotations
 
@@ -21,17 +22,21 @@ except (
 
 SUFFIX = ".partial"
 NAME_BYTES = 100
-"""Bytes of a name that enter the name of its staging directory; file systems allow 255 for all of it."""
+"""Bytes of a name that enter the name of its staging directory; file systems allow 255 for all of
+it."""
 REUSE_AGE = 60.0
-"""Age [s] from which an unlocked staging directory is abandoned although a process of its number is alive: numbers are reused,
-and each container counts its own. Locking a directory after its creation takes well under a millisecond."""
+"""Age [s] from which an unlocked staging directory is abandoned although a process of its number is
+alive: numbers are reused, and each container counts its own. Locking a directory after its creation
+takes well under a millisecond."""
 
 
 class StagingDirectory:
-    """A fresh directory `.<name>.<process>.<random>.partial`, locked for as long as its process lives.
+    """A fresh directory `.<name>.<process>.<random>.partial`, locked for as long as its process
+    lives.
 
-    The lock (`flock` on the directory) ends with the process, however that ends, so that a later run can tell abandoned
-    directories from those in use. As a context manager it removes itself at the end.
+    The lock (`flock` on the directory) ends with the process, however that ends, so that a later
+    run can tell abandoned directories from those in use. As a context manager it removes itself at
+    the end.
 
     Attributes:
         path: The directory.
@@ -147,8 +152,8 @@ def write_new(path: Path, content: bytes, like: Path) -> None:
     Args:
         path: The file, which must not exist.
         content: All of it.
-        like: The file that it will replace: it gets its mode, and its owner where that is permitted. Where there is none, the
-            umask decides.
+        like: The file that it will replace: it gets its mode, and its owner where that is
+            permitted. Where there is none, the umask decides.
     """
     with open(path, "xb") as stream:
         old = status_of(like)

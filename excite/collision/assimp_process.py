@@ -1,8 +1,10 @@
-"""The process that reads mesh files with Assimp: `python -m excite.collision.assimp_process`, started by `mesh_file`.
+"""The process that reads mesh files with Assimp: `python -m excite.collision.assimp_process`,
+started by `mesh_file`.
 
-Assimp is written in C++ and crashes, hangs or allocates without bound on some corrupted files; here it takes nothing else with it.
-Standard input: a JSON list of paths. Standard output, for each path in turn: one line of JSON, {"vertices": N, "triangles": M} or
-{"error": "…"}, then N × 3 numbers of type float64 and M × 3 of type int64.
+Assimp is written in C++ and crashes, hangs or allocates without bound on some corrupted files; here
+it takes nothing else with it. Standard input: a JSON list of paths. Standard output, for each path
+in turn: one line of JSON, {"vertices": N, "triangles": M} or {"error": "…"}, then N × 3 numbers of
+type float64 and M × 3 of type int64.
 """
 
 from __future__ import annotations
@@ -18,7 +20,8 @@ import numpy as np
 MEMORY = 4 << 30
 """Largest address space of the process [bytes]."""
 PROCESSOR_TIME = 120
-"""Longest processor time of the process [s]. The 29 MB trunk.dae of the Unitree Go1, 350,000 triangles, takes 2 s."""
+"""Longest processor time of the process [s]. The 29 MB trunk.dae of the Unitree Go1, 350,000
+triangles, takes 2 s."""
 
 
 def _limit_resources() -> None:

@@ -16,8 +16,9 @@ class Chain:
     """The kinematic tree as arrays; joint 0 is the base, which does not move.
 
     parent: of each joint. rotation, translation: of each joint's frame in its parent's, at q = 0.
-    linear, angular: unit motion subspaces, joint frame. above: above[i, k], whether joint k moves joint i's frame.
-    spread, shift: see `Robot`. Shapes (J,), (J, 3, 3), (J, 3), (J, 3), (J, 3), (J, J), (J − 1, n), (J − 1,).
+        linear, angular: unit motion subspaces, joint frame. above: above[i, k], whether joint k
+        moves joint i's frame. spread, shift: see `Robot`. Shapes (J,), (J, 3, 3), (J, 3), (J, 3),
+        (J, 3), (J, J), (J − 1, n), (J − 1,).
     """
 
     parent: Array
@@ -30,7 +31,8 @@ class Chain:
     shift: Array
 
     def poses(self, q: Array) -> tuple[Array, Array]:
-        """Rotations and origins of all joint frames in the base frame. Shapes (N, n) -> (N, J, 3, 3), (N, J, 3) [m]."""
+        """Rotations and origins of all joint frames in the base frame. Shapes (N, n) -> (N, J, 3,
+        3), (N, J, 3) [m]."""
         full = q @ self.spread.T + self.shift
         R, p = np.empty((len(q), len(self.parent), 3, 3)), np.empty((len(q), len(self.parent), 3))
         R[:, 0], p[:, 0] = np.eye(3), 0.0
@@ -45,7 +47,8 @@ class Chain:
         return R, p
 
     def screws(self, R: Array, p: Array) -> Array:
-        """Velocity field of each joint's unit speed as (angular, linear at the base's origin). Shapes as of `poses` -> (N, J, 6).
+        """Velocity field of each joint's unit speed as (angular, linear at the base's origin).
+        Shapes as of `poses` -> (N, J, 6).
 
         A point x that joint k moves has velocity ω × x + v; along n that is ω · (x × n) + v · n.
         """

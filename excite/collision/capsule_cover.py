@@ -1,4 +1,5 @@
-"""Covers: capsules and boxes that enclose a shape, for the optimiser, which needs distances in closed form."""
+"""Covers: capsules and boxes that enclose a shape, for the optimiser, which needs distances in
+closed form."""
 
 from __future__ import annotations
 
@@ -19,12 +20,14 @@ WORTH = 0.85
 DENSE, CELLS = 2000, 40
 """Meshes of more triangles than this are covered by way of a grid of so many cells a side."""
 FINE = 6
-"""Edges of triangles are at most this many times shorter than the surface is long, so that it can be split."""
+"""Edges of triangles are at most this many times shorter than the surface is long, so that it can
+be split."""
 
 
 @dataclass(frozen=True)
 class Capsule:
-    """All points within `radius` of the segment from `begin` to `end`. Shapes (3,), (3,), () [m]."""
+    """All points within `radius` of the segment from `begin` to `end`. Shapes (3,), (3,), ()
+    [m]."""
 
     begin: Array
     end: Array
@@ -44,7 +47,8 @@ class Capsule:
 
 @lru_cache(maxsize=512)
 def capsules(shape: Shape) -> tuple[Capsule, ...]:
-    """Capsules that enclose a shape of a link, in its link's frame; spheres and capsules enclose themselves."""
+    """Capsules that enclose a shape of a link, in its link's frame; spheres and capsules enclose
+    themselves."""
     if shape.kind in (Kind.SPHERE, Kind.CAPSULE):
         half = np.array([0.0, 0.0, 0.5 * shape.size[1] if shape.kind is Kind.CAPSULE else 0.0])
         own = [Capsule(-half, half, shape.size[0])]
@@ -56,7 +60,8 @@ def capsules(shape: Shape) -> tuple[Capsule, ...]:
 
 
 def boxes(shape: Shape) -> list[tuple[Array, Array]]:
-    """Corners (lower, upper) of boxes, along the shape's own axes, that enclose a shape around the robot. Shapes (3,) [m]."""
+    """Corners (lower, upper) of boxes, along the shape's own axes, that enclose a shape around the
+    robot. Shapes (3,) [m]."""
     if shape.kind is Kind.BOX:
         half = 0.5 * np.array(shape.size)
         return [(-half, half)]
@@ -79,7 +84,8 @@ def boxes(shape: Shape) -> list[tuple[Array, Array]]:
 
 
 def _coarse(triangles: Array) -> tuple[Array, float]:
-    """A large mesh with its corners moved to the middles of cells, and how far its surface may have moved at most [m]."""
+    """A large mesh with its corners moved to the middles of cells, and how far its surface may have
+    moved at most [m]."""
     if len(triangles) <= DENSE:
         return triangles, 0.0
     points = triangles.reshape(-1, 3)
@@ -92,7 +98,8 @@ def _coarse(triangles: Array) -> tuple[Array, float]:
 
 
 def _split(triangles: Array) -> list[Capsule]:
-    """One capsule, or one for each of several slabs across a principal axis, if that wastes much less room."""
+    """One capsule, or one for each of several slabs across a principal axis, if that wastes much
+    less room."""
     whole = triangles.reshape(-1, 3)
     best, least = [whole], _rough(whole).volume
     for axis in np.linalg.svd(whole - whole.mean(axis=0), full_matrices=False)[2]:
@@ -129,7 +136,8 @@ def _rough(points: Array) -> Capsule:
 
 
 def _axis(points: Array) -> Array:
-    """Of many directions the one along which a capsule, around the middle of the extents across, is smallest."""
+    """Of many directions the one along which a capsule, around the middle of the extents across, is
+    smallest."""
     centred = points - points.mean(axis=0)
     axes = np.vstack([np.linalg.eigh(centred.T @ centred)[1].T, np.eye(3), _HEMISPHERE])
     sides = np.array([_sides(axis) for axis in axes])
@@ -178,14 +186,16 @@ def enclosing(points: Array) -> Capsule:
 
 
 def _around(points: Array, axis: Array, offset: Array | None) -> tuple[Capsule, Array]:
-    """The smallest capsule with an axis of this direction, through `offset` in the plane across (None: the circle's own middle)."""
+    """The smallest capsule with an axis of this direction, through `offset` in the plane across
+    (None: the circle's own middle)."""
     side = _sides(axis)
     flat, height = points @ side.T, points @ axis
     middle = 0.5 * (flat.min(axis=0) + flat.max(axis=0)) if offset is None else offset
     away = np.sum((flat - middle) ** 2, axis=1)
     radius = float(np.sqrt(away.max())) * (1.0 + 1e-9) + 1e-9
     reach = np.sqrt(radius**2 - away)
-    # a point at a height is inside while the nearest centre is no further along than the ball there reaches
+    # a point at a height is inside while the nearest centre is no further along than the ball there
+    # reaches
     low, high = float((height + reach).min()), float((height - reach).max())
     if low > high:
         low = high = 0.5 * (low + high)

@@ -1,4 +1,5 @@
-"""From a cell to its clearance: what covers each body, and which pairs of covers the optimiser has to look at."""
+"""From a cell to its clearance: what covers each body, and which pairs of covers the optimiser has
+to look at."""
 
 from __future__ import annotations
 
@@ -75,7 +76,8 @@ class _Covers:
 def clearance(cell: Cell) -> Clearance | None:
     """Covers of a cell and the pairs of them that can come near; None where none can.
 
-    Where covers are too loose for a pair, convex hulls take their place; where these are too, the certificate alone decides.
+    Where covers are too loose for a pair, convex hulls take their place; where these are too, the
+    certificate alone decides.
     """
     covers = _Covers()
     for body in cell.bodies:
@@ -107,7 +109,8 @@ def clearance(cell: Cell) -> Clearance | None:
 
 
 def _pruned(whole: Clearance, cell: Cell, pair: Array) -> Clearance | None:
-    """Without the covers that never come near, over many poses; hulls instead of those that are too loose. pair: of each row."""
+    """Without the covers that never come near, over many poses; hulls instead of those that are too
+    loose. pair: of each row."""
     poses = spread_poses(cell.limits, POSES)
     room = whole.at(poses).distances() - whole.need
     dropped = ~(room < FAR).any(axis=0)

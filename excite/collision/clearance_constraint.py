@@ -1,6 +1,8 @@
-"""Distances between covers of all bodies, many poses at once, with exact gradients: the optimiser's side of a cell.
+"""Distances between covers of all bodies, many poses at once, with exact gradients: the optimiser's
+side of a cell.
 
-Capsules enclose links and tools; capsules, boxes and half spaces enclose what stands around. So the true distance is never less.
+Capsules enclose links and tools; capsules, boxes and half spaces enclose what stands around. So the
+true distance is never less.
 """
 
 from __future__ import annotations
@@ -20,9 +22,11 @@ from .segment_distance import Nearest
 Array = np.ndarray
 SCALE = 20.0
 LEAST, MOST = 0.04, 0.4
-"""A row's unit is so many margins, within these bounds [m]: rows join the optimisation when a quarter of it is left."""
+"""A row's unit is so many margins, within these bounds [m]: rows join the optimisation when a
+quarter of it is left."""
 SLACK = 4e-3
-"""Clearance beyond the margin for what happens between samples, at first [m]; less where the margin is under five times that."""
+"""Clearance beyond the margin for what happens between samples, at first [m]; less where the margin
+is under five times that."""
 FAR = 0.15
 """Beyond the margin by more than this, bounds of distances do [m]."""
 
@@ -31,11 +35,13 @@ FAR = 0.15
 class Clearance:
     """Pairs of covers that keep apart; arrays and shapes only, so that it goes to other processes.
 
-    joint, begin, end, radius: of the capsules, ends in the joint's frame. Shapes (C,), (C, 3), (C, 3), (C,).
-    box_pose, box_centre, box_half: of the boxes, base frame. Shapes (B, 3, 3), (B, 3), (B, 3). normal, height: of the planes.
-    hulls: bodies that capsules enclose too loosely, with the joint and placement of each; their convex hulls stand for them.
-    kind: 0 capsules, 1 capsule and box, 2 capsule and plane, 3 hulls. first, second: their numbers. need: clearance. Shapes (P,).
-    names: of the bodies of each pair. more: clearance beyond SLACK, where that did not do between samples [m].
+    joint, begin, end, radius: of the capsules, ends in the joint's frame. Shapes (C,), (C, 3), (C,
+    3), (C,). box_pose, box_centre, box_half: of the boxes, base frame. Shapes (B, 3, 3), (B, 3),
+    (B, 3). normal, height: of the planes. hulls: bodies that capsules enclose too loosely, with the
+    joint and placement of each; their convex hulls stand for them. kind: 0 capsules, 1 capsule and
+    box, 2 capsule and plane, 3 hulls. first, second: their numbers. need: clearance. Shapes (P,).
+    names: of the bodies of each pair. more: clearance beyond SLACK, where that did not do between
+    samples [m].
     """
 
     chain: Chain
@@ -84,7 +90,8 @@ class Clearance:
         return Look(self, *self.chain.poses(q))
 
     def least(self, q: Array) -> tuple[Array, Array]:
-        """Clearance beyond what is needed at each pose, and the pair that has least. Shapes (N, n) -> (N,) [m], (N,)."""
+        """Clearance beyond what is needed at each pose, and the pair that has least. Shapes (N, n)
+        -> (N,) [m], (N,)."""
         room = self.at(q).distances() - self.need
         pair = np.argmin(room, axis=1)
         return room[np.arange(len(q)), pair], pair
@@ -101,7 +108,8 @@ class Clearance:
 
 @dataclass(frozen=True)
 class Hull:
-    """A body as coal's convex solid, where a joint moves it. rotation, position: in the joint's frame. Shapes (3, 3), (3,)."""
+    """A body as coal's convex solid, where a joint moves it. rotation, position: in the joint's
+    frame. Shapes (3, 3), (3,)."""
 
     shape: Shape
     joint: int
@@ -119,7 +127,8 @@ class Hull:
 
 @dataclass(frozen=True)
 class Stack:
-    """What `Hull` says of each, and the ball around it. Shapes (H,), (H, 3, 3), (H, 3), (H, 3), (H,)."""
+    """What `Hull` says of each, and the ball around it. Shapes (H,), (H, 3, 3), (H, 3), (H, 3),
+    (H,)."""
 
     joint: Array
     rotation: Array
@@ -129,7 +138,8 @@ class Stack:
 
 
 class Look:
-    """Distances at N poses, and their slopes. rotation, origin: of all joint frames. Shapes (N, J, 3, 3), (N, J, 3)."""
+    """Distances at N poses, and their slopes. rotation, origin: of all joint frames. Shapes (N, J,
+    3, 3), (N, J, 3)."""
 
     def __init__(self, clearance: Clearance, rotation: Array, origin: Array) -> None:
         self.clearance, self.rotation, self.origin = clearance, rotation, origin
@@ -146,7 +156,8 @@ class Look:
         return np.asarray(1.0 + (c.need + slack - self.distances()) / c.unit)
 
     def distances(self) -> Array:
-        """Of every pair; a lower bound where they are further apart than matters. Shape (N, P) [m]."""
+        """Of every pair; a lower bound where they are further apart than matters. Shape (N, P)
+        [m]."""
         c = self.clearance
         out = np.empty((len(self.origin), len(c)))
         for kind in range(4):
@@ -163,7 +174,8 @@ class Look:
     def slopes(self, sample: Array, pair: Array) -> Array:
         """Derivatives of single rows by the joints' positions. Shapes (m,), (m,) -> (m, n).
 
-        The nearest points differ along the direction n of the distance, so that x × n is the same for both.
+        The nearest points differ along the direction n of the distance, so that x × n is the same
+        for both.
         """
         c = self.clearance
         wrench, moved = np.zeros((len(sample), 6)), np.zeros((len(sample), len(c.chain.parent)))
@@ -206,7 +218,8 @@ class Look:
         return np.asarray(np.sum(centre * c.normal[b], axis=2) - c.height[b] - c.reach[a])
 
     def _nearest(self, kind: int, sample: Array, pair: Array) -> Nearest:
-        """Pairs of one kind, each at a sample of its own; distances of the capsules, not of their axes."""
+        """Pairs of one kind, each at a sample of its own; distances of the capsules, not of their
+        axes."""
         c = self.clearance
         a, b = c.first[pair], c.second[pair]
         if kind == 3:

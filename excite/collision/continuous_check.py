@@ -1,8 +1,10 @@
-"""The certificate's own check: least distances along a whole motion, between the moments looked at too.
+"""The certificate's own check: least distances along a whole motion, between the moments looked at
+too.
 
-While bodies a and b move, their distance falls no faster than Σ |q̇_k| ρ_k over the joints k between them, ρ_k the furthest
-that a point of what k moves can be from k's axis. So from a distance d nothing comes nearer than l before the integral
-of that speed has reached d − l: one looks again only then (conservative advancement; Mirtich & Canny 1995).
+While bodies a and b move, their distance falls no faster than Σ |q̇_k| ρ_k over the joints k
+between them, ρ_k the furthest that a point of what k moves can be from k's axis. So from a distance
+d nothing comes nearer than l before the integral of that speed has reached d − l: one looks again
+only then (conservative advancement; Mirtich & Canny 1995).
 """
 
 from __future__ import annotations
@@ -38,7 +40,8 @@ RAYS = np.array([[0.8141, 0.3927, 0.4273], [-0.2718, 0.9113, -0.3091], [0.1414, 
 
 @dataclass(frozen=True)
 class Near:
-    """How near the two bodies of a pair come. found: least distance seen [m], at `time` [s] and `pose`; proven: never less [m]."""
+    """How near the two bodies of a pair come. found: least distance seen [m], at `time` [s] and
+    `pose`; proven: never less [m]."""
 
     pair: Pair
     names: str
@@ -77,7 +80,8 @@ def along(cell: Cell, motion: Motion) -> list[Near]:
 
 @dataclass(frozen=True)
 class _Grid:
-    """Configurations of a segment at equal steps. speed: bound of |q̇| over each step. Shapes (N, n), (N − 1, n)."""
+    """Configurations of a segment at equal steps. speed: bound of |q̇| over each step. Shapes (N,
+    n), (N − 1, n)."""
 
     time: Array
     q: Array
@@ -153,7 +157,9 @@ def _divided(probe: Probe, pair: int, poses: Array, way: float) -> float:
     return float((0.5 * (d[:-1] + d[1:] - way / (len(poses) - 1))).min())
 
 
-def _parts(motion: Motion, segment: MotionSegment, ends: Array, level: float, bound: float) -> Array:
+def _parts(
+    motion: Motion, segment: MotionSegment, ends: Array, level: float, bound: float
+) -> Array:
     """Poses within a step, as many as its bound falls short of the level in tolerances."""
     count = int(np.clip(2.0 + (level - bound) / TOLERANCE, 2, DIVIDED))
     return _poses(motion, segment, np.linspace(ends[0], ends[-1], count + 1))
@@ -185,7 +191,8 @@ def _grid(motion: Motion, segment: MotionSegment) -> _Grid:
 
 
 def _reach(cell: Cell, most: Array) -> Array:
-    """Speed of a pair's approach per speed of each of the model's joints, at most. most: |q| of those. Shape (P, nv)."""
+    """Speed of a pair's approach per speed of each of the model's joints, at most. most: |q| of
+    those. Shape (P, nv)."""
     model = cell.robot.model
     axes = cell.robot.axes()
     length = [0.0] * model.njoints
@@ -222,7 +229,8 @@ def _radius(body: Body) -> float:
 
 
 def contained(cell: Cell, q: Array) -> Pair | None:
-    """A pair of which one body lies inside the other's closed mesh, where distances to its surface say nothing. Shape (n,)."""
+    """A pair of which one body lies inside the other's closed mesh, where distances to its surface
+    say nothing. Shape (n,)."""
     robot, data = cell.robot, cell.robot.model.createData()
     pin.forwardKinematics(robot.model, data, robot.expand(q))
     for pair in cell.pairs:
@@ -243,7 +251,8 @@ def _point(body: Body) -> Array:
 
 
 def _encloses(triangles: Array) -> bool:
-    """Whether a closed surface goes round the origin: rays out of it pass it an odd number of times. Shape (m, 3, 3)."""
+    """Whether a closed surface goes round the origin: rays out of it pass it an odd number of
+    times. Shape (m, 3, 3)."""
     a, first, second = (
         triangles[:, 0],
         triangles[:, 1] - triangles[:, 0],

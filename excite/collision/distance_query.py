@@ -21,8 +21,9 @@ Array = np.ndarray
 class Body:
     """Shapes that move as one: of a link, a tool, or a thing that stands around.
 
-    joint: the model's joint that moves it, 0 for what stands. placements: of its shapes in that joint's frame.
-    solids, hulls: for coal, exactly and convex. around: part of the surroundings.
+    joint: the model's joint that moves it, 0 for what stands. placements: of its shapes in that
+        joint's frame. solids, hulls: for coal, exactly and convex. around: part of the
+        surroundings.
     """
 
     name: str
@@ -49,7 +50,8 @@ class Pair:
 
 
 def bodies(robot: Robot, shapes: Sequence[Shape]) -> tuple[Body, ...]:
-    """Shapes of one name together, placed. Raises UnusableInput for a link that the robot has not."""
+    """Shapes of one name together, placed. Raises UnusableInput for a link that the robot has
+    not."""
     mesh_file.read_all([one.file for one in shapes if one.file is not None])
     grouped: dict[str, list[Shape]] = {}
     for one in shapes:
@@ -98,7 +100,8 @@ class Probe:
     def distance(self, pair: int) -> float:
         """Of a pair by its number; ≤ 0 where the bodies meet [m].
 
-        Of meshes further apart than `near` it is that of their convex hulls, which is never larger and a hundred times cheaper.
+        Of meshes further apart than `near` it is that of their convex hulls, which is never larger
+        and a hundred times cheaper.
         """
         least = np.inf
         for number in self._own[pair]:

@@ -20,7 +20,8 @@ from . import mesh_file
 
 Array = np.ndarray
 SIDES = 24
-"""Corners of the polygons that stand for circles; they are drawn around them, so that nothing of the shape is outside."""
+"""Corners of the polygons that stand for circles; they are drawn around them, so that nothing of
+the shape is outside."""
 
 
 class Kind(Enum):
@@ -41,7 +42,8 @@ WORDS = {
     Kind.BOX: ("size",),
     Kind.MESH: ("scale",),
 }
-"""What URDFs and scenes call a shape's `size`, of all kinds that they may state. A size and a scale are three numbers."""
+"""What URDFs and scenes call a shape's `size`, of all kinds that they may state. A size and a scale
+are three numbers."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,8 @@ class Shape:
         return _mesh(str(self.file), size)
 
     def hull(self) -> coal.CollisionGeometry:
-        """A convex shape that encloses it: of all but meshes, and of flat meshes, the shape itself."""
+        """A convex shape that encloses it: of all but meshes, and of flat meshes, the shape
+        itself."""
         return _hull(str(self.file), self.size) if self.kind is Kind.MESH else self.solid()
 
     def lowest(self, placement: pin.SE3) -> float:
@@ -137,7 +140,8 @@ class Shape:
 
 
 def from_document(entry: Mapping[str, Any]) -> Shape:
-    """Read back what `document` wrote. Raises UnusableInput where a mesh is no longer the one that was stated."""
+    """Read back what `document` wrote. Raises UnusableInput where a mesh is no longer the one that
+    was stated."""
     vectors = {key: tuple(float(v) for v in entry[key]) for key in ("size", "position", "rotation")}
     out = Shape(
         str(entry["name"]),
@@ -150,7 +154,8 @@ def from_document(entry: Mapping[str, Any]) -> Shape:
         raise UnusableInput(f"{out.file}: the mesh of '{out.name}' is not there; put it back")
     if out.sha256() != entry.get("sha256"):
         raise UnusableInput(
-            f"{out.file}: is not the mesh of '{out.name}' that the motion was checked against (sha256 differs)"
+            f"{out.file}: is not the mesh of '{out.name}' that the motion was checked against "
+            "(sha256 differs)"
         )
     return out
 
@@ -177,7 +182,8 @@ def _mesh(file: str, scale: tuple[float, ...]) -> coal.BVHModelBase:
 
 @lru_cache(maxsize=256)
 def _hull(file: str, scale: tuple[float, ...]) -> coal.CollisionGeometry:
-    """The convex hull of a mesh; the mesh itself where it is flat. (`BVHModelBase.buildConvexHull` crashes on flat meshes.)"""
+    """The convex hull of a mesh; the mesh itself where it is flat. (`BVHModelBase.buildConvexHull`
+    crashes on flat meshes.)"""
     from scipy.spatial import ConvexHull, QhullError  # slow to import
 
     vertices = _scaled(file, scale).vertices

@@ -1,6 +1,7 @@
 """Triangle meshes from files, checked before coal builds its structures from them.
 
-Files are read by Assimp in a process of its own (`assimp_process`), several at a time: starting it takes 0.2 s.
+Files are read by Assimp in a process of its own (`assimp_process`), several at a time: starting it
+takes 0.2 s.
 """
 
 from __future__ import annotations
@@ -20,14 +21,17 @@ from ..errors import UnusableInput
 
 Array = np.ndarray
 MOST_TRIANGLES = 5_000_000
-"""Largest number of triangles of one mesh; coal needs about 1 kB for each. The largest mesh of 777 published ones has 351,394."""
+"""Largest number of triangles of one mesh; coal needs about 1 kB for each. The largest mesh of 777
+published ones has 351,394."""
 LARGEST_FILE = 1 << 29
 """Largest mesh file that is read [bytes]: 512 MiB."""
 TIMEOUT = 600.0
-"""Longest time that reading the meshes of one robot may take [s]; `assimp_process` bounds its processor time besides."""
+"""Longest time that reading the meshes of one robot may take [s]; `assimp_process` bounds its
+processor time besides."""
 THINNEST = 1e-12
-"""Height of a triangle over its longest side below which it is dropped. Distances to triangles of the area 0 are wrong in coal 3.0 (it
-reports contact at any distance); at 1e-15 they are still right."""
+"""Height of a triangle over its longest side below which it is dropped. Distances to triangles of
+the area 0 are wrong in coal 3.0 (it reports contact at any distance); at 1e-15 they are still
+right."""
 REMEDY = "export it as STL, OBJ or DAE"
 
 
@@ -58,7 +62,8 @@ def read_all(files: Iterable[str]) -> list[Mesh]:
         A mesh for each file.
 
     Raises:
-        UnusableInput: A file is missing or too large, no mesh, holds no triangle, or has a corner that is not finite.
+        UnusableInput: A file is missing or too large, no mesh, holds no triangle, or has a corner
+            that is not finite.
     """
     keys = [_key(file) for file in files]
     unread = [key for key in dict.fromkeys(keys) if key not in _meshes]
@@ -76,7 +81,8 @@ def _key(file: str) -> tuple[str, int, int]:
         ) from error
     if state.st_size > LARGEST_FILE:
         raise UnusableInput(
-            f"{file}: has {state.st_size / 1e6:.0f} MB, a mesh may have {LARGEST_FILE >> 20} MiB; simplify it"
+            f"{file}: has {state.st_size / 1e6:.0f} MB, a mesh may have {LARGEST_FILE >> 20} MiB; "
+            "simplify it"
         )
     return file, state.st_mtime_ns, state.st_size
 
@@ -140,20 +146,23 @@ def _checked(file: str, mesh: Mesh) -> Mesh:
     if not finite.all():
         where = int(np.flatnonzero(~finite)[0])
         raise UnusableInput(
-            f"{file}: corner {where + 1} is at {mesh.vertices[where].tolist()}, not finite; {REMEDY}"
+            f"{file}: corner {where + 1} is at {mesh.vertices[where].tolist()}, not finite; "
+            f"{REMEDY}"
         )
     return mesh
 
 
 def scaled(file: str, scale: Sequence[float]) -> Mesh:
-    """Read a mesh and apply its scale; triangles without an area, of which others cover the sides, are dropped.
+    """Read a mesh and apply its scale; triangles without an area, of which others cover the sides,
+    are dropped.
 
     Args:
         file: Path of the mesh.
         scale: Factors along x, y and z. Shape (3,).
 
     Raises:
-        UnusableInput: As `read_all`; or the scale, the size or the area of the mesh is none that a part of a robot has.
+        UnusableInput: As `read_all`; or the scale, the size or the area of the mesh is none that a
+            part of a robot has.
     """
     if not all(ranges.MESH_SCALE.accepts(factor) for factor in scale):
         raise UnusableInput(
@@ -164,7 +173,8 @@ def scaled(file: str, scale: Sequence[float]) -> Mesh:
     reach, extent = float(np.abs(vertices).max()), float(np.ptp(vertices, axis=0).max())
     if not (ranges.LENGTH.accepts(reach) and ranges.SIZE.accepts(extent)):
         raise UnusableInput(
-            f"{file}: with the scale {list(scale)} the mesh is {extent:.3g} m long and reaches {reach:.3g} m from its origin; "
+            f"{file}: with the scale {list(scale)} the mesh is {extent:.3g} m long and reaches "
+            f"{reach:.3g} m from its origin; "
             f"a length should be {ranges.SIZE}; correct its unit or scale"
         )
     proper = _has_area(vertices[mesh.triangles])

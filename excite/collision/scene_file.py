@@ -1,12 +1,11 @@
-"""What stands around a robot, and what it carries: a TOML file, a floor, and where the floor is if nobody says.
+"""What stands around a robot, and what it carries: a TOML file, a floor, and where the floor is if
+nobody says.
 
-[[box]]                      # or sphere, capsule, cylinder, mesh
-name = "table"
-size = [1.2, 0.8, 0.05]      # radius, length of the round ones; file, scale of a mesh, beside the scene file
-position = [0.5, 0.0, -0.025]
-rotation = [0.0, 0.0, 0.0]   # roll, pitch, yaw [rad]
-link = "tool0"               # fixed to a link, in its frame: a tool; without it, fixed in the base frame
-ignore = ["base_link"]       # bodies that it may touch
+[[box]]                      # or sphere, capsule, cylinder, mesh name = "table" size = [1.2, 0.8,
+0.05]      # radius, length of the round ones; file, scale of a mesh, beside the scene file position
+= [0.5, 0.0, -0.025] rotation = [0.0, 0.0, 0.0]   # roll, pitch, yaw [rad] link = "tool0"
+# fixed to a link, in its frame: a tool; without it, fixed in the base frame ignore = ["base_link"]
+# bodies that it may touch
 
 floor = -0.75                # or false
 clearance = 0.03
@@ -38,15 +37,18 @@ Array = np.ndarray
 KINDS = tuple(kind.value for kind in WORDS)
 POSES = 200
 HANGING = 0.95
-"""Share of random poses that reach below the assumed floor, from which on the robot is taken to hang [1]."""
+"""Share of random poses that reach below the assumed floor, from which on the robot is taken to
+hang [1]."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Shapes around the robot and on it. floor: its height [m]; False: none; None: not said. clearance: [m], None: not said.
+    """Shapes around the robot and on it. floor: its height [m]; False: none; None: not said.
+    clearance: [m], None: not said.
 
-    ignored: a shape and a body that it may touch. disabled: pairs of bodies besides, by an SRDF. source: the file that says so.
-    file, srdf: absolute paths of the scene file and of the SRDF, None without. options: floor and clearance that options state.
+    ignored: a shape and a body that it may touch. disabled: pairs of bodies besides, by an SRDF.
+        source: the file that says so. file, srdf: absolute paths of the scene file and of the SRDF,
+        None without. options: floor and clearance that options state.
     """
 
     shapes: tuple[Shape, ...] = ()
@@ -62,7 +64,8 @@ class Scene:
     def overridden(
         self, floor: float | bool | None = None, clearance: float | None = None
     ) -> Scene:
-        """The scene with another floor or clearance than its file states; None leaves one as it is."""
+        """The scene with another floor or clearance than its file states; None leaves one as it
+        is."""
         said = {
             key: value
             for key, value in (("floor", floor), ("clearance", clearance))
@@ -141,7 +144,8 @@ def known(
     *,
     required: bool = False,
 ) -> tuple[Cell | None, str]:
-    """The cell; or, where no link has a shape and nobody required a check, None and a sentence that says so.
+    """The cell; or, where no link has a shape and nobody required a check, None and a sentence that
+    says so.
 
     Raises MissingMesh for a mesh that is not there, UnusableInput as the parts do.
     """
@@ -154,7 +158,8 @@ def known(
 def cell(robot: Robot, limits: Limits, scene: Scene, packages: Sequence[str] = ()) -> Cell:
     """The robot among what the scene holds.
 
-    Raises MissingMesh or UnusableInput as its parts do; a robot without any shape of a moving link has no cell: UnusableInput.
+    Raises MissingMesh or UnusableInput as its parts do; a robot without any shape of a moving link
+    has no cell: UnusableInput.
     """
     return _cell(
         robot, limits, scene, urdf_geometry.read(robot.source, packages), scene.recipe(packages)
@@ -166,8 +171,9 @@ def as_on_disk(
 ) -> tuple[Cell | None, str | None]:
     """The cell that a trajectory states, made again from the files as they are now.
 
-    The links' shapes come from the URDF, the surroundings and the disabled pairs from the scene file and the SRDF. Only shapes of a
-    scene that never was a file are taken from the document itself.
+    The links' shapes come from the URDF, the surroundings and the disabled pairs from the scene
+    file and the SRDF. Only shapes of a scene that never was a file are taken from the document
+    itself.
 
     Args:
         robot: The robot of the trajectory.
@@ -176,7 +182,8 @@ def as_on_disk(
         packages: Further folders of `package://` meshes.
 
     Returns:
-        The cell and None; or, where it can no longer be made or differs from the stated one, None and a sentence that says why.
+        The cell and None; or, where it can no longer be made or differs from the stated one, None
+        and a sentence that says why.
     """
     try:
         found = _remade(robot, limits, document, packages)
@@ -220,7 +227,8 @@ def _remade(
 
 
 def _difference(stated: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
-    """The first difference between the documents of two cells, in words; where the mesh files are does not matter."""
+    """The first difference between the documents of two cells, in words; where the mesh files are
+    does not matter."""
 
     def numbered(document: Mapping[str, Any]) -> dict[tuple[str, int], dict[str, Any]]:
         out: dict[tuple[str, int], dict[str, Any]] = {}
@@ -255,7 +263,8 @@ def _cell(
     }
     if not moving:
         raise UnusableInput(
-            f"{robot.source}: gives no moving link a <collision> shape to check or draw; add shapes, or design with --no-collision"
+            f"{robot.source}: gives no moving link a <collision> shape to check or draw; add "
+            "shapes, or design with --no-collision"
         )
     _check_names(robot, scene, own)
     floor, notes = _floor_height(robot, limits, own, scene)
@@ -278,12 +287,14 @@ def _cell(
 
 
 def _check_names(robot: Robot, scene: Scene, own: Sequence[Shape]) -> None:
-    """Raise UnusableInput for a shape of the scene that has the name of another body, or that may touch what there is not."""
+    """Raise UnusableInput for a shape of the scene that has the name of another body, or that may
+    touch what there is not."""
     taken = {"floor", *(one.name for one in own)}
     for one in scene.shapes:
         if one.name in taken:
             raise UnusableInput(
-                f"{scene.source}: '{one.name}' is the name of a link or of the floor already; rename the shape of the scene"
+                f"{scene.source}: '{one.name}' is the name of a link or of the floor already; "
+                "rename the shape of the scene"
             )
     there = {
         "floor",
@@ -293,16 +304,19 @@ def _check_names(robot: Robot, scene: Scene, own: Sequence[Shape]) -> None:
     for name, other in scene.ignored:
         if other not in there:
             raise UnusableInput(
-                f"{scene.source}: '{name}' may touch '{other}', which there is not; correct its 'ignore'"
+                f"{scene.source}: '{name}' may touch '{other}', which there is not; correct its "
+                "'ignore'"
             )
 
 
 def _floor_height(
     robot: Robot, limits: Limits, own: Sequence[Shape], scene: Scene
 ) -> tuple[float | None, list[str]]:
-    """The stated floor; else a built-in model's mounting plane; else z = 0 or, if lower, the exact lowest point of the links that stand.
+    """The stated floor; else a built-in model's mounting plane; else z = 0 or, if lower, the exact
+    lowest point of the links that stand.
 
-    No floor is assumed where gravity does not point down, or where nearly all poses reach below it: that robot hangs.
+    No floor is assumed where gravity does not point down, or where nearly all poses reach below it:
+    that robot hangs.
     """
     if scene.floor is False:
         return None, []
@@ -311,7 +325,8 @@ def _floor_height(
     gravity = robot.model.gravity.linear
     if np.hypot(gravity[0], gravity[1]) > 1e-6 * np.linalg.norm(gravity) or gravity[2] >= 0.0:
         return None, [
-            "gravity does not point down the base's z axis: no floor is assumed (--floor Z says where it is)"
+            "gravity does not point down the base's z axis: no floor is assumed (--floor Z says "
+            "where it is)"
         ]
     height = mounting_plane(robot)
     if height is None:
@@ -324,13 +339,15 @@ def _floor_height(
         height = min([0.0, *(one.lowest(placement * one.placement) for one, placement in fixed)])
     if np.mean(_lowest_moving(robot, own, spread_poses(limits, POSES)) < height) > HANGING:
         return None, [
-            f"the robot hangs below its base: no floor is assumed at {height:g} m (--floor Z says where it is)"
+            f"the robot hangs below its base: no floor is assumed at {height:g} m (--floor Z says "
+            "where it is)"
         ]
     return height, []
 
 
 def _lowest_moving(robot: Robot, own: Sequence[Shape], q: Array) -> Array:
-    """Height of the lowest point of the capsule covers of the links that rise and fall, at many poses. Shapes (N, n) -> (N,) [m]."""
+    """Height of the lowest point of the capsule covers of the links that rise and fall, at many
+    poses. Shapes (N, n) -> (N,) [m]."""
     frames = [robot.model.frames[robot.frame(str(one.link))] for one in own]
     covers = [
         (

@@ -1,8 +1,9 @@
 """Nearest points of line segments to segments, boxes and planes, many at once, a row each.
 
-Each returns the signed distance, the unit direction in which it grows when the first body moves, and the nearest points
-on both. Where bodies part smoothly, the distance's derivative is that direction times the points' motion (Danskin 1967).
-Formulas: Ericson, Real-Time Collision Detection, 2005, 5.1.9 (segments).
+Each returns the signed distance, the unit direction in which it grows when the first body moves,
+and the nearest points on both. Where bodies part smoothly, the distance's derivative is that
+direction times the points' motion (Danskin 1967). Formulas: Ericson, Real-Time Collision Detection,
+2005, 5.1.9 (segments).
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ TINY = 1e-12
 
 @dataclass(frozen=True)
 class Nearest:
-    """Rows of distances. distance: Shape (m,) [m]. direction, first, second: Shape (m, 3), base frame."""
+    """Rows of distances. distance: Shape (m,) [m]. direction, first, second: Shape (m, 3), base
+    frame."""
 
     distance: Array
     direction: Array
@@ -43,8 +45,8 @@ def segments(a: Array, b: Array, c: Array, d: Array) -> Nearest:
 def box(a: Array, b: Array, rotation: Array, centre: Array, half: Array) -> Nearest:
     """Segments a–b and boxes. Shapes (m, 3), (m, 3), (m, 3, 3), (m, 3), (m, 3).
 
-    The squared distance to a box is convex and piecewise quadratic along a segment: its slope's zero lies between two of the
-    points where the segment passes a face's plane.
+    The squared distance to a box is convex and piecewise quadratic along a segment: its slope's
+    zero lies between two of the points where the segment passes a face's plane.
     """
     start = np.einsum("mji,mj->mi", rotation, a - centre)
     along = np.einsum("mji,mj->mi", rotation, b - a)
@@ -88,7 +90,8 @@ def plane(a: Array, b: Array, normal: Array, height: Array) -> Nearest:
 
 
 def _zero(t: Array, slope: Array, rows: Array) -> tuple[Array, Array]:
-    """First and last zero of non-decreasing, piecewise linear functions on [t₀, t₁]; its nearer end where there is none."""
+    """First and last zero of non-decreasing, piecewise linear functions on [t₀, t₁]; its nearer end
+    where there is none."""
     below, above = (slope < -TINY).sum(axis=1), (slope <= TINY).sum(axis=1)
     last = t.shape[1] - 1
 

@@ -29,8 +29,8 @@ class MissingMesh(UnusableInput):
 def read(source: str, packages: Sequence[str] = ()) -> list[Shape]:
     """Shapes of all links of a URDF, by its path or a built-in name; none where it states none.
 
-    A <collision_checking> element makes a capsule of the cylinder it names, as in Pinocchio. Raises MissingMesh for a mesh
-    that is not there, UnusableInput for a shape that is none.
+    A <collision_checking> element makes a capsule of the cylinder it names, as in Pinocchio. Raises
+    MissingMesh for a mesh that is not there, UnusableInput for a shape that is none.
     """
     path = locate(source)
     root = xml_file.parse(path, "a URDF")
@@ -42,7 +42,8 @@ def read(source: str, packages: Sequence[str] = ()) -> list[Shape]:
             geometry = collision.find("geometry")
             if geometry is None or not len(geometry):
                 raise UnusableInput(
-                    f"{path}: link '{name}': a <collision> has no geometry; add it or remove the element"
+                    f"{path}: link '{name}': a <collision> has no geometry; add it or remove the "
+                    "element"
                 )
             out.append(
                 _shape(
@@ -92,7 +93,8 @@ def _numbers(path: Path, owner: str, text: str, count: int, accepted: Range) -> 
 
 
 def _find(path: Path, owner: str, name: str, packages: Sequence[str]) -> Path:
-    """A mesh's file. A package is a folder of its name: a place or in one, or a folder that the URDF is in or one beside such.
+    """A mesh's file. A package is a folder of its name: a place or in one, or a folder that the
+    URDF is in or one beside such.
 
     Other names are paths from the URDF's folder, or from a place.
     """
@@ -115,7 +117,8 @@ def _find(path: Path, owner: str, name: str, packages: Sequence[str]) -> Path:
 
 
 def disabled(path: Path) -> tuple[tuple[str, str], ...]:
-    """Pairs of links whose collisions an SRDF disables. Raises UnusableInput for a file that is none."""
+    """Pairs of links whose collisions an SRDF disables. Raises UnusableInput for a file that is
+    none."""
     root = xml_file.parse(path, "an SRDF")
     found = [(entry.get("link1"), entry.get("link2")) for entry in root.iter("disable_collisions")]
     return tuple((str(one), str(other)) for one, other in found)

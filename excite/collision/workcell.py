@@ -25,14 +25,16 @@ POSES = 400
 ALWAYS = 0.95
 """Share of random poses in which neighbours touch that were built to touch."""
 FEW, NEAR = 40, 2.0
-"""Poses that tell which pairs may be close by construction: those within so many margins in more than a quarter of them."""
+"""Poses that tell which pairs may be close by construction: those within so many margins in more
+than a quarter of them."""
 CLOSE = 1e-3
 """Links that a joint or two hold apart keep this distance at least [m]."""
 CONSTANT = 1e-7
 """Distances that vary by less than this over all poses do not depend on the motion [m]."""
 GRID, SPARSE, SPARE = 24, 9, 5e-3
-"""Steps per joint over which bodies with one or two joints between them are looked at; of meshes, which take their time; and what must
-then be left everywhere of those that are taken never to touch [m]."""
+"""Steps per joint over which bodies with one or two joints between them are looked at; of meshes,
+which take their time; and what must then be left everywhere of those that are taken never to touch
+[m]."""
 
 
 @dataclass(frozen=True)
@@ -46,10 +48,12 @@ class Apart:
 
 @dataclass(frozen=True)
 class Recipe:
-    """From which files and options a cell was made, so that it can be made again from what is on disk now.
+    """From which files and options a cell was made, so that it can be made again from what is on
+    disk now.
 
-    packages: folders of `package://` meshes. scene, srdf: absolute paths of the files, None without. floor, clearance: as the options
-    state them [m], None where they say nothing; False: no floor.
+    packages: folders of `package://` meshes. scene, srdf: absolute paths of the files, None
+        without. floor, clearance: as the options state them [m], None where they say nothing;
+        False: no floor.
     """
 
     packages: tuple[str, ...] = ()
@@ -66,11 +70,15 @@ class Recipe:
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """What verification checks. It is hashed by identity, so that what takes long to find of it can be kept.
+    """What verification checks. It is hashed by identity, so that what takes long to find of it can
+    be kept.
 
-    bodies: links, tools, surroundings. pairs: of them, that keep apart. excepted: pairs that need not, with reasons.
-    margin: clearance [m]. disabled: names of bodies whose contact is no matter. notes: what a user should know.
-    recipe: how it was made, None where it cannot be made again. assumed_floor: nobody stated the floor's height.
+    bodies: links, tools, surroundings. pairs: of them, that keep apart. excepted: pairs that need
+        not, with reasons.
+    margin: clearance [m]. disabled: names of bodies whose contact is no matter. notes: what a user
+        should know.
+    recipe: how it was made, None where it cannot be made again. assumed_floor: nobody stated the
+        floor's height.
     """
 
     robot: Robot
@@ -135,10 +143,11 @@ def build(
     *,
     assumed_floor: bool = False,
 ) -> Cell:
-    """Place the shapes and find the pairs that can meet. disabled: names of links or things whose contact is no matter.
+    """Place the shapes and find the pairs that can meet. disabled: names of links or things whose
+    contact is no matter.
 
-    Raises UnusableInput for a link that the robot has not, a margin that is no length, and for surroundings that a link is in
-    always.
+    Raises UnusableInput for a link that the robot has not, a margin that is no length, and for
+    surroundings that a link is in always.
     """
     if not (np.isfinite(margin) and margin >= 0.0):
         raise UnusableInput(f"--clearance {margin:g} should be 0 or more metres")
@@ -161,7 +170,8 @@ def build(
 
 
 def _movable(cell: Cell) -> Iterator[tuple[int, int]]:
-    """Pairs whose distance can change, but for links that a joint connects and pairs that are disabled."""
+    """Pairs whose distance can change, but for links that a joint connects and pairs that are
+    disabled."""
     parents = list(cell.robot.model.parents)
     off = {frozenset(pair) for pair in cell.disabled}
     for (first, one), (second, other) in itertools.combinations(enumerate(cell.bodies), 2):
@@ -173,7 +183,8 @@ def _movable(cell: Cell) -> Iterator[tuple[int, int]]:
 
 
 def _sorted_out(cell: Cell) -> tuple[list[Pair], list[Apart]]:
-    """Which pairs keep the margin, which keep less, and which need not, over poses that fill the ranges."""
+    """Which pairs keep the margin, which keep less, and which need not, over poses that fill the
+    ranges."""
     probe, kept, excepted = cell.probe(), list[Pair](), list[Apart]()
     distances = _distances(cell, probe)
     for k, pair in enumerate(cell.pairs):
@@ -219,14 +230,16 @@ def _sorted_out(cell: Cell) -> tuple[list[Pair], list[Apart]]:
             excepted.append(
                 Apart(
                     *names,
-                    f"close by construction: {1e3 * margin:.0f} mm, half of what is usual between them",
+                    f"close by construction: {1e3 * margin:.0f} mm, half of what is usual between "
+                    "them",
                 )
             )
     return kept, excepted
 
 
 def _distances(cell: Cell, probe: Probe) -> list[Array]:
-    """Of every pair over poses that fill the ranges: POSES of them for pairs that are often near, a few for the others [m]."""
+    """Of every pair over poses that fill the ranges: POSES of them for pairs that are often near, a
+    few for the others [m]."""
     out: list[list[float]] = [[] for _ in cell.pairs]
     looked = list(range(len(cell.pairs)))
     for count, pose in enumerate(spread_poses(cell.limits, POSES), start=1):
@@ -239,7 +252,8 @@ def _distances(cell: Cell, probe: Probe) -> list[Array]:
 
 
 def _between_neighbours(cell: Cell, probe: Probe, number: int) -> Array | None:
-    """Distances of two links with at most two joints between them, all over those joints' ranges; None for other pairs [m]."""
+    """Distances of two links with at most two joints between them, all over those joints' ranges;
+    None for other pairs [m]."""
     pair, robot = cell.pairs[number], cell.robot
     both = cell.bodies[pair.first], cell.bodies[pair.second]
     ways = [set(robot.model.supports[body.joint]) for body in both]

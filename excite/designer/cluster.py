@@ -1,4 +1,4 @@
-"""Where many tasks run: processes of this machine, or a cluster through joblib's Dask and Ray back ends."""
+"""Select where tasks run: processes of this machine, or a cluster of Dask or Ray."""
 
 from __future__ import annotations
 
@@ -12,24 +12,34 @@ import joblib
 from ..errors import UnusableInput
 
 BACKENDS = ("multiprocessing", "loky", "dask", "ray")
+"""Names of the joblib back ends that can be chosen."""
 
 
 def default_backend() -> str:
-    """Forked processes start in milliseconds where they are safe, joblib's own take a second."""
+    """Return the fastest back end of this machine.
+
+    Forked processes start in milliseconds but are safe on Linux only; loky takes a second.
+    """
     return "multiprocessing" if sys.platform == "linux" else "loky"
 
 
 @contextmanager
 def backend(name: str | None, address: str | None = None) -> Iterator[None]:
-    """Send joblib's tasks to a back end, for as long as the context lasts.
+    """Send the tasks of joblib to a back end for the duration of the context.
 
-    address: of a running cluster (Dask: tcp://host:8786, Ray: ray://host:10001); None makes one of this machine.
-    Raises UnusableInput when the back end's package is missing or the cluster does not answer.
+    Args:
+        name: One of `BACKENDS`; None: the default.
+        address: Address of a running cluster (Dask: tcp://host:8786, Ray: ray://host:10001); None:
+            a cluster of this machine.
+
+    Raises:
+        UnusableInput: The package of the back end is missing, or the cluster does not answer.
     """
     chosen = name or ("dask" if address else default_backend())
     if address and chosen not in ("dask", "ray"):
         raise UnusableInput(
-            f"--cluster {address}: --backend {chosen} has no cluster; use --backend dask or --backend ray"
+            f"--cluster {address}: --backend {chosen} has no cluster; "
+            "use --backend dask or --backend ray"
         )
     if chosen == "dask":
         with _dask(address), joblib.parallel_config("dask"):
@@ -44,6 +54,7 @@ def backend(name: str | None, address: str | None = None) -> Iterator[None]:
 
 
 def _dask(address: str | None) -> Any:
+    """Return a client of a Dask cluster."""
     try:
         from dask.distributed import Client
     except ImportError as error:
@@ -56,11 +67,13 @@ def _dask(address: str | None) -> Any:
         return Client(address, timeout=10)
     except (OSError, ValueError, TimeoutError) as error:
         raise UnusableInput(
-            f"--cluster {address}: no Dask scheduler answers there ({error}); start one with: dask scheduler"
+            f"--cluster {address}: no Dask scheduler answers there ({error}); "
+            "start one with: dask scheduler"
         ) from error
 
 
 def _ray(address: str | None) -> None:
+    """Connect joblib to a Ray cluster."""
     try:
         import ray
         from ray.util.joblib import register_ray

@@ -1,4 +1,4 @@
-"""How near a motion comes to every limit, by Pinocchio, including what can happen between its samples."""
+"""Constrained quantities along a motion, by Pinocchio, bounded between its samples."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .._types import FloatArray, IntArray
 from ..collision.clearance_constraint import Clearance
 from ..robot import dynamics
 from ..robot.inertial_parameters import COULOMB_WIDTH, Parameters
@@ -14,12 +15,19 @@ from ..robot.robot import Robot
 from ..robot.samples import Samples
 from .options import WorkspaceBox
 
-Array = np.ndarray
-
 
 @dataclass(frozen=True)
 class MotionConstraints:
-    """What a motion is held against: a robot, its limits, how uncertain its parameters are, and what it must not touch."""
+    """Constraints on the motion of a robot.
+
+    Attributes:
+        robot: The robot.
+        limits: Its limits.
+        parameters: Its standard parameters.
+        uncertainty: Radius of the ellipsoid of parameters for which torque limits hold [1].
+        boxes: Boxes that frames have to stay in.
+        clearance: Bodies that have to keep their distance, None where distances are not checked.
+    """
 
     robot: Robot
     limits: Limits
@@ -31,20 +39,29 @@ class MotionConstraints:
 
 @dataclass(frozen=True)
 class BoundedQuantity:
-    """A quantity that a limit bounds, over N samples of m joints (or axes): lower ≤ value ≤ upper.
+    """Quantity that a limit bounds: lower ≤ value ≤ upper, over N samples of m joints or axes.
 
-    low, high: what the motion reaches, between samples too. Shape (N, m). names: of the m columns.
+    Attributes:
+        limit: Kind of the limit.
+        names: Names of the m joints or axes.
+        low: Least value that the motion reaches, also between samples. Shape (N, m).
+        high: Largest value that the motion reaches, also between samples. Shape (N, m).
+        lower: Lower bounds, infinite without. Shape (m,).
+        upper: Upper bounds, infinite without. Shape (m,).
     """
 
     limit: str
     names: tuple[str, ...]
-    low: Array
-    high: Array
-    lower: Array
-    upper: Array
+    low: FloatArray
+    high: FloatArray
+    lower: FloatArray
+    upper: FloatArray
 
-    def ratio(self) -> float:
-        """The largest distance from the middle of the range over its half width; ≤ 1 inside."""
+    def largest_ratio(self) -> float:
+        """Return the largest distance from the middle of the range over its half width.
+
+        It is at most 1 where the limit is kept.
+        """
         bounded = np.isfinite(self.upper - self.lower)
         if not bounded.any():
             return 0.0
@@ -55,16 +72,18 @@ class BoundedQuantity:
         )
 
 
-def intersample_bound(values: Array, blocks: Array | None = None) -> Array:
-    """Bound how far a function may rise between equispaced samples: half the larger neighbouring second difference.
+def intersample_bound(values: FloatArray, blocks: IntArray | None = None) -> FloatArray:
+    """Bound the rise of a function between equispaced samples by its second differences.
 
-    Proven for piecewise linear functions with at most one kink between two samples, where h·Δslope·α(1−α) is
-    the worst; four times what a smooth function needs (h²/8 |f″|).
+    The bound is half the larger neighbouring second difference. It is exact for piecewise linear
+    functions with at most one kink between two samples, where h·Δslope·α(1−α) is the worst;
+    it is four times what a smooth function needs (h²/8 |f″|).
 
     Args:
         values: Samples of m functions. Shape (N, m).
-        blocks: Number of the block that each sample belongs to, in ascending order, at least three samples each; samples are
-            equispaced within a block only, and no difference is taken across its ends. Shape (N,). None: all in one block.
+        blocks: Number of the block that each sample belongs to, ascending, at least three samples
+            each. Samples are equispaced within a block, and no difference is taken across its
+            ends. Shape (N,). None: all samples are one block.
 
     Returns:
         The bound at each sample. Shape (N, m).
@@ -79,54 +98,78 @@ def intersample_bound(values: Array, blocks: Array | None = None) -> Array:
         edges = np.flatnonzero(np.diff(blocks))
         first, last = np.append(0, edges + 1), np.append(edges, len(values) - 1)
     second[first], second[last] = second[first + 1], second[last - 1]
-    near = second.copy()
+    largest = second.copy()
     after, before = second[1:].copy(), second[:-1].copy()
-    after[last[:-1]], before[last[:-1]] = 0.0, 0.0  # neighbours across the end of a block
-    near[:-1] = np.maximum(near[:-1], after)
-    near[1:] = np.maximum(near[1:], before)
-    return 0.5 * near
+    after[last[:-1]], before[last[:-1]] = 0.0, 0.0  # not across the end of a block
+    largest[:-1] = np.maximum(largest[:-1], after)
+    largest[1:] = np.maximum(largest[1:], before)
+    return 0.5 * largest
 
 
-def torque_quantity(subject: MotionConstraints, motion: Samples, blocks: Array | None = None) -> BoundedQuantity:
-    """Torque of every robot in the uncertain ball; samples equispaced within `blocks` (see `excess`).
+def torque_quantity(
+    constraints: MotionConstraints, motion: Samples, blocks: IntArray | None = None
+) -> BoundedQuantity:
+    """Bound the joint torques of all robots in the ellipsoid of uncertain parameters.
 
-    Coulomb friction jumps at a reversal, between two samples; it is monotone in speed, so its bounds are those of its
-    neighbours, and only the smooth rest is given room for its curvature.
+    Coulomb friction jumps at a velocity reversal between two samples. As it is monotone in
+    velocity, the values at the neighbouring samples bound it; only the smooth part of the torque is
+    bounded by its second differences.
+
+    Args:
+        constraints: Robot, parameters and limits.
+        motion: Samples of the motion.
+        blocks: Blocks of equispaced samples, see `intersample_bound`.
     """
     nominal, width = dynamics.torque_band(
-        subject.robot, subject.parameters, motion, subject.uncertainty
+        constraints.robot, constraints.parameters, motion, constraints.uncertainty
     )
-    friction = subject.parameters.coulomb()
+    friction = constraints.parameters.coulomb()
     smooth = nominal - friction * np.tanh(motion.dq / COULOMB_WIDTH)
-    doubt = intersample_bound(motion.dq, blocks)
-    most = _neighbours(friction * np.tanh((motion.dq + doubt) / COULOMB_WIDTH), np.maximum)
-    least = _neighbours(friction * np.tanh((motion.dq - doubt) / COULOMB_WIDTH), np.minimum)
+    rise = intersample_bound(motion.dq, blocks)
+    friction_high = _neighbours(friction * np.tanh((motion.dq + rise) / COULOMB_WIDTH), np.maximum)
+    friction_low = _neighbours(friction * np.tanh((motion.dq - rise) / COULOMB_WIDTH), np.minimum)
     high, low = smooth + width, smooth - width
-    high, low = high + intersample_bound(high, blocks) + most, low - intersample_bound(low, blocks) + least
-    bound = subject.limits.torque
-    return BoundedQuantity("torque", subject.robot.joints, low, high, -bound, bound)
+    high, low = (
+        high + intersample_bound(high, blocks) + friction_high,
+        low - intersample_bound(low, blocks) + friction_low,
+    )
+    bound = constraints.limits.torque
+    return BoundedQuantity("torque", constraints.robot.joints, low, high, -bound, bound)
 
 
-def _neighbours(values: Array, pick: np.ufunc) -> Array:
-    """The largest or smallest of each sample and the ones beside it."""
+def _neighbours(values: FloatArray, pick: np.ufunc) -> FloatArray:
+    """Return the largest or the smallest value of each sample and its two neighbours."""
     out = values.copy()
     out[1:] = pick(out[1:], values[:-1])
     out[:-1] = pick(out[:-1], values[1:])
     return out
 
 
-def braking_quantity(subject: MotionConstraints, motion: Samples, blocks: Array | None = None) -> BoundedQuantity | None:
-    """Velocity limits that fall towards a stop, as (s q̇ + c)₊²/rate + s q ≤ s stop; None where there are none."""
-    at = [j for j, brake in enumerate(subject.limits.braking) if brake is not None]
-    if not at:
+def braking_quantity(
+    constraints: MotionConstraints, motion: Samples, blocks: IntArray | None = None
+) -> BoundedQuantity | None:
+    """Bound the braking limits, which lower the velocity towards a stop.
+
+    The limit is (s q̇ + c)₊²/rate + s q ≤ s·stop for both signs s.
+
+    Args:
+        constraints: Robot and limits.
+        motion: Samples of the motion.
+        blocks: Blocks of equispaced samples, see `intersample_bound`.
+
+    Returns:
+        The bounded quantity; None where no joint has such a limit.
+    """
+    limited = [j for j, brake in enumerate(constraints.limits.braking) if brake is not None]
+    if not limited:
         return None
-    brakes: list[Braking] = [b for b in subject.limits.braking if b is not None]
+    brakes: list[Braking] = [b for b in constraints.limits.braking if b is not None]
     offset, rate = np.array([b.offset for b in brakes]), np.array([b.rate for b in brakes])
-    q, dq = motion.q[:, at], motion.dq[:, at]
+    q, dq = motion.q[:, limited], motion.dq[:, limited]
     high = q + np.maximum(dq + offset, 0.0) ** 2 / rate
     low = q - np.maximum(-dq + offset, 0.0) ** 2 / rate
     stops = np.array([b.stop for b in brakes])
-    names = tuple(subject.robot.joints[j] for j in at)
+    names = tuple(constraints.robot.joints[j] for j in limited)
     return BoundedQuantity(
         "braking",
         names,
@@ -137,11 +180,13 @@ def braking_quantity(subject: MotionConstraints, motion: Samples, blocks: Array 
     )
 
 
-def box_quantities(subject: MotionConstraints, motion: Samples, blocks: Array | None = None) -> list[BoundedQuantity]:
-    """Cartesian boxes around frames."""
+def box_quantities(
+    constraints: MotionConstraints, motion: Samples, blocks: IntArray | None = None
+) -> list[BoundedQuantity]:
+    """Bound the positions of frames that have to stay in boxes; see `torque_quantity`."""
     out = []
-    for box in subject.boxes:
-        p = dynamics.positions(subject.robot, box.frame, motion.q)
+    for box in constraints.boxes:
+        p = dynamics.positions(constraints.robot, box.frame, motion.q)
         names = tuple(f"{box.frame}.{axis}" for axis in "xyz")
         out.append(
             BoundedQuantity(
@@ -156,18 +201,29 @@ def box_quantities(subject: MotionConstraints, motion: Samples, blocks: Array | 
     return out
 
 
-def joint_quantity(limit: str, subject: MotionConstraints, low: Array, high: Array) -> BoundedQuantity:
-    """A joint quantity against the limit of that name."""
-    bounds = getattr(subject.limits, limit)
+def joint_quantity(
+    limit: str, constraints: MotionConstraints, low: FloatArray, high: FloatArray
+) -> BoundedQuantity:
+    """Compare a joint quantity with the limit of that name.
+
+    Args:
+        limit: position, velocity, acceleration, jerk or torque.
+        constraints: Robot and limits.
+        low: Least values reached. Shape (N, n).
+        high: Largest values reached. Shape (N, n).
+    """
+    bounds = getattr(constraints.limits, limit)
     lower, upper = (bounds[:, 0], bounds[:, 1]) if limit == "position" else (-bounds, bounds)
-    return BoundedQuantity(limit, subject.robot.joints, low, high, lower, upper)
+    return BoundedQuantity(limit, constraints.robot.joints, low, high, lower, upper)
 
 
-def model_quantities(subject: MotionConstraints, motion: Samples, blocks: Array | None = None) -> list[BoundedQuantity]:
-    """All demands that need the robot's model: torque, braking, boxes. blocks: as in `excess`."""
-    brake = braking_quantity(subject, motion, blocks)
+def model_quantities(
+    constraints: MotionConstraints, motion: Samples, blocks: IntArray | None = None
+) -> list[BoundedQuantity]:
+    """Bound torques, braking limits and boxes along a motion; see `torque_quantity`."""
+    brake = braking_quantity(constraints, motion, blocks)
     return [
-        torque_quantity(subject, motion, blocks),
+        torque_quantity(constraints, motion, blocks),
         *([] if brake is None else [brake]),
-        *box_quantities(subject, motion, blocks),
+        *box_quantities(constraints, motion, blocks),
     ]

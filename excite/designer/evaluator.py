@@ -1,4 +1,7 @@
-"""Values and exact derivatives of a design problem: one regressor pass, BLAS, one reverse sweep."""
+"""Objective and constraints of a design problem, with exact derivatives.
+
+An evaluation takes one pass of the regressor, dense linear algebra, and one reverse sweep.
+"""
 
 from __future__ import annotations
 
@@ -6,26 +9,29 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from .._types import BoolArray, FloatArray, IntArray
 from ..collision.clearance_constraint import Look
 from ..robot.inertial_parameters import Parameters
 from . import casadi_model, criteria
 from .casadi_batch import Mapped, Padded
 from .problem import DesignProblem
 
-Array = np.ndarray
-
 
 @dataclass(frozen=True)
 class ConstraintRows:
-    """Constraint rows g ≤ 1, each a quantity over its limit: kind, sample, joint (or axis, or pair of bodies), sign.
+    """Selected constraints g ≤ 1, each a quantity over its limit.
 
-    kind indexes `Evaluator.kinds`; all four arrays have the same shape (m,).
+    Attributes:
+        kind: Index into `Evaluator.kinds`. Shape (m,).
+        sample: Index of the sample. Shape (m,).
+        joint: Index of the joint, axis or pair of bodies. Shape (m,).
+        sign: Sign of the quantity, 1 or −1. Shape (m,).
     """
 
-    kind: Array
-    sample: Array
-    joint: Array
-    sign: Array
+    kind: IntArray
+    sample: IntArray
+    joint: IntArray
+    sign: FloatArray
 
     def __len__(self) -> int:
         return len(self.kind)
@@ -33,20 +39,23 @@ class ConstraintRows:
 
 @dataclass
 class _Point:
-    """What was computed at one x; filled as it is asked for."""
+    """Intermediate results at one value of the variables; computed on demand."""
 
-    x: Array
-    motion: tuple[Array, Array, Array, Array]
-    Y: Array | None = None
-    constraint_values: dict[str, Array] = field(default_factory=dict)
-    spread: tuple[Array, Array] | None = None
+    x: FloatArray
+    motion: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+    Y: FloatArray | None = None
+    constraint_values: dict[str, FloatArray] = field(default_factory=dict)
+    spread: tuple[FloatArray, FloatArray] | None = None
     look: Look | None = None
 
 
 class Evaluator:
-    """Evaluates one problem at one x after another; the last point is remembered.
+    """Evaluate a design problem; the results of the last variables are kept.
 
-    kinds: names of the groups of rows this problem has, in the order `Rows.kind` counts them.
+    Attributes:
+        problem: The design problem.
+        bases: Factors of the coefficients at the samples, for derivatives of order 0 to 3.
+        kinds: Names of the kinds of constraints that this problem has.
     """
 
     def __init__(self, problem: DesignProblem) -> None:
@@ -56,9 +65,12 @@ class Evaluator:
         self._regressor = Mapped(functions.regressor, count, functions.library)
         self._adjoint = Mapped(functions.adjoint, count, functions.library)
         self._row = Padded(functions.row, functions.library)
-        self._frames = [casadi_model.frame_position(problem.robot, box.frame) for box in problem.boxes]
-        # Coulomb friction jumps between two samples wherever a joint turns round, so here it always counts against the
-        # drive: its torque leaves the nominal one and comes off the limit.
+        self._frames = [
+            casadi_model.frame_position(problem.robot, box.frame) for box in problem.boxes
+        ]
+        # Coulomb friction jumps between two samples wherever the velocity changes its sign. It is
+        # therefore assumed to act against the actuator at all times: it is left out of the nominal
+        # torque and subtracted from the limit.
         friction = problem.parameters.coulomb()
         self._torque_bound = np.maximum(
             problem.limits.torque - friction, 1e-3 * problem.limits.torque
@@ -69,6 +81,7 @@ class Evaluator:
         self.kinds = self._kinds()
 
     def _kinds(self) -> tuple[str, ...]:
+        """Return the kinds of constraints that the problem has."""
         limits = self.problem.limits
         kinds = [
             k
@@ -79,13 +92,12 @@ class Evaluator:
         kinds += ["clearance"] * (self.problem.clearance is not None)
         return (*kinds, *(f"box{i}" for i in range(len(self._frames))))
 
-    # -- motion and information ------------------------------------------------------------------------------
-
-    def _stretch(self, x: Array, order: int) -> float:
-        """Factor on a and b columns when the period differs from the nominal one: derivatives scale by T^(1-order)."""
+    def _stretch(self, x: FloatArray, order: int) -> float:
+        """Return the factor on the columns of a and b, as derivatives scale with T^(1−order)."""
         return float((self.problem.period(x) / self.problem.options.period) ** (1 - order))
 
-    def _basis(self, x: Array, order: int) -> Array:
+    def _basis(self, x: FloatArray, order: int) -> FloatArray:
+        """Return the factors of the coefficients at the period of `x`."""
         stretch = self._stretch(x, order)
         if stretch == 1.0:
             return self.bases[order]
@@ -93,7 +105,8 @@ class Evaluator:
         out[:, -1] = self.bases[order][:, -1]
         return out
 
-    def _at(self, x: Array) -> _Point:
+    def _at(self, x: FloatArray) -> _Point:
+        """Return the point of `x`, which is kept until the next one."""
         if self._point is None or not np.array_equal(self._point.x, x):
             p = self.problem
             table = x[: p.scale.size].reshape(p.scale.shape) * p.scale
@@ -101,33 +114,47 @@ class Evaluator:
             self._point = _Point(x.copy(), (q, dq, ddq, dddq))
         return self._point
 
-    def _regressor_at(self, point: _Point) -> Array:
+    def _regressor_at(self, point: _Point) -> FloatArray:
+        """Return the regressor along the motion. Shape (N, n, P)."""
         if point.Y is None:
             q = point.motion[0]
             point.Y = self._regressor(*point.motion[:3])[0].reshape(*q.shape, -1)
         return point.Y
 
-    def objective(self, x: Array, sharpness: float) -> tuple[float, Array]:
-        """The smooth criterion to minimise and its exact gradient. Shapes (), (size,)."""
+    def objective(self, x: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
+        """Evaluate the objective to be minimised, and its exact gradient.
+
+        Args:
+            x: Variables. Shape (size,).
+            sharpness: Sharpness of the smoothed extreme eigenvalues [1].
+
+        Returns:
+            The objective, and its gradient. Shape (size,).
+        """
         point, problem = self._at(x), self.problem
         Y, weights = self._regressor_at(point), problem.weighting
         rows = weights.rows(Y)
-        stacked = rows if problem.given is None else np.vstack([rows, problem.given])
+        stacked = rows if problem.earlier_root is None else np.vstack([rows, problem.earlier_root])
         value, slope = criteria.smooth_objective(problem.options.criterion, stacked, sharpness)
-        gradients = self._adjoint(*point.motion[:3], weights.seed(Y, slope))
+        gradients = self._adjoint(*point.motion[:3], weights.regressor_gradient(Y, slope))
         if problem.overlap_penalty is not None:
             overlap, by_q, by_dq = problem.overlap_penalty.overlap(*point.motion[:2])
-            price = problem.overlap_penalty.weight
-            value += price * overlap
-            gradients = [gradients[0] + price * by_q, gradients[1] + price * by_dq, *gradients[2:]]
+            weight = problem.overlap_penalty.weight
+            value += weight * overlap
+            gradients = [
+                gradients[0] + weight * by_q,
+                gradients[1] + weight * by_dq,
+                *gradients[2:],
+            ]
         return value, self._pull_back(x, point, gradients)
 
-    def _pull_back(self, x: Array, point: _Point, gradients: list[Array]) -> Array:
+    def _pull_back(self, x: FloatArray, point: _Point, gradients: list[FloatArray]) -> FloatArray:
+        """Return the gradient by the variables from the gradients by q, q̇ and q̈."""
         p = self.problem
         table = np.zeros(p.scale.shape)
         for order, gradient in enumerate(gradients):
             table += gradient.T @ self._basis(x, order)
-        out: Array = (table * p.scale).ravel()
+        out: FloatArray = (table * p.scale).ravel()
         if p.options.free_period is not None:
             slope = sum(
                 float(np.sum(g * self._period_slope(x, point, order)))
@@ -136,32 +163,43 @@ class Evaluator:
             out = np.append(out, slope)
         return out
 
-    def _period_slope(self, x: Array, point: _Point, order: int) -> Array:
-        """Derivative of the order-th motion array with respect to the last variable, T over its nominal value."""
+    def _period_slope(self, x: FloatArray, point: _Point, order: int) -> FloatArray:
+        """Return the derivative of a motion array by the last variable, the relative period."""
         p = self.problem
         array = point.motion[order]
         if order == 0:
             array = array - x[: p.scale.size].reshape(p.scale.shape)[:, -1] * p.scale[:, -1]
         return (1 - order) * array / x[-1]
 
-    # -- constraint rows -------------------------------------------------------------------------------------
+    def constraint_values(self, x: FloatArray) -> dict[str, FloatArray]:
+        """Return the values of all constraints; the motion is feasible where they are at most 1.
 
-    def constraint_values(self, x: Array) -> dict[str, Array]:
-        """Every row's value, by kind. Shape (2, N, n): sign + then −; boxes (2, N, 3); clearance (1, N, pairs). Satisfied where ≤ 1."""
+        Returns:
+            For each kind an array of shape (2, N, n), first for the sign +, then −; (2, N, 3) for
+            boxes and (1, N, pairs) for the clearance.
+        """
         point = self._at(x)
         if not point.constraint_values:
             for kind in self.kinds:
                 point.constraint_values[kind] = self._values(point, kind)
         return point.constraint_values
 
-    def static_constraint_values(self, poses: Array) -> dict[str, Array]:
-        """The table of row values with each sample standing still at a pose of its own. `poses`: Shape (N, n)."""
-        self._point = None  # its regressor lives in memory that this call overwrites
+    def static_constraint_values(self, poses: FloatArray) -> dict[str, FloatArray]:
+        """Return the values of all constraints for robots at rest, one pose per sample.
+
+        Args:
+            poses: Poses. Shape (N, n) with N the samples of the problem.
+
+        Returns:
+            As `constraint_values`.
+        """
+        self._point = None  # this call overwrites the memory of its regressor
         still = np.zeros_like(poses)
         point = _Point(np.empty(0), (poses, still, still, still))
         return {kind: self._values(point, kind) for kind in self.kinds}
 
-    def _values(self, point: _Point, kind: str) -> Array:
+    def _values(self, point: _Point, kind: str) -> FloatArray:
+        """Return the values of the constraints of one kind."""
         limits = self.problem.limits
         q, dq, ddq, dddq = point.motion
         if kind == "position":
@@ -183,7 +221,8 @@ class Evaluator:
         centre = np.asarray(self._frames[index].map(len(q))(q.T)[0]).T
         return _centred(centre, np.array(box.lower), np.array(box.upper))
 
-    def _band(self, point: _Point) -> tuple[Array, Array]:
+    def _band(self, point: _Point) -> tuple[FloatArray, FloatArray]:
+        """Return nominal torque and half width of its band over all uncertain robots."""
         if point.spread is None:
             p = self.problem
             Y = self._regressor_at(point)
@@ -202,8 +241,10 @@ class Evaluator:
             point.look = self.problem.clearance.at(point.motion[0])
         return point.look
 
-    def _braking(self, q: Array, dq: Array, sign: float) -> tuple[Array, Array, Array]:
-        """Row value and slopes by q and dq of  (s q̇ + c)₊²/rate + s q ≤ s stop, per half range."""
+    def _braking(
+        self, q: FloatArray, dq: FloatArray, sign: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Evaluate (s q̇ + c)₊²/rate + s q ≤ s·stop over the half range, and slopes."""
         value, by_q, by_dq = np.full_like(q, -np.inf), np.zeros_like(q), np.zeros_like(q)
         for j, brake in enumerate(self.problem.limits.braking):
             if brake is None:
@@ -214,16 +255,18 @@ class Evaluator:
             by_q[:, j], by_dq[:, j] = sign / half, 2.0 * sign * over / brake.rate / half
         return value, by_q, by_dq
 
-    def max_constraint_value(self, x: Array) -> float:
-        """The largest row value anywhere; ≤ 1 means feasible on the grid."""
+    def max_constraint_value(self, x: FloatArray) -> float:
+        """Return the largest value of all constraints; at most 1 where the samples are feasible."""
         return max(float(values.max()) for values in self.constraint_values(x).values())
 
-    def rows_above(self, x: Array, threshold: float) -> Array:
-        """Which of all rows exceed `threshold` at x: a flat mask in the order of `kinds`."""
-        return np.concatenate([(values > threshold).ravel() for values in self.constraint_values(x).values()])
+    def rows_above(self, x: FloatArray, threshold: float) -> BoolArray:
+        """Return the flat mask of the constraints above a threshold, in the order of `kinds`."""
+        return np.concatenate(
+            [(values > threshold).ravel() for values in self.constraint_values(x).values()]
+        )
 
-    def rows(self, mask: Array) -> ConstraintRows:
-        """The rows that a flat mask names."""
+    def rows(self, mask: BoolArray) -> ConstraintRows:
+        """Return the constraints that a flat mask selects."""
         kinds, samples, joints, signs, start = [], [], [], [], 0
         for number, kind in enumerate(self.kinds):
             shape = self._shape(kind)
@@ -239,13 +282,14 @@ class Evaluator:
         return ConstraintRows(*(np.concatenate(part) for part in (kinds, samples, joints, signs)))
 
     def _shape(self, kind: str) -> tuple[int, int, int]:
+        """Return the shape of the values of one kind."""
         p = self.problem
         if p.clearance is not None and kind == "clearance":
             return 1, p.options.samples, len(p.clearance)
         return 2, p.options.samples, 3 if kind.startswith("box") else p.robot.n
 
-    def row_values(self, x: Array, rows: ConstraintRows) -> Array:
-        """Values of selected rows. Shape (m,)."""
+    def row_values(self, x: FloatArray, rows: ConstraintRows) -> FloatArray:
+        """Return the values of selected constraints. Shape (m,)."""
         table = self.constraint_values(x)
         out = np.empty(len(rows))
         for number, kind in enumerate(self.kinds):
@@ -253,8 +297,8 @@ class Evaluator:
             out[at] = table[kind][(rows.sign[at] < 0).astype(int), rows.sample[at], rows.joint[at]]
         return out
 
-    def row_gradients(self, x: Array, rows: ConstraintRows) -> Array:
-        """Exact Jacobian of selected rows. Shape (m, size)."""
+    def row_gradients(self, x: FloatArray, rows: ConstraintRows) -> FloatArray:
+        """Return the exact Jacobian of selected constraints. Shape (m, size)."""
         point, p = self._at(x), self.problem
         n, width = p.scale.shape
         out = np.zeros((len(rows), n, width))
@@ -265,7 +309,7 @@ class Evaluator:
                 continue
             sample, joint, sign = rows.sample[at], rows.joint[at], rows.sign[at]
             for order, slope in self._slopes(point, kind, sample, joint, sign):
-                # slope: derivative of each row by the joints' order-th motion, shape (m, n) or for one joint (m,)
+                # slope: derivative by the motion array, of all joints (m, n) or its own joint (m,)
                 factor = self._basis(x, order)[sample]
                 if slope.ndim == 1:
                     out[at, joint] += slope[:, None] * factor
@@ -278,14 +322,15 @@ class Evaluator:
                         if slope.ndim == 1
                         else np.sum(slope * change, axis=1)
                     )
-        jacobian: Array = (out * p.scale).reshape(len(rows), p.scale.size)
+        jacobian: FloatArray = (out * p.scale).reshape(len(rows), p.scale.size)
         return (
             np.column_stack([jacobian, period]) if p.options.free_period is not None else jacobian
         )
 
     def _slopes(
-        self, point: _Point, kind: str, sample: Array, joint: Array, sign: Array
-    ) -> list[tuple[int, Array]]:
+        self, point: _Point, kind: str, sample: IntArray, joint: IntArray, sign: FloatArray
+    ) -> list[tuple[int, FloatArray]]:
+        """Return (order, slope by the motion array of that order) of constraints of one kind."""
         limits = self.problem.limits
         if kind == "position":
             half = 0.5 * (limits.position[:, 1] - limits.position[:, 0])
@@ -316,9 +361,12 @@ class Evaluator:
         return [(0, (sign / half[joint])[:, None] * blocks)]
 
     def _torque_slopes(
-        self, point: _Point, sample: Array, joint: Array, sign: Array
-    ) -> list[tuple[int, Array]]:
-        """d(±Y_jψ₀ + r|Y_j|_G⁻¹) = dY_j · (±ψ₀ + r G₀⁻¹Y_jᵀ/|Y_j|): one weighted reverse sweep a row."""
+        self, point: _Point, sample: IntArray, joint: IntArray, sign: FloatArray
+    ) -> list[tuple[int, FloatArray]]:
+        """Return the slopes of torque constraints by one weighted reverse sweep for each.
+
+        d(±Y_jψ₀ + r|Y_j|_G⁻¹) = dY_j · (±ψ₀ + r G₀⁻¹Y_jᵀ/|Y_j|)
+        """
         p = self.problem
         n, radius = p.robot.n, p.options.uncertainty
         q, dq, ddq, _ = point.motion
@@ -336,15 +384,16 @@ class Evaluator:
         return list(enumerate(self._row(q[sample], dq[sample], ddq[sample], weight, pick)))
 
 
-def _without_coulomb(parameters: Parameters) -> Array:
+def _without_coulomb(parameters: Parameters) -> FloatArray:
+    """Return the nominal parameters without Coulomb friction. Shape (P,)."""
     nominal = parameters.nominal.copy()
     if "coulomb" in parameters.drive:
         nominal[parameters.block("coulomb")] = 0.0
     return nominal
 
 
-def _centred(values: Array, lower: Array, upper: Array) -> Array:
-    """Signed distance from the middle of a range over its half width; unbounded ranges give −inf."""
+def _centred(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """Return ±(distance from the middle of a range) over its half width; −inf where unbounded."""
     bounded = np.isfinite(lower) & np.isfinite(upper)
     middle = np.where(
         bounded, 0.5 * (np.where(bounded, lower, 0.0) + np.where(bounded, upper, 0.0)), 0.0

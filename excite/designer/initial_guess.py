@@ -1,26 +1,39 @@
-"""A feasible start is found, not hoped for: a pose that can be held, then as much motion as the limits allow."""
+"""Construct a feasible initial guess.
+
+Find a static pose inside all limits, then scale a random motion around it until a limit becomes
+active.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
+from .._types import FloatArray
 from ..collision.clearance_constraint import Clearance
 from ..errors import Infeasible, UnusableInput
 from ..robot.inertial_parameters import ranges
 from .evaluator import ConstraintRows, Evaluator
 from .problem import DesignProblem
 
-Array = np.ndarray
 COMFORTABLE_ROW_VALUE = 0.95
-"""Largest row value of a pose or start that counts as comfortably inside the limits."""
+"""Largest constraint value of a static pose to start from [1]."""
+
+MAX_INITIAL_ROW_VALUE = 0.99
+"""Largest constraint value of the initial motion [1]."""
+
 CLEARANCE_SCALING = 2.5
-"""Clearance counts as so much roomier: a row's unit is many margins, and neighbours may never be more than two of them apart."""
+"""Factor on the slack of clearance constraints of static poses [1].
+
+Their unit is many times the required clearance, and neighbouring bodies may never be more than two
+units apart, so that without it no pose would count as comfortable.
+"""
+
 POSES_PER_LINE = 60
-"""Poses at which a straight line from the start pose is looked at."""
+"""Steps along the straight line from the start pose on which clearance is checked [1]."""
 
 
-def stationary_variables(problem: DesignProblem, pose: Array) -> Array:
-    """Variables of the motion that stays at `pose`."""
+def stationary_variables(problem: DesignProblem, pose: FloatArray) -> FloatArray:
+    """Return the variables of a robot at rest at `pose`. Shape (size,)."""
     x = np.zeros(problem.size)
     table = x[: problem.scale.size].reshape(problem.scale.shape)
     table[:, -1] = pose / problem.scale[:, -1]
@@ -29,31 +42,38 @@ def stationary_variables(problem: DesignProblem, pose: Array) -> Array:
     return x
 
 
-class _Poses:
-    """Row values of poses held at rest, many at a time: the samples of an evaluator stand for poses."""
+class _StaticPoses:
+    """Constraint values of static poses, many at a time.
+
+    The samples of an evaluator stand for poses.
+    """
 
     def __init__(self, evaluator: Evaluator) -> None:
+        """Store the evaluator."""
         self.evaluator = evaluator
 
-    def worst(self, poses: Array) -> Array:
-        """Largest row value of each pose. Shapes (N, n) -> (N,)."""
+    def max_values(self, poses: FloatArray) -> FloatArray:
+        """Return the largest constraint value of each pose. Shape (N,)."""
         return np.max(
             [
-                _eased(kind, values).max(axis=(0, 2))
+                _scale_slack(kind, values).max(axis=(0, 2))
                 for kind, values in self.evaluator.static_constraint_values(poses).items()
             ],
             axis=0,
         )
 
-    def worst_of(self, pose: Array) -> tuple[str, int, float]:
-        """Kind, joint and value of the row that binds most at one pose."""
-        table = self.evaluator.static_constraint_values(np.tile(pose, (self.evaluator.problem.options.samples, 1)))
+    def active_constraint(self, pose: FloatArray) -> tuple[str, int, float]:
+        """Return kind, joint and value of the largest constraint value at one pose."""
+        table = self.evaluator.static_constraint_values(
+            np.tile(pose, (self.evaluator.problem.options.samples, 1))
+        )
         kind = max(table, key=lambda k: float(table[k][:, 0].max()))
         joint = int(np.argmax(table[kind][:, 0].max(axis=0)))
         return kind, joint, float(table[kind][:, 0].max())
 
 
-def _eased(kind: str, values: Array) -> Array:
+def _scale_slack(kind: str, values: FloatArray) -> FloatArray:
+    """Scale the slack of clearance constraints."""
     return (
         np.where(values < 1.0, 1.0 - CLEARANCE_SCALING * (1.0 - values), values)
         if kind == "clearance"
@@ -61,73 +81,100 @@ def _eased(kind: str, values: Array) -> Array:
     )
 
 
-def find_static_poses(evaluator: Evaluator, rng: np.random.Generator, tries: int = 4) -> Array:
-    """Poses that can be held with room to spare, the roomiest first. Shape (m, n), m ≥ 1.
+def find_static_poses(evaluator: Evaluator, rng: np.random.Generator, tries: int = 4) -> FloatArray:
+    """Find static poses well inside all limits.
 
-    Random poses first; when none has room, the best is improved by a gradient method.
-    Raises UnusableInput when gravity alone exceeds a torque limit everywhere, Infeasible when other limits fight.
+    Random poses are tried first; if none suffices, the best ones are improved by optimisation.
+
+    Args:
+        evaluator: Evaluator of the design problem.
+        rng: Random number generator.
+        tries: Number of batches of random poses.
+
+    Returns:
+        Poses, the one with the most slack first. Shape (m, n), m ≥ 1.
+
+    Raises:
+        UnusableInput: Gravity alone exceeds a torque limit in all poses.
+        Infeasible: No pose keeps all other limits.
     """
     problem = evaluator.problem
     limits, count = problem.limits, problem.options.samples
     lower, upper = ranges(limits).T
-    holder = _Poses(evaluator)
+    static = _StaticPoses(evaluator)
     for attempt in range(tries):
-        # the first attempt stays in the middle of the ranges, where there is room to move
+        # the first batch stays in the middle of the ranges, where motions can be large
         share = 0.6 if attempt == 0 else 1.0
         middle = 0.5 * (lower + upper)
         candidates = middle + share * (rng.uniform(lower, upper, (count, len(lower))) - middle)
         if problem.start_pose is not None and problem.clearance is not None:
-            candidates = _within_sight(problem.clearance, problem.start_pose, candidates, rng)
-        worst = holder.worst(candidates)
+            candidates = reachable_along_lines(
+                problem.clearance, problem.start_pose, candidates, rng
+            )
+        worst = static.max_values(candidates)
         good = worst < COMFORTABLE_ROW_VALUE
         if good.any():
             order = np.argsort(worst[good])
             return np.asarray(candidates[good][order])
-    return _improved(evaluator, holder, candidates[np.argsort(worst)[:8]])
+    return _improved(evaluator, static, candidates[np.argsort(worst)[:8]])
 
 
-def _within_sight(
-    clearance: Clearance, home: Array, poses: Array, rng: np.random.Generator
-) -> Array:
-    """Poses on the straight lines from home to others, before anything is in the way. Shape (N, n).
+def reachable_along_lines(
+    clearance: Clearance, start_pose: FloatArray, poses: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """Move poses towards the start pose until the straight lines between them are clear.
 
-    Folds and obstacles part the joint space: a motion that begins elsewhere may be out of reach.
+    Obstacles divide the joint space, so a motion around another pose might be unreachable.
+
+    Args:
+        clearance: Bodies that have to keep their distance.
+        start_pose: Start pose. Shape (n,).
+        poses: Poses. Shape (N, n).
+        rng: Random number generator, for the place on the clear part of each line.
+
+    Returns:
+        Poses on the clear parts of the lines. Shape (N, n).
     """
     share = np.linspace(0.0, 1.0, POSES_PER_LINE + 1)
-    lines = home + share[:, None] * (poses - home)[:, None]
-    clear = clearance.least(lines.reshape(-1, len(home)))[0].reshape(lines.shape[:2]) > 0.0
-    far = np.logical_and.accumulate(clear, axis=1).sum(axis=1) - 1
-    return np.asarray(home + rng.uniform(0.0, share[np.maximum(far, 0)])[:, None] * (poses - home))
+    lines = start_pose + share[:, None] * (poses - start_pose)[:, None]
+    clear = clearance.least(lines.reshape(-1, len(start_pose)))[0].reshape(lines.shape[:2]) > 0.0
+    last_clear = np.logical_and.accumulate(clear, axis=1).sum(axis=1) - 1
+    return np.asarray(
+        start_pose
+        + rng.uniform(0.0, share[np.maximum(last_clear, 0)])[:, None] * (poses - start_pose)
+    )
 
 
-def _improved(evaluator: Evaluator, holder: _Poses, candidates: Array) -> Array:
-    """Lower the largest row value of the best poses by sequential quadratic programming on max g ≤ s, within the joint ranges."""
+def _improved(evaluator: Evaluator, static: _StaticPoses, candidates: FloatArray) -> FloatArray:
+    """Improve poses by minimising their largest constraint value; return the best. Shape (1, n)."""
     best, best_value = candidates[0], np.inf
     for pose in candidates:
-        found = _least_worst(evaluator, pose)
-        value = float(holder.worst(np.tile(found, (evaluator.problem.options.samples, 1)))[0])
+        improved = _minimise_largest(evaluator, pose)
+        value = float(
+            static.max_values(np.tile(improved, (evaluator.problem.options.samples, 1)))[0]
+        )
         if value < best_value:
-            best, best_value = found, value
+            best, best_value = improved, value
         if best_value < COMFORTABLE_ROW_VALUE:
             break
     if best_value >= 1.0 - 1e-3:
-        _refuse(evaluator.problem, holder, best)
+        _raise_infeasible(evaluator.problem, static, best)
     return best[None, :]
 
 
-def _least_worst(evaluator: Evaluator, pose: Array) -> Array:
+def _minimise_largest(evaluator: Evaluator, pose: FloatArray) -> FloatArray:
+    """Minimise s subject to g ≤ s over poses within the joint ranges, by SLSQP. Shape (n,)."""
     from scipy import optimize  # rarely needed, slow to import
 
     problem = evaluator.problem
     n = problem.robot.n
     columns = np.arange(n) * problem.scale.shape[1] + problem.scale.shape[1] - 1
-    position = (
-        evaluator.kinds.index("position") if "position" in evaluator.kinds else -1
-    )  # kept as bounds instead
+    # position limits are bounds of the optimiser instead of constraints
+    position = evaluator.kinds.index("position") if "position" in evaluator.kinds else -1
     first = np.zeros(problem.options.samples, bool)
     first[0] = True
 
-    def rows_at(z: Array) -> tuple[Array, Array]:
+    def rows_at(z: FloatArray) -> tuple[FloatArray, FloatArray]:
         x = stationary_variables(problem, z[:n])
         table = evaluator.constraint_values(x)
         mask = np.concatenate(
@@ -156,34 +203,48 @@ def _least_worst(evaluator: Evaluator, pose: Array) -> Array:
     return np.asarray(result.x[:n])
 
 
-def _refuse(problem: DesignProblem, holder: _Poses, pose: Array) -> None:
-    kind, joint, value = holder.worst_of(pose)
+def _raise_infeasible(problem: DesignProblem, static: _StaticPoses, pose: FloatArray) -> None:
+    """Raise the error that names the constraint which no pose keeps."""
+    kind, joint, value = static.active_constraint(pose)
     robot = problem.robot
     if kind == "torque":
         r = problem.options.uncertainty
         hint = f" (with --uncertainty {r:g}; try less)" if r else ""
         text = (
-            f"{robot.source}: joint '{robot.joints[joint]}': gravity asks {value:.3g} times its torque limit "
-            f"{problem.limits.torque[joint]:.4g} in the best pose found{hint}; raise the limit or lighten the payload"
+            f"{robot.source}: joint '{robot.joints[joint]}': gravity requires {value:.3g} times "
+            f"its torque limit {problem.limits.torque[joint]:.4g} in the best pose found{hint}; "
+            "raise the limit or lighten the payload"
         )
         raise Infeasible(text) if problem.boxes else UnusableInput(text)
     if kind == "clearance":
         assert problem.clearance is not None
         raise Infeasible(
-            f"{robot.source}: no pose found keeps the clearance of {problem.clearance.names[joint]}; "
+            f"{robot.source}: no pose keeps the clearance of {problem.clearance.names[joint]}; "
             "clear the scene, lower --clearance, or widen the position limits"
         )
     name = problem.boxes[int(kind[3:])].frame if kind.startswith("box") else robot.joints[joint]
     raise Infeasible(
-        f"{robot.source}: no pose obeys all limits: the {kind.rstrip('0123456789')} limit of '{name}' fights the others "
-        f"(best reaches {value:.3g} times it); widen the box or the position limits"
+        f"{robot.source}: no pose keeps all limits: the {kind.rstrip('0123456789')} limit of "
+        f"'{name}' conflicts with the others (the best pose reaches {value:.3g} times it); "
+        "widen the box or the position limits"
     )
 
 
-def scale_random_motion(evaluator: Evaluator, pose: Array, rng: np.random.Generator) -> Array:
-    """A random motion around `pose`, as large as the limits allow. Returns feasible variables."""
+def scale_random_motion(
+    evaluator: Evaluator, pose: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """Return a random motion around a pose, scaled until a limit becomes active.
+
+    Args:
+        evaluator: Evaluator of the design problem.
+        pose: Static pose inside all limits. Shape (n,).
+        rng: Random number generator.
+
+    Returns:
+        Variables of the motion, which is feasible. Shape (size,).
+    """
     problem = evaluator.problem
-    rest = stationary_variables(problem, pose)
+    stationary = stationary_variables(problem, pose)
     K = problem.options.harmonics
     amplitude = rng.normal(size=(problem.robot.n, 2, K)) / np.sqrt(np.arange(1, K + 1))
     step = np.zeros(problem.size)
@@ -193,10 +254,10 @@ def scale_random_motion(evaluator: Evaluator, pose: Array, rng: np.random.Genera
     low, high = 0.0, 1.0
     for _ in range(12):
         middle = 0.5 * (low + high)
-        if evaluator.max_constraint_value(rest + middle * step) < COMFORTABLE_ROW_VALUE + 0.04:
+        if evaluator.max_constraint_value(stationary + middle * step) < MAX_INITIAL_ROW_VALUE:
             low = middle
         else:
             high = middle
         if low > 0.0 and high - low < 0.1 * low:
             break
-    return np.asarray(rest + low * step)
+    return np.asarray(stationary + low * step)

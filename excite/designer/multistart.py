@@ -1,7 +1,8 @@
-"""Many starts: independent searches spread over processes, the hopeless ones put aside early.
+"""Run many independent starts in parallel, with successive halving.
 
-The order of events is fixed by the numbers alone: all starts run a little, the better half goes on, then the better
-half of those runs to its end. One seed therefore gives one result on one core or on a cluster.
+All starts run for a few iterations, the better half continues, and the better half of those runs
+to its end. The schedule depends on iteration counts alone, so a seed gives the same result on one
+core and on a cluster.
 """
 
 from __future__ import annotations
@@ -14,27 +15,40 @@ import joblib
 import numpy as np
 import threadpoolctl
 
+from .._types import FloatArray
 from ..errors import ExciteError
 from ..trajectory.fourier import FourierSeries
 from . import initial_guess, sqp
 from .evaluator import Evaluator
 from .problem import DesignProblem
 
-Array = np.ndarray
 Progress = Callable[[str], None]
 
 HALVING_ITERATIONS = (60, 90)
-"""Iterations after which the worse half stops: earlier, the order says little about the end (rank correlation 0.3 after
-40, 0.7 after 60, 0.8 after 90 iterations over 60 starts of two arms)."""
+"""Iterations after which the worse half of the starts stops [1].
+
+Earlier the ranking says little about the final one: over 60 starts of two arms their rank
+correlation is 0.3 after 40, 0.7 after 60 and 0.8 after 90 iterations.
+"""
+
 MIN_STARTS_FOR_HALVING = 8
-"""Fewer starts than this all run to their end."""
+"""Number of starts below which all of them run to their end [1]."""
 
 
 @dataclass(frozen=True)
 class Attempt:
-    """One start: its number, the motion it found, the smooth objective there, and its history (times since `built`).
+    """Result of one start.
 
-    state: where its search stands. stopped: put aside before its end, because others were ahead.
+    Attributes:
+        number: Number of the start.
+        motion: Best motion.
+        objective: Smooth objective of the motion.
+        time: Time of each iterate since the problem was built [s].
+        values: Smooth objective of each iterate.
+        worst: Largest constraint value of each iterate, at most 1 where it is feasible.
+        stage: Stage of the smoothing of each iterate.
+        state: State of its search.
+        stopped: True if it was stopped early, because other starts were better.
     """
 
     number: int
@@ -50,121 +64,172 @@ class Attempt:
 
 @dataclass(frozen=True)
 class _Round:
-    """What every task of one round needs: until how many iterations a start may go, and when the clock began [s]."""
+    """Task of one round of successive halving.
+
+    Attributes:
+        problem: The design problem.
+        build_time: `time.perf_counter()` when the problem was complete [s].
+        until: Iterations that a start may have spent in total after the round.
+    """
 
     problem: DesignProblem
-    built: float
+    build_time: float
     until: int
 
 
 def run_starts(
-    problem: DesignProblem, built: float, numbers: Sequence[int], progress: Progress | None = None
+    problem: DesignProblem,
+    build_time: float,
+    numbers: Sequence[int],
+    progress: Progress | None = None,
 ) -> list[Attempt | ExciteError]:
-    """All starts, the best first; one that found no feasible pose comes back as its error, last.
+    """Run starts and rank them.
 
-    numbers: of the starts; each has a random stream of its own. built: time.perf_counter() when the problem was ready [s].
+    Args:
+        problem: The design problem.
+        build_time: `time.perf_counter()` when the problem was complete [s].
+        numbers: Numbers of the starts; each has a random stream of its own.
+        progress: Called with a line of text after each start.
+
+    Returns:
+        Results, the best first, then the errors of starts without a feasible pose.
     """
     end = problem.options.iterations
-    limits = (*(r for r in HALVING_ITERATIONS if r < end), end) if len(numbers) >= MIN_STARTS_FOR_HALVING else (end,)
+    limits = (
+        (*(r for r in HALVING_ITERATIONS if r < end), end)
+        if len(numbers) >= MIN_STARTS_FOR_HALVING
+        else (end,)
+    )
     errors: list[ExciteError] = []
-    aside: list[Attempt] = []
+    stopped: list[Attempt] = []
     alive: list[int | Attempt] = list(numbers)
-    for turn, until in enumerate(limits):
-        tell = None if progress is None else _Teller(progress, len(alive), turn, len(limits))
-        ended = _spread(_Round(problem, built, until), alive, tell)
+    for index, until in enumerate(limits):
+        report = (
+            None if progress is None else _ProgressReport(progress, len(alive), index, len(limits))
+        )
+        ended = _run_round(_Round(problem, build_time, until), alive, report)
         errors += [e for e in ended if isinstance(e, ExciteError)]
         ranked = sorted(
             (a for a in ended if isinstance(a, Attempt)), key=lambda a: (a.objective, a.number)
         )
         kept = len(ranked) if until == end else -(-len(ranked) // 2)
-        aside += [dataclasses.replace(a, stopped=not a.state.done) for a in ranked[kept:]]
+        stopped += [dataclasses.replace(a, stopped=not a.state.done) for a in ranked[kept:]]
         alive = list(ranked[:kept])
     finished = [a for a in alive if isinstance(a, Attempt)]
-    # a start put aside in the lead of one that ran on to its end is a result all the same
-    return [*sorted([*finished, *aside], key=lambda a: (a.objective, a.number)), *errors]
+    # a start that was stopped may still be better than one that ran to its end
+    return [*sorted([*finished, *stopped], key=lambda a: (a.objective, a.number)), *errors]
 
 
-def _spread(
+def _run_round(
     task: _Round,
     alive: Sequence[int | Attempt],
-    tell: Callable[[Attempt | ExciteError], None] | None,
+    report: Callable[[Attempt | ExciteError], None] | None,
 ) -> list[Attempt | ExciteError]:
-    """Run one round, several starts a task: sending the problem costs as much as a few iterations."""
+    """Run one round of all starts that are still alive."""
     ended: list[Attempt | ExciteError] = []
-    for group in _groups(task, alive):
+    for group in _run_groups(task, alive):
         ended += group
-        if tell is not None:
-            for one in group:
-                tell(one)
+        if report is not None:
+            for result in group:
+                report(result)
     return ended
 
 
-def _groups(task: _Round, alive: Sequence[int | Attempt]) -> Iterator[list[Attempt | ExciteError]]:
+def _run_groups(
+    task: _Round, alive: Sequence[int | Attempt]
+) -> Iterator[list[Attempt | ExciteError]]:
+    """Run groups of starts in parallel, since sending the problem costs a few iterations."""
     if len(alive) == 1:
-        yield _group(task, alive)
+        yield _run_group(task, alive)
         return
     workers = min(joblib.effective_n_jobs(task.problem.options.jobs), len(alive))
     size = max(1, len(alive) // (16 * workers))
-    tasks = [joblib.delayed(_group)(task, alive[i : i + size]) for i in range(0, len(alive), size)]
+    tasks = [
+        joblib.delayed(_run_group)(task, alive[i : i + size]) for i in range(0, len(alive), size)
+    ]
     with joblib.Parallel(n_jobs=workers) as pool:
-        for i in range(
-            0, len(tasks), 4 * workers
-        ):  # not all at once, so that progress shows; not every back end can stream
+        # batches make progress visible with back ends that cannot stream results
+        for i in range(0, len(tasks), 4 * workers):
             yield from pool(tasks[i : i + 4 * workers])
 
 
 @dataclass
-class _Teller:
-    """Says how far a round is."""
+class _ProgressReport:
+    """Report how many starts of a round have ended, and the best objective.
+
+    Attributes:
+        progress: Called with a line of text.
+        count: Number of starts in the round.
+        index: Index of the round.
+        rounds: Number of rounds.
+        ended: Number of starts that have ended.
+        best: Best objective.
+    """
 
     progress: Progress
     count: int
-    turn: int
-    turns: int
-    told: int = 0
+    index: int
+    rounds: int
+    ended: int = 0
     best: float = np.inf
 
-    def __call__(self, one: Attempt | ExciteError) -> None:
-        self.told += 1
-        if isinstance(one, ExciteError):
+    def __call__(self, result: Attempt | ExciteError) -> None:
+        """Count one result and report it."""
+        self.ended += 1
+        if isinstance(result, ExciteError):
             return
-        self.best = min(self.best, one.objective)
-        which = f"round {self.turn + 1}/{self.turns}, " if self.turns > 1 else ""
+        self.best = min(self.best, result.objective)
+        prefix = f"round {self.index + 1}/{self.rounds}, " if self.rounds > 1 else ""
         self.progress(
-            f"{which}start {self.told}/{self.count}: objective {one.objective:.4f}, best {self.best:.4f}"
+            f"{prefix}start {self.ended}/{self.count}: "
+            f"objective {result.objective:.4f}, best {self.best:.4f}"
         )
 
 
-def _group(task: _Round, some: Sequence[int | Attempt]) -> list[Attempt | ExciteError]:
-    with threadpoolctl.threadpool_limits(
-        1
-    ):  # the same sums in the same order, whatever the number of processes
+def _run_group(task: _Round, starts: Sequence[int | Attempt]) -> list[Attempt | ExciteError]:
+    """Run the round of a few starts in this process."""
+    # one thread: sums in the same order, whatever the number of processes
+    with threadpoolctl.threadpool_limits(1):
         evaluator = Evaluator(task.problem)
         return [
-            _begin(evaluator, task, one) if isinstance(one, int) else _go_on(evaluator, task, one)
-            for one in some
+            _begin(evaluator, task, start)
+            if isinstance(start, int)
+            else _resume(evaluator, task, start)
+            for start in starts
         ]
 
 
 def _begin(evaluator: Evaluator, task: _Round, number: int) -> Attempt | ExciteError:
-    """A start from its own random stream; an error that names limits comes back as a value, out of any process."""
+    """Run a new start; errors are returned as values, so that they pass between processes."""
     rng = np.random.default_rng([task.problem.options.seed, number])
     try:
-        held = initial_guess.find_static_poses(evaluator, rng)
+        poses = initial_guess.find_static_poses(evaluator, rng)
     except ExciteError as error:
         return error
-    pose = held[rng.integers(min(len(held), 1 + len(held) // 4))]
+    pose = poses[rng.integers(min(len(poses), 1 + len(poses) // 4))]
     return optimize_from(
-        evaluator, initial_guess.scale_random_motion(evaluator, pose, rng), task.built, number, task.until
+        evaluator,
+        initial_guess.scale_random_motion(evaluator, pose, rng),
+        task.build_time,
+        number,
+        task.until,
     )
 
 
 def optimize_from(
-    evaluator: Evaluator, x: Array, built: float, number: int, until: int | None = None
+    evaluator: Evaluator, x: FloatArray, build_time: float, number: int, until: int | None = None
 ) -> Attempt:
-    """Optimise from the variables x on, to the end or to a number of iterations."""
+    """Optimise from given variables.
+
+    Args:
+        evaluator: Evaluator of the design problem.
+        x: Variables to begin with. Shape (size,).
+        build_time: `time.perf_counter()` when the problem was complete [s].
+        number: Number of the start.
+        until: Number of iterations; None: to the end.
+    """
     sharpness = sqp.sharpness_stages(evaluator.problem.options.criterion)
-    history = sqp.History(began=built)
+    history = sqp.History(began=build_time)
     history.add(
         evaluator.objective(x, sharpness[-1])[0],
         evaluator.max_constraint_value(x),
@@ -175,9 +240,14 @@ def optimize_from(
     )
 
 
-def _go_on(evaluator: Evaluator, task: _Round, before: Attempt) -> Attempt:
+def _resume(evaluator: Evaluator, task: _Round, before: Attempt) -> Attempt:
+    """Continue a start after an earlier round."""
     history = sqp.History(
-        task.built, list(before.time), list(before.values), list(before.worst), list(before.stage)
+        task.build_time,
+        list(before.time),
+        list(before.values),
+        list(before.worst),
+        list(before.stage),
     )
     more = task.until - before.state.iterations
     return _attempt(
@@ -185,9 +255,14 @@ def _go_on(evaluator: Evaluator, task: _Round, before: Attempt) -> Attempt:
     )
 
 
-def _attempt(evaluator: Evaluator, number: int, state: sqp.SearchState, history: sqp.History) -> Attempt:
+def _attempt(
+    evaluator: Evaluator, number: int, state: sqp.SearchState, history: sqp.History
+) -> Attempt:
+    """Return the result of a start at the present state of its search."""
     problem = evaluator.problem
-    objective = evaluator.objective(state.best, sqp.sharpness_stages(problem.options.criterion)[-1])[0]
+    objective = evaluator.objective(
+        state.best, sqp.sharpness_stages(problem.options.criterion)[-1]
+    )[0]
     h = history
     return Attempt(
         number,

@@ -1,4 +1,4 @@
-"""From a robot and its limits to the best periodic motion of several starts."""
+"""Set up a design problem and search for the best periodic motion from several starts."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import threadpoolctl
 
+from .._types import FloatArray
 from ..collision.clearance_constraint import Clearance
 from ..errors import ExciteError, UnusableInput
 from ..robot import base_parameters, inertial_parameters
@@ -23,23 +24,28 @@ from .criteria import Criterion
 from .evaluator import Evaluator
 from .motion_overlap import OverlapPenalty
 from .multistart import Attempt, Progress
+from .options import DesignOptions, check_options, torque_noise_levels
 from .problem import DesignProblem
-from .options import DesignOptions
-
-Array = np.ndarray
 
 
 @dataclass(frozen=True)
 class DesignSetup:
-    """A design problem with what it was built from."""
+    """Design problem with the quantities it was built from.
+
+    Attributes:
+        problem: The design problem.
+        base: Base parameters of the robot.
+        noise: Standard deviation of the torque of each joint. Shape (n,) [N m].
+        build_time: `time.perf_counter()` when the problem was complete [s].
+    """
 
     problem: DesignProblem
     base: Base
-    noise: Array
-    built: float  # time.perf_counter() when the problem was complete [s]
+    noise: FloatArray
+    build_time: float
 
     def constraints(self, limits: Limits) -> MotionConstraints:
-        """What its motions are held against, by limits that are not shrunk."""
+        """Return the constraints on its motions under the given limits, which are not shrunk."""
         p = self.problem
         return MotionConstraints(
             p.robot, limits, p.parameters, p.options.uncertainty, p.options.boxes, p.clearance
@@ -48,22 +54,33 @@ class DesignSetup:
 
 @dataclass(frozen=True)
 class OptimizedDesign:
-    """The best motion and all attempts, the best first."""
+    """Result of a search.
+
+    Attributes:
+        setup: The design problem.
+        attempts: Results of all starts, the best first.
+    """
 
     setup: DesignSetup
     attempts: tuple[Attempt, ...]
 
     @property
     def motion(self) -> FourierSeries:
-        """The best periodic motion found."""
+        """Best periodic motion."""
         return self.attempts[0].motion
 
     def timing(self) -> dict[str, float]:
-        """Seconds from the built problem to the first feasible motion and to within 1 % of the best objective's value."""
+        """Return how long the search took, from the built problem on [s].
+
+        Returns:
+            `first_feasible`: until the first feasible motion; `within_1_percent`: until a
+            criterion within 1 % of the best one.
+        """
         final = [self._final(a) for a in self.attempts]
         first = min(times[0] for times, _ in final)
         best = min(values.min() for _, values in final)
-        # the objective is a logarithm, of the square for the regressor's condition number; D's is the mean of log λ
+        # The objective is the logarithm of the criterion, for the condition number of the regressor
+        # that of its square; for D it is the mean of log λ.
         share = 0.02 if self.setup.problem.options.criterion is Criterion.COND_REGRESSOR else 0.01
         within = min(
             times[values <= best + share][0]
@@ -72,148 +89,142 @@ class OptimizedDesign:
         )
         return {"first_feasible": float(first), "within_1_percent": float(within)}
 
-    def _final(self, attempt: Attempt) -> tuple[Array, Array]:
-        """Times and best feasible objective of an attempt's last stage (the ones before smooth more)."""
+    def _final(self, attempt: Attempt) -> tuple[FloatArray, FloatArray]:
+        """Return times and best feasible objectives of the last stage, which smooths the least."""
         stage, worst = np.array(attempt.stage), np.array(attempt.worst)
         last = (stage == stage.max()) & (worst <= sqp.MAX_FEASIBLE_ROW_VALUE)
         values = np.where(last, np.array(attempt.values), np.inf)
         return np.array(attempt.time), np.minimum.accumulate(values)
 
 
-def check_options(options: DesignOptions) -> None:
-    """Refuse options that contradict themselves; UnusableInput names the option and the remedy."""
-    o = options
-    if o.free_period is None:
-        samples_per_period(o.period, o.rate)
-    if o.samples <= 2 * o.harmonics:
-        raise UnusableInput(
-            f"--samples {o.samples} cannot carry {o.harmonics} harmonics; use more than {2 * o.harmonics}"
-        )
-    positive = {
-        "--harmonics": o.harmonics,
-        "--period": o.period,
-        "--periods": o.periods - 1,
-        "--rate": o.rate,
-        "--starts": o.starts,
-    }
-    for name, value in positive.items():
-        if not (np.isfinite(value) and value > 0):
-            least = "at least 2" if name == "--periods" else "positive"
-            raise UnusableInput(f"{name} should be {least}")
-    if not (np.isfinite(o.uncertainty) and o.uncertainty >= 0.0):
-        raise UnusableInput(f"--uncertainty {o.uncertainty:g} should be 0 or more")
-    if o.seed < 0:
-        raise UnusableInput(f"--seed {o.seed} should be 0 or more")
-    if o.jobs == 0:
-        raise UnusableInput("--jobs 0 does nothing; give 1 or more, or -1 for one per core")
-    for box in o.boxes:
-        if not all(low < high for low, high in zip(box.lower, box.upper, strict=True)):
-            raise UnusableInput(
-                f"--box {box.frame}: its lower corner {box.lower} is not below its upper one {box.upper}"
-            )
-
-
-def samples_per_period(period: float, rate: float) -> int:
-    """Samples in one period; UnusableInput when they are no whole number."""
-    if not (np.isfinite(period) and np.isfinite(rate) and period > 0.0 and rate > 0.0):
-        raise UnusableInput(
-            f"--period {period:g} and --rate {rate:g} should be positive and finite"
-        )
-    count = period * rate
-    if abs(count - round(count)) > 1e-6 or round(count) < 1:
-        better = max(round(count), 1) / rate
-        raise UnusableInput(
-            f"--period {period:g} s is no whole number of samples at --rate {rate:g} Hz; use --period {better:.6g}"
-        )
-    return round(count)
-
-
 def set_up(
     robot: Robot,
     limits: Limits,
     options: DesignOptions,
-    given: Array | None = None,
-    apart: OverlapPenalty | None = None,
+    earlier_information: FloatArray | None = None,
+    overlap_penalty: OverlapPenalty | None = None,
     clearance: Clearance | None = None,
-    home: Array | None = None,
+    start_pose: FloatArray | None = None,
 ) -> DesignSetup:
-    """Build the problem. given: information of earlier recordings in standard parameters. Shape (P, P). The others: see Problem."""
+    """Build the design problem of a robot.
+
+    Args:
+        robot: The robot.
+        limits: Its limits.
+        options: Options of the design.
+        earlier_information: Information of earlier recordings in standard parameters.
+            Shape (P, P).
+        overlap_penalty: Penalty on similarity to another motion.
+        clearance: Bodies that have to keep their distance.
+        start_pose: Pose from which the motion has to be reachable. Shape (n,).
+
+    Raises:
+        UnusableInput: Options are inconsistent.
+    """
     check_options(options)
     if options.free_period is not None:
         options = dataclasses.replace(
             options, period=float(np.clip(options.period, *options.free_period))
         )
-    if given is not None and options.criterion is Criterion.COND_REGRESSOR:
+    if earlier_information is not None and options.criterion is Criterion.COND_REGRESSOR:
         raise UnusableInput(
-            "--given and --criterion cond_regressor do not go together (it knows no noise); use --criterion cond"
+            "--given and --criterion cond_regressor do not go together, as this criterion ignores "
+            "the noise; use --criterion cond"
         )
     if options.noise is not None and (
         len(options.noise) != robot.n or not all(0.0 < s < np.inf for s in options.noise)
     ):
         raise UnusableInput(f"--torque-noise should be {robot.n} positive numbers, one per joint")
     standard = inertial_parameters.standard(robot, limits, options.drive)
-    found = base_parameters.find(robot, standard, limits)
-    noise = problem.torque_noise_levels(limits, options.noise)
-    weights = criteria.criterion_weighting(options.criterion, found, noise, plain=options.plain)
+    base = base_parameters.find(robot, standard, limits)
+    noise = torque_noise_levels(limits, options.noise)
+    weights = criteria.criterion_weighting(options.criterion, base, noise, plain=options.plain)
     count = options.periods * options.period * options.rate
-    root = None if given is None else weights.root(given / count)
-    bare = problem.build_problem(robot, limits, standard, weights, options, root)
-    built = dataclasses.replace(bare, overlap_penalty=apart, clearance=clearance, start_pose=home)
-    return DesignSetup(built, found, noise, time.perf_counter())
+    root = (
+        None
+        if earlier_information is None
+        else weights.information_root(earlier_information / count)
+    )
+    built = dataclasses.replace(
+        problem.build_problem(robot, limits, standard, weights, options, root),
+        overlap_penalty=overlap_penalty,
+        clearance=clearance,
+        start_pose=start_pose,
+    )
+    return DesignSetup(built, base, noise, time.perf_counter())
 
 
-def solve(setting: DesignSetup, progress: Progress | None = None) -> OptimizedDesign:
-    """Run all starts of a design and rank them; one seed gives one result, whatever the number of processes.
+def solve(setup: DesignSetup, progress: Progress | None = None) -> OptimizedDesign:
+    """Run all starts of a design and rank them.
 
-    Raises Infeasible or UnusableInput when no pose can be held under the limits.
+    The result depends on the seed alone, not on the number of processes.
+
+    Args:
+        setup: The design problem.
+        progress: Called with a line of text after each start.
+
+    Raises:
+        Infeasible: No pose keeps all limits.
+        UnusableInput: No pose is within the torque limits.
     """
-    options = setting.problem.options
-    # a second motion's starts are numbered on from the first's, so that they have random streams of their own
-    first = 0 if setting.problem.overlap_penalty is None else options.starts
+    options = setup.problem.options
+    # the starts of a validation motion have other numbers, hence other random streams
+    first = 0 if setup.problem.overlap_penalty is None else options.starts
     results = multistart.run_starts(
-        setting.problem, setting.built, range(first, first + options.starts), progress
+        setup.problem, setup.build_time, range(first, first + options.starts), progress
     )
     attempts = [r for r in results if isinstance(r, Attempt)]
     if not attempts:
         raise next(r for r in results if isinstance(r, ExciteError))
-    design = OptimizedDesign(setting, tuple(attempts))
+    design = OptimizedDesign(setup, tuple(attempts))
     return _fixed_period(design) if options.free_period is not None else design
 
 
-def improve(setting: DesignSetup, motion: FourierSeries, number: int = 0) -> Attempt:
-    """Optimise on from a motion that may break limits a little: it is first drawn in, if that makes it obey them."""
+def improve(setup: DesignSetup, motion: FourierSeries, number: int = 0) -> Attempt:
+    """Optimise a motion that may break limits slightly.
+
+    The motion is first shrunk towards its mean pose until it keeps all limits.
+
+    Args:
+        setup: The design problem.
+        motion: Motion to begin with.
+        number: Number of the start that the motion stems from.
+    """
     with threadpoolctl.threadpool_limits(1):
-        evaluator = Evaluator(setting.problem)
-        x = setting.problem.variables(motion)
-        rest = initial_guess.stationary_variables(setting.problem, motion.offset)
+        evaluator = Evaluator(setup.problem)
+        x = setup.problem.variables(motion)
+        stationary = initial_guess.stationary_variables(setup.problem, motion.offset)
         for share in (1.0, *(1.0 - 0.5 ** np.arange(9, 1, -1)), 0.6, 0.45, 0.3, 0.2):
-            drawn = rest + share * (x - rest)
-            if evaluator.max_constraint_value(drawn) <= 1.0:
+            shrunk = stationary + share * (x - stationary)
+            if evaluator.max_constraint_value(shrunk) <= 1.0:
                 break
-        else:  # its middle pose can't be held, say: the solver finds its own way back
-            drawn = x
-        return multistart.optimize_from(evaluator, drawn, setting.built, number)
+        else:  # the mean pose itself may be infeasible: leave it to the solver
+            shrunk = x
+        return multistart.optimize_from(evaluator, shrunk, setup.build_time, number)
 
 
 def _fixed_period(design: OptimizedDesign) -> OptimizedDesign:
-    """Round an optimised period to whole samples (and to the ramps' time grid) and settle the motion there."""
-    old = design.setup.problem
-    motion, rate = design.motion, old.options.rate
-    period = _whole_period(motion.period, rate, old.options.free_period)
-    options = dataclasses.replace(old.options, period=period, free_period=None)
-    rebuilt = dataclasses.replace(old, options=options)
-    setting = dataclasses.replace(design.setup, problem=rebuilt)
+    """Round an optimised period to whole samples and optimise the motion at that period."""
+    free = design.setup.problem
+    motion, rate = design.motion, free.options.rate
+    period = _whole_period(motion.period, rate, free.options.free_period)
+    options = dataclasses.replace(free.options, period=period, free_period=None)
+    rebuilt = dataclasses.replace(free, options=options)
+    setup = dataclasses.replace(design.setup, problem=rebuilt)
     stretched = FourierSeries(motion.sine, motion.cosine, motion.offset, period)
     slower = motion.slowed(motion.period / period)
     best = min(
-        (improve(setting, m, design.attempts[0].number) for m in (stretched, slower)),
+        (improve(setup, m, design.attempts[0].number) for m in (stretched, slower)),
         key=lambda a: a.objective,
     )
-    return OptimizedDesign(setting, (best, *design.attempts[1:]))
+    return OptimizedDesign(setup, (best, *design.attempts[1:]))
 
 
 def _whole_period(period: float, rate: float, bounds: tuple[float, float] | None) -> float:
-    """The next period of whole samples within the bounds: longer if there is one, on the ramps' time grid if it fits."""
+    """Round a period to whole samples within its bounds.
+
+    Longer periods and those on the time grid of the ramps (0.04 s) are preferred.
+    """
     assert bounds is not None
     for grid in (max(round(0.04 * rate), 1) / rate, 1.0 / rate):
         for rounded in (
@@ -223,28 +234,34 @@ def _whole_period(period: float, rate: float, bounds: tuple[float, float] | None
             if bounds[0] - 1e-9 <= rounded <= bounds[1] + 1e-9:
                 return float(rounded)
     raise UnusableInput(
-        f"--optimise-period {bounds[0]:g},{bounds[1]:g}: holds no whole number of samples at --rate {rate:g} Hz; widen it"
+        f"--optimise-period {bounds[0]:g},{bounds[1]:g}: contains no whole number of samples "
+        f"at --rate {rate:g} Hz; widen it"
     )
 
 
 def tighten(
-    setting: DesignSetup,
+    setup: DesignSetup,
     limits: Limits,
     reserve: float,
-    short: Mapping[str, float] | None = None,
+    deficits: Mapping[str, float] | None = None,
     *,
     finer: bool = False,
 ) -> DesignSetup:
-    """The same problem with a larger reserve on curved limits, for when the certificate finds a gap between samples.
+    """Return a design problem with more reserve, for a motion that fails between samples.
 
-    short: clearance that pairs of bodies lack [m]. finer: with samples twice as dense.
+    Args:
+        setup: The design problem.
+        limits: Limits of the robot.
+        reserve: Share of torque, braking and box limits to keep free [1].
+        deficits: Clearance to add for pairs of bodies [m].
+        finer: Double the number of samples.
     """
-    p, lacking = setting.problem, short or {}
+    p = setup.problem
     options = dataclasses.replace(p.options, samples=(1 + finer) * p.options.samples)
-    tighter = problem.rebuild_problem(p, limits, options, p.earlier_information, reserve)
+    tighter = problem.rebuild_problem(p, limits, options, p.earlier_root, reserve)
     if p.clearance is not None:
-        more = np.array([lacking.get(pair, 0.0) for pair in p.clearance.names])
+        more = np.array([(deficits or {}).get(pair, 0.0) for pair in p.clearance.names])
         tighter = dataclasses.replace(
             tighter, clearance=dataclasses.replace(p.clearance, more=p.clearance.more + more)
         )
-    return dataclasses.replace(setting, problem=tighter)
+    return dataclasses.replace(setup, problem=tighter)

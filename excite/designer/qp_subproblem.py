@@ -1,7 +1,7 @@
-"""The quadratic program of one step: min gᵀd + ½dᵀBd subject to J d ≤ room, lower ≤ d ≤ upper.
+"""Quadratic subproblem of one step: min gᵀd + ½dᵀBd subject to J d ≤ slack, lower ≤ d ≤ upper.
 
-CasADi's DAQP solves it, fed through memory it reads directly: converting arrays would cost more than solving. Few of
-the rows ever bind, so they join as a step breaks them.
+CasADi's DAQP solves it. It reads and writes numpy memory directly, since converting arrays would
+cost more than solving. Few constraints are ever active, so they are added as a step violates them.
 """
 
 from __future__ import annotations
@@ -11,12 +11,19 @@ import threading
 import casadi as ca
 import numpy as np
 
-Array = np.ndarray
+from .._types import FloatArray
+
 WORKING_SET_SLACK = 0.04
-"""Rows with less room than this take part from the beginning."""
+"""Constraints with less slack than this take part from the beginning [1]."""
+
 ROW_COUNT_STEP = 32
+"""Solvers are built for multiples of this number of constraints, to reuse them [1]."""
+
 FEASIBILITY_TOLERANCE = 1e-6
-# HiGHS now: highspy, which cvxpy imports, has another version under the same name, and CasADi would crash on that one.
+"""Violation of a constraint that a solution may have [1]."""
+
+# Load HiGHS now: cvxpy imports highspy, another version under the same library name, on which
+# CasADi would crash.
 ca.load_conic("highs")
 _SETTINGS: dict[str, dict[str, object]] = {
     "daqp": {"daqp": {"eps_prox": 1e-6}},
@@ -25,84 +32,128 @@ _SETTINGS: dict[str, dict[str, object]] = {
 
 
 class _Program:
-    """One solver for one size, with the arrays it reads and writes. Rows beyond those given are 0 ≤ ∞."""
+    """Solver for one size, with the arrays that it reads and writes; unused rows are 0 ≤ ∞."""
 
     def __init__(self, plugin: str, size: int, rows: int) -> None:
+        """Build the solver.
+
+        Args:
+            plugin: CasADi plugin, daqp or highs.
+            size: Number of variables.
+            rows: Number of constraints.
+        """
         shape = {"h": ca.Sparsity.dense(size, size), "a": ca.Sparsity.dense(rows, size)}
         self._solver = ca.conic(
             "subproblem", plugin, shape, {**_SETTINGS[plugin], "error_on_fail": False}
         )
         self._buffer, self._run = self._solver.buffer()
-        self.given = {
+        self.inputs = {
             name: np.zeros(self._solver.nnz_in(i)) for i, name in enumerate(self._solver.name_in())
         }
-        self.found = {
+        self.outputs = {
             name: np.zeros(self._solver.nnz_out(i))
             for i, name in enumerate(self._solver.name_out())
         }
-        self.given["a"] = np.zeros((size, rows))  # CasADi stores by columns
-        for i, array in enumerate(self.given.values()):
+        self.inputs["a"] = np.zeros((size, rows))  # CasADi stores by columns
+        for i, array in enumerate(self.inputs.values()):
             self._buffer.set_arg(i, memoryview(array))  # type: ignore[arg-type]
-        for i, array in enumerate(self.found.values()):
+        for i, array in enumerate(self.outputs.values()):
             self._buffer.set_res(i, memoryview(array))  # type: ignore[arg-type]
-        self.given["lba"][:] = -np.inf
+        self.inputs["lba"][:] = -np.inf
 
     def __call__(
-        self, B: Array, g: Array, J: Array, room: Array, lower: Array, upper: Array
-    ) -> tuple[Array, Array]:
-        count, given = len(room), self.given
-        given["h"][:], given["g"][:], given["lbx"][:], given["ubx"][:] = B.ravel(), g, lower, upper
-        given["a"][:, :count], given["a"][:, count:] = J.T, 0.0
-        given["uba"][:count], given["uba"][count:] = room, np.inf
+        self,
+        B: FloatArray,
+        g: FloatArray,
+        J: FloatArray,
+        slack: FloatArray,
+        lower: FloatArray,
+        upper: FloatArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Solve one subproblem; return the step and the multipliers."""
+        count, inputs = len(slack), self.inputs
+        inputs["h"][:], inputs["g"][:], inputs["lbx"][:], inputs["ubx"][:] = (
+            B.ravel(),
+            g,
+            lower,
+            upper,
+        )
+        inputs["a"][:, :count], inputs["a"][:, count:] = J.T, 0.0
+        inputs["uba"][:count], inputs["uba"][count:] = slack, np.inf
         for name in ("x0", "lam_x0", "lam_a0"):
-            given[name][:] = 0.0
+            inputs[name][:] = 0.0
         self._run()
-        return self.found["x"].copy(), self.found["lam_a"][:count].copy()
+        return self.outputs["x"].copy(), self.outputs["lam_a"][:count].copy()
 
 
-class _Kept(threading.local):
-    """Solvers by kind and size; each thread has its own, because a call writes into the solver's memory."""
+class _ProgramCache(threading.local):
+    """Solvers by plugin and size, for each thread, as a call writes into the solver's memory."""
 
     def __init__(self) -> None:
+        """Begin with no solvers."""
         self.programs: dict[tuple[str, int, int], _Program] = {}
 
 
-_KEPT = _Kept()
+_CACHE = _ProgramCache()
 
 
 def _program(plugin: str, size: int, rows: int) -> _Program:
-    key = (plugin, size, ROW_COUNT_STEP * (1 + rows // ROW_COUNT_STEP))  # few distinct sizes
-    if key not in _KEPT.programs:
-        _KEPT.programs[key] = _Program(*key)
-    return _KEPT.programs[key]
+    """Return a solver for at least `rows` constraints."""
+    key = (plugin, size, ROW_COUNT_STEP * (1 + rows // ROW_COUNT_STEP))
+    if key not in _CACHE.programs:
+        _CACHE.programs[key] = _Program(*key)
+    return _CACHE.programs[key]
 
 
 def solve(
-    B: Array, g: Array, J: Array, room: Array, lower: Array, upper: Array
-) -> tuple[Array, Array]:
-    """The step d and the rows' multipliers (≥ 0). Shapes (n, n), (n,), (m, n), (m,), (n,), (n,) -> (n,), (m,)."""
-    taken = room < WORKING_SET_SLACK
-    while True:
-        step, found = _robust(B, g, J[taken], room[taken], lower, upper)
-        multipliers = np.zeros(len(room))
-        multipliers[taken] = found
-        broken = (J @ step > room + FEASIBILITY_TOLERANCE) & ~taken
-        if not broken.any():
-            return step, multipliers
-        taken |= broken
+    B: FloatArray,
+    g: FloatArray,
+    J: FloatArray,
+    slack: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Solve one subproblem.
 
+    Args:
+        B: Approximate Hessian of the Lagrangian. Shape (n, n).
+        g: Gradient of the objective. Shape (n,).
+        J: Jacobian of the constraints. Shape (m, n).
+        slack: Slack of the constraints, negative where they are violated. Shape (m,).
+        lower: Lower bounds of the step. Shape (n,).
+        upper: Upper bounds of the step. Shape (n,).
 
-def _robust(
-    B: Array, g: Array, J: Array, room: Array, lower: Array, upper: Array
-) -> tuple[Array, Array]:
-    """DAQP is fast but now and then ends with broken rows; HiGHS is slower and doesn't.
-
-    Last resort: rows that are broken already need not be mended, so that a step of zero is feasible.
+    Returns:
+        The step d, shape (n,), and the multipliers of the constraints, not negative, shape (m,).
     """
-    for plugin, bound in (("daqp", room), ("highs", room), ("highs", np.maximum(room, 0.0))):
-        step, multipliers = _program(plugin, len(g), len(room))(B, g, J, bound, lower, upper)
+    working = slack < WORKING_SET_SLACK
+    while True:
+        step, working_multipliers = _solve_robustly(B, g, J[working], slack[working], lower, upper)
+        multipliers = np.zeros(len(slack))
+        multipliers[working] = working_multipliers
+        violated = (J @ step > slack + FEASIBILITY_TOLERANCE) & ~working
+        if not violated.any():
+            return step, multipliers
+        working |= violated
+
+
+def _solve_robustly(
+    B: FloatArray,
+    g: FloatArray,
+    J: FloatArray,
+    slack: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Solve with DAQP, and with HiGHS where DAQP ends with violated constraints.
+
+    DAQP is faster, HiGHS more reliable. As a last resort, constraints that are violated already
+    need not improve, so that a step of 0 is feasible.
+    """
+    for plugin, bound in (("daqp", slack), ("highs", slack), ("highs", np.maximum(slack, 0.0))):
+        step, multipliers = _program(plugin, len(g), len(slack))(B, g, J, bound, lower, upper)
         if not np.isfinite(step).all():
-            step, multipliers = np.zeros_like(g), np.zeros(len(room))
+            step, multipliers = np.zeros_like(g), np.zeros(len(slack))
         excess = max(
             (J @ step - bound).max(initial=0.0), (step - upper).max(), (lower - step).max()
         )

@@ -141,10 +141,10 @@ class RampPlanner:
             ),
             constraint_margins.joint_quantity("acceleration", self.constraints, motion.ddq, motion.ddq),
         ]
-        if max(d.ratio() for d in demands) <= 1.0 - 1e-6:
+        if max(d.largest_ratio() for d in demands) <= 1.0 - 1e-6:
             demands = constraint_margins.model_quantities(self.constraints, motion)
-        worst = max(demands, key=lambda d: d.ratio())
-        if worst.ratio() > 1.0 - 1e-4:
+        worst = max(demands, key=lambda d: d.largest_ratio())
+        if worst.largest_ratio() > 1.0 - 1e-4:
             return False, f"the {worst.limit} limits"
         blocked = self.clearance_violation(motion.q)
         return not blocked, blocked
@@ -372,7 +372,7 @@ def check_start_pose(subject: MotionConstraints, start: Array) -> None:
     for demand in constraint_margins.model_quantities(
         subject, Samples(still, np.zeros_like(still), np.zeros_like(still))
     ):
-        if demand.ratio() > 1.0:
+        if demand.largest_ratio() > 1.0:
             raise UnusableInput(
                 f"{robot.source}: start pose: breaks the {demand.limit} limits at rest; give another --start pose"
             )

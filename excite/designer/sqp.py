@@ -1,7 +1,8 @@
-"""Sequential quadratic programming on a design problem, with a trust region; CasADi's DAQP solves the subproblems.
+"""Sequential quadratic programming with a trust region.
 
-A few dozen variables and thousands of rows, nearly all of them far from their limits: rows enter a subproblem only
-where they come close, and every feasible iterate is kept, so that stopping early still gives a motion.
+A problem has dozens of variables and thousands of constraints, nearly all of them inactive:
+constraints enter a subproblem only near their limits. Every feasible iterate is kept, so that a
+search that is stopped early still gives a motion.
 """
 
 from __future__ import annotations
@@ -12,20 +13,39 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from .._types import FloatArray
 from . import qp_subproblem
 from .criteria import Criterion
 from .evaluator import ConstraintRows, Evaluator
 from .problem import LIMIT_RESERVE
 
-Array = np.ndarray
 MAX_FEASIBLE_ROW_VALUE = 1.0 + 0.5 * LIMIT_RESERVE
+"""Largest constraint value of an iterate that counts as feasible [1]."""
+
 WORKING_SET_BAND = 0.25
-"""Rows within this share of their limit enter the first subproblem; others when a step would break them."""
+"""Constraints within this share of their limit enter the first subproblem of an iteration [1]."""
+
+MAX_TRIED_EXCESS = 0.1
+"""Excess over a limit above which a step is rejected without evaluating the objective [1]."""
+
+STALL_ITERATIONS = 10
+"""Iterations over which the gain is compared with the stopping tolerance [1]."""
+
+EARLY_STAGE_GAIN_FACTOR = 20.0
+"""Factor on the stopping tolerance in all stages but the last one [1]."""
 
 
 @dataclass
 class History:
-    """The optimisation's own record: per iterate the time [s], smooth objective, worst row value and stage."""
+    """Record of all iterates of a search.
+
+    Attributes:
+        began: `time.perf_counter()` at time 0 [s].
+        time: Time of each iterate [s].
+        objective: Smooth objective of each iterate.
+        worst: Largest constraint value of each iterate.
+        stage: Stage of the smoothing of each iterate.
+    """
 
     began: float = field(default_factory=time.perf_counter)
     time: list[float] = field(default_factory=list)
@@ -34,7 +54,7 @@ class History:
     stage: list[int] = field(default_factory=list)
 
     def add(self, objective: float, worst: float, stage: int) -> None:
-        """Note one iterate, now."""
+        """Record one iterate with the present time."""
         self.time.append(time.perf_counter() - self.began)
         self.objective.append(objective)
         self.worst.append(worst)
@@ -43,9 +63,13 @@ class History:
 
 @dataclass(frozen=True)
 class Tolerances:
-    """gain: stop when ten iterations improve the objective (a logarithm) by less; None: as the criterion needs.
+    """Stopping tolerances and the first trust region.
 
-    radius: stop below this step.
+    Attributes:
+        gain: Decrease of the objective over ten iterations below which a stage ends; None: as the
+            criterion needs.
+        radius: Trust-region radius below which a stage ends, in units of the variables.
+        first_radius: Trust-region radius at the beginning of a stage.
     """
 
     gain: float | None = None
@@ -55,17 +79,26 @@ class Tolerances:
 
 @dataclass(frozen=True)
 class SearchState:
-    """Where a search stands: it can be put aside and resumed, in another process too, without a change in its result.
+    """State of a search; it can be resumed later, in another process, with the same result.
 
-    x: the iterate; best: the best feasible one at this stage, of objective best_value (x and ∞ where there is none).
-    B: approximate Hessian of the Lagrangian, None for the identity, to be scaled. trail: merit after each iteration.
+    Attributes:
+        x: Iterate. Shape (size,).
+        best: Best feasible iterate of this stage, `x` where there is none.
+        best_value: Objective of `best`, infinite where there is none.
+        stage: Stage of the smoothing.
+        B: Approximate Hessian of the Lagrangian, None for the identity. Shape (size, size).
+        radius: Trust-region radius.
+        penalty: Weight of the constraint violation in the merit function.
+        trail: Least merit after each iteration of this stage.
+        iterations: Number of iterations so far.
+        done: True if the search has ended.
     """
 
-    x: Array
-    best: Array
+    x: FloatArray
+    best: FloatArray
     best_value: float = np.inf
     stage: int = 0
-    B: Array | None = None
+    B: FloatArray | None = None
     radius: float | None = None
     penalty: float = 1.0
     trail: tuple[float, ...] = ()
@@ -74,10 +107,11 @@ class SearchState:
 
 
 def sharpness_stages(criterion: Criterion) -> tuple[float, ...]:
-    """Sharpness of the smooth criterion, rising: A and D are exact at once.
+    """Return the sharpness of the smooth criterion in each stage, ascending.
 
-    The regressor's condition number has many local optima; starting near D leads to better ones (measured over 24
-    starts of two arms: a median 2 % lower in the same time). Geometric E and condition number gain nothing by it.
+    A and D are exact. The condition number of the regressor has many local optima; starting near D
+    leads to better ones (over 24 starts of two arms a median 2 % lower in the same time). The
+    geometric E and condition number do not gain from it.
     """
     if criterion in (Criterion.A, Criterion.D):
         return (1.0,)
@@ -85,12 +119,15 @@ def sharpness_stages(criterion: Criterion) -> tuple[float, ...]:
 
 
 def stopping_gain(criterion: Criterion) -> float:
-    """Gain in the last stage over ten iterations below which a search ends; earlier stages end twenty times sooner."""
+    """Return the decrease of the objective over ten iterations below which the last stage ends.
+
+    Earlier stages end at twenty times this value.
+    """
     return 2e-3 if criterion is Criterion.COND_REGRESSOR else 4e-3
 
 
-def initial_state(x: Array) -> SearchState:
-    """A search that starts at x."""
+def initial_state(x: FloatArray) -> SearchState:
+    """Return the state of a search that begins at `x`. Shape of `x`: (size,)."""
     return SearchState(x, x)
 
 
@@ -101,11 +138,22 @@ def advance(
     iterations: int | None = None,
     tolerances: Tolerances | None = None,
 ) -> SearchState:
-    """Minimise the smooth criterion for some more iterations, or until ten of them gain next to nothing."""
+    """Continue a search.
+
+    Args:
+        evaluator: Evaluator of the design problem.
+        state: State to continue from.
+        history: Record that the iterates are added to.
+        iterations: Number of iterations; None: to the end.
+        tolerances: Stopping tolerances.
+
+    Returns:
+        The state after the iterations, or when the objective stalls in the last stage.
+    """
     tolerances = tolerances or Tolerances()
     options = evaluator.problem.options
     sharpnesses = sharpness_stages(options.criterion)
-    least = stopping_gain(options.criterion) if tolerances.gain is None else tolerances.gain
+    min_gain = stopping_gain(options.criterion) if tolerances.gain is None else tolerances.gain
     until = (
         options.iterations
         if iterations is None
@@ -114,7 +162,9 @@ def advance(
     while not state.done and state.iterations < until:
         last = state.stage == len(sharpnesses) - 1
         search = _Search(evaluator, state, sharpnesses[state.stage], history, tolerances)
-        stalled = search.run(until - state.iterations, least if last else 20.0 * least)
+        stalled = search.run(
+            until - state.iterations, min_gain if last else EARLY_STAGE_GAIN_FACTOR * min_gain
+        )
         state = (
             search.state(done=last or search.iterations >= options.iterations)
             if stalled
@@ -128,7 +178,7 @@ def advance(
 
 
 class _Search:
-    """The iteration at one sharpness. B approximates the Lagrangian's Hessian by damped BFGS updates."""
+    """Iterations of one stage; B approximates the Hessian of the Lagrangian (damped BFGS)."""
 
     def __init__(
         self,
@@ -156,7 +206,7 @@ class _Search:
         self._bounds = self._variable_bounds()
 
     def state(self, done: bool = False) -> SearchState:
-        """What `advance` needs to go on."""
+        """Return the state from which `advance` can continue."""
         B = self.B if self.scaled else None
         return SearchState(
             self.x,
@@ -171,15 +221,21 @@ class _Search:
             done,
         )
 
-    def _variable_bounds(self) -> tuple[Array, Array]:
+    def _variable_bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Return lower and upper bounds of the variables; only a free period has any."""
         lower, upper = np.full(len(self.x), -np.inf), np.full(len(self.x), np.inf)
         options = self.evaluator.problem.options
         if options.free_period is not None:
             lower[-1], upper[-1] = (bound / options.period for bound in options.free_period)
         return lower, upper
 
-    def run(self, budget: int, least: float) -> bool:
-        """Iterate until ten iterations gain less (True) or the budget is spent (False)."""
+    def run(self, budget: int, min_gain: float) -> bool:
+        """Iterate until the objective stalls (True) or the budget is spent (False).
+
+        Args:
+            budget: Number of iterations.
+            min_gain: Decrease of the merit over ten iterations below which it stalls.
+        """
         trail = self.trail
         for _ in range(budget):
             self._iterate()
@@ -187,32 +243,37 @@ class _Search:
             self.history.add(self.f, 1.0 + self.excess, self.stage)
             trail.append(min(self.f + self.penalty * self.excess, trail[-1] if trail else np.inf))
             if self.radius < self.tolerances.radius or (
-                len(trail) > 10 and trail[-11] - trail[-1] < least
+                len(trail) > STALL_ITERATIONS
+                and trail[-1 - STALL_ITERATIONS] - trail[-1] < min_gain
             ):
                 return True
         return False
 
     def _iterate(self) -> None:
+        """Take one step, or shrink the trust region."""
         mask = self.evaluator.rows_above(self.x, 1.0 - WORKING_SET_BAND)
         rows, jacobian, values = self._linearise(mask)
         step, multipliers = self._subproblem(jacobian, 1.0 - values)
-        for _ in range(3):  # rows that the step would break, though they looked far
-            broken = self.evaluator.rows_above(self.x + step, 1.0 + 1e-3) & ~mask
-            if not broken.any():
+        for _ in range(3):  # add constraints that the step would violate
+            violated = self.evaluator.rows_above(self.x + step, 1.0 + 1e-3) & ~mask
+            if not violated.any():
                 break
-            mask |= broken
+            mask |= violated
             rows, jacobian, values = self._linearise(mask)
             step, multipliers = self._subproblem(jacobian, 1.0 - values)
         self.penalty = max(self.penalty * 0.9, 1.5 * float(multipliers.sum()), 1e-3)
         if self._try(step, rows, jacobian, multipliers):
             return
-        # Second-order correction: aim at where the rows really were after the step.
-        there = self.evaluator.row_values(self.x + step, rows)
-        corrected, multipliers = self._subproblem(jacobian, 1.0 - (there - jacobian @ step) - 1e-9)
+        # second-order correction: the constraints as they are after the step
+        values_after = self.evaluator.row_values(self.x + step, rows)
+        corrected, multipliers = self._subproblem(
+            jacobian, 1.0 - (values_after - jacobian @ step) - 1e-9
+        )
         if not self._try(corrected, rows, jacobian, multipliers):
             self.radius = 0.4 * min(self.radius, float(np.abs(step).max()))
 
-    def _linearise(self, mask: Array) -> tuple[ConstraintRows, Array, Array]:
+    def _linearise(self, mask: FloatArray) -> tuple[ConstraintRows, FloatArray, FloatArray]:
+        """Return the constraints that a mask selects, their Jacobian and their values."""
         rows = self.evaluator.rows(mask)
         return (
             rows,
@@ -220,17 +281,19 @@ class _Search:
             self.evaluator.row_values(self.x, rows),
         )
 
-    def _subproblem(self, jacobian: Array, room: Array) -> tuple[Array, Array]:
-        """min gᵀd + ½dᵀBd subject to J d ≤ room, |d| ≤ radius. Returns d and the rows' multipliers."""
+    def _subproblem(self, jacobian: FloatArray, slack: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Minimise gᵀd + ½dᵀBd subject to J d ≤ slack, |d| ≤ radius; return d and multipliers."""
         lower = np.maximum(-self.radius, self._bounds[0] - self.x)
         upper = np.minimum(self.radius, self._bounds[1] - self.x)
-        return qp_subproblem.solve(self.B, self.gradient, jacobian, room, lower, upper)
+        return qp_subproblem.solve(self.B, self.gradient, jacobian, slack, lower, upper)
 
-    def _try(self, step: Array, rows: ConstraintRows, jacobian: Array, multipliers: Array) -> bool:
-        """Take the step if the exact penalty function falls as the model says; update radius and B."""
+    def _try(
+        self, step: FloatArray, rows: ConstraintRows, jacobian: FloatArray, multipliers: FloatArray
+    ) -> bool:
+        """Take a step if the merit decreases as predicted; update the trust region and B."""
         evaluator, x = self.evaluator, self.x + step
         excess = max(evaluator.max_constraint_value(x) - 1.0, 0.0)
-        if excess > 0.1:
+        if excess > MAX_TRIED_EXCESS:
             return False
         f, gradient = evaluator.objective(x, self.sharpness)
         predicted = (
@@ -243,12 +306,13 @@ class _Search:
         active = np.flatnonzero(multipliers > 1e-9)
         change = gradient - self.gradient
         if len(active):
-            kept = ConstraintRows(
+            active_rows = ConstraintRows(
                 *(getattr(rows, name)[active] for name in ("kind", "sample", "joint", "sign"))
             )
             change = (
                 change
-                + (evaluator.row_gradients(x, kept) - jacobian[active]).T @ multipliers[active]
+                + (evaluator.row_gradients(x, active_rows) - jacobian[active]).T
+                @ multipliers[active]
             )
         self._update(step, change)
         length = float(np.abs(step).max())
@@ -261,8 +325,8 @@ class _Search:
             self.best, self.best_f = x, f
         return True
 
-    def _update(self, step: Array, change: Array) -> None:
-        """Powell's damped BFGS update; the first one sets the scale (the curvature along it, not the largest)."""
+    def _update(self, step: FloatArray, change: FloatArray) -> None:
+        """Update B by Powell's damped BFGS; the first update scales it by the curvature along it."""
         curvature = float(step @ change)
         if not self.scaled:
             if curvature > 0.0:

@@ -26,8 +26,8 @@ from ..trajectory.fourier import FourierSeries
 from . import criteria, optimize, problem, ramps
 from .criteria import Criterion
 from .optimize import DesignSetup
-from .pipeline import CertifiedDesign
 from .options import DesignOptions
+from .pipeline import CertifiedDesign
 
 Array = np.ndarray
 DEFAULT_HARMONICS = 5

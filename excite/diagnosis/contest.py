@@ -78,7 +78,7 @@ def _tuned(one: EffectRegression, shapes: Sequence[int]) -> tuple[list[Built], T
     found = trial(small, range(len(built)))
     large = each_size(small, found)
     good = (
-        found.plausible
+        found.is_plausible
         and agrees(small, found)
         and counts(small, found, large)
         and max(large) <= CANCELS * one.loudest
@@ -286,7 +286,7 @@ def _best_pair(one: EffectRegression, alone: Sequence[Hypothesis]) -> list[int] 
             if meanwhile(one, b.shape, (a.shape,)):
                 continue
             found = trial(one, [a.shape, b.shape])
-            if not found.plausible or (best is not None and found.gain <= best[0]):
+            if not found.is_plausible or (best is not None and found.gain <= best[0]):
                 continue
             large = each_size(one, found)
             if (

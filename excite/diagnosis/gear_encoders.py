@@ -111,7 +111,7 @@ def _rows(track: RecordedMotion, recording: Recording, joint: int) -> _Rows | No
     place, speed, hastened = track.lowpass(
         np.column_stack([getattr(track.samples, name)[:, joint] for name in ("q", "dq", "ddq")])
     ).T
-    load = track.torque[:, joint] - track.fitted_robot.drive("rotor_inertia")[joint] * hastened
+    load = track.torque[:, joint] - track.fitted_robot.actuator_parameter("rotor_inertia")[joint] * hastened
     block = np.searchsorted(
         block_starts(track.time - track.time[0], BLOCK), np.arange(len(track)), side="right"
     )

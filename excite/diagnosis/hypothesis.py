@@ -63,10 +63,10 @@ def ranked(
             or meanwhile(one, i, beside)
         ):
             continue
-        if not shape.plausible(own[i]):  # nor would it be in a trial, which takes longer
+        if not shape.is_plausible(own[i]):  # nor would it be in a trial, which takes longer
             continue
         found = trial(one, [*beside, i])
-        if not found.plausible or not agrees(one, found):
+        if not found.is_plausible or not agrees(one, found):
             continue
         large = each_size(one, found)
         if not beside or max(large) <= CANCELS * one.loudest:

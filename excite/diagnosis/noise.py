@@ -175,7 +175,7 @@ def _momentum(track: RecordedMotion) -> Array:
     """
     mass, speed = track.derivatives[2], track.coarse_samples.dq
     carried = (
-        np.einsum("tij,tj->ti", mass, speed) + track.fitted_robot.drive("rotor_inertia") * speed
+        np.einsum("tij,tj->ti", mass, speed) + track.fitted_robot.actuator_parameter("rotor_inertia") * speed
     )
     return np.square(track.lowpass(carried, Grid.COARSE))
 
@@ -319,7 +319,7 @@ def _reversing(one: RecordedMotion) -> Array:
     speed, ends = one.samples.dq, np.zeros((1, one.n))
     sharper = speed - BENT * np.vstack([ends, np.diff(speed, 2, axis=0), ends])
     return one.lowpass(
-        one.fitted_robot.drive("coulomb")
+        one.fitted_robot.actuator_parameter("coulomb")
         * (np.tanh(sharper / one.widths) - np.tanh(speed / one.widths))
     )
 

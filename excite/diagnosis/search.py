@@ -330,7 +330,7 @@ class Trial:
     coefficients: Array
     halves: tuple[Array, Array]
     gain: float
-    plausible: bool
+    is_plausible: bool
     seen: float = 0.0
 
 
@@ -340,7 +340,7 @@ def trial(one: EffectRegression, chosen: Sequence[int]) -> Trial:
     told, evidence = _evidence(one.products(which[:, None], which), one.scores(which))
     first, second, c = one.usual[which] * told
     plausible = all(
-        bool(one.shapes[i].plausible(own))
+        bool(one.shapes[i].is_plausible(own))
         for i, own in zip(chosen, one.split(chosen, c), strict=True)
     )
     return Trial(
@@ -481,4 +481,4 @@ def _beside(small: EffectRegression, shape: CandidateModel) -> float:
         return -np.inf
     wider = _foreseen(small, [shape], [slice(0, made[0].count)], made)
     found = trial(wider, range(len(wider.shapes)))
-    return found.gain if found.plausible else -np.inf
+    return found.gain if found.is_plausible else -np.inf

@@ -100,8 +100,8 @@ def prior_std(every: Sequence[RecordedMotion]) -> Array:
         np.max([np.abs(x).max(axis=0) for x in own], axis=0)
         for own in ([t.samples.dq for t in every], [t.torque for t in every])
     )
-    coulomb = np.maximum(body.drive("coulomb"), LEAST * largest)
-    viscous = np.maximum(body.drive("viscous"), LEAST * largest / np.maximum(fastest, 1e-9))
+    coulomb = np.maximum(body.actuator_parameter("coulomb"), LEAST * largest)
+    viscous = np.maximum(body.actuator_parameter("viscous"), LEAST * largest / np.maximum(fastest, 1e-9))
     one = np.column_stack([coulomb, viscous, coulomb]).ravel()
     return CHANGES * np.tile(np.maximum(one, 1e-12), len(sources(every)))
 

@@ -1,7 +1,7 @@
 """Dynamics of a robot on a compliant base, linearised about a base at rest.
 
-M(q) ẍ + ∂τ/∂ẋ ẋ + ∂τ/∂x x = −τ for the six coordinates x of the base, translations along x, y, z and
-rotations about them, with the derivatives of inverse dynamics (Carpentier & Mansard, Analytical
+M(q) ẍ + ∂τ/∂ẋ ẋ + ∂τ/∂x x = −τ for the six coordinates x of the base, translations along x, y, z
+and rotations about them, with the derivatives of inverse dynamics (Carpentier & Mansard, Analytical
 derivatives of rigid body dynamics algorithms, RSS 2018). They contain the coupling of rotations by
 an extended arm, the destabilising moment of gravity, and Coriolis forces on a rotating base.
 """

@@ -307,11 +307,7 @@ def harmonic_columns(values: Mapping[str, float], angle: FloatArray) -> FloatArr
         Columns of shape (M, k).
     """
     return np.column_stack(
-        [
-            f(k * values["order"] * angle)
-            for k in harmonic_numbers(values)
-            for f in (np.cos, np.sin)
-        ]
+        [f(k * values["order"] * angle) for k in harmonic_numbers(values) for f in (np.cos, np.sin)]
     )
 
 

@@ -150,4 +150,4 @@ ELASTICITY = Effect(
     form_std={"stiffness": 0.14},
     residual_log_offset=2.0,
 )
-"""Flexible joint; users call it joint flexibility, gear compliance or torsional deflection of a harmonic drive."""
+"""Flexible joint; users call it joint flexibility, gear compliance or harmonic-drive torsion."""

@@ -50,13 +50,9 @@ def link_lag_torque(motion: RecordedMotion, joint: int, lag: FloatArray, of: Gri
     """
     by_q, by_v, mass = motion.derivatives
     spectrum = motion.band.transform(lag[:, None], of)
-    position, speed, acceleration = (
-        spectrum.filter(Grid.COARSE, order, 1.0) for order in range(3)
-    )
+    position, speed, acceleration = (spectrum.filter(Grid.COARSE, order, 1.0) for order in range(3))
     torque = (
-        by_q[:, :, joint] * position
-        + by_v[:, :, joint] * speed
-        + mass[:, :, joint] * acceleration
+        by_q[:, :, joint] * position + by_v[:, :, joint] * speed + mass[:, :, joint] * acceleration
     )
     return -motion.lowpass(torque, Grid.COARSE)[:, :, None]
 
@@ -208,17 +204,15 @@ def backlash_lag(
     Returns:
         Position of the link relative to the centre of the gap [rad], shape (M,).
     """
-    push = motion.upsample(
-        (motion.rigid_torque[:, joint] / link_inertia(motion, joint))[:, None]
-    )[:, 0]
+    push = motion.upsample((motion.rigid_torque[:, joint] / link_inertia(motion, joint))[:, None])[
+        :, 0
+    ]
     return simulate_backlash_gap(
         push, 1.0 / motion.segment.rate, 0.5 * width, 2.0 * np.pi * holding_frequency
     )
 
 
-def simulate_backlash_gap(
-    push: FloatArray, dt: float, half_gap: float, omega: float
-) -> FloatArray:
+def simulate_backlash_gap(push: FloatArray, dt: float, half_gap: float, omega: float) -> FloatArray:
     """Simulate a link inside its backlash gap: free motion with inelastic impacts.
 
     ẍ = a − ω² x − 2 ζ ω ẋ inside ±`half_gap`, with ζ = `GAP_DAMPING_RATIO`; impacts at the gap

@@ -1,4 +1,8 @@
-"""Friction that remembers where it turned back."""
+"""Presliding hysteresis: friction that builds up over a travel after each reversal.
+
+Dahl's model, and Maxwell-slip elements (a Prandtl-Ishlinskii model) for curves that it does not
+fit.
+"""
 
 from __future__ import annotations
 
@@ -8,134 +12,172 @@ from itertools import accumulate
 
 import numpy as np
 
-from .effect import CandidateModel, Effect, alone, beside, family, within
-from .friction import stickiest
+from .._types import FloatArray, IntArray
+from .effect import (
+    CandidateModel,
+    Effect,
+    FittedModels,
+    NonlinearParameter,
+    grid_candidates,
+    is_between,
+    single_joint_columns,
+    variants_within,
+)
+from .friction import max_static_friction
 from .recorded_motion import RecordedMotion, position_range
 
-Array = np.ndarray
-SPRINGS, APART, SLIPS = (3, 5), 3.0, 0.5
-"""How many springs make up friction's memory, as tried; each one's way until it slips, over that of the one before; and the last one's over
-a joint's stroke, at the most: what never slips is a spring."""
-BACKWARD = 0.05
-"""Of all their force, what one of them may have against it by chance."""
+ELEMENT_COUNTS = (3, 5)
+"""Numbers of Maxwell-slip elements that are tried."""
+REACH_RATIO = 3.0
+"""Slip distance of an element over that of the one before."""
+MAX_REACH_SHARE = 0.5
+"""Largest slip distance over the joint's range: an element that never slips is a spring."""
+MAX_NEGATIVE_SHARE = 0.05
+"""Negative force that one element may have by chance, over the force of all elements."""
 
 
-def dahl(q: Array, stiffness: float) -> Array:
-    """z of Dahl's model with unit friction: ż = σ q̇ (1 − z sgn q̇), in closed form from one reversal to the next. Shape (M,)."""
-    begins, way, gone = _strokes(q)
-    limits, decays = np.sign(way), np.exp(-stiffness * np.abs(way))
+def dahl(q: FloatArray, stiffness: float) -> FloatArray:
+    """Return the state z of Dahl's model of unit friction, ż = σ q̇ (1 − z sgn q̇) (Dahl 1968).
+
+    In closed form from one reversal to the next.
+
+    Args:
+        q: Joint position, shape (M,).
+        stiffness: σ [1/rad].
+    """
+    stroke, travel, distance = _strokes(q)
+    limits, decays = np.sign(travel), np.exp(-stiffness * np.abs(travel))
     strokes = zip(limits.tolist(), decays.tolist(), strict=True)
-    *starts, _ = accumulate(
-        strokes, lambda z, stroke: position_range[0] + (z - position_range[0]) * position_range[1], initial=0.0
-    )
+    *starts, _ = accumulate(strokes, lambda z, s: s[0] + (z - s[0]) * s[1], initial=0.0)
     return np.asarray(
-        limits[begins] + (np.array(starts) - limits)[begins] * np.exp(-stiffness * np.abs(gone))
+        limits[stroke] + (np.array(starts) - limits)[stroke] * np.exp(-stiffness * np.abs(distance))
     )
 
 
-def slipping(q: Array, reach: float) -> Array:
-    """Force of a spring of unit strength that slips `reach` from where it rests. Shape (M,)."""
-    begins, way, gone = _strokes(q)
+def maxwell_slip(q: FloatArray, reach: float) -> FloatArray:
+    """Return the force of a Maxwell-slip element of unit strength (Iwan 1966).
+
+    Args:
+        q: Joint position, shape (M,).
+        reach: Deflection at which the element slips [rad].
+    """
+    stroke, travel, distance = _strokes(q)
     *starts, _ = accumulate(
-        (way / reach).tolist(), lambda z, further: min(max(z + further, -1.0), 1.0), initial=0.0
+        (travel / reach).tolist(), lambda z, step: min(max(z + step, -1.0), 1.0), initial=0.0
     )
-    return np.clip(np.array(starts)[begins] + gone / reach, -1.0, 1.0)
+    return np.clip(np.array(starts)[stroke] + distance / reach, -1.0, 1.0)
 
 
-def _strokes(q: Array) -> tuple[Array, Array, Array]:
-    """From one reversal to the next: of each sample, in which stroke it ends; of each stroke, how far it goes; of each sample, how far it
-    is from where its stroke began. Shapes (M,), (strokes,), (M,)."""
-    ways = np.sign(np.diff(q, prepend=q[0]))
-    first = np.flatnonzero(
-        np.diff(ways, prepend=2.0)
-    )  # of each stroke's samples; it begins at the one before
-    begins = np.repeat(np.arange(len(first)), np.diff(first, append=len(q)))
+def _strokes(q: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Divide a motion at its reversals.
+
+    Returns:
+        The stroke of each sample, (M,); the travel of each stroke; and the distance of each sample
+        from the start of its stroke, (M,).
+    """
+    directions = np.sign(np.diff(q, prepend=q[0]))
+    # first sample of each stroke; the stroke starts at the sample before
+    first = np.flatnonzero(np.diff(directions, prepend=2.0))
+    stroke = np.repeat(np.arange(len(first)), np.diff(first, append=len(q)))
     corners = q[np.maximum(first - 1, 0)]
-    return begins, np.diff(corners, append=q[-1]), q - corners[begins]
+    return stroke, np.diff(corners, append=q[-1]), q - corners[stroke]
 
 
-def _softened(t: RecordedMotion, s: CandidateModel) -> Array:
-    q, reach = t.samples.q[:, s.joint_index], s.values["reach"]
+def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+    """Presliding friction minus the smooth sign function that it replaces."""
+    j = model.joint_index
+    q, reach = motion.samples.q[:, j], model.values["reach"]
     curves = (
-        [slipping(q, by * reach) for by in _ways(s)]
-        if "springs" in s.values
+        [maxwell_slip(q, ratio * reach) for ratio in _reach_ratios(model)]
+        if "springs" in model.values
         else [dahl(q, 1.0 / reach)]
     )
-    return alone(t, s.joint_index, np.column_stack(curves) - t.sign(s.joint_index)[:, None])
+    return single_joint_columns(motion, j, np.column_stack(curves) - motion.sign(j)[:, None])
 
 
-def _ways(s: CandidateModel) -> Array:
-    """After which a shape's springs slip, over that of the middle one. Shape (k,)."""
-    count = int(s.values["springs"])
-    return np.asarray(APART ** (np.arange(count) - count // 2))
+def _reach_ratios(model: CandidateModel) -> FloatArray:
+    """Slip distances of a model's elements over that of the middle one, shape (k,)."""
+    count = int(model.values["springs"])
+    return np.asarray(REACH_RATIO ** (np.arange(count) - count // 2))
 
 
-def _hysteresis(tracks: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-    """Dahl's curve; beside it, springs that slip one after the other, for curves that begin steeper or bend later."""
+def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+    """Dahl's model; its variants have Maxwell-slip elements instead."""
 
-    def slips(j: int, most: float, springs: int) -> Callable[[float], CandidateModel]:
-        low, high = position_range(tracks, j)
+    def slip_family(j: int, max_force: float, count: int) -> Callable[[float], CandidateModel]:
+        low, high = position_range(motions, j)
 
-        def shape(reach: float) -> CandidateModel:
-            bare = CandidateModel("hysteresis", j, _softened, {"reach": reach, "springs": float(springs)})
-            ways = reach * _ways(bare)
-            slip = bool(ways[-1] < SLIPS * (high - low))
+        def model(reach: float) -> CandidateModel:
+            candidate = CandidateModel(
+                "hysteresis", j, _columns, {"reach": reach, "springs": float(count)}
+            )
+            reaches = reach * _reach_ratios(candidate)
+            all_slip = bool(reaches[-1] < MAX_REACH_SHARE * (high - low))
             return replace(
-                bare,
+                candidate,
                 parameters=lambda c: {
                     "amplitude": float(c.sum()),
-                    "stiffness": float(np.sum(c / ways)),
+                    "stiffness": float(np.sum(c / reaches)),
                 },
-                plausible=lambda c: (
-                    slip and bool(0.0 < c.sum() < most and c.min() > -BACKWARD * c.sum())
+                is_plausible=lambda c: (
+                    all_slip
+                    and bool(0.0 < c.sum() < max_force and c.min() > -MAX_NEGATIVE_SHARE * c.sum())
                 ),
             )
 
-        return shape
+        return model
 
-    def soft(j: int, most: float) -> Callable[[float], CandidateModel]:
-        def shape(reach: float) -> CandidateModel:
-            told = lambda c: {"amplitude": float(c[0]), "stiffness": float(c[0] / reach)}  # noqa: E731
-            kin = lambda: beside(reach, 4.0, [slips(j, most, springs) for springs in SPRINGS])  # noqa: E731
+    def dahl_family(j: int, max_force: float) -> Callable[[float], CandidateModel]:
+        def model(reach: float) -> CandidateModel:
+            def variants() -> list[NonlinearParameter]:
+                return variants_within(
+                    reach, 4.0, [slip_family(j, max_force, count) for count in ELEMENT_COUNTS]
+                )
+
             return CandidateModel(
                 "hysteresis",
                 j,
-                _softened,
+                _columns,
                 {"reach": reach},
-                parameters=told,
-                plausible=within(0.0, most),
-                variants=kin,
+                parameters=lambda c: {
+                    "amplitude": float(c[0]),
+                    "stiffness": float(c[0] / reach),
+                },
+                is_plausible=is_between(0.0, max_force),
+                variants=variants,
             )
 
-        return shape
+        return model
 
-    for j in range(tracks[0].n):
-        most = stickiest(tracks, j)
-        yield from family(np.geomspace(1e-4, 1e-1, 9).tolist(), soft(j, most))
-
-
-def _steepest(parts: Sequence[tuple[CandidateModel, Array]]) -> dict[str, float]:
-    """Springs that slip sooner than the first would look the same: the slope that is told is known to what that one has of it."""
-    shape, c = parts[0]
-    return (
-        {"stiffness": abs(float(c[0])) / (float(_ways(shape)[0]) * shape.values["reach"])}
-        if "springs" in shape.values
-        else {}
-    )
+    for j in range(motions[0].n):
+        family = dahl_family(j, max_static_friction(motions, j))
+        yield from grid_candidates(np.geomspace(1e-4, 1e-1, 9).tolist(), family)
 
 
-EFFECTS = (
-    Effect(
-        "hysteresis",
-        "F z, ż = σ q̇ (1 − z sgn q̇) (Dahl 1968), or springs that slip, ż = q̇/s, |z| ≤ 1 (Iwan 1966), instead of F sgn q̇",
-        _softened,
-        _hysteresis,
-        {"amplitude": "N m", "stiffness": "N m/rad"},
-        "friction takes some way to build up after a reversal",
-        ("delay", "backlash", "stribeck"),
-        "strokes of many small amplitudes",
-        form={"amplitude": 0.1, "stiffness": 0.4},
-        residual_log_offset=1.0,
-        unobserved_std=_steepest,
-    ),
+def _stiffness_std(parts: FittedModels) -> dict[str, float]:
+    """Stiffness is known only up to that of the first element to slip.
+
+    Elements that slip even earlier would look the same.
+    """
+    model, c = parts[0]
+    if "springs" not in model.values:
+        return {}
+    reach = float(_reach_ratios(model)[0]) * model.values["reach"]
+    return {"stiffness": abs(float(c[0])) / reach}
+
+
+HYSTERESIS = Effect(
+    "hysteresis",
+    "F z, ż = σ q̇ (1 − z sgn q̇) (Dahl 1968), or Maxwell-slip elements ż = q̇/s, |z| ≤ 1 "
+    "(Iwan 1966), instead of F sgn q̇",
+    _columns,
+    _candidates,
+    {"amplitude": "N m", "stiffness": "N m/rad"},
+    "friction takes some way to build up after a reversal",
+    ("delay", "backlash", "stribeck"),
+    "strokes of many small amplitudes",
+    form_std={"amplitude": 0.1, "stiffness": 0.4},
+    residual_log_offset=1.0,
+    unobserved_std=_stiffness_std,
 )
+"""Presliding friction; users call it friction hysteresis, LuGre or Dahl friction."""

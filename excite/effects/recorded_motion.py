@@ -1,4 +1,4 @@
-"""Recorded motion as the effects and the diagnosis use it: low-passed motion, torque, base model."""
+"""Recorded motion for effects and diagnosis: low-passed motion and torque, and the base model."""
 
 from __future__ import annotations
 
@@ -292,10 +292,7 @@ class RecordedMotion:
         robot, data = self.fitted_robot.robot, self.fitted_robot.model.createData()
         Q, V, A = robot.expand(q), dq @ robot.spread.T, ddq @ robot.spread.T
         out = np.array(
-            [
-                pin.rnea(self.fitted_robot.model, data, *state)
-                for state in zip(Q, V, A, strict=True)
-            ]
+            [pin.rnea(self.fitted_robot.model, data, *state) for state in zip(Q, V, A, strict=True)]
         )
         return out @ robot.spread
 

@@ -1,4 +1,5 @@
-"""Files for controllers: a certified motion in the form that a robot's own software takes, and back."""
+"""Files for controllers: a certified motion in the form that a robot's own software takes, and
+back."""
 
 from __future__ import annotations
 
@@ -84,11 +85,11 @@ def write(
 ) -> Path:
     """Write a trajectory for a controller, whole or not at all, and return the path.
 
-    A format without room for comments gets a second file, `<path>.txt`, that says what the first one is.
-    speed: The same path at this share of the speed, in (0, 1].
-    rate: Rows a second, where the format leaves a choice [Hz]; its own where None.
-    tau: Nominal torque of samples, (N, n) [N m], for the columns `tau.<joint>` of `csv`.
-    Raises UnusableInput for an unknown format, a robot the format doesn't fit, or a path that cannot be written.
+    A format without room for comments gets a second file, `<path>.txt`, that says what the first
+    one is. speed: The same path at this share of the speed, in (0, 1]. rate: Rows a second, where
+    the format leaves a choice [Hz]; its own where None. tau: Nominal torque of samples, (N, n) [N
+    m], for the columns `tau.<joint>` of `csv`. Raises UnusableInput for an unknown format, a robot
+    the format doesn't fit, or a path that cannot be written.
     """
     entry = _entry(format)
     check_options(speed, rate)
@@ -106,7 +107,8 @@ def write(
 
 
 def read(format: str, path: Path) -> Columns:
-    """Times [s] and positions, then velocities and accelerations where the format has them. Shapes (N,), (N, n) each.
+    """Times [s] and positions, then velocities and accelerations where the format has them. Shapes
+    (N,), (N, n) each.
 
     Raises UnusableInput for an unknown format or a file that isn't one.
     """
@@ -115,5 +117,6 @@ def read(format: str, path: Path) -> Columns:
         return entry.parse(path)
     except (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
         raise UnusableInput(
-            f"{path}: cannot be read as '{format}' ({type(error).__name__}: {error}); give a file of that format"
+            f"{path}: cannot be read as '{format}' ({type(error).__name__}: {error}); give a file "
+            "of that format"
         ) from error

@@ -18,7 +18,8 @@ QUANTITIES = ("q", "dq", "ddq", "tau")
 
 
 def text(trajectory: trajectory_file.Trajectory, torque: Array | None = None) -> str:
-    """`trajectory.csv` at the trajectory's own rate. torque: of every row, (N, n) [N m], None to leave its columns out."""
+    """`trajectory.csv` at the trajectory's own rate. torque: of every row, (N, n) [N m], None to
+    leave its columns out."""
     tau = None if torque is None else lambda _: torque
     return write_csv(
         Job(trajectory, trajectory.motion, "csv", Path("trajectory.csv"), 1.0, None, tau)
@@ -73,11 +74,13 @@ def read_csv(path: Path) -> Columns:
 def write_json(job: Job) -> Written:
     """The document as it is; only the rate may differ.
 
-    Its margins and criteria hold for the speed it was certified at, so a slower one is refused with UnusableInput.
+    Its margins and criteria hold for the speed it was certified at, so a slower one is refused with
+    UnusableInput.
     """
     if job.speed != 1.0:
         raise UnusableInput(
-            f"{job.path}: format 'json' carries margins and criteria of full speed, --speed {job.speed:g} would void them; "
+            f"{job.path}: format 'json' carries margins and criteria of full speed, --speed "
+            f"{job.speed:g} would void them; "
             f"leave --speed out, or use 'excite design --speed'"
         )
     return Written(

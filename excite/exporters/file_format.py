@@ -56,31 +56,36 @@ class Written:
 
 
 def require_joints(job: Job, counts: Sequence[int]) -> None:
-    """Raise UnusableInput unless the motion has one of these numbers of joints; no numbers allow all."""
+    """Raise UnusableInput unless the motion has one of these numbers of joints; no numbers allow
+    all."""
     n = len(job.joints)
     if not counts or n in counts:
         return
     wanted = " or ".join(str(c) for c in counts)
     raise UnusableInput(
-        f"{job.path}: format '{job.format}' takes {wanted} joints, this trajectory has {n} ({', '.join(job.joints)}); "
+        f"{job.path}: format '{job.format}' takes {wanted} joints, this trajectory has {n} "
+        f"({', '.join(job.joints)}); "
         f"choose them with 'excite design --joints', or a format for any robot such as csv"
     )
 
 
 def require_rate(job: Job, rates: Sequence[float]) -> float:
-    """The rate to write at [Hz]: the one asked for, which has to be among `rates`, or the first of these."""
+    """The rate to write at [Hz]: the one asked for, which has to be among `rates`, or the first of
+    these."""
     if job.rate is None:
         return rates[0]
     if job.rate not in rates:
         allowed = ", ".join(f"{r:g}" for r in rates)
         raise UnusableInput(
-            f"{job.path}: format '{job.format}' is streamed at {allowed} Hz; --rate {job.rate:g} would change its speed, leave it out"
+            f"{job.path}: format '{job.format}' is streamed at {allowed} Hz; --rate {job.rate:g} "
+            "would change its speed, leave it out"
         )
     return job.rate
 
 
 def require_rest(job: Job) -> None:
-    """Raise UnusableInput where the motion does not begin and end at rest: a controller would be told to jump."""
+    """Raise UnusableInput where the motion does not begin and end at rest: a controller would be
+    told to jump."""
     inside = np.array([2e-9, job.motion.duration - 2e-9])
     for order, most, unit in ((1, REST_VELOCITY, "/s"), (2, REST_ACCELERATION, "/s²")):
         value = np.abs(job.motion.at(inside, order)).max(axis=0)
@@ -88,22 +93,27 @@ def require_rest(job: Job) -> None:
             worst = job.joints[int(value.argmax())]
             raise UnusableInput(
                 f"{job.path}: joint '{worst}' of this trajectory does not start and end at rest "
-                f"({value.max():.3g} rad{unit}); design it with its ramps, 'excite design' adds them"
+                f"({value.max():.3g} rad{unit}); design it with its ramps, 'excite design' adds "
+                "them"
             )
 
 
 def sampled(job: Job, rate: float) -> tuple[Array, Samples]:
-    """Times k/rate and the motion there, the first and the last row exactly at rest. Shapes (N,), (N, n).
+    """Times k/rate and the motion there, the first and the last row exactly at rest. Shapes (N,),
+    (N, n).
 
-    Raises UnusableInput for too many rows, a motion not at rest at its ends, or one that is not finite.
+    Raises UnusableInput for too many rows, a motion not at rest at its ends, or one that is not
+    finite.
     """
     if job.motion.duration * rate > MOST_ROWS:
         raise UnusableInput(
-            f"{job.path}: {job.motion.duration:.4g} s at {rate:g} Hz is over {MOST_ROWS:,} rows; lower --rate or raise --speed"
+            f"{job.path}: {job.motion.duration:.4g} s at {rate:g} Hz is over {MOST_ROWS:,} rows; "
+            "lower --rate or raise --speed"
         )
     require_rest(job)
     t = job.motion.grid(rate)
-    # The grid tolerates an end that rounding puts a hair before the motion's; the last row is the end all the same.
+    # The grid tolerates an end that rounding puts a hair before the motion's; the last row is the
+    # end all the same.
     samples = job.motion.samples(np.append(t[:-1], max(t[-1], job.motion.duration)))
     if not all(np.isfinite(part).all() for part in (samples.q, samples.dq, samples.ddq)):
         raise UnusableInput(
@@ -113,7 +123,8 @@ def sampled(job: Job, rate: float) -> tuple[Array, Samples]:
 
 
 def notes(job: Job, details: Sequence[str], tried: bool) -> list[str]:
-    """Lines that tell a reader of the file what it is, in ASCII, none with a line break: a robot's parser may know no more."""
+    """Lines that tell a reader of the file what it is, in ASCII, none with a line break: a robot's
+    parser may know no more."""
     lines = [
         f"excite: {job.trajectory.robot.get('name', 'robot')}; joints {', '.join(job.joints)}",
         f"format: {job.format}; speed: {job.speed:g}; duration: {job.motion.duration:.9g} s",
@@ -139,7 +150,8 @@ def comment(text: str) -> str:
 def fixed(value: float, decimals: int | None = DECIMALS) -> str:
     """A number without exponent or negative zero; with all its digits where decimals is None.
 
-    Without exponent, for YAML 1.1 takes 1e-05 for a word and a robot's parser may not know it at all.
+    Without exponent, for YAML 1.1 takes 1e-05 for a word and a robot's parser may not know it at
+    all.
     """
     value = float(value)
     rounded = value if decimals is None else round(value, decimals)

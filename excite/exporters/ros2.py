@@ -1,13 +1,17 @@
-"""ROS 2: `trajectory_msgs/JointTrajectory` and the goal of `control_msgs/action/FollowJointTrajectory`.
+"""ROS 2: `trajectory_msgs/JointTrajectory` and the goal of
+`control_msgs/action/FollowJointTrajectory`.
 
-JSON, which is YAML too. A file is longer than a shell's argument may be, so it is to be piped or named:
+JSON, which is YAML too. A file is longer than a shell's argument may be, so it is to be piped or
+named:
 
-    ros2 topic pub --once /joint_trajectory_controller/joint_trajectory trajectory_msgs/msg/JointTrajectory --yaml-file FILE
-    ros2 action send_goal --stdin /…/follow_joint_trajectory control_msgs/action/FollowJointTrajectory < FILE
+    ros2 topic pub --once /joint_trajectory_controller/joint_trajectory
+    trajectory_msgs/msg/JointTrajectory --yaml-file FILE ros2 action send_goal --stdin
+    /…/follow_joint_trajectory control_msgs/action/FollowJointTrajectory < FILE
 
-The first point is the start pose at LEAD seconds, not at 0, and everything follows that much later: the controller
-interpolates from where the robot is to its first point, but jumps to a point at time 0. A point one knot after 0 would
-bridge whatever is missing in 20 ms; seconds let a robot that is a little off glide there, and one far off move slowly.
+The first point is the start pose at LEAD seconds, not at 0, and everything follows that much later:
+the controller interpolates from where the robot is to its first point, but jumps to a point at time
+0. A point one knot after 0 would bridge whatever is missing in 20 ms; seconds let a robot that is a
+little off glide there, and one far off move slowly.
 """
 
 from __future__ import annotations
@@ -49,7 +53,8 @@ def _quoted(text: str) -> str:
 
 
 def _trajectory(job: Job) -> str:
-    """A JointTrajectory, one point a line; efforts are empty, for controllers refuse them without an effort interface."""
+    """A JointTrajectory, one point a line; efforts are empty, for controllers refuse them without
+    an effort interface."""
     t, samples = sampled(job, job.rate or KNOTS)
     lead = round(LEAD * NANO)
     points = [
@@ -67,12 +72,14 @@ def _trajectory(job: Job) -> str:
 
 
 def write_trajectory(job: Job) -> Written:
-    """A JointTrajectory message: positions, velocities and accelerations full, the last velocity exactly 0."""
+    """A JointTrajectory message: positions, velocities and accelerations full, the last velocity
+    exactly 0."""
     return Written(_trajectory(job) + "\n")
 
 
 def write_goal(job: Job) -> Written:
-    """A FollowJointTrajectory goal; empty tolerances leave the controller's own, the end may be late by 2 s."""
+    """A FollowJointTrajectory goal; empty tolerances leave the controller's own, the end may be
+    late by 2 s."""
     late = _stamp(round(GOAL_TIME_TOLERANCE * NANO))
     return Written(
         f'{{"trajectory": {_trajectory(job)},\n"path_tolerance": [], "goal_tolerance": [], "goal_time_tolerance": {late}}}\n'
@@ -80,7 +87,8 @@ def write_goal(job: Job) -> Written:
 
 
 def read(path: Path) -> Columns:
-    """Times since the first point, positions, velocities, accelerations, of a message or a goal. Shapes (N,), (N, n)."""
+    """Times since the first point, positions, velocities, accelerations, of a message or a goal.
+    Shapes (N,), (N, n)."""
     document: Any = json.loads(path.read_text(encoding="utf-8"))
     points = document.get("trajectory", document)["points"]
     time = np.array(

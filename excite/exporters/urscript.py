@@ -1,11 +1,12 @@
 """A URScript program that replays a motion from its formulas, not from a table.
 
-A table of 20 s at 500 Hz has 60,000 numbers, more than controllers are known to load. The program holds what the
-trajectory holds instead: per ramp the state at its beginning and pieces of constant jerk, for the periodic part
-the coefficients of the series; every control cycle it computes one set point and hands it to servoj, which takes one cycle.
-Time is counted in cycles, so speed scaling stretches the motion and leaves its path. The program first moves to the start pose
-with movej, slowly and blind to obstacles, and holds the last pose for HOLD before stopj, for servoj lags behind.
-To run it, send the file to port 30002 of the controller.
+A table of 20 s at 500 Hz has 60,000 numbers, more than controllers are known to load. The program
+holds what the trajectory holds instead: per ramp the state at its beginning and pieces of constant
+jerk, for the periodic part the coefficients of the series; every control cycle it computes one set
+point and hands it to servoj, which takes one cycle. Time is counted in cycles, so speed scaling
+stretches the motion and leaves its path. The program first moves to the start pose with movej,
+slowly and blind to obstacles, and holds the last pose for HOLD before stopj, for servoj lags
+behind. To run it, send the file to port 30002 of the controller.
 """
 
 from __future__ import annotations
@@ -118,12 +119,14 @@ def _run(motion: Motion) -> Iterator[str]:
 
 
 def write(job: Job) -> Written:
-    """The program. Its step is the controller's own unless a rate is asked for (500, 250 or 125 Hz)."""
+    """The program. Its step is the controller's own unless a rate is asked for (500, 250 or 125
+    Hz)."""
     require_joints(job, (6,))
     require_rest(job)
     if job.rate is not None and job.rate not in STEP_RATES:
         raise UnusableInput(
-            f"{job.path}: format 'urscript' steps at 500, 250 or 125 Hz; leave --rate {job.rate:g} out to take the controller's own"
+            f"{job.path}: format 'urscript' steps at 500, 250 or 125 Hz; leave --rate {job.rate:g} "
+            "out to take the controller's own"
         )
     motion, step = job.motion, "get_steptime()" if job.rate is None else fixed(1.0 / job.rate, None)
     begin, end = motion.end_poses
@@ -161,7 +164,8 @@ def _numbers(text: str) -> list[float]:
 
 
 def replayed(text: str) -> Motion:
-    """The motion that a program of `write` makes, rebuilt from the numbers in it. Raises ValueError where they are missing."""
+    """The motion that a program of `write` makes, rebuilt from the numbers in it. Raises ValueError
+    where they are missing."""
     lines = [line.strip() for line in text.splitlines()]
     omega = [
         _numbers(line.partition("*")[0])[0]
@@ -173,7 +177,9 @@ def replayed(text: str) -> Motion:
         raise ValueError("it is no program that excite wrote")
     table = np.array(rows)
     k = omega[0] * np.arange(1, table.shape[1] // 2 + 1)
-    fourier = FourierSeries(table[:, 1::2] * k, -table[:, 2::2] * k, table[:, 0], 2.0 * np.pi / omega[0])
+    fourier = FourierSeries(
+        table[:, 1::2] * k, -table[:, 2::2] * k, table[:, 0], 2.0 * np.pi / omega[0]
+    )
     segments: list[MotionSegment] = []
     kind = ""
     for line in lines:
@@ -184,7 +190,9 @@ def replayed(text: str) -> Motion:
             segments.append(MotionSegment(kind, start, end))
         elif line.startswith("enter("):
             start, *state = _numbers(line)
-            segments.append(MotionSegment(kind, start, start, JerkProfile(*_thirds(state), ((),) * 6)))
+            segments.append(
+                MotionSegment(kind, start, start, JerkProfile(*_thirds(state), ((),) * 6))
+            )
         elif line.startswith("piece("):
             segments[-1] = _extended(segments[-1], *_numbers(line))
     return Motion(tuple(f"joint {i}" for i in JOINTS), fourier, 1, tuple(segments))
@@ -213,7 +221,8 @@ def _extended(segment: MotionSegment, duration: float, *jerk: float) -> MotionSe
 
 
 def read(path: Path) -> Columns:
-    """Times, positions, velocities, accelerations of a program's motion at its step, 2 ms where that is the controller's own.
+    """Times, positions, velocities, accelerations of a program's motion at its step, 2 ms where
+    that is the controller's own.
 
     Shapes (N,), (N, 6). Raises ValueError for a program that `write` did not write.
     """

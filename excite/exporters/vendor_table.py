@@ -1,7 +1,8 @@
 """Tables of joint positions at a control rate, each described by a profile in `vendors.toml`.
 
-A profile says what a controller counts: unit, sign, zero, coupling, whether from the start pose. Profiles in degrees are for
-arms whose joints all turn. Signs and zeros are the URDF's; where a maker's own differ, the profile is where to say so.
+A profile says what a controller counts: unit, sign, zero, coupling, whether from the start pose.
+Profiles in degrees are for arms whose joints all turn. Signs and zeros are the URDF's; where a
+maker's own differ, the profile is where to say so.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ MARKS = {"start": "start [rad]:", "rate": "rate [Hz]:"}
 
 @dataclass(frozen=True)
 class Profile:
-    """One controller's table of positions; the fields carry the names of the TOML's keys, described there."""
+    """One controller's table of positions; the fields carry the names of the TOML's keys, described
+    there."""
 
     title: str
     unit: str
@@ -52,12 +54,14 @@ class Profile:
     note: str = ""
 
     def encode(self, q: Array) -> Array:
-        """What the controller counts, for positions whose first row is the start pose. Shapes (N, n) -> (N, n)."""
+        """What the controller counts, for positions whose first row is the start pose. Shapes (N,
+        n) -> (N, n)."""
         out = self._absolute(q)
         return out - out[0] if self.relative else out
 
     def decode(self, values: Array, start: Array) -> Array:
-        """The inverse of `encode`; start: the first pose (n,) [rad], used where the values are relative."""
+        """The inverse of `encode`; start: the first pose (n,) [rad], used where the values are
+        relative."""
         n = values.shape[1]
         sign, offset, mix = self._factors(n)
         absolute = values + self._absolute(start[None, :]) if self.relative else values
@@ -99,7 +103,8 @@ def profiles() -> Mapping[str, Profile]:
 
 
 def write(job: Job, profile: Profile) -> Written:
-    """One row a cycle, as the profile says; comments at the top, or in a note where the format takes none."""
+    """One row a cycle, as the profile says; comments at the top, or in a note where the format
+    takes none."""
     require_joints(job, profile.joints)
     rate = require_rate(job, profile.rates)
     _, samples = sampled(job, rate)
@@ -123,9 +128,11 @@ def write(job: Job, profile: Profile) -> Written:
 
 
 def read(path: Path, profile: Profile) -> Columns:
-    """Times [s] and positions [rad] of a table, with what its notes say of rate and start. Shapes (N,), (N, n).
+    """Times [s] and positions [rad] of a table, with what its notes say of rate and start. Shapes
+    (N,), (N, n).
 
-    Raises ValueError where rows are missing or uneven, or a relative table doesn't say where it starts.
+    Raises ValueError where rows are missing or uneven, or a relative table doesn't say where it
+    starts.
     """
     lines = path.read_text(encoding="utf-8").splitlines()
     remarks = [line for line in lines if profile.comment and line.startswith(profile.comment)]

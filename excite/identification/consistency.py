@@ -8,7 +8,7 @@ whose weight is reduced until it costs at most a hundredth of a unit of log-like
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -220,6 +220,8 @@ def maximum_a_posteriori(
     target: FloatArray,
     prior: Prior,
     bounds: Bounds | None = None,
+    *,
+    barrier_weights: Sequence[float] = BARRIER_WEIGHTS,
 ) -> ConsistentEstimate:
     """Compute the physically consistent ψ̂ = argmin ½‖root ψ − target‖² + γ d(ψ, ψ₀)².
 
@@ -229,6 +231,7 @@ def maximum_a_posteriori(
         target: R θ̂. Shape (m,).
         prior: ψ₀, the distance and γ.
         bounds: Bounds of masses and centres of mass.
+        barrier_weights: Decreasing weights of the barrier.
 
     Raises:
         UnusableInput: No physically consistent body satisfies the bounds.
@@ -242,7 +245,7 @@ def maximum_a_posteriori(
             "widen them"
         )
     steps, ridge = 0, 1e-13 * np.eye(parameters.count)  # below rounding
-    for weight in BARRIER_WEIGHTS:
+    for weight in barrier_weights:
         for _ in range(MAX_NEWTON_STEPS):
             gradient, hessian = problem.derivatives(psi, weight)
             scale = 1.0 / np.sqrt(np.diag(hessian))
@@ -252,7 +255,7 @@ def maximum_a_posteriori(
             decrement = -float(gradient @ step)
             steps += 1
             if decrement < (
-                FINAL_NEWTON_DECREMENT if weight == BARRIER_WEIGHTS[-1] else NEWTON_DECREMENT
+                FINAL_NEWTON_DECREMENT if weight == barrier_weights[-1] else NEWTON_DECREMENT
             ):
                 break
             psi = _line_search(problem, psi, step, decrement, weight)

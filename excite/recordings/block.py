@@ -1,4 +1,5 @@
-"""Rows of a recording as a reader found them: times and whatever was measured, joints in the robot's order."""
+"""Rows of a recording as a reader found them: times and whatever was measured, joints in the
+robot's order."""
 
 from __future__ import annotations
 
@@ -15,7 +16,8 @@ QUANTITIES = ("q", "dq", "tau", "current", "qref", "qlink", "temperature")
 
 @dataclass(frozen=True)
 class Block:
-    """t: Shape (N,) [s]. values: quantity -> shape (N, n), NaN where not measured. remarks: what the reader has to say."""
+    """t: Shape (N,) [s]. values: quantity -> shape (N, n), NaN where not measured. remarks: what
+    the reader has to say."""
 
     t: Array
     values: Mapping[str, Array]

@@ -31,13 +31,14 @@ RTDE = {
     "target_q": "qref",
     "joint_temperatures": "temperature",
 }
-"""Universal Robots' RTDE fields, written `<field>_0` … `<field>_5`, joints from the base to the tool. `target_moment` is the
-controller's model, not a measurement, and isn't read."""
+"""Universal Robots' RTDE fields, written `<field>_0` … `<field>_5`, joints from the base to the
+tool. `target_moment` is the controller's model, not a measurement, and isn't read."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Names of the columns to read, the time first, and where each goes: (quantity, index of the joint)."""
+    """Names of the columns to read, the time first, and where each goes: (quantity, index of the
+    joint)."""
 
     names: tuple[str, ...]
     places: tuple[tuple[str, int], ...]
@@ -57,7 +58,8 @@ class Layout:
 def layout(source: str, header: Sequence[str], robot: Robot) -> Layout:
     """Find the robot's columns in a header, the contract's names or RTDE's.
 
-    Raises UnusableInput when a name stands twice, or time or a joint's position is missing: the line lists similar names.
+    Raises UnusableInput when a name stands twice, or time or a joint's position is missing: the
+    line lists similar names.
     """
     twice = sorted({name for name in header if header.count(name) > 1 and name})
     if twice:
@@ -68,12 +70,14 @@ def layout(source: str, header: Sequence[str], robot: Robot) -> Layout:
         return _rtde(source, header, robot)
     if "t" not in header:
         raise UnusableInput(
-            f"{source}: has no column 't' but {listed(header)}; the first row should name the columns t,q.<joint>,…"
+            f"{source}: has no column 't' but {listed(header)}; the first row should name the "
+            "columns t,q.<joint>,…"
         )
     for joint in robot.joints:
         if f"q.{joint}" not in header:
             raise UnusableInput(
-                f"{source}: has no column 'q.{joint}' {similar(f'q.{joint}', header)}; record joint '{joint}', rename its column, "
+                f"{source}: has no column 'q.{joint}' {similar(f'q.{joint}', header)}; record "
+                f"joint '{joint}', rename its column, "
                 "or leave it out with --joints"
             )
     wanted = {
@@ -91,7 +95,8 @@ def _rtde(source: str, header: Sequence[str], robot: Robot) -> Layout:
     )
     if count != robot.n:
         raise UnusableInput(
-            f"{source}: records {count} joints without their names (actual_q_0, …), but {robot.n} of the robot move; "
+            f"{source}: records {count} joints without their names (actual_q_0, …), but {robot.n} "
+            "of the robot move; "
             "use it with a robot whose joints all move, or rename the columns t,q.<joint>,…"
         )
     wanted = {
@@ -100,7 +105,8 @@ def _rtde(source: str, header: Sequence[str], robot: Robot) -> Layout:
     missing = [f"actual_q_{i}" for i in range(robot.n) if f"actual_q_{i}" not in header]
     if missing:
         raise UnusableInput(
-            f"{source}: has no column '{missing[0]}' for joint '{robot.joints[int(missing[0][9:])]}'; record all of actual_q"
+            f"{source}: has no column '{missing[0]}' for joint "
+            f"'{robot.joints[int(missing[0][9:])]}'; record all of actual_q"
         )
     found = [name for name in header if name in wanted]
     return Layout(("timestamp", *found), tuple(wanted[name] for name in found), robot.n)

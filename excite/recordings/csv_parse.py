@@ -1,8 +1,9 @@
 """Text to numbers: the part of reading a CSV that takes the time.
 
-SciPy's Matrix Market reader (fast_float inside) is twice as fast as `np.loadtxt` but takes what it understands of a cell and drops the
-rest, "2024-01-02" is 2024 to it. So the text's grammar is checked first, on whole arrays; what doesn't pass goes to `np.loadtxt`, which
-is slower, accepts more (nan, quotes, blanks, text in columns nobody reads) and says where a cell is wrong.
+SciPy's Matrix Market reader (fast_float inside) is twice as fast as `np.loadtxt` but takes what it
+understands of a cell and drops the rest, "2024-01-02" is 2024 to it. So the text's grammar is
+checked first, on whole arrays; what doesn't pass goes to `np.loadtxt`, which is slower, accepts
+more (nan, quotes, blanks, text in columns nobody reads) and says where a cell is wrong.
 """
 
 from __future__ import annotations
@@ -26,8 +27,9 @@ _KIND[list(b"+-")] = SIGN
 def rows(text: bytes, separator: str, width: int, columns: Sequence[int]) -> Array:
     """Numbers of some columns of whole lines. Shape (lines, len(columns)).
 
-    separator: "," or ";" (then a comma may be the decimal point) or a tab, or " " for any blanks. width: columns in a line.
-    Raises ValueError, "… row R, column C …" counted from 0, when a cell is no number or a line too short.
+    separator: "," or ";" (then a comma may be the decimal point) or a tab, or " " for any blanks.
+        width: columns in a line. Raises ValueError, "… row R, column C …" counted from 0, when a
+        cell is no number or a line too short.
     """
     if separator == ";":
         text = text.replace(b",", b".").replace(b";", b",")
@@ -44,7 +46,8 @@ def rows(text: bytes, separator: str, width: int, columns: Sequence[int]) -> Arr
 
 
 def plain(text: bytes, width: int) -> bool:
-    """Whether each line is `width` cells of [sign] digits [. digits] [e [sign] digits], nothing else."""
+    """Whether each line is `width` cells of [sign] digits [. digits] [e [sign] digits], nothing
+    else."""
     body = np.frombuffer(text, np.uint8)
     kind = _KIND[body]
     signs = np.flatnonzero(kind == SIGN)

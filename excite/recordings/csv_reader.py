@@ -1,4 +1,5 @@
-"""CSV: the contract's and Universal Robots' (ur_rtde's commas, UR's own client's blanks), block by block."""
+"""CSV: the contract's and Universal Robots' (ur_rtde's commas, UR's own client's blanks), block by
+block."""
 
 from __future__ import annotations
 
@@ -21,9 +22,11 @@ LONGEST_LINE = 1 << 20
 
 
 def blocks(path: Path, robot: Robot) -> Iterator[Block]:
-    """Blocks of a CSV whose first row names the columns, separated by commas, semicolons, tabs or blanks.
+    """Blocks of a CSV whose first row names the columns, separated by commas, semicolons, tabs or
+    blanks.
 
-    Raises UnusableInput for a header without the robot's columns and for a cell that is no number, by row and column.
+    Raises UnusableInput for a header without the robot's columns and for a cell that is no number,
+    by row and column.
     """
     with path.open("rb") as stream:
         separator, header = _header(path, stream.readline(LONGEST_LINE))
@@ -34,7 +37,8 @@ def blocks(path: Path, robot: Robot) -> Iterator[Block]:
             text, newline, rest = (rest + chunk).rpartition(b"\n")
             if len(rest) > LONGEST_LINE:
                 raise UnusableInput(
-                    f"{path}: after row {row + text.count(newline or b' ')}: a line is longer than {LONGEST_LINE} bytes; give a CSV"
+                    f"{path}: after row {row + text.count(newline or b' ')}: a line is longer than "
+                    f"{LONGEST_LINE} bytes; give a CSV"
                 )
             if newline:
                 yield places.block(_parsed(path, text + newline, separator, header, columns, row))
@@ -47,17 +51,20 @@ def _header(path: Path, line: bytes) -> tuple[str, list[str]]:
     """The separator of a file and the names in its first line."""
     if b"\r" in line.removesuffix(b"\n").removesuffix(b"\r"):
         raise UnusableInput(
-            f"{path}: row 1: its line ends in a carriage return alone; save it with line ends LF or CR LF"
+            f"{path}: row 1: its line ends in a carriage return alone; save it with line ends LF "
+            "or CR LF"
         )
     if len(line) == LONGEST_LINE:
         raise UnusableInput(
-            f"{path}: row 1 is longer than {LONGEST_LINE} bytes; give a CSV with a header t,q.<joint>,…"
+            f"{path}: row 1 is longer than {LONGEST_LINE} bytes; give a CSV with a header "
+            "t,q.<joint>,…"
         )
     try:
         text = line.decode("utf-8-sig").strip().lstrip("#").strip()
     except UnicodeDecodeError as error:
         raise UnusableInput(
-            f"{path}: is no UTF-8 text; give a CSV in UTF-8 with a header t,q.<joint>,…, an .npz, a rosbag2 folder or an .mcap"
+            f"{path}: is no UTF-8 text; give a CSV in UTF-8 with a header t,q.<joint>,…, an .npz, "
+            "a rosbag2 folder or an .mcap"
         ) from error
     separator = next((s for s in SEPARATORS if s in text), ",")
     if separator == " ":
@@ -81,5 +88,6 @@ def _parsed(
         where = f"row {row + int(found[2])}" if found else f"after row {row - 1}"
         reason = found[1] if found else str(error)
         raise UnusableInput(
-            f"{path}: {where}: {reason}; each row should hold {len(header)} numbers, empty where none was measured"
+            f"{path}: {where}: {reason}; each row should hold {len(header)} numbers, empty where "
+            "none was measured"
         ) from error

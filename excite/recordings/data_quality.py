@@ -1,8 +1,9 @@
 """The health check: from rows as found to a recording that can be trusted, with what was done.
 
-Wrong units, a clock that cannot be repaired and mostly missing numbers are errors (`units`, `clock`, `missing`); order, repeats, jitter,
-stamps that waver (`waver`), gaps and few missing numbers are repaired by the rules stated there, remarked and warned of; what an encoder
-rounded is repaired and remarked (`rounding`); `signs` are remarked only.
+Wrong units, a clock that cannot be repaired and mostly missing numbers are errors (`units`,
+`clock`, `missing`); order, repeats, jitter, stamps that waver (`waver`), gaps and few missing
+numbers are repaired by the rules stated there, remarked and warned of; what an encoder rounded is
+repaired and remarked (`rounding`); `signs` are remarked only.
 """
 
 from __future__ import annotations
@@ -39,9 +40,11 @@ class Patient:
 
 @dataclass(frozen=True)
 class Window:
-    """Ordered rows, of which those with start ≤ t ≤ end are wanted and those with t ≤ done were handed out before [s].
+    """Ordered rows, of which those with start ≤ t ≤ end are wanted and those with t ≤ done were
+    handed out before [s].
 
-    The others are context, so that repairs come out as in the whole file. remarks: how they were ordered.
+    The others are context, so that repairs come out as in the whole file. remarks: how they were
+    ordered.
     """
 
     block: Block
@@ -52,7 +55,8 @@ class Window:
 
 
 def recording(patient: Patient, window: Window, clock: Clock, *, whole: bool) -> Recording:
-    """Check and repair a window of rows. whole: it is the whole recording, whose channels can be judged.
+    """Check and repair a window of rows. whole: it is the whole recording, whose channels can be
+    judged.
 
     Raises UnusableInput for wrong units, too few rows or too few numbers.
     """
@@ -92,7 +96,8 @@ def recording(patient: Patient, window: Window, clock: Clock, *, whole: bool) ->
 
 
 def _steadied(block: Block, clock: Clock) -> tuple[Block, list[Remark]]:
-    """Rows whose positions are what they were at their stamps, where all joints say together that they were read at other instants."""
+    """Rows whose positions are what they were at their stamps, where all joints say together that
+    they were read at other instants."""
     found = timestamp_jitter.found(block.t, block.values["q"], clock.step)
     if found is None:
         return block, []
@@ -105,7 +110,8 @@ def _steadied(block: Block, clock: Clock) -> tuple[Block, list[Remark]]:
 
 
 def _unrounded(block: Block, steps: Array) -> tuple[Block, Array]:
-    """Rows whose positions are the smoothest within the steps of their encoders, and of which joints they are."""
+    """Rows whose positions are the smoothest within the steps of their encoders, and of which
+    joints they are."""
     q, smoothed = quantization.smoothest(block.t, block.values["q"], steps)
     return Block(block.t, {**block.values, "q": q}, block.remarks), smoothed
 

@@ -1,4 +1,5 @@
-"""How coarse encoders are, by the positions they were read at: told before these are put on another grid."""
+"""How coarse encoders are, by the positions they were read at: told before these are put on another
+grid."""
 
 from __future__ import annotations
 
@@ -8,12 +9,14 @@ Array = np.ndarray
 
 
 def noise(positions: Array) -> Array:
-    """Standard deviation of positions by the encoder's resolution, step/√12. Shapes (M, n) -> (n,) [rad or m]."""
+    """Standard deviation of positions by the encoder's resolution, step/√12. Shapes (M, n) -> (n,)
+    [rad or m]."""
     return np.array([_resolution(_steps(q), len(q)) for q in positions.T]) / np.sqrt(12.0)
 
 
 def steps(positions: Array) -> Array:
-    """Of what changes of position are multiples, 0 where they are of nothing. Shapes (M, n) -> (n,) [rad or m]."""
+    """Of what changes of position are multiples, 0 where they are of nothing. Shapes (M, n) -> (n,)
+    [rad or m]."""
     return np.array([_multiple(_steps(q)) for q in positions.T])
 
 

@@ -1,7 +1,8 @@
 """Numbers that no measurement has: a recording that holds one is refused by column and row.
 
-The ranges are far wider than any unit that a recording may be in by mistake (encoder counts, milliamperes, nanoseconds since 1970), of
-which `units` and `clock` tell more; they keep squares and sums over all rows finite.
+The ranges are far wider than any unit that a recording may be in by mistake (encoder counts,
+milliamperes, nanoseconds since 1970), of which `units` and `clock` tell more; they keep squares and
+sums over all rows finite.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ PREFIX = {quantity: prefix for prefix, quantity in PREFIXES.items()}
 
 
 def check(source: str, block: Block, robot: Robot, first_row: int) -> None:
-    """Check the numbers of a block as a reader found it; NaN and ±inf are missing numbers, see `missing`.
+    """Check the numbers of a block as a reader found it; NaN and ±inf are missing numbers, see
+    `missing`.
 
     Args:
         source: The recording, for messages.

@@ -15,15 +15,18 @@ SHORT = 5
 """Longest run of rows without a number that is interpolated."""
 MOST = 0.5
 NEEDED, SLOW = ("q", "tau", "current"), ("temperature",)
-"""Quantities without which a row is worth nothing; and those that are sampled now and then, and change little in between."""
+"""Quantities without which a row is worth nothing; and those that are sampled now and then, and
+change little in between."""
 
 
 def fill(source: str, joints: Sequence[str], block: Block) -> tuple[Block, list[Remark]]:
-    """Interpolate runs of up to 5 missing numbers in time; drop rows where q, tau or current lack longer, which leaves a gap.
+    """Interpolate runs of up to 5 missing numbers in time; drop rows where q, tau or current lack
+    longer, which leaves a gap.
 
-    In the other quantities a longer run stays without numbers, but for what is slow. A column without any number is a joint that lacks the
-    quantity. Error where a joint has no position at all, or where more than half of its positions, torques or currents are missing. ±inf is
-    no number.
+    In the other quantities a longer run stays without numbers, but for what is slow. A column
+    without any number is a joint that lacks the quantity. Error where a joint has no position at
+    all, or where more than half of its positions, torques or currents are missing. ±inf is no
+    number.
     """
     remarks: list[Remark] = []
     values = dict(block.values)
@@ -37,7 +40,8 @@ def fill(source: str, joints: Sequence[str], block: Block) -> tuple[Block, list[
             joint, share = joints[i], float(bad[:, i].mean())
             if (name == "q" and share > MOST) or (name in NEEDED and MOST < share < 1.0):
                 raise UnusableInput(
-                    f"{source}: joint '{joint}': {100 * share:.0f} % of {name} are no numbers; record them, or leave it out with --joints"
+                    f"{source}: joint '{joint}': {100 * share:.0f} % of {name} are no numbers; "
+                    "record them, or leave it out with --joints"
                 )
             if share == 1.0:
                 values[name][:, i] = np.nan

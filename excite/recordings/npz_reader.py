@@ -1,4 +1,5 @@
-"""NumPy archives (.npz), compressed or not, read as streams: no member is held whole unless it is stored column by column."""
+"""NumPy archives (.npz), compressed or not, read as streams: no member is held whole unless it is
+stored column by column."""
 
 from __future__ import annotations
 
@@ -32,12 +33,14 @@ UNREADABLE = (
     OverflowError,
     RuntimeError,
 )
-"""What zipfile and numpy raise for files that are no archives or that ask for a compression or a password that is not there."""
+"""What zipfile and numpy raise for files that are no archives or that ask for a compression or a
+password that is not there."""
 
 
 @dataclass
 class _Member:
-    """One array of the archive, read row by row. A memory map needs a plain .npy file, so the zip member's stream is read instead."""
+    """One array of the archive, read row by row. A memory map needs a plain .npy file, so the zip
+    member's stream is read instead."""
 
     path: Path
     name: str
@@ -64,10 +67,11 @@ Opener = Callable[[str, int], _Member]
 
 
 def blocks(path: Path, robot: Robot) -> Iterator[Block]:
-    """Blocks of an archive with `t` and either the contract's columns (`q.<joint>`, …) or arrays (N, m) `q`, `dq`, `tau`, `i`, `qref`,
-    `qlink`, `temp` whose columns `joints` names.
+    """Blocks of an archive with `t` and either the contract's columns (`q.<joint>`, …) or arrays
+    (N, m) `q`, `dq`, `tau`, `i`, `qref`, `qlink`, `temp` whose columns `joints` names.
 
-    Raises UnusableInput for an archive that cannot be read, lacks an array or whose arrays differ in length.
+    Raises UnusableInput for an archive that cannot be read, lacks an array or whose arrays differ
+    in length.
     """
     try:
         with zipfile.ZipFile(path) as file, ExitStack() as opened:
@@ -95,14 +99,16 @@ def _matrices(
     if "t" not in names or "joints" not in names:
         lacking = "t" if "t" not in names else "joints"
         raise UnusableInput(
-            f"{path}: has no array '{lacking}' but {listed(names)}; save t, joints (names of the columns of q) and q"
+            f"{path}: has no array '{lacking}' but {listed(names)}; save t, joints (names of the "
+            "columns of q) and q"
         )
     prefixes = [prefix for prefix in PREFIXES if prefix in names]
     members = [open_member("t", 1), *(open_member(prefix, 2) for prefix in prefixes)]
     for member in members[1:]:
         if member.shape[1] != len(joints):
             raise UnusableInput(
-                f"{path}: array '{member.name}' has {member.shape[1]} columns for {len(joints)} joints; save one a joint"
+                f"{path}: array '{member.name}' has {member.shape[1]} columns for {len(joints)} "
+                "joints; save one a joint"
             )
     header = ["t", *(f"{prefix}.{joint}" for prefix in prefixes for joint in joints)]
     places = layout(str(path), header, robot)
@@ -116,7 +122,8 @@ def _merged(
     odd = next((name for name, length in lengths.items() if length != members[0].shape[0]), None)
     if odd is not None:
         raise UnusableInput(
-            f"{path}: array '{odd}' has {lengths[odd]} rows and '{members[0].name}' {members[0].shape[0]}; save equally many"
+            f"{path}: array '{odd}' has {lengths[odd]} rows and '{members[0].name}' "
+            f"{members[0].shape[0]}; save equally many"
         )
     for _ in range(0, members[0].shape[0], ROWS):
         table = np.column_stack([member.take(ROWS) for member in members])
@@ -139,9 +146,11 @@ def _names(path: Path, file: zipfile.ZipFile, names: list[str]) -> list[str]:
 def _header(
     path: Path, file: zipfile.ZipFile, name: str, stream: IO[bytes]
 ) -> tuple[tuple[int, ...], bool, np.dtype]:
-    """Shape, whether columns are stored one after the other, and type of an array; the stream then stands at its first number.
+    """Shape, whether columns are stored one after the other, and type of an array; the stream then
+    stands at its first number.
 
-    Raises UnusableInput for an array of objects, which is not loaded since it may hold code, and for one that is larger than its file.
+    Raises UnusableInput for an array of objects, which is not loaded since it may hold code, and
+    for one that is larger than its file.
     """
     version = np.lib.format.read_magic(stream)
     read = (
@@ -152,12 +161,14 @@ def _header(
     shape, by_column, dtype = read(stream)
     if dtype.hasobject:
         raise UnusableInput(
-            f"{path}: array '{name}' holds Python objects, which are not loaded; save numbers and names"
+            f"{path}: array '{name}' holds Python objects, which are not loaded; save numbers and "
+            "names"
         )
     there = file.getinfo(f"{name}.npy").file_size
     if min(shape, default=0) < 0 or math.prod(shape) * dtype.itemsize > there:
         raise UnusableInput(
-            f"{path}: array '{name}' of shape {shape} should have more than the {there} bytes that are there; save it again"
+            f"{path}: array '{name}' of shape {shape} should have more than the {there} bytes that "
+            "are there; save it again"
         )
     return shape, by_column, dtype
 
@@ -169,7 +180,8 @@ def _open(
     shape, by_column, dtype = _header(path, file, name, stream)
     if len(shape) != dimensions or dtype.kind not in "fiu":
         raise UnusableInput(
-            f"{path}: array '{name}' is {len(shape)}-dimensional of type {dtype}; save {dimensions}-dimensional numbers"
+            f"{path}: array '{name}' is {len(shape)}-dimensional of type {dtype}; save "
+            f"{dimensions}-dimensional numbers"
         )
     whole = None
     if by_column and dimensions > 1:

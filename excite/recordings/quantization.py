@@ -2,10 +2,12 @@
 
     q̂ = argmin ∫ (d²q/dt²)² dt  with  |q̂ − q_read| ≤ Δ/2 at every row,
 
-Δ the encoder's step. A reading is no number with noise but an interval, and a low-pass takes no notice of it: where a joint moves slowly, a
-staircase has its noise where the motion is. Curvature, not its slope: friction that reverses makes acceleration jump, and a motion that may
-not turns back so gently that friction seems to be of another law. Solved by alternating directions (Boyd et al., Foundations and Trends in
-Machine Learning 3, 2011, section 5): a filter, then the nearest within the steps.
+Δ the encoder's step. A reading is no number with noise but an interval, and a low-pass takes no
+notice of it: where a joint moves slowly, a staircase has its noise where the motion is. Curvature,
+not its slope: friction that reverses makes acceleration jump, and a motion that may not turns back
+so gently that friction seems to be of another law. Solved by alternating directions (Boyd et al.,
+Foundations and Trends in Machine Learning 3, 2011, section 5): a filter, then the nearest within
+the steps.
 """
 
 from __future__ import annotations
@@ -22,8 +24,9 @@ Array = np.ndarray
 FINE = 1e-5
 """Steps below which nobody needs more [rad or m]."""
 HERTZ, USUAL = 40.0, 1e-4
-"""Corner of the filter [Hz], and for which steps [rad or m]: any leads to the same motion, but this one soon. It falls with the fourth root
-of the steps: the coarser they are, the longer a motion stays within one."""
+"""Corner of the filter [Hz], and for which steps [rad or m]: any leads to the same motion, but this
+one soon. It falls with the fourth root of the steps: the coarser they are, the longer a motion
+stays within one."""
 ROUNDS, FURTHER = 80, 1.6
 """Times that is done, and how much further than it leads each goes."""
 REACH = 1.0
@@ -32,15 +35,18 @@ OUTSIDE, SLACK = 0.02, 0.05
 """Share of rows that may lie outside their steps, by more than this part of one."""
 EDGE, PILED = 0.45, 0.17
 MIDDLE, FEW = 0.25, 0.65
-"""What rounding takes off is spread evenly over ± half a step. Noise besides, of a sixth of one, piles it up beyond EDGE of a step, where
-more than PILED of the rows then are; positions that were never rounded, multiples of something by chance, leave more than FEW within
-MIDDLE. Either would be made worse, and is left as read. Of pure rounding 0.06 to 0.10 and 0.5 were seen."""
+"""What rounding takes off is spread evenly over ± half a step. Noise besides, of a sixth of one,
+piles it up beyond EDGE of a step, where more than PILED of the rows then are; positions that were
+never rounded, multiples of something by chance, leave more than FEW within MIDDLE. Either would be
+made worse, and is left as read. Of pure rounding 0.06 to 0.10 and 0.5 were seen."""
 MOVED = 0.02
-"""A reading that is the same so long before and after tells nothing of that: the joint stands [s]."""
+"""A reading that is the same so long before and after tells nothing of that: the joint stands
+[s]."""
 
 
 def smoothest(t: Array, q: Array, steps: Array) -> tuple[Array, Array]:
-    """Positions within the steps of their encoders, and of which joints they are: of the others they are as read.
+    """Positions within the steps of their encoders, and of which joints they are: of the others
+    they are as read.
 
     t: [s]. q: Shape (N, n). steps: Δ, 0 where none is known. Shape (n,).
     """
@@ -74,7 +80,8 @@ def _only_rounded(
 
 
 def unrounded(read: Array, resolution: float, step: float) -> Array:
-    """The smoothest line within half a resolution of what was read, evenly each `step` [s]. Shapes (N,) -> (N,)."""
+    """The smoothest line within half a resolution of what was read, evenly each `step` [s]. Shapes
+    (N,) -> (N,)."""
     from scipy import fft  # slow to import
 
     count = len(read)

@@ -28,10 +28,11 @@ FORMATS = "CSV, .npz, rosbag2 folder, .mcap, .db3 or .bag"
 def read(path: Path, robot: Robot, limits: Limits | None = None) -> Recording:
     """A whole recording, checked and repaired.
 
-    path: a CSV (the contract's columns, or Universal Robots' RTDE), an .npz, a rosbag2 folder, an .mcap, .db3 or .bag; a sidecar
-    `<name>.json` beside it is read too. limits: to tell degrees from radians; without, the URDF's.
-    Raises UnusableInput, with file, joint and remedy, for what cannot be read, matched or repaired; gives an ExciteWarning for each
-    repair of a fault; `remarks` lists these too.
+    path: a CSV (the contract's columns, or Universal Robots' RTDE), an .npz, a rosbag2 folder, an
+        .mcap, .db3 or .bag; a sidecar `<name>.json` beside it is read too. limits: to tell degrees
+        from radians; without, the URDF's. Raises UnusableInput, with file, joint and remedy, for
+        what cannot be read, matched or repaired; gives an ExciteWarning for each repair of a fault;
+        `remarks` lists these too.
     """
     patient = Patient(str(path), robot, sidecar.read(path, robot), limits)
     found = [block for block in _blocks(path, patient) if len(block) or block.remarks]
@@ -50,18 +51,22 @@ def read(path: Path, robot: Robot, limits: Limits | None = None) -> Recording:
 def stream(
     path: Path, robot: Robot, limits: Limits | None = None, *, rows: int = 200_000, overlap: int = 0
 ) -> Iterator[Recording]:
-    """Consecutive blocks of a recording, of about `rows` new rows each, in memory that depends on `rows` alone.
+    """Consecutive blocks of a recording, of about `rows` new rows each, in memory that depends on
+    `rows` alone.
 
-    overlap: rows at the end of the block before that are repeated in front, so that a filter can run in; `run_in` counts them.
-    Each block is repaired as `read` repairs the whole, on the grid of the first block's clock; what takes the whole to see (joints that
-    never move, a clock that wavers, coarse, frozen and clipped channels, what encoders rounded) is not judged, and shares of missing
-    numbers are judged by block. A repair is warned of where it first occurs; what a remark counts may include the up to 32 rows around
-    the block. Bounded are CSV, bags and .npz but for 2-D arrays stored column by column, which are held whole.
-    Raises UnusableInput as `read` does, and for rows that come more than some 100 rows late.
+    overlap: rows at the end of the block before that are repeated in front, so that a filter can
+        run in; `run_in` counts them. Each block is repaired as `read` repairs the whole, on the
+        grid of the first block's clock; what takes the whole to see (joints that never move, a
+        clock that wavers, coarse, frozen and clipped channels, what encoders rounded) is not
+        judged, and shares of missing numbers are judged by block. A repair is warned of where it
+        first occurs; what a remark counts may include the up to 32 rows around the block. Bounded
+        are CSV, bags and .npz but for 2-D arrays stored column by column, which are held whole.
+        Raises UnusableInput as `read` does, and for rows that come more than some 100 rows late.
     """
     if rows < 2 * HOLD or overlap < 0:
         raise UnusableInput(
-            f"{path}: a stream needs blocks of at least {2 * HOLD} rows and an overlap of 0 or more; raise rows"
+            f"{path}: a stream needs blocks of at least {2 * HOLD} rows and an overlap of 0 or "
+            "more; raise rows"
         )
     patient = Patient(str(path), robot, sidecar.read(path, robot), limits)
     clock, said = None, set[tuple[Kind, str | None]]()
@@ -98,7 +103,8 @@ def _blocks(path: Path, patient: Patient) -> Iterator[Block]:
 
 
 def _sized(blocks: Iterator[Block], rows: int) -> Iterator[tuple[Block, bool]]:
-    """Blocks of `rows` rows each but the last, which may hold up to twice as many; True with the last."""
+    """Blocks of `rows` rows each but the last, which may hold up to twice as many; True with the
+    last."""
     waiting: list[Block] = []
     for block in blocks:
         waiting.append(block)
@@ -120,7 +126,8 @@ def _windows(source: str, blocks: Iterator[tuple[Block, bool]], overlap: int) ->
         earliest = float(np.fmin.reduce(block.t, initial=np.inf))
         if earliest < done:
             raise UnusableInput(
-                f"{source}: time goes back to {earliest:.6g} s after {done:.6g} s; sort the rows, or give each recording its own file"
+                f"{source}: time goes back to {earliest:.6g} s after {done:.6g} s; sort the rows, "
+                "or give each recording its own file"
             )
         ordered, remarks = order(source, block if kept is None else joined([kept, block]))
         pending += remarks

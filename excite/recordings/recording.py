@@ -25,14 +25,18 @@ SHORTEST = 16
 
 @dataclass(frozen=True)
 class Recording:
-    """What was measured, checked and on an even grid but for gaps. Shapes (N, n); a column is NaN where a joint lacks the quantity.
+    """What was measured, checked and on an even grid but for gaps. Shapes (N, n); a column is NaN
+    where a joint lacks the quantity.
 
-    t: Shape (N,) [s]. q: position [rad or m]. dq: velocity [rad/s]. tau: torque [N m or N]. current: of the motor [A].
+    t: Shape (N,) [s]. q: position [rad or m]. dq: velocity [rad/s]. tau: torque [N m or N].
+        current: of the motor [A].
     qref: commanded position. qlink: position by the encoder behind the gear. temperature: [°C].
-    remarks: what the health check found and did. own_times: times of the file's rows, in order, each once: N rows or, where the rows
-    were put on an even grid, another number. Shape (M,) [s]. steps: standard deviation of positions by their encoders' steps, as they were
-    read. Shape (n,); None where q is as it was read. smoothed: joints whose q is the smoothest within its encoder's steps. Shape (n,) or,
-    where none is, (1,). run_in: leading rows that repeat the end of the block before (`stream`).
+    remarks: what the health check found and did. own_times: times of the file's rows, in order,
+        each once: N rows or, where the rows were put on an even grid, another number. Shape (M,)
+        [s]. steps: standard deviation of positions by their encoders' steps, as they were read.
+        Shape (n,); None where q is as it was read. smoothed: joints whose q is the smoothest within
+        its encoder's steps. Shape (n,) or, where none is, (1,). run_in: leading rows that repeat
+        the end of the block before (`stream`).
     """
 
     source: str
@@ -62,7 +66,8 @@ class Recording:
 
     @functools.cached_property
     def encoder(self) -> Array:
-        """Standard deviation of positions by the encoders' steps, 0 where none shows. Shape (n,)."""
+        """Standard deviation of positions by the encoders' steps, 0 where none shows. Shape
+        (n,)."""
         return encoder.noise(self.q) if self.steps is None else self.steps
 
     @property
@@ -72,7 +77,8 @@ class Recording:
 
     @property
     def repeats(self) -> tuple[float, tuple[float, float]] | None:
-        """After how long the motion is stated to repeat, and from when to when: all of the recording, where no window is stated [s]."""
+        """After how long the motion is stated to repeat, and from when to when: all of the
+        recording, where no window is stated [s]."""
         period = self.sidecar.period
         return (
             None
@@ -83,7 +89,8 @@ class Recording:
     def check_period(
         self, period: float, periodic: tuple[float, float] | None, stated_by: str
     ) -> None:
-        """Raise UnusableInput for a period of fewer than SHORTEST rows, or a window in which the recording has no row.
+        """Raise UnusableInput for a period of fewer than SHORTEST rows, or a window in which the
+        recording has no row.
 
         Args:
             period: Period of the motion [s].
@@ -92,11 +99,13 @@ class Recording:
         """
         if period < SHORTEST * self.step:
             raise UnusableInput(
-                f"{stated_by}: the period {period:g} s has fewer than {SHORTEST} rows of {self.source}, {self.step:.3g} s apart; correct it"
+                f"{stated_by}: the period {period:g} s has fewer than {SHORTEST} rows of "
+                f"{self.source}, {self.step:.3g} s apart; correct it"
             )
         if periodic is not None and not (periodic[0] < self.t[-1] and periodic[1] > self.t[0]):
             raise UnusableInput(
-                f"{stated_by}: no row of {self.source} is between {periodic[0]:g} and {periodic[1]:g} s; "
+                f"{stated_by}: no row of {self.source} is between {periodic[0]:g} and "
+                f"{periodic[1]:g} s; "
                 f"it runs from {self.t[0]:g} to {self.t[-1]:g} s"
             )
 
@@ -107,7 +116,8 @@ class Recording:
 
     @property
     def torque(self) -> Array:
-        """Measured torque: `tau` of a joint, or else its current times its drive gain. Shape (N, n) [N m].
+        """Measured torque: `tau` of a joint, or else its current times its drive gain. Shape (N, n)
+        [N m].
 
         Raises UnusableInput, naming the joint, where there is neither or no gain.
         """
@@ -119,7 +129,8 @@ class Recording:
                 out[:, i] = self.current[:, i] * self._gain(joint)
             else:
                 raise UnusableInput(
-                    f"{self.source}: joint '{joint}' has no torque; record tau.{joint}, or i.{joint} with a drive_gain"
+                    f"{self.source}: joint '{joint}' has no torque; record tau.{joint}, or "
+                    f"i.{joint} with a drive_gain"
                 )
         return out
 
@@ -146,7 +157,8 @@ class Recording:
         inside = (self.t >= start) & (self.t <= end)
         if not inside.any():
             raise UnusableInput(
-                f"{self.source}: has no rows from {start:g} to {end:g} s; it runs from {self.t[0]:g} to {self.t[-1]:g} s"
+                f"{self.source}: has no rows from {start:g} to {end:g} s; it runs from "
+                f"{self.t[0]:g} to {self.t[-1]:g} s"
             )
         remarks = tuple(
             r
@@ -160,7 +172,8 @@ class Recording:
         )
 
     def segments(self, shortest: int = SHORTEST) -> Iterator[Recording]:
-        """Pieces without a gap, evenly sampled; those of fewer than `shortest` rows are left out."""
+        """Pieces without a gap, evenly sampled; those of fewer than `shortest` rows are left
+        out."""
         for piece in pieces(self.t, self.step):
             if piece.stop - piece.start >= shortest:
                 yield dataclasses.replace(
@@ -169,7 +182,8 @@ class Recording:
                 )
 
     def samples(self, band: float = BAND_HZ) -> Samples:
-        """Positions, velocities and accelerations below `band` [Hz]: a zero-phase low-pass, then central differences, piece by piece."""
+        """Positions, velocities and accelerations below `band` [Hz]: a zero-phase low-pass, then
+        central differences, piece by piece."""
         from scipy import signal  # slow to import
 
         dt = self.step
@@ -197,5 +211,6 @@ def refuse_same(fitted: Sequence[Recording], held_out: Sequence[Recording]) -> N
         for other in fitted:
             if len(one) == len(other) and np.array_equal(one.q, other.q):
                 raise UnusableInput(
-                    f"{one.source}: is the same motion as {other.source}; validate with another recording"
+                    f"{one.source}: is the same motion as {other.source}; validate with another "
+                    "recording"
                 )

@@ -8,7 +8,8 @@ from typing import Any
 
 
 class Kind(Enum):
-    """What a remark is about. The rule of each is in the docstring of the function that finds it."""
+    """What a remark is about. The rule of each is in the docstring of the function that finds
+    it."""
 
     ORDER = "order"
     REPEATED = "repeated"
@@ -30,7 +31,8 @@ class Kind(Enum):
 
 @dataclass(frozen=True)
 class Remark:
-    """One finding. repaired: the data were changed by the stated rule. start, end: where it happens [s], if anywhere."""
+    """One finding. repaired: the data were changed by the stated rule. start, end: where it happens
+    [s], if anywhere."""
 
     kind: Kind
     text: str

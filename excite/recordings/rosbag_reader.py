@@ -1,4 +1,5 @@
-"""ROS bags: sensor_msgs/JointState from a rosbag2 folder, an .mcap, a .db3 or a ROS 1 .bag, without ROS (package rosbags)."""
+"""ROS bags: sensor_msgs/JointState from a rosbag2 folder, an .mcap, a .db3 or a ROS 1 .bag, without
+ROS (package rosbags)."""
 
 from __future__ import annotations
 
@@ -50,11 +51,13 @@ def is_bag(path: Path) -> bool:
 
 
 def blocks(path: Path, robot: Robot, sidecar: Sidecar) -> Iterator[Block]:
-    """Blocks of the bag's JointState messages that name all of the robot's joints, in whatever order each message has them.
+    """Blocks of the bag's JointState messages that name all of the robot's joints, in whatever
+    order each message has them.
 
-    Time is the header's stamp, or the time of reception where the first stamp is zero; it counts from the first message used.
-    `effort` is taken as torque unless the sidecar says "effort": "current". Messages that lack a joint (a gripper's, on the same
-    topic) are left out. Raises UnusableInput for a bag that cannot be read or in which no or several topics fit.
+    Time is the header's stamp, or the time of reception where the first stamp is zero; it counts
+    from the first message used. `effort` is taken as torque unless the sidecar says "effort":
+    "current". Messages that lack a joint (a gripper's, on the same topic) are left out. Raises
+    UnusableInput for a bag that cannot be read or in which no or several topics fit.
     """
     rosbags = _package(path)
     if path.is_dir() and not (path / "metadata.yaml").is_file():
@@ -139,14 +142,16 @@ def _blocks(path: Path, source: _Bag, robot: Robot, sidecar: Sidecar) -> Iterato
 
 
 def _topic(path: Path, source: _Bag, robot: Robot, sidecar: Sidecar) -> str:
-    """The topic to read: the sidecar's, the only one of JointState, or the only one whose messages name all joints."""
+    """The topic to read: the sidecar's, the only one of JointState, or the only one whose messages
+    name all joints."""
     topics = source.topics()
     if not topics:
         raise UnusableInput(f"{path}: has no topic of {MESSAGE}; record /joint_states")
     if sidecar.topic is not None:
         if sidecar.topic not in topics:
             raise UnusableInput(
-                f"{path}: has no topic '{sidecar.topic}' of JointState, which its sidecar names; there are {listed(topics)}"
+                f"{path}: has no topic '{sidecar.topic}' of JointState, which its sidecar names; "
+                f"there are {listed(topics)}"
             )
         return sidecar.topic
     if len(topics) == 1:
@@ -209,7 +214,8 @@ class _Table:
             values = getattr(message, field)
             if len(values) not in (0, len(message.name)):
                 raise UnusableInput(
-                    f"{self.path}: a message after {self.times[-1]:.3f} s has {len(values)} values of {field} for "
+                    f"{self.path}: a message after {self.times[-1]:.3f} s has {len(values)} values "
+                    f"of {field} for "
                     f"{len(message.name)} joints; repair the driver that publishes it"
                 )
             self.rows[field].append(values[columns] if len(values) else self._nothing)
@@ -244,7 +250,8 @@ def _remarks(path: Path, topic: str, table: _Table, sidecar: Sidecar) -> tuple[R
             table.robot.joints[0],
         )
         raise UnusableInput(
-            f"{path}: no message on {topic} names all of the robot's joints; joint '{joint}' is missing "
+            f"{path}: no message on {topic} names all of the robot's joints; joint '{joint}' is "
+            "missing "
             f"{similar(joint, sorted(table.seen))}; record it, or leave it out with --joints"
         )
     out = []
@@ -252,7 +259,8 @@ def _remarks(path: Path, topic: str, table: _Table, sidecar: Sidecar) -> tuple[R
         out.append(
             Remark(
                 Kind.SKIPPED,
-                f"{table.skipped} messages on {topic} that lack some of the robot's joints are left out",
+                f"{table.skipped} messages on {topic} that lack some of the robot's joints are "
+                "left out",
                 repaired=True,
             )
         )

@@ -16,10 +16,11 @@ KEYS = SidecarDocument.__struct_fields__
 
 @dataclass(frozen=True)
 class Sidecar:
-    """drive_gain: torque per motor current of a joint [N m/A]. period: of the excitation [s]. periodic: (start, end) of the
-    window in which it repeats [s]. motor_side: `q` is the motor's encoder over the gear ratio.
-    effort: what JointState's `effort` holds, "torque" [N m] or "current" [A]; None: not said. topic: the bag's topic to read.
-    notes: anything. unknown: keys that no rule reads.
+    """drive_gain: torque per motor current of a joint [N m/A]. period: of the excitation [s].
+    periodic: (start, end) of the window in which it repeats [s]. motor_side: `q` is the motor's
+    encoder over the gear ratio. effort: what JointState's `effort` holds, "torque" [N m] or
+    "current" [A]; None: not said. topic: the bag's topic to read. notes: anything. unknown: keys
+    that no rule reads.
     """
 
     drive_gain: Mapping[str, float] = field(default_factory=dict)
@@ -33,7 +34,8 @@ class Sidecar:
 
 
 def beside(recording: Path) -> Path:
-    """Where the sidecar of a recording lies: `run.csv` and the folder `run` both have `run.json`."""
+    """Where the sidecar of a recording lies: `run.csv` and the folder `run` both have
+    `run.json`."""
     return recording.parent / f"{recording.name if recording.is_dir() else recording.stem}.json"
 
 

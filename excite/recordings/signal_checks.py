@@ -14,7 +14,8 @@ Array = np.ndarray
 STILL = {"prismatic": 1e-5}
 """Motion below which a joint doesn't move [m]; 1e-4 rad for joints that turn."""
 COARSE = {"prismatic": 1e-5}
-"""Resolution above which a position counts as coarse [m]; 1e-4 rad (16 bit a turn) for joints that turn."""
+"""Resolution above which a position counts as coarse [m]; 1e-4 rad (16 bit a turn) for joints that
+turn."""
 ANGLE = 1e-4
 LOOK = 200_000
 """Rows looked at for the resolution."""
@@ -55,7 +56,8 @@ def still(block: Block, robot: Robot, i: int) -> Remark | None:
 
 
 def resolution(values: Array) -> float | None:
-    """Spacing of the values if 99 % of them lie on a grid and repeat, else None: the smallest difference of distinct values."""
+    """Spacing of the values if 99 % of them lie on a grid and repeat, else None: the smallest
+    difference of distinct values."""
     values = values[:LOOK]
     distinct = np.unique(values)
     steps = np.diff(distinct)
@@ -113,7 +115,8 @@ def _stood(block: Block, values: Array) -> slice | None:
 
 
 def frozen_torque(block: Block, robot: Robot, i: int, name: str) -> Remark | None:
-    """A torque or current that keeps its exact value for 0.1 s and 20 rows while the joint moves through 1 % of its range."""
+    """A torque or current that keeps its exact value for 0.1 s and 20 rows while the joint moves
+    through 1 % of its range."""
     run = _stood(block, block.values[name][:, i])
     q = block.values["q"][:, i]
     if run is None or np.ptp(q[run]) <= MOVED * np.ptp(q):
@@ -122,7 +125,8 @@ def frozen_torque(block: Block, robot: Robot, i: int, name: str) -> Remark | Non
 
 
 def frozen_position(block: Block, robot: Robot, i: int) -> Remark | None:
-    """A position that keeps its exact value for 0.1 s and 20 rows while qref, or the integral of |dq|, goes through 1 % of its range."""
+    """A position that keeps its exact value for 0.1 s and 20 rows while qref, or the integral of
+    |dq|, goes through 1 % of its range."""
     q = block.values["q"][:, i]
     run = _stood(block, q)
     if run is None:
@@ -147,7 +151,8 @@ def _frozen(block: Block, joint: str, name: str, run: slice) -> Remark:
     start, end = float(block.t[run.start]), float(block.t[run.stop - 1])
     return Remark(
         Kind.FROZEN,
-        f"joint '{joint}': {name} stands still from {start:.4g} to {end:.4g} s while the joint moves",
+        f"joint '{joint}': {name} stands still from {start:.4g} to {end:.4g} s while the joint "
+        "moves",
         joint,
         start,
         end,
@@ -155,8 +160,8 @@ def _frozen(block: Block, joint: str, name: str, run: slice) -> Remark:
 
 
 def clipped(block: Block, robot: Robot, i: int, name: str) -> Remark | None:
-    """A torque or current with a run of 5 rows exactly at its largest or smallest value, where three times as many rows lie as at the
-    commonest of the ten values next to it.
+    """A torque or current with a run of 5 rows exactly at its largest or smallest value, where
+    three times as many rows lie as at the commonest of the ten values next to it.
     """
     values = block.values[name][:, i]
     distinct, counts = np.unique(values, return_counts=True)

@@ -40,9 +40,10 @@ class Clock:
 def order(source: str, block: Block) -> tuple[Block, list[Remark]]:
     """Rows with a time, in order, each time once.
 
-    Rows whose time is no number are dropped (an error above 10 %). Late rows are sorted in; an error where a few rows go back by more
-    than 50 steps, as where a clock starts again. Rows that repeat a time with the same positions are dropped; with others too, the
-    first is kept, an error above 20 % (a clock too coarse for the rate).
+    Rows whose time is no number are dropped (an error above 10 %). Late rows are sorted in; an
+    error where a few rows go back by more than 50 steps, as where a clock starts again. Rows that
+    repeat a time with the same positions are dropped; with others too, the first is kept, an error
+    above 20 % (a clock too coarse for the rate).
     """
     remarks = []
     known = np.isfinite(block.t)
@@ -61,7 +62,8 @@ def order(source: str, block: Block) -> tuple[Block, list[Remark]]:
         worst = late[np.argmin(steps[late])]
         if -steps[worst] > BACK * usual and len(late) <= max(1, len(steps) // 100):
             raise UnusableInput(
-                f"{source}: time goes back from {block.t[worst]:.6g} to {block.t[worst + 1]:.6g} s; "
+                f"{source}: time goes back from {block.t[worst]:.6g} to {block.t[worst + 1]:.6g} "
+                "s; "
                 "are these two recordings? Give each its own file"
             )
         start, end = float(block.t[late[0]]), float(block.t[late[-1]])
@@ -81,7 +83,8 @@ def order(source: str, block: Block) -> tuple[Block, list[Remark]]:
         differing = int((q[again] != q[again - 1]).any(axis=1).sum())
         if differing > MOST_REPEATED * len(q):
             raise UnusableInput(
-                f"{source}: {differing} of {len(q)} rows repeat the time of the row before with other positions; "
+                f"{source}: {differing} of {len(q)} rows repeat the time of the row before with "
+                "other positions; "
                 "log the time with more digits"
             )
         where = float(block.t[again[0]])
@@ -96,8 +99,9 @@ def order(source: str, block: Block) -> tuple[Block, list[Remark]]:
 def measure(source: str, t: Array) -> Clock:
     """The usual step of increasing times: the median, then the mean over the rows without gaps.
 
-    A median step above 0.5 s is no rate of a robot: an error that says by what the time should be divided. So is one below 1 µs, and a
-    clock of which more than 1 % of the steps are gaps, as where stamps come in bunches.
+    A median step above 0.5 s is no rate of a robot: an error that says by what the time should be
+    divided. So is one below 1 µs, and a clock of which more than 1 % of the steps are gaps, as
+    where stamps come in bunches.
     """
     steps = np.diff(t)
     if not len(steps):
@@ -110,16 +114,19 @@ def measure(source: str, t: Array) -> Clock:
             if usual <= most
         )
         raise UnusableInput(
-            f"{source}: the usual time step is {usual:g}; is time in {unit}? Divide it by {factor:g}, seconds are needed"
+            f"{source}: the usual time step is {usual:g}; is time in {unit}? Divide it by "
+            f"{factor:g}, seconds are needed"
         )
     if usual < FASTEST:
         raise UnusableInput(
-            f"{source}: the usual time step is {usual:g} s, more than a million rows a second; is time in another unit? Seconds are needed"
+            f"{source}: the usual time step is {usual:g} s, more than a million rows a second; is "
+            "time in another unit? Seconds are needed"
         )
     short = steps <= (GAP + 0.5) * usual
     if (~short).sum() > max(MOST_GAPS * len(steps), 3):
         raise UnusableInput(
-            f"{source}: {int((~short).sum())} of {len(steps)} time steps are longer than {GAP} usual ones ({usual:.3g} s); "
+            f"{source}: {int((~short).sum())} of {len(steps)} time steps are longer than {GAP} "
+            f"usual ones ({usual:.3g} s); "
             "use the time of measurement, not of arrival"
         )
     counted = np.maximum(np.round(steps[short] / usual), 0.0).sum()
@@ -136,9 +143,10 @@ def pieces(t: Array, step: float) -> list[slice]:
 def even(block: Block, clock: Clock) -> tuple[Block, list[Remark]]:
     """Rows on the clock's grid, piece by piece; gaps stay.
 
-    Where no step within a piece deviates by more than 2 % the rows are kept as they are. Else all are interpolated by cubic splines,
-    which also fills up to 5 missing rows. Beforehand rows closer than a fifth of a step to the one before are dropped: the slope
-    between such is noise, and a spline would follow it. A piece of one row is dropped.
+    Where no step within a piece deviates by more than 2 % the rows are kept as they are. Else all
+    are interpolated by cubic splines, which also fills up to 5 missing rows. Beforehand rows closer
+    than a fifth of a step to the one before are dropped: the slope between such is noise, and a
+    spline would follow it. A piece of one row is dropped.
     """
     runs = pieces(block.t, clock.step)
     remarks = _gaps(block.t, runs)

@@ -1,13 +1,16 @@
-"""A clock that wavers unseen: rows stamped evenly, but read at instants that differ from their stamps, of all joints together.
+"""A clock that wavers unseen: rows stamped evenly, but read at instants that differ from their
+stamps, of all joints together.
 
-q_j = x_j + ẋ_j δ, with one error δ of the instant in all joints (a logger's loop is late, and every encoder with it). In one joint it
-looks like an encoder's noise; differentiated twice it is most of what a model can't explain. Above the motion's frequencies nothing but δ
-makes all joints differ in the ratio of their speeds: there it shows, and how large it is. Below, the likeliest is taken away,
+q_j = x_j + ẋ_j δ, with one error δ of the instant in all joints (a logger's loop is late, and every
+encoder with it). In one joint it looks like an encoder's noise; differentiated twice it is most of
+what a model can't explain. Above the motion's frequencies nothing but δ makes all joints differ in
+the ratio of their speeds: there it shows, and how large it is. Below, the likeliest is taken away,
 
     δ̂ = argmin Σ_j ‖S_j^(-1/2) (q_j − ẋ_j δ)‖² + ‖δ‖²/σ²,
 
-S_j the spectrum of the motion x_j, found in turn with δ (a Wiener filter along a direction that turns, by conjugate gradients).
-Torque stays as it was read: its own error, τ̇ δ, is differentiated by nobody.
+S_j the spectrum of the motion x_j, found in turn with δ (a Wiener filter along a direction that
+turns, by conjugate gradients). Torque stays as it was read: its own error, τ̇ δ, is differentiated
+by nobody.
 """
 
 from __future__ import annotations
@@ -24,31 +27,36 @@ from .time_axis import pieces
 
 Array = np.ndarray
 SLOW, ABOVE, TOP = 10.0, 30.0, 45.0
-"""Frequencies up to which a speed is the motion's, above which positions are no motion, and up to which the likeliest is sought [Hz]."""
+"""Frequencies up to which a speed is the motion's, above which positions are no motion, and up to
+which the likeliest is sought [Hz]."""
 LEAST = 2.0
 """Frequency below which nothing is sought: it is the motion [Hz]."""
 ROOM = 4.0
 """Times ABOVE that a recording must have rows a second."""
 SHARED = 0.5
-"""Share of what a joint does above the motion that the others must foretell, of two joints at the least: of noise of its own they foretell
-less than nothing."""
+"""Share of what a joint does above the motion that the others must foretell, of two joints at the
+least: of noise of its own they foretell less than nothing."""
 SLIGHT, ROUNDED = 5e-6, 1e-12
-"""An error of instants that nobody needs to take out [s]; and of positions, what a filter's rounding leaves of a joint that stands."""
+"""An error of instants that nobody needs to take out [s]; and of positions, what a filter's
+rounding leaves of a joint that stands."""
 FAINT = 1e-3
 """Of the mean square of speeds, what is added to it: where all stand, no δ is told."""
 AGAIN, ROUNDS, CLOSE = 4, 300, 1e-6
 """Times that spectra are found; steps of conjugate gradients at the most, and their residual."""
 NARROW, OWN = 0.2, 0.05
-"""Part of a frequency over which a spectrum is smoothed either way; and of it, what is the motion's own at the least, to begin with."""
+"""Part of a frequency over which a spectrum is smoothed either way; and of it, what is the motion's
+own at the least, to begin with."""
 LOOKED = 3
 """Stretches that tell whether a clock wavers."""
 REACH, LONGEST, EDGE = 1.0, 60.0, 0.2
-"""How far a stretch is continued at its ends, how long it may be, and how much of its ends a filter spoils [s]."""
+"""How far a stretch is continued at its ends, how long it may be, and how much of its ends a filter
+spoils [s]."""
 
 
 @dataclass(frozen=True)
 class Waver:
-    """late: by how much each row was read after its stamp, as far as it is told. speed: of the motion then. rms: of all of it [s].
+    """late: by how much each row was read after its stamp, as far as it is told. speed: of the
+    motion then. rms: of all of it [s].
 
     Shapes (N,) [s], (N, n).
     """
@@ -63,7 +71,8 @@ class Waver:
 
 
 def found(t: Array, q: Array, step: float) -> Waver | None:
-    """By how much rows were read late; None where joints don't agree that they were. Shapes (N,), (N, n)."""
+    """By how much rows were read late; None where joints don't agree that they were. Shapes (N,),
+    (N, n)."""
     if ROOM * ABOVE * step > 1.0:
         return None
     stretches = list(_stretches(t, step))
@@ -92,7 +101,8 @@ def _stretches(t: Array, step: float) -> Iterator[slice]:
 
 
 class _Seen:
-    """What an even stretch shows above its motion. q: Shape (N, n). foretold: share of each joint's square there that the others foretell.
+    """What an even stretch shows above its motion. q: Shape (N, n). foretold: share of each joint's
+    square there that the others foretell.
 
     variance: of δ [s²]. grain: of each joint's own noise. Shape (n,).
     """
@@ -122,7 +132,8 @@ class _Seen:
         self.grain = np.mean((high - self.speed * self.above[:, None]) ** 2, axis=0) / seen
 
     def late(self, variance: float) -> Array:
-        """δ̂ at every row: the likeliest up to TOP, above it what the joints say together. Shape (N,) [s]."""
+        """δ̂ at every row: the likeliest up to TOP, above it what the joints say together. Shape
+        (N,) [s]."""
         from scipy.interpolate import CubicSpline  # slow to import
 
         every = max(1, int(0.4 / (TOP * self.step)))
@@ -158,7 +169,8 @@ def _low(x: Array, hertz: float, step: float) -> Array:
 
 
 def _likeliest(x: Array, speed: Array, step: float, variance: float, grain: Array) -> Array:
-    """δ̂ of a closed loop of positions below TOP, spectra found in turn with it. variance, grain: white. Shapes (L, n) -> (L,)."""
+    """δ̂ of a closed loop of positions below TOP, spectra found in turn with it. variance, grain:
+    white. Shapes (L, n) -> (L,)."""
     from scipy.sparse.linalg import LinearOperator, cg  # slow to import
 
     count, frequency = len(x), np.fft.rfftfreq(len(x), step)

@@ -12,12 +12,14 @@ from .remark import Kind, Remark
 
 Array = np.ndarray
 FAR = 2.0
-"""A revolute joint is far beyond its limits at twice their larger magnitude; a prismatic one at ten times."""
+"""A revolute joint is far beyond its limits at twice their larger magnitude; a prismatic one at ten
+times."""
 FAR_LENGTH = 10.0
 SLACK = 1.1
 """Converted positions may exceed the limits by a tenth."""
 LEAST, LEAST_LENGTH = 1.0, 0.05
-"""Reach of a joint whose limits are narrower [rad], [m]: a limit tightened for a design says nothing of units."""
+"""Reach of a joint whose limits are narrower [rad], [m]: a limit tightened for a design says
+nothing of units."""
 TURNS = 4.0 * np.pi
 """Reach of a revolute joint without position limits [rad]."""
 CLEAR = 0.7
@@ -32,7 +34,8 @@ RATIOS = (
 
 
 def reach(robot: Robot, limits: Limits | None) -> Array:
-    """Largest |position| that the limits or the URDF allow, at least 1 rad or 0.05 m. Shape (n,) [rad or m].
+    """Largest |position| that the limits or the URDF allow, at least 1 rad or 0.05 m. Shape (n,)
+    [rad or m].
 
     4π for a revolute joint without limits; inf for other joints without.
     """
@@ -49,8 +52,9 @@ def reach(robot: Robot, limits: Limits | None) -> Array:
 def check_positions(source: str, block: Block, robot: Robot, limits: Limits | None) -> None:
     """UnusableInput where positions are not in rad or m.
 
-    Rule: a revolute joint beyond twice its reach is in degrees when that brings every joint within 1.1 times its reach, else in a unit
-    of its own, encoder counts say. A prismatic joint beyond ten times its reach is in mm when a thousandth lies within it.
+    Rule: a revolute joint beyond twice its reach is in degrees when that brings every joint within
+        1.1 times its reach, else in a unit of its own, encoder counts say. A prismatic joint beyond
+        ten times its reach is in mm when a thousandth lies within it.
     """
     largest = np.nanmax(np.abs(block.values["q"]), axis=0)
     bounds = reach(robot, limits)
@@ -72,8 +76,9 @@ def check_positions(source: str, block: Block, robot: Robot, limits: Limits | No
 def check_velocities(source: str, block: Block, robot: Robot) -> list[Remark]:
     """Compare dq with the slope of q: their ratio betrays mixed units.
 
-    Rule: where slope and dq of a joint correlate by more than 0.7, their regression coefficient should be 1. Within 20 % of 180/π,
-    π/180, 1e-3, 1e-6 or 1e-9 it is a unit: UnusableInput. Else, outside 0.8 … 1.25, a remark.
+    Rule: where slope and dq of a joint correlate by more than 0.7, their regression coefficient
+        should be 1. Within 20 % of 180/π, π/180, 1e-3, 1e-6 or 1e-9 it is a unit: UnusableInput.
+        Else, outside 0.8 … 1.25, a remark.
     """
     remarks: list[Remark] = []
     if "dq" not in block.values or len(block) < 3:

@@ -17,19 +17,21 @@ from .structural_count import base_count
 
 Array = np.ndarray
 RANK_TOLERANCE = 1e-4
-"""Relative size below which a direction counts as invisible. Real arms keep above 0.05; a right angle rounded to 1.5708
-in a URDF makes directions of 1e-6, which no motion shows but a criterion would chase."""
+"""Relative size below which a direction counts as invisible. Real arms keep above 0.05; a right
+angle rounded to 1.5708 in a URDF makes directions of 1e-6, which no motion shows but a criterion
+would chase."""
 GREEDY_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True)
 class Base:
-    """The observable part of the standard parameters; nothing downstream depends on the choice of basis.
+    """The observable part of the standard parameters; nothing downstream depends on the choice of
+    basis.
 
     matrix: B in reduced row-echelon form, θ = Bψ. Shape (p, P).
     independent: for each θ the place in ψ of the parameter it is named after. Shape (p,).
-    geometric: W = G₀^{-1/2} V, V an orthonormal basis of Range(G₀^{-1/2} Bᵀ). Shape (P, p). The eigenvalues of
-        Wᵀ (Σ Yᵀ Σ⁻¹ Y) W are those of I·H₀⁻¹ (Lee, Wensing & Park, eq. 20).
+    geometric: W = G₀^{-1/2} V, V an orthonormal basis of Range(G₀^{-1/2} Bᵀ). Shape (P, p). The
+        eigenvalues of Wᵀ (Σ Yᵀ Σ⁻¹ Y) W are those of I·H₀⁻¹ (Lee, Wensing & Park, eq. 20).
     plain: the same with orthonormal rows of B and H₀ = 1. Shape (P, p).
     expressions: a name such as "m3 + m4 + 0.613*mcx2" for each θ.
     """
@@ -47,7 +49,8 @@ class Base:
 
     @property
     def selection(self) -> Array:
-        """The 0/1 matrix that takes the independent columns of Y: Γ = Y · selection. Shape (P, p)."""
+        """The 0/1 matrix that takes the independent columns of Y: Γ = Y · selection. Shape (P,
+        p)."""
         out: Array = np.eye(self.matrix.shape[1])[:, self.independent]
         return out
 
@@ -63,10 +66,11 @@ def random_motion(limits: Limits, count: int, rng: np.random.Generator) -> Sampl
 
 
 def find(robot: Robot, parameters: Parameters, limits: Limits) -> Base:
-    """Base parameters by a rank-revealing factorisation with relative tolerance, checked against the structure.
+    """Base parameters by a rank-revealing factorisation with relative tolerance, checked against
+    the structure.
 
-    Columns are compared after scaling to unit length. A warning says when the numerical and the structural count
-    differ.
+    Columns are compared after scaling to unit length. A warning says when the numerical and the
+    structural count differ.
     """
     motion = random_motion(
         limits, max(40, 4 * parameters.count // robot.n + 20), np.random.default_rng(1)
@@ -83,7 +87,8 @@ def find(robot: Robot, parameters: Parameters, limits: Limits) -> Base:
     expected = base_count(robot, parameters)
     if rank != expected and robot.model.nv == robot.n:
         text = (
-            f"{robot.source}: {rank} base parameters are visible, {expected} exist by structure; the difference is left out "
+            f"{robot.source}: {rank} base parameters are visible, {expected} exist by structure; "
+            "the difference is left out "
             "(often a right angle that is rounded in the URDF)"
         )
         warnings.warn(text, ExciteWarning, stacklevel=2)
@@ -100,7 +105,8 @@ def find(robot: Robot, parameters: Parameters, limits: Limits) -> Base:
 
 
 def _largest_of_kind(norms: Array, parameters: Parameters) -> Array:
-    """For each column the largest norm among columns of its kind: masses, first moments, inertias, and each drive block."""
+    """For each column the largest norm among columns of its kind: masses, first moments, inertias,
+    and each drive block."""
     n = len(parameters.joints)
     kinds = [0, 1, 1, 1, 2, 2, 2, 2, 2, 2] * parameters.bodies + [
         3 + k for k in range(len(parameters.drive)) for _ in range(n)
@@ -111,10 +117,11 @@ def _largest_of_kind(norms: Array, parameters: Parameters) -> Array:
 
 
 def _echelon(unit: Array, rank: int) -> tuple[Array, Array]:
-    """Independent columns of a regressor, and every column in terms of them: the coefficients of reduced row-echelon B.
+    """Independent columns of a regressor, and every column in terms of them: the coefficients of
+    reduced row-echelon B.
 
-    Gram-Schmidt over unit columns from the base outwards, so that each θ is named after its innermost parameter and
-    grouped with outer ones; exactly `rank` columns are kept.
+    Gram-Schmidt over unit columns from the base outwards, so that each θ is named after its
+    innermost parameter and grouped with outer ones; exactly `rank` columns are kept.
     """
     remainder, taken = np.zeros(unit.shape[1]), np.zeros((len(unit), 0))
     for column in range(unit.shape[1]):

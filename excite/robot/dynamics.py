@@ -1,4 +1,5 @@
-"""Rigid-body dynamics by Pinocchio: the oracle that certifies, independent of what the optimiser differentiates."""
+"""Rigid-body dynamics by Pinocchio: the oracle that certifies, independent of what the optimiser
+differentiates."""
 
 from __future__ import annotations
 
@@ -42,7 +43,8 @@ def regressor(robot: Robot, parameters: Parameters, motion: Samples) -> Array:
 
 
 def regressor_blocks(robot: Robot, parameters: Parameters, motion: Samples) -> Iterator[Array]:
-    """Y at consecutive samples, in blocks of at most BLOCK_NUMBERS numbers. Shape (≤ N, n, P) each."""
+    """Y at consecutive samples, in blocks of at most BLOCK_NUMBERS numbers. Shape (≤ N, n, P)
+    each."""
     size = max(BLOCK_NUMBERS // (robot.n * parameters.count), 16)
     for start in range(0, len(motion), size):
         yield regressor(robot, parameters, motion.rows(slice(start, start + size)))
@@ -74,7 +76,8 @@ def positions(robot: Robot, frame: str, q: Array) -> Array:
 
 
 def band(Y: Array, parameters: Parameters, radius: float) -> tuple[Array, Array]:
-    """Nominal torque Yψ₀ and its half-width r √(Y G₀⁻¹ Yᵀ) over the ball of radius r in the metric. Shapes (N, n)."""
+    """Nominal torque Yψ₀ and its half-width r √(Y G₀⁻¹ Yᵀ) over the ball of radius r in the metric.
+    Shapes (N, n)."""
     nominal = Y @ parameters.nominal
     width = (
         radius * np.sqrt(np.einsum("tip,tip->ti", Z := Y @ parameters.scale, Z))

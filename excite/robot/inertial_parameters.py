@@ -1,7 +1,8 @@
 """Standard parameters ψ of a robot: their order, names, nominal values and natural metric.
 
-ψ = [φ₁ … φ_nv, rotor inertia, viscous, Coulomb, offset], φᵢ = [m, m·cx, m·cy, m·cz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz]
-in Pinocchio's order at the joint frame; the blocks after the inertial ones hold one number per moving joint.
+ψ = [φ₁ … φ_nv, rotor inertia, viscous, Coulomb, offset], φᵢ = [m, m·cx, m·cy, m·cz, Ixx, Ixy, Iyy,
+Ixz, Iyz, Izz] in Pinocchio's order at the joint frame; the blocks after the inertial ones hold one
+number per moving joint.
 """
 
 from __future__ import annotations
@@ -36,10 +37,13 @@ class Parameters:
     """The standard parameters that a design considers.
 
     drive: which of DRIVE are included, in that order.
-    names: P names such as "m3", "mcx3", "Izz3", "Ia3", "Fc3"; the number is the joint's place, from 1.
+    names: P names such as "m3", "mcx3", "Izz3", "Ia3", "Fc3"; the number is the joint's place, from
+        1.
     nominal: ψ₀ as the URDF states it. Shape (P,).
-    scale: G₀^{-1/2}, block diagonal. Shape (P, P): δψ = scale · (unit vector) has length 1 in the metric.
-    repaired: names of links whose nominal inertia was no body and entered the metric by the stated rule.
+    scale: G₀^{-1/2}, block diagonal. Shape (P, P): δψ = scale · (unit vector) has length 1 in the
+        metric.
+    repaired: names of links whose nominal inertia was no body and entered the metric by the stated
+        rule.
     """
 
     drive: tuple[str, ...]
@@ -89,7 +93,8 @@ class Parameters:
 
 
 def pseudo_inertia(phi: Array) -> Array:
-    """P(φ) = [[S, h], [hᵀ, m]], S = ½ tr(I)·1 − I (Lee, Wensing & Park, eq. 15). Shapes (10,) -> (4, 4)."""
+    """P(φ) = [[S, h], [hᵀ, m]], S = ½ tr(I)·1 − I (Lee, Wensing & Park, eq. 15). Shapes (10,) ->
+    (4, 4)."""
     tensor = np.array(
         [[phi[4], phi[5], phi[7]], [phi[5], phi[6], phi[8]], [phi[7], phi[8], phi[9]]]
     )
@@ -110,9 +115,11 @@ def metric(phi: Array) -> Array:
 
 
 def inverse_root(phi: Array) -> Array:
-    """R with R Rᵀ = g(φ)⁻¹, through a factor of P that stays accurate where g is stiff. Shape (10, 10).
+    """R with R Rᵀ = g(φ)⁻¹, through a factor of P that stays accurate where g is stiff. Shape (10,
+    10).
 
-    P = C Cᵀ; δP = C E Cᵀ with E symmetric has length² ½ tr(E²), so an orthonormal basis of such E is one of the tangent.
+    P = C Cᵀ; δP = C E Cᵀ with E symmetric has length² ½ tr(E²), so an orthonormal basis of such E
+    is one of the tangent.
     """
     factor = np.linalg.cholesky(pseudo_inertia(phi))
     columns = []
@@ -131,9 +138,9 @@ def inverse_root(phi: Array) -> Array:
 def proper_body(phi: Array, robot_mass: float) -> tuple[Array, bool]:
     """A physically consistent body at φ, and whether it had to be changed to become one.
 
-    Rule: a mass below 1e-6 of the robot's becomes 1 % of it, at the joint's origin; a body with next to no second
-    moment becomes a uniform ball of 5 cm radius; a principal second moment about the centre of mass that is below 1e-6
-    of the largest one rises to 1e-3 of it.
+    Rule: a mass below 1e-6 of the robot's becomes 1 % of it, at the joint's origin; a body with
+        next to no second moment becomes a uniform ball of 5 cm radius; a principal second moment
+        about the centre of mass that is below 1e-6 of the largest one rises to 1e-3 of it.
     """
     mass, centre, second = phi[0], np.zeros(3), np.zeros((3, 3))
     if mass < 1e-6 * robot_mass:
@@ -158,8 +165,8 @@ def proper_body(phi: Array, robot_mass: float) -> tuple[Array, bool]:
 def standard(robot: Robot, limits: Limits, drive: Iterable[str] = DRIVE) -> Parameters:
     """Lay out the standard parameters of `robot`; `drive` names the joint parameters to include.
 
-    Scales of drive parameters: the nominal value, or where that is 0: Coulomb and offset
-    0.02 τ_max, viscous 0.02 τ_max/v_max, rotor inertia 5 % of the joint's mean mass-matrix diagonal.
+    Scales of drive parameters: the nominal value, or where that is 0: Coulomb and offset 0.02
+    τ_max, viscous 0.02 τ_max/v_max, rotor inertia 5 % of the joint's mean mass-matrix diagonal.
     """
     wanted = tuple(drive)
     unknown = set(wanted) - set(DRIVE)
@@ -219,7 +226,8 @@ def _drive_values(
 
 
 def mean_inertia(robot: Robot, limits: Limits, bodies: list[Array]) -> Array:
-    """Mean diagonal of the mass matrix over poses spread evenly in the joint ranges. Shape (n,) [kg m²]."""
+    """Mean diagonal of the mass matrix over poses spread evenly in the joint ranges. Shape (n,) [kg
+    m²]."""
     model = robot.model.copy()
     for i, phi in enumerate(bodies, start=1):
         model.inertias[i] = pin.Inertia.FromDynamicParameters(phi)
@@ -239,7 +247,8 @@ def ranges(limits: Limits) -> Array:
 
 
 def spread_poses(limits: Limits, count: int) -> Array:
-    """Poses that fill the joint ranges evenly (a Kronecker sequence, no randomness). Shape (count, n)."""
+    """Poses that fill the joint ranges evenly (a Kronecker sequence, no randomness). Shape (count,
+    n)."""
     n = len(limits.joints)
     lower, upper = ranges(limits).T
     root = 2.0

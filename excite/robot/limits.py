@@ -38,8 +38,9 @@ MIMIC = "urdf, mimic "
 WITH_MARGIN = ("velocity", "acceleration", "jerk", "torque")
 """Limits of which a design keeps a share free."""
 DEFAULT_MARGIN = 0.02
-"""Share of these limits that a design keeps free unless told otherwise [1]: a controller stops the robot at the limit itself, and
-its tracking overshoots the commanded motion. `--margin` and the limits file's [margin] table change it."""
+"""Share of these limits that a design keeps free unless told otherwise [1]: a controller stops the
+robot at the limit itself, and its tracking overshoots the commanded motion. `--margin` and the
+limits file's [margin] table change it."""
 TomlLimits = TypeVar("TomlLimits", bound=LimitsFile)
 MOVEIT = {
     "max_velocity": "velocity",
@@ -52,9 +53,11 @@ MOVEIT = {
 
 @dataclass(frozen=True)
 class Braking:
-    """Velocity limit that falls towards a position stop: |q̇| ≤ −offset + √(rate · distance to the stop).
+    """Velocity limit that falls towards a position stop: |q̇| ≤ −offset + √(rate · distance to the
+    stop).
 
-    The form in which Franka states the FR3's limits. offset: [rad/s]. rate: [rad/s²]. stop: (lower, upper) [rad].
+    The form in which Franka states the FR3's limits. offset: [rad/s]. rate: [rad/s²]. stop: (lower,
+    upper) [rad].
     """
 
     offset: float
@@ -70,11 +73,12 @@ class Braking:
 class Limits:
     """What each of n joints may do; ±inf where nothing is stated.
 
-    position: Shape (n, 2) [rad or m]. velocity, acceleration, jerk, torque: Shape (n,), positive, symmetric
-    [rad/s, rad/s², rad/s³, N m; for a prismatic joint m and N].
+    position: Shape (n, 2) [rad or m]. velocity, acceleration, jerk, torque: Shape (n,), positive,
+        symmetric [rad/s, rad/s², rad/s³, N m; for a prismatic joint m and N].
     braking: per joint, None where the velocity limit does not depend on position.
     sources: quantity -> n texts saying where each value came from ("" where there is none).
-    margin: share of each limit of `WITH_MARGIN` that a design keeps free [1]; a kind that is absent keeps none.
+    margin: share of each limit of `WITH_MARGIN` that a design keeps free [1]; a kind that is absent
+        keeps none.
     """
 
     joints: tuple[str, ...]
@@ -88,7 +92,8 @@ class Limits:
     margin: Mapping[str, float] = field(default_factory=dict)
 
     def reduced(self) -> Limits:
-        """The limits that a design uses: the margin is taken off, braking included, and none is left to take."""
+        """The limits that a design uses: the margin is taken off, braking included, and none is
+        left to take."""
         kept = {kind: 1.0 - self.margin.get(kind, 0.0) for kind in WITH_MARGIN}
         braking = tuple(None if b is None else b.scaled(kept["velocity"]) for b in self.braking)
         return dataclasses.replace(self.scaled(**kept), braking=braking, margin={})
@@ -148,17 +153,20 @@ def _braking(document: BrakingDocument) -> Braking:
 
 
 def resolve(robot: Robot, file: Path | None = None, margin: float | None = None) -> Limits:
-    """Limits of a robot: the URDF's, then the built-in model's own table, then `file`, the later overriding.
+    """Limits of a robot: the URDF's, then the built-in model's own table, then `file`, the later
+    overriding.
 
     Args:
         robot: The robot whose moving joints need limits.
-        file: TOML (`[joints.<name>] position = [lower, upper]`, velocity, acceleration, jerk, torque, braking, and
-            `[margin] velocity = 0.05`, …) or a MoveIt `joint_limits.yaml`.
-        margin: Share of every limit of `WITH_MARGIN` to keep free [1]; None: as the file says, else `DEFAULT_MARGIN`.
+        file: TOML (`[joints.<name>] position = [lower, upper]`, velocity, acceleration, jerk,
+            torque, braking, and `[margin] velocity = 0.05`, …) or a MoveIt `joint_limits.yaml`.
+        margin: Share of every limit of `WITH_MARGIN` to keep free [1]; None: as the file says, else
+            `DEFAULT_MARGIN`.
 
     Raises:
         MissingLimit: Position (of a joint that isn't continuous), velocity or torque is absent.
-        UnusableInput: A file cannot be read, names an unknown joint or contradicts itself; or the margin is no share.
+        UnusableInput: A file cannot be read, names an unknown joint or contradicts itself; or the
+            margin is no share.
     """
     if margin is not None and not 0.0 <= margin < 1.0:
         raise UnusableInput(
@@ -209,7 +217,8 @@ def from_sources(
     Args:
         robot: The robot of the trajectory.
         stated: The limits of its file; only their sources are used.
-        file: Where the limits file is now; None: where the sources say, or of that name in `folder`.
+        file: Where the limits file is now; None: where the sources say, or of that name in
+            `folder`.
         folder: The trajectory's own folder.
 
     Raises:
@@ -227,19 +236,22 @@ def from_sources(
     if file is None and named:
         if len(named) > 1:
             raise UnusableInput(
-                f"{robot.source}: the limits name several sources ({', '.join(named)}); give the file with --limits"
+                f"{robot.source}: the limits name several sources ({', '.join(named)}); give the "
+                "file with --limits"
             )
         candidates = [Path(named[0]), *([] if folder is None else [folder / Path(named[0]).name])]
         file = next((path for path in candidates if path.is_file()), None)
         if file is None:
             raise UnusableInput(
-                f"{named[0]}: the limits file of this trajectory is not there; say where it is with --limits FILE"
+                f"{named[0]}: the limits file of this trajectory is not there; say where it is "
+                "with --limits FILE"
             )
     return resolve(robot, file)
 
 
 def mounting_plane(robot: Robot) -> float | None:
-    """Height of the plane that a built-in model's base stands on, in the base frame [m]; None where no built-in table states it."""
+    """Height of the plane that a built-in model's base stands on, in the base frame [m]; None where
+    no built-in table states it."""
     if robot.source not in builtin_names():
         return None
     mounting = _read_toml(_builtin_table(robot), BuiltinLimitsFile).mounting
@@ -251,7 +263,8 @@ def _builtin_table(robot: Robot) -> Path:
 
 
 def _tighten(entries: dict[str, tuple[Any, str]], follower: Follower) -> None:
-    """A mimic's own position and velocity limits bind the joint it follows: q_mimic = multiplier q + offset."""
+    """A mimic's own position and velocity limits bind the joint it follows: q_mimic = multiplier q
+    + offset."""
     stated, factor = follower.entry, follower.multiplier
     if factor == 0.0:
         return
@@ -304,7 +317,8 @@ def _merge(
         if joint not in known:
             if not _is_yaml(file):
                 raise UnusableInput(
-                    f"{file}: no joint '{joint}' in {robot.source}; there are: {', '.join(robot.joints)}"
+                    f"{file}: no joint '{joint}' in {robot.source}; there are: "
+                    f"{', '.join(robot.joints)}"
                 )
             warnings.warn(
                 f"{file}: joint '{joint}' is not in {robot.source}; ignored",

@@ -21,7 +21,8 @@ _DRIVE_WORDS = {
 
 
 def sentence(parameters: Parameters, shares: Array, variance: float, identifiable: bool) -> str:
-    """What a direction consists of and how well it is seen. shares: squared components of its unit vector. Shape (P,)."""
+    """What a direction consists of and how well it is seen. shares: squared components of its unit
+    vector. Shape (P,)."""
     groups = sorted(_groups(parameters, shares), key=lambda g: -g[1])
     first, share = groups[0]
     rest = [f"{text} ({100 * s:.0f} %)" for text, s in groups[1:4] if s >= 0.08]
@@ -40,7 +41,8 @@ def sentence(parameters: Parameters, shares: Array, variance: float, identifiabl
 
 
 def percent(share: float) -> str:
-    """A share as a percentage with two digits, such as '2.3 %' or '340 %'; '∞' and '–' (not a number) where it is not finite."""
+    """A share as a percentage with two digits, such as '2.3 %' or '340 %'; '∞' and '–' (not a
+    number) where it is not finite."""
     if not np.isfinite(share):
         return "–" if np.isnan(share) else "∞"
     value = float(f"{100.0 * share:.2g}")
@@ -55,7 +57,8 @@ def multiple(ratio: float) -> str:
 
 
 def _groups(parameters: Parameters, shares: Array) -> list[tuple[str, float]]:
-    """What roboticists call the parameters, each with its share: the mass of a link, its centre of mass along x …"""
+    """What roboticists call the parameters, each with its share: the mass of a link, its centre of
+    mass along x …"""
     out = []
     for i, link in enumerate(parameters.links):
         block = dict(zip(INERTIAL, shares[10 * i : 10 * i + 10], strict=True))

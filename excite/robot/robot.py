@@ -50,7 +50,8 @@ class Robot:
     model: Pinocchio model with nq = nv ≥ n (a mimic joint is a coordinate of its own there).
     joints: names of the n moving joints, in the model's order.
     spread, shift: q_model = spread q + shift; τ = spreadᵀ τ_model. Shapes (nv, n), (nv,).
-    entries: what the URDF says of each moving joint. followers: the mimic joints that move with them.
+    entries: what the URDF says of each moving joint. followers: the mimic joints that move with
+        them.
     mimics: names of all mimic joints, moving or not.
     links: name of the link that each of the model's nv joints moves.
     options: how it was loaded (locked joints, payload, gravity), enough to load it again.
@@ -83,11 +84,13 @@ class Robot:
         return self.joints.index(joint)
 
     def expand(self, q: Array) -> Array:
-        """Coordinates of the Pinocchio model for joint positions. Shapes (…, n) -> (…, nv) [rad or m]."""
+        """Coordinates of the Pinocchio model for joint positions. Shapes (…, n) -> (…, nv) [rad or
+        m]."""
         return q @ self.spread.T + self.shift
 
     def axes(self) -> list[Array]:
-        """Unit motion subspace of each model joint, (linear, angular), joint frame. nv arrays of shape (6,)."""
+        """Unit motion subspace of each model joint, (linear, angular), joint frame. nv arrays of
+        shape (6,)."""
         data = self.model.createData()
         home, moved = np.zeros(self.model.nv), np.ones(self.model.nv)
         pin.forwardKinematics(self.model, data, home)
@@ -96,7 +99,8 @@ class Robot:
         return [pin.log6(a.actInv(data.liMi[i])).vector for i, a in enumerate(before, start=1)]
 
     def frame(self, name: str) -> int:
-        """Index of a link's frame, else a joint's; UnusableInput names the ones nearest in spelling."""
+        """Index of a link's frame, else a joint's; UnusableInput names the ones nearest in
+        spelling."""
         if self.model.existFrame(name, pin.FrameType.BODY):  # a joint may have the same name
             return int(self.model.getFrameId(name, pin.FrameType.BODY))
         if not self.model.existFrame(name):
@@ -139,10 +143,11 @@ def load(
     """Load a robot from a URDF path or a built-in name.
 
     joints: The joints that move (all that are not mimics, when None); the others are locked.
-    lock: Positions [rad or m] of locked joints; a joint named here doesn't move. Elsewhere 0, moved inside its limits.
+    lock: Positions [rad or m] of locked joints; a joint named here doesn't move. Elsewhere 0, moved
+        inside its limits.
     payload: A body added to a link before anything else is computed.
-    gravity: Shape (3,) [m/s²], base frame.
-    Raises UnusableInput for a file that cannot be used, an unknown joint or a joint that moves no mass.
+    gravity: Shape (3,) [m/s²], base frame. Raises UnusableInput for a file that cannot be used, an
+        unknown joint or a joint that moves no mass.
     """
     path = locate(source)
     document = urdf.read(path)
@@ -212,7 +217,8 @@ def _moving(
     free = [name for name in full.names[1:] if document.joints[name].mimic is None]
     if not free:
         raise UnusableInput(
-            f"{document.source}: has no movable joint; excite needs at least one revolute or prismatic joint"
+            f"{document.source}: has no movable joint; excite needs at least one revolute or "
+            "prismatic joint"
         )
     wanted = list(joints) if joints is not None else [name for name in free if name not in lock]
     for name in [*wanted, *lock]:
@@ -233,7 +239,8 @@ def _moving(
     for name, value in lock.items():
         if not ranges.POSITION.accepts(value):
             raise UnusableInput(
-                f"{document.source}: --lock {name}={value:g}: the position should be {ranges.POSITION}"
+                f"{document.source}: --lock {name}={value:g}: the position should be "
+                f"{ranges.POSITION}"
             )
     if not wanted:
         raise UnusableInput(f"{document.source}: every joint is locked; leave at least one to move")
@@ -247,14 +254,17 @@ def _resolve(document: urdf.Urdf, name: str) -> tuple[str, float, float]:
         name, factor, constant = mimic
         if name in seen or name not in document.joints:
             raise UnusableInput(
-                f"{document.source}: mimic joint '{first}' follows '{name}', no real joint; correct its <mimic>"
+                f"{document.source}: mimic joint '{first}' follows '{name}', no real joint; "
+                "correct its <mimic>"
             )
         seen.add(name)
         offset, multiplier = offset + multiplier * constant, multiplier * factor
     if not (ranges.MIMIC_MULTIPLIER.accepts(multiplier) and ranges.POSITION.accepts(offset)):
         raise UnusableInput(
-            f"{document.source}: mimic joint '{first}' is at {multiplier:g} times '{name}' plus {offset:g}; the multiplier should be "
-            f"{ranges.MIMIC_MULTIPLIER}, the offset {ranges.POSITION}; correct the multipliers and offsets of its chain of mimics"
+            f"{document.source}: mimic joint '{first}' is at {multiplier:g} times '{name}' plus "
+            f"{offset:g}; the multiplier should be "
+            f"{ranges.MIMIC_MULTIPLIER}, the offset {ranges.POSITION}; correct the multipliers and "
+            "offsets of its chain of mimics"
         )
     return name, multiplier, offset
 
@@ -276,7 +286,8 @@ def _rest_positions(
         value = lock.get(master, float(np.clip(0.0, lower, upper)))
         if master not in moving and not lower <= value <= upper:
             warnings.warn(
-                f"joint '{master}' is locked at {value:g}, outside its limits [{lower:g}, {upper:g}]",
+                f"joint '{master}' is locked at {value:g}, outside its limits [{lower:g}, "
+                f"{upper:g}]",
                 ExciteWarning,
                 stacklevel=3,
             )
@@ -291,7 +302,8 @@ def _attach(model: pin.Model, source: str, payload: Payload) -> None:
         for value in values:
             if not accepted[quantity].accepts(value):
                 raise UnusableInput(
-                    f"{source}: --payload at '{payload.link}': its {quantity} {value:g} should be {accepted[quantity]}"
+                    f"{source}: --payload at '{payload.link}': its {quantity} {value:g} should be "
+                    f"{accepted[quantity]}"
                 )
     if payload.mass == 0.0:
         raise UnusableInput(f"{source}: --payload at '{payload.link}' needs a positive mass")
@@ -309,19 +321,22 @@ def _attach(model: pin.Model, source: str, payload: Payload) -> None:
     moments = np.linalg.eigvalsh(tensor)
     if moments[0] < 0.0 or moments[2] > moments[0] + moments[1] + 1e-12:
         raise UnusableInput(
-            f"{source}: --payload at '{payload.link}': no body has that inertia about its centre; check the signs"
+            f"{source}: --payload at '{payload.link}': no body has that inertia about its centre; "
+            "check the signs"
         )
     body = pin.Inertia(payload.mass, np.array(payload.centre, float), tensor)
     model.appendBodyToJoint(frame.parentJoint, body, frame.placement)
 
 
 def _require_mass(robot: Robot) -> None:
-    """Raise UnusableInput for a body with inertia but no mass, and for a joint that moves no mass, which makes the dynamics singular."""
+    """Raise UnusableInput for a body with inertia but no mass, and for a joint that moves no mass,
+    which makes the dynamics singular."""
     model = robot.model
     for link, body in zip(robot.links, model.inertias[1:], strict=True):
         if body.mass == 0.0 and np.any(body.inertia):
             raise UnusableInput(
-                f"{robot.source}: link '{link}' has an inertia but the mass 0; correct its <mass> or remove its <inertial>"
+                f"{robot.source}: link '{link}' has an inertia but the mass 0; correct its <mass> "
+                "or remove its <inertial>"
             )
     for column, joint in enumerate(robot.joints):
         carried = [
@@ -335,5 +350,6 @@ def _require_mass(robot: Robot) -> None:
         ]
         if not any(moment > 0.0 for moment in moments):
             raise UnusableInput(
-                f"{robot.source}: joint '{joint}' moves no mass; give its links an <inertial> or lock it with --lock {joint}=0"
+                f"{robot.source}: joint '{joint}' moves no mass; give its links an <inertial> or "
+                f"lock it with --lock {joint}=0"
             )

@@ -11,7 +11,8 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Samples:
-    """Positions, velocities, accelerations at N times. Shapes (N, n) [rad, rad/s, rad/s²; m for prismatic joints]."""
+    """Positions, velocities, accelerations at N times. Shapes (N, n) [rad, rad/s, rad/s²; m for
+    prismatic joints]."""
 
     q: Array
     dq: Array

@@ -1,11 +1,11 @@
 """How many parameters a robot's structure lets one see, counted without any sample of motion.
 
-The recursion of Wensing, Niemeyer & Slotine (A geometric characterization of observability in inertial parameter
-identification, IJRR 2024): the invisible directions are sums of transfers across single joints. A change δI of body
-i's inertia is invisible across joint i, up to an equal change of its parent, when for all attainable velocities v, w
-of the body (gravity counted as an acceleration of the base)
-    Sᵢᵀ δI v = 0   and   vᵀ (ad(S)ᵀ δI + δI ad(S)) w = 0.
-Here it also counts rotor inertia and a constant torque offset, which the first condition can trade against δI.
+The recursion of Wensing, Niemeyer & Slotine (A geometric characterization of observability in
+inertial parameter identification, IJRR 2024): the invisible directions are sums of transfers across
+single joints. A change δI of body i's inertia is invisible across joint i, up to an equal change of
+its parent, when for all attainable velocities v, w of the body (gravity counted as an acceleration
+of the base) Sᵢᵀ δI v = 0   and   vᵀ (ad(S)ᵀ δI + δI ad(S)) w = 0. Here it also counts rotor inertia
+and a constant torque offset, which the first condition can trade against δI.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ _TOLERANCE = 1e-9
 
 
 def _spatial_inertia(phi: Array) -> Array:
-    """6x6 inertia about the joint's origin for (linear, angular) vectors; linear in φ, defined for mass 0 too."""
+    """6x6 inertia about the joint's origin for (linear, angular) vectors; linear in φ, defined for
+    mass 0 too."""
     lever = pin.skew(phi[1:4])
     tensor = np.array(
         [[phi[4], phi[5], phi[7]], [phi[5], phi[6], phi[8]], [phi[7], phi[8], phi[9]]]
@@ -42,10 +43,11 @@ def _span(columns: Array) -> Array:
 
 
 def _poses(robot: Robot, index: int, axis: Array) -> list[pin.SE3]:
-    """Placements of body `index` in its parent at coordinates that together show all the joint can do.
+    """Placements of body `index` in its parent at coordinates that together show all the joint can
+    do.
 
-    A joint's action on velocities is a trigonometric polynomial of degree ≤ 2, or one of degree ≤ 2 in a slide:
-    five coordinates determine it.
+    A joint's action on velocities is a trigonometric polynomial of degree ≤ 2, or one of degree ≤ 2
+    in a slide: five coordinates determine it.
     """
     placement = robot.model.jointPlacements[index]
     steps = (
@@ -65,8 +67,9 @@ def _ad(axis: Array) -> Array:
 def base_count(robot: Robot, parameters: Parameters) -> int:
     """Number of base parameters that the structure of `robot` admits.
 
-    Exact for every tree of one-degree joints. Mimic joints, whose transfers are not single-joint, are not covered:
-    the count is then of the robot with its mimic joints moving freely, an upper bound.
+    Exact for every tree of one-degree joints. Mimic joints, whose transfers are not single-joint,
+    are not covered: the count is then of the robot with its mimic joints moving freely, an upper
+    bound.
     """
     model = robot.model
     rotor, offset = "rotor_inertia" in parameters.drive, "offset" in parameters.drive

@@ -1,4 +1,5 @@
-"""A URDF read for its mechanics alone: joints, links, inertias and limits; meshes are never opened."""
+"""A URDF read for its mechanics alone: joints, links, inertias and limits; meshes are never
+opened."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ MOVABLE = ("revolute", "continuous", "prismatic")
 MOST_LINKS = 1000
 """Largest number of links; Pinocchio's parser recurses once per link of a chain."""
 NARROWEST = 1e-9
-"""Narrowest range of positions that counts as one [rad or m]; lower = upper = 0 is how some URDFs say that there is no limit."""
+"""Narrowest range of positions that counts as one [rad or m]; lower = upper = 0 is how some URDFs
+say that there is no limit."""
 SHAPE_NUMBERS = ("xyz", "rpy", "rgba", "radius", "length", "size", "scale")
 """Attributes of <visual> and <collision> that hold numbers."""
 SHOWN = 40
@@ -42,7 +44,8 @@ class JointEntry:
     offset: float = 0.0
 
     def unit(self, turning: str) -> str:
-        """What stands for a turning joint's unit: of a sliding one N, m and kg for N m, rad and kg m²; its angles of waves are m too."""
+        """What stands for a turning joint's unit: of a sliding one N, m and kg for N m, rad and kg
+        m²; its angles of waves are m too."""
         if self.kind != "prismatic":
             return turning
         return {"kg m²": "kg", "1/turn": "rad/m"}.get(
@@ -52,7 +55,8 @@ class JointEntry:
 
 @dataclass(frozen=True)
 class Urdf:
-    """The mechanical content of a URDF, and a reduced text that Pinocchio parses without surprises."""
+    """The mechanical content of a URDF, and a reduced text that Pinocchio parses without
+    surprises."""
 
     source: str
     text: str
@@ -65,8 +69,9 @@ def read(path: Path) -> Urdf:
     """Parse the URDF at `path`.
 
     Raises:
-        UnusableInput: The file is missing, is an unexpanded xacro, is no valid XML or is not in the encoding that it declares; it holds
-            a number outside its `physical_ranges`; it has a joint of more than one degree of freedom; or its links form no tree.
+        UnusableInput: The file is missing, is an unexpanded xacro, is no valid XML or is not in the
+            encoding that it declares; it holds a number outside its `physical_ranges`; it has a
+            joint of more than one degree of freedom; or its links form no tree.
     """
     if not is_file(path):
         raise UnusableInput(
@@ -75,9 +80,11 @@ def read(path: Path) -> Urdf:
     raw = xml_file.read_text(path, "a URDF")
     if raw.strip() and not raw.lstrip("\ufeff \t\r\n").startswith("<"):
         raise UnusableInput(
-            f"{path}: is not a URDF; first comes the robot's URDF or a name that 'excite robots' lists"
+            f"{path}: is not a URDF; first comes the robot's URDF or a name that 'excite robots' "
+            "lists"
         )
-    # ROS macros are marked by the suffix, the root's namespace or the substitutions that only xacro understands.
+    # ROS macros are marked by the suffix, the root's namespace or the substitutions that only xacro
+    # understands.
     bare = re.sub(r"<!--.*?-->", "", raw, flags=re.DOTALL)
     if path.suffix == ".xacro" or re.search(r"<xacro:|\$\{[^}]*\}|\$\((arg|find)\b", bare):
         raise UnusableInput(
@@ -91,7 +98,8 @@ def read(path: Path) -> Urdf:
     _names(source, root, "joint")
     if len(links) > MOST_LINKS:
         raise UnusableInput(
-            f"{source}: has {len(links)} links, more than {MOST_LINKS}; leave out what does not belong to the robot"
+            f"{source}: has {len(links)} links, more than {MOST_LINKS}; leave out what does not "
+            "belong to the robot"
         )
     joints, elements = {}, []
     for element in root.findall("joint"):
@@ -107,7 +115,8 @@ def read(path: Path) -> Urdf:
 
 
 def is_file(path: Path) -> bool:
-    """Whether a path names a regular file that can be looked up; names that are too long name none."""
+    """Whether a path names a regular file that can be looked up; names that are too long name
+    none."""
     try:
         return path.is_file()
     except OSError:
@@ -125,13 +134,15 @@ def _require_finite_shapes(source: str, link: ElementTree.Element) -> None:
                 words = element.get(key, "").lower().split()
                 if any(word.lstrip("+-") in ("nan", "inf", "infinity") for word in words):
                     raise UnusableInput(
-                        f"{source}: link '{link.get('name')}', in its <{kind}>: '{element.get(key)}' "
+                        f"{source}: link '{link.get('name')}', in its <{kind}>: "
+                        f"'{element.get(key)}' "
                         "is not finite; correct it"
                     )
 
 
 def _names(source: str, root: ElementTree.Element, tag: str) -> list[str]:
-    """Names of all elements of a tag. Raises UnusableInput for one that is absent, occurs twice or cannot be printed."""
+    """Names of all elements of a tag. Raises UnusableInput for one that is absent, occurs twice or
+    cannot be printed."""
     names = [
         _printable(source, tag, _attribute(source, element, "name"))
         for element in root.findall(tag)
@@ -145,7 +156,8 @@ def _names(source: str, root: ElementTree.Element, tag: str) -> list[str]:
 
 
 def _printable(source: str, tag: str, name: str) -> str:
-    """A name that fits on a line of a message, a table or a program. Raises UnusableInput for others."""
+    """A name that fits on a line of a message, a table or a program. Raises UnusableInput for
+    others."""
     if not name.strip():
         raise UnusableInput(f"{source}: a {tag} has an empty name; give it one")
     control = next(
@@ -154,13 +166,15 @@ def _printable(source: str, tag: str, name: str) -> str:
     if control is not None:
         shown = name.encode("unicode_escape").decode("ascii")[:SHOWN]
         raise UnusableInput(
-            f"{source}: {tag} '{shown}': its name has the control character U+{ord(control):04X}; rename it"
+            f"{source}: {tag} '{shown}': its name has the control character U+{ord(control):04X}; "
+            "rename it"
         )
     return name
 
 
 def _require_tree(source: str, root: ElementTree.Element, links: tuple[str, ...]) -> None:
-    """Raise UnusableInput unless the joints connect all links to one tree. Parsers in C++ crash on some of these."""
+    """Raise UnusableInput unless the joints connect all links to one tree. Parsers in C++ crash on
+    some of these."""
     if not links:
         raise UnusableInput(f"{source}: has no <link>; give the URDF of a robot")
     parent: dict[str, tuple[str, str]] = {}  # child link -> (joint, parent link)
@@ -169,19 +183,22 @@ def _require_tree(source: str, root: ElementTree.Element, links: tuple[str, ...]
         if lower in parent:
             other, upper_of_other = parent[lower]
             raise UnusableInput(
-                f"{source}: joints '{other}' and '{joint}' both move link '{lower}', from '{upper_of_other}' and '{upper}'; "
+                f"{source}: joints '{other}' and '{joint}' both move link '{lower}', from "
+                f"'{upper_of_other}' and '{upper}'; "
                 "remove one of them: closed loops are not modelled"
             )
         parent[lower] = joint, upper
     roots = [link for link in links if link not in parent]
     if len(roots) > 1:
         raise UnusableInput(
-            f"{source}: links '{roots[0]}' and '{roots[1]}' both have no parent; connect them by a fixed <joint>"
+            f"{source}: links '{roots[0]}' and '{roots[1]}' both have no parent; connect them by a "
+            "fixed <joint>"
         )
     if not roots:
         joint, upper = parent[links[0]]
         raise UnusableInput(
-            f"{source}: joint '{joint}' closes a loop from '{upper}' to '{links[0]}'; a robot needs a base link"
+            f"{source}: joint '{joint}' closes a loop from '{upper}' to '{links[0]}'; a robot "
+            "needs a base link"
         )
     reached = {roots[0]}
     for start in links:
@@ -190,7 +207,8 @@ def _require_tree(source: str, root: ElementTree.Element, links: tuple[str, ...]
             joint, upper = parent[link]
             if link in way:
                 raise UnusableInput(
-                    f"{source}: joint '{joint}' closes a loop from '{upper}' to '{link}'; closed loops are not modelled"
+                    f"{source}: joint '{joint}' closes a loop from '{upper}' to '{link}'; closed "
+                    "loops are not modelled"
                 )
             way.append(link)
             link = upper
@@ -262,7 +280,8 @@ def _joint(source: str, element: ElementTree.Element) -> JointEntry | None:
         return None
     if kind not in MOVABLE:
         raise UnusableInput(
-            f"{source}: {owner} is of type '{kind}'; only {', '.join(MOVABLE)} and fixed joints are known"
+            f"{source}: {owner} is of type '{kind}'; only {', '.join(MOVABLE)} and fixed joints "
+            "are known"
         )
     limit, dynamics, mimic = element.find("limit"), element.find("dynamics"), element.find("mimic")
     position = None
@@ -320,7 +339,8 @@ def _words(values: list[float]) -> str:
 
 
 def _plain_joint(source: str, element: ElementTree.Element, links: set[str]) -> str:
-    """The joint with what Pinocchio needs and no more; a continuous one becomes revolute, so that nq = nv."""
+    """The joint with what Pinocchio needs and no more; a continuous one becomes revolute, so that
+    nq = nv."""
     name, kind = _attribute(source, element, "name"), _attribute(source, element, "type")
     owner = f"joint '{name}'"
     ends = []

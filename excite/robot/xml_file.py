@@ -1,7 +1,9 @@
-"""XML documents (URDF, SRDF) read in their declared encoding, within bounds and without document type definitions.
+"""XML documents (URDF, SRDF) read in their declared encoding, within bounds and without document
+type definitions.
 
-Expat expands the entities that a document type definition (DTD) declares, so that a file of 1 kB can grow to gigabytes ("billion
-laughs"). Robot descriptions need no DTD; one that has a DTD is refused before the first entity is expanded.
+Expat expands the entities that a document type definition (DTD) declares, so that a file of 1 kB
+can grow to gigabytes ("billion laughs"). Robot descriptions need no DTD; one that has a DTD is
+refused before the first entity is expanded.
 """
 
 from __future__ import annotations
@@ -14,9 +16,11 @@ from pathlib import Path
 from ..errors import UnusableInput
 
 LARGEST = 1 << 24
-"""Largest file that is parsed [bytes]: 16 MiB. None of the 100 URDFs of the wheel example-robot-data has 0.3 MB."""
+"""Largest file that is parsed [bytes]: 16 MiB. None of the 100 URDFs of the wheel
+example-robot-data has 0.3 MB."""
 DEEPEST = 100
-"""Deepest nesting of elements. A URDF nests 5 deep with a <sensor> in a <gazebo> about 10; `ElementTree` recurses when it writes."""
+"""Deepest nesting of elements. A URDF nests 5 deep with a <sensor> in a <gazebo> about 10;
+`ElementTree` recurses when it writes."""
 BYTE_ORDER_MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
     (codecs.BOM_UTF32_LE, "utf-32"),
@@ -24,7 +28,8 @@ BYTE_ORDER_MARKS = (
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
-"""First bytes of a file and the encoding that they state. The marks of UTF-32 begin like those of UTF-16."""
+"""First bytes of a file and the encoding that they state. The marks of UTF-32 begin like those of
+UTF-16."""
 
 
 class _BoundedBuilder(ElementTree.TreeBuilder):
@@ -39,7 +44,8 @@ class _BoundedBuilder(ElementTree.TreeBuilder):
         self._depth += 1
         if self._depth > DEEPEST:
             raise UnusableInput(
-                f"{self._path}: its elements are nested more than {DEEPEST} deep; export the file again"
+                f"{self._path}: its elements are nested more than {DEEPEST} deep; export the file "
+                "again"
             )
         return super().start(tag, attrs)
 
@@ -49,7 +55,8 @@ class _BoundedBuilder(ElementTree.TreeBuilder):
 
     def doctype(self, name: str, public_id: str | None, system_id: str | None) -> None:
         raise UnusableInput(
-            f"{self._path}: has a document type definition <!DOCTYPE {name}>, which is not read; remove it"
+            f"{self._path}: has a document type definition <!DOCTYPE {name}>, which is not read; "
+            "remove it"
         )
 
 
@@ -61,7 +68,8 @@ def read_text(path: Path, kind: str) -> str:
         kind: What the file should be, for messages: "a URDF".
 
     Raises:
-        UnusableInput: The file cannot be read, is larger than LARGEST, or is not in the encoding that it declares.
+        UnusableInput: The file cannot be read, is larger than LARGEST, or is not in the encoding
+            that it declares.
     """
     try:
         size = path.stat().st_size
@@ -72,7 +80,8 @@ def read_text(path: Path, kind: str) -> str:
         ) from error
     if size > LARGEST:
         raise UnusableInput(
-            f"{path}: has {size / 1e6:.0f} MB, more than the {LARGEST >> 20} MiB that are read; give {kind}"
+            f"{path}: has {size / 1e6:.0f} MB, more than the {LARGEST >> 20} MiB that are read; "
+            f"give {kind}"
         )
     encoding = _encoding(data)
     try:
@@ -84,12 +93,14 @@ def read_text(path: Path, kind: str) -> str:
     except UnicodeDecodeError as error:
         line = 1 + data.count(b"\n", 0, error.start)
         raise UnusableInput(
-            f"{path}: line {line}: the byte 0x{data[error.start]:02x} is not {encoding.upper()}; save the file as UTF-8, "
+            f"{path}: line {line}: the byte 0x{data[error.start]:02x} is not {encoding.upper()}; "
+            "save the file as UTF-8, "
             'or declare its encoding in the first line: <?xml version="1.0" encoding="ISO-8859-1"?>'
         ) from error
     except UnicodeError as error:
         raise UnusableInput(
-            f"{path}: is not in the encoding '{encoding}' that it declares ({error}); save it as UTF-8"
+            f"{path}: is not in the encoding '{encoding}' that it declares ({error}); save it as "
+            "UTF-8"
         ) from error
 
 
@@ -112,14 +123,15 @@ def parse(path: Path, kind: str, *, keep_comments: bool = False) -> ElementTree.
         keep_comments: Whether comments inside the root element stay in the tree.
 
     Raises:
-        UnusableInput: The file cannot be read or decoded, is no well-formed XML, has a document type definition, or is nested more
-            than DEEPEST deep.
+        UnusableInput: The file cannot be read or decoded, is no well-formed XML, has a document
+            type definition, or is nested more than DEEPEST deep.
     """
     return parse_text(path, read_text(path, kind), keep_comments=keep_comments)
 
 
 def parse_text(path: Path, text: str, *, keep_comments: bool = False) -> ElementTree.Element:
-    """Parse the text of an XML file, as `read_text` returns it, to its root element; see `parse`."""
+    """Parse the text of an XML file, as `read_text` returns it, to its root element; see
+    `parse`."""
     parser = ElementTree.XMLParser(target=_BoundedBuilder(path, keep_comments=keep_comments))
     try:
         parser.feed(text)

@@ -1,0 +1,55 @@
+"""Asymmetric viscous friction: viscous friction that differs by direction."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from .._types import FloatArray
+from .effect import CandidateModel, Effect, is_between, single_joint_columns
+from .friction import joint_speed, max_speed
+from .recorded_motion import RecordedMotion
+
+
+def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+    """|q̇|: half of the difference between both directions."""
+    return single_joint_columns(
+        motion, model.joint_index, np.abs(joint_speed(motion, model.joint_index))
+    )
+
+
+def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+    """One candidate a joint; it must dissipate energy in both directions, with all friction."""
+
+    def parameters(viscous: float) -> Callable[[FloatArray], dict[str, float]]:
+        return lambda c: {"positive": viscous + float(c[0]), "negative": viscous - float(c[0])}
+
+    for j in range(motions[0].n):
+        viscous, coulomb = (
+            max(float(motions[0].fitted_robot.actuator_parameter(kind)[j]), 1e-9)
+            for kind in ("viscous", "coulomb")
+        )
+        limit = 1.5 * (viscous + coulomb / max(max_speed(motions, j), 1e-9))
+        yield CandidateModel(
+            "asymmetric_viscous",
+            j,
+            _columns,
+            parameters=parameters(viscous),
+            is_plausible=is_between(-limit, limit),
+        )
+
+
+ASYMMETRIC_VISCOUS = Effect(
+    "asymmetric_viscous",
+    "F_v+ for q̇ > 0, F_v− for q̇ < 0",
+    _columns,
+    _candidates,
+    {"positive": "N m s/rad", "negative": "N m s/rad"},
+    "torque against speed has another slope in each direction",
+    ("thermal_drift", "drag"),
+    "constant speeds in both directions, several of them",
+    form_std={"positive": 0.09, "negative": 0.09},
+    residual_log_offset=0.4,
+)
+"""Direction-dependent viscous friction."""

@@ -1,0 +1,248 @@
+"""Base compliance: the base oscillates under the robot's reaction forces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from math import factorial
+
+import numpy as np
+
+from .._types import FloatArray
+from ..identification.lowpass import Grid
+from .effect import (
+    CandidateModel,
+    Effect,
+    NonlinearParameter,
+    grid_candidates,
+    named_coefficients,
+    variants_within,
+)
+from .gear_dynamics import (
+    FREQUENCY_FACTOR,
+    MIN_STIFFNESS_SHARE,
+    neighbouring_damping_ratios,
+    simulate_oscillator,
+    solve_linear_recursion,
+)
+from .recorded_motion import RecordedMotion
+
+THRESHOLD_FACTOR = 16.0
+"""Factor on the evidence required: timestamp jitter disturbs all joints at once, as a base does,
+and most where the motion is fast."""
+MODES = ((0, 1), (3, 4), (5,), (3,), (4,))
+"""Coordinates of a base that slides horizontally, tilts about both horizontal axes, turns about the
+vertical, or tilts about one axis."""
+FREQUENCIES = np.geomspace(1.5, 19.0, 11)
+"""Grid of natural frequencies of the base under the moving robot [Hz]."""
+DAMPING_RATIOS = (0.08, 0.3)
+"""Damping ratios of the initial grid; the second, wide one locates a resonance that lies between
+two grid frequencies, from where it is optimised."""
+PEDESTAL_INERTIA = 0.12
+"""Initial inertia of the pedestal over the robot's largest inertia with all joints at zero."""
+MIN_PEDESTAL_INERTIA = 0.02
+"""Smallest inertia of the pedestal, in the same unit."""
+MAX_PEDESTAL_INERTIA = 2.0
+"""Largest inertia of the pedestal, in the same unit."""
+PEDESTAL_FACTOR = 2.5
+"""Factor between neighbouring inertias of the pedestal."""
+FREQUENCY_RATIO_FACTOR = 1.15
+"""Factor between neighbouring ratios of the frequencies about the second and the first axis."""
+MAX_FREQUENCY_RATIO = 2.0
+"""Largest ratio of these frequencies."""
+
+
+def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+    """Torque of a base on springs, a column for the force along each coordinate.
+
+    (M + I₀) ẍ + (∂τ/∂ẋ + D) ẋ + (∂τ/∂x + K) x = force of the robot minus its mean; see
+    `FloatingBaseDynamics`. The inertia is that in the present pose; the frequencies are stated for
+    all joints at zero, so that the springs are the same in all recordings. A tilting base also
+    tilts gravity, which dominates in slow motion.
+    """
+    values = model.values
+    axes, dt = MODES[int(values["way"])], 1.0 / motion.band.rate_of(Grid.COARSE)
+    dynamics, upright = motion.base_dynamics.restricted_to(axes), motion.upright_inertia[list(axes)]
+    inertia = upright + values["stand"] * upright.max()
+    spring = (
+        2.0 * np.pi * values["frequency"] * values["apart"] ** np.arange(len(axes))
+    ) ** 2 * inertia
+    damping = 2.0 * values["damping"] * np.sqrt(spring * inertia)
+    # gravity may not take more of a spring's stiffness than a standing base can lose
+    toppling = float(np.abs(dynamics.by_place).sum(axis=2).max() / spring.min())
+    stiffness = np.diag(spring) + dynamics.by_place * min(
+        1.0, (1.0 - MIN_STIFFNESS_SHARE) / max(toppling, 1e-9)
+    )
+    base_motion = _simulate_base(
+        dynamics.mass + np.diag(inertia - upright),
+        dynamics.by_speed + np.diag(damping),
+        stiffness,
+        dynamics.force,
+        dt,
+    )
+    torque = [part @ x for part, x in zip(dynamics.joint_torque, base_motion, strict=True)]
+    return motion.lowpass(np.sum(torque, axis=0), Grid.COARSE)
+
+
+def _simulate_base(
+    inertia: FloatArray, damping: FloatArray, stiffness: FloatArray, force: FloatArray, dt: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Position, velocity and acceleration of coupled oscillators under each force alone.
+
+    Each step is exact for the means of all coefficients over the step.
+
+    Args:
+        inertia, damping, stiffness: Matrices, shape (C, k, k).
+        force: Forces, shape (C, k).
+        dt: Step [s].
+
+    Returns:
+        Three arrays of shape (C, k, k), with a column for each force.
+    """
+    count, k = force.shape
+    if k == 1:  # in closed form
+        m, d, s = (x[:, 0, 0] for x in (inertia, damping, stiffness))
+        position, speed = simulate_oscillator(force[:, 0], m, s, d, dt)
+        acceleration = (force[:, 0] - s * position - d * speed) / m
+        return position[:, None, None], speed[:, None, None], acceleration[:, None, None]
+    forces = force[:, :, None] * np.eye(k)
+    m, d, s, f = (0.5 * (x[1:] + x[:-1]) for x in (inertia, damping, stiffness, forces))
+    inverse_mass = np.linalg.inv(m)
+    # velocities are divided by the largest rate, so that all entries are of similar size
+    fastest = np.sqrt(np.abs(inverse_mass @ s).sum(axis=2).max())
+    rate = np.zeros((count - 1, 2 * k, 2 * k))
+    rate[:, :k, k:], rate[:, k:, :k], rate[:, k:, k:] = (
+        fastest * np.eye(k),
+        -inverse_mass @ s / fastest,
+        -inverse_mass @ d,
+    )
+    push = np.concatenate([np.zeros((count - 1, k, k)), inverse_mass @ f / fastest], axis=1)
+    transition, integral = _matrix_exponential(rate * dt)
+    start = np.concatenate([np.linalg.solve(stiffness[0], forces[0]), np.zeros((k, k))])
+    state = solve_linear_recursion(transition, integral @ push * dt, start)
+    position, speed = state[:, :k], fastest * state[:, k:]
+    acceleration = np.linalg.solve(inertia, forces - stiffness @ position - damping @ speed)
+    return position, speed, acceleration
+
+
+def _matrix_exponential(a: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """exp(A) and ∫₀¹ exp(A s) ds of stacked matrices, shape (…, k, k).
+
+    Scaling and squaring with Taylor series of order nine (Higham, Functions of Matrices, 2008,
+    ch. 10).
+    """
+    halvings = max(0, int(np.ceil(np.log2(max(float(np.abs(a).sum(axis=-1).max()), 1e-300)))))
+    unit, a = np.eye(a.shape[-1]), a * 0.5**halvings
+    square = a @ a
+    cube = square @ a
+
+    def series(order: int) -> FloatArray:
+        """Σ Aᵏ/(k + order)!, in powers of the cube (Paterson & Stockmeyer 1973)."""
+        c = [1.0 / factorial(k + order) for k in range(10)]
+        parts = [c[k] * unit + c[k + 1] * a + c[k + 2] * square for k in (0, 3, 6)]
+        return parts[0] + cube @ (parts[1] + cube @ (parts[2] + c[9] * cube))
+
+    exponential, mean = series(0), series(1)
+    for _ in range(halvings):
+        exponential, mean = exponential @ exponential, 0.5 * (unit + exponential) @ mean
+    return exponential, mean
+
+
+def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+    """Frequencies and damping ratios of every mode.
+
+    Variants change damping, the pedestal's inertia, and the ratio of two frequencies.
+    """
+
+    def family(
+        mode: int, damping: float, pedestal: float = PEDESTAL_INERTIA, ratio: float = 1.0
+    ) -> Callable[[float], CandidateModel]:
+        def model(frequency: float) -> CandidateModel:
+            def variants() -> list[NonlinearParameter]:
+                out = variants_within(
+                    frequency,
+                    FREQUENCY_FACTOR,
+                    (
+                        family(mode, z, pedestal, ratio)
+                        for z in neighbouring_damping_ratios(damping)
+                    ),
+                )
+                for p in (pedestal / PEDESTAL_FACTOR, pedestal * PEDESTAL_FACTOR):
+                    if MIN_PEDESTAL_INERTIA < p < MAX_PEDESTAL_INERTIA:
+                        # the same frequency under the moving robot
+                        f = (
+                            frequency
+                            * _upright_frequency_ratio(motions, MODES[mode], p)
+                            / _upright_frequency_ratio(motions, MODES[mode], pedestal)
+                        )
+                        out += variants_within(
+                            f, FREQUENCY_FACTOR, [family(mode, damping, p, ratio)]
+                        )
+                neighbours = ratio / FREQUENCY_RATIO_FACTOR, ratio * FREQUENCY_RATIO_FACTOR
+                for r in neighbours if len(MODES[mode]) > 1 else ():
+                    if 1.0 / MAX_FREQUENCY_RATIO < r < MAX_FREQUENCY_RATIO:
+                        out += variants_within(
+                            frequency, FREQUENCY_FACTOR, [family(mode, damping, pedestal, r)]
+                        )
+                return out
+
+            return CandidateModel(
+                "base_compliance",
+                None,
+                _columns,
+                {
+                    "frequency": frequency,
+                    "damping": damping,
+                    "way": float(mode),
+                    "stand": pedestal,
+                    "apart": ratio,
+                },
+                parameters=named_coefficients(frequency=frequency),
+                is_plausible=_follows_force,
+                variants=variants,
+                allows_several=True,
+                threshold_factor=THRESHOLD_FACTOR,
+            )
+
+        return model
+
+    for mode, axes in enumerate(MODES):
+        ratio = _upright_frequency_ratio(motions, axes, PEDESTAL_INERTIA)
+        frequencies = (FREQUENCIES * ratio).tolist()
+        for damping in DAMPING_RATIOS:
+            yield from grid_candidates(frequencies, family(mode, damping))
+
+
+def _upright_frequency_ratio(
+    motions: Sequence[RecordedMotion], axes: Sequence[int], pedestal: float
+) -> float:
+    """Frequency of the base with all joints at zero over that under the moving robot.
+
+    A stretched-up arm, for example, has little inertia about the vertical.
+    """
+    upright, along = motions[0].upright_inertia[list(axes)], list(axes)
+    in_motion = np.mean(
+        [motion.base_dynamics.mass[:, along, along].mean(axis=0) for motion in motions], axis=0
+    )
+    added = pedestal * upright.max()
+    return float(np.exp(0.5 * np.mean(np.log((in_motion + added) / (upright + added)))))
+
+
+def _follows_force(c: FloatArray) -> bool:
+    """Check that the base moves in the direction of the force."""
+    return bool(c.max() > 0.0 and c.min() > -0.3 * c.max() and c.max() < 4.0)
+
+
+BASE_COMPLIANCE = Effect(
+    "base_compliance",
+    "a mass on springs under the robot that slides, tilts or turns (its frequency: all joints at "
+    "zero)",
+    _columns,
+    _candidates,
+    {"frequency": "Hz"},
+    "the same resonance in all joints",
+    ("elasticity", "backlash"),
+    "a chirp of joint 1 with the arm stretched",
+    form_std={"frequency": 0.2},
+    residual_log_offset=2.0,
+)
+"""Compliant base; users call it a wobbly table, a soft mount or an oscillating pedestal."""

@@ -1,0 +1,95 @@
+"""Encoder error: a position error that is periodic in the angle, as by an eccentric disc."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+import numpy as np
+
+from .._types import FloatArray
+from ..identification.lowpass import Grid
+from .effect import (
+    HARMONIC_KEYS,
+    CandidateModel,
+    Effect,
+    NonlinearParameter,
+    grid_candidates,
+    harmonic_columns,
+    pair_amplitude,
+    variants_within,
+)
+from .recorded_motion import RecordedMotion
+
+MAX_AMPLITUDE = 0.1
+"""Largest plausible error of an encoder [rad]."""
+ALIAS_ORDER_RATIO = 1.5
+"""Order of a wave with multiples over that of another for which it may be mistaken: two of its
+three waves lie close to two of the other's."""
+ALIAS_ORDER_FACTOR = 1.25
+"""Factor within which the order is optimised there."""
+
+
+def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+    """Torque by an error δ of the recorded position: −(∂τ/∂q δ + ∂τ/∂q̇ δ̇ + (M + I_a) δ̈)."""
+    joint, robot = model.joint_index, motion.fitted_robot
+    by_q, by_v, mass = (matrix[:, :, joint, None] for matrix in motion.derivatives)
+    error = harmonic_columns(model.values, motion.coarse_samples.q[:, joint])
+    spectrum = motion.band.transform(error, Grid.COARSE)
+    first, second = spectrum.filter(Grid.COARSE, 1, 2.0), spectrum.filter(Grid.COARSE, 2, 2.0)
+    torque = by_q * error[:, None] + by_v * first[:, None] + mass * second[:, None]
+    torque[:, joint] += (
+        robot.actuator_parameter("rotor_inertia")[joint] * second
+        + robot.actuator_parameter("viscous")[joint] * first
+    )
+    return -motion.lowpass(torque, Grid.COARSE)
+
+
+def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+    """Single waves, and waves with their multiples.
+
+    The torque of a wave grows with the square of its order, so that the multiples of an eccentric
+    disc's error matter.
+    """
+
+    def is_small(c: FloatArray) -> bool:
+        return bool(np.hypot(c[::2], c[1::2]).max() < MAX_AMPLITUDE)
+
+    def family(j: int, multiples: Mapping[str, float]) -> Callable[[float], CandidateModel]:
+        def model(order: float) -> CandidateModel:
+            def variants() -> list[NonlinearParameter]:
+                families = [family(j, multiples)] if multiples else []
+                return variants_within(ALIAS_ORDER_RATIO * order, ALIAS_ORDER_FACTOR, families)
+
+            return CandidateModel(
+                "encoder_error",
+                j,
+                _columns,
+                {"order": order, **multiples},
+                parameters=pair_amplitude(order=order),
+                is_plausible=is_small,
+                allows_several=True,
+                variants=variants,
+            )
+
+        return model
+
+    for j in range(motions[0].n):
+        orders = (0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 11.0, 16.0)
+        yield from grid_candidates(orders, family(j, {}))
+        multiples = dict.fromkeys(HARMONIC_KEYS.values(), 1.0)
+        yield from grid_candidates((1.0, 1.6, 2.5, 4.0), family(j, multiples))
+
+
+ENCODER_ERROR = Effect(
+    "encoder_error",
+    "q + ε cos(kq + φ), with its multiples",
+    _columns,
+    _candidates,
+    {"amplitude": "rad", "order": "1/turn"},
+    "once or a few times a turn, growing with the square of speed",
+    ("torque_ripple",),
+    "constant speeds, slow and fast, over a turn",
+    form_std={"amplitude": 0.4, "order": 0.4},
+    residual_log_offset=0.8,
+)
+"""Periodic encoder error; users call it encoder eccentricity or sensor ripple."""

@@ -1,0 +1,74 @@
+"""Payload: the inertial parameters of a link differ from the model, as with a tool or a load."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from .._types import FloatArray
+from ..identification.lowpass import Grid
+from ..robot.dynamics import regressor
+from ..robot.inertial_parameters import pseudo_inertia
+from .effect import CandidateModel, Effect
+from .recorded_motion import RecordedMotion
+
+MAX_CENTRE_DISTANCE = 1.5
+"""Largest distance of a payload's centre of mass from its link's frame [m]."""
+
+
+def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+    """Regressor columns of a link's first inertial parameters."""
+    link, count = int(model.values["link"]), int(model.values["count"])
+    robot = motion.fitted_robot
+    Y = regressor(robot.robot, robot.parameters, motion.coarse_samples)
+    return motion.lowpass(Y[:, :, 10 * link : 10 * link + count], Grid.COARSE)
+
+
+def _is_physically_consistent(c: FloatArray) -> bool:
+    """Check that the mass is positive, its centre within reach, and its inertia nearly feasible."""
+    if c[0] <= 0.0 or np.linalg.norm(c[1:4]) > MAX_CENTRE_DISTANCE * c[0]:
+        return False
+    if len(c) == 4:
+        return True
+    values = np.linalg.eigvalsh(pseudo_inertia(c))
+    return bool(values[0] > -0.05 * values[-1])
+
+
+def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+    """A point mass, and a body with inertia, on every link."""
+
+    def parameters(c: FloatArray) -> dict[str, float]:
+        centre = c[1:4] / c[0] if abs(c[0]) > 1e-9 else np.full(3, np.nan)
+        return {
+            "mass": float(c[0]),
+            "com_x": float(centre[0]),
+            "com_y": float(centre[1]),
+            "com_z": float(centre[2]),
+        }
+
+    for link in range(len(motions[0].fitted_robot.parameters.links)):
+        for count in (4, 10):
+            yield CandidateModel(
+                "payload",
+                min(link, motions[0].n - 1),
+                _columns,
+                {"link": float(link), "count": float(count)},
+                parameters=parameters,
+                is_plausible=_is_physically_consistent,
+            )
+
+
+PAYLOAD = Effect(
+    "payload",
+    "Y_L δφ_L: a link's ten parameters",
+    _columns,
+    _candidates,
+    {"mass": "kg", "com_x": "m", "com_y": "m", "com_z": "m"},
+    "many joints, in a ratio that the kinematics fix",
+    ("torque_gain", "gravity_tilt"),
+    "static poses and fast ones, with and without the load",
+    prior_only=True,
+    form_std={"mass": 0.04, "com_x": 0.04, "com_y": 0.04, "com_z": 0.04},
+)
+"""Unmodelled tool or load."""

@@ -1,0 +1,101 @@
+"""Position-dependent friction: friction that varies with the joint angle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from .._types import FloatArray
+from .effect import (
+    CandidateModel,
+    Effect,
+    FittedModels,
+    grid_candidates,
+    pair_amplitude,
+    single_joint_columns,
+)
+from .recorded_motion import RecordedMotion, position_range
+
+CURVE_POINTS = 200
+"""Positions at which a wave is evaluated to find its mean and its amplitude."""
+
+
+def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+    """sgn q̇ times the first waves of a periodic function of position.
+
+    The waves have spatial frequencies "order", 2 "order", … up to "waves" of them. The mean of each
+    over the joint's range is subtracted: friction that does not vary there is Coulomb friction.
+    """
+    values, j = model.values, model.joint_index
+    q, sign = motion.samples.q[:, j], motion.sign(j)
+    positions = np.linspace(values["low"], values["high"], CURVE_POINTS)
+    waves = [
+        (f, k * values["order"])
+        for k in range(1, int(values["waves"]) + 1)
+        for f in (np.cos, np.sin)
+    ]
+    return single_joint_columns(
+        motion,
+        j,
+        np.column_stack(
+            [sign * (f(order * q) - f(order * positions).mean()) for f, order in waves]
+        ),
+    )
+
+
+def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+    """Single waves, and the first three waves of a periodic function."""
+
+    def family(j: int, waves: float) -> Callable[[float], CandidateModel]:
+        low, high = position_range(motions, j)
+
+        def model(order: float) -> CandidateModel:
+            return CandidateModel(
+                "position_friction",
+                j,
+                _columns,
+                {"order": order, "waves": waves, "low": low, "high": high},
+                parameters=pair_amplitude(),
+                allows_several=True,
+            )
+
+        return model
+
+    for j in range(motions[0].n):
+        yield from grid_candidates((0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6), family(j, 1.0))
+        yield from grid_candidates((0.5, 1.0, 2.0), family(j, 3.0))
+
+
+def _amplitude(parts: FittedModels) -> dict[str, float]:
+    """Half of the variation of friction over the joint's range, by all waves together."""
+    values = parts[0][0].values
+    turns = max(model.values["order"] * model.values["waves"] for model, _ in parts) / (2.0 * np.pi)
+    angle = np.linspace(
+        values["low"],
+        values["high"],
+        int(CURVE_POINTS * max(1.0, turns * (values["high"] - values["low"]))) + 1,
+    )
+    wave = np.zeros(len(angle))
+    for model, c in parts:
+        for k, (cosine, sine) in enumerate(c.reshape(-1, 2), start=1):
+            wave += cosine * np.cos(k * model.values["order"] * angle) + sine * np.sin(
+                k * model.values["order"] * angle
+            )
+    return {"amplitude": 0.5 * float(np.ptp(wave))}
+
+
+POSITION_FRICTION = Effect(
+    "position_friction",
+    "sgn q̇ (a cos kq + b sin kq)",
+    _columns,
+    _candidates,
+    {"amplitude": "N m"},
+    "friction depends on where the joint is",
+    ("load_friction",),
+    "the same stroke at shifted positions",
+    reported_parameters=_amplitude,
+    form_std={"amplitude": 0.5},
+    residual_log_offset=-0.8,
+)
+"""Friction that varies with joint position, as by a misaligned bearing or a tight spot."""

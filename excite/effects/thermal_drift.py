@@ -1,0 +1,187 @@
+"""Thermal drift: friction that changes with run time, friction losses or recorded temperature."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from .._types import FloatArray
+from ..errors import UnusableInput
+from .effect import (
+    CandidateModel,
+    Effect,
+    grid_candidates,
+    is_between,
+    named_coefficients,
+    single_joint_columns,
+)
+from .recorded_motion import RecordedMotion
+
+MAX_COLD_EXCESS = 3.0
+"""Largest excess of the initial friction over its mean, over the mean: a cold joint, not one that
+has not yet broken away."""
+MIN_TEMPERATURE_RANGE = 1.0
+"""Range of temperatures from which a dependence is fitted [°C], as sensors are quantised."""
+
+
+def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+    """Friction of the base fit times its relative change per coefficient.
+
+    The change is that with temperature where a "reference" is stated, with the joint's friction
+    losses where a mean "power" is, and otherwise with run time.
+
+    Raises:
+        UnusableInput: If the friction depends on a temperature that was not recorded.
+    """
+    values, j = model.values, model.joint_index
+    if "reference" in values:
+        warming = motion.temperature[:, j] - values["reference"]
+        if not np.isfinite(warming).all():
+            joint = motion.fitted_robot.robot.joints[j]
+            raise UnusableInput(
+                f"{motion.segment.source}: the friction of joint '{joint}' depends on its "
+                f"temperature, but there is no column temp.{joint}; record it"
+            )
+    elif "power" in values:
+        warming = _warming_by_losses(motion, model)
+    else:
+        warming = 1.0 - np.exp(-motion.run_time / values["time_constant"])
+    friction = values["coulomb"] * motion.sign(j) + values["viscous"] * motion.samples.dq[:, j]
+    return single_joint_columns(motion, j, warming * friction)
+
+
+def _warming_by_losses(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+    """Relative temperature ϑ of a joint heated by its friction: T ϑ̇ = p/p̄ − ϑ; shape (M,).
+
+    It tends to 1 at the mean power p̄, which is assumed for the time before the segment.
+    """
+    from scipy.signal import lfilter  # slow to import
+
+    constant = model.values["time_constant"]
+    decay = float(np.exp(-1.0 / (motion.segment.rate * constant)))
+    initial = float(1.0 - np.exp(-motion.run_time[0] / constant))
+    losses = _friction_losses(
+        motion, model.joint_index, model.values["coulomb"], model.values["viscous"]
+    )
+    power = losses / model.values["power"]
+    return np.asarray(
+        lfilter([0.0, 1.0 - decay], [1.0, -decay], power)
+        + initial * np.exp(-(motion.times - motion.times[0]) / constant)
+    )
+
+
+def _friction_losses(
+    motion: RecordedMotion, joint: int, coulomb: float, viscous: float
+) -> FloatArray:
+    """Power that friction dissipates [W], shape (M,)."""
+    speed = motion.samples.dq[:, joint]
+    return np.asarray((coulomb * motion.sign(joint) + viscous * speed) * speed)
+
+
+def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+    """Changes with run time, with friction losses, and with recorded temperature."""
+    for j in range(motions[0].n):
+        yield from _by_time(motions, j)
+        yield from _by_temperature(motions, j)
+
+
+def _base_friction(motion: RecordedMotion, joint: int) -> tuple[float, float]:
+    """Coulomb and viscous friction of the base fit; the former is positive."""
+    coulomb, viscous = (
+        float(motion.fitted_robot.actuator_parameter(kind)[joint])
+        for kind in ("coulomb", "viscous")
+    )
+    return max(coulomb, 1e-9), viscous
+
+
+def _by_time(motions: Sequence[RecordedMotion], j: int) -> Iterator[CandidateModel]:
+    """Exponential changes with run time, and with the heat of the joint's friction losses."""
+    length = max(float(motion.run_time[-1]) for motion in motions)
+    coulomb, viscous = _base_friction(motions[0], j)
+    losses = [_friction_losses(motion, j, coulomb, viscous) for motion in motions]
+    power = float(np.mean(np.concatenate(losses)))
+
+    def model(constant: float, by_losses: bool = False) -> CandidateModel:
+        values = {"time_constant": constant, "coulomb": coulomb, "viscous": viscous} | (
+            {"power": power} if by_losses else {}
+        )
+        largest = 1.0 - np.exp(-length / constant)
+        mean = 1.0 - largest * constant / length
+        candidate = CandidateModel(
+            "thermal_drift",
+            j,
+            _columns,
+            values,
+            parameters=named_coefficients("change", time_constant=constant),
+            signature="friction changes as its own power heats the joint"
+            if by_losses
+            else "friction changes with run time",
+        )
+        if by_losses:
+            warming = np.concatenate([_warming_by_losses(motion, candidate) for motion in motions])
+            largest, mean = float(warming.max()), float(warming.mean())
+        # the base fit has the mean of the friction, which must never become negative, nor start
+        # at a large multiple
+        return replace(
+            candidate,
+            is_plausible=is_between(
+                max(-1.0 / (largest - mean), -MAX_COLD_EXCESS / mean), 5.0 / largest
+            ),
+        )
+
+    constants = (np.array([0.1, 0.3, 1.0, 3.0]) * length).tolist()
+    yield from grid_candidates(constants, model)
+    if power > 0.0:
+        yield from grid_candidates(constants, lambda constant: model(constant, by_losses=True))
+
+
+def _by_temperature(motions: Sequence[RecordedMotion], j: int) -> Iterator[CandidateModel]:
+    """Linear change with temperature, where all motions have it and it varies.
+
+    The reported change is that from the coldest to the warmest state recorded.
+    """
+    temperatures = np.concatenate([motion.temperature[:, j] for motion in motions])
+    span = float(np.ptp(temperatures))
+    if not span > MIN_TEMPERATURE_RANGE:  # also where it is not a number
+        return
+    coulomb, viscous = _base_friction(motions[0], j)
+    mean = float(temperatures.mean())
+    below, above = mean - float(temperatures.min()), float(temperatures.max()) - mean
+    # friction never becomes negative, nor a large multiple of its mean
+    lower = -min(1.0 / above, MAX_COLD_EXCESS / below)
+    upper = min(1.0 / below, MAX_COLD_EXCESS / above)
+    speeds = np.concatenate([motion.samples.dq[:, j] for motion in motions])
+    viscous_torque = float(np.mean(np.abs(speeds))) * viscous
+
+    def change(share: float) -> Callable[[FloatArray], dict[str, float]]:
+        return lambda c: {"change": float(c[0] * share * span / (1.0 - c[0] * share * below))}
+
+    for changing_coulomb in (coulomb, 0.0):  # lubricant thins; dry friction may change or not
+        share = (changing_coulomb + viscous_torque) / (coulomb + viscous_torque)
+        yield CandidateModel(
+            "thermal_drift",
+            j,
+            _columns,
+            {"reference": mean, "coulomb": changing_coulomb, "viscous": viscous},
+            parameters=change(share),
+            is_plausible=is_between(lower, upper),
+            signature="friction changes with temperature",
+        )
+
+
+THERMAL_DRIFT = Effect(
+    "thermal_drift",
+    "friction × (1 + c (1 − e^(−t/T))), or × (1 + c ϑ), T ϑ̇ = p/p̄ − ϑ, heated by its power p, or "
+    "× (1 + c (ϑ − ϑ₀)) where temperatures were recorded (Bittencourt & Gunnarsson 2012)",
+    _columns,
+    _candidates,
+    {"change": "1", "time_constant": "s"},
+    "friction changes with run time or temperature",
+    ("asymmetric_viscous",),
+    "a long run that ends with its first motion, temperatures recorded",
+    form_std={"change": 0.25, "time_constant": 0.25},
+    residual_log_offset=-0.4,
+)
+"""Warm-up: friction that falls as lubricant and gear get warm."""

@@ -1,0 +1,43 @@
+"""Torque gain: the torque constant or the gain of the joint actuator is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from .._types import FloatArray
+from .effect import CandidateModel, Effect, is_between, single_joint_columns
+from .recorded_motion import RecordedMotion
+
+
+def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+    """Torque of the base model."""
+    return single_joint_columns(
+        motion, model.joint_index, motion.motor_torque[:, model.joint_index]
+    )
+
+
+def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+    """One candidate a joint. The recorded torque is the true one over the gain."""
+    for j in range(motions[0].n):
+        yield CandidateModel(
+            "torque_gain",
+            j,
+            _columns,
+            parameters=lambda c: {"gain": 1.0 / (1.0 + float(c[0]))},
+            is_plausible=is_between(-0.7, 2.0),
+        )
+
+
+TORQUE_GAIN = Effect(
+    "torque_gain",
+    "τ = (1 + ε) k_t i",
+    _columns,
+    _candidates,
+    {"gain": "1"},
+    "every term of one joint scaled",
+    ("payload", "torque_saturation"),
+    "two known loads",
+    prior_only=True,
+    form_std={"gain": 0.035},
+)
+"""Wrong torque constant, true over stated."""

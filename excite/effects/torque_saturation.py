@@ -1,0 +1,158 @@
+"""Torque saturation: the torque per current falls at high current, or clips."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from .._types import FloatArray
+from .effect import CandidateModel, Effect, grid_candidates, is_between, single_joint_columns
+from .recorded_motion import STANDSTILL_SPEED_RATIO, RecordedMotion
+
+MAX_POWER_NOISE = 0.01
+"""Torque noise over torque up to which powers of the measured torque are used."""
+MAX_LEVEL_NOISE = 0.003
+"""The same for a torque that levels off, whose column is nearly the torque itself."""
+MEASURED_THRESHOLD_FACTOR = 3.0
+"""Factor on the evidence for models of measured torque."""
+POWERS = (2.0, 3.0, 5.0)
+"""Powers of the torque that are lost."""
+SHARPNESSES = (1.0, 2.0, 4.0)
+"""Exponents p of a torque that levels off as τ/(1 + |τ/L|^p)^(1/p)."""
+MAX_LEVEL_COEFFICIENT = 1.1
+"""Largest coefficient of a torque that levels off; with 1 it never exceeds the level."""
+MAX_USUAL_LOSS = 0.3
+"""Largest loss at a usual torque."""
+
+
+def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
+    """Lost torque, of the measured torque or of the base model's."""
+    torque = motion.measured_torque if model.values.get("measured") else motion.motor_torque
+    return single_joint_columns(
+        motion, model.joint_index, _lost_torque(model.values, torque[:, model.joint_index])
+    )
+
+
+def _lost_torque(values: Mapping[str, float], x: FloatArray) -> FloatArray:
+    """Torque that is lost of x per coefficient, shape (M,): a power of x, or all above a level."""
+    if "level" in values:
+        bend = values["bend"]
+        return np.asarray(x * (1.0 - (1.0 + np.abs(x / values["level"]) ** bend) ** (-1.0 / bend)))
+    return np.asarray(x * (np.abs(x) / values["largest"]) ** (values["power"] - 1.0))
+
+
+def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
+    """Losses as functions of the base model's torque and of the measured torque.
+
+    The recorded τ stands for a current that produced less: true = τ (1 − loss (τ/τ_max)²), or to
+    first order recorded = true + loss true³/τ_max². The former is exact, but needs measured torque
+    of little noise, as its power has the noise's variance in it. The latter uses the base model,
+    which a strong loss has distorted. A magnetically saturated motor levels off with the measured
+    torque as τ/(1 + |τ/L|^p)^(1/p).
+    """
+
+    def from_motor_torque(joint: int, largest: float) -> Iterator[CandidateModel]:
+        for power in POWERS:
+            yield CandidateModel(
+                "torque_saturation",
+                joint,
+                _columns,
+                {"power": power, "largest": largest},
+                parameters=lambda c: {"loss": float(c[0] / (1.0 + c[0]))},
+                is_plausible=is_between(0.0, 2.0),
+            )
+
+    def from_measured_torque(joint: int) -> Iterator[CandidateModel]:
+        signals = zip(
+            *((motion.measured_torque, motion.samples.dq) for motion in motions), strict=True
+        )
+        torque, speed = (np.abs(np.concatenate([x[:, joint] for x in parts])) for parts in signals)
+        largest = max(float(torque.max()), 1e-9)
+        # median torque in motion: a joint at standstill may carry none
+        moving = speed >= STANDSTILL_SPEED_RATIO * speed.max()
+        usual = max(float(np.median(torque[moving])), 1e-9)
+        x = np.linspace(0.0, 1.1 * largest, 400)
+
+        def model(
+            max_coefficient: float, max_noise_ratio: float, **values: float
+        ) -> CandidateModel:
+            """Reports the loss at the largest torque; the loss at a usual one must be small."""
+            fixed = {"measured": 1.0, "largest": largest, **values}
+            usual_loss, largest_loss = (
+                _lost_torque(fixed, np.array([usual, largest])) / [usual, largest]
+            ).tolist()
+            slope = np.gradient(_lost_torque(fixed, x), x)[np.searchsorted(x, usual)]
+            candidate = CandidateModel(
+                "torque_saturation",
+                joint,
+                _columns,
+                fixed,
+                parameters=lambda c: {"loss": largest_loss * float(c[0])},
+                is_plausible=is_between(
+                    0.0, min(max_coefficient, MAX_USUAL_LOSS / max(usual_loss, 1e-9))
+                ),
+                threshold_factor=MEASURED_THRESHOLD_FACTOR,
+                max_noise_ratio=max_noise_ratio,
+            )
+            return replace(candidate, column_noise=lambda c: abs(float(c[0]) * slope))
+
+        def family(sharpness: float) -> Callable[[float], CandidateModel]:
+            return lambda level: model(
+                MAX_LEVEL_COEFFICIENT, MAX_LEVEL_NOISE, level=level, bend=sharpness
+            )
+
+        for power in POWERS:
+            yield model(1.0, MAX_POWER_NOISE, power=power)
+        for sharpness in SHARPNESSES:
+            yield from grid_candidates(np.geomspace(usual, largest, 6).tolist(), family(sharpness))
+
+    for j in range(motions[0].n):
+        largest = (float(np.abs(motion.motor_torque[:, j]).max()) for motion in motions)
+        yield from from_motor_torque(j, max(*largest, 1e-9))
+        yield from from_measured_torque(j)
+
+
+def _predicted_torque(
+    motion: RecordedMotion, model: CandidateModel, c: FloatArray, produced: FloatArray
+) -> FloatArray:
+    """Recorded minus produced torque of an actuator that loses torque, shape (M, n)."""
+    out = np.zeros_like(produced)
+    torque = produced[:, model.joint_index]
+    out[:, model.joint_index] = recorded_torque(float(c[0]), model.values, torque) - torque
+    return out
+
+
+def recorded_torque(loss: float, values: Mapping[str, float], torque: FloatArray) -> FloatArray:
+    """Return the torque that is recorded while a saturating actuator produces a torque.
+
+    Solves x − c · lost(x) = τ for x.
+
+    Args:
+        loss: Coefficient c.
+        values: Values of the candidate model.
+        torque: Produced torque τ [N m], shape (M,).
+    """
+    x = np.linspace(0.0, 2.0 * values["largest"], 4001)
+    produced = x - loss * _lost_torque(values, x)
+    rising = slice(0, int(np.argmax(produced)) + 1)  # the actuator produces no more than that
+    size = np.abs(torque)
+    return np.asarray(
+        np.sign(torque) * np.maximum(size, np.interp(size, produced[rising], x[rising]))
+    )
+
+
+TORQUE_SATURATION = Effect(
+    "torque_saturation",
+    "k_t (1 − β i²); or τ/(1 + |τ/L|^p)^(1/p), which levels off (Fröhlich 1881 for p = 1)",
+    _columns,
+    _candidates,
+    {"loss": "1"},
+    "torque is missing at high current only",
+    ("load_friction", "nonlinear_viscous"),
+    "short bursts near the torque limit",
+    predicted_torque=_predicted_torque,
+    residual_log_offset=-0.2,
+)
+"""Motor saturation, current limit, torque constant that falls with current."""

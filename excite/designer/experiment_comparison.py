@@ -1,4 +1,4 @@
-"""What twice the time or twice the speed would buy."""
+"""Predict the identifiability after twice the recording time or at twice the speed."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .._types import FloatArray
 from ..robot.base_parameters import Base
 from ..robot.dynamics import regressor
 from ..robot.inertial_parameters import Parameters
@@ -17,12 +18,19 @@ from ..trajectory.fourier import FourierSeries
 from ..trajectory.rest_to_rest import Motion
 from .identifiability import IDENTIFIABLE_VARIANCE, eigenvalues_and_directions, information_root
 
-Array = np.ndarray
+SAMPLES_PER_PERIOD = 300
+"""Samples of one period for information and peak values [1]."""
 
 
 @dataclass(frozen=True)
 class BrokenLimit:
-    """A limit that a scenario would break: the largest value over the limit, and where."""
+    """Limit that a scenario would exceed.
+
+    Attributes:
+        limit: Kind of the limit.
+        joint: Name of the joint.
+        factor: Largest value over the limit [1].
+    """
 
     limit: str
     joint: str
@@ -31,12 +39,20 @@ class BrokenLimit:
 
 @dataclass(frozen=True)
 class Scenario:
-    """A change of the experiment and what it would show. eigenvalues: λ, falling. Shape (p,)."""
+    """Change of the experiment and its predicted identifiability.
+
+    Attributes:
+        name: now, time or speed.
+        words: Sentence that summarises the scenario.
+        identifiable_count: Number of practically identifiable directions.
+        eigenvalues: Descending eigenvalues λ of the scaled information. Shape (p,).
+        broken_limits: Limits that the motion would exceed.
+    """
 
     name: str
     words: str
-    identifiable: int
-    eigenvalues: Array
+    identifiable_count: int
+    eigenvalues: FloatArray
     broken_limits: tuple[BrokenLimit, ...] = ()
 
 
@@ -47,75 +63,100 @@ def compare_scenarios(
     limits: Limits,
     motion: Motion,
     *,
-    noise: Array,
+    noise: FloatArray,
     rate: float,
     threshold: float = IDENTIFIABLE_VARIANCE,
-    given: Array | None = None,
+    earlier_root: FloatArray | None = None,
 ) -> tuple[Scenario, ...]:
-    """The motion as it is; recorded for twice the time; its Fourier part run at twice the speed for as long as now.
+    """Compare a motion with twice its recording time and with twice the speed.
 
-    Twice the speed is the same path with q̇ doubled, q̈ times four, half the period and twice as many periods: what it
-    gains is speed, not time. given: a root of the information of earlier recordings, which counts once in each. Shape (m, P).
+    At twice the speed the same path has q̇ doubled, q̈ quadrupled, half the period and twice as many
+    periods, so that the gain is due to speed, not to time.
+
+    Args:
+        robot: The robot.
+        parameters: Its standard parameters.
+        base: Its base parameters.
+        limits: Its limits.
+        motion: The motion.
+        noise: Standard deviation of the torque of each joint. Shape (n,) [N m].
+        rate: Recorded samples per second [Hz].
+        threshold: Largest scale-free variance of an identifiable direction [1].
+        earlier_root: Root of the information of earlier recordings, counted once in each scenario.
+            Shape (m, P).
+
+    Returns:
+        Scenarios now, time and speed.
     """
     t = motion.grid(rate)
     fourier = motion.segment("fourier")
     inside = (t >= fourier.start) & (t < fourier.end)
     outer = information_root(robot, parameters, motion.samples(t[~inside]), noise)
-    earlier = np.zeros((0, parameters.count)) if given is None else given
+    earlier = np.zeros((0, parameters.count)) if earlier_root is None else earlier_root
     inner = [
         _fourier_root(robot, parameters, motion.fourier.slowed(speed), noise, int(inside.sum()))
         for speed in (1.0, 2.0)
     ]
     now = np.vstack([outer, inner[0]])
     cases = {"now": now, "time": np.sqrt(2.0) * now, "speed": np.vstack([outer, inner[1]])}
-    spectra = {name: eigenvalues_and_directions(np.vstack([root, earlier]), base)[0] for name, root in cases.items()}
-    broken: dict[str, tuple[BrokenLimit, ...]] = {
+    spectra = {
+        name: eigenvalues_and_directions(np.vstack([root, earlier]), base)[0]
+        for name, root in cases.items()
+    }
+    broken_limits: dict[str, tuple[BrokenLimit, ...]] = {
         "now": (),
         "time": (),
-        "speed": _broken(robot, parameters, limits, motion, 2.0),
+        "speed": _broken_limits(robot, parameters, limits, motion, 2.0),
     }
-    seen = {name: int(np.sum(values * threshold >= 1.0)) for name, values in spectra.items()}
+    counts = {name: int(np.sum(values * threshold >= 1.0)) for name, values in spectra.items()}
     words = {
-        "now": f"{seen['now']} of {base.count} directions are identifiable",
-        "time": _gain(seen["time"] - seen["now"], "Twice the recording time"),
-        "speed": _gain(seen["speed"] - seen["now"], "Twice the speed")
-        + _break_words(broken["speed"]),
+        "now": f"{counts['now']} of {base.count} directions are identifiable",
+        "time": _gain(counts["time"] - counts["now"], "Twice the recording time"),
+        "speed": _gain(counts["speed"] - counts["now"], "Twice the speed")
+        + _describe_limits(broken_limits["speed"]),
     }
     return tuple(
-        Scenario(name, words[name], seen[name], spectra[name], broken[name]) for name in cases
+        Scenario(name, words[name], counts[name], spectra[name], broken_limits[name])
+        for name in cases
     )
 
 
-def _gain(more: int, what: str) -> str:
+def _gain(more: int, change: str) -> str:
+    """Return a sentence about the directions that a change makes identifiable."""
     if more == 0:
-        return f"{what} would make no further direction identifiable"
-    return f"{what} would make {abs(more)} {'more' if more > 0 else 'fewer'} direction{'s' * (abs(more) != 1)} identifiable"
+        return f"{change} would make no further direction identifiable"
+    kind = "more" if more > 0 else "fewer"
+    return f"{change} would make {abs(more)} {kind} direction{'s' * (abs(more) != 1)} identifiable"
 
 
-def _break_words(broken: tuple[BrokenLimit, ...]) -> str:
-    if not broken:
+def _describe_limits(broken_limits: tuple[BrokenLimit, ...]) -> str:
+    """Return the end of a sentence, about the limits that would break."""
+    if not broken_limits:
         return ", and no limit would break"
     return ", but would break " + listed(
-        [f"the {b.limit} limit of {b.joint} ({b.factor:.2g} times)" for b in broken]
+        [f"the {b.limit} limit of {b.joint} ({b.factor:.2g} times)" for b in broken_limits]
     )
 
 
 def _fourier_root(
-    robot: Robot, parameters: Parameters, series: FourierSeries, noise: Array, rows: int
-) -> Array:
-    """Root of what `rows` samples of a periodic motion tell; one period is computed and counted as often as it fits."""
-    count = int(np.clip(rows, 1, 300))
+    robot: Robot, parameters: Parameters, series: FourierSeries, noise: FloatArray, rows: int
+) -> FloatArray:
+    """Return a root of the information of `rows` samples of a periodic motion.
+
+    One period is computed with at most `SAMPLES_PER_PERIOD` samples and scaled to `rows`.
+    """
+    count = int(np.clip(rows, 1, SAMPLES_PER_PERIOD))
     root = information_root(robot, parameters, series.samples(series.grid(count)), noise)
-    out: Array = np.sqrt(rows / count) * root
+    out: FloatArray = np.sqrt(rows / count) * root
     return out
 
 
-def _broken(
+def _broken_limits(
     robot: Robot, parameters: Parameters, limits: Limits, motion: Motion, speed: float
 ) -> tuple[BrokenLimit, ...]:
-    """For each kind of limit the joint that would exceed it most, if any would."""
+    """Return for each kind of limit the joint that would exceed it most, if any would."""
     series = motion.fourier.slowed(speed)
-    t = series.grid(300)
+    t = series.grid(SAMPLES_PER_PERIOD)
     samples = series.samples(t)
     torque = regressor(robot, parameters, samples) @ parameters.nominal
     values = {
@@ -126,19 +167,19 @@ def _broken(
     }
     out = []
     for kind, array in values.items():
-        # a derived limit binds the ramps only, not the excitation
+        # derived limits apply to the ramps only
         stated = [source != DERIVED for source in limits.sources.get(kind, ("",) * robot.n)]
         ratio = np.where(stated, np.abs(array).max(axis=0) / getattr(limits, kind), 0.0)
         worst = int(np.argmax(ratio))
         if ratio[worst] > 1.0:
             out.append(BrokenLimit(kind, robot.joints[worst], float(ratio[worst])))
     if not any(b.limit == "velocity" for b in out):
-        out += _braking(limits, samples)
+        out += _broken_braking(limits, samples)
     return tuple(out)
 
 
-def _braking(limits: Limits, samples: Samples) -> list[BrokenLimit]:
-    """Velocity limits that fall towards a stop."""
+def _broken_braking(limits: Limits, samples: Samples) -> list[BrokenLimit]:
+    """Return the braking limit (velocity towards a stop) that is exceeded most, if any is."""
     worst = BrokenLimit("velocity", "", 1.0)
     for j, brake in enumerate(limits.braking):
         if brake is None:

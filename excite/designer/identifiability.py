@@ -79,7 +79,7 @@ class Identifiability:
     samples: int | None = None
 
     @property
-    def identifiable(self) -> int:
+    def identifiable_count(self) -> int:
         """How many directions are practically identifiable."""
         return sum(d.identifiable for d in self.directions)
 
@@ -90,7 +90,7 @@ class Identifiability:
             "robot": self.robot,
             "threshold": self.threshold,
             "samples": self.samples,
-            "identifiable": self.identifiable,
+            "identifiable": self.identifiable_count,
             "eigenvalues": [_finite(v) for v in self.eigenvalues],
             "directions": [
                 {

@@ -188,7 +188,7 @@ def model_document(
         "coulomb_width": dict(zip(robot.joints, widths.tolist(), strict=True)),
         "base_parameters": base_parameter_table(identification),
         "directions": _direction_table(identification),
-        "identifiable": identification.analysis.identifiable,
+        "identifiable": identification.analysis.identifiable_count,
         "threshold": identification.options.threshold,
         "prior": {
             "distance": identification.options.distance.value,

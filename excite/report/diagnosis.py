@@ -12,7 +12,7 @@ from markupsafe import Markup
 from ..diagnosis import residual_atlas
 from ..diagnosis.diagnosis import QUIET, Diagnosis
 from ..diagnosis.residual_atlas import Atlas
-from ..effects import EFFECTS_BY_NAME, EFFECTS
+from ..effects import EFFECTS, EFFECTS_BY_NAME
 from ..recordings import Remark
 from ..robot.parameter_names import listed, percent, some
 from ..trajectory.trajectory_file import package_versions
@@ -385,7 +385,8 @@ def _next_section(diagnosis: Diagnosis, document: Document) -> Section:
     for finding in document["findings"]:
         lines += [
             f"To distinguish {effect_words(finding['effect'])} from {effect_words(name)} at "
-            f"{_place(finding['joint'])}: {finding['experiment']}; and {EFFECTS_BY_NAME[name].experiment}."
+            f"{_place(finding['joint'])}: {finding['experiment']}; and "
+            f"{EFFECTS_BY_NAME[name].experiment}."
             for name in finding["equivalents"]
         ]
         if not finding["equivalents"]:
@@ -416,7 +417,8 @@ def _provenance_section(diagnosis: Diagnosis, atlas: Atlas, remarks: Sequence[Re
     """Data, method and versions."""
     identified, robot = diagnosis.identified, diagnosis.identified.model.robot
     fitted, held_out = (
-        list(dict.fromkeys(motion.piece.source for track in tracks)) for tracks in diagnosis.motions
+        list(dict.fromkeys(motion.segment.source for motion in motions))
+        for motions in diagnosis.motions
     )
     answer = (
         f"{plural(len(diagnosis.design.shapes), 'candidate model')} of {len(EFFECTS)} effects, "

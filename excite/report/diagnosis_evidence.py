@@ -12,7 +12,7 @@ from markupsafe import Markup
 from ..diagnosis.diagnosis import Diagnosis
 from ..diagnosis.isolability import ALIKE, EffectAtJoint, isolability
 from ..diagnosis.residual_atlas import SIGNIFICANT, Atlas
-from ..effects import EFFECTS_BY_NAME, EFFECTS
+from ..effects import EFFECTS, EFFECTS_BY_NAME
 from ..robot.parameter_names import listed, percent, some
 from ..robot.robot import Robot
 from .content import Section, Table, TableCell

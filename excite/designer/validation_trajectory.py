@@ -90,7 +90,9 @@ class ValidationDesign:
     def words(self) -> str:
         """The same in a line."""
         usual = (
-            "" if self.other_starts is None else f" (another start: {self.other_starts.overlap:.2f})"
+            ""
+            if self.other_starts is None
+            else f" (another start: {self.other_starts.overlap:.2f})"
         )
         certificate = self.delivery.certificate
         state = f"clearance {certificate.clearance.value}, limits {certificate.limits.value}"
@@ -109,7 +111,9 @@ class ValidationDesign:
         return dataclasses.replace(own, design={**own.design, "validates": "../trajectory.json"})
 
 
-def design_validation(first: CertifiedDesign, robot: Robot, run: Callable[[OverlapPenalty], CertifiedDesign]) -> ValidationDesign:
+def design_validation(
+    first: CertifiedDesign, robot: Robot, run: Callable[[OverlapPenalty], CertifiedDesign]
+) -> ValidationDesign:
     """Design a motion apart from the first. run: `workflow.run` for the same problem with that `apart`; raises what it raises."""
     limits, standard = first.trajectory.limits, first.design.setup.problem.parameters
     motion, gauge = first.design.motion, StateScaling.of(robot, limits)
@@ -117,7 +121,8 @@ def design_validation(first: CertifiedDesign, robot: Robot, run: Callable[[Overl
 
     def alike(other: FourierSeries) -> MotionSimilarity:
         return MotionSimilarity(
-            compute_overlap(gauge, motion, other), torque_correlation(robot, standard, motion, other)
+            compute_overlap(gauge, motion, other),
+            torque_correlation(robot, standard, motion, other),
         )
 
     others = [alike(a.motion) for a in first.design.attempts[1:] if not a.stopped]
@@ -136,7 +141,9 @@ def design_validation(first: CertifiedDesign, robot: Robot, run: Callable[[Overl
     )
 
 
-def torque_correlation(robot: Robot, standard: Parameters, first: FourierSeries, other: FourierSeries) -> Array:
+def torque_correlation(
+    robot: Robot, standard: Parameters, first: FourierSeries, other: FourierSeries
+) -> Array:
     """Per joint the largest |correlation| of the nominal torques over all shifts by a phase; 0 for a constant torque. Shape (n,)."""
     spectra = []
     for motion in (first, other):

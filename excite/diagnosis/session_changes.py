@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..effects.effect import CandidateModel, alone
+from ..effects.effect import CandidateModel, single_joint_columns
 from ..effects.recorded_motion import RecordedMotion
 from . import search
 from .blocks import sandwiched
@@ -66,7 +66,7 @@ def sources(tracks: Sequence[RecordedMotion]) -> list[str]:
 def _drive(t: RecordedMotion, s: CandidateModel) -> Array:
     """sgn q̇, q̇ and 1 at a joint; of a shape with a source, in that recording only."""
     columns = np.column_stack([t.sign(s.joint_index), t.samples.dq[:, s.joint_index], np.ones(len(t.segment))])
-    return alone(
+    return single_joint_columns(
         t, s.joint_index, columns if s.source in ("", t.segment.source) else np.zeros_like(columns)
     )
 

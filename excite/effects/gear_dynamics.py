@@ -1,9 +1,9 @@
 """Dynamics of a link behind an elastic gear or a backlash gap, and the torque on all joints.
 
 The recorded position θ is the motor's, so the link's motion q = θ − δ must be simulated:
-M δ̈ + ∂τ/∂q̇ δ̇ + ∂τ/∂q δ = τ_r − τ_gear, where τ_r is the torque that a rigid joint would need along
-θ, τ_gear what the gear transmits, and M the link's inertia about its joint (Spong, Modeling and
-control of elastic joint robots, J. Dyn. Syst. Meas. Control 109, 1987).
+M δ̈ + ∂τ/∂q̇ δ̇ + ∂τ/∂q δ = τ_r − τ_gear, where τ_r is the torque that a rigid joint would need
+along θ, τ_gear what the gear transmits, and M the link's inertia about its joint (Spong, Modeling
+and control of elastic joint robots, J. Dyn. Syst. Meas. Control 109, 1987).
 """
 
 from __future__ import annotations
@@ -84,8 +84,8 @@ def elastic_deflection(
 ) -> FloatArray:
     """Simulate the elastic deflection δ of a joint.
 
-    M δ̈ + (∂τ/∂q̇ + D) δ̇ + (∂τ/∂q + K) δ = τ_r: the load is that at the link's position, not at the
-    motor's.
+    M δ̈ + (∂τ/∂q̇ + D) δ̇ + (∂τ/∂q + K) δ = τ_r: the load is that at the link's position, not at
+    the motor's.
 
     Args:
         motion: The recorded motion.

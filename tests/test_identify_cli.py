@@ -1,4 +1,4 @@
-"""`excite identify` and `excite predict` as a person uses them, and what they say of bad input."""
+"""The commands `excite identify` and `excite predict`, and their error messages."""
 
 from __future__ import annotations
 
@@ -25,12 +25,15 @@ from excite.robot import dynamics, inertial_parameters, limits, robot
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two recordings of a two-link robot that is not quite its URDF, and the model that was identified from them."""
+    """Two recordings of a two-link robot that differs from its URDF, and the identified model."""
     folder = tmp_path_factory.mktemp("identify")
     subject = two_link_model()
     psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
     for name, seed in (("train", 2), ("other", 5)):
-        write_recording(synthetic_recording(subject, psi, random_fourier(2, seed), 3, 0.2), folder / f"{name}.csv")
+        write_recording(
+            synthetic_recording(subject, psi, random_fourier(2, seed), 3, 0.2),
+            folder / f"{name}.csv",
+        )
     assert (
         run(
             "identify",
@@ -50,8 +53,8 @@ def run(*words: object) -> int:
     return main_module.main([str(word) for word in words])
 
 
-def told(capsys: pytest.CaptureFixture[str], *words: object) -> str:
-    """The one line that a refused command says."""
+def error_line(capsys: pytest.CaptureFixture[str], *words: object) -> str:
+    """Run a command that fails with wrong input, and return its error message."""
     capsys.readouterr()
     assert run(*words) == 2
     out, err = capsys.readouterr()
@@ -59,7 +62,7 @@ def told(capsys: pytest.CaptureFixture[str], *words: object) -> str:
     return next(line for line in err.splitlines() if line.startswith("excite:"))
 
 
-def test_the_files_are_written_and_the_json_says_what_they_say(folder, capsys):
+def test_the_files_and_the_json_output_agree(folder, capsys):
     capsys.readouterr()
     assert (
         run(
@@ -95,7 +98,7 @@ def test_the_files_are_written_and_the_json_says_what_they_say(folder, capsys):
             assert parameter["interval"][0] < parameter["data"] < parameter["interval"][1]
 
 
-def test_a_prediction_has_the_recordings_own_times(folder):
+def test_torque_is_predicted_at_the_times_of_the_recording(folder):
     assert (
         run(
             "predict", folder / "out" / "model.json", folder / "other.csv", "-o", folder / "tau.csv"
@@ -111,7 +114,7 @@ def test_a_prediction_has_the_recordings_own_times(folder):
         assert np.sqrt(np.mean(left**2)) < 0.35
 
 
-def test_the_identified_urdf_gives_the_same_torque(folder):
+def test_the_identified_urdf_gives_the_torque_of_the_model(folder):
     fitted = identified_model.read_model(folder / "out" / "model.json")
     again = robot.load(str(folder / "out" / "identified.urdf"))
     standard = inertial_parameters.standard(again, limits.resolve(again))
@@ -123,8 +126,8 @@ def test_the_identified_urdf_gives_the_same_torque(folder):
     )
 
 
-def test_locked_joints_meshes_and_comments_survive(tmp_path):
-    """A locked joint becomes fixed where it was locked, and what hangs on it belongs to the body before it."""
+def test_the_identified_urdf_keeps_comments_and_fixes_locked_joints(tmp_path):
+    """A locked joint becomes fixed where it was locked; links behind it move with its parent."""
     from excite.identification.urdf_export import identified_urdf
 
     machine = robot.load("ur10e", lock={"wrist_2_joint": 0.7, "wrist_3_joint": -0.3})
@@ -136,16 +139,16 @@ def test_locked_joints_meshes_and_comments_survive(tmp_path):
     assert path.read_text().count("<!--") == text_of("ur10e").count("<!--")
     again = robot.load(str(path))
     assert again.joints == machine.joints
-    own = inertial_parameters.standard(again, limits.resolve(again))
+    exported = inertial_parameters.standard(again, limits.resolve(again))
     samples = states(machine.n)
     before, after = (
         dynamics.regressor(machine, standard, samples) @ psi,
-        dynamics.regressor(again, own, samples) @ own.nominal,
+        dynamics.regressor(again, exported, samples) @ exported.nominal,
     )
     assert np.allclose(before, after, rtol=1e-9, atol=1e-9)
 
 
-def test_a_prior_and_bounds_are_kept(folder):
+def test_priors_and_bounds_are_respected(folder):
     bounds = folder / "bounds.toml"
     bounds.write_text("[links.link_2]\nmass = [2.2, 2.4]\n")
     assert (
@@ -198,7 +201,7 @@ def test_a_prior_and_bounds_are_kept(folder):
     )
 
 
-def test_a_model_of_other_parameters_or_of_another_robot_is_no_prior(folder, capsys, tmp_path):
+def test_a_model_of_other_parameters_or_another_robot_is_refused_as_prior(folder, capsys, tmp_path):
     assert (
         run(
             "identify",
@@ -212,7 +215,7 @@ def test_a_model_of_other_parameters_or_of_another_robot_is_no_prior(folder, cap
         == 0
     )
     words = ("identify", "two_link", folder / "train.csv", "-o", tmp_path / "out", "--prior")
-    assert "wanted are rotor_inertia, viscous, coulomb, offset; identify with" in told(
+    assert "expected rotor_inertia, viscous, coulomb, offset; identify with" in error_line(
         capsys, *words, tmp_path / "less" / "model.json"
     )
     longer = json.loads((folder / "out" / "model.json").read_text())
@@ -224,12 +227,12 @@ def test_a_model_of_other_parameters_or_of_another_robot_is_no_prior(folder, cap
     )
     assert moved != longer["urdf"]
     (tmp_path / "longer.json").write_text(json.dumps({**longer, "urdf": moved}))
-    assert "is a model of another robot" in told(capsys, *words, tmp_path / "longer.json")
+    assert "is a model of another robot" in error_line(capsys, *words, tmp_path / "longer.json")
 
 
-def test_a_recording_that_is_fitted_is_none_to_judge_by(folder, capsys, tmp_path):
+def test_a_training_recording_is_refused_for_validation(folder, capsys, tmp_path):
     train = folder / "train.csv"
-    assert "is the same motion as" in told(
+    assert "is the same motion as" in error_line(
         capsys, "identify", "two_link", train, "--validate", train, "-o", tmp_path / "out"
     )
 
@@ -254,8 +257,8 @@ def test_every_estimator_runs(folder, estimator):
     assert json.loads((out / "model.json").read_text())["method"] == estimator
 
 
-def test_a_refined_model_is_checked_where_it_started(folder):
-    """What the refinement moved no longer minimises what the conic solver minimises."""
+def test_the_conic_check_of_a_refined_model_applies_to_its_start(folder):
+    """Refined parameters no longer minimise the objective of the conic solver."""
     pytest.importorskip("cvxpy")
     out = folder / "refined"
     assert (
@@ -264,8 +267,8 @@ def test_a_refined_model_is_checked_where_it_started(folder):
     assert json.loads((out / "model.json").read_text())["lmi"]["agrees"]
 
 
-def test_what_a_recording_left_open_is_designed_for(folder, capsys, tmp_path, monkeypatch):
-    """The command of the report. What earlier recordings showed the new motion need not show again; the one to judge by shows it all."""
+def test_a_design_can_complement_earlier_recordings(folder, capsys, tmp_path, monkeypatch):
+    """The new motion need not excite what earlier recordings did; the validation motion does."""
     quick = ("--starts", "1", "--iterations", "15", "--harmonics", "3", "--samples", "60")
     given = ("--given", folder / "train.csv")
     assert (
@@ -274,19 +277,19 @@ def test_what_a_recording_left_open_is_designed_for(folder, capsys, tmp_path, mo
     )
     values = json.loads(capsys.readouterr().out)["validation"]["criterion"]
     assert values["second"] < 2.0 * values["first"]
-    monkeypatch.setattr(pipeline, "SINGULAR", 0.1)
+    monkeypatch.setattr(pipeline, "SINGULAR_EIGENVALUE_RATIO", 0.1)
     assert run("design", "two_link", *quick, "-o", tmp_path / "alone") == 1
     assert "does not show all" in capsys.readouterr().err
     assert run("design", "two_link", *quick, *given, "-o", tmp_path / "more") == 0
 
 
-def test_bad_input_is_one_line_that_names_the_remedy(folder, capsys, tmp_path):
+def test_unusable_input_gives_one_line_with_the_remedy(folder, capsys, tmp_path):
     train, out = folder / "train.csv", tmp_path / "none"
     go = ("identify", "two_link", train, "-o", out)
     cases = {
         ("identify", "two_link", folder / "absent.csv", "-o", out): "absent.csv",
         (*go, "--band", "-3"): "--band: -3 should be a number from 0.001",
-        (*go, "--band", "400"): "half the recording's rate",
+        (*go, "--band", "400"): "half of the recording's rate",
         (*go, "--gamma", "much"): "--gamma",
         (*go, "--gamma", "0"): "from 1e-12",
         (*go, "--window", "0,1"): "--period",
@@ -304,7 +307,7 @@ def test_bad_input_is_one_line_that_names_the_remedy(folder, capsys, tmp_path):
         ): "no recording but JSON",
     }
     for words, part in cases.items():
-        assert part in told(capsys, *words), words
+        assert part in error_line(capsys, *words), words
     assert not out.exists() and not (tmp_path / "x.csv").exists()
 
 
@@ -326,10 +329,10 @@ def test_bad_input_is_one_line_that_names_the_remedy(folder, capsys, tmp_path):
         ("[links]\nlink_2 = 3\n", "links.link_2: 3 should be a table"),
     ],
 )
-def test_bad_bounds(folder, capsys, tmp_path, text, part):
+def test_unusable_bounds_are_refused(folder, capsys, tmp_path, text, part):
     path = tmp_path / "bounds.toml"
     path.write_text(text)
-    assert part in told(
+    assert part in error_line(
         capsys,
         "identify",
         "two_link",
@@ -360,10 +363,10 @@ def test_bad_bounds(folder, capsys, tmp_path, text, part):
         ({"joint": {"joint_1": {"coulomb": 1.25}}}, "has the unknown key 'joint'"),
     ],
 )
-def test_bad_priors(folder, capsys, tmp_path, stated, part):
+def test_unusable_priors_are_refused(folder, capsys, tmp_path, stated, part):
     path = tmp_path / "prior.json"
     path.write_text(json.dumps({"schema": "excite.prior/1", "trust_prior": True, **stated}))
-    assert part in told(
+    assert part in error_line(
         capsys,
         "identify",
         "two_link",
@@ -375,8 +378,8 @@ def test_bad_priors(folder, capsys, tmp_path, stated, part):
     )
 
 
-def test_a_recording_shorter_than_the_band_takes_is_refused(folder, capsys, tmp_path):
+def test_a_recording_shorter_than_the_margins_of_the_filter_is_refused(folder, capsys, tmp_path):
     lines = (folder / "train.csv").read_text().splitlines()
     path = tmp_path / "short.csv"
     path.write_text("\n".join(lines[:100]) + "\n")
-    assert "stretch" in told(capsys, "identify", "two_link", path, "-o", tmp_path / "out")
+    assert "stretch" in error_line(capsys, "identify", "two_link", path, "-o", tmp_path / "out")

@@ -1,9 +1,9 @@
 """Optimality criteria: functions of the eigenvalues of the information matrix.
 
 λ are the eigenvalues of I·H₀⁻¹ (geometric criterion; Lee, Kwon, Wensing and Park, eq. 20) or of I
-in an orthonormal base (plain criterion). The smooth criteria are one family: with s_ρ = Σ λ^{−ρ}, A is
-ρ = 1, D is the limit ρ → 0 and E the limit ρ → ∞ of log(s_ρ)/ρ; the condition number combines both
-ends of the spectrum. Each has an exact gradient with respect to the information matrix.
+in an orthonormal base (plain criterion). The smooth criteria are one family: with s_ρ = Σ λ^{−ρ}, A
+is ρ = 1, D is the limit ρ → 0 and E the limit ρ → ∞ of log(s_ρ)/ρ; the condition number combines
+both ends of the spectrum. Each has an exact gradient with respect to the information matrix.
 """
 
 from __future__ import annotations
@@ -286,7 +286,8 @@ def select_criterion(criteria: Mapping[str, object], criterion: Criterion, *, pl
     """Return the value of one criterion among those that `evaluate_criteria` returns."""
     if criterion is Criterion.COND_REGRESSOR:
         return float(criteria["cond_regressor"])  # type: ignore[arg-type]
-    return float(criteria["plain" if plain else "geometric"][criterion.value])  # type: ignore[index]
+    metric = "plain" if plain else "geometric"
+    return float(criteria[metric][criterion.value])  # type: ignore[index]
 
 
 def information_matrix(Y: FloatArray, noise: FloatArray) -> FloatArray:

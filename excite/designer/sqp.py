@@ -326,7 +326,7 @@ class _Search:
         return True
 
     def _update(self, step: FloatArray, change: FloatArray) -> None:
-        """Update B by Powell's damped BFGS; the first update scales it by the curvature along it."""
+        """Update B by Powell's damped BFGS; the first update sets its scale from the curvature."""
         curvature = float(step @ change)
         if not self.scaled:
             if curvature > 0.0:

@@ -1,7 +1,8 @@
-"""A second motion, to hold an identified model against: the same criterion, over ground that the first does not cover.
+"""Design a validation trajectory that optimises the same criterion in other parts of state space.
 
-A model is judged by torque that it was not fitted to. Another run of the same motion repeats the same errors, which the
-fit has half swallowed; a motion that asks for the same parameters elsewhere does not (tests/test_validation.py).
+A model is validated by torque that it was not fitted to. Another run of the same motion repeats
+errors that the fit has absorbed in part; a motion that excites the same parameters elsewhere does
+not (tests/test_validation_trajectory.py).
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from .._types import FloatArray
 from ..robot import dynamics
 from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot
@@ -30,25 +32,37 @@ from .motion_overlap import (
 )
 from .pipeline import CertifiedDesign
 
-Array = np.ndarray
 VALIDATION_FOLDER = "validation"
+"""Folder of the second trajectory, inside that of the first one."""
+
 CORRELATION_SAMPLES = 400
-"""Samples of a period over which torques are correlated."""
+"""Samples of one period for the correlation of torques [1]."""
 
 
 @dataclass(frozen=True)
 class MotionSimilarity:
-    """How alike two motions are: ρ of `overlap`, and per joint the largest correlation of nominal torque. Shape (n,)."""
+    """Similarity of two motions.
+
+    Attributes:
+        overlap: Overlap ρ of their joint states, between 0 and 1.
+        torque: Largest correlation of each joint's nominal torque over all phase shifts.
+            Shape (n,).
+    """
 
     overlap: float
-    torque: Array
+    torque: FloatArray
 
 
 @dataclass(frozen=True)
 class ValidationDesign:
-    """The second motion, how like the first it is, and how like the first its design's other starts came out, on average.
+    """Second, different motion for the validation of an identified model.
 
-    independent: None where there was no other start. values: the criterion per sample of both.
+    Attributes:
+        delivery: The second motion.
+        similarity: Its similarity to the first motion.
+        other_starts: Mean similarity of the other starts of the first design to its best one; None
+            where there was only one start.
+        values: Criterion per sample of the first and of the second motion.
     """
 
     delivery: CertifiedDesign
@@ -56,76 +70,84 @@ class ValidationDesign:
     other_starts: MotionSimilarity | None
     values: tuple[float, float]
 
-    def facts(self) -> dict[str, Any]:
-        """What both trajectory files' `design` says of the pair."""
+    def design_entry(self) -> dict[str, Any]:
+        """Return the entry `validation` in the `design` of both trajectory files."""
         joints = self.delivery.trajectory.joints
 
-        def words(one: MotionSimilarity) -> dict[str, Any]:
-            return {
-                "overlap": one.overlap,
-                "torque_correlation": dict(zip(joints, one.torque.tolist(), strict=True)),
-            }
+        def entries(similarity: MotionSimilarity) -> dict[str, Any]:
+            correlations = dict(zip(joints, similarity.torque.tolist(), strict=True))
+            return {"overlap": similarity.overlap, "torque_correlation": correlations}
 
-        independent = None if self.other_starts is None else words(self.other_starts)
-        values = {"first": self.values[0], "second": self.values[1]}
         return {
-            **words(self.similarity),
-            "independent": independent,
-            "criterion": values,
+            **entries(self.similarity),
+            "independent": None if self.other_starts is None else entries(self.other_starts),
+            "criterion": {"first": self.values[0], "second": self.values[1]},
             "weight": OVERLAP_WEIGHT,
             "width": KERNEL_WIDTH,
         }
 
     def document(self) -> dict[str, Any]:
-        """As `excite design --json` states it."""
-        own = self.delivery.trajectory
-        more = {
-            "criteria": dict(own.criteria),
-            "margins": own.margins,
-            "duration": own.motion.duration,
+        """Return the entry of `excite design --json`."""
+        trajectory = self.delivery.trajectory
+        return {
+            "ok": self.delivery.certificate.ok,
+            **self.design_entry(),
+            "criteria": dict(trajectory.criteria),
+            "margins": trajectory.margins,
+            "duration": trajectory.motion.duration,
             "timing": self.delivery.timing,
         }
-        return {"ok": self.delivery.certificate.ok, **self.facts(), **more}
 
-    def words(self) -> str:
-        """The same in a line."""
-        usual = (
+    def summary(self) -> str:
+        """Return a line of text about the second motion."""
+        reference = (
             ""
             if self.other_starts is None
             else f" (another start: {self.other_starts.overlap:.2f})"
         )
         certificate = self.delivery.certificate
-        state = f"clearance {certificate.clearance.value}, limits {certificate.limits.value}"
         first, second = self.values
-        text = f"validation: overlap {self.similarity.overlap:.2f}{usual}, criterion {second:.6g} beside {first:.6g}"
-        return f"{text}; {self.delivery.trajectory.motion.duration:.2f} s; {state}"
+        return (
+            f"validation: overlap {self.similarity.overlap:.2f}{reference}, "
+            f"criterion {second:.6g} (first motion: {first:.6g}); "
+            f"{self.delivery.trajectory.motion.duration:.2f} s; "
+            f"clearance {certificate.clearance.value}, limits {certificate.limits.value}"
+        )
 
     def annotate(self, first: Trajectory) -> Trajectory:
-        """The first motion's file, with what there is to say of the second."""
-        return dataclasses.replace(first, design={**first.design, "validation": self.facts()})
+        """Return a trajectory with the entry about this validation motion."""
+        return dataclasses.replace(first, design={**first.design, "validation": self.design_entry()})
 
     @property
     def trajectory(self) -> Trajectory:
-        """The second motion's file, which says what it is."""
-        own = self.annotate(self.delivery.trajectory)
-        return dataclasses.replace(own, design={**own.design, "validates": "../trajectory.json"})
+        """Content of the trajectory file of the second motion."""
+        annotated = self.annotate(self.delivery.trajectory)
+        return dataclasses.replace(
+            annotated, design={**annotated.design, "validates": "../trajectory.json"}
+        )
 
 
 def design_validation(
     first: CertifiedDesign, robot: Robot, run: Callable[[OverlapPenalty], CertifiedDesign]
 ) -> ValidationDesign:
-    """Design a motion apart from the first. run: `workflow.run` for the same problem with that `apart`; raises what it raises."""
-    limits, standard = first.trajectory.limits, first.design.setup.problem.parameters
-    motion, gauge = first.design.motion, StateScaling.of(robot, limits)
-    delivery = run(penalise_overlap(gauge, motion))
+    """Design a validation motion with little overlap with a first motion.
 
-    def alike(other: FourierSeries) -> MotionSimilarity:
+    Args:
+        first: The first motion.
+        robot: The robot.
+        run: Design of the same problem with a given overlap penalty; its errors are passed on.
+    """
+    limits, standard = first.trajectory.limits, first.design.setup.problem.parameters
+    motion, scaling = first.design.motion, StateScaling.for_robot(robot, limits)
+    delivery = run(penalise_overlap(scaling, motion))
+
+    def similarity(other: FourierSeries) -> MotionSimilarity:
         return MotionSimilarity(
-            compute_overlap(gauge, motion, other),
+            compute_overlap(scaling, motion, other),
             torque_correlation(robot, standard, motion, other),
         )
 
-    others = [alike(a.motion) for a in first.design.attempts[1:] if not a.stopped]
+    others = [similarity(a.motion) for a in first.design.attempts[1:] if not a.stopped]
     mean = (
         MotionSimilarity(
             float(np.mean([o.overlap for o in others])), np.mean([o.torque for o in others], axis=0)
@@ -135,16 +157,26 @@ def design_validation(
     )
     return ValidationDesign(
         delivery,
-        alike(delivery.design.motion),
+        similarity(delivery.design.motion),
         mean,
-        (_value(first.trajectory), _value(delivery.trajectory)),
+        (_criterion_of(first.trajectory), _criterion_of(delivery.trajectory)),
     )
 
 
 def torque_correlation(
     robot: Robot, standard: Parameters, first: FourierSeries, other: FourierSeries
-) -> Array:
-    """Per joint the largest |correlation| of the nominal torques over all shifts by a phase; 0 for a constant torque. Shape (n,)."""
+) -> FloatArray:
+    """Correlate the nominal torques of two motions.
+
+    Args:
+        robot: The robot.
+        standard: Its standard parameters.
+        first: First motion.
+        other: Second motion.
+
+    Returns:
+        Largest absolute correlation over all phase shifts, 0 for a constant torque. Shape (n,).
+    """
     spectra = []
     for motion in (first, other):
         torque = (
@@ -159,8 +191,8 @@ def torque_correlation(
     return np.asarray(np.abs(shifted).max(axis=0))
 
 
-def _value(trajectory: Trajectory) -> float:
-    """The criterion per sample of the periodic part."""
+def _criterion_of(trajectory: Trajectory) -> float:
+    """Return the criterion per sample of the periodic part."""
     design = trajectory.design
     return criteria.select_criterion(
         trajectory.criteria["optimum"], Criterion(design["criterion"]), plain=bool(design["plain"])

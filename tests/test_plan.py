@@ -138,7 +138,7 @@ def test_candidates_fill_the_time_and_the_simplest_good_one_is_chosen(two_link, 
 
 def test_one_seed_gives_one_plan_on_any_number_of_processes(two_link, table):
     one, two = (
-        planned(two_link, table, options=replace(SHORT, jobs=jobs)).facts() for jobs in (1, 2)
+        planned(two_link, table, options=replace(SHORT, jobs=jobs)).reproducible_document() for jobs in (1, 2)
     )
     assert one == two and "seconds" not in one["candidates"][0]
 

@@ -62,15 +62,15 @@ def test_without_another_start_nothing_is_compared(two_link, table):
     options = replace(OPTIONS, starts=1, iterations=5)
     run = partial(pipeline.design_trajectory, two_link, table, options)
     alone = validation_trajectory.design_validation(run(), two_link, lambda apart: run(overlap_penalty=apart))
-    assert alone.other_starts is None and alone.facts()["independent"] is None
-    assert "another start" not in alone.words()
+    assert alone.other_starts is None and alone.design_entry()["independent"] is None
+    assert "another start" not in alone.summary()
 
 
 def test_both_files_say_what_they_are_to_each_other(first, second):
     one, other = second.annotate(first.trajectory).design, second.trajectory.design
-    assert one["validation"] == other["validation"] == second.facts()
+    assert one["validation"] == other["validation"] == second.design_entry()
     assert other["validates"] == "../trajectory.json" and "validates" not in one
-    assert set(second.facts()["torque_correlation"]) == set(first.trajectory.joints)
+    assert set(second.design_entry()["torque_correlation"]) == set(first.trajectory.joints)
 
 
 def test_torque_correlation_is_one_for_the_same_motion_later_and_less_for_another(

@@ -296,7 +296,7 @@ def design(
         plan = time_budget.plan_for_budget(
             loaded, table, chosen, wish, time, start=pose, earlier_information=information, clearance=covers
         )
-        facts["plan"] = plan.facts()
+        facts["plan"] = plan.reproducible_document()
     run = partial(
         pipeline.design_trajectory,
         loaded,

@@ -108,7 +108,7 @@ def _text(result: api.DesignResult, document: dict[str, Any], written: list[Path
         f"{trajectory.motion.duration:.2f} s: "
         f"{' → '.join(s.kind for s in trajectory.motion.segments)}",
         *certificate.verdict_lines(),
-        *(part.words() for part in (result.plan, result.validation) if part is not None),
+        *(part.summary() for part in (result.plan, result.validation) if part is not None),
         f"designed in {result.delivery.timing['total']:.1f} s",
         *written_lines(written),
     ]

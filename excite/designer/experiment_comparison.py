@@ -70,8 +70,8 @@ def compare_scenarios(
 ) -> tuple[Scenario, ...]:
     """Compare a motion with twice its recording time and with twice the speed.
 
-    At twice the speed the same path has q̇ doubled, q̈ quadrupled, half the period and twice as many
-    periods, so that the gain is due to speed, not to time.
+    At twice the speed the same path has doubled q̇, quadrupled q̈, half the period and twice the
+    number of periods, so that the gain is due to speed, not to time.
 
     Args:
         robot: The robot.

@@ -1,7 +1,8 @@
-"""Practical identifiability: how well a recording will show each direction of the parameters, in words too.
+"""Practical identifiability: how precisely a recording determines each parameter direction.
 
-1/λ, λ an eigenvalue of I·H₀⁻¹ with I the information of the whole recording, is the scale-free variance of its
-direction; a direction is identifiable when 1/λ ≤ threshold (Lee, Wensing & Park, section 4.4).
+1/λ, with λ an eigenvalue of I·H₀⁻¹ and I the information of the whole recording, is the scale-free
+variance of its direction. A direction is practically identifiable when 1/λ is at most a threshold
+(Lee, Kwon, Wensing and Park, section 4.4).
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from .._types import BoolArray, FloatArray
 from ..robot.base_parameters import Base
 from ..robot.dynamics import regressor
 from ..robot.inertial_parameters import Parameters, proper_body, pseudo_inertia
@@ -19,15 +21,32 @@ from ..robot.parameter_names import SMALLEST_SHARE, sentence
 from ..robot.robot import Robot
 from ..robot.samples import Samples
 
-Array = np.ndarray
 SCHEMA = "excite.identifiability/1"
+"""Schema of `identifiability.json`."""
+
 IDENTIFIABLE_VARIANCE = 1e-2
+"""Largest scale-free variance of an identifiable direction: relative deviations of about 10 % [1]."""
+
 SAMPLES_PER_BLOCK = 400
+"""Samples whose regressor is held in memory at once [1]."""
+
+MIN_NULL_SHARE = 1e-20
+"""Squared share of a base parameter in an unexcited direction above which it is unknown [1]."""
+
+MIN_OBSERVABLE_TRACE = 1e-9
+"""Trace of the projector on observable directions below which a link has none [1]."""
 
 
 @dataclass(frozen=True)
 class Direction:
-    """One direction of the parameters. variance: 1/λ, inf where it is not excited at all. weights: shares above 1 %."""
+    """Direction in parameter space.
+
+    Attributes:
+        variance: Scale-free variance 1/λ, infinite where the direction is not excited.
+        identifiable: True if the variance is at most the threshold.
+        words: Sentence that names the direction.
+        weights: Share of each parameter in the direction, where it is above 1 %.
+    """
 
     variance: float
     identifiable: bool
@@ -36,13 +55,20 @@ class Direction:
 
     @property
     def deviation(self) -> float:
-        """Standard deviation in the metric, roughly a relative one."""
+        """Standard deviation in the metric, approximately the relative one."""
         return float(np.sqrt(self.variance))
 
 
 @dataclass(frozen=True)
 class BaseParameter:
-    """One base parameter: what it is called, its nominal value and the least standard deviation an unbiased fit has."""
+    """Base parameter.
+
+    Attributes:
+        name: Name of its independent parameter.
+        expression: Linear combination of standard parameters.
+        nominal: Nominal value.
+        std: Cramér–Rao bound of the standard deviation.
+    """
 
     name: str
     expression: str
@@ -52,7 +78,13 @@ class BaseParameter:
 
 @dataclass(frozen=True)
 class IdentifiableShare:
-    """Part of what can be known of a link or joint that the recording will show; None where nothing can be known."""
+    """Identifiable share of the parameters of a link or a joint.
+
+    Attributes:
+        name: Name of the link or joint.
+        identifiable_share: Share of its observable directions that are identifiable, between 0 and
+            1; None where no direction is observable.
+    """
 
     name: str
     identifiable_share: float | None
@@ -60,31 +92,39 @@ class IdentifiableShare:
 
 @dataclass(frozen=True)
 class Identifiability:
-    """What a recording will tell. Directions are ordered from the best seen to the worst.
+    """Identifiability of the parameters by a recording.
 
-    eigenvalues: λ of I·H₀⁻¹, falling. Shape (p,).
-    links, joints: shares of each link's ten inertial parameters, and of each joint's drive parameters.
-    noise: standard deviation of torque per joint. Shape (n,) [N m]. samples: rows of the recording, if known.
+    Attributes:
+        robot: Name of the robot.
+        threshold: Largest scale-free variance of an identifiable direction [1].
+        eigenvalues: Descending eigenvalues λ of I·H₀⁻¹. Shape (p,).
+        directions: Directions, the most precise first.
+        base_parameters: Base parameters with their Cramér–Rao bounds.
+        links: Identifiable shares of the inertial parameters of each link.
+        joints: Identifiable shares of the actuator parameters of each joint.
+        joint_names: Names of the joints.
+        noise: Standard deviation of the torque of each joint. Shape (n,) [N m].
+        samples: Number of samples of the recording, None where unknown.
     """
 
     robot: str
     threshold: float
-    eigenvalues: Array
+    eigenvalues: FloatArray
     directions: tuple[Direction, ...]
     base_parameters: tuple[BaseParameter, ...]
     links: tuple[IdentifiableShare, ...]
     joints: tuple[IdentifiableShare, ...]
     joint_names: tuple[str, ...]
-    noise: Array
+    noise: FloatArray
     samples: int | None = None
 
     @property
     def identifiable_count(self) -> int:
-        """How many directions are practically identifiable."""
+        """Number of practically identifiable directions."""
         return sum(d.identifiable for d in self.directions)
 
     def document(self) -> dict[str, Any]:
-        """`identifiability.json`; what is not finite (a direction never excited) is null, so that the JSON is strict."""
+        """Return the content of `identifiability.json`, with null for values that are not finite."""
         return {
             "schema": SCHEMA,
             "robot": self.robot,
@@ -123,28 +163,49 @@ class Identifiability:
 
 
 def _finite(value: float) -> float | None:
+    """Return a value, None where it is not finite."""
     return float(value) if np.isfinite(value) else None
 
 
-# -- information ---------------------------------------------------------------------------------------------
-
-
-def _triangle(rows: Array) -> Array:
-    """R of the QR factorisation."""
+def _triangle(rows: FloatArray) -> FloatArray:
+    """Return R of the QR factorisation."""
     return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
-def regressor_root(Y: Array, noise: Array) -> Array:
-    """R with RᵀR = Σ Yᵀ Σ⁻¹ Y, without forming the product, which would lose half of the digits. Shape (≤ P, P)."""
+def regressor_root(Y: FloatArray, noise: FloatArray) -> FloatArray:
+    """Return R with RᵀR = Σₜ Yᵀ Σ⁻¹ Y.
+
+    The product is not formed, as that would lose half of the digits.
+
+    Args:
+        Y: Regressor along a motion. Shape (N, n, P).
+        noise: Standard deviation of the torque of each joint. Shape (n,) [N m].
+
+    Returns:
+        The root R. Shape (≤ P, P).
+    """
     return _triangle((Y / noise[:, None]).reshape(-1, Y.shape[2]))
 
 
-def information_root(robot: Robot, parameters: Parameters, samples: Samples, noise: Array) -> Array:
-    """`root_of` the regressor along a motion, block by block so that long motions of large robots fit in memory."""
+def information_root(
+    robot: Robot, parameters: Parameters, samples: Samples, noise: FloatArray
+) -> FloatArray:
+    """Return the root R of the information of a motion, computed block by block.
+
+    Args:
+        robot: The robot.
+        parameters: Its standard parameters.
+        samples: Samples of the motion.
+        noise: Standard deviation of the torque of each joint. Shape (n,) [N m].
+
+    Returns:
+        R with RᵀR = Σₜ Yᵀ Σ⁻¹ Y. Shape (≤ P, P).
+    """
     root = np.zeros((0, parameters.count))
     for start in range(0, len(samples), SAMPLES_PER_BLOCK):
         block = regressor_root(
-            regressor(robot, parameters, samples.rows(slice(start, start + SAMPLES_PER_BLOCK))), noise
+            regressor(robot, parameters, samples.rows(slice(start, start + SAMPLES_PER_BLOCK))),
+            noise,
         )
         root = _triangle(np.vstack([root, block]))
     return root
@@ -153,43 +214,75 @@ def information_root(robot: Robot, parameters: Parameters, samples: Samples, noi
 def analyse_information(
     parameters: Parameters,
     base: Base,
-    information: Array,
-    noise: Array,
+    information: FloatArray,
+    noise: FloatArray,
     robot: Robot,
     *,
     threshold: float = IDENTIFIABLE_VARIANCE,
     samples: int | None = None,
 ) -> Identifiability:
-    """Identifiability from the information Σ Yᵀ Σ⁻¹ Y of the whole recording, in standard parameters. Shape (P, P).
+    """Analyse identifiability from an information matrix.
 
-    `analyse_root` is more accurate where directions are seen very unequally; use it when the regressor is at hand.
+    `analyse_root` is more accurate where the eigenvalues differ much; prefer it where the regressor
+    is available.
+
+    Args:
+        parameters: Standard parameters of the robot.
+        base: Its base parameters.
+        information: Σₜ Yᵀ Σ⁻¹ Y of the whole recording, in standard parameters. Shape (P, P).
+        noise: Standard deviation of the torque of each joint. Shape (n,) [N m].
+        robot: The robot.
+        threshold: Largest scale-free variance of an identifiable direction [1].
+        samples: Number of samples of the recording, for the record.
     """
     values, vectors = np.linalg.eigh(base.geometric.T @ information @ base.geometric)
-    # below this the digits are those of rounding, not of the motion
-    kept = np.where(
+    # smaller eigenvalues are rounding noise
+    excited = np.where(
         values > len(values) * np.finfo(float).eps * max(float(values[-1]), 0.0), values, 0.0
     )
-    frame = _Frame(parameters, base, kept[::-1], vectors[:, ::-1])
-    return _describe(frame, robot, noise, threshold, samples)
+    eigensystem = _Eigensystem(parameters, base, excited[::-1], vectors[:, ::-1])
+    return _describe(eigensystem, robot, noise, threshold, samples)
 
 
 def analyse_root(
     parameters: Parameters,
     base: Base,
-    root: Array,
-    noise: Array,
+    root: FloatArray,
+    noise: FloatArray,
     robot: Robot,
     *,
     threshold: float = IDENTIFIABLE_VARIANCE,
     samples: int | None = None,
 ) -> Identifiability:
-    """Identifiability from R with RᵀR = Σ Yᵀ Σ⁻¹ Y: `root_of`, `information_root`, or any such rows stacked. Shape (m, P)."""
+    """Analyse identifiability from a root of the information matrix.
+
+    Args:
+        parameters: Standard parameters of the robot.
+        base: Its base parameters.
+        root: R with RᵀR = Σₜ Yᵀ Σ⁻¹ Y of the whole recording: a result of `information_root` or
+            several of them stacked. Shape (m, P).
+        noise: Standard deviation of the torque of each joint. Shape (n,) [N m].
+        robot: The robot.
+        threshold: Largest scale-free variance of an identifiable direction [1].
+        samples: Number of samples of the recording, for the record.
+    """
     values, vectors = eigenvalues_and_directions(root, base)
-    return _describe(_Frame(parameters, base, values, vectors), robot, noise, threshold, samples)
+    return _describe(
+        _Eigensystem(parameters, base, values, vectors), robot, noise, threshold, samples
+    )
 
 
-def eigenvalues_and_directions(root: Array, base: Base) -> tuple[Array, Array]:
-    """λ, falling, and the directions in the coordinates of base.geometric as columns. Shapes (p,), (p, p)."""
+def eigenvalues_and_directions(root: FloatArray, base: Base) -> tuple[FloatArray, FloatArray]:
+    """Return eigenvalues and directions of the scaled information.
+
+    Args:
+        root: Root of the information. Shape (m, P).
+        base: Base parameters.
+
+    Returns:
+        Descending eigenvalues λ of I·H₀⁻¹, shape (p,), and their directions as columns in the
+        coordinates of `base.geometric`, shape (p, p).
+    """
     _, singular, right = np.linalg.svd(_triangle(root @ base.geometric), full_matrices=True)
     values = np.zeros(base.count)
     floor = (
@@ -199,30 +292,44 @@ def eigenvalues_and_directions(root: Array, base: Base) -> tuple[Array, Array]:
     return values, right.T
 
 
-# -- description ---------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
-class _Frame:
-    """Eigenvalues, falling, with their directions as columns in the coordinates of base.geometric."""
+class _Eigensystem:
+    """Eigenvalues with their directions.
+
+    Attributes:
+        parameters: Standard parameters.
+        base: Base parameters.
+        values: Descending eigenvalues. Shape (p,).
+        vectors: Directions as columns in the coordinates of `base.geometric`. Shape (p, p).
+    """
 
     parameters: Parameters
     base: Base
-    values: Array
-    vectors: Array
+    values: FloatArray
+    vectors: FloatArray
 
 
 def _describe(
-    frame: _Frame, robot: Robot, noise: Array, threshold: float, samples: int | None
+    eigensystem: _Eigensystem,
+    robot: Robot,
+    noise: FloatArray,
+    threshold: float,
+    samples: int | None,
 ) -> Identifiability:
-    parameters, base, values, vectors = frame.parameters, frame.base, frame.values, frame.vectors
+    """Name all directions and derive base parameters and shares from them."""
+    parameters, base, values, vectors = (
+        eigensystem.parameters,
+        eigensystem.base,
+        eigensystem.values,
+        eigensystem.vectors,
+    )
     with np.errstate(divide="ignore"):
         variances = 1.0 / values
-    seen = variances <= threshold
-    # W = G₀^{-1/2} V: undo the root to have each direction as a unit vector, then name its components
+    is_identifiable = variances <= threshold
+    # W = G₀^{-1/2} V: undo the root to obtain unit vectors, then rotate to named coordinates
     units = _rotation(parameters) @ np.linalg.solve(parameters.scale, base.geometric @ vectors)
     directions = []
-    for variance, identifiable, unit in zip(variances, seen, units.T, strict=True):
+    for variance, identifiable, unit in zip(variances, is_identifiable, units.T, strict=True):
         shares = unit**2 / np.sum(unit**2)
         weights = {
             parameters.names[i]: float(shares[i])
@@ -231,7 +338,7 @@ def _describe(
         }
         words = sentence(parameters, shares, float(variance), bool(identifiable))
         directions.append(Direction(float(variance), bool(identifiable), words, weights))
-    links, joints = _shares(parameters, units, seen)
+    links, joints = _shares(parameters, units, is_identifiable)
     return Identifiability(
         robot=robot.name,
         threshold=float(threshold),
@@ -247,16 +354,16 @@ def _describe(
 
 
 def _base_parameters(
-    parameters: Parameters, base: Base, vectors: Array, variances: Array
+    parameters: Parameters, base: Base, vectors: FloatArray, variances: FloatArray
 ) -> tuple[BaseParameter, ...]:
-    """Cramér-Rao standard deviations of θ = Bψ: the covariance is (BWV) diag(1/λ) (BWV)ᵀ."""
+    """Return base parameters θ = Bψ with covariance (BWV) diag(1/λ) (BWV)ᵀ (Cramér–Rao)."""
     factors = (base.matrix @ base.geometric @ vectors) ** 2
-    # a direction never excited makes every θ that has a part in it unknown, and no other
-    touched = factors > 1e-20 * factors.sum(axis=1, keepdims=True)
-    spread = np.where(touched, factors, 0.0)
+    # an unexcited direction makes all base parameters with a share in it unknown
+    has_share = factors > MIN_NULL_SHARE * factors.sum(axis=1, keepdims=True)
+    spread = np.where(has_share, factors, 0.0)
     finite = np.isfinite(variances)
     std = np.sqrt(spread[:, finite] @ variances[finite])
-    std[touched[:, ~finite].any(axis=1)] = np.inf
+    std[has_share[:, ~finite].any(axis=1)] = np.inf
     nominal = base.matrix @ parameters.nominal
     return tuple(
         BaseParameter(
@@ -270,19 +377,30 @@ def _base_parameters(
 
 
 def _shares(
-    parameters: Parameters, units: Array, seen: Array
+    parameters: Parameters, units: FloatArray, is_identifiable: BoolArray
 ) -> tuple[tuple[IdentifiableShare, ...], tuple[IdentifiableShare, ...]]:
-    """Per link, and per joint for its drive: trace of the projector onto the identifiable directions, restricted to the
-    block of the link's ten parameters, over that of the projector onto all observable directions.
+    """Return the identifiable shares of links and of joint actuators.
 
-    Traces are taken in the metric, where they depend on no choice of units or of a base.
+    A share is the trace of the projector on the identifiable directions over that on all observable
+    directions, both restricted to the parameters of the link or joint. The traces are taken in the
+    metric, where they do not depend on units or on the choice of a base.
+
+    Args:
+        parameters: Standard parameters.
+        units: Directions as unit vectors in named coordinates. Shape (P, p).
+        is_identifiable: Mask of the identifiable directions. Shape (p,).
     """
     squares = units**2
-    visible, all_of_it = squares[:, seen].sum(axis=1), squares.sum(axis=1)
+    identifiable, observable = squares[:, is_identifiable].sum(axis=1), squares.sum(axis=1)
 
     def share(name: str, rows: list[int]) -> IdentifiableShare:
-        total = float(all_of_it[rows].sum())
-        return IdentifiableShare(name, min(1.0, float(visible[rows].sum()) / total) if total > 1e-9 else None)
+        total = float(observable[rows].sum())
+        return IdentifiableShare(
+            name,
+            min(1.0, float(identifiable[rows].sum()) / total)
+            if total > MIN_OBSERVABLE_TRACE
+            else None,
+        )
 
     links = tuple(
         share(link, list(range(10 * i, 10 * i + 10))) for i, link in enumerate(parameters.links)
@@ -296,12 +414,16 @@ def _shares(
     return links, joints
 
 
-def _rotation(parameters: Parameters) -> Array:
-    """Orthogonal Q that takes whitened coordinates to ones that can be named after a parameter. Shape (P, P).
+def _rotation(parameters: Parameters) -> FloatArray:
+    """Return the rotation from whitened coordinates to coordinates that are named after parameters.
 
-    Whitened coordinates may be turned within a body. Here they become: mass (centre of mass and shape kept), centre of
-    mass along x, y, z (mass kept), and moments of inertia about the centre of mass, each as close as a whitened
-    coordinate can be to the parameter whose name it gets.
+    Whitened coordinates may be rotated within a body. The rotated ones are: mass (with constant
+    centre of mass and shape), centre of mass along x, y, z (with constant mass), and moments of
+    inertia about the centre of mass, each as close to the parameter it is named after as whitened
+    coordinates can be.
+
+    Returns:
+        Orthogonal matrix. Shape (P, P).
     """
     out = np.eye(parameters.count)
     masses = parameters.nominal[0 : 10 * parameters.bodies : 10]
@@ -309,15 +431,15 @@ def _rotation(parameters: Parameters) -> Array:
     for i in range(parameters.bodies):
         block = slice(10 * i, 10 * i + 10)
         named = _named_root(proper_body(parameters.nominal[block], total)[0])
-        size = np.linalg.norm(named, axis=1)[:, None]  # rows in kg beside rows in kg m²
-        turned = np.linalg.solve(named / size, parameters.scale[block, block] / size)
-        left, _, right = np.linalg.svd(turned)
-        out[block, block] = left @ right  # the nearest orthogonal matrix, against rounding
+        size = np.linalg.norm(named, axis=1)[:, None]  # rows differ in unit: kg, kg m, kg m²
+        rotation = np.linalg.solve(named / size, parameters.scale[block, block] / size)
+        left, _, right = np.linalg.svd(rotation)
+        out[block, block] = left @ right  # nearest orthogonal matrix, against rounding
     return out
 
 
-def _named_root(phi: Array) -> Array:
-    """K with K Kᵀ = g(φ)⁻¹, one column for each of a body's parameters (see `_rotation`). Shape (10, 10)."""
+def _named_root(phi: FloatArray) -> FloatArray:
+    """Return K with K Kᵀ = g(φ)⁻¹, a column per named parameter of a body. Shape (10, 10)."""
     mass, centre = phi[0], phi[1:4] / phi[0]
     values, axes = np.linalg.eigh(pseudo_inertia(phi)[:3, :3] - mass * np.outer(centre, centre))
     size = (axes * np.sqrt(np.maximum(values, 1e-300))) @ axes.T
@@ -332,13 +454,14 @@ def _named_root(phi: Array) -> Array:
     block = out[4:, 4:]
     spread = np.linalg.norm(block, axis=1)
     correlation, vectors = np.linalg.eigh((block / spread[:, None]) @ (block / spread[:, None]).T)
-    # whitening that correlates most with the named quantities (Kessy, Lewin & Strimmer 2018, "ZCA-cor")
+    # whitening that correlates most with the named quantities (Kessy, Lewin and Strimmer 2018,
+    # "ZCA-cor")
     out[4:, 4:] = spread[:, None] * ((vectors * np.sqrt(np.maximum(correlation, 0.0))) @ vectors.T)
     return out
 
 
-def _vector(change: Array) -> Array:
-    """The inertial parameters of a pseudo-inertia; the inverse of `pseudo_inertia`. Shapes (4, 4) -> (10,)."""
+def _vector(change: FloatArray) -> FloatArray:
+    """Return the inertial parameters of a pseudo-inertia, shape (4, 4). Shape (10,)."""
     second = change[:3, :3]
     t = np.trace(second) * np.eye(3) - second
     return np.array(

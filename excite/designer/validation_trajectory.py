@@ -116,7 +116,9 @@ class ValidationDesign:
 
     def annotate(self, first: Trajectory) -> Trajectory:
         """Return a trajectory with the entry about this validation motion."""
-        return dataclasses.replace(first, design={**first.design, "validation": self.design_entry()})
+        return dataclasses.replace(
+            first, design={**first.design, "validation": self.design_entry()}
+        )
 
     @property
     def trajectory(self) -> Trajectory:

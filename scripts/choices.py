@@ -79,7 +79,7 @@ def second_motions(name: str, options: DesignOptions, weights: list[float], seed
     """A row of the second table."""
     machine = robot.load(name)
     table = limits.resolve(machine)
-    gauge = StateScaling.of(machine, table)
+    gauge = StateScaling.for_robot(machine, table)
     found = np.zeros((len(weights), 3))
     for seed in range(seeds):
         one = MotionRequest().complete(DesignOptions(starts=options.starts, seed=seed, jobs=options.jobs), table)

@@ -98,7 +98,7 @@ def test_kuka_carries_a_load_and_has_a_spring():
     first, second, third = found.gears
     assert second.stiffness is not None and second.stiffness[0] == pytest.approx(7.5e6, rel=0.3)
     assert third.stiffness is not None and third.stiffness[0] == pytest.approx(4.1e6, rel=0.3)
-    assert first.play is not None and 2e-5 < first.play[0] < 2e-4
+    assert first.backlash is not None and 2e-5 < first.backlash[0] < 2e-4
     assert all(gear.after < 0.15 * gear.before for gear in found.gears)
 
 

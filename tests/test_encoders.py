@@ -54,17 +54,17 @@ def test_a_gear_is_told_from_a_clock_and_an_encoder_off_its_centre(subject):
         assert gear.stiffness is not None
         value, std = gear.stiffness
         assert abs(value - true) < max(3.0 * std, 0.03 * true) and std < 0.1 * true
-        assert gear.apart[0] == pytest.approx(APART, rel=0.05)
+        assert gear.read_delay[0] == pytest.approx(APART, rel=0.05)
         assert gear.after < 0.15 * gear.before
-        assert np.sqrt(np.mean((gear.windup - gear.curve(gear.load)) ** 2)) < 0.3 * PLAY
-    assert first.play is None  # its torque keeps its sign
-    assert second.play is not None and second.play[0] == pytest.approx(PLAY, rel=0.2)
+        assert np.sqrt(np.mean((gear.deflection - gear.curve(gear.load)) ** 2)) < 0.3 * PLAY
+    assert first.backlash is None  # its torque keeps its sign
+    assert second.backlash is not None and second.backlash[0] == pytest.approx(PLAY, rel=0.2)
 
 
 def test_a_rigid_gear_is_none(subject):
     for gear in found(subject, both(subject, stiff=True)).gears:
         assert gear.stiffness is None or gear.stiffness[0] > 50.0 * max(STIFFNESS)
-        assert abs(gear.apart[0]) < 5e-5
+        assert abs(gear.read_delay[0]) < 5e-5
 
 
 def test_without_a_second_encoder_nothing_is_said(subject):

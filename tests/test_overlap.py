@@ -116,7 +116,7 @@ def test_the_objective_pays_for_it_with_the_right_gradient(free):
     limits = resolve(robot)
     options = replace(QUICK, samples=24, free_period=free)
     first = FourierSeries(np.full((2, 3), 0.5), np.full((2, 3), -0.3), np.array([-0.5, 0.2]), 2.0)
-    kept = penalise_overlap(StateScaling.of(robot, limits), first)
+    kept = penalise_overlap(StateScaling.for_robot(robot, limits), first)
     plain, priced = (
         Evaluator(optimize.set_up(robot, limits, options, overlap_penalty=a).problem) for a in (None, kept)
     )

@@ -44,7 +44,7 @@ def test_it_is_certified_asks_for_the_same_and_goes_elsewhere(first, second):
     assert second.values[1] < 1.5 * second.values[0]
     assert second.other_starts is not None
     assert second.similarity.overlap < second.other_starts.overlap
-    gauge = motion_overlap.StateScaling.of(first.design.setup.problem.robot, first.trajectory.limits)
+    gauge = motion_overlap.StateScaling.for_robot(first.design.setup.problem.robot, first.trajectory.limits)
     assert second.similarity.overlap == pytest.approx(
         motion_overlap.compute_overlap(gauge, first.design.motion, second.delivery.design.motion)
     )
@@ -89,7 +89,7 @@ def test_torque_correlation_is_one_for_the_same_motion_later_and_less_for_anothe
 
 
 def test_it_is_the_price_that_drives_them_apart(two_link, table, first):
-    gauge = motion_overlap.StateScaling.of(two_link, table)
+    gauge = motion_overlap.StateScaling.for_robot(two_link, table)
     found: list[FourierSeries] = []
     for weight in (0.0, 4.0):
         kept = replace(motion_overlap.penalise_overlap(gauge, first.design.motion), weight=weight)

@@ -25,7 +25,7 @@ SCHEMA = "excite.identifiability/1"
 """Schema of `identifiability.json`."""
 
 IDENTIFIABLE_VARIANCE = 1e-2
-"""Largest scale-free variance of an identifiable direction: relative deviations of about 10 % [1]."""
+"""Largest scale-free variance of an identifiable direction: about 10 % [1]."""
 
 SAMPLES_PER_BLOCK = 400
 """Samples whose regressor is held in memory at once [1]."""
@@ -124,7 +124,7 @@ class Identifiability:
         return sum(d.identifiable for d in self.directions)
 
     def document(self) -> dict[str, Any]:
-        """Return the content of `identifiability.json`, with null for values that are not finite."""
+        """Return the content of `identifiability.json`; values that are not finite are null."""
         return {
             "schema": SCHEMA,
             "robot": self.robot,

@@ -1,8 +1,10 @@
-"""Period, harmonics and repeats where the user gave none: by a rule from the limits, or by trial for a budget of robot time.
+"""Choose period, harmonics and repeats where the user states none.
 
-The rule optimises nothing. Joint j sweeps its range at its limits with the sinusoid A sin(ωt), A ω ≤ v, A ω² ≤ a, of period
-2π max(A/v, √(A/a)); A is half the position range, at most half a turn, beyond which poses repeat. The lowest harmonic
-gets the median of the joints' periods.
+Without a time budget a rule derives the period from the limits, without any optimisation: joint j
+sweeps its range at its limits with the sinusoid A sin(ωt), A ω ≤ v, A ω² ≤ a, of period
+2π max(A/v, √(A/a)). A is half the position range, at most π, beyond which poses recur. The base
+harmonic gets the median of the joints' periods. With a budget of robot time, candidates that fill
+it are compared by short optimisations.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from typing import Any
 import joblib
 import numpy as np
 
+from .._types import FloatArray
 from ..collision.clearance_constraint import Clearance
 from ..errors import ExciteError, UnusableInput
 from ..robot import dynamics
@@ -26,70 +29,117 @@ from ..trajectory.fourier import FourierSeries
 from . import criteria, optimize, problem, ramps
 from .criteria import Criterion
 from .optimize import DesignSetup
-from .options import DesignOptions
+from .options import DesignOptions, check_options
 from .pipeline import CertifiedDesign
 
-Array = np.ndarray
 DEFAULT_HARMONICS = 5
+"""Harmonics without a time budget [1]."""
+
 DEFAULT_PERIODS = 2
+"""Periods in the motion without a time budget [1]; noise is estimated from their differences."""
+
 MAX_FREQUENCY = 1.25
-"""Highest frequency that is chosen for the user [Hz]: 5 harmonics of 4 s, a few times below where the drives of arms
-begin to swing, which rigid bodies do not model."""
+"""Highest frequency that is chosen for the user [Hz].
+
+It is that of 5 harmonics of 4 s, well below the first elastic modes of robot arms, which rigid-body
+models do not describe.
+"""
+
 MAX_PERIOD = 30.0
+"""Longest period that is chosen for the user [s]."""
+
 PERIOD_STEP = 0.2
-"""The rule's periods are multiples of this [s] where the rate allows, those that fill a budget of the ramps' 0.04 s."""
-MIN_CHOSEN_HARMONICS, MAX_CHOSEN_HARMONICS = 3, 12
-"""Harmonics that are chosen for a budget: fewer tell too little, more cost too long."""
+"""Step of the periods that the rule chooses, where the sampling rate allows [s].
+
+Periods that fill a time budget are multiples of the time grid of the ramps instead.
+"""
+
+MIN_CHOSEN_HARMONICS = 3
+"""Least number of harmonics chosen for a time budget [1]; fewer excite too few directions."""
+
+MAX_CHOSEN_HARMONICS = 12
+"""Largest number of harmonics chosen for a time budget [1]; more take too long to optimise."""
+
 REDUCED_HARMONICS_SHARE = 0.6
-"""Besides as many harmonics as HIGHEST allows, this share of them is tried."""
+"""Share of the largest number of harmonics that is tried next to that number [1]."""
+
 MAX_TRIED_PERIODS = 4
-"""How many periods are tried for a budget, those nearest to the rule's."""
+"""Number of periods that are tried for a time budget, those nearest to the rule's [1]."""
+
 TRIAL_ITERATIONS = 25
+"""Iterations of the short optimisation of a candidate [1]."""
+
 DEVIATION_TOLERANCE = 0.05
-"""The simplest candidate within this share of the least standard deviation is chosen: short runs scatter as much."""
+"""Share above the least standard deviation within which the simplest candidate is chosen [1].
+
+Results of short optimisations scatter by as much.
+"""
+
 RAMP_TIME_RESERVE = 0.4
-"""Ramps of the final motion may take this much longer than those of a short run [s] and a fifth; more costs a second run."""
+"""Time by which the ramps of the final motion may exceed those of a short run, plus a fifth [s]."""
 
 
-# -- the rule ------------------------------------------------------------------------------------------------------
-
-
-def sweep_periods(limits: Limits) -> Array:
-    """Per joint the period of the sinusoid that sweeps its range within its limits. Shape (n,) [s]."""
+def sweep_periods(limits: Limits) -> FloatArray:
+    """Return for each joint the period of a sinusoidal sweep at its limits. Shape (n,) [s]."""
     half = np.minimum(0.5 * (limits.position[:, 1] - limits.position[:, 0]), np.pi)
-    out: Array = (
+    out: FloatArray = (
         2.0 * np.pi * np.maximum(half / limits.velocity, np.sqrt(half / limits.acceleration))
     )
     return out
 
 
-def choose_period(limits: Limits, harmonics: int = DEFAULT_HARMONICS, rate: float = DesignOptions.rate) -> float:
-    """The period by the rule [s]: a whole number of samples at `rate` [Hz], no harmonic above HIGHEST."""
-    grid = PERIOD_STEP if abs(PERIOD_STEP * rate - round(PERIOD_STEP * rate)) < 1e-9 else ramps.time_grid(rate)
+def choose_period(
+    limits: Limits, harmonics: int = DEFAULT_HARMONICS, rate: float = DesignOptions.rate
+) -> float:
+    """Choose a period by the rule.
+
+    Args:
+        limits: Limits of the robot.
+        harmonics: Number of harmonics; none exceeds `MAX_FREQUENCY`.
+        rate: Samples per second, of which the period holds a whole number [Hz].
+
+    Returns:
+        The period [s].
+    """
+    grid = (
+        PERIOD_STEP
+        if abs(PERIOD_STEP * rate - round(PERIOD_STEP * rate)) < 1e-9
+        else ramps.time_grid(rate)
+    )
     swept = grid * round(float(np.median(sweep_periods(limits))) / grid)
-    return round(max(min(swept, MAX_PERIOD), _up(harmonics / MAX_FREQUENCY, grid)), 9)
+    return round(max(min(swept, MAX_PERIOD), _round_up(harmonics / MAX_FREQUENCY, grid)), 9)
 
 
 def default_samples(harmonics: int) -> int:
-    """The optimiser's grid over one period where none is given."""
+    """Return the number of the optimiser's samples over one period for a number of harmonics."""
     return 20 * max(harmonics, 3)
 
 
-def _down(duration: float, grid: float) -> float:
+def _round_down(duration: float, grid: float) -> float:
+    """Round a duration down to a multiple of `grid` [s]."""
     return round(grid * float(np.floor(duration / grid + 1e-9)), 9)
 
 
-def _up(duration: float, grid: float) -> float:
+def _round_up(duration: float, grid: float) -> float:
+    """Round a duration up to a multiple of `grid` [s]."""
     return round(grid * float(np.ceil(duration / grid - 1e-9)), 9)
 
 
-def _or(given: int | None, otherwise: int) -> int:
-    return otherwise if given is None else given
+def _default_to(stated: int | None, default: int) -> int:
+    """Return a stated value, else the default."""
+    return default if stated is None else stated
 
 
 @dataclass(frozen=True)
 class MotionRequest:
-    """What the user gave; None where the choice is free."""
+    """Motion that the user asks for, with None where the choice is free.
+
+    Attributes:
+        period: Period [s].
+        harmonics: Number of harmonics.
+        samples: Samples of the optimiser over one period.
+        periods: Number of periods in the motion.
+    """
 
     period: float | None = None
     harmonics: int | None = None
@@ -98,41 +148,55 @@ class MotionRequest:
 
     @property
     def unspecified(self) -> list[str]:
-        """Names of what is left to choose."""
+        """Names of the quantities that are free."""
         return [name for name, value in dataclasses.asdict(self).items() if value is None]
 
     def complete(self, options: DesignOptions, limits: Limits) -> DesignOptions:
-        """The options with what was given, and the rest by the rule."""
-        harmonics = _or(self.harmonics, DEFAULT_HARMONICS)
-        swept = choose_period(limits, harmonics, options.rate) if self.period is None else self.period
-        return self.with_motion(options, swept, harmonics, _or(self.periods, DEFAULT_PERIODS))
+        """Return options with the stated quantities, and free ones by the rule."""
+        harmonics = _default_to(self.harmonics, DEFAULT_HARMONICS)
+        swept = (
+            choose_period(limits, harmonics, options.rate) if self.period is None else self.period
+        )
+        return self.with_motion(
+            options, swept, harmonics, _default_to(self.periods, DEFAULT_PERIODS)
+        )
 
-    def with_motion(self, options: DesignOptions, period: float, harmonics: int, periods: int) -> DesignOptions:
-        """The options with this motion, on the grid that was given or that suits it."""
-        grid = _or(self.samples, default_samples(harmonics))
+    def with_motion(
+        self, options: DesignOptions, period: float, harmonics: int, periods: int
+    ) -> DesignOptions:
+        """Return options with a motion, on the stated grid or the default one."""
+        grid = _default_to(self.samples, default_samples(harmonics))
         return dataclasses.replace(
             options, period=period, harmonics=harmonics, periods=periods, samples=grid
         )
 
     def harmonics_to_try(self, period: float) -> list[int]:
-        """Numbers of harmonics to try for a period: as many as may be, and fewer."""
+        """Return the numbers of harmonics to try for a period [s], ascending."""
         if self.harmonics is not None:
             return [self.harmonics]
-        carried = MAX_CHOSEN_HARMONICS if self.samples is None else (self.samples - 1) // 2
-        most = max(min(int(MAX_FREQUENCY * period + 1e-9), carried, MAX_CHOSEN_HARMONICS), 1)
-        return sorted({most, min(max(round(REDUCED_HARMONICS_SHARE * most), MIN_CHOSEN_HARMONICS), most)})
-
-
-# -- a budget of robot time ----------------------------------------------------------------------------------------
+        resolved = MAX_CHOSEN_HARMONICS if self.samples is None else (self.samples - 1) // 2
+        largest = max(min(int(MAX_FREQUENCY * period + 1e-9), resolved, MAX_CHOSEN_HARMONICS), 1)
+        return sorted(
+            {
+                largest,
+                min(max(round(REDUCED_HARMONICS_SHARE * largest), MIN_CHOSEN_HARMONICS), largest),
+            }
+        )
 
 
 @dataclass(frozen=True)
 class BudgetCandidate:
-    """One way to spend the robot's time, judged by a short optimisation.
+    """Candidate motion for a time budget, after a short optimisation.
 
-    robot_time: of the whole motion with its ramps [s]. value: the criterion per sample of the periodic part.
-    deviation: the standard deviation that all its samples predict, up to a factor that the candidates share.
-    seconds: what the optimisation took.
+    Attributes:
+        period: Period [s].
+        harmonics: Number of harmonics.
+        samples: Samples of the optimiser over one period.
+        repeats: Number of periods.
+        robot_time: Duration of the motion with its ramps [s].
+        value: Criterion per sample of the periodic part.
+        deviation: Standard deviation predicted for all its samples, up to a common factor.
+        seconds: Duration of the optimisation [s].
     """
 
     period: float
@@ -146,13 +210,20 @@ class BudgetCandidate:
 
     @property
     def effort(self) -> int:
-        """What an iteration costs, up to a factor: harmonics, the share of each joint's variables, times samples."""
+        """Cost of an iteration, up to a common factor: variables per joint times samples."""
         return self.harmonics * self.samples
 
 
 @dataclass(frozen=True)
 class BudgetPlan:
-    """What was tried for a budget of robot time [s], and the place of the one chosen among it."""
+    """Candidates for a time budget, and the chosen one.
+
+    Attributes:
+        budget: Robot time, ramps included [s].
+        request: Motion that the user asks for.
+        candidates: Candidates that fit the budget.
+        chosen_index: Index of the chosen candidate.
+    """
 
     budget: float
     request: MotionRequest
@@ -161,34 +232,38 @@ class BudgetPlan:
 
     @property
     def best(self) -> BudgetCandidate:
-        """The chosen candidate."""
+        """Chosen candidate."""
         return self.candidates[self.chosen_index]
 
     def document(self) -> dict[str, Any]:
-        """As `excite design --json` states it."""
-        listed = [dataclasses.asdict(c) for c in self.candidates]
+        """Return the entry of `excite design --json`."""
+        candidates = [dataclasses.asdict(candidate) for candidate in self.candidates]
         return {
             "budget": self.budget,
             "tolerance": DEVIATION_TOLERANCE,
-            "candidates": listed,
+            "candidates": candidates,
             "chosen": self.chosen_index,
         }
 
-    def facts(self) -> dict[str, Any]:
-        """The same without what differs from run to run, as `trajectory.json` states it."""
+    def reproducible_document(self) -> dict[str, Any]:
+        """Return the entry of `trajectory.json`: the document without computing times."""
         document = self.document()
         for candidate in document["candidates"]:
             del candidate["seconds"]
         return document
 
-    def words(self) -> str:
-        """The choice, and the best of the others, in a line."""
-        one = self.best
-        text = f"planned for {self.budget:g} s: {one.repeats} × {one.period:g} s with {one.harmonics} harmonics"
+    def summary(self) -> str:
+        """Return a line of text about the choice and the best of the other candidates."""
+        best = self.best
+        text = (
+            f"planned for {self.budget:g} s: {best.repeats} × {best.period:g} s "
+            f"with {best.harmonics} harmonics"
+        )
         others = [
-            f"{100.0 * (c.deviation / one.deviation - 1.0):+.0f} % with {c.repeats} × {c.period:g} s and {c.harmonics}"
+            f"{100.0 * (c.deviation / best.deviation - 1.0):+.0f} % with {c.repeats} × "
+            f"{c.period:g} s and {c.harmonics}"
             for c in sorted(self.candidates, key=lambda c: c.deviation)
-            if c is not one
+            if c is not best
         ]
         return f"{text}; standard deviations {', '.join(others[:3])}" if others else text
 
@@ -197,159 +272,208 @@ def plan_for_budget(
     robot: Robot,
     limits: Limits,
     options: DesignOptions,
-    wish: MotionRequest,
+    request: MotionRequest,
     budget: float,
     *,
-    start: Array | None = None,
-    given: Array | None = None,
+    start: FloatArray | None = None,
+    earlier_information: FloatArray | None = None,
     clearance: Clearance | None = None,
 ) -> BudgetPlan:
-    """Choose what the wish leaves open, for a whole motion of at most `budget` [s] that shows as much as can be.
+    """Choose the free quantities of a motion for a budget of robot time.
 
-    Candidates that fill the budget are optimised for a few iterations each. Their information is that of a sample times the
-    samples recorded; of those within TOLERANCE of the least standard deviation the one of the least effort is taken.
-    start, given: as `workflow.run` takes them. clearance: of its cell. Raises UnusableInput that says the least time needed, and what the
-    optimisation raises where no candidate is feasible.
+    Candidates that fill the budget are optimised for a few iterations each. Their information is
+    that per sample times the number of recorded samples. Of those within `DEVIATION_TOLERANCE` of
+    the least standard deviation, the one with the least effort is chosen.
+
+    Args:
+        robot: The robot.
+        limits: Its limits.
+        options: Options of the design.
+        request: Motion that the user asks for.
+        budget: Robot time, ramps included [s].
+        start: Pose at which the motion starts and ends at rest. Shape (n,).
+        earlier_information: Information of earlier recordings in standard parameters.
+            Shape (P, P).
+        clearance: Bodies that have to keep their distance.
+
+    Raises:
+        UnusableInput: The budget is too short; the message says how much is needed.
+        Infeasible: No candidate is feasible.
     """
     if not (np.isfinite(budget) and budget > 0.0):
         raise UnusableInput(f"--time {budget:g} should be positive [s]")
     if options.free_period is not None:
         raise UnusableInput("--time and --optimise-period both choose the period; drop one of them")
-    optimize.check_options(wish.complete(options, limits))  # what was given makes sense from here on
-    grid, repeats = ramps.time_grid(options.rate), wish.periods or DEFAULT_PERIODS
-    shortest = wish.period or _up((wish.harmonics or MIN_CHOSEN_HARMONICS) / MAX_FREQUENCY, grid)
-    # a first short run tells how long the ramps take
-    rule = choose_period(limits, wish.harmonics or DEFAULT_HARMONICS, options.rate)
-    swept = wish.period or max(min(rule, _down(budget / repeats, grid)), shortest)
-    short = dataclasses.replace(options, starts=1, iterations=min(TRIAL_ITERATIONS, options.iterations))
-    setting = optimize.set_up(
+    check_options(request.complete(options, limits))
+    grid, repeats = ramps.time_grid(options.rate), request.periods or DEFAULT_PERIODS
+    shortest = request.period or _round_up(
+        (request.harmonics or MIN_CHOSEN_HARMONICS) / MAX_FREQUENCY, grid
+    )
+    # a first short run measures the duration of the ramps
+    rule = choose_period(limits, request.harmonics or DEFAULT_HARMONICS, options.rate)
+    trial_period = request.period or max(min(rule, _round_down(budget / repeats, grid)), shortest)
+    short = dataclasses.replace(
+        options, starts=1, iterations=min(TRIAL_ITERATIONS, options.iterations)
+    )
+    setup = optimize.set_up(
         robot,
         limits,
-        wish.with_motion(short, swept, wish.harmonics_to_try(swept)[0], repeats),
-        given,
+        request.with_motion(
+            short, trial_period, request.harmonics_to_try(trial_period)[0], repeats
+        ),
+        earlier_information,
         clearance=clearance,
         start_pose=start,
     )
     if start is not None:
-        ramps.check_start_pose(setting.constraints(limits.reduced()), start)
-    pilot = _attempt(setting, limits, setting.problem.options, start)
+        ramps.check_start_pose(setup.constraints(limits.reduced()), start)
+    pilot = _try_candidate(setup, limits, setup.problem.options, start)
     if isinstance(pilot, ExciteError):
         raise pilot
-    around = 1.2 * (pilot.robot_time - repeats * swept) + RAMP_TIME_RESERVE
-    if budget < repeats * shortest + around:
+    ramp_time = 1.2 * (pilot.robot_time - repeats * trial_period) + RAMP_TIME_RESERVE
+    if budget < repeats * shortest + ramp_time:
         raise _too_short(
             budget,
             f"{repeats} periods of {shortest:g} s with ramps take about",
-            repeats * shortest + around,
+            repeats * shortest + ramp_time,
         )
-    motions = _motions(wish, rule, budget - around, shortest, grid)
-    several = [wish.with_motion(short, t, k, r) for t, r in motions for k in wish.harmonics_to_try(t)]
-    tried = joblib.Parallel(n_jobs=options.jobs)(
-        joblib.delayed(_attempt)(setting, limits, one, start) for one in several
+    motions = _periods_and_repeats(request, rule, budget - ramp_time, shortest, grid)
+    trials = [
+        request.with_motion(short, t, k, r) for t, r in motions for k in request.harmonics_to_try(t)
+    ]
+    results = joblib.Parallel(n_jobs=options.jobs)(
+        joblib.delayed(_try_candidate)(setup, limits, trial, start) for trial in trials
     )
-    fitting = tuple(c for c in tried if isinstance(c, BudgetCandidate) and c.robot_time <= budget + 1e-9)
+    fitting = tuple(
+        c for c in results if isinstance(c, BudgetCandidate) and c.robot_time <= budget + 1e-9
+    )
     if not fitting:
-        failed = [c for c in tried if isinstance(c, ExciteError)]
+        failed = [c for c in results if isinstance(c, ExciteError)]
         raise (
             failed[0]
             if failed
-            else _too_short(budget, "ramps take it to", min(c.robot_time for c in tried))
+            else _too_short(budget, "ramps take it to", min(c.robot_time for c in results))
         )
-    return BudgetPlan(budget, wish, fitting, choose_candidate(fitting))
+    return BudgetPlan(budget, request, fitting, choose_candidate(fitting))
 
 
 def choose_candidate(candidates: tuple[BudgetCandidate, ...]) -> int:
-    """The place of the candidate of the least effort within TOLERANCE of the least standard deviation."""
+    """Return the index of the simplest candidate within `DEVIATION_TOLERANCE` of the best one."""
     least = min(c.deviation for c in candidates)
-    good = [k for k, c in enumerate(candidates) if c.deviation <= (1.0 + DEVIATION_TOLERANCE) * least]
-    return min(good, key=lambda k: (candidates[k].effort, candidates[k].deviation))
+    acceptable = [
+        k for k, c in enumerate(candidates) if c.deviation <= (1.0 + DEVIATION_TOLERANCE) * least
+    ]
+    return min(acceptable, key=lambda k: (candidates[k].effort, candidates[k].deviation))
 
 
-def run_plan(plan: BudgetPlan, options: DesignOptions, run: Callable[[DesignOptions], CertifiedDesign]) -> CertifiedDesign:
-    """Run the chosen candidate in full. Where its ramps came out longer than the short run's, its period gives way, or a repeat.
+def run_plan(
+    plan: BudgetPlan, options: DesignOptions, run: Callable[[DesignOptions], CertifiedDesign]
+) -> CertifiedDesign:
+    """Design the chosen candidate in full.
 
-    run: `workflow.run` with all but the options. Raises UnusableInput when nothing may give way.
+    If its ramps take longer than those of the short run, the period is shortened, else the number
+    of periods is reduced.
+
+    Args:
+        plan: The plan.
+        options: Options of the design.
+        run: Design with given options.
+
+    Raises:
+        UnusableInput: The motion exceeds the budget, and neither may be changed.
     """
-    wish, best = plan.request, plan.best
-    swept, repeats = best.period, best.repeats
+    request, best = plan.request, plan.best
+    period, repeats = best.period, best.repeats
     while True:
-        delivery = run(wish.with_motion(options, swept, best.harmonics, repeats))
+        delivery = run(request.with_motion(options, period, best.harmonics, repeats))
         duration = delivery.trajectory.motion.duration * float(delivery.trajectory.design["speed"])
         if duration <= plan.budget + 1e-9:
             return delivery
-        if wish.period is None and swept > 0.8 * best.period:
-            swept = _down(swept - (duration - plan.budget) / repeats, ramps.time_grid(options.rate))
-        elif wish.periods is None and repeats > DEFAULT_PERIODS:
+        if request.period is None and period > 0.8 * best.period:
+            period = _round_down(
+                period - (duration - plan.budget) / repeats, ramps.time_grid(options.rate)
+            )
+        elif request.periods is None and repeats > DEFAULT_PERIODS:
             repeats -= 1
         else:
             raise _too_short(plan.budget, "the motion takes", duration)
 
 
-def _too_short(budget: float, what: str, needed: float) -> UnusableInput:
+def _too_short(budget: float, reason: str, needed: float) -> UnusableInput:
+    """Return the error for a time budget that is too short, with the time needed [s]."""
     return UnusableInput(
-        f"--time {budget:g} is too short: {what} {needed:.1f} s; give at least --time {np.ceil(10.0 * needed) / 10.0:g}"
+        f"--time {budget:g} is too short: {reason} {needed:.1f} s; "
+        f"give at least --time {np.ceil(10.0 * needed) / 10.0:g}"
     )
 
 
-def _motions(
-    wish: MotionRequest, rule: float, room: float, shortest: float, grid: float
+def _periods_and_repeats(
+    request: MotionRequest, rule: float, available: float, shortest: float, grid: float
 ) -> list[tuple[float, int]]:
-    """Periods and repeats that fill `room` [s]: the NEAREST whose periods are nearest to the rule's, as a ratio."""
-    if wish.period is not None:
-        return [(wish.period, wish.periods or int(room / wish.period + 1e-9))]
-    if wish.periods is not None:
-        return [(_down(room / wish.periods, grid), wish.periods)]
-    filling = [(_down(room / r, grid), r) for r in _repeats(int(room / shortest + 1e-9))]
-    usable = [(t, r) for t, r in filling if shortest <= t <= MAX_PERIOD]
-    return sorted(sorted(usable, key=lambda one: abs(np.log(one[0] / rule)))[:MAX_TRIED_PERIODS])
+    """Return pairs of period and repeats that fill `available` [s], nearest to the rule's."""
+    if request.period is not None:
+        return [(request.period, request.periods or int(available / request.period + 1e-9))]
+    if request.periods is not None:
+        return [(_round_down(available / request.periods, grid), request.periods)]
+    filling = [
+        (_round_down(available / r, grid), r) for r in _repeats(int(available / shortest + 1e-9))
+    ]
+    valid = [(t, r) for t, r in filling if shortest <= t <= MAX_PERIOD]
+    return sorted(sorted(valid, key=lambda pair: abs(np.log(pair[0] / rule)))[:MAX_TRIED_PERIODS])
 
 
-def _repeats(most: int) -> Iterator[int]:
-    """2, 3, 4, 6, 8, 12, 16, 24 …"""
+def _repeats(largest: int) -> Iterator[int]:
+    """Yield 2, 3, 4, 6, 8, 12, 16, 24 … up to the largest number."""
     number = DEFAULT_PERIODS
-    while number <= most:
+    while number <= largest:
         yield number
-        if 3 * number // 2 <= most and number > 1:
+        if 3 * number // 2 <= largest and number > 1:
             yield 3 * number // 2
         number *= 2
 
 
-def _attempt(
-    setting: DesignSetup, limits: Limits, options: DesignOptions, start: Array | None
+def _try_candidate(
+    setup: DesignSetup, limits: Limits, options: DesignOptions, start: FloatArray | None
 ) -> BudgetCandidate | ExciteError:
-    """A short optimisation and its ramps; errors come back as values, out of any process."""
-    begun = time.perf_counter()
-    p = setting.problem
-    given = None if p.given is None else p.given * np.sqrt(_count(p.options) / _count(options))
-    varied = dataclasses.replace(setting, problem=problem.rebuild_problem(p, limits, options, given))
+    """Optimise a candidate briefly and plan its ramps; errors are returned as values."""
+    begin_time = time.perf_counter()
+    p = setup.problem
+    earlier_root = (
+        None
+        if p.earlier_root is None
+        else p.earlier_root * np.sqrt(_recorded_samples(p.options) / _recorded_samples(options))
+    )
+    varied = dataclasses.replace(
+        setup, problem=problem.rebuild_problem(p, limits, options, earlier_root)
+    )
     try:
         motion = optimize.solve(varied).motion
         usable = ramps.with_derived_limits(limits, motion).reduced()
-        whole = ramps.plan_rest_to_rest(
+        complete = ramps.plan_rest_to_rest(
             varied.constraints(usable), motion, options.periods, options.rate, start
         )
     except ExciteError as error:
         return error
-    value = _value(varied.problem, motion)
+    value = _criterion_per_sample(varied.problem, motion)
     return BudgetCandidate(
         period=options.period,
         harmonics=options.harmonics,
         samples=options.samples,
         repeats=options.periods,
-        robot_time=whole.duration,
+        robot_time=complete.duration,
         value=value,
-        deviation=_deviation(options.criterion, value, setting.base, _count(options)),
-        seconds=time.perf_counter() - begun,
+        deviation=_deviation(options.criterion, value, setup.base, _recorded_samples(options)),
+        seconds=time.perf_counter() - begin_time,
     )
 
 
-def _count(options: DesignOptions) -> float:
-    """Samples recorded of the periodic part."""
+def _recorded_samples(options: DesignOptions) -> float:
+    """Return the number of recorded samples of the periodic part."""
     return options.periods * options.period * options.rate
 
 
-def _value(varied: problem.DesignProblem, motion: FourierSeries) -> float:
-    """The criterion per sample, exactly."""
+def _criterion_per_sample(varied: problem.DesignProblem, motion: FourierSeries) -> float:
+    """Return the exact criterion per sample."""
     options = varied.options
     rows = varied.weighting.rows(
         dynamics.regressor(
@@ -358,12 +482,18 @@ def _value(varied: problem.DesignProblem, motion: FourierSeries) -> float:
     )
     return criteria.criterion_value(
         options.criterion,
-        criteria.information_eigenvalues(rows if varied.given is None else np.vstack([rows, varied.given])),
+        criteria.information_eigenvalues(
+            rows if varied.earlier_root is None else np.vstack([rows, varied.earlier_root])
+        ),
     )
 
 
 def _deviation(criterion: Criterion, value: float, base: Base, count: float) -> float:
-    """Standard deviation: the root of the mean (A), geometric mean (D) or largest (E) variance; a condition's own root."""
+    """Return the standard deviation that a criterion stands for.
+
+    It is the root of the mean (A), geometric mean (D) or largest (E) variance; condition numbers,
+    which have no unit, give their own root.
+    """
     if criterion is Criterion.COND_REGRESSOR:
         return value
     if criterion is Criterion.COND:

@@ -1,4 +1,4 @@
-"""The band that a diagnosis needs."""
+"""Choice of the cutoff frequency of a diagnosis."""
 
 from __future__ import annotations
 
@@ -10,36 +10,52 @@ from ..identification import segments
 from ..identification.lowpass import MOTION_BANDWIDTH_RATIO
 from ..identification.segments import RecordingSegment
 
-BAND_HZ, REACH, HIGHEST = 20.0, 6.0, 50.0
-"""The band, at the least; or so many times the highest frequency of the motion: what joints' products and reversals make there tells laws
-apart. A fast servo's friction is told apart from 22 Hz on, at 5 times its motion; at 10 times, other things weigh more. What would need
-more than the last [Hz] is no motion but an encoder's noise."""
-FASTEST, LINE = 250.0, 30.0
-"""Highest band chosen by the data [Hz]; a spectral line is so many times as high as what is between them."""
-LINES = 0.15
-"""Share of a joint's torque in lines above the motion, from which the band reaches them."""
+MIN_CUTOFF = 20.0
+"""Smallest cutoff frequency [Hz]."""
+MOTION_MULTIPLE = 6.0
+"""Cutoff over the highest frequency of the motion. Products of joint motions and reversals create
+harmonics that distinguish friction models: those of a fast servo need 22 Hz, 5 times its motion;
+at 10 times, other errors dominate."""
+MAX_MOTION_CUTOFF = 50.0
+"""Largest cutoff by the motion [Hz]; what would need more is encoder noise."""
+MAX_CUTOFF = 250.0
+"""Largest cutoff chosen from the data [Hz]."""
+LINE_RATIO = 30.0
+"""Power of a spectral line over the median power above the motion."""
+MIN_LINE_SHARE = 0.15
+"""Share of a joint's torque power in lines above the motion from which the cutoff includes them."""
+MIN_REMAINING_SHARE = 0.02
+"""Share of the power in lines that may remain above the cutoff."""
+CUTOFF_MARGIN = 1.2
+"""Cutoff over the frequency of the highest line."""
+MAX_RATE_SHARE = 0.4
+"""Largest share of the sample rate that the bandwidth of the motion may take."""
 
 
 def needed_hertz(pieces: Sequence[RecordingSegment]) -> float:
-    """What the motion needs, or the lines that make much of the torque above it: a gear or a motor that turns steadily, at its order."""
+    """Return the cutoff frequency that the longest segment needs [Hz].
+
+    It includes the harmonics of the motion, and spectral lines above it that carry much of a
+    joint's torque, as of a gear or motor that turns steadily.
+    """
     from scipy import signal  # slow to import
 
     longest = max(pieces, key=len)
-    if longest.rate <= 2.5 * BAND_HZ:
-        return BAND_HZ
-    needed = REACH * segments.motion_bandwidth(longest)
-    least = max(BAND_HZ, min(needed, 0.4 * longest.rate / MOTION_BANDWIDTH_RATIO)) if needed < HIGHEST else BAND_HZ
+    if longest.rate <= 2.5 * MIN_CUTOFF:
+        return MIN_CUTOFF
+    needed = MOTION_MULTIPLE * segments.motion_bandwidth(longest)
+    rate_limit = MAX_RATE_SHARE * longest.rate / MOTION_BANDWIDTH_RATIO
+    cutoff = max(MIN_CUTOFF, min(needed, rate_limit)) if needed < MAX_MOTION_CUTOFF else MIN_CUTOFF
     frequency, power = signal.welch(
         longest.torque, longest.rate, nperseg=min(len(longest), int(2.0 * longest.rate)), axis=0
     )
-    above = (frequency > least) & (frequency < min(FASTEST, 0.4 * longest.rate / MOTION_BANDWIDTH_RATIO))
+    above = (frequency > cutoff) & (frequency < min(MAX_CUTOFF, rate_limit))
     if not above.any():
-        return least
-    line = above[:, None] & (power > LINE * np.median(power[above], axis=0))
+        return cutoff
+    line = above[:, None] & (power > LINE_RATIO * np.median(power[above], axis=0))
     share = np.where(line, power, 0.0) / np.maximum(power.sum(axis=0), 1e-300)
-    if share.sum(axis=0).max() < LINES:
-        return least
-    further = np.cumsum(share[::-1], axis=0)[::-1].max(
-        axis=1
-    )  # in all lines from there on: a speed that varies spreads each over many
-    return float(1.2 * frequency[np.flatnonzero(further > 0.02)[-1]])
+    if share.sum(axis=0).max() < MIN_LINE_SHARE:
+        return cutoff
+    # a varying speed spreads a line over many frequencies, so that their sum counts
+    remaining = np.cumsum(share[::-1], axis=0)[::-1].max(axis=1)
+    return float(CUTOFF_MARGIN * frequency[np.flatnonzero(remaining > MIN_REMAINING_SHARE)[-1]])

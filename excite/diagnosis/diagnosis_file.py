@@ -123,8 +123,8 @@ def _gear(found: Diagnosis, gear: GearEstimate) -> dict[str, Any]:
 
     return {
         "stiffness": told(gear.stiffness, "N m/rad"),
-        "lost_motion": told(gear.play, "rad"),
-        "read_apart": told(gear.apart, "s"),
+        "lost_motion": told(gear.backlash, "rad"),
+        "read_apart": told(gear.read_delay, "s"),
         "before": gear.before,
         "after": gear.after,
         "unit": unit("rad"),

@@ -1,4 +1,4 @@
-"""The base model with what was found: its torque along a recording, recordings without it, and its place in `model.json`."""
+"""Fitted effects: their torque along a motion, their removal from recordings, their `model.json`."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from .._types import FloatArray
 from ..effects import EFFECTS_BY_NAME, recorded_motion
 from ..effects.effect import CandidateModel
 from ..effects.recorded_motion import RecordedMotion
@@ -20,75 +21,75 @@ from ..robot.robot import Robot
 from ..schemas.effects import EffectDocument
 from .search import EffectRegression, Trial
 
-Array = np.ndarray
-
 
 @dataclass(frozen=True)
 class FittedEffect:
-    """A fitted shape. coefficients: Shape (k,)."""
+    """A candidate model with its fitted coefficients, shape (k,)."""
 
     shape: CandidateModel
-    coefficients: Array
+    coefficients: FloatArray
 
 
-def parts(one: EffectRegression, together: Trial | None) -> tuple[FittedEffect, ...]:
-    """The shapes of a fit, each with its own coefficients."""
+def parts(regression: EffectRegression, together: Trial | None) -> tuple[FittedEffect, ...]:
+    """Return the fitted effects of a trial; none if there is no trial."""
     if together is None:
         return ()
-    split_by_motion = one.split(together.shapes, together.coefficients)
-    return tuple(FittedEffect(one.shapes[i], c) for i, c in zip(together.shapes, split_by_motion, strict=True))
-
-
-def torque(found: Sequence[FittedEffect], along: RecordedMotion) -> Array:
-    """What was found adds, below the band, at every sample of a track's piece. Shape (M, n) [N m]."""
-    piece = along.segment
-    every = dataclasses.replace(
-        along,
-        grid=Grid.RECORDED,
-        kept=slice(0, len(piece)),
-        time=piece.start + np.arange(len(piece)) / piece.rate,
+    coefficients = regression.split(together.shapes, together.coefficients)
+    return tuple(
+        FittedEffect(regression.shapes[i], c)
+        for i, c in zip(together.shapes, coefficients, strict=True)
     )
-    out = np.zeros(piece.q.shape)
-    for part in found:
-        out += part.shape.columns(every) @ part.coefficients
+
+
+def torque(effects: Sequence[FittedEffect], motion: RecordedMotion) -> FloatArray:
+    """Return the low-passed torque of effects at every sample of a segment [N m], (M, n)."""
+    segment = motion.segment
+    at_samples = dataclasses.replace(
+        motion,
+        grid=Grid.RECORDED,
+        kept=slice(0, len(segment)),
+        time=segment.start + np.arange(len(segment)) / segment.rate,
+    )
+    out = np.zeros(segment.q.shape)
+    for part in effects:
+        out += part.shape.columns(at_samples) @ part.coefficients
     return out
 
 
-def removed(found: Sequence[FittedEffect], recording: Recording, tracks: Sequence[RecordedMotion]) -> Recording:
-    """A recording whose torque is without what was found, where there are tracks of it."""
+def removed(
+    effects: Sequence[FittedEffect], recording: Recording, motions: Sequence[RecordedMotion]
+) -> Recording:
+    """Return a recording whose torque, in the segments of `motions`, is without the effects."""
     tau = recording.torque.copy()
-    for one in tracks:
-        if one.segment.source == recording.source:
-            first = int(np.argmin(np.abs(recording.t - one.segment.start)))
-            tau[first : first + len(one.segment)] -= torque(found, one)
+    for motion in motions:
+        if motion.segment.source == recording.source:
+            first = int(np.argmin(np.abs(recording.t - motion.segment.start)))
+            tau[first : first + len(motion.segment)] -= torque(effects, motion)
     return dataclasses.replace(recording, tau=tau)
 
 
-# -- in model.json ---------------------------------------------------------------------------------------------------
-
-
-def entry(part: FittedEffect, robot: Robot) -> dict[str, Any]:
-    """An element of the model's "effects"."""
-    shape = part.shape
+def entry(effect: FittedEffect, robot: Robot) -> dict[str, Any]:
+    """Return the element of an effect in the "effects" of `model.json`."""
+    model = effect.shape
     return {
-        "effect": shape.effect,
-        "joint": None if shape.joint is None else robot.joints[shape.joint],
-        "from": None if shape.other is None else robot.joints[shape.other],
-        "values": dict(shape.values),
-        "coefficients": part.coefficients.tolist(),
-        "time": None if shape.interval is None else list(shape.interval),
-        "recording": shape.source or None,
+        "effect": model.effect,
+        "joint": None if model.joint is None else robot.joints[model.joint],
+        "from": None if model.other is None else robot.joints[model.other],
+        "values": dict(model.values),
+        "coefficients": effect.coefficients.tolist(),
+        "time": None if model.interval is None else list(model.interval),
+        "recording": model.source or None,
     }
 
 
 def restored(stated: EffectDocument, robot: Robot) -> FittedEffect:
-    """The fitted shape of a validated effect of `model.json`."""
+    """Return the fitted effect of a validated element of `model.json`."""
     joint, other = (
         None if name is None else robot.joints.index(name) for name in (stated.joint, stated.other)
     )
     interval = None if stated.time is None else (float(stated.time[0]), float(stated.time[1]))
     values = {key: float(value) for key, value in stated.values.items()}
-    shape = CandidateModel(
+    model = CandidateModel(
         stated.effect,
         joint,
         EFFECTS_BY_NAME[stated.effect].torque_columns,
@@ -97,51 +98,59 @@ def restored(stated: EffectDocument, robot: Robot) -> FittedEffect:
         interval,
         stated.recording or "",
     )
-    return FittedEffect(shape, np.array(stated.coefficients, float))
+    return FittedEffect(model, np.array(stated.coefficients, float))
 
 
-def predict(fitted: IdentifiedModel, recording: Recording) -> tuple[Array, Array]:
-    """Torque along a recording at its own times, effects included: (times, torque). Shapes (N,) [s], (N, n) [N m]."""
-    found = [restored(stated, fitted.robot) for stated in fitted.effects]
-    if not found:
+def predict(fitted: IdentifiedModel, recording: Recording) -> tuple[FloatArray, FloatArray]:
+    """Predict the torque along a recording at its own times, effects included.
+
+    Returns:
+        Times [s], shape (N,), and torque [N m], shape (N, n).
+    """
+    effects = [restored(stated, fitted.robot) for stated in fitted.effects]
+    if not effects:
         return fitted.predict(recording)
-    body = recorded_motion.fitted_robot(fitted.robot, fitted.layout, fitted.psi)
-    own, late = (
-        [part for part in found if (part.shape.values.get("measured", 0.0) > 0.0) is last]
-        for last in (False, True)
+    robot = recorded_motion.fitted_robot(fitted.robot, fitted.layout, fitted.psi)
+    of_motion, of_measured_torque = (
+        [part for part in effects if (part.shape.values.get("measured", 0.0) > 0.0) is measured]
+        for measured in (False, True)
     )
-    late.sort(
-        key=lambda part: list(EFFECTS_BY_NAME).index(part.shape.effect)
-    )  # a drive's loss before a clock's delay, as the catalogue has them
-    nothing = np.zeros((0, fitted.robot.n))
+    # an actuator's loss before a clock's delay, as in the catalogue
+    of_measured_torque.sort(key=lambda part: list(EFFECTS_BY_NAME).index(part.shape.effect))
+    no_rows = np.zeros((0, fitted.robot.n))
 
-    def beyond(stretch: Recording) -> Array:
-        still, warmth = np.zeros(stretch.q.shape), stretch.temperature
-        whole = (recording.source, float(stretch.t[0]), stretch.rate, stretch.q, still)
-        piece = RecordingSegment(
-            *whole, encoder=recording.encoder, temperature=warmth, recording_start=float(recording.t[0])
+    def effect_torque(stretch: Recording) -> FloatArray:
+        segment = RecordingSegment(
+            recording.source,
+            float(stretch.t[0]),
+            stretch.rate,
+            stretch.q,
+            np.zeros(stretch.q.shape),
+            encoder=recording.encoder,
+            temperature=stretch.temperature,
+            recording_start=float(recording.t[0]),
         )
-        band = piece.band(min(fitted.hertz, 0.45 * piece.rate))
-        empty = nothing[:, :, None]
-        along = RecordedMotion(
-            piece,
+        band = segment.band(min(fitted.hertz, 0.45 * segment.rate))
+        motion = RecordedMotion(
+            segment,
             band,
-            body,
+            robot,
             fitted.widths,
             np.zeros(0),
-            nothing,
-            empty,
-            nothing,
+            no_rows,
+            no_rows[:, :, None],
+            no_rows,
             slice(0),
             np.zeros(0),
         )
-        added = torque(own, along)
-        for part in late:
-            recorded = EFFECTS_BY_NAME[part.shape.effect].predicted_torque
-            assert recorded is not None  # a shape of measured torque has one
-            added += band.filter(
-                recorded(along, part.shape, part.coefficients, along.motor_torque + added), Grid.RECORDED
+        out = torque(of_motion, motion)
+        for part in of_measured_torque:
+            predicted_torque = EFFECTS_BY_NAME[part.shape.effect].predicted_torque
+            assert predicted_torque is not None  # every effect of measured torque has it
+            produced = motion.motor_torque + out
+            out += band.filter(
+                predicted_torque(motion, part.shape, part.coefficients, produced), Grid.RECORDED
             )
-        return added
+        return out
 
-    return fitted.predict(recording, beyond)
+    return fitted.predict(recording, effect_torque)

@@ -1,9 +1,11 @@
-"""What a joint's two encoders say of the gear between them, where recordings have the link's (`qlink`).
+"""Gear parameters from two encoders of a joint, where recordings have the link's position (`qlink`).
 
-q − q_link = τ_L/K + (b/2) sgn τ_L + d q̇ + h sgn q̇ + e cos(q + φ) + const. The gear winds up by the torque that it carries,
-τ_L = τ − I_a q̈ (Spong 1987), and has a play b; the link's encoder may be read a time d after the motor's, which looks like a wind-up but
-goes with speed; friction in the gear holds h back; and an encoder that is not centred errs once a turn, by e. Errors are sandwiched between
-blocks of a second (Liang & Zeger 1986), since what encoders err by repeats with the angle.
+q − q_link = τ_L/K + (b/2) sgn τ_L + d q̇ + h sgn q̇ + e cos(q + φ) + const. The gear deflects by the
+torque τ_L = τ − I_a q̈ that it transmits (Spong 1987) and has backlash b. The link's encoder may be
+read a time d after the motor's, which differs from a deflection by its dependence on speed; gear
+friction causes the hysteresis h, and an eccentric encoder an error e once a turn. Standard errors
+come from a sandwich estimator over blocks of one second (Liang & Zeger 1986), because encoder
+errors repeat with the angle.
 """
 
 from __future__ import annotations
@@ -13,126 +15,155 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .._types import FloatArray, IntArray
 from ..effects.recorded_motion import RecordedMotion
 from ..recordings import Recording
 from .blocks import sandwiched
 from .residual_curves import BLOCK, block_starts
 
-Array = np.ndarray
-TURNED = 0.03
-"""Of the largest torque, over which its sign changes: gears state their lost motion at three per cent of what they may carry."""
-BOTH = 0.1
-"""Share of the time that torque must have either sign to show a play."""
-LEAST_BLOCKS = 8
-SURE = 2.0
-"""Standard deviations."""
+SIGN_WIDTH_RATIO = 0.03
+"""Width of the smooth sign of torque and speed over their largest value: manufacturers state a
+gear's lost motion at ±3 % of the rated torque."""
+MIN_SIGN_SHARE = 0.1
+"""Share of the time for which the torque must have either sign to show backlash."""
+MIN_BLOCKS = 8
+"""Smallest number of blocks for standard errors."""
+MIN_STANDARD_ERRORS = 2.0
+"""Value over its standard error from which a parameter is reported."""
+MIN_TRAVEL = 1e-6
+"""Range from which a joint moves [rad or m]."""
 
 
 @dataclass(frozen=True)
 class GearEstimate:
-    """Between the encoders of one joint. Each value with its standard deviation; joint: its index.
+    """Parameters of the gear between the encoders of one joint.
 
-    compliance: 1/K [rad/(N m)]. play: b [rad], None where none is seen, or torque keeps its sign. apart: d [s]. before, after: RMS of
-    q − q_link that its mean, and all of this, leave of the held-out recordings [rad]. load, windup: τ_L [N m] and q − q_link without
-    all but the first two terms [rad], held out, at the rows that count. Shape (N,). largest: of τ_L, fitted.
+    Attributes:
+        joint: Index of the joint.
+        compliance: 1/K and its standard error [rad/(N m)].
+        backlash: b and its standard error [rad]; None if it is not significant, or if the torque
+            keeps its sign.
+        read_delay: d and its standard error [s].
+        before: RMS of q − q_link minus its mean on the held-out recordings [rad].
+        after: The same minus the fitted model [rad].
+        load: τ_L on the held-out recordings [N m], shape (N,).
+        deflection: q − q_link there minus all but the first two terms [rad], shape (N,).
+        largest: Largest τ_L of the fitted recordings [N m].
     """
 
     joint: int
     compliance: tuple[float, float]
-    play: tuple[float, float] | None
-    apart: tuple[float, float]
+    backlash: tuple[float, float] | None
+    read_delay: tuple[float, float]
     before: float
     after: float
-    load: Array
-    windup: Array
+    load: FloatArray
+    deflection: FloatArray
     largest: float
 
-    def curve(self, load: Array) -> Array:
-        """Wind-up under a torque, friction aside. Shape (N,)."""
-        play = 0.0 if self.play is None else self.play[0]
-        return self.compliance[0] * load + 0.5 * play * np.tanh(load / (TURNED * self.largest))
+    def curve(self, load: FloatArray) -> FloatArray:
+        """Return the deflection under a torque, without friction [rad], shape (N,)."""
+        backlash = 0.0 if self.backlash is None else self.backlash[0]
+        return self.compliance[0] * load + 0.5 * backlash * np.tanh(
+            load / (SIGN_WIDTH_RATIO * self.largest)
+        )
 
     @property
     def stiffness(self) -> tuple[float, float] | None:
-        """K [N m/rad]; None where it may as well be infinite."""
+        """K and its standard error [N m/rad]; None if it may be infinite."""
         value, std = self.compliance
-        return (1.0 / value, std / value**2) if value > max(SURE * std, 0.0) else None
+        if value > max(MIN_STANDARD_ERRORS * std, 0.0):
+            return 1.0 / value, std / value**2
+        return None
 
 
 @dataclass(frozen=True)
-class _Rows:
-    """Of one joint in one stretch. lag: q − q_link. load: τ_L. speed: q̇. place: q. block: of each row. Shapes (N,)."""
+class _GearRows:
+    """Rows of one joint in one segment, each of shape (N,): q − q_link, τ_L, q̇, q, and the block."""
 
-    lag: Array
-    load: Array
-    speed: Array
-    joint_index: Array
-    block: Array
+    lag: FloatArray
+    load: FloatArray
+    speed: FloatArray
+    position: FloatArray
+    block: IntArray
 
 
 def gears(
-    tracks: Sequence[Sequence[RecordedMotion]], recordings: Sequence[Sequence[Recording]]
+    motions: Sequence[Sequence[RecordedMotion]], recordings: Sequence[Sequence[Recording]]
 ) -> tuple[GearEstimate, ...]:
-    """Every joint that has two encoders. Both: those fitted, those held out. Empty where no recording has `qlink`."""
-    entries = tracks[0][0].fitted_robot.robot.entries
-    found = []
-    for j in range(tracks[0][0].n):
+    """Estimate the gear of every joint that has two encoders.
+
+    Args:
+        motions: Motions of the fitted and of the held-out recordings.
+        recordings: Fitted and held-out recordings.
+
+    Returns:
+        Estimates; empty if no recording has `qlink`.
+    """
+    entries = motions[0][0].fitted_robot.robot.entries
+    estimates = []
+    for j in range(motions[0][0].n):
         train, held_out = (
-            _stretches(half, group, j) for half, group in zip(tracks, recordings, strict=True)
+            _segments(group, records, j)
+            for group, records in zip(motions, recordings, strict=True)
         )
-        found.append(_gear(j, entries[j].kind == "prismatic", train, held_out))
-    return tuple(gear for gear in found if gear is not None)
+        estimates.append(_estimate(j, entries[j].kind == "prismatic", train, held_out))
+    return tuple(gear for gear in estimates if gear is not None)
 
 
-def _stretches(tracks: Sequence[RecordedMotion], recordings: Sequence[Recording], joint: int) -> list[_Rows]:
-    linked = {one.source: one for one in recordings if one.qlink is not None}
+def _segments(
+    motions: Sequence[RecordedMotion], recordings: Sequence[Recording], joint: int
+) -> list[_GearRows]:
+    """Rows of every segment in which a joint has two encoders and moves."""
+    linked = {record.source: record for record in recordings if record.qlink is not None}
     rows = (
-        _rows(track, linked[track.segment.source], joint)
-        for track in tracks
-        if track.segment.source in linked
+        _rows(motion, linked[motion.segment.source], joint)
+        for motion in motions
+        if motion.segment.source in linked
     )
-    return [one for one in rows if one is not None]
+    return [part for part in rows if part is not None]
 
 
-def _rows(track: RecordedMotion, recording: Recording, joint: int) -> _Rows | None:
-    """None where the joint has no second encoder, or does not move."""
+def _rows(motion: RecordedMotion, recording: Recording, joint: int) -> _GearRows | None:
+    """Rows of a segment; None if the joint has no second encoder, or does not move."""
     if (
         not recording.has("qlink", recording.joints[joint])
-        or np.ptp(track.segment.q[:, joint]) < 1e-6
+        or np.ptp(motion.segment.q[:, joint]) < MIN_TRAVEL
     ):
         return None
     assert recording.qlink is not None
-    first = int(np.argmin(np.abs(recording.t - track.segment.start)))
-    link = recording.qlink[first : first + len(track.segment), joint]
+    first = int(np.argmin(np.abs(recording.t - motion.segment.start)))
+    link = recording.qlink[first : first + len(motion.segment), joint]
     if not np.isfinite(link).all():
         return None
-    moves = track.moving[:, joint]
-    lag = track.lowpass((track.segment.q[:, joint] - link)[:, None])[:, 0]
-    place, speed, hastened = track.lowpass(
-        np.column_stack([getattr(track.samples, name)[:, joint] for name in ("q", "dq", "ddq")])
+    moving = motion.moving[:, joint]
+    lag = motion.lowpass((motion.segment.q[:, joint] - link)[:, None])[:, 0]
+    position, speed, acceleration = motion.lowpass(
+        np.column_stack([getattr(motion.samples, name)[:, joint] for name in ("q", "dq", "ddq")])
     ).T
-    load = track.torque[:, joint] - track.fitted_robot.actuator_parameter("rotor_inertia")[joint] * hastened
+    rotor_inertia = motion.fitted_robot.actuator_parameter("rotor_inertia")[joint]
+    load = motion.torque[:, joint] - rotor_inertia * acceleration
     block = np.searchsorted(
-        block_starts(track.time - track.time[0], BLOCK), np.arange(len(track)), side="right"
+        block_starts(motion.time - motion.time[0], BLOCK), np.arange(len(motion)), side="right"
     )
-    return _Rows(*(x[moves] for x in (lag, load, speed, place, block)))
+    return _GearRows(*(x[moving] for x in (lag, load, speed, position, block)))
 
 
-def _columns(rows: _Rows, load: float, speed: float) -> Array:
-    """Of compliance, play, delay, friction, and once a turn. Shape (N, 6)."""
-    play, friction = (
-        0.5 * np.tanh(rows.load / (TURNED * load)),
-        np.tanh(rows.speed / (TURNED * speed)),
+def _columns(rows: _GearRows, load: float, speed: float) -> FloatArray:
+    """Columns of compliance, backlash, delay, friction, and eccentricity, shape (N, 6)."""
+    backlash, friction = (
+        0.5 * np.tanh(rows.load / (SIGN_WIDTH_RATIO * load)),
+        np.tanh(rows.speed / (SIGN_WIDTH_RATIO * speed)),
     )
     return np.column_stack(
-        [rows.load, play, rows.speed, friction, np.cos(rows.joint_index), np.sin(rows.joint_index)]
+        [rows.load, backlash, rows.speed, friction, np.cos(rows.position), np.sin(rows.position)]
     )
 
 
-def _gear(
-    joint: int, linear: bool, train: Sequence[_Rows], held_out: Sequence[_Rows]
+def _estimate(
+    joint: int, is_prismatic: bool, train: Sequence[_GearRows], held_out: Sequence[_GearRows]
 ) -> GearEstimate | None:
-    """None where there is too little of it to tell errors by."""
+    """Estimate of a joint; None if there is too little data for standard errors."""
     if not train or not held_out:
         return None
     load, speed = (
@@ -140,37 +171,38 @@ def _gear(
         for name in ("load", "speed")
     )
     signs = np.concatenate([rows.load > 0.0 for rows in train])
-    # encoders count from where each recording began: every stretch has a mean of its own
+    # incremental encoders count from where a recording began: every segment has its own mean
     parts = [
         (c - c.mean(axis=0), r.lag - r.lag.mean(), r.block)
         for r in train
         for c in (_columns(r, load, speed),)
     ]
     blocks = [(c[b == k], z[b == k]) for c, z, b in parts for k in np.unique(b)]
-    if len(blocks) < LEAST_BLOCKS:
+    if len(blocks) < MIN_BLOCKS:
         return None
     kept = [
         0,
-        *([1] if BOTH < signs.mean() < 1.0 - BOTH else []),
+        *([1] if MIN_SIGN_SHARE < signs.mean() < 1.0 - MIN_SIGN_SHARE else []),
         2,
         3,
-        *([] if linear else [4, 5]),
+        *([] if is_prismatic else [4, 5]),
     ]
-    x, std = _fitted(blocks, kept)
-    while bad := [k for k in kept if k < 2 and x[k] < 0.0]:  # neither gives way against the torque
-        kept = [k for k in kept if k not in bad]
-        x, std = _fitted(blocks, kept)
+    x, std = _fit(blocks, kept)
+    # neither compliance nor backlash may be negative
+    while negative := [k for k in kept if k < 2 and x[k] < 0.0]:
+        kept = [k for k in kept if k not in negative]
+        x, std = _fit(blocks, kept)
     lag, columns = (
         np.concatenate([r.lag - r.lag.mean() for r in held_out]),
         [_columns(r, load, speed) for r in held_out],
     )
     centred, gear = np.concatenate([c - c.mean(axis=0) for c in columns]), [0, 1]
-    told = [(float(value), float(error)) for value, error in zip(x, std, strict=True)]
+    estimates = [(float(value), float(error)) for value, error in zip(x, std, strict=True)]
     return GearEstimate(
         joint,
-        told[0],
-        told[1] if x[1] > SURE * std[1] else None,
-        told[2],
+        estimates[0],
+        estimates[1] if x[1] > MIN_STANDARD_ERRORS * std[1] else None,
+        estimates[2],
         float(np.sqrt(np.mean(lag**2))),
         float(np.sqrt(np.mean((lag - centred @ x) ** 2))),
         np.concatenate([r.load for r in held_out]),
@@ -179,10 +211,12 @@ def _gear(
     )
 
 
-def _fitted(blocks: Sequence[tuple[Array, Array]], kept: Sequence[int]) -> tuple[Array, Array]:
-    """Coefficients of some columns and their standard deviations between blocks; 0 of the others. Shapes (6,)."""
-    found, covariance = sandwiched([(c[:, kept], z) for c, z in blocks])
+def _fit(
+    blocks: Sequence[tuple[FloatArray, FloatArray]], kept: Sequence[int]
+) -> tuple[FloatArray, FloatArray]:
+    """Coefficients of some columns and their standard errors, 0 of the others; shapes (6,)."""
+    solution, covariance = sandwiched([(c[:, kept], z) for c, z in blocks])
     freedom = len(blocks) / max(len(blocks) - len(kept), 1)
     x, std = np.zeros(6), np.zeros(6)
-    x[kept], std[kept] = found, np.sqrt(np.diag(covariance) * freedom)
+    x[kept], std[kept] = solution, np.sqrt(np.diag(covariance) * freedom)
     return x, std

@@ -1,8 +1,10 @@
-"""Parameters of what was found, and how far off they may be.
+"""Reported parameters of a finding and their standard deviations.
 
-Three things move a parameter: noise, by the fit's covariance; values that a grid had fixed, linearised beside the coefficients; and a law
-that is not quite the catalogue's, or has what no recording shows. Of the last, the fit leaves a part, r, and takes the rest for its own: by
-Cauchy and Schwarz a misfit as large as r moves a parameter by no more than ‖r‖ √(G⁻¹)ᵢᵢ, G the products of columns that the base leaves.
+Three causes contribute: noise, by the covariance of the fit; nonlinear parameters, which are
+linearised and estimated jointly with the coefficients; and an effect whose form is not quite the
+model's, or that has parts no recording shows. For the latter, the fit leaves a misfit r and absorbs
+a part of similar size: by the Cauchy-Schwarz inequality a misfit of norm ‖r‖ moves a parameter by
+at most ‖r‖ √(G⁻¹)ᵢᵢ, with G the Gram matrix of the columns projected off the base.
 """
 
 from __future__ import annotations
@@ -12,176 +14,208 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .._types import BoolArray, FloatArray, IntArray
 from ..effects import EFFECTS_BY_NAME
-from ..effects.effect import CandidateModel, Effect
+from ..effects.effect import CandidateModel, Effect, FittedModels
 from . import search
 from .hypothesis import acting
 from .judge import Verdict
 from .search import EffectRegression
 
-Array = np.ndarray
 FORM = 0.1
-"""Relative standard deviation of a parameter whose effect's form is not quite the robot's, where the effect states none: fitted to other
-effects it covers nine in ten."""
-HIDDEN = 0.3
-"""Of the misfit that the fit leaves, what it takes for its own."""
-STEP = 0.02
-"""Change of a value's logarithm that its column is the secant of."""
-FARTHEST = 1.5
-"""Change of a value's logarithm, at the most."""
-UNFELT, NUDGE, MOVED = 1e-6, 1e-3, 1e-4
-"""Torque of a coefficient over that of another of the same shape, below which it is rounding; and what a parameter moves, over its value,
-where such a coefficient moves by so much of the others, from which no recording here shows it."""
+"""Relative standard deviation of a parameter by the form of the effect, where the effect states
+none; with it the intervals of the other effects cover nine in ten."""
+ABSORBED_MISFIT = 0.3
+"""Misfit that the fit absorbs over the misfit that it leaves."""
+LOG_STEP = 0.02
+"""Step of the finite differences by the logarithm of a nonlinear parameter."""
+MAX_LOG_CHANGE = 1.5
+"""Largest change of the logarithm of a nonlinear parameter in the random draws."""
+UNOBSERVED_RATIO = 1e-6
+"""Column RMS over that of the largest column of the same model, below which it is rounding."""
+NUDGE = 1e-3
+"""Change of an unobserved coefficient over the RMS of the observed ones that tests a parameter."""
+MIN_RELATIVE_CHANGE = 1e-4
+"""Relative change of a parameter by that nudge from which it counts as unobserved."""
 DRAWS = 200
-MIDDLE = 15.87, 84.13
-"""Percentiles between which two standard deviations lie."""
+"""Random draws of coefficients from their covariance."""
+PERCENTILES = 15.87, 84.13
+"""Percentiles of the normal distribution one standard deviation below and above the mean."""
 
 
 @dataclass(frozen=True)
 class FitCovariance:
-    """How fitted shapes may vary together. root: of the covariance of all coefficients, then of the logarithms of turned values, of unit
-    noise. places: of those in `root`, by the number of the shape; none of a shape whose value is not turned. Shape (K + m, K + m).
+    """Joint covariance of the fitted candidate models.
+
+    Attributes:
+        root: Square root of the covariance of all coefficients, then of the logarithms of the
+            nonlinear parameters, shape (K + m, K + m).
+        places: Index in `root` of the nonlinear parameter of a model, by the model's position in
+            the fit; absent where nothing was optimised.
     """
 
-    root: Array
+    root: FloatArray
     places: dict[int, int]
 
 
 def finding_parameters(
-    one: EffectRegression, verdict: Verdict, number: int
+    regression: EffectRegression, verdict: Verdict, number: int
 ) -> dict[str, tuple[float, float]]:
-    """The contract's parameters of a finding that the recordings show: value and standard deviation. How far a planar arm's base leans out
-    of its plane, none does."""
+    """Return the observed parameters of a finding: value and standard deviation by name.
+
+    Parameters that no recording shows are left out, as the tilt of a planar arm's base out of its
+    plane.
+
+    Args:
+        regression: The effect regression.
+        verdict: The verdict.
+        number: Index of the finding.
+    """
     together, finding = verdict.together, verdict.findings[number]
     assert together is not None
     effect = EFFECTS_BY_NAME[finding.main.effect]
-    alike = [together.shapes.index(part.shape) for part in finding.parts]
+    positions = [together.shapes.index(part.shape) for part in finding.parts]
 
-    def parts(c: Array, turned: Array | None = None) -> list[tuple[CandidateModel, Array]]:
-        split_by_motion = one.split(together.shapes, c)
-        shapes = {k: one.shapes[together.shapes[k]] for k in alike}
-        if turned is not None:
-            shapes = {
-                k: _turned(shape, turned[spread.places[k]] if k in spread.places else 0.0)
-                for k, shape in shapes.items()
+    def models(c: FloatArray, log_changes: FloatArray | None = None) -> FittedModels:
+        coefficients = regression.split(together.shapes, c)
+        changed = {k: regression.shapes[together.shapes[k]] for k in positions}
+        if log_changes is not None:
+            changed = {
+                k: _with_log_change(
+                    model, log_changes[covariance.places[k]] if k in covariance.places else 0.0
+                )
+                for k, model in changed.items()
             }
-        return [(shapes[k], split_by_motion[k]) for k in alike]
+        return [(changed[k], coefficients[k]) for k in positions]
 
-    spread = spreads(one, verdict)
-    fitted = parts(together.coefficients)
-    value, unseen, others = (
-        effect.reported_parameters(fitted),
-        effect.unobserved_std(fitted),
-        [effect.reported_parameters(parts(half)) for half in together.halves],
-    )
-    wide = np.sqrt(1.0 + (HIDDEN * misfit(one, verdict, number)) ** 2)
-    draws = wide * np.random.default_rng(0).normal(size=(DRAWS, len(spread.root))) @ spread.root.T
+    covariance = fit_covariance(regression, verdict)
+    fitted = models(together.coefficients)
+    values, unobserved_std = effect.reported_parameters(fitted), effect.unobserved_std(fitted)
+    by_fold = [effect.reported_parameters(models(c)) for c in together.halves]
+    inflation = np.sqrt(1.0 + (ABSORBED_MISFIT * misfit(regression, verdict, number)) ** 2)
+    normal = np.random.default_rng(0).normal(size=(DRAWS, len(covariance.root)))
+    draws = inflation * normal @ covariance.root.T
     count = len(together.coefficients)
     cloud = [
-        effect.reported_parameters(parts(together.coefficients + draw[:count], np.clip(draw, -FARTHEST, FARTHEST)))
+        effect.reported_parameters(
+            models(
+                together.coefficients + draw[:count], np.clip(draw, -MAX_LOG_CHANGE, MAX_LOG_CHANGE)
+            )
+        )
         for draw in draws
     ]
-    out, hidden = (
-        {},
-        _hidden(effect, fitted, [_felt(one.prior[one.places[together.shapes[k]]]) for k in alike]),
-    )
-    for key, mean in value.items():
-        if key in hidden:
+    observed = [
+        _observed_columns(regression.prior[regression.places[together.shapes[k]]])
+        for k in positions
+    ]
+    out, unobserved = {}, _unobserved_parameters(effect, fitted, observed)
+    for key, value in values.items():
+        if key in unobserved:
             continue
-        low, high = np.nanpercentile([c[key] for c in cloud], MIDDLE)
-        halves = (
-            abs(others[0][key] - others[1][key]) / 2.0
-            if one.shapes[finding.main.shape].interval is None
+        low, high = np.nanpercentile([c[key] for c in cloud], PERCENTILES)
+        fold_difference = (
+            abs(by_fold[0][key] - by_fold[1][key]) / 2.0
+            if regression.shapes[finding.main.shape].interval is None
             else 0.0
         )
-        form = effect.form_std.get(key, FORM) * abs(mean)
-        out[key] = (
-            mean,
-            float(
-                np.sqrt((0.5 * (high - low)) ** 2 + halves**2 + form**2 + unseen.get(key, 0.0) ** 2)
-            ),
+        form = effect.form_std.get(key, FORM) * abs(value)
+        variance = (
+            (0.5 * (high - low)) ** 2
+            + fold_difference**2
+            + form**2
+            + unobserved_std.get(key, 0.0) ** 2
         )
+        out[key] = (value, float(np.sqrt(variance)))
     return out
 
 
-def _hidden(
-    effect: Effect, fitted: Sequence[tuple[CandidateModel, Array]], which: Sequence[Array]
+def _unobserved_parameters(
+    effect: Effect, fitted: FittedModels, observed: Sequence[BoolArray]
 ) -> set[str]:
-    """Parameters that hang on coefficients which no joint feels. which: those that one does. Shapes (k,)."""
-    out, value = set[str](), effect.reported_parameters(fitted)
-    for number, ((shape, c), felt) in enumerate(zip(fitted, which, strict=True)):
-        for k in np.flatnonzero(~felt):
+    """Parameters that depend on coefficients which no joint observes."""
+    out, values = set[str](), effect.reported_parameters(fitted)
+    for number, ((model, c), columns) in enumerate(zip(fitted, observed, strict=True)):
+        for k in np.flatnonzero(~columns):
             nudged = c.copy()
-            nudged[k] += NUDGE * float(np.sqrt(np.mean(c[felt] ** 2)))
-            moved = effect.reported_parameters([*fitted[:number], (shape, nudged), *fitted[number + 1 :]])
-            out |= {key for key, was in value.items() if abs(moved[key] - was) > MOVED * abs(was)}
+            nudged[k] += NUDGE * float(np.sqrt(np.mean(c[columns] ** 2)))
+            changed = effect.reported_parameters(
+                [*fitted[:number], (model, nudged), *fitted[number + 1 :]]
+            )
+            out |= {
+                key
+                for key, value in values.items()
+                if abs(changed[key] - value) > MIN_RELATIVE_CHANGE * abs(value)
+            }
     return out
 
 
-def _felt(prior: Array) -> Array:
-    """Which columns of a shape some joint feels. Shape (k,)."""
-    return np.asarray(prior >= UNFELT**2 * prior.max())
+def _observed_columns(prior: FloatArray) -> BoolArray:
+    """Columns of a model that some joint observes, shape (k,)."""
+    return np.asarray(prior >= UNOBSERVED_RATIO**2 * prior.max())
 
 
-def _turned(shape: CandidateModel, by: float) -> CandidateModel:
-    """A shape whose value's logarithm is another."""
-    return (
-        shape
-        if shape.nonlinear is None or not by
-        else shape.nonlinear.at(shape.nonlinear.value * float(np.exp(by)))
-    )
+def _with_log_change(model: CandidateModel, change: float) -> CandidateModel:
+    """The model with the logarithm of its nonlinear parameter changed."""
+    if model.nonlinear is None or not change:
+        return model
+    return model.nonlinear.at(model.nonlinear.value * float(np.exp(change)))
 
 
-def spreads(one: EffectRegression, verdict: Verdict) -> FitCovariance:
-    """The covariance of everything that was fitted."""
+def fit_covariance(regression: EffectRegression, verdict: Verdict) -> FitCovariance:
+    """Return the joint covariance of all coefficients and nonlinear parameters."""
     together = verdict.together
     assert together is not None
-    which = one.which(together.shapes)
-    columns = [part.picked(which) for part in one.columns]
-    turned = list[list[Array]]()
+    which = regression.which(together.shapes)
+    columns = [part.picked(which) for part in regression.columns]
+    coefficients = regression.split(together.shapes, together.coefficients)
+    derivatives = list[list[FloatArray]]()
     places: dict[int, int] = {}
-    for k, (i, c) in enumerate(
-        zip(together.shapes, one.split(together.shapes, together.coefficients), strict=True)
-    ):
+    for k, (i, c) in enumerate(zip(together.shapes, coefficients, strict=True)):
         above, below = (
-            one.build(_turned(one.shapes[i], by)) if one.shapes[i].nonlinear else None
-            for by in (STEP, -STEP)
+            regression.build(_with_log_change(regression.shapes[i], step))
+            if regression.shapes[i].nonlinear
+            else None
+            for step in (LOG_STEP, -LOG_STEP)
         )
         if above is not None and below is not None:
             places[k] = len(which) + len(places)
-            turned.append(
+            derivatives.append(
                 [
-                    ((a.full() - b.full()) @ c)[:, None] / (2.0 * STEP)
+                    ((a.full() - b.full()) @ c)[:, None] / (2.0 * LOG_STEP)
                     for a, b in zip(above, below, strict=True)
                 ]
             )
-    every = [
-        np.hstack([part.full(), *(own[half] for own in turned)])
-        for half, part in enumerate(columns)
+    joint_columns = [
+        np.hstack([part.full(), *(by_fold[fold] for by_fold in derivatives)])
+        for fold, part in enumerate(columns)
     ]
-    free = one.both.free(np.concatenate(every))
+    free = regression.both.free(np.concatenate(joint_columns))
     G = free.T @ free
-    # a value's logarithm is known to one, as its grid's neighbours are
-    G[np.diag_indices_from(G)] += np.concatenate([one.prior[which], np.ones(len(places))])
-    own = one.split(together.shapes, np.arange(len(which)))
-    for rows, c in zip(own, one.split(together.shapes, together.coefficients), strict=True):
-        _unfelt(G, rows, one.prior[which[rows]], c)
+    # prior: a nonlinear parameter is known within a factor e, about the distance of grid values
+    G[np.diag_indices_from(G)] += np.concatenate([regression.prior[which], np.ones(len(places))])
+    rows_by_model = regression.split(together.shapes, np.arange(len(which)))
+    for rows, c in zip(rows_by_model, coefficients, strict=True):
+        _decouple_unobserved(G, rows, regression.prior[which[rows]], c)
     values, vectors = np.linalg.eigh(G)
     return FitCovariance(vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1])), places)
 
 
-def _unfelt(G: Array, rows: Array, prior: Array, c: Array) -> None:
-    """Columns of a shape that no joint feels, such as a force out of an arm's plane, are taken to be as large as those that one feels."""
-    unfelt = ~_felt(prior)
-    if unfelt.any():
-        places = rows[unfelt]
+def _decouple_unobserved(G: FloatArray, rows: IntArray, prior: FloatArray, c: FloatArray) -> None:
+    """Give unobserved coefficients the size of the observed ones as their standard deviation.
+
+    An example is a force out of the plane of a planar arm.
+    """
+    unobserved = ~_observed_columns(prior)
+    if unobserved.any():
+        places = rows[unobserved]
         G[places] = G[:, places] = 0.0
-        G[places, places] = 1.0 / max(float(np.mean(c[~unfelt] ** 2)), 1e-300)
+        G[places, places] = 1.0 / max(float(np.mean(c[~unobserved] ** 2)), 1e-300)
 
 
-def misfit(one: EffectRegression, verdict: Verdict, number: int) -> float:
-    """Norm of what the fit leaves beyond unit noise where a finding acts."""
+def misfit(regression: EffectRegression, verdict: Verdict, number: int) -> float:
+    """Return the norm of the residual beyond unit noise on the joints where a finding acts."""
     together, main = verdict.together, verdict.findings[number].main
     assert together is not None
-    left = search.remaining(one, together.shapes)[:, acting(one, together, main.shape)]
-    return float(np.sqrt(max(np.sum(left**2) - left.size, 0.0)))
+    acts = acting(regression, together, main.shape)
+    residual = search.remaining(regression, together.shapes)[:, acts]
+    return float(np.sqrt(max(np.sum(residual**2) - residual.size, 0.0)))

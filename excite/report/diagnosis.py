@@ -291,15 +291,11 @@ def _finding(finding: Document) -> dict[str, Any]:
         for key, v in finding["parameters"].items()
     ]
     head = ("parameter", "value", "standard error", "95 % interval", "unit")
-    alternatives = listed([effect_words(name) for name in finding["equivalents"]])
-    facts = [
-        f"Probability {number(finding['probability'], 2)} that it is this effect"
-        + (
-            f" or {alternatives}, which these recordings cannot distinguish from it."
-            if finding["equivalents"]
-            else "."
-        )
-    ]
+    probability = f"Probability {number(finding['probability'], 2)} that it is this effect"
+    if finding["equivalents"]:
+        alternatives = listed([effect_words(name) for name in finding["equivalents"]])
+        probability += f" or {alternatives}, which these recordings cannot distinguish from it"
+    facts = [probability + "."]
     if "not_shown" in finding:
         names = listed([name.replace("_", " ") for name in finding["not_shown"]])
         facts.append(f"These recordings do not show its {names}.")
@@ -307,8 +303,10 @@ def _finding(finding: Document) -> dict[str, Any]:
         start, end = finding["where"]["time"]
         recording = Path(finding["where"]["recording"]).name
         facts.append(f"Only from {number(start)} to {number(end)} s of {recording}.")
-    confusable = listed([effect_words(name) for name in effect.similar])
-    purpose = f"To distinguish it from {confusable}" if effect.similar else "To confirm it"
+    purpose = "To confirm it"
+    if effect.similar:
+        names = listed([effect_words(name) for name in effect.similar])
+        purpose = f"To distinguish it from {names}"
     facts.append(f"{purpose}: {finding['experiment']}.")
     return {
         "title": f"{effect_words(finding['effect'])}: {_place(finding['joint'])}{source}",

@@ -38,7 +38,7 @@ def _draw_deflection(axes: Any, gear: GearEstimate) -> None:
     load = np.linspace(gear.load.min(), gear.load.max(), 101)
     axes.axhline(0.0, color=GREY, linewidth=0.5)
     step = slice(None, None, -(-len(gear.load) // MAX_DOTS))
-    deflection = 1e3 * gear.windup[step]
+    deflection = 1e3 * gear.deflection[step]
     axes.plot(gear.load[step], deflection, ".", color=INK, markersize=1.5, alpha=0.35)
     axes.plot(load, 1e3 * gear.curve(load), color=ORANGE, linewidth=1.2)
     limit_ticks(axes, 5, 4)

@@ -194,7 +194,7 @@ def test_remarks_and_facts_are_listed() -> None:
 
 
 def test_data_share_of_each_direction() -> None:
-    """With result γ for all, the share is λ/(λ + 2γ) exactly."""
+    """With a single γ, the share is λ/(λ + 2γ) exactly."""
     result = identification_of()
     drive_scale = np.diag(result.model.parameters.scale)[10 * result.model.parameters.bodies :]
     prior = dataclasses.replace(
@@ -268,7 +268,7 @@ def test_long_recording_is_drawn_around_its_largest_error() -> None:
         measured=torque,
         nominal=torque,
         fitted=torque - residual,
-        floor=None,
+        noise_floor=None,
         starts=(0, 1000),
     )
     start, end = torque_fit.drawn_interval(result)

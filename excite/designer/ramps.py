@@ -1,7 +1,8 @@
-"""The rest-to-rest motion around the Fourier part: Ruckig plans, and every ramp is checked before it is taken.
+"""Plan the ramps that complete a periodic motion to a motion from rest to rest.
 
-Ruckig keeps velocity, acceleration and jerk; it knows neither position limits nor torque. So ramps are tried from the
-briskest to the gentlest, at phases of the periodic part where it is slow, until one passes all checks.
+Ruckig plans ramps under velocity, acceleration and jerk limits; it knows neither position limits
+nor torque nor obstacles. Ramps are therefore tried from the fastest to the slowest, at phases of
+the periodic motion where it is slow, until one passes all checks.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import ruckig
 
+from .._types import FloatArray
 from ..errors import Infeasible, UnusableInput
 from ..robot.inertial_parameters import spread_poses
 from ..robot.limits import DERIVED, Limits
@@ -22,47 +24,91 @@ from ..trajectory.rest_to_rest import JerkProfile, Motion, MotionSegment
 from . import constraint_margins
 from .constraint_margins import MotionConstraints
 
-Array = np.ndarray
 RAMP_SCALES = (1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1)
+"""Shares of the acceleration and jerk limits that ramps are tried with [1]."""
+
 TRANSFER_SCALES = (0.3, 0.2, 0.1, 0.05)
-"""Scales of approach and return, which show nothing and so need not hurry."""
+"""Shares of these limits for approach and return, which carry no information [1]."""
+
 PHASE_COUNT = 40
+"""Phases of the periodic motion at which ramps are tried [1]."""
+
+MIN_TRIED_PHASES = 6
+"""Phases that are tried before the shortest ramps found so far are accepted [1]."""
+
 EXTRA_CLEARANCE = 1e-3
-"""Clearance beyond the margin that a ramp keeps [m]: what the certificate cannot resolve, twice."""
+"""Clearance of ramps beyond the required one [m]: twice the resolution of the certificate."""
+
 POSES_PER_LINE = 100
-"""Poses at which a straight line is looked at first."""
+"""Poses on the straight line between two poses that are checked before planning [1]."""
+
 VIA_POSE_COUNT = 64
+"""Poses in the roadmap that fill the joint ranges [1]."""
+
 MAX_ROADMAP_SEARCHES = 300
-"""Legs that are tried at most to find a way round."""
+"""Shortest paths over the roadmap that are tried at most [1]."""
+
+STOP_COST = 0.2
+"""Cost of an intermediate stop over the median duration of a leg [1]."""
+
 TIME_GRID = 0.04
-"""Segments last whole multiples of this [s] where the rate allows: also of 1, 2, 4, 8 and 20 ms, for other rates."""
+"""Duration that segments are multiples of, where the sampling rate allows [s].
+
+It is a multiple of 1, 2, 4, 8 and 20 ms, too, for export at other rates.
+"""
+
+MAX_JERK_RATIO = 1e3
+"""Ratio of jerk to acceleration limit passed to Ruckig at most [1/s].
+
+More jerk gains nothing, and Ruckig's root finding fails at far larger ratios.
+"""
+
+LIMIT_MARGIN = 1e-3
+"""Share of the limits that Ruckig keeps free, above its rounding errors [1]."""
+
+CHECK_STEP = 0.004
+"""Largest time step at which a ramp is checked [s]."""
+
+PEAK_FACTOR = 1.2
+"""Least ratio of a derived limit to the peak of the periodic motion [1]."""
 
 
 @dataclass(frozen=True)
 class JointState:
-    """Joint positions, velocities, accelerations at one moment. Shapes (n,)."""
+    """Joint positions, velocities and accelerations at one time.
 
-    q: Array
-    dq: Array
-    ddq: Array
+    Attributes:
+        q: Positions. Shape (n,).
+        dq: Velocities. Shape (n,).
+        ddq: Accelerations. Shape (n,).
+    """
+
+    q: FloatArray
+    dq: FloatArray
+    ddq: FloatArray
 
     @staticmethod
-    def rest(q: Array) -> JointState:
-        """Standing still at q."""
+    def at_rest(q: FloatArray) -> JointState:
+        """Return the state of rest at positions `q`."""
         return JointState(q, np.zeros_like(q), np.zeros_like(q))
 
 
-MAX_JERK_RATIO = 1e3
-"""Jerk over acceleration beyond which more jerk buys nothing [1/s]: Ruckig's root finding fails at far larger ratios."""
-
-
 def with_derived_limits(limits: Limits, fourier: FourierSeries) -> Limits:
-    """Limits with a stated acceleration and jerk where the maker gives none; they bind the ramps only.
+    """Derive acceleration and jerk limits where the manufacturer states none.
 
-    Acceleration: 4 v_max/s or 1.2 times the Fourier part's peak, if that is more; jerk: 10/s times that, or likewise. They follow from
-    `limits` and the motion alone, so that a certificate can derive them again; a slower run of the same path keeps its own.
+    Derived limits apply to the ramps only. Acceleration: 4 v_max per second, at least 1.2 times the
+    peak of the periodic motion; jerk: 10 times the acceleration limit per second, at least 1.2
+    times the peak. They follow from `limits` and the motion alone, so that a certificate can derive
+    them again; a slower run of the same path keeps its own.
+
+    Args:
+        limits: Stated limits.
+        fourier: Periodic motion.
+
+    Returns:
+        Limits without missing values; derived ones have the source `limits.DERIVED`.
     """
-    peak = [1.2 * fourier.peak(order) for order in (2, 3)]
+    peak = [PEAK_FACTOR * fourier.peak(order) for order in (2, 3)]
     rule = {"acceleration": np.maximum(4.0 * limits.velocity, peak[0])}
     known = np.where(np.isfinite(limits.acceleration), limits.acceleration, rule["acceleration"])
     rule["jerk"] = np.maximum(10.0 * known, peak[1])
@@ -78,22 +124,32 @@ def with_derived_limits(limits: Limits, fourier: FourierSeries) -> Limits:
 
 
 def time_grid(rate: float) -> float:
-    """The time grid on which segments begin and end [s]."""
+    """Return the time grid on which segments begin and end [s]; `rate`: samples per second [Hz]."""
     return TIME_GRID if abs(TIME_GRID * rate - round(TIME_GRID * rate)) < 1e-9 else 1.0 / rate
 
 
 class RampPlanner:
-    """Ramps under the limits of `subject` (derived ones included), on the time grid of `rate` [Hz]."""
+    """Planner of ramps and transfers.
 
-    def __init__(self, subject: MotionConstraints, rate: float) -> None:
-        self.constraints, self.rate, self.grid = subject, rate, time_grid(rate)
-        self.n = subject.robot.n
-        self._ruckig = ruckig.Ruckig(self.n, self.grid)
-        self.obstacle = ""
-        """What the last stop that was tried would break."""
+    Attributes:
+        constraints: Constraints on the ramps, derived limits included.
+        rate: Samples per second of the motion [Hz].
+        time_step: Time grid of the segments [s].
+        n: Number of joints.
+        violated: Constraint that the last ramp violated, "" where it violated none.
+    """
 
-    def _plan(self, begin: JointState, target: Array | None, scale: float) -> JerkProfile | None:
-        """Ruckig's profile from a state to rest at `target`, or to rest anywhere; None where it finds none."""
+    def __init__(self, constraints: MotionConstraints, rate: float) -> None:
+        """Set up Ruckig for the joints and the time grid."""
+        self.constraints, self.rate, self.time_step = constraints, rate, time_grid(rate)
+        self.n = constraints.robot.n
+        self._ruckig = ruckig.Ruckig(self.n, self.time_step)
+        self.violated = ""
+
+    def _plan(
+        self, begin: JointState, target: FloatArray | None, scale: float
+    ) -> JerkProfile | None:
+        """Plan a profile from a state to rest, at `target` or anywhere; None where Ruckig fails."""
         limits = self.constraints.limits
         request = ruckig.InputParameter(self.n)
         request.current_position, request.current_velocity, request.current_acceleration = (
@@ -106,27 +162,26 @@ class RampPlanner:
             request.control_interface = ruckig.ControlInterface.Velocity
         else:
             request.target_position = target
-        # 1e-3 keeps clear of the limits by more than rounding
-        request.max_velocity = (1.0 - 1e-3) * limits.velocity * min(1.0, 1.5 * scale)
-        request.max_acceleration = (1.0 - 1e-3) * limits.acceleration * scale
+        request.max_velocity = (1.0 - LIMIT_MARGIN) * limits.velocity * min(1.0, 1.5 * scale)
+        request.max_acceleration = (1.0 - LIMIT_MARGIN) * limits.acceleration * scale
         jerk = np.minimum(limits.jerk, MAX_JERK_RATIO * limits.acceleration)
-        request.max_jerk = (1.0 - 1e-3) * jerk * scale
+        request.max_jerk = (1.0 - LIMIT_MARGIN) * jerk * scale
         request.duration_discretization = ruckig.DurationDiscretization.Discrete
-        found = ruckig.Trajectory(self.n)
+        planned = ruckig.Trajectory(self.n)
         try:
-            result = self._ruckig.calculate(request, found)
-        except ruckig.RuckigError:  # its numbers gave out
+            result = self._ruckig.calculate(request, planned)
+        except ruckig.RuckigError:  # its root finding failed
             return None
         if result not in (ruckig.Result.Working, ruckig.Result.Finished):
             return None
-        return _profile(begin, found)
+        return _profile(begin, planned)
 
-    def _passes(self, profile: JerkProfile, duration: float) -> tuple[bool, str]:
-        """Whether a ramp keeps position, velocity, the loads and its distance; and what it breaks most."""
-        count = max(int(np.ceil(duration / 0.004)), 4)
+    def _check(self, profile: JerkProfile, duration: float) -> tuple[bool, str]:
+        """Return whether a ramp keeps all constraints, and the one it violates most."""
+        count = max(int(np.ceil(duration / CHECK_STEP)), 4)
         t = np.linspace(0.0, duration, count + 1)
         motion = Samples(profile.at(t), profile.at(t, 1), profile.at(t, 2))
-        demands = [
+        quantities = [
             constraint_margins.joint_quantity(
                 "position",
                 self.constraints,
@@ -139,34 +194,51 @@ class RampPlanner:
                 motion.dq - constraint_margins.intersample_bound(motion.dq),
                 motion.dq + constraint_margins.intersample_bound(motion.dq),
             ),
-            constraint_margins.joint_quantity("acceleration", self.constraints, motion.ddq, motion.ddq),
+            constraint_margins.joint_quantity(
+                "acceleration", self.constraints, motion.ddq, motion.ddq
+            ),
         ]
-        if max(d.largest_ratio() for d in demands) <= 1.0 - 1e-6:
-            demands = constraint_margins.model_quantities(self.constraints, motion)
-        worst = max(demands, key=lambda d: d.largest_ratio())
+        if max(d.largest_ratio() for d in quantities) <= 1.0 - 1e-6:
+            quantities = constraint_margins.model_quantities(self.constraints, motion)
+        worst = max(quantities, key=lambda d: d.largest_ratio())
         if worst.largest_ratio() > 1.0 - 1e-4:
             return False, f"the {worst.limit} limits"
-        blocked = self.clearance_violation(motion.q)
-        return not blocked, blocked
+        violation = self.clearance_violation(motion.q)
+        return not violation, violation
 
-    def clearance_violation(self, q: Array) -> str:
-        """The pair that comes too near along equispaced poses, between them too; "" where none does. Shape (N, n)."""
+    def clearance_violation(self, q: FloatArray) -> str:
+        """Name the pair of bodies whose clearance is violated most along a path.
+
+        Args:
+            q: Equispaced poses; the distance is bounded between them, too. Shape (N, n).
+
+        Returns:
+            The name of its constraint, "" where all clearances are kept.
+        """
         if self.constraints.clearance is None:
             return ""
-        room, pair = self.constraints.clearance.least(q)
-        room = room - constraint_margins.intersample_bound(room[:, None])[:, 0]
-        worst = int(np.argmin(room))
+        excess, pair = self.constraints.clearance.least(q)
+        excess = excess - constraint_margins.intersample_bound(excess[:, None])[:, 0]
+        worst = int(np.argmin(excess))
         return (
             ""
-            if room[worst] >= EXTRA_CLEARANCE
+            if excess[worst] >= EXTRA_CLEARANCE
             else f"the clearance of {self.constraints.clearance.names[pair[worst]]}"
         )
 
-    def stop(self, begin: JointState, *, backwards: bool = False) -> Iterator[tuple[JerkProfile, float]]:
-        """Ways to come to rest from a state, briskest first; all checked.
+    def plan_stops(
+        self, begin: JointState, *, backwards: bool = False
+    ) -> Iterator[tuple[JerkProfile, float]]:
+        """Plan ramps from a state to rest, the fastest first; all have passed the checks.
 
-        backwards: ways to reach the state from rest instead. Such a ramp is a stop from the state with velocity
-        reversed, run backwards in time; it is checked as it will run, for friction does not reverse with time.
+        Args:
+            begin: State to begin with.
+            backwards: Plan ramps from rest to the state instead. Such a ramp is a stop from the
+                state with reversed velocity, run backwards in time. It is checked in the direction
+                of its execution, as friction is not symmetric in time.
+
+        Yields:
+            Ramps and their durations [s].
         """
         if backwards:
             begin = JointState(begin.q, -begin.dq, begin.ddq)
@@ -174,38 +246,48 @@ class RampPlanner:
             profile = self._plan(begin, None, scale)
             if profile is None:
                 continue
-            duration = _duration(profile, self.grid)
+            duration = _duration(profile, self.time_step)
             ramp = reverse_profile(profile, duration) if backwards else profile
-            passes, self.obstacle = self._passes(ramp, duration)
+            passes, self.violated = self._check(ramp, duration)
             if passes:
                 yield ramp, duration
 
     def plan_transfer(
-        self, begin: Array, end: Array, known: Array
+        self, begin: FloatArray, end: FloatArray, known: FloatArray
     ) -> tuple[list[tuple[JerkProfile, float]], str]:
-        """From rest to rest, straight in joint space or through poses at rest; and what forbids it where it is empty.
+        """Plan a motion between two poses at rest, directly or through intermediate poses.
 
-        known: poses that are clear. Shape (m, n). The shortest way over them is tried, leg by leg, and one that fails is
-        not taken again (a lazy roadmap; Bohlin & Kavraki 2000).
+        The intermediate poses form a lazy roadmap (Bohlin and Kavraki 2000): legs of the shortest
+        path are planned only when needed, and one that fails is removed.
+
+        Args:
+            begin: Pose to begin at. Shape (n,).
+            end: Pose to end at. Shape (n,).
+            known: Poses that are clear. Shape (m, n).
+
+        Returns:
+            Legs with their durations [s], and the reason where there are none.
         """
         direct, reason = self._leg(begin, end)
         if direct is not None:
             return [direct], ""
-        from scipy.sparse import csgraph  # rarely needed
+        from scipy.sparse import csgraph  # rarely needed, slow to import
 
-        poses = np.vstack([begin, end, self._open(known)])
-        length = np.abs((poses[:, None] - poses[None]) / self.constraints.limits.velocity).max(axis=2)
-        cost = length + 0.2 * float(np.median(length))  # every stop costs
+        poses = np.vstack([begin, end, self._clear_poses(known)])
+        length = np.abs((poses[:, None] - poses[None]) / self.constraints.limits.velocity).max(
+            axis=2
+        )
+        cost = length + STOP_COST * float(np.median(length))
         cost[0, 1] = cost[1, 0] = np.inf
         legs: dict[tuple[int, int], tuple[JerkProfile, float]] = {}
         for _ in range(MAX_ROADMAP_SEARCHES):
             total, before = csgraph.dijkstra(cost, indices=0, return_predecessors=True)
             if not np.isfinite(total[1]):
                 break
-            way = [1]
-            while way[-1] != 0:
-                way.append(int(before[way[-1]]))
-            pairs = list(zip(way[:0:-1], way[-2::-1], strict=True))
+            path = [1]
+            while path[-1] != 0:
+                path.append(int(before[path[-1]]))
+            pairs = list(zip(path[:0:-1], path[-2::-1], strict=True))
             for pair in pairs:
                 if pair not in legs:
                     leg, _ = self._leg(poses[pair[0]], poses[pair[1]])
@@ -217,37 +299,43 @@ class RampPlanner:
                 return [legs[pair] for pair in pairs], ""
         return [], reason
 
-    def _open(self, known: Array) -> Array:
-        """Poses to go through: known ones, and others that fill the joint ranges, as far as they are clear. Shape (m, n)."""
+    def _clear_poses(self, known: FloatArray) -> FloatArray:
+        """Return the clear ones of the known poses and of poses that fill the joint ranges."""
         poses = np.vstack([known, spread_poses(self.constraints.limits, VIA_POSE_COUNT)])
         clearance = self.constraints.clearance
         return poses if clearance is None else poses[clearance.least(poses)[0] >= EXTRA_CLEARANCE]
 
-    def _leg(self, begin: Array, end: Array) -> tuple[tuple[JerkProfile, float] | None, str]:
-        # Ruckig's way is not straight, but near enough to spare it the hopeless ones
-        reason = self.clearance_violation(begin + np.linspace(0.0, 1.0, POSES_PER_LINE)[:, None] * (end - begin))
+    def _leg(
+        self, begin: FloatArray, end: FloatArray
+    ) -> tuple[tuple[JerkProfile, float] | None, str]:
+        """Plan a direct motion between two poses; return None and the reason where it fails."""
+        # a straight line approximates Ruckig's path well enough to discard most blocked legs
+        reason = self.clearance_violation(
+            begin + np.linspace(0.0, 1.0, POSES_PER_LINE)[:, None] * (end - begin)
+        )
         if reason:
             return None, reason
         reason = "the velocity limits"
         for scale in TRANSFER_SCALES:
-            profile = self._plan(JointState.rest(begin), end, scale)
+            profile = self._plan(JointState.at_rest(begin), end, scale)
             if profile is None:
                 continue
-            passes, reason = self._passes(profile, _duration(profile, self.grid))
+            passes, reason = self._check(profile, _duration(profile, self.time_step))
             if passes:
-                return (profile, _duration(profile, self.grid)), ""
+                return (profile, _duration(profile, self.time_step)), ""
         return None, reason
 
 
 def _duration(profile: JerkProfile, grid: float) -> float:
+    """Return the duration of a profile, rounded to the time grid [s]."""
     longest = max(sum(d for d, _ in pieces) for pieces in profile.pieces)
     return max(round(longest / grid), 1) * grid
 
 
-def _profile(begin: JointState, found: ruckig.Trajectory) -> JerkProfile:
-    """Ruckig's profile as pieces of constant jerk."""
+def _profile(begin: JointState, planned: ruckig.Trajectory) -> JerkProfile:
+    """Convert a trajectory of Ruckig to pieces of constant jerk."""
     rows = []
-    for joint in found.profiles[0]:
+    for joint in planned.profiles[0]:
         pieces = [
             *zip(joint.brake.t, joint.brake.j, strict=True),
             *zip(joint.t, joint.j, strict=True),
@@ -259,33 +347,47 @@ def _profile(begin: JointState, found: ruckig.Trajectory) -> JerkProfile:
 
 
 def reverse_profile(profile: JerkProfile, duration: float) -> JerkProfile:
-    """The same path run backwards in time: r(t) = p(duration − t)."""
+    """Return a profile run backwards in time: r(t) = p(duration − t); `duration` in s."""
     end = np.array([duration])
     rows = []
     for pieces in profile.pieces:
-        rest = duration - sum(d for d, _ in pieces)
-        padded = [*pieces, (rest, 0.0)] if rest > 1e-12 else list(pieces)
+        remaining = duration - sum(d for d, _ in pieces)
+        padded = [*pieces, (remaining, 0.0)] if remaining > 1e-12 else list(pieces)
         rows.append(tuple((d, -j) for d, j in reversed(padded)))
-    return JerkProfile(profile.at(end)[0], -profile.at(end, 1)[0], profile.at(end, 2)[0], tuple(rows))
+    return JerkProfile(
+        profile.at(end)[0], -profile.at(end, 1)[0], profile.at(end, 2)[0], tuple(rows)
+    )
 
 
 def plan_rest_to_rest(
-    subject: MotionConstraints, fourier: FourierSeries, periods: int, rate: float, start: Array | None = None
+    constraints: MotionConstraints,
+    fourier: FourierSeries,
+    periods: int,
+    rate: float,
+    start: FloatArray | None = None,
 ) -> Motion:
-    """The whole motion around `fourier`, which may begin at another phase than it was given with.
+    """Complete a periodic motion to a motion from rest to rest.
 
-    subject: its limits must state accelerations and jerks (`with_derived`), less the margin to keep free.
-    start: pose to begin and end at, at rest; None: where the ramp-in begins.
-    Raises Infeasible when no ramp obeys the limits, UnusableInput when `start` breaks one.
+    Args:
+        constraints: Constraints, with acceleration and jerk limits (`with_derived_limits`) that
+            are reduced by the margins to keep free.
+        fourier: Periodic motion; it may begin at another phase in the result.
+        periods: Number of periods.
+        rate: Samples per second [Hz].
+        start: Pose to start and end at; None: where the ramp-in begins. Shape (n,).
+
+    Raises:
+        Infeasible: No ramp keeps all limits.
+        UnusableInput: The start pose violates a limit.
     """
-    planner = RampPlanner(subject, rate)
+    planner = RampPlanner(constraints, rate)
     shifted, ramp_in, ramp_out = _ramps(planner, fourier, start)
-    ready = ramp_in[0].position
-    halt = ramp_out[0].at(np.array([ramp_out[1]]))[0]
-    home = ready if start is None else start
+    ramp_start = ramp_in[0].position
+    ramp_end = ramp_out[0].at(np.array([ramp_out[1]]))[0]
+    home_pose = ramp_start if start is None else start
     known = shifted.at(shifted.grid(PHASE_COUNT))
-    approach = [] if start is None else _connect(planner, home, ready, known, "approach")
-    back = _connect(planner, halt, home, known, "return")
+    approach = [] if start is None else _connect(planner, home_pose, ramp_start, known, "approach")
+    back = _connect(planner, ramp_end, home_pose, known, "return")
     parts: list[tuple[str, JerkProfile | None, float]] = [("approach", *leg) for leg in approach]
     parts += [
         ("ramp_in", *ramp_in),
@@ -297,54 +399,72 @@ def plan_rest_to_rest(
     for kind, profile, duration in parts:
         begin, ticks = ticks, ticks + round(duration * rate)
         segments.append(MotionSegment(kind, begin / rate, ticks / rate, profile))
-    return Motion(subject.robot.joints, shifted, periods, tuple(segments))
+    return Motion(constraints.robot.joints, shifted, periods, tuple(segments))
 
 
 def _connect(
-    planner: RampPlanner, begin: Array, end: Array, known: Array, what: str
+    planner: RampPlanner, begin: FloatArray, end: FloatArray, known: FloatArray, kind: str
 ) -> list[tuple[JerkProfile, float]]:
+    """Plan the approach or the return; no legs where the poses are equal."""
     if np.abs(begin - end).max() < 1e-12:
         return []
     legs, reason = planner.plan_transfer(begin, end, known)
     if not legs:
         robot = planner.constraints.robot
         raise Infeasible(
-            f"{robot.source}: no {what} keeps {reason}; give another --start pose, widen them or clear the way"
+            f"{robot.source}: no {kind} keeps {reason}; "
+            "give another --start pose, widen them or clear the way"
         )
     return legs
 
 
 def _ramps(
-    planner: RampPlanner, fourier: FourierSeries, start: Array | None
+    planner: RampPlanner, fourier: FourierSeries, start: FloatArray | None
 ) -> tuple[FourierSeries, tuple[JerkProfile, float], tuple[JerkProfile, float]]:
-    """The phase at which ramping in and out is shortest among the slow ones, and both ramps there."""
+    """Return the periodic motion, begun where its ramps are shortest, and its two ramps."""
     if start is not None:
         check_start_pose(planner.constraints, start)
     times = fourier.grid(PHASE_COUNT)
-    brisk = np.abs(fourier.at(times, 1) / planner.constraints.limits.velocity).max(axis=1)
-    best: tuple[float, FourierSeries, tuple[JerkProfile, float], tuple[JerkProfile, float]] | None = None
-    for tried, index in enumerate(np.argsort(brisk)):
+    speed = np.abs(fourier.at(times, 1) / planner.constraints.limits.velocity).max(axis=1)
+    best: (
+        tuple[float, FourierSeries, tuple[JerkProfile, float], tuple[JerkProfile, float]] | None
+    ) = None
+    for tried, index in enumerate(np.argsort(speed)):
         shifted = fourier.shifted(float(times[index]))
         zero = np.zeros(1)
         state = JointState(*(shifted.at(zero, order)[0] for order in range(3)))
-        out = next(planner.stop(state), None)
-        into = next(planner.stop(state, backwards=True), None) if out is not None else None
-        if out is not None and into is not None and (best is None or out[1] + into[1] < best[0]):
-            best = (out[1] + into[1], shifted, into, out)
-        if best is not None and tried >= 5:
+        ramp_out = next(planner.plan_stops(state), None)
+        ramp_in = (
+            next(planner.plan_stops(state, backwards=True), None) if ramp_out is not None else None
+        )
+        if (
+            ramp_out is not None
+            and ramp_in is not None
+            and (best is None or ramp_out[1] + ramp_in[1] < best[0])
+        ):
+            best = (ramp_out[1] + ramp_in[1], shifted, ramp_in, ramp_out)
+        if best is not None and tried >= MIN_TRIED_PHASES - 1:
             break
     if best is None:
         source = planner.constraints.robot.source
         raise Infeasible(
-            f"{source}: no ramp into the periodic motion keeps {planner.obstacle}; "
+            f"{source}: no ramp into the periodic motion keeps {planner.violated}; "
             "try another --seed, lower --uncertainty or lengthen --period"
         )
     return best[1], best[2], best[3]
 
 
-def check_start_pose(subject: MotionConstraints, start: Array) -> None:
-    """Raise UnusableInput where a start pose cannot be held, or touches something."""
-    robot, limits = subject.robot, subject.limits
+def check_start_pose(constraints: MotionConstraints, start: FloatArray) -> None:
+    """Check a start pose.
+
+    Args:
+        constraints: Constraints on the motion.
+        start: Start pose. Shape (n,).
+
+    Raises:
+        UnusableInput: It violates a limit at rest, or a clearance.
+    """
+    robot, limits = constraints.robot, constraints.limits
     if start.shape != (robot.n,) or not np.isfinite(start).all():
         raise UnusableInput(
             f"{robot.source}: start pose: should be {robot.n} finite positions, one per joint"
@@ -354,25 +474,29 @@ def check_start_pose(subject: MotionConstraints, start: Array) -> None:
         j = int(np.argmax(outside))
         low, high = limits.position[j]
         raise UnusableInput(
-            f"{robot.source}: start pose: joint '{robot.joints[j]}' at {start[j]:g} is outside [{low:g}, {high:g}]; move it inside"
+            f"{robot.source}: start pose: joint '{robot.joints[j]}' at {start[j]:g} is outside "
+            f"[{low:g}, {high:g}]; move it inside"
         )
-    if subject.clearance is not None:
-        room, pair = subject.clearance.least(start[None])
-        if room[0] < EXTRA_CLEARANCE:
-            near, k = 1e3 * (room[0] + subject.clearance.need[pair[0]]), pair[0]
+    if constraints.clearance is not None:
+        excess, pair = constraints.clearance.least(start[None])
+        if excess[0] < EXTRA_CLEARANCE:
+            k = pair[0]
+            distance = 1e3 * (excess[0] + constraints.clearance.need[k])
             state = (
-                f"{near:.0f} mm apart, {1e3 * subject.clearance.need[k]:.0f} mm to keep"
-                if near > 0.0
-                else "in each other"
+                f"{distance:.0f} mm apart, {1e3 * constraints.clearance.need[k]:.0f} mm required"
+                if distance > 0.0
+                else "in collision"
             )
             raise UnusableInput(
-                f"{robot.source}: start pose: {subject.clearance.names[k]} are {state}; give another --start or clear the scene"
+                f"{robot.source}: start pose: {constraints.clearance.names[k]} are {state}; "
+                "give another --start or clear the scene"
             )
-    still = np.tile(start, (3, 1))
-    for demand in constraint_margins.model_quantities(
-        subject, Samples(still, np.zeros_like(still), np.zeros_like(still))
+    stationary = np.tile(start, (3, 1))
+    for quantity in constraint_margins.model_quantities(
+        constraints, Samples(stationary, np.zeros_like(stationary), np.zeros_like(stationary))
     ):
-        if demand.largest_ratio() > 1.0:
+        if quantity.largest_ratio() > 1.0:
             raise UnusableInput(
-                f"{robot.source}: start pose: breaks the {demand.limit} limits at rest; give another --start pose"
+                f"{robot.source}: start pose: violates the {quantity.limit} limits at rest; "
+                "give another --start pose"
             )

@@ -1,12 +1,17 @@
 #!/usr/bin/env python
-"""Whether designs keep clear of everything, judged by brute force, and what that costs: Markdown tables, all from one run.
+"""Check by brute force that designed motions keep clear of all obstacles, and measure the cost.
 
-cases: arms on a table before a wall and one with a tool, designed free and in their cell. The free motions should collide there.
-scenes: random obstacles and start poses. Every outcome is a motion that is clear, or a refusal that says what is in the way.
+It prints Markdown tables, all from one run:
 
-The judge looks every 1 ms (scenes: 2 ms) at every pair of bodies on different links, with coal and without excite's own search
-for nearest moments. The wheel's UR10 and Panda, whose links are meshes, are tried where it is at hand (robots.py says how to
-get it). The exit code is 1 when a motion breaks a margin or anything ends in a traceback.
+- cases: arms on a table in front of a wall, one with a tool, designed without and with the cell.
+  Without the cell the motions should collide.
+- scenes: random obstacles and start poses. Each outcome is a clear motion, or a refusal that names
+  the obstacle.
+
+The judge evaluates every pair of bodies on different links every 1 ms (scenes: 2 ms) with coal,
+independently of excite's own search for the times of least distance. The UR10 and the Panda of
+example-robot-data, whose links are meshes, are included where the wheel is available (robots.py
+says how to get it). The exit code is 1 when a motion violates a margin or anything raises.
 """
 
 from __future__ import annotations
@@ -28,13 +33,14 @@ from bench_design import prepared, say, show  # first: it keeps BLAS to one thre
 
 # isort: split
 import numpy as np
-from brute_force import CLEARLY, Judge, Least
+from brute_force import HULL_CLEARANCE, DistanceJudge, PairDistance
+from excite.designer.options import DesignOptions
 from robots import wheel
 
+from excite._types import FloatArray
 from excite.collision import clearance_builder, continuous_check, scene_file
 from excite.collision.workcell import Cell
 from excite.designer import criteria, pipeline
-from excite.designer.options import DesignOptions
 from excite.designer.time_budget import MotionRequest
 from excite.errors import CheckFailed, ExciteError, ExciteWarning, Infeasible, UnusableInput
 from excite.robot import limits, robot
@@ -42,11 +48,14 @@ from excite.robot.inertial_parameters import ranges
 from excite.robot.limits import Limits
 from excite.robot.robot import Robot
 
-Array = np.ndarray
 SEEDS = 3
-AGREE = 2e-3
-"""What the certificate proves may stay behind what brute force finds by this [m] and a twentieth of it, never be more."""
-STANDING = """
+"""Number of designs per case."""
+PROOF_TOLERANCE = 2e-3
+"""Tolerance by which a proven distance may fall below the true one [m].
+
+A twentieth of the distance is allowed in addition; proving more than the truth is an error.
+"""
+TABLE_AND_WALL = """
 floor = -0.8
 [[box]]
 name = "table"
@@ -57,7 +66,8 @@ name = "wall"
 size = [0.05, 2.4, 2.6]
 position = [-0.5, 0.0, 0.5]
 """
-TOOL = """
+"""Scene of the cases."""
+FLANGE_TOOL = """
 [[cylinder]]
 name = "tool"
 radius = 0.04
@@ -66,15 +76,32 @@ position = [0.0, 0.0, 0.11]
 link = "iiwa_link_ee"
 ignore = ["iiwa_link_7", "iiwa_link_6"]
 """
+"""Tool of the iiwa14."""
 REACH = {"ur10e": 1.3, "panda": 0.85, "iiwa14": 0.82, "ur5e": 0.85, "fr3": 0.85}
+"""Robots of the random scenes, with their reach [m]."""
 
 
-# -- cases ---------------------------------------------------------------------------------------------------------
+# -- cases ------------------------------------------------------------------------------------
 
 
 @dataclass
 class Case:
-    """An arm in its cell and what came of it, a design per seed: free, and in the cell. free: its worst pair there, by the sweep."""
+    """An arm in its cell and its designs, one per seed, without and with the cell.
+
+    Attributes:
+        name: Name in the table.
+        robot: The robot.
+        limits: Its limits.
+        cell: The cell.
+        placing: Processor time to build the cell [s].
+        free: Designs without the cell.
+        clear: Designs with the cell.
+        work: Processor time of each design [s], by whether the cell was used.
+        progress: Lines of progress.
+        free_distances: Nearest pair of each free design in the cell.
+        brute_force: Nearest pairs of the clear designs, by brute force.
+        faults: Disagreements and errors.
+    """
 
     name: str
     robot: Robot
@@ -84,19 +111,20 @@ class Case:
     free: list[pipeline.CertifiedDesign] = field(default_factory=list)
     clear: list[pipeline.CertifiedDesign] = field(default_factory=list)
     work: dict[bool, list[float]] = field(default_factory=lambda: {False: [], True: []})
-    said: list[str] = field(default_factory=list)
-    hits: list[continuous_check.Near] = field(default_factory=list)
-    judged: list[Least] = field(default_factory=list)
+    progress: list[str] = field(default_factory=list)
+    free_distances: list[continuous_check.Near] = field(default_factory=list)
+    brute_force: list[PairDistance] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
 
     def run(self) -> None:
+        """Design with every seed, with and without the cell, and check the results."""
         prepared(self.robot, self.limits, MotionRequest().complete(DesignOptions(), self.limits))
-        judge = Judge(self.cell)
+        judge = DistanceJudge(self.cell)
         for seed in range(SEEDS):
             say(f"{self.name}, seed {seed}, load {os.getloadavg()[0]:.1f}")
             try:
                 self.free.append(self._designed(seed, None))
-                self.hits.append(
+                self.free_distances.append(
                     continuous_check.along(self.cell, self.free[-1].trajectory.motion)[0]
                 )
                 self.clear.append(self._designed(seed, self.cell))
@@ -104,92 +132,105 @@ class Case:
                 self.faults.append(f"seed {seed}: {error}")
                 continue
             least = judge.along(self.clear[-1].trajectory.motion, 1e-3)
-            self.judged += [least[0], *[one for one in least if one.margin >= self.cell.margin][:1]]
+            self.brute_force += [
+                least[0],
+                *[entry for entry in least if entry.margin >= self.cell.margin][:1],
+            ]
             self.faults += [f"seed {seed}: {text}" for text in disagreements(self.clear[-1], least)]
 
     def _designed(self, seed: int, cell: Cell | None) -> pipeline.CertifiedDesign:
-        """One design; the processor's seconds besides the clock's, for others use the machine too."""
+        """Design once and record the processor time, because other programs share the machine."""
         options = MotionRequest().complete(DesignOptions(starts=1, seed=seed, jobs=1), self.limits)
         begun = time.process_time()
-        out = pipeline.design_trajectory(self.robot, self.limits, options, cell=cell, progress=self.said.append)
+        out = pipeline.design_trajectory(
+            self.robot, self.limits, options, cell=cell, progress=self.progress.append
+        )
         self.work[cell is not None].append(time.process_time() - begun)
         return out
 
     def cells(self) -> list[str]:
-        """Its row of the table."""
-        if not self.judged:
+        """Return the row of the table."""
+        if not self.brute_force:
             return [self.name, *[""] * 10]
         criterion = DesignOptions().criterion
         values = [
             float(
                 np.median(
                     [
-                        criteria.select_criterion(one.trajectory.criteria["optimum"], criterion, plain=False)
-                        for one in some
+                        criteria.select_criterion(
+                            design.trajectory.criteria["optimum"], criterion, plain=False
+                        )
+                        for design in designs
                     ]
                 )
             )
-            for some in (self.free, self.clear)
+            for designs in (self.free, self.clear)
         ]
         clock = [
-            f"{np.median([one.timing['total'] for one in some]):.1f}"
-            for some in (self.free, self.clear)
+            f"{np.median([design.timing['total'] for design in designs]):.1f}"
+            for designs in (self.free, self.clear)
         ]
-        proven = [near for one in self.clear for near in one.certificate.pair_distances]
+        proven = [near for design in self.clear for near in design.certificate.pair_distances]
         nearest = min(proven, key=lambda near: near.proven - near.pair.margin)
-        hit = min(self.hits, key=lambda near: near.found - near.pair.margin)
-        struck = sum(near.found < near.pair.margin for near in self.hits)
+        worst = min(self.free_distances, key=lambda near: near.found - near.pair.margin)
+        count = sum(near.found < near.pair.margin for near in self.free_distances)
         effect = (
-            f"{struck} of {len(self.hits)}: {1e3 * hit.found:.0f} mm, {hit.names}"
-            if struck
+            f"{count} of {len(self.free_distances)}: {1e3 * worst.found:.0f} mm, {worst.names}"
+            if count
             else "none: NO EFFECT"
         )
-        wide = min(
-            (one for one in self.judged if one.margin >= self.cell.margin), key=lambda one: one.room
+        full_margin = min(
+            (design for design in self.brute_force if design.margin >= self.cell.margin),
+            key=lambda design: design.room,
         )
         return [
             self.name,
             effect,
-            min(self.judged, key=lambda one: one.room).words(),
-            wide.words(),
+            min(self.brute_force, key=lambda design: design.room).words(),
+            full_margin.words(),
             f"{1e3 * nearest.proven:.1f} of {1e3 * nearest.pair.margin:.0f} mm, {nearest.names}",
             f"{values[0]:.4g}",
             f"{values[1]:.4g} ({100.0 * (values[1] / values[0] - 1.0):+.0f} %)",
             f"{np.median(self.work[False]):.1f} ({clock[0]})",
             f"{', '.join(f'{seconds:.1f}' for seconds in sorted(self.work[True]))} ({clock[1]})",
-            str(sum("tightening" in text for text in self.said)),
+            str(sum("tightening" in text for text in self.progress)),
             f"{self.placing:.1f}",
         ]
 
 
-def disagreements(one: pipeline.CertifiedDesign, least: Sequence[Least]) -> Iterator[str]:
-    """What brute force finds broken or other than the certificate states it."""
-    stated = {near.names: near for near in one.certificate.pair_distances}
-    for found in least:
-        near = stated.get(found.names)
-        if found.room < 0.0 or found.distance <= 0.0:
-            yield f"BROKEN: {found.words()}"
-        elif near is not None and near.proven > found.distance + 1e-6:
-            yield f"PROVEN TOO MUCH: {found.words()}, proven {1e3 * near.proven:.2f} mm"
+def disagreements(design: pipeline.CertifiedDesign, least: Sequence[PairDistance]) -> Iterator[str]:
+    """Yield violated margins and differences between the certificate and brute force."""
+    proven = {near.names: near for near in design.certificate.pair_distances}
+    for entry in least:
+        near = proven.get(entry.names)
+        if entry.room < 0.0 or entry.distance <= 0.0:
+            yield f"BROKEN: {entry.words()}"
+        elif near is not None and near.proven > entry.distance + 1e-6:
+            yield f"PROVEN TOO MUCH: {entry.words()}, proven {1e3 * near.proven:.2f} mm"
         elif (
             near is not None
-            and found.room < CLEARLY
-            and near.proven < 0.95 * found.distance - AGREE
+            and entry.room < HULL_CLEARANCE
+            and near.proven < 0.95 * entry.distance - PROOF_TOLERANCE
         ):
-            yield f"proven little: {found.words()}, proven {1e3 * near.proven:.2f} mm"
+            yield f"proven little: {entry.words()}, proven {1e3 * near.proven:.2f} mm"
 
 
 def cases(folder: Path | None) -> Iterator[Case]:
-    """The issue's cases."""
-    yield placed("UR10e, table and wall", "ur10e", STANDING)
-    yield placed("Panda, table and wall", "panda", STANDING)
-    yield placed("iiwa14 with a tool", "iiwa14", STANDING + TOOL)
+    """Yield the cases."""
+    yield placed("UR10e, table and wall", "ur10e", TABLE_AND_WALL)
+    yield placed("Panda, table and wall", "panda", TABLE_AND_WALL)
+    yield placed("iiwa14 with a tool", "iiwa14", TABLE_AND_WALL + FLANGE_TOOL)
     if folder is not None:
-        yield placed("UR10, meshes", str(folder / "ur_description/urdf/ur10_robot.urdf"), STANDING)
-        yield placed("Panda, meshes", str(folder / "panda_description/urdf/panda.urdf"), STANDING)
+        yield placed(
+            "UR10, meshes", str(folder / "ur_description/urdf/ur10_robot.urdf"), TABLE_AND_WALL
+        )
+        yield placed(
+            "Panda, meshes", str(folder / "panda_description/urdf/panda.urdf"), TABLE_AND_WALL
+        )
 
 
 def placed(name: str, source: str, text: str) -> Case:
+    """Build a case from a robot and the text of a scene."""
     lock = {"panda_finger_joint1": 0.02} if source.endswith("panda.urdf") else {}
     machine = robot.load(source, lock=lock)
     table = limits.resolve(machine)
@@ -203,7 +244,7 @@ def placed(name: str, source: str, text: str) -> Case:
 
 
 def report_cases(folder: Path | None) -> bool:
-    """Whether every design kept its margins."""
+    """Run and print all cases; return whether every design kept its margins."""
     done = []
     for case in cases(folder):
         case.run()
@@ -212,7 +253,7 @@ def report_cases(folder: Path | None) -> bool:
     head = [
         "case",
         "free designs that break a margin",
-        "brute force, 1 kHz: least room",
+        "brute force, 1 kHz: least clearance beyond the margin",
         "of pairs with the full margin",
         "verify: proven",
     ]
@@ -225,17 +266,28 @@ def report_cases(folder: Path | None) -> bool:
     show("Cases", head, [case.cells() for case in done], note)
     faults = [f"{case.name}: {text}" for case in done for text in case.faults]
     print("\n".join(["", *faults]) if faults else "", flush=True)
-    return all(case.judged for case in done) and not any(
+    return all(case.brute_force for case in done) and not any(
         "BROKEN" in text or "TOO MUCH" in text for text in faults
     )
 
 
-# -- random scenes -------------------------------------------------------------------------------------------------
+# -- random scenes ----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one scene. kind: "motion", the refusal's class, or what is wrong."""
+    """The outcome of one random scene.
+
+    Attributes:
+        number: Number of the scene.
+        robot: Name of the robot.
+        kind: "motion", the class of the refusal, or the fault.
+        text: Description.
+        seconds: Duration [s].
+        legs: Number of approach and return segments.
+        from_pose: Whether a start pose was given.
+        least: Nearest pair by brute force.
+    """
 
     number: int
     robot: str
@@ -244,44 +296,51 @@ class Outcome:
     seconds: float
     legs: int = 0
     from_pose: bool = False
-    least: Least | None = None
+    least: PairDistance | None = None
 
     def words(self) -> str:
-        return f"{self.robot}{', from a pose' * self.from_pose}, {self.seconds:.1f} s, {self.kind}: {self.text}"
+        """Return a description."""
+        pose = ", from a pose" * self.from_pose
+        return f"{self.robot}{pose}, {self.seconds:.1f} s, {self.kind}: {self.text}"
 
 
 def obstacles(rng: np.random.Generator, reach: float) -> str:
-    """TOML of a floor and 1 to 5 things within reach that leave the base alone."""
+    """Return a scene file: a floor and one to five obstacles in reach, clear of the base."""
     lines = [f"floor = {0.0 if rng.random() < 0.5 else -round(rng.uniform(0.0, 0.8), 3)}"]
     count = int(rng.integers(1, 6))
     while count:
         kind = str(rng.choice(["box", "sphere", "capsule", "cylinder"]))
         size = np.round(rng.uniform(0.05, 0.6, 3), 3)
-        size = size if kind == "box" else size * [0.5, 1.0, 1.0]  # the round ones: a radius first
-        angle, far = rng.uniform(-np.pi, np.pi), rng.uniform(0.3, 1.0) * reach
-        place = np.array([far * np.cos(angle), far * np.sin(angle), rng.uniform(-0.1, 1.0) * reach])
-        ball = {
+        size = size if kind == "box" else size * [0.5, 1.0, 1.0]  # round shapes: radius first
+        angle, distance = rng.uniform(-np.pi, np.pi), rng.uniform(0.3, 1.0) * reach
+        position = np.array(
+            [distance * np.cos(angle), distance * np.sin(angle), rng.uniform(-0.1, 1.0) * reach]
+        )
+        bounding_radius = {
             "box": 0.5 * np.linalg.norm(size),
             "sphere": size[0],
             "capsule": size[0] + 0.5 * size[1],
         }
-        if far < ball.get(kind, np.hypot(size[0], 0.5 * size[1])) + 0.15:
+        if distance < bounding_radius.get(kind, np.hypot(size[0], 0.5 * size[1])) + 0.15:
             continue
-        own = (
+        dimensions = (
             f"size = {size.tolist()}"
             if kind == "box"
             else f"radius = {size[0]}" + f"\nlength = {size[1]}" * (kind != "sphere")
         )
-        turned = np.round(rng.uniform(-np.pi, np.pi, 3), 3).tolist()
+        rotation = np.round(rng.uniform(-np.pi, np.pi, 3), 3).tolist()
         lines.append(
-            f'[[{kind}]]\nname = "{kind} {count}"\n{own}\nposition = {np.round(place, 3).tolist()}\nrotation = {turned}'
+            f'[[{kind}]]\nname = "{kind} {count}"\n{dimensions}\nposition = {np.round(position, 3).tolist()}\nrotation = {rotation}'
         )
         count -= 1
     return "\n".join(lines) + "\n"
 
 
-def pose(rng: np.random.Generator, judge: Judge, table: Limits) -> Array:
-    """A random pose, of a few the first that is clear: the last of them may touch something, and is to be refused."""
+def pose(rng: np.random.Generator, judge: DistanceJudge, table: Limits) -> FloatArray:
+    """Draw up to five random poses until one is clear.
+
+    The last may be in collision; it then has to be refused.
+    """
     low, high = ranges(table).T
     data = judge.robot.model.createData()
     for _ in range(5):
@@ -294,7 +353,7 @@ def pose(rng: np.random.Generator, judge: Judge, table: Limits) -> Array:
 
 
 def attempt(number: int, seed: int, folder: Path) -> Outcome:
-    """One random scene, as a user would give it."""
+    """Design for one random scene, as a user would."""
     rng = np.random.default_rng([seed, number])
     name = list(REACH)[number % len(REACH)]
     machine = robot.load(name)
@@ -308,29 +367,29 @@ def attempt(number: int, seed: int, folder: Path) -> Outcome:
     outcome = Outcome(number, name, "", "", 0.0, from_pose=from_pose)
     try:
         read = scene_file.read(path)
-        bodies += ["floor", *(one.name for one in read.shapes)]
+        bodies += ["floor", *(shape.name for shape in read.shapes)]
         cell = scene_file.cell(machine, table, read)
         bodies += [body.name for body in cell.bodies]
-        judge = Judge(cell)
+        judge = DistanceJudge(cell)
         start = pose(rng, judge, table) if from_pose else None
         begun = time.perf_counter()
-        found = pipeline.design_trajectory(machine, table, options, start=start, cell=cell)
+        result = pipeline.design_trajectory(machine, table, options, start=start, cell=cell)
     except (Infeasible, UnusableInput, CheckFailed) as error:
-        said = any(body in str(error) for body in bodies)
-        kind = type(error).__name__ if said else "refused without naming"
+        names_body = any(body in str(error) for body in bodies)
+        kind = type(error).__name__ if names_body else "refused without naming"
         return dataclasses.replace(
             outcome, kind=kind, text=str(error), seconds=time.perf_counter() - begun
         )
-    except Exception:  # a traceback is a finding, and the others go on
+    except Exception:  # a traceback is a result; the other scenes go on
         return dataclasses.replace(
             outcome,
             kind="TRACEBACK",
             text=traceback.format_exc(),
             seconds=time.perf_counter() - begun,
         )
-    seconds, motion = time.perf_counter() - begun, found.trajectory.motion
+    seconds, motion = time.perf_counter() - begun, result.trajectory.motion
     least = judge.along(motion, 2e-3)
-    wrong = [text for text in disagreements(found, least) if text[:6] in ("BROKEN", "PROVEN")]
+    wrong = [text for text in disagreements(result, least) if text[:6] in ("BROKEN", "PROVEN")]
     legs = sum(segment.kind in ("approach", "return") for segment in motion.segments)
     text = "; ".join(wrong) or least[0].words()
     return dataclasses.replace(
@@ -344,18 +403,21 @@ def attempt(number: int, seed: int, folder: Path) -> Outcome:
 
 
 def report_scenes(count: int, seed: int) -> bool:
-    """Whether every motion kept clear and nothing crashed."""
+    """Run and print all random scenes; return whether all motions are clear and nothing raised."""
     with tempfile.TemporaryDirectory() as folder:
-        done = []
+        results = []
         for number in range(count):
-            done.append(one := attempt(number, seed, Path(folder)))
-            say(f"scene {number}: {one.words()}")
-    kinds = collections.Counter(one.kind for one in done)
+            results.append(outcome := attempt(number, seed, Path(folder)))
+            say(f"scene {number}: {outcome.words()}")
+    kinds = collections.Counter(outcome.kind for outcome in results)
     rows = []
     for kind, times in kinds.most_common():
-        own = [one for one in done if one.kind == kind]
-        seconds = [one.seconds for one in own]
-        posed, round_about = sum(one.from_pose for one in own), sum(one.legs > 2 for one in own)
+        outcomes = [outcome for outcome in results if outcome.kind == kind]
+        seconds = [outcome.seconds for outcome in outcomes]
+        posed, round_about = (
+            sum(outcome.from_pose for outcome in outcomes),
+            sum(outcome.legs > 2 for outcome in outcomes),
+        )
         rows.append(
             [
                 kind,
@@ -366,22 +428,23 @@ def report_scenes(count: int, seed: int) -> bool:
             ]
         )
     note = f"Seed {seed}; up to 60 iterations, one start. "
-    motions = [one.least for one in done if one.least is not None]
+    motions = [outcome.least for outcome in results if outcome.least is not None]
     if motions:
-        note += f"Least room of all motions, every 2 ms: {min(motions, key=lambda one: one.room).words()}."
+        note += f"Least clearance beyond the margin of all motions, every 2 ms: {min(motions, key=lambda outcome: outcome.room).words()}."
     show(
         f"{count} random scenes",
-        ["outcome", "scenes", "from a pose", "through poses between", "median (most) [s]"],
+        ["outcome", "scenes", "from a pose", "through intermediate poses", "median (most) [s]"],
         rows,
         note,
     )
-    for one in done:
-        if one.kind != "motion":
-            print(f"- {one.number}: {one.words()}")
+    for outcome in results:
+        if outcome.kind != "motion":
+            print(f"- {outcome.number}: {outcome.words()}")
     return not {"BROKEN", "TRACEBACK"} & set(kinds)
 
 
-def arguments() -> argparse.Namespace:
+def parse_arguments() -> argparse.Namespace:
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument(
         "--data",
@@ -400,8 +463,9 @@ def arguments() -> argparse.Namespace:
 
 
 def main() -> int:
+    """Run the benchmark; return the exit code."""
     warnings.simplefilter("ignore", ExciteWarning)
-    given = arguments()
+    given = parse_arguments()
     clear = report_cases(wheel(given.data)) if given.only != "scenes" else True
     if given.only != "cases":
         clear &= report_scenes(given.scenes, given.seed)

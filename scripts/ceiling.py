@@ -42,7 +42,7 @@ class Ceiling:
     effect: str
     severity: float
     rival: str
-    read_delay: float
+    apart: float
     error: float
 
 
@@ -135,7 +135,7 @@ def main() -> int:
             "effect": one.effect,
             "severity": one.severity,
             "nearest": one.rival,
-            "apart": round(one.read_delay, 2),
+            "apart": round(one.apart, 2),
         }
         print(json.dumps(facts))
     return 0

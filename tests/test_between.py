@@ -196,7 +196,7 @@ def test_a_change_is_as_sure_as_its_recording_is_long() -> None:
         ]
         assert not one.changes
     assert (
-        np.sqrt(np.mean(np.square(ratios))) < 1.5 and np.max(np.abs(ratios)) < session_changes.SURE
+        np.sqrt(np.mean(np.square(ratios))) < 1.5 and np.max(np.abs(ratios)) < session_changes.WALD_THRESHOLD
     )
 
 

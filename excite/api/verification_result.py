@@ -177,7 +177,7 @@ def export(
     if speed != 1.0:
         broken = certificates.broken_when_slowed(found.trajectory, found.robot, found.limits, speed)
     if broken is not None:
-        verdict.append(f"at --speed {speed:g} the {broken.words()}")
+        verdict.append(f"at --speed {speed:g} the {broken.describe()}")
     is_safe = found.ok and broken is None
     if not is_safe and not force:
         raise CheckFailed(f"{trajectory}: {'; '.join(verdict)}; design it again, or --force")

@@ -211,7 +211,7 @@ def _tighten(
     finer = max(deficits.values(), default=0.0) > MAX_CLEARANCE_DEFICIT
     if worst.limit != CLEARANCE:
         reserve = min(max(2.0 * reserve, reserve - 1.5 * worst.spare_share), MAX_LIMIT_RESERVE)
-    report(f"between samples {worst.words()}; tightening")
+    report(f"between samples: {worst.describe()}; tightening the constraints")
     added = {pair: 1.5 * min(missed, MAX_CLEARANCE_DEFICIT) for pair, missed in deficits.items()}
     tighter = optimize.tighten(design.setup, limits, reserve, added, finer=finer)
     improved = optimize.improve(tighter, design.motion, design.attempts[0].number)

@@ -56,7 +56,7 @@ class Course:
 
     def explained(self, moves: Array) -> bool:
         """Whether no joint's torque is left louder than noise, of all recordings or of those held out. moves: rows of these that count."""
-        most = 1.0 + session_changes.EXCESS
+        most = 1.0 + session_changes.MIN_EXCESS
         return bool(
             (self.residual < most).all()
             and (search.mean_square(self.later, moves) < most * self._expected).all()

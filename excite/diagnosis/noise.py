@@ -1,7 +1,8 @@
-"""What of a residual is noise: what differs when a motion is made again.
+"""Noise of the torque residual, from what differs when a motion is repeated.
 
-Noise of the torque is not all: a clock that wavers and a coarse encoder move the model's side of the equation too, so it is the
-residual, measured less predicted, whose repeats are compared (after Swevers et al., IEEE TRA 1997, who compare torques).
+Timestamp jitter and encoder quantisation disturb the model's side of the equation as well as the
+measured torque, so it is the residual, measured minus predicted, whose repetitions are compared
+(after Swevers et al., IEEE Trans. Robot. Autom. 13, 1997, who compare torques).
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from .._types import BoolArray, FloatArray
 from ..effects.recorded_motion import RecordedMotion
 from ..identification.identification import Identification
 from ..identification.lowpass import MOTION_BANDWIDTH_RATIO, Grid
@@ -20,60 +22,80 @@ from ..recordings.missing_values import runs
 from ..recordings.padding import reflected
 from .blocks import sandwiched
 
-Array = np.ndarray
-Draw = Callable[[np.random.Generator], Array]
+Draw = Callable[[np.random.Generator], FloatArray]
+"""Draws the residual that encoder steps alone would leave, shape (N, n)."""
 Period = tuple[float, tuple[float, float]]
+"""Period of a motion [s], and start and end of the window in which it repeats [s]."""
 DRAWS = 3
-"""Times that an encoder's steps are made anew."""
-LEAST = 1.2
-"""Periods that a recording must hold to show its noise by what repeats."""
-SAME = 0.02
-"""RMS difference of normalised positions a period apart, below which a motion is said to repeat."""
-PARTS, MIDDLE, ODD, PASSES = 40, 0.6, 12.0, 4
-"""Stretches that a difference of periods is cut into, the quantile of them from how many times which on one is no noise, and how often that
-is asked."""
-SAMPLES = 4000
-"""Rows of a recording that are looked at for a period."""
-SURE = 2.0
-"""Standard deviations."""
-BENT = 1.0
-"""Of a speed's second difference, by how much it may turn more sharply: 0.6 was seen where friction is 55 rad/s², a sample every 2 ms."""
-DOUBTFUL = 1.0
-"""Mean square beyond the floor, over it, that may be noise at the most: what moves more than where that was seen may tell little."""
-EDGE = 32
+"""Random draws of the encoders' quantisation errors."""
+MIN_PERIODS = 1.2
+"""Periods that a recording must contain to show its noise by repetition."""
+MAX_REPEAT_DIFFERENCE = 0.02
+"""RMS difference of normalised positions a period apart below which a motion repeats."""
+MIN_DEPARTURE = 0.5
+"""The same difference above which a motion has left its start."""
+WINDOWS = 40
+"""Windows into which a difference of periods is divided."""
+USUAL_QUANTILE = 0.6
+"""Quantile of the windows' mean squares that stands for noise."""
+MAX_WINDOW_RATIO = 12.0
+"""Mean square over that quantile from which a window is not noise."""
+WINDOW_PASSES = 4
+"""Iterations of the exclusion of windows."""
+MAX_PERIOD_ROWS = 4000
+"""Rows of a recording that are used to find its period."""
+JITTER_STANDARD_ERRORS = 2.0
+"""Standard errors that are added to the growth of noise with momentum."""
+SHARPENING = 1.0
+"""Second difference of the speed that is subtracted to simulate a sharper reversal: a factor of 0.6
+was seen with a deceleration by friction of 55 rad/s² and a sample every 2 ms."""
+MAX_DOUBTFUL_NOISE = 1.0
+"""Largest mean square beyond the noise floor, over it, that may still be noise: recordings with
+more momentum than those of the floor show little of it."""
+SHIFT_PADDING = 32
 """Rows by which a signal is continued before it is shifted."""
+MIN_TRAVEL = 1e-6
+"""Range from which a joint moves [rad or m]."""
 
 
 @dataclass(frozen=True)
 class NoiseEstimate:
-    """What a perfect model would leave below the band, per joint [N m], and how it was found: "periods" or "differences".
+    """Residual of a perfect model below the cutoff frequency, per joint.
 
-    clock: mean square beyond the floor's that a wavering clock makes where momentum is more than where the floor was seen. steps: the
-    part that a coarse encoder's steps make of the model's torque: it repeats with the motion. Shapes (n,). feigned: residuals
-    that the steps alone might leave, of either half in each of some draws; none where encoders are fine. sharpened: the same, of samples
-    that are too rare to tell a reversal. Shapes (N, n). periods: of recordings that repeat, by source: after how long [s], and from when to
-    when.
+    Attributes:
+        floor: RMS noise [N m], shape (n,).
+        method: "periods" if it was found by repetition, else "differences".
+        clock: Mean square beyond the floor's that timestamp jitter causes where momentum is larger
+            than where the floor was found [(N m)²], shape (n,).
+        steps: RMS of the model torque's error by encoder quantisation, which repeats with the
+            motion [N m], shape (n,).
+        feigned: Random draws of the residuals of both folds by encoder quantisation alone, shapes
+            (N, n); none if the encoders are fine.
+        sharpened: Residuals of both folds if reversals were too sharp for the sample rate.
+        periods: By recording that repeats: its period and window.
     """
 
-    floor: Array
+    floor: FloatArray
     method: str
-    clock: Array
-    steps: Array
-    feigned: tuple[tuple[Array, Array], ...]
-    sharpened: tuple[Array, Array]
+    clock: FloatArray
+    steps: FloatArray
+    feigned: tuple[tuple[FloatArray, FloatArray], ...]
+    sharpened: tuple[FloatArray, FloatArray]
     periods: Mapping[str, Period] = field(default_factory=dict)
 
     @property
-    def noise_rms(self) -> Array:
-        """RMS that a right model may leave, steps and a wavering clock included. Shape (n,) [N m]."""
+    def noise_rms(self) -> FloatArray:
+        """RMS that a right model may leave, with quantisation and jitter [N m], shape (n,)."""
         return np.asarray(np.sqrt(self.floor**2 + 2.0 * self.steps**2 + self.clock))
 
     @property
-    def bounds(self) -> tuple[Array, Array]:
-        """Mean squares over the floor's between which the noise may lie: without an encoder's steps, and with twice of them and what a
-        clock that wavers makes besides. Shapes (n,)."""
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Smallest and largest mean square noise over the floor's, shapes (n,).
+
+        Without quantisation, and with twice its power and jitter.
+        """
         steps, clock = np.square(self.steps / self.floor), self.clock / np.square(self.floor)
-        return 1.0 - steps, 1.0 + np.minimum(steps + clock, DOUBTFUL)
+        return 1.0 - steps, 1.0 + np.minimum(steps + clock, MAX_DOUBTFUL_NOISE)
 
 
 def estimate_noise(
@@ -81,55 +103,76 @@ def estimate_noise(
     halves: Sequence[Sequence[RecordedMotion]],
     recordings: Sequence[Recording],
 ) -> NoiseEstimate:
-    """The noise of recordings: from what does not repeat, else from the torque's density above the motion, a lower bound."""
-    every = [one for half in halves for one in half]
-    above = _above(identified, every[0].band.hertz)
-    draws = stepped(identified.model, halves)
+    """Estimate the noise from what does not repeat.
+
+    Where nothing repeats, the torque's spectral density above the motion gives a lower bound.
+
+    Args:
+        identified: The base model.
+        halves: Motions of the training and of the held-out recordings.
+        recordings: All recordings.
+    """
+    motions = [motion for half in halves for motion in half]
+    spectral = _spectral_noise(identified, motions[0].band.hertz)
+    draws = quantization_residuals(identified.model, halves)
     rows = (
         np.concatenate([part for draw in draws for part in draw])
         if draws
-        else np.zeros((1, len(above)))
+        else np.zeros((1, len(spectral)))
     )
     steps = np.sqrt(np.mean(rows**2, axis=0))
-    periods = {recording.source: found for recording in recordings if (found := _period(recording))}
-    nothing_repeats = NoiseEstimate(
-        _with(above, steps),
+    periods = {
+        recording.source: period for recording in recordings if (period := _period(recording))
+    }
+    lower_bound = NoiseEstimate(
+        _with_steps(spectral, steps),
         "differences",
-        np.zeros(len(above)),
+        np.zeros(len(spectral)),
         steps,
         draws,
         _sharpened(halves),
         periods,
     )
-    return refine_by_repetition(nothing_repeats, every, [one.residual for one in every])
+    return refine_by_repetition(lower_bound, motions, [motion.residual for motion in motions])
 
 
 def refine_by_repetition(
-    noisy: NoiseEstimate, every: Sequence[RecordedMotion], left: Sequence[Array]
+    estimate: NoiseEstimate,
+    motions: Sequence[RecordedMotion],
+    residuals: Sequence[FloatArray],
 ) -> NoiseEstimate:
-    """The noise by what repeats of the torque that a model leaves of every stretch; as it was, where nothing does. left: Shapes (N, n)."""
-    periods = noisy.periods
-    pairs = [
-        (one, own) for one, own in zip(every, left, strict=True) if one.segment.source in periods
+    """Estimate the noise from the repetitions of residuals; unchanged if nothing repeats.
+
+    Args:
+        estimate: Previous estimate.
+        motions: All motions.
+        residuals: Torque residual of each, shapes (N, n) [N m].
+    """
+    periods = estimate.periods
+    repetitions = [
+        repetition
+        for motion, residual in zip(motions, residuals, strict=True)
+        if motion.segment.source in periods
+        for repetition in _repetitions(motion, residual, *periods[motion.segment.source])
     ]
-    again = [
-        made for one, own in pairs for made in _repeats(one, own, *periods[one.segment.source])
-    ]
-    if not again:
-        return noisy
-    spread = np.sqrt(np.mean([made.square for made in again], axis=0))
+    if not repetitions:
+        return estimate
+    spread = np.sqrt(np.mean([repetition.square for repetition in repetitions], axis=0))
     return replace(
-        noisy, floor=_with(spread, noisy.steps), method="periods", clock=_clock(again, every)
+        estimate,
+        floor=_with_steps(spread, estimate.steps),
+        method="periods",
+        clock=_jitter_noise(repetitions, motions),
     )
 
 
-def _with(spread: Array, steps: Array) -> Array:
-    """Noise and the steps of encoders together. Shape (n,) each."""
+def _with_steps(spread: FloatArray, steps: FloatArray) -> FloatArray:
+    """Noise and encoder quantisation together, shape (n,)."""
     return np.asarray(np.sqrt(np.maximum(spread, 1e-12) ** 2 + steps**2))
 
 
-def _above(identified: Identification, hertz: float) -> Array:
-    """Noise of the density that the torque has above the motion."""
+def _spectral_noise(identified: Identification, hertz: float) -> FloatArray:
+    """RMS below the cutoff of noise with the spectral density found above the motion, (n,)."""
     frequency = identified.spectra.frequency
     inside = frequency <= hertz
     return np.sqrt(
@@ -138,232 +181,265 @@ def _above(identified: Identification, hertz: float) -> Array:
 
 
 @dataclass(frozen=True)
-class _Again:
-    """What differs when a motion is made again. change: of the residual, over √2. momentum: squared. Shapes (N, n).
+class _Repetition:
+    """Difference between two periods of a motion.
 
-    usual: rows that noise is told by. Shape (N,). square: mean square there, without friction that warms up. Shape (n,).
+    Attributes:
+        change: Difference of the residual over √2, shape (N, n).
+        momentum: Squared momentum, shape (N, n).
+        usual: Rows from which noise is estimated, shape (N,).
+        square: Mean square there, without friction that warms up, shape (n,).
     """
 
-    change: Array
-    momentum: Array
-    usual: Array
-    square: Array
+    change: FloatArray
+    momentum: FloatArray
+    usual: BoolArray
+    square: FloatArray
 
 
-def _repeats(
-    track: RecordedMotion, left: Array, period: float, window: tuple[float, float]
-) -> list[_Again]:
-    """Of a recording that repeats for long enough, else nothing. left: Shape (N, n) [N m]."""
+def _repetitions(
+    motion: RecordedMotion, residual: FloatArray, period: float, window: tuple[float, float]
+) -> list[_Repetition]:
+    """The repetition in a motion, or none if the motion is too short; residual (N, n) [N m]."""
     low, high = window
-    rate = 1.0 / (track.time[1] - track.time[0])
+    rate = 1.0 / (motion.time[1] - motion.time[0])
     rows = int(np.floor(period * rate))
-    later = shifted(left, period * rate - rows)[rows:]
-    first = left[: len(later)]
-    inside = (track.time[: len(later)] >= low) & (
-        track.time[rows : rows + len(later)] + 1.0 / rate <= high
+    later = shifted(residual, period * rate - rows)[rows:]
+    first = residual[: len(later)]
+    inside = (motion.time[: len(later)] >= low) & (
+        motion.time[rows : rows + len(later)] + 1.0 / rate <= high
     )
     if inside.sum() < 0.15 * rows or inside.sum() < 20:
         return []
     change = (later - first)[inside] / np.sqrt(2.0)
-    return [_steady(change, track, inside)]
+    return [_without_drift(change, motion, inside)]
 
 
-def _momentum(track: RecordedMotion) -> Array:
-    """Squared momentum of what a joint moves, rotor included. Shape (N, n) [(kg m²/s)²].
+def _squared_momentum(motion: RecordedMotion) -> FloatArray:
+    """Squared momentum of what a joint moves, rotor included [(kg m²/s)²], shape (N, n).
 
-    Read δ late, positions are off by q̇ δ, and torque by (M q̇ δ)¨ to first order: in the band, as if white, by momentum.
+    A sample read δ late has a position error q̇ δ and, to first order, a torque error (M q̇ δ)¨,
+    which for white jitter is proportional to the momentum.
     """
-    mass, speed = track.derivatives[2], track.coarse_samples.dq
-    carried = (
-        np.einsum("tij,tj->ti", mass, speed) + track.fitted_robot.actuator_parameter("rotor_inertia") * speed
-    )
-    return np.square(track.lowpass(carried, Grid.COARSE))
+    mass, speed = motion.derivatives[2], motion.coarse_samples.dq
+    rotor_inertia = motion.fitted_robot.actuator_parameter("rotor_inertia")
+    momentum = np.einsum("tij,tj->ti", mass, speed) + rotor_inertia * speed
+    return np.square(motion.lowpass(momentum, Grid.COARSE))
 
 
-def _steady(change: Array, track: RecordedMotion, inside: Array) -> _Again:
-    """A change between periods, without what friction that warms up makes of it."""
+def _without_drift(change: FloatArray, motion: RecordedMotion, inside: BoolArray) -> _Repetition:
+    """A difference of periods without that of friction that warms up."""
     t = np.linspace(-1.0, 1.0, len(change))[:, None]
     groups = []
     for j in range(change.shape[1]):
-        friction = track.lowpass(np.column_stack([track.sign(j), track.samples.dq[:, j]]))[
+        friction = motion.lowpass(np.column_stack([motion.sign(j), motion.samples.dq[:, j]]))[
             : len(inside)
         ][inside]
         columns = np.hstack([friction, friction * t])
         groups.append(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
-    usual, rest = np.ones(len(change), bool), np.empty(change.shape)
-    for _ in range(PASSES):
+    usual, remainder = np.ones(len(change), bool), np.empty(change.shape)
+    for _ in range(WINDOW_PASSES):
         for j, columns in enumerate(groups):
-            rest[:, j] = (
+            remainder[:, j] = (
                 change[:, j]
                 - columns @ np.linalg.lstsq(columns[usual], change[usual, j], rcond=1e-8)[0]
             )
-        usual = _usual(np.square(rest))
+        usual = _usual_rows(np.square(remainder))
     count = int(usual.sum())
-    square = np.mean(np.square(rest[usual]), axis=0) * count / max(count - groups[0].shape[1], 1)
-    return _Again(rest, _momentum(track)[: len(inside)][inside], usual, square)
+    square = (
+        np.mean(np.square(remainder[usual]), axis=0) * count / max(count - groups[0].shape[1], 1)
+    )
+    return _Repetition(remainder, _squared_momentum(motion)[: len(inside)][inside], usual, square)
 
 
-def _clock(again: Sequence[_Again], tracks: Sequence[RecordedMotion]) -> Array:
-    """What a clock that wavers may make of all recordings beyond what it makes of the floor. Shape (n,).
+def _jitter_noise(
+    repetitions: Sequence[_Repetition], motions: Sequence[RecordedMotion]
+) -> FloatArray:
+    """Mean square noise by timestamp jitter beyond that in the floor, shape (n,).
 
-    Its noise grows with the square of momentum, and does not repeat.
+    Jitter noise grows with the squared momentum and does not repeat.
     """
     change, momentum = (
-        np.concatenate([getattr(one, name) for one in again]) for name in ("change", "momentum")
+        np.concatenate([getattr(repetition, name) for repetition in repetitions])
+        for name in ("change", "momentum")
     )
-    every, seen = (
-        np.concatenate([_momentum(one) for one in tracks]),
-        np.concatenate([one.momentum[one.usual] for one in again]),
+    overall, used = (
+        np.concatenate([_squared_momentum(motion) for motion in motions]),
+        np.concatenate([repetition.momentum[repetition.usual] for repetition in repetitions]),
     )
     out = np.zeros(change.shape[1])
     for j in range(len(out)):
-        mean = max(float(every[:, j].mean()), 1e-300)
-        out[j] = _growth(momentum[:, j] / mean, change[:, j] ** 2) * max(
-            1.0 - float(seen[:, j].mean()) / mean, 0.0
+        mean = max(float(overall[:, j].mean()), 1e-300)
+        out[j] = _noise_growth(momentum[:, j] / mean, change[:, j] ** 2) * max(
+            1.0 - float(used[:, j].mean()) / mean, 0.0
         )
     return out
 
 
-def _growth(x: Array, y: Array) -> float:
-    """At the most, by how much noise y grows with x: SURE standard deviations above what is seen of it, but no more than all of it.
+def _noise_growth(x: FloatArray, y: FloatArray) -> float:
+    """Upper bound of the slope of noise power y over x, at most y's mean over x's.
 
-    Each row weighs less the larger its x, so that a few do not say all. Errors are told between stretches, as noise is coloured.
+    Rows are weighted by 1/(1 + x), so that few of large x do not dominate. Standard errors are
+    those between blocks, since the noise is coloured.
     """
     columns, right = np.column_stack([np.ones(len(x)), x]) / (1.0 + x)[:, None], y / (1.0 + x)
-    count = max(2, min(PARTS, len(x) // 8))
-    found, covariance = sandwiched(
+    count = max(2, min(WINDOWS, len(x) // 8))
+    solution, covariance = sandwiched(
         list(zip(np.array_split(columns, count), np.array_split(right, count), strict=True))
     )
     error = float(np.sqrt(covariance[1, 1]))
-    return float(np.clip(found[1] + SURE * error, 0.0, y.mean() / max(x.mean(), 1e-300)))
+    return float(
+        np.clip(
+            solution[1] + JITTER_STANDARD_ERRORS * error, 0.0, y.mean() / max(x.mean(), 1e-300)
+        )
+    )
 
 
-def _usual(square: Array) -> Array:
-    """Rows without the two longest runs of stretches loud on some joint: what touched the robot once is not noise. Shape (N, n) -> (N,).
+def _usual_rows(square: FloatArray) -> BoolArray:
+    """Rows outside the two longest runs of windows with large power on some joint: (N, n) -> (N,).
 
-    A period differs from the one before and the one after. A clock that wavers is loud wherever the motion is fast, in short stretches, and
-    is noise.
+    A contact happens in one period, which differs from the one before and the one after. Timestamp
+    jitter has large power wherever the motion is fast, in short windows, and is noise.
     """
-    parts = np.array_split(square, max(1, min(PARTS, len(square) // 8)))
+    parts = np.array_split(square, max(1, min(WINDOWS, len(square) // 8)))
     means = np.array([part.mean(axis=0) for part in parts])
-    loud = (means > ODD * np.quantile(means, MIDDLE, axis=0)).any(axis=1)
+    large = (means > MAX_WINDOW_RATIO * np.quantile(means, USUAL_QUANTILE, axis=0)).any(axis=1)
     kept = np.ones(len(parts), bool)
-    for start, end in sorted(runs(loud).tolist(), key=lambda e: e[0] - e[1])[:2]:
+    for start, end in sorted(runs(large).tolist(), key=lambda e: e[0] - e[1])[:2]:
         kept[start:end] = False
     return np.repeat(kept, [len(part) for part in parts])
 
 
-def shifted(x: Array, by: float) -> Array:
-    """x at times a part of a row later, by its Fourier series, the ends continued by reflection. Shape (N, n)."""
+def shifted(x: FloatArray, by: float) -> FloatArray:
+    """Return x a fraction of a row later, by its Fourier series.
+
+    The ends are continued by reflection.
+
+    Args:
+        x: Shape (N, n).
+        by: Shift [rows].
+    """
     if by < 1e-6:
         return x
-    reach = min(EDGE, len(x) - 1)
-    whole = reflected(x, reach, reach)
-    turned = (
-        np.fft.rfft(whole, axis=0) * np.exp(2j * np.pi * np.fft.rfftfreq(len(whole)) * by)[:, None]
+    reach = min(SHIFT_PADDING, len(x) - 1)
+    padded = reflected(x, reach, reach)
+    spectrum = (
+        np.fft.rfft(padded, axis=0)
+        * np.exp(2j * np.pi * np.fft.rfftfreq(len(padded)) * by)[:, None]
     )
-    return np.asarray(np.fft.irfft(turned, len(whole), axis=0)[reach : reach + len(x)])
+    return np.asarray(np.fft.irfft(spectrum, len(padded), axis=0)[reach : reach + len(x)])
 
 
 def _period(recording: Recording) -> Period | None:
-    """After how long a recording repeats [s], and from when to when: as its sidecar says, else as its positions show."""
+    """Period and window of a recording: as its sidecar states, else from its positions."""
     if recording.repeats is not None:
         period, (start, end) = recording.repeats
-        return recording.repeats if end - start >= LEAST * period else None
-    lag = _lag(recording.q, recording.rate)
+        return recording.repeats if end - start >= MIN_PERIODS * period else None
+    lag = _repetition_lag(recording.q, recording.rate)
     return None if lag is None else (lag, (float(recording.t[0]), float(recording.t[-1])))
 
 
-def _lag(q: Array, rate: float) -> float | None:
-    """The shortest time after which all positions are the same again, for as long as a fifth of it [s]; None where there is none."""
-    step = max(1, len(q) // SAMPLES)
-    moving = np.ptp(q, axis=0) > 1e-6
+def _repetition_lag(q: FloatArray, rate: float) -> float | None:
+    """Shortest time after which all positions repeat, for a fifth of it [s]; None if none does."""
+    step = max(1, len(q) // MAX_PERIOD_ROWS)
+    moving = np.ptp(q, axis=0) > MIN_TRAVEL
     x = q[::step, moving]
     if not moving.any() or len(x) < 16:
         return None
     x = (x - x.mean(axis=0)) / x.std(axis=0)
-    most = int(len(x) / LEAST)
-    apart = np.array([np.sqrt(np.mean((x[k:] - x[:-k]) ** 2)) for k in range(1, most)])
-    gone = np.flatnonzero(apart > 0.5)
-    if not len(gone):
+    max_lag = int(len(x) / MIN_PERIODS)
+    difference = np.array([np.sqrt(np.mean((x[k:] - x[:-k]) ** 2)) for k in range(1, max_lag)])
+    departed = np.flatnonzero(difference > MIN_DEPARTURE)
+    if not len(departed):
         return None
-    back = np.flatnonzero(apart[gone[0] :] < SAME) + gone[0]
-    if not len(back):
+    returned = np.flatnonzero(difference[departed[0] :] < MAX_REPEAT_DIFFERENCE) + departed[0]
+    if not len(returned):
         return None
-    run = back[: int(np.argmax(np.diff(back, append=len(apart) + 2) > 1)) + 1]  # the first dip
-    return _refined(q[:, moving], step * (int(run[np.argmin(apart[run])]) + 1), step) / rate
+    first_dip = returned[: int(np.argmax(np.diff(returned, append=len(difference) + 2) > 1)) + 1]
+    rows = step * (int(first_dip[np.argmin(difference[first_dip])]) + 1)
+    return _refined_lag(q[:, moving], rows, step) / rate
 
 
-def _refined(q: Array, rows: int, step: int) -> float:
-    """The lag in rows to which a recording repeats best, near a coarse one; by a parabola through the least three."""
+def _refined_lag(q: FloatArray, rows: int, step: int) -> float:
+    """Lag of the best repetition near a coarse one [rows], by a parabola through three values."""
     near = [k for k in range(rows - 2 * step, rows + 2 * step + 1) if 0 < k < len(q) - 2]
-    apart = np.array([np.mean((q[k:] - q[:-k]) ** 2) for k in near])
-    i = int(np.argmin(apart))
+    difference = np.array([np.mean((q[k:] - q[:-k]) ** 2) for k in near])
+    i = int(np.argmin(difference))
     if not 0 < i < len(near) - 1:
         return float(near[i])
-    a, b, c = apart[i - 1 : i + 2]
+    a, b, c = difference[i - 1 : i + 2]
     return float(near[i] + 0.5 * (a - c) / max(a - 2.0 * b + c, 1e-300))
 
 
-def _sharpened(halves: Sequence[Sequence[RecordedMotion]]) -> tuple[Array, Array]:
-    """The residual of either half if speed turned more sharply than its samples can tell: friction makes it turn where it reverses.
+def _sharpened(
+    halves: Sequence[Sequence[RecordedMotion]],
+) -> tuple[FloatArray, FloatArray]:
+    """Residual of each fold if speed changed more sharply at reversals than its samples resolve.
 
-    Where a reversal falls on a sample, its sign is then another; and a motion that repeats in step with the samples repeats that.
+    Where a reversal falls on a sample, the sign of that sample changes; a motion that repeats in
+    step with the samples repeats this error.
     """
-    first, second = (np.concatenate([_reversing(one) for one in half]) for half in halves)
+    first, second = (np.concatenate([_reversal_error(m) for m in half]) for half in halves)
     return first, second
 
 
-def _reversing(one: RecordedMotion) -> Array:
-    """F_c (tanh(v/w) − tanh(q̇/w)), v = q̇ − Δ²q̇: of a stretch, below the band. Shape (N, n) [N m]."""
-    speed, ends = one.samples.dq, np.zeros((1, one.n))
-    sharper = speed - BENT * np.vstack([ends, np.diff(speed, 2, axis=0), ends])
-    return one.lowpass(
-        one.fitted_robot.actuator_parameter("coulomb")
-        * (np.tanh(sharper / one.widths) - np.tanh(speed / one.widths))
+def _reversal_error(motion: RecordedMotion) -> FloatArray:
+    """F_c (tanh(v/w) − tanh(q̇/w)) with v = q̇ − Δ²q̇, low-passed [N m], shape (N, n)."""
+    speed, ends = motion.samples.dq, np.zeros((1, motion.n))
+    sharper = speed - SHARPENING * np.vstack([ends, np.diff(speed, 2, axis=0), ends])
+    return motion.lowpass(
+        motion.fitted_robot.actuator_parameter("coulomb")
+        * (np.tanh(sharper / motion.widths) - np.tanh(speed / motion.widths))
     )
 
 
-def stepped(
+def quantization_residuals(
     model: IdentificationModel, halves: Sequence[Sequence[RecordedMotion]]
-) -> tuple[tuple[Array, Array], ...]:
-    """Residuals that coarse encoders alone would leave of the base model, of each half, drawn anew; none where all are fine.
+) -> tuple[tuple[FloatArray, FloatArray], ...]:
+    """Draw residuals of the base model by encoder quantisation alone, for both folds.
 
-    Which error each reading has is not known, only how errors come about: smooth positions are rounded once more, from another origin.
+    The error of each reading is unknown, but not its distribution: smoothed positions are quantised
+    again, with random origins.
+
+    Returns:
+        `DRAWS` pairs of shapes (N, n) [N m]; none if all encoders are fine.
     """
-    if not any(one.segment.encoder.any() for half in halves for one in half):
+    if not any(motion.segment.encoder.any() for half in halves for motion in half):
         return ()
     rng = np.random.default_rng(0)
-    first, second = ([_misled(model, one) for one in half] for half in halves)
-    return tuple((_rounded(first, rng), _rounded(second, rng)) for _ in range(DRAWS))
+    first, second = ([_quantization_error(model, motion) for motion in half] for half in halves)
+    return tuple((_drawn(first, rng), _drawn(second, rng)) for _ in range(DRAWS))
 
 
-def _rounded(half: Sequence[Draw], rng: np.random.Generator) -> Array:
-    """One such residual of a half, below the band. Shape (N, n) [N m]."""
-    return np.concatenate([draw(rng) for draw in half])
+def _drawn(fold: Sequence[Draw], rng: np.random.Generator) -> FloatArray:
+    """A random residual of all motions of a fold [N m], shape (N, n)."""
+    return np.concatenate([draw(rng) for draw in fold])
 
 
-def _misled(model: IdentificationModel, one: RecordedMotion) -> Draw:
-    """What draws such residuals of a stretch: only what is rounded has to be filtered anew."""
-    step = one.steps
+def _quantization_error(model: IdentificationModel, motion: RecordedMotion) -> Draw:
+    """Function that draws the residual of a motion; the unquantised regressor is shared."""
+    step = motion.steps
     coarse = step > 0.0
     if not coarse.any():
-        return lambda rng: np.zeros((len(one), one.n))
+        return lambda rng: np.zeros((len(motion), motion.n))
+    segment = motion.segment
     smooth = np.where(
-        one.segment.smoothed,
-        one.segment.q,
-        one.band.transform(one.segment.q).filter(Grid.RECORDED, 0, MOTION_BANDWIDTH_RATIO),
+        segment.smoothed,
+        segment.q,
+        motion.band.transform(segment.q).filter(Grid.RECORDED, 0, MOTION_BANDWIDTH_RATIO),
     )
-    right = filtered_regressor(model, smooth, one.band)[0]
+    exact = filtered_regressor(model, smooth, motion.band)[0]
 
-    def draw(rng: np.random.Generator) -> Array:
-        told, origin = smooth.copy(), rng.uniform(size=one.n) * step
-        told[:, coarse] = (
+    def draw(rng: np.random.Generator) -> FloatArray:
+        positions, origin = smooth.copy(), rng.uniform(size=motion.n) * step
+        positions[:, coarse] = (
             np.round((smooth + origin)[:, coarse] / step[coarse]) * step[coarse]
         ) - origin[coarse]
-        for j in np.flatnonzero(one.segment.smoothed):
-            told[:, j] = quantization.unrounded(told[:, j], float(step[j]), 1.0 / one.segment.rate)
-        wrong = filtered_regressor(model, told, one.band)[0]
-        return np.asarray((right - wrong)[one.kept] @ one.theta)
+        for j in np.flatnonzero(segment.smoothed):
+            positions[:, j] = quantization.unrounded(
+                positions[:, j], float(step[j]), 1.0 / segment.rate
+            )
+        quantized = filtered_regressor(model, positions, motion.band)[0]
+        return np.asarray((exact - quantized)[motion.kept] @ motion.theta)
 
     return draw

@@ -107,7 +107,7 @@ class RobotDynamics:
             )
         slopes[:, range(n), range(n, 2 * n)] += self.friction_slope(v)
         slopes[:, :, 2 * n :] = self._regressor(Samples(q, v, a))
-        return a, -np.linalg.solve(M, slopes)
+        return np.asarray(a, np.float64), np.asarray(-np.linalg.solve(M, slopes), np.float64)
 
     def rigid_torque(self, motion: Samples) -> FloatArray:
         """Compute the torque of links and rotors along a motion, without friction. Shape (N, n)."""

@@ -13,6 +13,7 @@ from __future__ import annotations
 import enum
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,7 +118,7 @@ class LowPassFilter:
             * step
         )
 
-    def gain(self, frequencies: FloatArray, hertz: float) -> FloatArray:
+    def gain(self, frequencies: NDArray[np.floating[Any]], hertz: float) -> FloatArray:
         """Return the gain at frequencies [Hz] for a cutoff of `hertz`.
 
         The gain is 1 below the taper, 0 above the cutoff and a raised cosine between them. For

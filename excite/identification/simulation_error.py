@@ -139,6 +139,7 @@ def cut_windows(
 
 
 def _samples_per_window(segment: RecordingSegment, horizon: float) -> int:
+    """Number of samples from the start of a window to its end."""
     return max(2, round(horizon * segment.rate))
 
 

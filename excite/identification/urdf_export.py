@@ -163,4 +163,5 @@ def _set_joint_parameters(
 
 
 def _formatted(values: FloatArray) -> str:
+    """Numbers of a URDF attribute, with all digits."""
     return " ".join(repr(float(value)) for value in values)

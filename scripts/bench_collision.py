@@ -258,8 +258,9 @@ def report_cases(folder: Path | None) -> bool:
         "verify: proven",
     ]
     head += ["A free", "A clear", "free [s]", "clear [s]", "tightened", "cell [s]"]
-    note = f"Seeds 0 to {SEEDS - 1}, one start each; medians, distances the worst. Seconds: the processor's, building and certifying too "
-    note += "(clear: of each seed); in brackets the clock's. Cell: its pairs and covers, once, by the processor. "
+    note = f"Seeds 0 to {SEEDS - 1}, one start each; medians, of distances the worst. "
+    note += "Seconds: processor time with building and certifying (clear: of each seed), "
+    note += "in brackets wall time. Cell: processor time to build it once. "
     note += (
         f"Load {', '.join(f'{load:.1f}' for load in os.getloadavg())} on {os.cpu_count()} cores."
     )
@@ -330,7 +331,8 @@ def obstacles(rng: np.random.Generator, reach: float) -> str:
         )
         rotation = np.round(rng.uniform(-np.pi, np.pi, 3), 3).tolist()
         lines.append(
-            f'[[{kind}]]\nname = "{kind} {count}"\n{dimensions}\nposition = {np.round(position, 3).tolist()}\nrotation = {rotation}'
+            f'[[{kind}]]\nname = "{kind} {count}"\n{dimensions}\n'
+            f"position = {np.round(position, 3).tolist()}\nrotation = {rotation}"
         )
         count -= 1
     return "\n".join(lines) + "\n"
@@ -430,7 +432,8 @@ def report_scenes(count: int, seed: int) -> bool:
     note = f"Seed {seed}; up to 60 iterations, one start. "
     motions = [outcome.least for outcome in results if outcome.least is not None]
     if motions:
-        note += f"Least clearance beyond the margin of all motions, every 2 ms: {min(motions, key=lambda outcome: outcome.room).words()}."
+        least = min(motions, key=lambda pair: pair.room)
+        note += f"Least clearance beyond the margin of all motions, every 2 ms: {least.words()}."
     show(
         f"{count} random scenes",
         ["outcome", "scenes", "from a pose", "through intermediate poses", "median (most) [s]"],

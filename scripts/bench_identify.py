@@ -1,10 +1,11 @@
 #!/usr/bin/env python
-"""How well recordings are turned into parameters, and how fast: Markdown tables, all from one run.
+"""Measure the accuracy and speed of identification: Markdown tables, all from one run.
 
-1. Real machines (--data FOLDER): torque error on a recording that was not used, joint by joint.
-2. Poor data: what a prior's distance is worth where recordings say little. Robots that differ from the URDF by 20 % per direction in
-   the metric are recorded (by Pinocchio's inverse dynamics, not by a regressor) and judged on motions they never made.
-3. Time and memory for a million samples of a seven-axis arm, from the file to consistent parameters.
+1. Real machines (--data FOLDER): torque error on a held-out recording, joint by joint.
+2. Poor data: the value of each prior distance where recordings say little. Robots that differ from
+   the URDF by 20 % per direction of the metric are recorded by Pinocchio's inverse dynamics (not by
+   a regressor) and judged on other motions.
+3. Time and memory for a million samples of a seven-axis arm, from file to consistent parameters.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ import numpy as np
 import pinocchio as pin
 
 from excite import recordings
+from excite._types import FloatArray
 from excite.errors import ExciteWarning
 from excite.identification import consistency, identification
 from excite.identification.identification import Identification, IdentificationOptions
@@ -37,25 +39,31 @@ from excite.robot.robot import Robot
 from excite.trajectory import trajectory_file
 from excite.trajectory.fourier import FourierSeries
 
-Array = np.ndarray
 TRAJECTORIES = Path(__file__).resolve().parent.parent / "trajectories"
+"""Folder of the designed trajectories."""
 REAL = {
     "EMPS": ("emps/emps.urdf", ("train",), "validate_pulses", 25.0),
     "TX40": ("tx40/tx40.urdf", ("train",), "validate", None),
     "KUKA KR300": ("kuka_kr300/kuka_kr300.urdf", ("traj_A", "traj_B"), "traj_C", None),
 }
+"""Real machines: URDF, training recordings, held-out recording, band [Hz]."""
 RATE = 250.0
-NOISE = 0.01  # of the torque limits
+"""Sampling rate of the simulated recordings [Hz]."""
+NOISE = 0.01
+"""Standard deviation of the torque noise over the torque limit [1]."""
 ROBOTS = 8
+"""Random robots per case of section 2."""
 
 
 def show(title: str, head: Sequence[str], rows: Sequence[Sequence[str]], note: str = "") -> None:
+    """Print a Markdown table under a heading."""
     lines = ["| " + " | ".join(row) + " |" for row in (head, *rows)]
     lines.insert(1, "|---|" + "---:|" * (len(head) - 1))
     print(f"\n### {title}\n\n" + "\n".join(lines) + (f"\n\n{note}" if note else ""), flush=True)
 
 
 def model_of(machine: Robot) -> tuple[IdentificationModel, limits.Limits]:
+    """Return a robot's model with all parameters, and its limits."""
     table = limits.resolve(machine)
     standard = inertial_parameters.standard(machine, table)
     return IdentificationModel(
@@ -66,37 +74,47 @@ def model_of(machine: Robot) -> tuple[IdentificationModel, limits.Limits]:
     ), table
 
 
-def identified(
-    model: IdentificationModel, train: Sequence[Recording], held_out: Sequence[Recording], options: IdentificationOptions
+def identify(
+    model: IdentificationModel,
+    train: Sequence[Recording],
+    held_out: Sequence[Recording],
+    options: IdentificationOptions,
 ) -> Identification:
+    """Identify a model from recordings."""
     return identification.identify(
         model.robot, model.parameters, model.base, train, held_out, options
     )
 
 
-# -- real machines ---------------------------------------------------------------------------------------------------
+# -- real machines ----------------------------------------------------------------------------
 
 
-def real(folder: Path) -> None:
+def report_real_machines(folder: Path) -> None:
+    """Print section 1."""
     rows = []
     for name, (urdf, train, held_out, band) in REAL.items():
         path = folder / urdf
         model, table = model_of(robot.load(str(path)))
         first, (last,) = (
-            [recordings.read(path.parent / f"{one}.csv", model.robot, table) for one in names]
+            [
+                recordings.read(path.parent / f"{recording}.csv", model.robot, table)
+                for recording in names
+            ]
             for names in (train, (held_out,))
         )
-        found = identified(model, first, [last], IdentificationOptions(band=band))
-        prediction = found.validations[0]
+        result = identify(model, first, [last], IdentificationOptions(band=band))
+        prediction = result.validations[0]
         for i, joint in enumerate(model.robot.joints):
             floor = (
-                "no repeated period" if prediction.noise_floor is None else f"{prediction.noise_floor[i]:.3g}"
+                "no repeated period"
+                if prediction.noise_floor is None
+                else f"{prediction.noise_floor[i]:.3g}"
             )
             errors = f"{prediction.error('nominal')[i]:.4g}", f"{prediction.error()[i]:.4g}"
             rows.append(
                 [
                     f"{name}, {joint}",
-                    f"{found.spectra.hertz:.3g}",
+                    f"{result.spectra.hertz:.3g}",
                     *errors,
                     f"{100 * prediction.relative()[i]:.1f} %",
                     floor,
@@ -109,39 +127,54 @@ def real(folder: Path) -> None:
     )
 
 
-# -- poor data -------------------------------------------------------------------------------------------------------
+# -- poor data --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Truth:
-    """A robot whose bodies and drives are not the URDF's."""
+class TrueRobot:
+    """A robot whose bodies and actuators differ from the URDF.
+
+    Attributes:
+        model: Model of the URDF.
+        psi: True parameters ψ.
+    """
 
     model: IdentificationModel
-    psi: Array
+    psi: FloatArray
 
     def recording(
-        self, fourier: FourierSeries, duration: float, noise: Array, rng: np.random.Generator
+        self, fourier: FourierSeries, duration: float, noise: FloatArray, rng: np.random.Generator
     ) -> Recording:
+        """Return a recording of a Fourier motion."""
         machine, standard = self.model.robot, self.model.parameters
         t = np.arange(round(duration * RATE) + 1) / RATE
         s = fourier.samples(t)
-        own = machine.model.copy()
+        rigid_model = machine.model.copy()
         for i in range(standard.bodies):
-            own.inertias[i + 1] = pin.Inertia.FromDynamicParameters(self.psi[10 * i : 10 * i + 10])
-        data = own.createData()
+            rigid_model.inertias[i + 1] = pin.Inertia.FromDynamicParameters(
+                self.psi[10 * i : 10 * i + 10]
+            )
+        data = rigid_model.createData()
         tau = np.array(
-            [pin.rnea(own, data, *state) for state in zip(s.q, s.dq, s.ddq, strict=True)]
+            [pin.rnea(rigid_model, data, *state) for state in zip(s.q, s.dq, s.ddq, strict=True)]
         )
         inertia, viscous, coulomb, offset = (
             self.psi[standard.block(kind)] for kind in standard.drive
         )
         tau += inertia * s.ddq + viscous * s.dq + coulomb * np.tanh(s.dq / COULOMB_WIDTH) + offset
         tau += noise * rng.normal(size=tau.shape)
-        return Recording("made", machine.joints, t, s.q, tau=tau, sidecar=Sidecar(), own_times=t)
+        return Recording(
+            "synthetic", machine.joints, t, s.q, tau=tau, sidecar=Sidecar(), own_times=t
+        )
 
 
-def true_psi(standard: Parameters, torque: Array, rng: np.random.Generator) -> Array:
-    """20 % off in every direction of the bodies, 3 % of the torque limit of friction; drawn again until it is a robot."""
+def draw_true_parameters(
+    standard: Parameters, torque: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """Draw consistent parameters: 20 % off in every direction of the bodies, with friction.
+
+    Coulomb friction is about 3 % of the torque limit.
+    """
     edge = 10 * standard.bodies
     while True:
         psi = consistency.consistent_nominal(standard)
@@ -158,62 +191,75 @@ def true_psi(standard: Parameters, torque: Array, rng: np.random.Generator) -> A
 
 
 def poor_motions(fourier: FourierSeries) -> dict[str, tuple[FourierSeries, float]]:
-    stiff = np.ones((fourier.n, 1))
-    stiff[fourier.n // 2] = 1e-3
-    stuck = FourierSeries(stiff * fourier.sine, stiff * fourier.cosine, fourier.offset, fourier.period)
-    still = FourierSeries(0.0 * fourier.sine, 0.0 * fourier.cosine, fourier.offset, fourier.period)
+    """Return motions that say little, with their durations [s]."""
+    factors = np.ones((fourier.n, 1))
+    factors[fourier.n // 2] = 1e-3
+    one_joint_stuck = FourierSeries(
+        factors * fourier.sine, factors * fourier.cosine, fourier.offset, fourier.period
+    )
+    standing = FourierSeries(
+        0.0 * fourier.sine, 0.0 * fourier.cosine, fourier.offset, fourier.period
+    )
     return {
         "two periods": (fourier, 2.0 * fourier.period),
-        f"joint {fourier.n // 2 + 1} hardly moves": (stuck, 10.0),
+        f"joint {fourier.n // 2 + 1} hardly moves": (one_joint_stuck, 10.0),
         "2 s": (fourier, 2.0),
-        "stands still": (still, 10.0),
+        "stands still": (standing, 10.0),
     }
 
 
-def poor(name: str) -> None:
+def report_poor_data(name: str) -> None:
+    """Print section 2."""
     model, table = model_of(robot.load(name))
     fourier = trajectory_file.read_trajectory(TRAJECTORIES / f"{name}.json").motion.fourier
     noise = NOISE * table.torque
     totals: dict[tuple[str, Distance], list[float]] = {}
-    seen: dict[str, list[int]] = {}
+    identified_counts: dict[str, list[int]] = {}
     for seed in range(ROBOTS):
         rng = np.random.default_rng(seed)
-        truth = Truth(model, true_psi(model.parameters, table.torque, rng))
-        turned = fourier.shifted(0.3 * fourier.period)
+        truth = TrueRobot(model, draw_true_parameters(model.parameters, table.torque, rng))
+        shifted = fourier.shifted(0.3 * fourier.period)
         other = FourierSeries(
-            np.roll(turned.sine, 1, axis=1) * 0.7,
-            -np.roll(turned.cosine, 1, axis=1) * 0.7,
+            np.roll(shifted.sine, 1, axis=1) * 0.7,
+            -np.roll(shifted.cosine, 1, axis=1) * 0.7,
             fourier.offset,
             fourier.period,
         )
-        judge = truth.recording(other, 10.0, 0.0 * noise, rng)
+        test_recording = truth.recording(other, 10.0, 0.0 * noise, rng)
         for case, (motion, duration) in poor_motions(fourier).items():
             train = truth.recording(motion, duration, noise, rng)
             for kind in Distance:
-                found = identified(model, [train], [judge], IdentificationOptions(distance=kind, band=20.0))
-                error = np.sqrt(np.mean((found.validations[0].error() / noise) ** 2))
+                result = identify(
+                    model,
+                    [train],
+                    [test_recording],
+                    IdentificationOptions(distance=kind, band=20.0),
+                )
+                error = np.sqrt(np.mean((result.validations[0].error() / noise) ** 2))
                 totals.setdefault((case, kind), []).append(float(error))
-            seen.setdefault(case, []).append(found.analysis.identifiable_count)
+            identified_counts.setdefault(case, []).append(result.analysis.identifiable_count)
     rows = [
         [
             f"{name}, {case}",
-            f"{np.mean(seen[case]):.0f} of {model.base.count}",
+            f"{np.mean(identified_counts[case]):.0f} of {model.base.count}",
             *(f"{np.median(totals[case, kind]):.3g}" for kind in Distance),
         ]
-        for case in seen
+        for case in identified_counts
     ]
-    note = f"Torque error on another motion over the noise's standard deviation, all joints; median over {ROBOTS} robots; γ by evidence."
+    note = "Torque error on another motion over the noise's standard deviation, all joints; "
+    note += f"median over {ROBOTS} robots; γ by evidence."
     show("Poor data", ["", "identified", *(kind.value for kind in Distance)], rows, note)
 
 
-# -- speed -----------------------------------------------------------------------------------------------------------
+# -- speed ------------------------------------------------------------------------------------
 
 
-def speed(rows: int = 1_000_000, rate: float = 1000.0) -> None:
+def report_speed(rows: int = 1_000_000, rate: float = 1000.0) -> None:
+    """Print section 3."""
     model, table = model_of(robot.load("panda"))
     fourier = trajectory_file.read_trajectory(TRAJECTORIES / "panda.json").motion.fourier
     rng = np.random.default_rng(0)
-    truth = Truth(model, true_psi(model.parameters, table.torque, rng))
+    truth = TrueRobot(model, draw_true_parameters(model.parameters, table.torque, rng))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "long.csv"
         piece = truth.recording(fourier, 40.0, 0.0 * table.torque, rng)
@@ -230,22 +276,25 @@ def speed(rows: int = 1_000_000, rate: float = 1000.0) -> None:
                     [t[:, None], s, tau + NOISE * table.torque * rng.normal(size=tau.shape)]
                 )
                 np.savetxt(stream, block, fmt="%.8g", delimiter=",")
-        begun = time.perf_counter()
+        start = time.perf_counter()
         recording = recordings.read(path, model.robot, table)
-        read = time.perf_counter()
-        found = identified(model, [recording], [], IdentificationOptions())
-        done = time.perf_counter()
+        after_reading = time.perf_counter()
+        result = identify(model, [recording], [], IdentificationOptions())
+        after_fit = time.perf_counter()
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     head = ["", "reading [s]", "identifying [s]", "together [s]", "peak memory [GB]", "rows kept"]
-    cells = [f"{v:.1f}" for v in (read - begun, done - read, done - begun)]
+    cells = [
+        f"{v:.1f}" for v in (after_reading - start, after_fit - after_reading, after_fit - start)
+    ]
     show(
         "A million samples of a seven-axis arm",
         head,
-        [["panda", *cells, f"{peak:.2f}", str(len(found.equations))]],
+        [["panda", *cells, f"{peak:.2f}", str(len(result.equations))]],
     )
 
 
 def main() -> None:
+    """Run the benchmark."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -256,12 +305,12 @@ def main() -> None:
     arguments = parser.parse_args()
     warnings.simplefilter("ignore", ExciteWarning)
     wanted = set(arguments.only.split(","))
-    if "3" in wanted:  # first: peak memory is the process's
-        speed()
+    if "3" in wanted:  # first, because peak memory is that of the process
+        report_speed()
     if "1" in wanted and arguments.data is not None:
-        real(arguments.data)
+        report_real_machines(arguments.data)
     if "2" in wanted:
-        poor("ur10e")
+        report_poor_data("ur10e")
 
 
 if __name__ == "__main__":

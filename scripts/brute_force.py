@@ -46,7 +46,8 @@ class PairDistance:
 
     def words(self) -> str:
         """Return a description."""
-        return f"{1e3 * self.distance:.1f} of {1e3 * self.margin:.0f} mm, {self.names} at {self.time:.2f} s"
+        distance = f"{1e3 * self.distance:.1f} of {1e3 * self.margin:.0f} mm"
+        return f"{distance}, {self.names} at {self.time:.2f} s"
 
 
 class DistanceJudge:

@@ -1,8 +1,9 @@
 #!/usr/bin/env python
-"""Do the intervals hold? Robots of known parameters, recorded many times with fresh noise: how often do 95 % intervals hold the truth?
+"""Measure the coverage of 95 % intervals: robots of known parameters, recorded many times.
 
-The robots come from `excite.plant`, which shares no code with the estimators. Directions are the eigenvectors of I·H₀⁻¹ that the
-first recording identifies. Also printed: torque error on a motion that no estimate has seen, over the noise floor.
+The robots come from `excite.simulator`, which shares no code with the estimators. Directions are
+the eigenvectors of I·H₀⁻¹ that the first recording identifies. The torque error on a held-out
+motion, over the noise floor, is printed as well.
 """
 
 from __future__ import annotations
@@ -20,60 +21,72 @@ os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
 import joblib
 import numpy as np
 import pinocchio as pin
+from excite.designer.options import DesignOptions
 
 from excite import _json
+from excite._types import FloatArray
 from excite.designer import identifiability, pipeline
-from excite.designer.options import DesignOptions as DesignOptions
 from excite.identification import estimators, identification
 from excite.identification.identification import Identification, IdentificationOptions
 from excite.identification.lowpass import LowPassFilter
 from excite.recordings import Recording, Sidecar
 from excite.robot import base_parameters, inertial_parameters, limits, robot
-from excite.simulator import experiment, recording_file
+from excite.simulator import experiment, recording_file, reference_trajectory
 from excite.simulator.experiment import ExperimentSettings, SimulatedSession
 from excite.simulator.measurement import MeasurementChain
 from excite.trajectory import trajectory_file
 
-Array = np.ndarray
 FOLDER = Path(__file__).resolve().parent.parent
 KINDS = ("train", "held out")
-CORNER = 2.0  # Hz, of the coloured noise's low-pass
+CORNER = 2.0
+"""Corner of the coloured noise's low-pass [Hz]."""
 
 
-def taken(found: recording_file.SimulatedRecording, name: str) -> Recording:
-    """A simulated recording, without the detour through a file."""
-    side = Sidecar(period=found.period, periodic=found.periodic)
+def as_recording(signals: recording_file.MeasuredSignals, name: str) -> Recording:
+    """Return a simulated recording without writing a file."""
+    side = Sidecar(period=signals.period, periodic=signals.periodic)
     return Recording(
         name,
-        found.joints,
-        found.t,
-        found.q,
-        tau=found.tau,
-        qref=found.qref,
+        signals.joints,
+        signals.t,
+        signals.q,
+        tau=signals.tau,
+        qref=signals.qref,
         sidecar=side,
-        own_times=found.t,
+        own_times=signals.t,
     )
 
 
 @dataclass(frozen=True)
-class Bench:
-    """A robot, what it truly is, and two motions of it."""
+class TestRobot:
+    """A simulated robot and two motions of it.
+
+    Attributes:
+        name: Built-in robot.
+        colour: Corner of the noise's low-pass [Hz]; None: white.
+        train: Session of the training motion.
+        held_out: Session of the held-out motion.
+        references: Both commanded motions.
+        truth: True parameters ψ.
+    """
 
     name: str
     colour: float | None
     train: SimulatedSession
     held_out: SimulatedSession
     references: tuple[Any, Any]
-    truth: Array
+    truth: FloatArray
 
     def identified(self, seed: int) -> Identification:
-        """From recordings with noise of that seed."""
+        """Identify from recordings with noise of a seed."""
         machine = robot.load(self.name)
         table = limits.resolve(machine)
         standard = inertial_parameters.standard(machine, table)
         generators = np.random.default_rng([seed, 5]).spawn(2)
-        made = [
-            taken(recording_file.measure(session.run, reference, session.chain, rng), kind)
+        signals = [
+            as_recording(
+                recording_file.measure(session.motion, reference, session.chain, rng), kind
+            )
             for session, reference, rng, kind in zip(
                 (self.train, self.held_out), self.references, generators, KINDS, strict=True
             )
@@ -82,14 +95,14 @@ class Bench:
             machine,
             standard,
             base_parameters.find(machine, standard, table),
-            made[:1],
-            made[1:],
+            signals[:1],
+            signals[1:],
             IdentificationOptions(),
         )
 
 
-def bench(name: str, colour: float | None, folder: Path, periods: int) -> Bench:
-    """Simulate the robot's own trajectory and another one."""
+def simulate_robot(name: str, colour: float | None, folder: Path, periods: int) -> TestRobot:
+    """Simulate the designed trajectory of a robot, and another one."""
     machine = robot.load(name)
     table = limits.resolve(machine)
     first = FOLDER / "trajectories" / f"{name}.json"
@@ -105,13 +118,17 @@ def bench(name: str, colour: float | None, folder: Path, periods: int) -> Bench:
     sessions = [
         experiment.simulate(urdf, path, setting, periods=periods) for path in (first, other)
     ]
-    references = tuple(experiment.references.read(path, periods) for path in (first, other))
-    return Bench(name, colour, sessions[0], sessions[1], references, true_psi(sessions[0], machine))  # type: ignore[arg-type]
+    references = tuple(
+        reference_trajectory.read_reference(path, periods) for path in (first, other)
+    )
+    return TestRobot(
+        name, colour, sessions[0], sessions[1], references, true_parameters(sessions[0], machine)
+    )  # type: ignore[arg-type]
 
 
-def true_psi(session: SimulatedSession, machine: robot.Robot) -> Array:
-    """ψ of the simulated robot, read back from its URDF by Pinocchio."""
-    model = pin.buildModelFromXML(session.plant.tree.text)
+def true_parameters(session: SimulatedSession, machine: robot.Robot) -> FloatArray:
+    """Return ψ of the simulated robot, read back from its URDF by Pinocchio."""
+    model = pin.buildModelFromXML(session.robot.tree.xml)
     bodies = [
         model.inertias[model.getJointId(joint)].toDynamicParameters() for joint in machine.joints
     ]
@@ -124,31 +141,37 @@ def true_psi(session: SimulatedSession, machine: robot.Robot) -> Array:
     return np.concatenate([*bodies, tail])
 
 
-def one(setup: Bench, seed: int, frame: Array) -> tuple[Array, Array, Array]:
-    """Errors of directions over their half-intervals, of base parameters likewise, held-out error over the floor."""
+def run_once(
+    setup: TestRobot, seed: int, frame: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return errors over half-intervals, of directions and base parameters; held-out errors.
+
+    Held-out errors are over the noise floor.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        found = setup.identified(seed)
-    off = found.data.theta - found.model.base.matrix @ setup.truth
-    half = estimators.interval_half_widths(found.data, frame)
-    own = estimators.interval_half_widths(found.data, np.eye(len(off)))
-    validation = found.validations[0]
+        result = setup.identified(seed)
+    error = result.data.theta - result.model.base.matrix @ setup.truth
+    half_widths = estimators.interval_half_widths(result.data, frame)
+    base_half_widths = estimators.interval_half_widths(result.data, np.eye(len(error)))
+    validation = result.validations[0]
     return (
-        frame @ off / half,
-        off / own,
-        validation.error() / floor(setup.held_out.chain, found.spectra.hertz),
+        frame @ error / half_widths,
+        error / base_half_widths,
+        validation.error() / filtered_noise_floor(setup.held_out.chain, result.spectra.hertz),
     )
 
 
-def floor(chain: MeasurementChain, hertz: float) -> Array:
-    """RMS of the torque's noise as the estimator's filter leaves it, whose edge is not sharp. Shape (n,) [N m]."""
+def filtered_noise_floor(chain: MeasurementChain, hertz: float) -> FloatArray:
+    """Return the RMS of the torque noise after the estimator's filter, shape (n,) [N m]."""
     edges = np.linspace(0.0, hertz, 201)[1:]
-    power = np.diff([chain.floor(f) ** 2 for f in edges], axis=0, prepend=0.0)
+    power = np.diff([chain.noise_floor(f) ** 2 for f in edges], axis=0, prepend=0.0)
     gain = LowPassFilter(hertz, chain.rate, 1).gain(edges, hertz)
     return np.sqrt(np.sum(gain[:, None] ** 2 * power, axis=0))
 
 
 def main() -> None:
+    """Print the table."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -159,25 +182,27 @@ def main() -> None:
     arguments = parser.parse_args()
     arguments.folder.mkdir(parents=True, exist_ok=True)
     print(
-        "| robot | noise | directions | pooled | lowest | highest | base parameters, pooled | held-out error over floor, worst joint |"
+        "| robot | noise | directions | pooled | lowest | highest | base parameters, pooled "
+        "| held-out error over floor, worst joint |"
     )
     print("|---|---|---:|---:|---:|---:|---:|---:|")
     for name in arguments.robots:
         for colour in (None, CORNER):
-            setup = bench(name, colour, arguments.folder, arguments.periods)
+            setup = simulate_robot(name, colour, arguments.folder, arguments.periods)
             first = setup.identified(0)
             values, vectors = identifiability.eigenvalues_and_directions(
                 first.data.information_root @ first.model.base.matrix, first.metric_base
             )
-            seen = values * first.options.threshold >= 1.0
-            frame = vectors[:, seen].T @ np.linalg.inv(
+            identifiable = values * first.options.threshold >= 1.0
+            frame = vectors[:, identifiable].T @ np.linalg.inv(
                 first.model.base.matrix @ first.metric_base.geometric
             )
             jobs = (
-                joblib.delayed(one)(setup, seed, frame) for seed in range(1, arguments.runs + 1)
+                joblib.delayed(run_once)(setup, seed, frame)
+                for seed in range(1, arguments.runs + 1)
             )
             results = joblib.Parallel(n_jobs=-1, verbose=1)(jobs)
-            direction, parameter, held = (np.array(part) for part in zip(*results, strict=True))
+            direction, parameter, held_out = (np.array(part) for part in zip(*results, strict=True))
             inside = np.mean(np.abs(direction) <= 1.0, axis=0)
             pooled = np.mean(np.abs(parameter[np.isfinite(parameter)]) <= 1.0)
             noise = "white" if colour is None else f"low-passed at {colour:g} Hz"
@@ -185,7 +210,7 @@ def main() -> None:
                 f"{100 * share:.1f} %"
                 for share in (inside.mean(), inside.min(), inside.max(), pooled)
             ]
-            error = np.sqrt(np.mean(held**2, axis=0)).max()
+            error = np.sqrt(np.mean(held_out**2, axis=0)).max()
             print(
                 f"| {name} | {noise} | {len(inside)} | {' | '.join(shares)} | {error:.3f} |",
                 flush=True,

@@ -1,9 +1,9 @@
-"""Does the geometric criterion lead to better parameters? Designs for every criterion, scored and tried by Monte-Carlo.
+"""Compare geometric and plain design criteria by the errors of identified parameters.
 
-For each robot: trajectories optimised for geometric and plain A-, D-, E-optimality and condition number and for the
-regressor's condition number; (1) every criterion of each; (2) the error each leads to when a robot whose parameters
-differ from the nominal ones is recorded with noise and identified, with known truth: in the metric, and as torque on
-other motions, which no design has seen.
+For each robot, trajectories are designed for geometric and plain A-, D-, E-optimality and condition
+number, and for the regressor's condition number. The table has (1) all criteria of each, (2) the
+error when a robot whose parameters differ from the nominal ones is recorded with noise and
+identified, with known truth: in the metric, and as torque on other motions.
 """
 
 from __future__ import annotations
@@ -13,19 +13,18 @@ import sys
 import warnings
 
 import numpy as np
+from excite.designer.options import DesignOptions
 
+from excite._types import FloatArray
 from excite.designer import criteria, optimize
 from excite.designer.criteria import Criterion
-from excite.designer.options import DesignOptions
 from excite.errors import ExciteWarning
 from excite.robot import dynamics, limits, robot
 from excite.trajectory.fourier import FourierSeries
 
-Array = np.ndarray
-
 
 def designs(name: str, starts: int, seed: int) -> dict[str, optimize.OptimizedDesign]:
-    """One design per criterion, geometric and plain."""
+    """Design for every criterion, geometric and plain."""
     machine = robot.load(name)
     table = limits.resolve(machine)
     out = {}
@@ -44,56 +43,67 @@ def designs(name: str, starts: int, seed: int) -> dict[str, optimize.OptimizedDe
     return out
 
 
-def recorded(found: optimize.OptimizedDesign, motion: FourierSeries, samples: int) -> Array:
-    """Regressor rows of one period over the noise. Shape (samples n, P)."""
-    problem = found.setup.problem
+def whitened_regressor(
+    design: optimize.OptimizedDesign, motion: FourierSeries, samples: int
+) -> FloatArray:
+    """Return the regressor rows of one period over the noise, shape (samples·n, P)."""
+    problem = design.setup.problem
     Y = dynamics.regressor(problem.robot, problem.parameters, motion.samples(motion.grid(samples)))
-    return (Y / found.setup.noise[:, None]).reshape(-1, Y.shape[2])
+    return (Y / design.setup.noise[:, None]).reshape(-1, Y.shape[2])
 
 
-def errors(
-    found: optimize.OptimizedDesign, others: Array, draws: int, spread: float, rng: np.random.Generator
+def estimation_errors(
+    design: optimize.OptimizedDesign,
+    others: FloatArray,
+    draws: int,
+    spread: float,
+    rng: np.random.Generator,
 ) -> tuple[float, float]:
-    """RMS over draws of the error in the metric and of the torque error over noise on `others`.
+    """Return the RMS error in the metric, and the RMS torque error over noise on other motions.
 
-    Truth: nominal plus a normal deviation of size `spread` per direction of the metric. Estimate: maximum a posteriori
-    with that prior (METHOD eq. 21 with the distance of eq. 18) from two recorded periods at 100 Hz.
+    The truth is nominal plus a normal deviation of size `spread` per direction of the metric. The
+    estimate is maximum a posteriori with that prior (METHOD eq. 21 with the distance of eq. 18)
+    from the recorded periods at 100 Hz.
     """
-    problem, base = found.setup.problem, found.setup.base
+    problem, base = design.setup.problem, design.setup.base
     options = problem.options
     rows = (
-        recorded(found, found.motion, round(options.period * options.rate))
+        whitened_regressor(design, design.motion, round(options.period * options.rate))
         @ base.geometric
         * np.sqrt(options.periods)
     )
     _, singular, right = np.linalg.svd(np.linalg.qr(rows, mode="r"))
     truth = spread * rng.normal(size=(draws, base.count))
-    seen = singular * (truth @ right.T) + rng.normal(size=truth.shape)
-    estimate = (seen * singular / (singular**2 + spread**-2)) @ right
+    measured = singular * (truth @ right.T) + rng.normal(size=truth.shape)
+    estimate = (measured * singular / (singular**2 + spread**-2)) @ right
     error = estimate - truth
     torque = error @ (others @ base.geometric).T
     return float(np.sqrt(np.mean(np.sum(error**2, axis=1)))), float(np.sqrt(np.mean(torque**2)))
 
 
-def unseen(found: optimize.OptimizedDesign, count: int, rng: np.random.Generator) -> Array:
-    """Rows of random feasible motions, for held-out torque."""
+def random_motion_rows(
+    design: optimize.OptimizedDesign, count: int, rng: np.random.Generator
+) -> FloatArray:
+    """Return regressor rows of random feasible motions, for held-out torque."""
     from excite.designer import initial_guess
     from excite.designer.evaluator import Evaluator
 
-    evaluator = Evaluator(found.setup.problem)
+    evaluator = Evaluator(design.setup.problem)
     rows = []
     for _ in range(count):
-        held = initial_guess.find_static_poses(evaluator, rng)
-        x = initial_guess.scale_random_motion(evaluator, held[rng.integers(len(held))], rng)
-        rows.append(recorded(found, found.setup.problem.fourier(x), 50))
+        static_poses = initial_guess.find_static_poses(evaluator, rng)
+        x = initial_guess.scale_random_motion(
+            evaluator, static_poses[rng.integers(len(static_poses))], rng
+        )
+        rows.append(whitened_regressor(design, design.setup.problem.fourier(x), 50))
     return np.vstack(rows)
 
 
 def report(name: str, arguments: argparse.Namespace) -> None:
     """Print both tables of one robot."""
-    found = designs(name, arguments.starts, arguments.seed)
-    first = next(iter(found.values()))
-    others = unseen(first, 20, np.random.default_rng(12345))
+    results = designs(name, arguments.starts, arguments.seed)
+    first = next(iter(results.values()))
+    other_rows = random_motion_rows(first, 20, np.random.default_rng(12345))
     columns = [("geometric", c) for c in ("a", "d", "e", "cond")] + [
         ("plain", c) for c in ("a", "d", "e", "cond")
     ]
@@ -103,18 +113,24 @@ def report(name: str, arguments: argparse.Namespace) -> None:
         + " | cond_regressor | error in the metric | held-out torque / noise |"
     )
     print("|---" * (len(columns) + 4) + "|")
-    for title, one in found.items():
-        problem = one.setup.problem
+    for title, design in results.items():
+        problem = design.setup.problem
         Y = dynamics.regressor(
             problem.robot,
             problem.parameters,
-            one.motion.samples(one.motion.grid(problem.options.samples)),
+            design.motion.samples(design.motion.grid(problem.options.samples)),
         )
-        scores = criteria.evaluate_criteria(Y, one.setup.base, one.setup.noise)
-        cells = [criteria.select_criterion(scores, Criterion(c), plain=k == "plain") for k, c in columns]
+        scores = criteria.evaluate_criteria(Y, design.setup.base, design.setup.noise)
+        cells = [
+            criteria.select_criterion(scores, Criterion(c), plain=k == "plain") for k, c in columns
+        ]
         cells.append(criteria.select_criterion(scores, Criterion.COND_REGRESSOR, plain=True))
-        metric, torque = errors(
-            one, others, arguments.draws, arguments.spread, np.random.default_rng(arguments.seed)
+        metric, torque = estimation_errors(
+            design,
+            other_rows,
+            arguments.draws,
+            arguments.spread,
+            np.random.default_rng(arguments.seed),
         )
         print(
             f"| {title} | "
@@ -125,6 +141,7 @@ def report(name: str, arguments: argparse.Namespace) -> None:
 
 
 def main() -> None:
+    """Print the tables."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,10 +1,11 @@
-"""Record what the commands write, and compare two such records: a change of structure must leave every file as it was.
+"""Record the files that the commands write, and compare two such records.
 
-    python scripts/golden_record.py make before/        # designs of all built-in robots; 20 recordings identified and diagnosed
+    python scripts/golden_record.py make before/   # all built-in robots, 20 recordings
     python scripts/golden_record.py make after/
     python scripts/golden_record.py compare before/ after/
 
-Every file is compared byte by byte, but for JSON keys that `--ignore` names (versions differ between releases).
+A change of structure must not change any file. Files are compared byte by byte, except for the JSON
+keys of `--ignore` (package versions differ between releases).
 """
 
 from __future__ import annotations
@@ -20,13 +21,22 @@ from pathlib import Path
 from typing import Any
 
 ROBOTS = ("fr3", "iiwa14", "panda", "two_link", "tx40", "ur10e", "ur5e")
+"""Built-in robots."""
 FAST = ("--starts", "1", "--iterations", "60")
+"""Options of a short design."""
 COMPARED = ("*.json", "*.csv", "*.urdf")
+"""Patterns of the files that are compared."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One training recording: the robot that was recorded, the effects that it hides, and the seed of its noise."""
+    """A training recording.
+
+    Attributes:
+        robot: The recorded robot.
+        effects: Effects that it hides.
+        seed: Seed of its bodies, actuators and noise.
+    """
 
     robot: str
     effects: tuple[str, ...]
@@ -39,7 +49,7 @@ class Case:
 
 
 def cases() -> tuple[Case, ...]:
-    """20 recordings: most of the small robot, which takes seconds, the others of five larger ones."""
+    """Return 20 recordings: 14 of the small robot, which take seconds, and 6 of larger ones."""
     hidden: tuple[tuple[str, tuple[str, ...]], ...] = (
         ("two_link", ()),
         ("two_link", ("stribeck:joint_1",)),
@@ -67,16 +77,17 @@ def cases() -> tuple[Case, ...]:
 
 def excite(folder: Path, *arguments: str) -> None:
     """Run a command in a folder, so that no path of this machine is recorded."""
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "excite", *arguments],
         cwd=folder,
         capture_output=True,
         text=True,
         check=False,
     )
-    if done.returncode:
+    if process.returncode:
         sys.exit(
-            f"excite {' '.join(arguments)}: exit code {done.returncode}: {done.stderr.strip().splitlines()[-1:]}"
+            f"excite {' '.join(arguments)}: exit code {process.returncode}: "
+            f"{process.stderr.strip().splitlines()[-1:]}"
         )
 
 
@@ -125,7 +136,7 @@ def make(folder: Path, jobs: int) -> None:
 
 
 def without(value: Any, keys: frozenset[str]) -> Any:
-    """A JSON value without some keys, wherever they stand."""
+    """Return a JSON value without some keys, at any depth."""
     if isinstance(value, dict):
         return {key: without(inner, keys) for key, inner in value.items() if key not in keys}
     return [without(inner, keys) for inner in value] if isinstance(value, list) else value
@@ -173,13 +184,13 @@ def main() -> int:
     if arguments.command == "make":
         make(arguments.folder, arguments.jobs)
         return 0
-    found = list(differences(arguments.before, arguments.after, frozenset(arguments.ignore)))
+    changes = list(differences(arguments.before, arguments.after, frozenset(arguments.ignore)))
     print(
-        "\n".join(found)
-        if found
+        "\n".join(changes)
+        if changes
         else f"identical: {sum(1 for p in arguments.before.rglob('*') if p.is_file())} files"
     )
-    return 1 if found else 0
+    return 1 if changes else 0
 
 
 if __name__ == "__main__":

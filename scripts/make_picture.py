@@ -1,4 +1,4 @@
-"""Draw the README's pictures: a designed motion within its limits and what it will show; a real joint's residual atlas."""
+"""Draw the README's figures: a designed motion with its information, and a residual atlas."""
 
 from __future__ import annotations
 
@@ -19,22 +19,25 @@ from excite.robot.dynamics import band, regressor
 from excite.trajectory import trajectory_file
 
 FOLDER = Path(__file__).resolve().parent.parent
-REAL = Path(os.environ.get("EXCITE_RECORDINGS", FOLDER.parent / "shared" / "recordings"))
+REAL_RECORDINGS = Path(os.environ.get("EXCITE_RECORDINGS", FOLDER.parent / "shared" / "recordings"))
 JOINTS = 3
+"""Joints that the first figure shows."""
 
 
 def main() -> None:
-    design()
-    if REAL.is_dir():
-        atlas(REAL / "tx40", "joint_5")
+    """Draw both figures."""
+    draw_design()
+    if REAL_RECORDINGS.is_dir():
+        draw_residual_atlas(REAL_RECORDINGS / "tx40", "joint_5")
     else:
         sys.exit(
-            f"{REAL}: no recordings, so the atlas was not drawn again; name their folder by EXCITE_RECORDINGS"
+            f"{REAL_RECORDINGS}: no recordings, so the residual atlas was not drawn; "
+            "set EXCITE_RECORDINGS to their folder"
         )
 
 
-def atlas(folder: Path, joint: str) -> None:
-    """The picture of a joint that the report of `excite diagnose` holds, as a file of its own."""
+def draw_residual_atlas(folder: Path, joint: str) -> None:
+    """Write the residual atlas of a joint, as in the report of `excite diagnose`, to a file."""
     with tempfile.TemporaryDirectory() as out:
         robot, train, held_out = (
             str(folder / name) for name in (f"{folder.name}.urdf", "train.csv", "validate.csv")
@@ -42,21 +45,22 @@ def atlas(folder: Path, joint: str) -> None:
         if main_module.main(["diagnose", robot, train, "--validate", held_out, "-o", out]):
             sys.exit(1)
         page = (Path(out) / "report.html").read_text()
-    found = re.search(
+    match = re.search(
         rf'<svg viewBox="0 0 (\S+) (\S+)" role="img" aria-label="Held-out residual of {joint} .*?</svg>',
         page,
         re.DOTALL,
     )
-    if found is None:
+    if match is None:
         sys.exit(f"{folder}: the report has no picture of {joint}")
-    white = f'<rect width="{found[1]}" height="{found[2]}" fill="#fff"/>'
-    head, rest = found[0].split(">", 1)
+    white = f'<rect width="{match[1]}" height="{match[2]}" fill="#fff"/>'
+    head, body = match[0].split(">", 1)
     (FOLDER / "notebooks" / f"{folder.name}_{joint}.svg").write_text(
-        f'{head} xmlns="http://www.w3.org/2000/svg">{white}{rest}\n'
+        f'{head} xmlns="http://www.w3.org/2000/svg">{white}{body}\n'
     )
 
 
-def design() -> None:
+def draw_design() -> None:
+    """Draw a designed motion within its limits, and the variance of each direction."""
     trajectory = trajectory_file.read_trajectory(FOLDER / "trajectories" / "ur10e.json")
     robot = trajectory.load_robot()
     subject = certificate.motion_constraints(trajectory, robot, trajectory.limits)
@@ -64,9 +68,9 @@ def design() -> None:
     t = motion.grid(trajectory.rate)
     samples = motion.samples(t)
     nominal, width = band(regressor(robot, parameters, samples), parameters, subject.uncertainty)
-    found = base_parameters.find(robot, parameters, limits)
+    base = base_parameters.find(robot, parameters, limits)
     root = identifiability.information_root(robot, parameters, samples, trajectory.noise)
-    analysis = identifiability.analyse_root(parameters, found, root, trajectory.noise, robot)
+    analysis = identifiability.analyse_root(parameters, base, root, trajectory.noise, robot)
 
     figure = Figure(figsize=(11, 4.6), layout="constrained")
     FigureCanvasAgg(figure)
@@ -99,11 +103,11 @@ def design() -> None:
     axis = right.subplots()
     variances = np.array([d.variance for d in analysis.directions])
     order = np.argsort(variances)
-    seen = variances[order] <= analysis.threshold
+    identifiable = variances[order] <= analysis.threshold
     places = np.arange(1, len(order) + 1)
     for mask, color, text in (
-        (seen, "#1d7d46", "identifiable"),
-        (~seen, "#b03030", "not with this motion"),
+        (identifiable, "#1d7d46", "identifiable"),
+        (~identifiable, "#b03030", "not with this motion"),
     ):
         axis.semilogy(
             places[mask],

@@ -1,4 +1,4 @@
-"""Design the trajectories of `trajectories/` again: one for every built-in robot, certified."""
+"""Design and certify the trajectories of `trajectories/`, one for every built-in robot."""
 
 from __future__ import annotations
 
@@ -6,17 +6,20 @@ import argparse
 import sys
 from pathlib import Path
 
+from excite.designer.options import DesignOptions
+
 from excite import _json
 from excite._system.output_files import output_files
 from excite.collision import scene_file
 from excite.designer import pipeline, time_budget
-from excite.designer.options import DesignOptions
 from excite.robot import limits, robot
 
 FOLDER = Path(__file__).resolve().parent.parent / "trajectories"
+"""Folder of the trajectories."""
 
 
 def main() -> None:
+    """Design the trajectories."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("robots", nargs="*", default=list(robot.builtin_names()))
     parser.add_argument("-o", dest="out", type=Path, default=FOLDER)
@@ -37,7 +40,8 @@ def main() -> None:
         value = delivery.trajectory.criteria["optimum"]["geometric"]["a"]
         length, spent = delivery.trajectory.motion.duration, delivery.timing["total"]
         print(
-            f"{written[0]}: geometric a = {value:.5g}, {length:.1f} s long, {spent:.1f} s to design; {delivery.trajectory.collision}"
+            f"{written[0]}: geometric a = {value:.5g}, {length:.1f} s long, "
+            f"{spent:.1f} s to design; {delivery.trajectory.collision}"
         )
 
 

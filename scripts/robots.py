@@ -1,7 +1,9 @@
 #!/usr/bin/env python
-"""Design and certify a motion for many robots: the built-in models and, where its wheel is at hand, example-robot-data.
+"""Design and certify a motion for many robots: built-in models and example-robot-data.
 
-Prints one Markdown table (or JSON); the exit code is 1 when a robot fails. For the wheel's URDFs without installing it:
+It prints a Markdown table (or JSON); the exit code is 1 when a robot fails. example-robot-data is
+used where its wheel is installed or unpacked:
+
     pip download --no-deps example-robot-data && unzip -d DIR example_robot_data*.whl
     python scripts/robots.py --data DIR
 """
@@ -24,13 +26,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from excite.designer.options import DesignOptions
 
 from excite import _json
 from excite.collision import scene_file
 from excite.designer import certificate as certificate_module
 from excite.designer import criteria, pipeline, sqp, time_budget
 from excite.designer.criteria import Criterion
-from excite.designer.options import DesignOptions
 from excite.errors import CheckFailed
 from excite.robot import limits, robot
 from excite.trajectory import trajectory_file
@@ -43,11 +45,19 @@ PLACES = (
     "share/example-robot-data/robots",
     "cmeel.prefix/share/example-robot-data/robots",
 )
+"""Folders of the wheel that may hold the robots."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One robot to try. path: below the folder it comes from. joints: those that move; None: all but the locked ones."""
+    """A robot to try.
+
+    Attributes:
+        name: Name in the table.
+        path: URDF below its folder.
+        joints: Joints that move; None: all but the locked ones.
+        lock: Positions of the locked joints.
+    """
 
     name: str
     path: str
@@ -59,7 +69,7 @@ def _numbered(pattern: str, numbers: Iterable[int]) -> tuple[str, ...]:
     return tuple(pattern.format(number) for number in numbers)
 
 
-# A gripper is locked where the arm is what gets identified; one robot of each kind keeps it (panda_hand, z1, so101).
+# grippers are locked, except in one robot of each kind (panda_hand, z1, so101)
 WHEEL = (
     Case("ur3", "ur_description/urdf/ur3_robot.urdf"),
     Case("ur5", "ur_description/urdf/ur5_robot.urdf"),
@@ -93,7 +103,22 @@ RECORDED = (Case("emps", "emps/emps.urdf"),)
 
 @dataclass
 class Row:
-    """What became of one robot; None where it did not come that far. start, after: the criterion per sample."""
+    """The outcome for one robot; None where a step was not reached.
+
+    Attributes:
+        robot: Name of the robot.
+        joints: Number of joints.
+        base_parameters: Number of base parameters.
+        timing: Times of the design [s].
+        start: Criterion of the first feasible motion, per sample.
+        after: Criterion of the optimum, per sample.
+        nearest: The nearest limit.
+        duration: Duration of the motion [s].
+        near: Least distance between bodies [mm].
+        ok: Whether the motion is certified.
+        reason: Fault, where it is not.
+        warnings: Warnings.
+    """
 
     robot: str
     joints: int | None = None
@@ -110,19 +135,20 @@ class Row:
 
 
 def say(text: str) -> None:
+    """Print a line to standard error."""
     print(text, file=sys.stderr, flush=True)
 
 
 def cases(data: Path | None) -> list[tuple[Case, str]]:
-    """Every robot at hand, with what `robot.load` takes for it."""
-    found = [(Case(name, ""), name) for name in robot.builtin_names()]
+    """Return every available robot, with the argument of `robot.load`."""
+    entries = [(Case(name, ""), name) for name in robot.builtin_names()]
     folder = wheel(data)
     if folder is None:
         say("example-robot-data is not installed and no --data is given: built-in models only")
     else:
-        found += [(case, str(folder / case.path)) for case in WHEEL]
-    # A recording's robot is optional material: silently absent elsewhere than in the project's own workspace.
-    return found + [
+        entries += [(case, str(folder / case.path)) for case in WHEEL]
+    # recorded robots exist in the project's own workspace only
+    return entries + [
         (case, str(RECORDINGS / case.path))
         for case in RECORDED
         if (RECORDINGS / case.path).is_file()
@@ -130,7 +156,7 @@ def cases(data: Path | None) -> list[tuple[Case, str]]:
 
 
 def wheel(data: Path | None) -> Path | None:
-    """The wheel's folder of robots: below --data, or where the wheel installs it."""
+    """Return the wheel's folder of robots, below --data or where the wheel is installed."""
     root = Path(sysconfig.get_path("purelib")) if data is None else data
     for place in PLACES:
         if (root / place / "ur_description").is_dir():
@@ -142,8 +168,11 @@ def wheel(data: Path | None) -> Path | None:
     return None
 
 
-def apart(name: str, given: argparse.Namespace) -> Row:
-    """One robot in a process of its own, so that neither a crash nor a solver that never ends takes the table along."""
+def run_in_process(name: str, given: argparse.Namespace) -> Row:
+    """Try a robot in a process of its own.
+
+    A crash or a solver that never ends then does not affect the others.
+    """
     command = [sys.executable, str(Path(__file__).resolve()), "--alone", "--json", "--only", name]
     command += [
         "--starts",
@@ -154,7 +183,7 @@ def apart(name: str, given: argparse.Namespace) -> Row:
         str(given.uncertainty),
     ]
     command += [] if given.data is None else ["--data", str(given.data)]
-    # A session of its own: the workers of a robot that hangs are ended with it.
+    # in a session of its own, so that the workers of a robot that hangs can be ended with it
     child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
     try:
         out, _ = child.communicate(timeout=given.patience)
@@ -170,28 +199,30 @@ def apart(name: str, given: argparse.Namespace) -> Row:
 
 
 def attempt(case: Case, source: str, options: DesignOptions) -> Row:
-    """Design and verify one robot; whatever goes wrong becomes the row's reason."""
+    """Design and verify a robot; any exception becomes the reason of the row."""
     row = Row(case.name)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
             run(row, case, source, options)
-        except Exception as error:  # one broken robot must not hide the others
+        except Exception as error:  # one faulty robot must not hide the others
             row.ok, row.reason = False, f"{type(error).__name__}: {' '.join(str(error).split())}"
     row.warnings = [f"{w.category.__name__}: {w.message}" for w in caught]
     return row
 
 
 def run(row: Row, case: Case, source: str, options: DesignOptions) -> None:
-    """Fill in the row as far as the robot gets; raises what excite raises."""
-    moved = robot.load(source, joints=case.joints, lock=case.lock)
-    row.joints = moved.n
-    own = HERE / "limits" / f"{case.name}.toml"
-    table = limits.resolve(moved, own if own.is_file() and not is_builtin(source) else None)
-    cell, unchecked = scene_file.known(moved, table, scene_file.Scene())
+    """Fill in the row as far as the design gets; raises what excite raises."""
+    machine = robot.load(source, joints=case.joints, lock=case.lock)
+    row.joints = machine.n
+    limits_file = HERE / "limits" / f"{case.name}.toml"
+    table = limits.resolve(
+        machine, limits_file if limits_file.is_file() and not is_builtin(source) else None
+    )
+    cell, unchecked = scene_file.known(machine, table, scene_file.Scene())
     options = time_budget.MotionRequest().complete(options, table)
     delivery = pipeline.design_trajectory(
-        moved,
+        machine,
         table,
         options,
         cell=cell,
@@ -297,17 +328,17 @@ def cells(row: Row) -> list[str]:
     ]
 
 
-def chosen(found: list[tuple[Case, str]], only: str | None) -> list[tuple[Case, str]]:
+def chosen(entries: list[tuple[Case, str]], only: str | None) -> list[tuple[Case, str]]:
     """The robots of --only, in the table's order."""
     if only is None:
-        return found
+        return entries
     names = only.split(",")
-    unknown = sorted(set(names) - {case.name for case, _ in found})
+    unknown = sorted(set(names) - {case.name for case, _ in entries})
     if unknown:
         raise SystemExit(
-            f"--only {unknown[0]}: not among {', '.join(case.name for case, _ in found)}"
+            f"--only {unknown[0]}: not among {', '.join(case.name for case, _ in entries)}"
         )
-    return [(case, source) for case, source in found if case.name in names]
+    return [(case, source) for case, source in entries if case.name in names]
 
 
 def arguments() -> argparse.Namespace:
@@ -365,7 +396,7 @@ def main() -> int:
             rows.append(attempt(case, source, options))
             continue
         say(f"{case.name}: {source}")
-        rows.append(row := apart(case.name, given))
+        rows.append(row := run_in_process(case.name, given))
         for text in row.warnings:
             say(f"  {text}")
         say("  " + " | ".join(cells(row)))

@@ -15,6 +15,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 # Data flows from left to right; a package imports from itself and from those to its left.
 ORDER = (
     "errors",
+    "_types",
     "physical_ranges",
     "_linear_algebra",
     "_system",
@@ -35,7 +36,7 @@ ORDER = (
     "cli",
     "__main__",
 )
-INDEPENDENT = {"simulator": {"errors"}}
+INDEPENDENT = {"simulator": {"errors", "_types"}}
 """Packages that share nothing with the rest but these: the simulated robot must not know who identifies it."""
 
 

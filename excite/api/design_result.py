@@ -358,7 +358,7 @@ def compare_experiments(
         noise=trajectory.noise,
         rate=trajectory.rate,
         threshold=threshold,
-        earlier_information=given,
+        earlier_root=given,
     )
 
 

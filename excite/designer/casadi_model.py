@@ -1,7 +1,7 @@
-"""Rigid-body dynamics in CasADi: what the optimiser differentiates. Pinocchio's wheel has no CasADi binding.
+"""Rigid-body dynamics in CasADi, for exact derivatives; Pinocchio's wheel has no CasADi binding.
 
-Spatial vectors are pairs (angular, linear) in body frames; the recursion is Featherstone's, the body regressor that of
-Atkeson, An & Hollerbach (1986).
+Spatial vectors are pairs (angular, linear) in body frames. The recursion is Featherstone's (Rigid
+Body Dynamics Algorithms, 2008), the body regressor that of Atkeson, An and Hollerbach (1986).
 """
 
 from __future__ import annotations
@@ -11,33 +11,42 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from .._types import FloatArray, IntArray
 from ..robot.inertial_parameters import COULOMB_WIDTH, Parameters
 from ..robot.robot import Robot
 from . import casadi_batch
 
 SpatialVector = tuple[ca.SX, ca.SX]
+"""Angular and linear part of a spatial vector in a body frame."""
+
+ROUNDING = 1e-14
+"""Entries of constant matrices below this are rounding errors of 0 [1 or m]."""
 
 
 @dataclass(frozen=True)
 class DynamicsFunctions:
     """CasADi functions of one sample of motion (q, dq, ddq), each of shape (n,).
 
-    regressor: -> Yᵀ (P, n), dense; transposed, so that samples side by side are rows of a C array (N, n, P).
-    adjoint: (q, dq, ddq, Ȳᵀ) -> gradients of ⟨Ȳ, Y⟩ with respect to q, dq, ddq; one reverse sweep.
-    row: (q, dq, ddq, w (P,), s (n,)) -> gradients of sᵀ Y w with respect to q, dq, ddq, for torque limits row by row.
-    library: where their C is compiled, or will be; None without a compiler.
-    support: per joint the columns of Y that can differ from 0.
+    Attributes:
+        regressor: Returns Yᵀ, dense, shape (P, n); so that samples become rows of a C array
+            (N, n, P).
+        adjoint: Maps (q, dq, ddq, Ȳᵀ) to the gradients of ⟨Ȳ, Y⟩ by q, dq and ddq, by one reverse
+            sweep.
+        row: Maps (q, dq, ddq, w, s), shapes (P,) and (n,), to the gradients of sᵀ Y w by q, dq and
+            ddq, for single torque limits.
+        library: Compiled functions, possibly still being compiled; None without a compiler.
+        support: For each joint the columns of Y that can differ from 0.
     """
 
     regressor: ca.Function
     adjoint: ca.Function
     row: ca.Function
     library: casadi_batch.Library | None
-    support: tuple[np.ndarray, ...]
+    support: tuple[IntArray, ...]
 
 
-def _rotate(axis: np.ndarray, angle: ca.SX) -> ca.SX:
-    """Rodrigues' formula for a unit axis."""
+def _rotate(axis: FloatArray, angle: ca.SX) -> ca.SX:
+    """Return the rotation about a unit axis by Rodrigues' formula."""
     x, y, z = axis
     K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     R = (
@@ -48,13 +57,13 @@ def _rotate(axis: np.ndarray, angle: ca.SX) -> ca.SX:
     return ca.sparsify(R)
 
 
-def _clean(matrix: np.ndarray) -> ca.SX:
-    """A constant with rounding dust removed, so that zeros stay structural."""
-    return ca.sparsify(ca.SX(np.where(np.abs(matrix) < 1e-14, 0.0, matrix)))
+def _clean(matrix: FloatArray) -> ca.SX:
+    """Return a constant without rounding errors, so that zeros remain structural."""
+    return ca.sparsify(ca.SX(np.where(np.abs(matrix) < ROUNDING, 0.0, matrix)))
 
 
-def _lever(vector: ca.SX) -> ca.SX:
-    """The 3x6 map from (Ixx, Ixy, Iyy, Ixz, Iyz, Izz) to I·vector."""
+def _inertia_times(vector: ca.SX) -> ca.SX:
+    """Return the map from (Ixx, Ixy, Iyy, Ixz, Iyz, Izz) to I·vector. Shape (3, 6)."""
     x, y, z = vector[0], vector[1], vector[2]
     out = ca.SX(3, 6)
     out[0, 0], out[0, 1], out[0, 3] = x, y, z
@@ -63,25 +72,41 @@ def _lever(vector: ca.SX) -> ca.SX:
     return out
 
 
-def _body(w: ca.SX, dw: ca.SX, a: ca.SX) -> ca.SX:
-    """6x10 map from φ to (moment, force): w, dw angular velocity and acceleration, a that of the origin minus gravity."""
+def _body_regressor(w: ca.SX, dw: ca.SX, a: ca.SX) -> ca.SX:
+    """Return the map from inertial parameters φ to (moment, force) on a body. Shape (6, 10).
+
+    Args:
+        w: Angular velocity.
+        dw: Angular acceleration.
+        a: Acceleration of the origin minus gravity.
+    """
     out = ca.SX(6, 10)
     out[3:6, 0] = a
     out[3:6, 1:4] = ca.skew(dw) + ca.mtimes(ca.skew(w), ca.skew(w))
     out[0:3, 1:4] = -ca.skew(a)
-    out[0:3, 4:10] = _lever(dw) + ca.mtimes(ca.skew(w), _lever(w))
+    out[0:3, 4:10] = _inertia_times(dw) + ca.mtimes(ca.skew(w), _inertia_times(w))
     return out
 
 
 @dataclass(frozen=True)
 class _Kinematics:
-    rotation: list[ca.SX]  # parent from child
-    lever: list[ca.SX]  # child's origin in the parent's frame
-    axis: list[SpatialVector]  # (angular, linear) motion axis, child frame
+    """Kinematic tree at one configuration, for each body.
+
+    Attributes:
+        rotation: Rotation from the body to its parent.
+        lever: Origin of the body in the frame of its parent [m].
+        axis: Motion axis of its joint in its own frame.
+        parent: Index of its parent, −1 for the base.
+    """
+
+    rotation: list[ca.SX]
+    lever: list[ca.SX]
+    axis: list[SpatialVector]
     parent: list[int]
 
 
 def _kinematics(robot: Robot, q: ca.SX) -> _Kinematics:
+    """Return the kinematic tree at positions `q`."""
     model = robot.model
     coordinates = ca.mtimes(_clean(robot.spread), q) + ca.SX(robot.shift)
     rotation, lever, axis, parent = [], [], [], []
@@ -102,76 +127,101 @@ def _kinematics(robot: Robot, q: ca.SX) -> _Kinematics:
 
 @dataclass(frozen=True)
 class _Velocities:
-    """Per body, in its own frame: angular velocity and acceleration, and the origin's acceleration minus gravity."""
+    """Motion of each body in its own frame.
+
+    Attributes:
+        w: Angular velocity.
+        dw: Angular acceleration.
+        acc: Acceleration of the origin minus gravity.
+    """
 
     w: list[ca.SX]
     dw: list[ca.SX]
     acc: list[ca.SX]
 
 
-def _velocities(robot: Robot, kin: _Kinematics, dq: ca.SX, ddq: ca.SX) -> _Velocities:
+def _velocities(robot: Robot, kinematics: _Kinematics, dq: ca.SX, ddq: ca.SX) -> _Velocities:
+    """Propagate velocities and accelerations from the base to the tips."""
     spread = _clean(robot.spread)
     v, a = ca.mtimes(spread, dq), ca.mtimes(spread, ddq)
     out = _Velocities([], [], [])
     still, lift = ca.SX(3, 1), _clean(-np.array(robot.model.gravity.linear))
-    for i, up in enumerate(kin.parent):
-        back = kin.rotation[i].T
+    for i, up in enumerate(kinematics.parent):
+        back = kinematics.rotation[i].T
         w0, dw0, a0 = (still, still, lift) if up < 0 else (out.w[up], out.dw[up], out.acc[up])
-        turn, slide = kin.axis[i]
+        turn, slide = kinematics.axis[i]
         wp = ca.mtimes(back, w0)
         out.w.append(wp + turn * v[i])
         out.dw.append(ca.mtimes(back, dw0) + turn * a[i] + ca.cross(wp, turn) * v[i])
-        carried = a0 + ca.cross(dw0, kin.lever[i]) + ca.cross(w0, ca.cross(w0, kin.lever[i]))
+        carried = (
+            a0
+            + ca.cross(dw0, kinematics.lever[i])
+            + ca.cross(w0, ca.cross(w0, kinematics.lever[i]))
+        )
         out.acc.append(ca.mtimes(back, carried) + slide * a[i] + 2.0 * ca.cross(wp, slide) * v[i])
     return out
 
 
-def _inertial_regressor(robot: Robot, kin: _Kinematics, motion: _Velocities) -> ca.SX:
-    """Block (j, i) is body i's 6x10 wrench map along the axis of joint j, for i itself and every ancestor j."""
+def _inertial_regressor(robot: Robot, kinematics: _Kinematics, motion: _Velocities) -> ca.SX:
+    """Return the regressor of the inertial parameters. Shape (n, 10·bodies).
+
+    Block (j, i) is the wrench map of body i along the axis of joint j, for i and all its ancestors.
+    """
     count = robot.model.nv
     Y = ca.SX(count, 10 * count)
-    carried: list[
-        dict[int, SpatialVector]
-    ] = []  # per body the axes of itself and its ancestors, in its frame
-    for i, up in enumerate(kin.parent):
-        back = kin.rotation[i].T
+    # for each body the axes of its own joint and of its ancestors' joints, in its frame
+    carried: list[dict[int, SpatialVector]] = []
+    for i, up in enumerate(kinematics.parent):
+        back = kinematics.rotation[i].T
         above = carried[up] if up >= 0 else {}
         axes = {
-            j: (ca.mtimes(back, turn), ca.mtimes(back, slide + ca.cross(turn, kin.lever[i])))
+            j: (ca.mtimes(back, turn), ca.mtimes(back, slide + ca.cross(turn, kinematics.lever[i])))
             for j, (turn, slide) in above.items()
         }
-        axes[i] = kin.axis[i]
+        axes[i] = kinematics.axis[i]
         carried.append(axes)
-        wrench = _body(motion.w[i], motion.dw[i], motion.acc[i])
+        wrench = _body_regressor(motion.w[i], motion.dw[i], motion.acc[i])
         for j, (turn, slide) in axes.items():
             Y[j, 10 * i : 10 * i + 10] = ca.mtimes(ca.vertcat(turn, slide).T, wrench)
     return ca.mtimes(_clean(robot.spread).T, Y)
 
 
-def _inverse_dynamics(robot: Robot, kin: _Kinematics, motion: _Velocities, phi: ca.SX) -> ca.SX:
-    """Torque of bodies with inertial parameters `phi`, ten a body: the regressor times phi, at the cost of one recursion."""
+def _inverse_dynamics(
+    robot: Robot, kinematics: _Kinematics, motion: _Velocities, phi: ca.SX
+) -> ca.SX:
+    """Return the torque of bodies with given inertial parameters, by one recursion.
+
+    It equals the regressor times `phi`, shape (10·bodies,).
+    """
     torque = ca.SX(robot.model.nv, 1)
     moments, forces = [], []
     for i, (w, dw, acc) in enumerate(zip(motion.w, motion.dw, motion.acc, strict=True)):
         mass, h, inertia = phi[10 * i], phi[10 * i + 1 : 10 * i + 4], phi[10 * i + 4 : 10 * i + 10]
         forces.append(mass * acc + ca.cross(dw, h) + ca.cross(w, ca.cross(w, h)))
         moments.append(
-            ca.mtimes(_lever(dw), inertia)
-            + ca.cross(w, ca.mtimes(_lever(w), inertia))
+            ca.mtimes(_inertia_times(dw), inertia)
+            + ca.cross(w, ca.mtimes(_inertia_times(w), inertia))
             + ca.cross(h, acc)
         )
     for i in reversed(range(len(forces))):
-        turn, slide = kin.axis[i]
+        turn, slide = kinematics.axis[i]
         torque[i] = ca.dot(turn, moments[i]) + ca.dot(slide, forces[i])
-        if (up := kin.parent[i]) >= 0:
-            force = ca.mtimes(kin.rotation[i], forces[i])
+        if (up := kinematics.parent[i]) >= 0:
+            force = ca.mtimes(kinematics.rotation[i], forces[i])
             forces[up] += force
-            moments[up] += ca.mtimes(kin.rotation[i], moments[i]) + ca.cross(kin.lever[i], force)
+            moments[up] += ca.mtimes(kinematics.rotation[i], moments[i]) + ca.cross(
+                kinematics.lever[i], force
+            )
     return ca.mtimes(_clean(robot.spread).T, torque)
 
 
 def dynamics_functions(robot: Robot, parameters: Parameters) -> DynamicsFunctions:
-    """Build the functions of one sample that the optimiser needs, all with exact derivatives."""
+    """Build the functions of one sample of motion that the optimiser needs.
+
+    Args:
+        robot: The robot.
+        parameters: Its standard parameters.
+    """
     n = robot.n
     q, dq, ddq = (ca.SX.sym(name, n) for name in ("q", "dq", "ddq"))
     state = ca.vertcat(q, dq, ddq)
@@ -181,10 +231,10 @@ def dynamics_functions(robot: Robot, parameters: Parameters) -> DynamicsFunction
         "coulomb": ca.tanh(dq / COULOMB_WIDTH),
         "offset": ca.SX.ones(n),
     }
-    kin = _kinematics(robot, q)
-    motion = _velocities(robot, kin, dq, ddq)
+    kinematics = _kinematics(robot, q)
+    motion = _velocities(robot, kinematics, dq, ddq)
     Y = ca.horzcat(
-        _inertial_regressor(robot, kin, motion),
+        _inertial_regressor(robot, kinematics, motion),
         *[ca.diag(columns[kind]) for kind in parameters.drive],
     )
     seed, weight, pick = (
@@ -193,7 +243,7 @@ def dynamics_functions(robot: Robot, parameters: Parameters) -> DynamicsFunction
         ca.SX.sym("pick", n),
     )
     gradient = ca.jtimes(ca.vec(Y.T), state, ca.vec(seed), True)
-    torque = _inverse_dynamics(robot, kin, motion, weight)
+    torque = _inverse_dynamics(robot, kinematics, motion, weight)
     for kind in parameters.drive:
         torque += columns[kind] * weight[parameters.block(kind)]
     along = ca.gradient(ca.dot(pick, torque), state)
@@ -211,12 +261,21 @@ def dynamics_functions(robot: Robot, parameters: Parameters) -> DynamicsFunction
 
 
 def frame_position(robot: Robot, frame: str) -> ca.Function:
-    """Origin of a frame in the base frame and its Jacobian: q (n,) -> (3,), (3, n) [m]."""
+    """Build the function of the position of a frame.
+
+    Args:
+        robot: The robot.
+        frame: Name of the frame.
+
+    Returns:
+        Function from q, shape (n,), to the origin of the frame in the base frame, shape (3,) [m],
+        and its Jacobian, shape (3, n).
+    """
     q = ca.SX.sym("q", robot.n)
-    kin = _kinematics(robot, q)
+    kinematics = _kinematics(robot, q)
     target = robot.model.frames[robot.frame(frame)]
     point, j = _clean(target.placement.translation), int(target.parentJoint) - 1
     while j >= 0:
-        point = kin.lever[j] + ca.mtimes(kin.rotation[j], point)
-        j = kin.parent[j]
+        point = kinematics.lever[j] + ca.mtimes(kinematics.rotation[j], point)
+        j = kinematics.parent[j]
     return ca.Function("position", [q], [ca.densify(point), ca.densify(ca.jacobian(point, q))])

@@ -98,7 +98,7 @@ class DesignProblem:
             Four matrices of shape (N, 2K+1).
         """
         o = self.options
-        t = np.arange(o.samples) * (o.period / o.samples)
+        t = np.arange(o.samples, dtype=np.float64) * (o.period / o.samples)
         out = []
         for order in range(4):
             a, b = fourier_basis(t, 2.0 * np.pi / o.period, o.harmonics, order)

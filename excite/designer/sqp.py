@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .._types import FloatArray
+from .._types import BoolArray, FloatArray
 from . import qp_subproblem
 from .criteria import Criterion
 from .evaluator import ConstraintRows, Evaluator
@@ -272,7 +272,7 @@ class _Search:
         if not self._try(corrected, rows, jacobian, multipliers):
             self.radius = 0.4 * min(self.radius, float(np.abs(step).max()))
 
-    def _linearise(self, mask: FloatArray) -> tuple[ConstraintRows, FloatArray, FloatArray]:
+    def _linearise(self, mask: BoolArray) -> tuple[ConstraintRows, FloatArray, FloatArray]:
         """Return the constraints that a mask selects, their Jacobian and their values."""
         rows = self.evaluator.rows(mask)
         return (

@@ -104,8 +104,7 @@ def gears(
     estimates = []
     for j in range(motions[0][0].n):
         train, held_out = (
-            _segments(group, records, j)
-            for group, records in zip(motions, recordings, strict=True)
+            _segments(group, records, j) for group, records in zip(motions, recordings, strict=True)
         )
         estimates.append(_estimate(j, entries[j].kind == "prismatic", train, held_out))
     return tuple(gear for gear in estimates if gear is not None)

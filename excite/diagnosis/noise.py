@@ -289,9 +289,7 @@ def _noise_growth(x: FloatArray, y: FloatArray) -> float:
     )
     error = float(np.sqrt(covariance[1, 1]))
     return float(
-        np.clip(
-            solution[1] + JITTER_STANDARD_ERRORS * error, 0.0, y.mean() / max(x.mean(), 1e-300)
-        )
+        np.clip(solution[1] + JITTER_STANDARD_ERRORS * error, 0.0, y.mean() / max(x.mean(), 1e-300))
     )
 
 

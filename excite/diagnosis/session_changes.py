@@ -98,9 +98,7 @@ def _actuator_columns(motion: RecordedMotion, model: CandidateModel) -> FloatArr
     return single_joint_columns(motion, j, columns if applies else np.zeros_like(columns))
 
 
-def _actuator_models(
-    motions: Sequence[RecordedMotion], of: Sequence[str]
-) -> list[CandidateModel]:
+def _actuator_models(motions: Sequence[RecordedMotion], of: Sequence[str]) -> list[CandidateModel]:
     """Actuator parameters of each joint in each recording; they belong to no effect."""
     return [
         CandidateModel("", j, _actuator_columns, source=source)

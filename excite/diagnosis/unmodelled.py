@@ -1,8 +1,11 @@
-"""How much of what is left a flexible model foresees in recordings that it was not fitted to: physics, whatever its name. Noise it cannot.
+"""Unmodelled torque: the share of a residual that a flexible model predicts on held-out data.
 
-Ridge regression (Hoerl & Kennard, Technometrics 12, 1970) on one basis of features at a time, fitted to either half of the recordings
-and judged on the other. Waves and bumps over place and speed tell what a joint's state says; a finite impulse response of its
-acceleration or of its load tells any linear resonance, without knowing which (Ljung, System Identification, 1999, 4.2).
+What generic features predict in recordings that they were not fitted to is physics, even if no
+effect in the catalogue explains it; noise cannot be predicted. Ridge regression (Hoerl & Kennard,
+Technometrics 12, 1970) on one basis of features at a time, fitted to either fold and judged on the
+other. Waves and bumps over position and speed show what depends on a joint's state; a finite
+impulse response of its acceleration or load shows any linear resonance (Ljung, System
+Identification, 1999, sec. 4.2).
 """
 
 from __future__ import annotations
@@ -13,41 +16,63 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .residual_curves import LEAST_ROWS, MotionRows
+from .._types import BoolArray, FloatArray
+from .residual_curves import MIN_BIN_ROWS, MotionRows
 
-Array = np.ndarray
-HARMONICS, BUMPS, PLACES = 40, 13, 150
-"""Of a turn, or of a slide's range; bumps over a joint's speeds; and narrow ones over its range."""
-MEMORY, LAGS = 4.0, 250
-"""How long a resonance is remembered [s], and by how many values at the most."""
-FORESEEN, SURE = 0.05, 1.5
-"""Share of what is left that must be foreseen in other recordings to count, and that share over its standard error: 0.036 is the most
-in 90 simulated robots with nothing missing, 0.009 of one place in 60."""
+HARMONICS = 40
+"""Largest harmonic of a turn, or of a prismatic joint's range."""
+SPEED_BUMPS = 13
+"""Bumps over a joint's speeds."""
+POSITION_BUMPS = 150
+"""Narrow bumps over a joint's range."""
+MEMORY = 4.0
+"""Length of the impulse response of a resonance [s]."""
+MAX_LAGS = 250
+"""Largest number of values of the impulse response."""
+MIN_SHARE = 0.05
+"""Predicted share of the residual power from which it counts. The largest share in 90 simulated
+robots without any effect is 0.036; 0.009 by bumps over position, in 60."""
+MIN_STANDARD_ERRORS = 1.5
+"""Predicted share over its standard error from which it counts."""
 RIDGES = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
-"""Over the mean square of the features."""
-BINS = 100
-PARTS = 40
-"""Steps of a response; stretches between which it is told how sure a share is."""
-STEADY = 1e-9
-"""Spread of features over their largest value, below which they are constant."""
+"""Ridge parameters over the mean square of the features."""
+RESPONSE_BINS = 100
+"""Bins of a reported response."""
+ERROR_BLOCKS = 40
+"""Blocks between which the standard error of a share is estimated."""
+CONSTANT_TOLERANCE = 1e-9
+"""Standard deviation of a feature over its largest value below which it is constant."""
 
 
 @dataclass(frozen=True)
 class ResidualResponse:
-    """A joint's residual over what it depends on. over: what that is, with its unit. other: of which joint, where not of its own.
-    y: torque, or of what goes on after a cause its share of the largest. Shapes (b,), (b,)."""
+    """A joint's residual over what it depends on.
+
+    Attributes:
+        over: Quantity of the abscissa, with its unit.
+        x: Abscissa, shape (b,).
+        y: Torque [N m], or the impulse response over its largest value, shape (b,).
+        other: Index of the joint whose quantity `over` is; None for the same joint.
+        relative: Whether y is relative.
+    """
 
     over: str
-    x: Array
-    y: Array
+    x: FloatArray
+    y: FloatArray
     other: int | None = None
     relative: bool = False
 
 
 @dataclass(frozen=True)
 class ResidualPrediction:
-    """What predicts a joint's residual best. regime: which basis of features. share: of the mean square, held out, what they foresee; of
-    noise hardly above zero. sure: that share over its standard error between stretches."""
+    """Best prediction of a joint's residual.
+
+    Attributes:
+        regime: Name of the basis of features; see `BASES`.
+        share: Predicted share of the held-out mean square; about zero for noise.
+        sure: That share over its standard error.
+        response: The residual over what it depends on.
+    """
 
     regime: str
     share: float
@@ -56,219 +81,261 @@ class ResidualPrediction:
 
     @property
     def counts(self) -> bool:
-        """Whether that is more than noise would be."""
-        return self.share > FORESEEN and self.sure > SURE
+        """Whether the prediction is better than noise allows."""
+        return self.share > MIN_SHARE and self.sure > MIN_STANDARD_ERRORS
 
 
-def _position(rows: MotionRows, joint: int) -> Array:
+def _position_waves(rows: MotionRows, joint: int) -> FloatArray:
+    """Harmonics of the joint position."""
     q = rows.q[:, joint]
-    turn = 2.0 * np.pi * (q - q.min()) / max(np.ptp(q), 1e-12) if rows.linear[joint] else q
-    waves = np.outer(turn, np.arange(1, HARMONICS + 1))
+    angle = 2.0 * np.pi * (q - q.min()) / max(np.ptp(q), 1e-12) if rows.linear[joint] else q
+    waves = np.outer(angle, np.arange(1, HARMONICS + 1))
     return np.hstack([np.cos(waves), np.sin(waves)])
 
 
-def _place(rows: MotionRows, joint: int) -> Array:
-    """Narrow bumps over the joint's range, each its own: a broken tooth, a dent in a race."""
+def _position_bumps(rows: MotionRows, joint: int) -> FloatArray:
+    """Narrow bumps over the joint's range, as for a broken tooth or a dent in a bearing race."""
     q = rows.q[:, joint]
-    centres = np.linspace(q.min(), q.max(), PLACES)
+    centres = np.linspace(q.min(), q.max(), POSITION_BUMPS)
     width = max(float(centres[1] - centres[0]), 1e-12)
     return np.asarray(np.exp(-0.5 * np.square((q[:, None] - centres) / width)))
 
 
-def _direction(rows: MotionRows, joint: int) -> Array:
-    return _position(rows, joint) * rows.direction(joint)[:, None]
+def _directed_waves(rows: MotionRows, joint: int) -> FloatArray:
+    """Harmonics of the joint position times the direction of motion."""
+    return _position_waves(rows, joint) * rows.direction(joint)[:, None]
 
 
-def _speed(rows: MotionRows, joint: int) -> Array:
+def _speed_bumps(rows: MotionRows, joint: int) -> FloatArray:
     """Bumps over every joint's speed."""
-    centres = np.linspace(-1.0, 1.0, BUMPS)
-    over = rows.dq / np.maximum(np.abs(rows.dq).max(axis=0), 1e-12)
-    return np.exp(-0.5 * np.square((over[:, :, None] - centres) * 0.5 * (BUMPS - 1))).reshape(
-        len(rows), -1
+    centres = np.linspace(-1.0, 1.0, SPEED_BUMPS)
+    relative = rows.dq / np.maximum(np.abs(rows.dq).max(axis=0), 1e-12)
+    return np.exp(
+        -0.5 * np.square((relative[:, :, None] - centres) * 0.5 * (SPEED_BUMPS - 1))
+    ).reshape(len(rows), -1)
+
+
+def _power_features(rows: MotionRows, joint: int) -> FloatArray:
+    """The joint's torque times the power and load of all actuators, as for a weak supply."""
+    torque, load = rows.motor_torque[:, joint], _normalised(np.abs(rows.motor_torque))
+    power = _normalised(rows.motor_torque * rows.dq)
+    total_power = _normalised(_total_power(rows, joint))
+    mean_load = load.sum(axis=1) / load.shape[1]
+    total = np.column_stack(
+        [total_power, np.abs(total_power), total_power**2, mean_load, mean_load**2]
     )
+    modulated = _normalised(torque)[:, None] * np.hstack(
+        [total, power, np.maximum(power, 0.0), load]
+    )
+    return np.hstack([modulated, rows.direction(joint)[:, None] * total_power[:, None]])
 
 
-def _power(rows: MotionRows, joint: int) -> Array:
-    """The joint's torque as it may change with what all drives draw and bear together."""
-    torque, borne = rows.motor_torque[:, joint], _scaled(np.abs(rows.motor_torque))
-    each = _scaled(rows.motor_torque * rows.dq)
-    drawn, together = _scaled(_drawn(rows, joint)), borne.sum(axis=1) / borne.shape[1]
-    of_all = np.column_stack([drawn, np.abs(drawn), drawn**2, together, together**2])
-    changed = _scaled(torque)[:, None] * np.hstack([of_all, each, np.maximum(each, 0.0), borne])
-    return np.hstack([changed, rows.direction(joint)[:, None] * drawn[:, None]])
-
-
-def _drawn(rows: MotionRows, joint: int) -> Array:
-    """Power of all drives [W]."""
+def _total_power(rows: MotionRows, joint: int) -> FloatArray:
+    """Power of all actuators [W], shape (N,)."""
     return np.asarray(np.sum(rows.motor_torque * rows.dq, axis=1))
 
 
-def _scaled(x: Array) -> Array:
-    """Over the largest of each column."""
+def _normalised(x: FloatArray) -> FloatArray:
+    """Columns over their largest magnitudes."""
     return np.asarray(x / np.maximum(np.abs(x).max(axis=0), 1e-300))
 
 
-def _lag(rows: MotionRows) -> float:
-    """Time between values that are remembered [s]."""
-    return max(MEMORY / LAGS, 1.0 / rows.rate)
+def _lag_step(rows: MotionRows) -> float:
+    """Time between values of the impulse response [s]."""
+    return max(MEMORY / MAX_LAGS, 1.0 / rows.rate)
 
 
-def _remembered(x: Array, rows: MotionRows) -> Array:
-    """Values of the last seconds; zero before a recording begins."""
-    lag = _lag(rows)
-    out = np.zeros((len(rows), int(MEMORY / lag)))
+def _lagged(x: FloatArray, rows: MotionRows) -> FloatArray:
+    """Past values of x within the memory; zero before a recording begins."""
+    step = _lag_step(rows)
+    out = np.zeros((len(rows), int(MEMORY / step)))
     for a, b in itertools.pairwise([*rows.begins.tolist(), len(rows)]):
-        time, own = rows.time[a:b], x[a:b] - x.mean()
+        time, values = rows.time[a:b], x[a:b] - x.mean()
         for k in range(out.shape[1]):
-            out[a:b, k] = np.interp(time - k * lag, time, own, left=0.0)
+            out[a:b, k] = np.interp(time - k * step, time, values, left=0.0)
     return out
 
 
 @dataclass(frozen=True)
 class FeatureBasis:
-    """features: of a joint at all rows, Shape (N, k). experiment: what would show it alone. label: of what its response is drawn over.
-    over: that, [rows, joint] -> (N,), None: time since. sign: by which the residual is taken there, 0 where it is not. every: features
-    are of every joint, one after the other."""
+    """Features of one kind.
 
-    features: Callable[[MotionRows, int], Array]
+    Attributes:
+        features: Returns the features of a joint at all rows, shape (N, k).
+        experiment: Experiment that would show the dependence alone.
+        label: Label of the response's abscissa.
+        over: Returns the abscissa, shape (N,); None for the time since a cause.
+        sign: Returns the factor on the residual in the response, 0 to leave a row out.
+        every: Whether the features are those of every joint, one after the other.
+    """
+
+    features: Callable[[MotionRows, int], FloatArray]
     experiment: str
     label: str
-    over: Callable[[MotionRows, int], Array] | None = None
-    sign: Callable[[MotionRows, int], Array] = lambda rows, joint: np.ones(len(rows))
+    over: Callable[[MotionRows, int], FloatArray] | None = None
+    sign: Callable[[MotionRows, int], FloatArray] = lambda rows, joint: np.ones(len(rows))
     every: bool = False
 
 
-STOP = "a sharp stop, then rest: what swings on does so alone"
+SHARP_STOP = "a sharp stop, then standstill, which shows the oscillation alone"
+"""Experiment that shows a resonance."""
 BASES: Mapping[str, FeatureBasis] = {
     "position": FeatureBasis(
-        _position,
-        "that joint alone, slowly to and fro over its range",
+        _position_waves,
+        "that joint alone, slowly back and forth over its range",
         "position [{}]",
         lambda rows, j: rows.q[:, j],
     ),
     "place": FeatureBasis(
-        _place,
+        _position_bumps,
         "that joint alone, slowly past the place, both ways",
         "position [{}]",
         lambda rows, j: rows.q[:, j],
     ),
     "position and direction": FeatureBasis(
-        _direction,
-        "that joint alone, slowly to and fro, between ends that shift",
+        _directed_waves,
+        "that joint alone, slowly back and forth, between ends that shift",
         "position, along the motion [{}]",
         lambda rows, j: rows.q[:, j],
         lambda rows, j: rows.direction(j),
     ),
     "speed": FeatureBasis(
-        _speed,
+        _speed_bumps,
         "constant speeds of one joint after the other",
         "speed [{}/s]",
         lambda rows, j: rows.dq[:, j],
         every=True,
     ),
     "past acceleration": FeatureBasis(
-        lambda rows, j: _remembered(rows.ddq[:, j], rows), STOP, "since an acceleration [s]"
+        lambda rows, j: _lagged(rows.ddq[:, j], rows), SHARP_STOP, "since an acceleration [s]"
     ),
     "past load": FeatureBasis(
-        lambda rows, j: _remembered(rows.load[:, j], rows), STOP, "since a load [s]"
+        lambda rows, j: _lagged(rows.load[:, j], rows), SHARP_STOP, "since a load [s]"
     ),
     "power": FeatureBasis(
-        _power,
+        _power_features,
         "that joint slowly, alone, then while the others move fast",
         "power of all drives, along the torque [W]",
-        _drawn,
+        _total_power,
         lambda rows, j: np.sign(rows.motor_torque[:, j]),
     ),
 }
+"""Bases of features by regime."""
 
 
-def predict_residual(rows: MotionRows, halves: Sequence[Array], residual: Array, joint: int) -> ResidualPrediction:
-    """What a flexible model foresees of a joint's residual, of what is sure the most. halves: rows of either, as masks.
-    residual: Shape (N,)."""
-    found = list[tuple[bool, float, float, float, str]]()
+def predict_residual(
+    rows: MotionRows, halves: Sequence[BoolArray], residual: FloatArray, joint: int
+) -> ResidualPrediction:
+    """Predict a joint's residual by each basis and return the best significant prediction.
+
+    Args:
+        rows: Motion at all rows.
+        halves: Masks of the rows of either fold.
+        residual: Torque residual [N m], shape (N,).
+        joint: Index of the joint.
+    """
+    predictions = list[tuple[bool, float, float, float, str]]()
     for regime, basis in BASES.items():
-        x = _standard(basis.features(rows, joint))[0]
-        share, sure, ridge = _foreseen(
+        x = _standardised(basis.features(rows, joint))[0]
+        share, errors, ridge = _cross_validate(
             [x[half] for half in halves], [residual[half] for half in halves]
         )
-        found.append((sure > SURE, share, sure, ridge, regime))
-    _, share, sure, ridge, regime = max(found)
+        predictions.append((errors > MIN_STANDARD_ERRORS, share, errors, ridge, regime))
+    _, share, errors, ridge, regime = max(predictions)
+    moves = np.logical_or(*halves)
     return ResidualPrediction(
-        regime, share, sure, _response(rows, np.logical_or(*halves), residual, joint, regime, ridge)
+        regime, share, errors, _response(rows, moves, residual, joint, regime, ridge)
     )
 
 
-def _standard(x: Array) -> tuple[Array, Array]:
-    """Columns about their means, of unit spread, and that spread; zeros where a column is constant."""
+def _standardised(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Columns with mean 0 and standard deviation 1, and the latter; zeros if a column is constant."""
     centred = x - x.mean(axis=0)
     spread = centred.std(axis=0)
-    spread[spread <= STEADY * np.abs(x).max(axis=0, initial=0.0)] = np.inf
+    spread[spread <= CONSTANT_TOLERANCE * np.abs(x).max(axis=0, initial=0.0)] = np.inf
     return centred / spread, spread
 
 
 def _response(
-    rows: MotionRows, moves: Array, residual: Array, joint: int, regime: str, ridge: float
+    rows: MotionRows,
+    moves: BoolArray,
+    residual: FloatArray,
+    joint: int,
+    regime: str,
+    ridge: float,
 ) -> ResidualResponse:
-    """The residual where a joint moves over what its regime says."""
+    """The residual, where a joint moves, over the quantity of a regime."""
     basis = BASES[regime]
     if basis.over is None:
-        c, _, spread = _told(rows, basis, moves, residual, joint, ridge)
-        felt = c / spread  # 0 of what is constant
+        c, _, spread = _fit(rows, basis, moves, residual, joint, ridge)
+        impulse_response = c / spread  # 0 for constant features
         return ResidualResponse(
             basis.label,
-            _lag(rows) * np.arange(len(c)),
-            felt / max(float(np.abs(felt).max()), 1e-300),
+            _lag_step(rows) * np.arange(len(c)),
+            impulse_response / max(float(np.abs(impulse_response).max()), 1e-300),
             relative=True,
         )
-    if basis.every:  # over the one that tells most of it
-        c, x, _ = _told(rows, basis, moves, residual, joint, ridge)
+    if basis.every:  # over the joint that explains most
+        c, x, _ = _fit(rows, basis, moves, residual, joint, ridge)
         joint = int(np.argmax((x * c).reshape(len(x), rows.n, -1).sum(axis=2).var(axis=0)))
     sign = basis.sign(rows, joint)
     shown = moves & (sign != 0.0)
-    curve = _binned(basis.over(rows, joint)[shown], (residual * sign)[shown])
+    curve = _binned_means(basis.over(rows, joint)[shown], (residual * sign)[shown])
     label = basis.label.format("m" if rows.linear[joint] else "rad")
     return ResidualResponse(label, *curve, other=joint if basis.every else None)
 
 
-def _told(
-    rows: MotionRows, basis: FeatureBasis, moves: Array, residual: Array, joint: int, ridge: float
-) -> tuple[Array, Array, Array]:
-    """Coefficients of features by all rows where a joint moves, the features there, and the spread that they are over."""
-    features, spread = _standard(basis.features(rows, joint))
+def _fit(
+    rows: MotionRows,
+    basis: FeatureBasis,
+    moves: BoolArray,
+    residual: FloatArray,
+    joint: int,
+    ridge: float,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Coefficients over all rows where a joint moves, the features there, and their spread."""
+    features, spread = _standardised(basis.features(rows, joint))
     x = features[moves]
-    return (
-        np.linalg.solve(
-            x.T @ x / len(x) + ridge * np.eye(x.shape[1]), x.T @ residual[moves] / len(x)
-        ),
-        x,
-        spread,
+    c = np.linalg.solve(
+        x.T @ x / len(x) + ridge * np.eye(x.shape[1]), x.T @ residual[moves] / len(x)
     )
+    return c, x, spread
 
 
-def _binned(x: Array, y: Array) -> tuple[Array, Array]:
-    """Means between equal steps of x, where there are enough rows. Shapes (b,)."""
-    edges = np.linspace(x.min(), x.max(), BINS + 1)
-    place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, BINS - 1)
-    count = np.bincount(place, minlength=BINS)
-    enough = count >= LEAST_ROWS
-    mean = np.bincount(place, y, minlength=BINS) / np.maximum(count, 1)
+def _binned_means(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Means of y in equal bins of x that have enough rows, shapes (b,)."""
+    edges = np.linspace(x.min(), x.max(), RESPONSE_BINS + 1)
+    place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, RESPONSE_BINS - 1)
+    count = np.bincount(place, minlength=RESPONSE_BINS)
+    enough = count >= MIN_BIN_ROWS
+    mean = np.bincount(place, y, minlength=RESPONSE_BINS) / np.maximum(count, 1)
     return 0.5 * (edges[1:] + edges[:-1])[enough], mean[enough]
 
 
-def _foreseen(features: Sequence[Array], residual: Sequence[Array]) -> tuple[float, float, float]:
-    """The share of the residual's square that each half foresees of the other, how sure that is, and at which ridge it is most."""
+def _cross_validate(
+    features: Sequence[FloatArray], residual: Sequence[FloatArray]
+) -> tuple[float, float, float]:
+    """Share of the residual power that each fold predicts of the other.
+
+    Returns:
+        The share, the share over its standard error, and the best ridge parameter.
+    """
     square = np.square(np.concatenate(residual))
-    spent, at = np.zeros((len(RIDGES), len(square))), 0
-    for own, other in ((1, 0), (0, 1)):
-        values, vectors = np.linalg.eigh(features[own].T @ features[own] / len(features[own]))
-        score = vectors.T @ (features[own].T @ residual[own]) / len(features[own])
-        turned = features[other] @ vectors
+    error, at = np.zeros((len(RIDGES), len(square))), 0
+    for train, test in ((1, 0), (0, 1)):
+        values, vectors = np.linalg.eigh(features[train].T @ features[train] / len(features[train]))
+        score = vectors.T @ (features[train].T @ residual[train]) / len(features[train])
+        rotated = features[test] @ vectors
         for k, ridge in enumerate(RIDGES):
-            left = residual[other] - turned @ (score / (np.maximum(values, 0.0) + ridge))
-            spent[k, at : at + len(left)] = np.square(left)
-        at += len(residual[other])
-    saved = square - spent
-    best = int(np.argmax(saved.sum(axis=1)))
-    parts = np.array([part.sum() for part in np.array_split(saved[best], PARTS)])
-    error = max(float(parts.std() * np.sqrt(PARTS)), 1e-300)
-    return float(parts.sum() / max(square.sum(), 1e-300)), float(parts.sum() / error), RIDGES[best]
+            remainder = residual[test] - rotated @ (score / (np.maximum(values, 0.0) + ridge))
+            error[k, at : at + len(remainder)] = np.square(remainder)
+        at += len(residual[test])
+    explained = square - error
+    best = int(np.argmax(explained.sum(axis=1)))
+    blocks = np.array([part.sum() for part in np.array_split(explained[best], ERROR_BLOCKS)])
+    std = max(float(blocks.std() * np.sqrt(ERROR_BLOCKS)), 1e-300)
+    return (
+        float(blocks.sum() / max(square.sum(), 1e-300)),
+        float(blocks.sum() / std),
+        RIDGES[best],
+    )

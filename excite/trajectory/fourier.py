@@ -70,7 +70,7 @@ class FourierSeries:
 
     def grid(self, count: int) -> FloatArray:
         """Return `count` equispaced times over one period, beginning at 0 [s]. Shape (count,)."""
-        return np.arange(count) * (self.period / count)
+        return np.arange(count, dtype=np.float64) * (self.period / count)
 
     def peak(self, order: int) -> FloatArray:
         """Find the largest absolute value of a time derivative over one period, to rounding.

@@ -1,16 +1,19 @@
-"""figaroh's own optimal trajectory for one robot, as JSON: run by figaroh's Python, not by ours (see bench_design.py --peer).
+"""Compute figaroh's optimal trajectory of a robot; prints JSON.
 
-What made it work (figaroh 1.0.2, cyipopt 1.7.0, casadi 3.8.2, Python 3.11, Linux). cyipopt is built against the IPOPT
-inside the casadi wheel, whose ipopt.pc names the folder where casadi's makers built it:
+The script runs in an interpreter that has figaroh (bench_design.py --peer).
+
+Installation that worked (figaroh 1.0.2, cyipopt 1.7.0, casadi 3.8.2, Python 3.11, Linux): cyipopt is
+built against the IPOPT in the casadi wheel, whose ipopt.pc has to be corrected:
 
     python3.11 -m venv /tmp/figaroh && cd /tmp/figaroh && bin/pip install figaroh==1.0.2 casadi
     C=$(bin/python -c "import casadi, os; print(os.path.dirname(casadi.__file__))") && mkdir pc
     sed "s|^prefix=.*|prefix=$C|; s|^libdir=.*|libdir=$C|" $C/pkgconfig/ipopt.pc > pc/ipopt.pc
     PKG_CONFIG_PATH=$PWD/pc LDFLAGS="-Wl,-rpath,$C" bin/pip install --no-cache-dir cyipopt
 
-The set-up is figaroh-examples' UR10 one: cubic spline, at rest in waypoints 2 s apart, condition number of the base
-regressor at 20 Hz, position, velocity and torque limits of the URDF, IPOPT. Unlike there, limits are not narrowed
-(soft_lim 0) and meshes are left out, so that collision pairs, which the other side does not check, cost nothing.
+The problem is that of figaroh-examples' UR10: cubic spline at rest in waypoints 2 s apart, condition
+number of the base regressor at 20 Hz, position, velocity and torque limits of the URDF, IPOPT.
+Unlike there, limits are not narrowed (soft_lim 0), and meshes are left out, so that collision
+pairs, which excite does not check in this comparison, cost nothing.
 """
 
 from __future__ import annotations
@@ -35,38 +38,45 @@ from figaroh.optimal.base_optimal_trajectory import (  # type: ignore[import-not
 from figaroh.tools.robot import load_robot  # type: ignore[import-not-found]
 
 DENSE = 10
-"""How much denser than its own samples the trajectory is returned for checking."""
+"""Factor by which the returned trajectory is denser than its own samples, for checking."""
 
 
-class Timed(BaseTrajectoryIPOPTProblem):  # type: ignore[misc]
-    """figaroh's problem; notes when IPOPT had which value where. IPOPT asks for the gradient once an iterate."""
+class TimedProblem(BaseTrajectoryIPOPTProblem):  # type: ignore[misc]
+    """figaroh's problem, with a record of time, value and iterate.
+
+    IPOPT evaluates the gradient once per iterate.
+    """
 
     def gradient(self, X: Any) -> Any:
+        """Remember the iterate."""
         self.iterate = np.array(X)
         return super().gradient(X)
 
-    def intermediate(self, alg_mod: int, iter_count: int, obj_value: float, *rest: Any) -> Any:
+    def intermediate(self, alg_mod: int, iter_count: int, obj_value: float, *other: Any) -> Any:
+        """Record the iteration."""
         self.opt_traj.history.append(
             (time.perf_counter() - self.opt_traj.began, float(obj_value), self.iterate)
         )
-        return super().intermediate(alg_mod, iter_count, obj_value, *rest)
+        return super().intermediate(alg_mod, iter_count, obj_value, *other)
 
     def solve_with_waypoints(self, wps: Any) -> Any:
+        """Record the time of the initial guess and the solution."""
         self.opt_traj.guess = time.perf_counter() - self.opt_traj.began
         success, results = super().solve_with_waypoints(wps)
         self.solution = results.get("x_opt")
         return success, results
 
 
-class Trajectory(BaseOptimalTrajectory):  # type: ignore[misc]
-    """figaroh's optimal trajectory with that problem, as its examples subclass it."""
+class TimedTrajectory(BaseOptimalTrajectory):  # type: ignore[misc]
+    """figaroh's optimal trajectory with the timed problem."""
 
-    def create_ipopt_problem(self, *sizes: Any) -> Timed:
-        self.problem = Timed(self, *sizes, "peer")
+    def create_ipopt_problem(self, *sizes: Any) -> TimedProblem:
+        """Create the timed problem."""
+        self.problem = TimedProblem(self, *sizes, "peer")
         return self.problem
 
     def start(self) -> None:
-        """Find the base parameters; the clock starts after that."""
+        """Find the base parameters and start the clock."""
         joints = self.robot.model.joints[1:]
         self.identif_config |= {
             "active_joints": self.active_joints,
@@ -83,7 +93,7 @@ class Trajectory(BaseOptimalTrajectory):  # type: ignore[misc]
 
 
 def configuration(given: argparse.Namespace, joints: list[str]) -> dict[str, Any]:
-    """figaroh's unified configuration, with what its UR10 example sets and this run changes."""
+    """Return figaroh's configuration: that of its UR10 example, with the changes of this run."""
     return {
         "robot": {"name": "peer", "properties": {"joints": {"active_joints": joints}}},
         "tasks": {
@@ -115,7 +125,7 @@ def configuration(given: argparse.Namespace, joints: list[str]) -> dict[str, Any
 
 
 def without_meshes(urdf: Path, folder: Path) -> Path:
-    """A copy of the URDF that has dynamics only."""
+    """Write a copy of the URDF without geometry."""
     tree = ElementTree.parse(urdf)
     for link in tree.iter("link"):
         for kind in ("visual", "collision"):
@@ -126,7 +136,7 @@ def without_meshes(urdf: Path, folder: Path) -> Path:
 
 
 def solve(given: argparse.Namespace) -> dict[str, Any]:
-    """One segment of figaroh's optimiser and what it led to; times count from after its base parameters are found."""
+    """Run figaroh's optimiser on one segment; times count from after its base parameters are found."""
     np.random.seed(given.seed)  # noqa: NPY002 — figaroh draws from the global generator
     with tempfile.TemporaryDirectory() as name:
         robot = load_robot(
@@ -136,30 +146,35 @@ def solve(given: argparse.Namespace) -> dict[str, Any]:
         (Path(name) / "peer.yaml").write_text(
             yaml.safe_dump(configuration(given, joints)), encoding="utf-8"
         )
-        found = Trajectory(robot, joints, str(Path(name) / "peer.yaml"))
-    found.start()
-    results = found.solve(stack_reps=1)
-    seconds = time.perf_counter() - found.began
+        trajectory = TimedTrajectory(robot, joints, str(Path(name) / "peer.yaml"))
+    trajectory.start()
+    results = trajectory.solve(stack_reps=1)
+    seconds = time.perf_counter() - trajectory.began
     if not results["T_F"]:
         return {"solved": False, "seconds": seconds}
-    problem = found.problem
-    moved = np.reshape(problem.solution, (problem.n_wps - 1, problem.n_joints))
-    waypoints = np.vstack([problem.wp_init, moved]).T
-    _, *dense = found.CB.get_full_config(
+    problem = trajectory.problem
+    moving = np.reshape(problem.solution, (problem.n_wps - 1, problem.n_joints))
+    waypoints = np.vstack([problem.wp_init, moving]).T
+    _, *dense = trajectory.CB.get_full_config(
         DENSE * given.rate, problem.tps, waypoints, problem.vel_wps, problem.acc_wps
     )
     return {
         "solved": True,
         "seconds": seconds,
-        "guess": found.guess,
+        "guess": trajectory.guess,
         "value": float(
             np.linalg.cond(
-                found._stack_base_regressors(*(results[key][-1] for key in ("P_F", "V_F", "A_F")))
+                trajectory._stack_base_regressors(
+                    *(results[key][-1] for key in ("P_F", "V_F", "A_F"))
+                )
             )
         ),
-        "history": [(at, value, problem._is_feasible(x)) for at, value, x in found.history],
+        "history": [
+            (seconds_at, value, problem._is_feasible(x))
+            for seconds_at, value, x in trajectory.history
+        ],
         "converged": bool(results["iteration_data"][-1]["converged"]),
-        "base": len(found.idx_b),
+        "base": len(trajectory.idx_b),
         "joints": joints,
         "own": [np.asarray(results[key][-1]).tolist() for key in ("P_F", "V_F", "A_F")],
         "dense": [np.asarray(part).tolist() for part in dense],
@@ -167,6 +182,7 @@ def solve(given: argparse.Namespace) -> dict[str, Any]:
 
 
 def main() -> int:
+    """Print the result as JSON; return the exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("urdf", type=Path)
     parser.add_argument("--duration", type=float, default=12.0, help="[s], a multiple of 2")

@@ -1,4 +1,4 @@
-"""Noise floor of a diagnosis: it agrees with the residual of a correct model for any kind of noise."""
+"""Noise floor of a diagnosis: it agrees with the residual of a correct model."""
 
 from __future__ import annotations
 
@@ -72,25 +72,23 @@ def test_an_unstated_period_is_found(subject):
     silent = dataclasses.replace(
         stated, sidecar=dataclasses.replace(stated.sidecar, period=None, periodic=None)
     )
-    found_period = noise._period(silent)
-    assert found_period is not None and found_period[0] == pytest.approx(
-        stated.sidecar.period, abs=2e-3
-    )
-    once = synthetic_recording(
+    period = noise._period(silent)
+    assert period is not None and period[0] == pytest.approx(stated.sidecar.period, abs=2e-3)
+    single = synthetic_recording(
         subject, psi, random_fourier(2, 1, 9.0), 1.0, 0.1, period=None, periodic=None
     )
-    assert noise._period(once) is None
+    assert noise._period(single) is None
 
 
 def recording_with_jitter(
     subject: IdentificationModel, psi: FloatArray, fourier: FourierSeries, periods: float, by: float
 ) -> Recording:
     """A recording with timestamp jitter of a standard deviation `by` [s], equal for all joints."""
-    one = synthetic_recording(subject, psi, fourier, periods, 0.0)
-    rng = np.random.default_rng(len(one.t))
-    s = fourier.samples(one.t + by * rng.normal(size=len(one.t)))
+    clean = synthetic_recording(subject, psi, fourier, periods, 0.0)
+    rng = np.random.default_rng(len(clean.t))
+    s = fourier.samples(clean.t + by * rng.normal(size=len(clean.t)))
     noisy = rnea_torque(subject, psi, s.q, s.dq, s.ddq) + 0.02 * rng.normal(size=s.q.shape)
-    return dataclasses.replace(one, q=s.q, tau=noisy, source=f"{periods:g}.csv")
+    return dataclasses.replace(clean, q=s.q, tau=noisy, source=f"{periods:g}.csv")
 
 
 @pytest.mark.parametrize(("by", "limit"), [(1e-4, 5.0), (0.0, 1.8)])
@@ -119,15 +117,19 @@ def test_the_residual_due_to_timestamp_jitter_grows_with_the_motion(subject, by,
         subject.base.matrix @ psi,
         recorded_motion.fitted_robot(subject.robot, subject.parameters, psi),
     )
-    halves = [
+    folds = [
         recorded_motion.recorded_motions(
-            done.model, body, theta, list(segments.extract_segments([one], average=False)), 20.0
+            done.model,
+            body,
+            theta,
+            list(segments.extract_segments([recording], average=False)),
+            20.0,
         )
-        for one in (slow, fast)
+        for recording in (slow, fast)
     ]
-    estimate = noise.estimate_noise(done, halves, [slow, fast])
+    estimate = noise.estimate_noise(done, folds, [slow, fast])
     level = (
-        np.mean(np.concatenate([t.residual for half in halves for t in half]) ** 2, axis=0)
+        np.mean(np.concatenate([t.residual for fold in folds for t in fold]) ** 2, axis=0)
         / estimate.floor**2
     )
     assert (level > 2.0).all() == (by > 0.0)  # the floor is that of the slow recording

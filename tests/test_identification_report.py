@@ -198,7 +198,10 @@ def test_data_share_of_each_direction() -> None:
     result = identification_of()
     drive_scale = np.diag(result.model.parameters.scale)[10 * result.model.parameters.bodies :]
     prior = dataclasses.replace(
-        result.prior, bodies=50.0, drives=np.full_like(drive_scale, 50.0), scales=drive_scale
+        result.prior,
+        inertial_weight=50.0,
+        joint_weights=np.full_like(drive_scale, 50.0),
+        joint_scales=drive_scale,
     )
     alike = dataclasses.replace(
         result, prior=prior, metric=result.model.parameters, metric_base=result.model.base

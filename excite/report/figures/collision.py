@@ -76,7 +76,7 @@ def set_view(axes: Any, middle: FloatArray, reach: float, view: tuple[int, int],
 def fill_polygons(axes: Any, polygons: Iterator[FloatArray], color: str, alpha: float) -> None:
     """Fill polygons with a thin outline."""
     for polygon in polygons:
-        axes.fill_polygons(
+        axes.fill(
             polygon[:, 0],
             polygon[:, 1],
             facecolor=color,

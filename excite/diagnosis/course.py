@@ -180,7 +180,7 @@ def _warned(one: EffectRegression, noisy: NoiseEstimate, scale: Array) -> Effect
     """The design that knows what the encoders' steps feign, and samples that are too rare."""
     steps, sharpened = (
         [((a / scale).ravel(), (b / scale).ravel()) for a, b in own]
-        for own in (noisy.feigned, [noisy.sharpened])
+        for own in (noisy.quantization_draws, [noisy.sharpened])
     )
     stepped = float(np.mean((noisy.steps / noisy.floor) ** 2))
     return judge.warned(

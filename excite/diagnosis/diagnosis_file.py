@@ -1,4 +1,4 @@
-"""`diagnosis.json`: the contract's document of a diagnosis."""
+"""Write `diagnosis.json`: the document of a diagnosis, as the contract defines it."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ from .residual_atlas import Atlas
 from .session_changes import SessionChange
 from .unmodelled import BASES
 
-RIVALS = 5
-"""Names that a finding is compared with, at the most."""
+MAX_RIVALS = 5
+"""Largest number of rival effects that are listed with a finding."""
 SCHEMA = "excite.diagnosis/1"
+"""Schema of the document."""
 REGIMES = {
     "stribeck": "speed",
     "nonlinear_viscous": "speed",
@@ -44,47 +45,55 @@ REGIMES = {
     "base_compliance": "frequency",
     "coupling": "other joints",
 }
+"""Quantity over which an effect shows, by effect."""
 
 
-def document(found: Diagnosis, looked: Atlas | None = None) -> dict[str, Any]:
-    """Everything that a diagnosis says. looked: its atlas, for p-values, which are null without."""
-    joints = found.identified.model.robot.joints
+def document(diagnosis: Diagnosis, atlas: Atlas | None = None) -> dict[str, Any]:
+    """Return the content of `diagnosis.json`.
+
+    Args:
+        diagnosis: The diagnosis.
+        atlas: Its residual atlas, for the p-values; they are null without.
+    """
+    joints = diagnosis.identified.model.robot.joints
     rows = {
         joint: {
-            "noise_floor": float(found.floor[i]),
-            "noise_floor_method": found.method,
-            "rmse_before": float(found.before[i]),
-            "rmse_after": float(found.after[i]),
-            "systematic_share": float(found.systematic[i]),
-            "unexplained_share": float(found.unexplained[i]),
+            "noise_floor": float(diagnosis.floor[i]),
+            "noise_floor_method": diagnosis.method,
+            "rmse_before": float(diagnosis.before[i]),
+            "rmse_after": float(diagnosis.after[i]),
+            "systematic_share": float(diagnosis.systematic[i]),
+            "unexplained_share": float(diagnosis.unexplained[i]),
         }
         for i, joint in enumerate(joints)
     }
-    findings = [_finding(found, i, looked) for i in range(len(found.verdict.findings))]
+    findings = [_finding(diagnosis, i, atlas) for i in range(len(diagnosis.verdict.findings))]
     return {
         "schema": SCHEMA,
-        "verdict": found.name,
+        "verdict": diagnosis.name,
         "findings": sorted(findings, key=lambda f: -f["probability"]),
         "joints": rows,
-        "unknown": [_unknown(found, j) for j in found.unknown],
+        "unknown": [_unknown(diagnosis, j) for j in diagnosis.unknown],
         "considered": [
-            *(_doubted(found, f) for f in found.verdict.doubted),
-            *(_considered(found, h) for h in found.verdict.considered),
+            *(_doubted(diagnosis, f) for f in diagnosis.verdict.doubted),
+            *(_considered(diagnosis, h) for h in diagnosis.verdict.considered),
         ],
-        "band_hz": found.hertz,
-        "simulation": _simulation(found),
-        "between_recordings": [_change(found, change) for change in found.changes if change.is_significant],
-        "encoders": {joints[gear.joint]: _gear(found, gear) for gear in found.gears},
-        "parameters": _parameters(found),
+        "band_hz": diagnosis.hertz,
+        "simulation": _simulation(diagnosis),
+        "between_recordings": [
+            _change(diagnosis, change) for change in diagnosis.changes if change.is_significant
+        ],
+        "encoders": {joints[gear.joint]: _gear(diagnosis, gear) for gear in diagnosis.gears},
+        "parameters": _parameters(diagnosis),
     }
 
 
-def _simulation(found: Diagnosis) -> dict[str, Any] | None:
-    """RMS of positions simulated ahead from held-out torque, without and with the findings."""
-    before, after = found.ahead
+def _simulation(diagnosis: Diagnosis) -> dict[str, Any] | None:
+    """RMS error of positions simulated from held-out torque, without and with the findings."""
+    before, after = diagnosis.ahead
     if before is None or after is None:
         return None
-    joints = found.identified.model.robot.joints
+    joints = diagnosis.identified.model.robot.joints
     rows = zip(joints, before.fitted[-1].tolist(), after.fitted[-1].tolist(), strict=True)
     return {
         "seconds": float(before.lag[-1]),
@@ -92,50 +101,51 @@ def _simulation(found: Diagnosis) -> dict[str, Any] | None:
     }
 
 
-def _change(found: Diagnosis, change: SessionChange) -> dict[str, Any]:
-    """By how much a drive differs in a recording from what it was in the first."""
-    entry = found.identified.model.robot.entries[change.joint]
+def _change(diagnosis: Diagnosis, change: SessionChange) -> dict[str, Any]:
+    """Change of a joint actuator in a recording since the first recording."""
+    entry = diagnosis.identified.model.robot.entries[change.joint]
     units = (entry.unit("N m"), entry.unit("N m s/rad"), entry.unit("N m"))
-    told = zip(
+    values = zip(
         session_changes.KINDS, change.change.tolist(), change.std.tolist(), units, strict=True
     )
-    of_each: dict[str, dict[str, Any]] = {
-        kind: {"value": value, "std": std, "unit": unit} for kind, value, std, unit in told
+    changes: dict[str, dict[str, Any]] = {
+        kind: {"value": value, "std": std, "unit": unit} for kind, value, std, unit in values
     }
-    fitted = found.refitted or found.identified
-    for kind in (
-        "coulomb",
-        "viscous",
-    ):  # over what it is in the recordings that the model is fitted to
-        usual = float(fitted.psi[fitted.model.parameters.block(kind)][change.joint])
-        of_each[kind]["relative"] = of_each[kind]["value"] / usual if usual > 0.0 else None
-    return {"recording": change.source, "joint": _joint(found, change.joint), **of_each}
+    fitted = diagnosis.refitted or diagnosis.identified
+    for kind in ("coulomb", "viscous"):
+        mean = float(fitted.psi[fitted.model.parameters.block(kind)][change.joint])
+        changes[kind]["relative"] = changes[kind]["value"] / mean if mean > 0.0 else None
+    return {"recording": change.source, "joint": _joint(diagnosis, change.joint), **changes}
 
 
-def _gear(found: Diagnosis, gear: GearEstimate) -> dict[str, Any]:
-    """What two encoders say of the gear between them, and RMS of their difference, held out, without and with it."""
-    unit = found.identified.model.robot.entries[gear.joint].unit
+def _gear(diagnosis: Diagnosis, gear: GearEstimate) -> dict[str, Any]:
+    """Gear parameters, and RMS of the held-out difference of both encoders without and with it."""
+    unit = diagnosis.identified.model.robot.entries[gear.joint].unit
 
-    def told(value: tuple[float, float] | None, turning: str) -> dict[str, Any] | None:
-        return (
-            None if value is None else {"value": value[0], "std": value[1], "unit": unit(turning)}
-        )
+    def estimate(value: tuple[float, float] | None, revolute: str) -> dict[str, Any] | None:
+        if value is None:
+            return None
+        return {"value": value[0], "std": value[1], "unit": unit(revolute)}
 
     return {
-        "stiffness": told(gear.stiffness, "N m/rad"),
-        "lost_motion": told(gear.backlash, "rad"),
-        "read_apart": told(gear.read_delay, "s"),
+        "stiffness": estimate(gear.stiffness, "N m/rad"),
+        "lost_motion": estimate(gear.backlash, "rad"),
+        "read_apart": estimate(gear.read_delay, "s"),
         "before": gear.before,
         "after": gear.after,
         "unit": unit("rad"),
     }
 
 
-def _parameters(found: Diagnosis) -> list[dict[str, Any]]:
-    """Base parameters without and with the findings, those first that move most in their own uncertainty."""
-    if found.refitted is None or not found.verdict.findings:
+def _parameters(diagnosis: Diagnosis) -> list[dict[str, Any]]:
+    """Base parameters without and with the findings, the largest change in standard errors first."""
+    if diagnosis.refitted is None or not diagnosis.verdict.findings:
         return []
-    base, plain, refitted = found.identified.model.base, found.identified, found.refitted
+    base, plain, refitted = (
+        diagnosis.identified.model.base,
+        diagnosis.identified,
+        diagnosis.refitted,
+    )
     without, with_ = base.matrix @ plain.psi, base.matrix @ refitted.psi
     spread = base.matrix @ refitted.posterior.covariance @ base.matrix.T
     std = np.sqrt(np.maximum(np.diag(spread), 0.0))
@@ -156,12 +166,14 @@ def _parameters(found: Diagnosis) -> list[dict[str, Any]]:
     )
 
 
-def _joint(found: Diagnosis, joint: int | None) -> str | None:
-    return None if joint is None else found.identified.model.robot.joints[joint]
+def _joint(diagnosis: Diagnosis, joint: int | None) -> str | None:
+    """Name of a joint."""
+    return None if joint is None else diagnosis.identified.model.robot.joints[joint]
 
 
-def _where(found: Diagnosis, shape: CandidateModel) -> dict[str, Any]:
-    place = "all joints" if shape.joint is None else f"joint '{_joint(found, shape.joint)}'"
+def _where(diagnosis: Diagnosis, shape: CandidateModel) -> dict[str, Any]:
+    """Place of a finding: statement, regime and time."""
+    place = "all joints" if shape.joint is None else f"joint '{_joint(diagnosis, shape.joint)}'"
     where: dict[str, Any] = {
         "statement": f"{place}: {shape.signature or EFFECTS_BY_NAME[shape.effect].signature}",
         "regime": "temperature"
@@ -174,28 +186,29 @@ def _where(found: Diagnosis, shape: CandidateModel) -> dict[str, Any]:
     return where
 
 
-def _finding(found: Diagnosis, number: int, looked: Atlas | None) -> dict[str, Any]:
-    finding = found.verdict.findings[number]
+def _finding(diagnosis: Diagnosis, number: int, atlas: Atlas | None) -> dict[str, Any]:
+    """Element of "findings"."""
+    finding = diagnosis.verdict.findings[number]
     hypothesis = finding.main
-    shape, effect = found.design.shapes[hypothesis.shape], EFFECTS_BY_NAME[hypothesis.effect]
-    values = finding_parameters(found.design, found.verdict, number)
+    shape, effect = diagnosis.design.shapes[hypothesis.shape], EFFECTS_BY_NAME[hypothesis.effect]
+    values = finding_parameters(diagnosis.design, diagnosis.verdict, number)
     out: dict[str, Any] = {
         "effect": hypothesis.effect,
-        "joint": _joint(found, hypothesis.joint),
+        "joint": _joint(diagnosis, hypothesis.joint),
         "probability": finding.probability,
         "equivalents": list(finding.equivalents),
-        "where": _where(found, shape),
-        "parameters": _told(found, shape, values),
+        "where": _where(diagnosis, shape),
+        "parameters": _reported(diagnosis, shape, values),
         "evidence": {
             "severity": hypothesis.size,
-            **_share(found, hypothesis),
-            "p_value": _chance(looked, hypothesis),
-            **_weight(finding),
+            **_share(diagnosis, hypothesis),
+            "p_value": _p_value(atlas, hypothesis),
+            **_rivals(finding),
         },
         "experiment": effect.experiment,
     }
     if shape.other is not None:
-        out["from"] = _joint(found, shape.other)
+        out["from"] = _joint(diagnosis, shape.other)
     if hidden := sorted(
         set(shape.parameters(hypothesis.trial.coefficients)) & set(effect.units) - set(values)
     ):
@@ -203,13 +216,13 @@ def _finding(found: Diagnosis, number: int, looked: Atlas | None) -> dict[str, A
     return out
 
 
-def _told(
-    found: Diagnosis, shape: CandidateModel, values: Mapping[str, tuple[float, float | None]]
+def _reported(
+    diagnosis: Diagnosis, shape: CandidateModel, values: Mapping[str, tuple[float, float | None]]
 ) -> dict[str, dict[str, Any]]:
-    """Parameters in the units of the joint: a slide has N and m. An angle is one wherever it is."""
+    """Parameters in the units of the joint, N and m if prismatic; an angle is always in rad."""
     units = dict(EFFECTS_BY_NAME[shape.effect].units)
     if shape.joint is not None:
-        entry = found.identified.model.robot.entries[shape.joint]
+        entry = diagnosis.identified.model.robot.entries[shape.joint]
         units |= {key: entry.unit(unit) for key, unit in units.items() if key != "angle"}
     return {
         key: {"value": v, "std": s, "unit": units.get(key, "")}
@@ -218,15 +231,15 @@ def _told(
     }
 
 
-def _weight(finding: Finding) -> dict[str, Any]:
-    """What a finding gains, what the next best names would gain in its place, and what its probability is made of."""
+def _rivals(finding: Finding) -> dict[str, Any]:
+    """Gain of a finding, gains of the best rival effects, and the evidence for its probability."""
     best = sorted(finding.rivals.items(), key=lambda entry: -entry[1])
-    return {"held_out_gain": finding.gain, "rivals": dict(best[:RIVALS]), **finding.evidence}
+    return {"held_out_gain": finding.gain, "rivals": dict(best[:MAX_RIVALS]), **finding.evidence}
 
 
-def _share(found: Diagnosis, hypothesis: Hypothesis) -> dict[str, float]:
-    """How much of what the base model left repeats, at the joint or at the one where most does."""
-    share = found.systematic
+def _share(diagnosis: Diagnosis, hypothesis: Hypothesis) -> dict[str, float]:
+    """Systematic share of the joint's residual, or the largest of all joints."""
+    share = diagnosis.systematic
     return {
         "systematic_share": float(
             share.max() if hypothesis.joint is None else share[hypothesis.joint]
@@ -234,68 +247,74 @@ def _share(found: Diagnosis, hypothesis: Hypothesis) -> dict[str, float]:
     }
 
 
-def _chance(looked: Atlas | None, hypothesis: Hypothesis) -> float | None:
-    """That noise alone would show anything as clear as the clearest curve of the joint, or of all, in all the atlas."""
-    if looked is None:
+def _p_value(atlas: Atlas | None, hypothesis: Hypothesis) -> float | None:
+    """Smallest p-value of the joint's curves in the atlas, or of all curves."""
+    if atlas is None:
         return None
-    own = looked.panels if hypothesis.joint is None else looked.of(hypothesis.joint)
-    return min((panel.p_before for panel in own), default=None)
+    curves = atlas.panels if hypothesis.joint is None else atlas.of(hypothesis.joint)
+    return min((curve.p_before for curve in curves), default=None)
 
 
-def _considered(found: Diagnosis, hypothesis: Hypothesis) -> dict[str, Any]:
-    shape, effect = found.design.shapes[hypothesis.shape], EFFECTS_BY_NAME[hypothesis.effect]
+def _considered(diagnosis: Diagnosis, hypothesis: Hypothesis) -> dict[str, Any]:
+    """Element of "considered" for an effect that was not accepted."""
+    shape, effect = diagnosis.design.shapes[hypothesis.shape], EFFECTS_BY_NAME[hypothesis.effect]
     values = shape.parameters(hypothesis.trial.coefficients)
     return {
         "effect": hypothesis.effect,
-        "joint": _joint(found, hypothesis.joint),
+        "joint": _joint(diagnosis, hypothesis.joint),
         "probability": 0.0,
         "equivalents": [],
-        "where": _where(found, shape),
-        "parameters": _told(found, shape, {key: (v, None) for key, v in values.items()}),
+        "where": _where(diagnosis, shape),
+        "parameters": _reported(diagnosis, shape, {key: (v, None) for key, v in values.items()}),
         "evidence": {"severity": hypothesis.size, "held_out_gain": hypothesis.trial.gain},
         "experiment": effect.experiment,
     }
 
 
-def _doubted(found: Diagnosis, finding: Finding) -> dict[str, Any]:
-    """What is likelier wrong than right by its name: not asserted, but modelled beside what is, if it predicts better."""
-    stated, together = _considered(found, finding.main), found.verdict.together
+def _doubted(diagnosis: Diagnosis, finding: Finding) -> dict[str, Any]:
+    """A finding below the probability to be reported; it is part of the model if it predicts better."""
+    stated, together = _considered(diagnosis, finding.main), diagnosis.verdict.together
     modelled = together is not None and finding.main.shape in together.shapes
-    told = {
+    changed = {
         "probability": finding.probability,
         "equivalents": list(finding.equivalents),
         "modelled": modelled,
     }
-    return stated | told | {"evidence": {**stated["evidence"], **_weight(finding)}}
+    return stated | changed | {"evidence": {**stated["evidence"], **_rivals(finding)}}
 
 
-def _unknown(found: Diagnosis, joint: int) -> dict[str, Any]:
-    name = found.identified.model.robot.joints[joint]
-    share, sight = float(found.unexplained[joint]), found.residual_predictions[joint]
+def _unknown(diagnosis: Diagnosis, joint: int) -> dict[str, Any]:
+    """Element of "unknown": a joint with unmodelled torque or a session change."""
+    name = diagnosis.identified.model.robot.joints[joint]
+    share = float(diagnosis.unexplained[joint])
+    prediction = diagnosis.residual_predictions[joint]
     where: dict[str, Any] = {
-        "statement": f"joint '{name}': torque that no effect of the catalogue takes",
+        "statement": f"joint '{name}': torque that no effect of the catalogue explains",
         "regime": "all",
     }
-    experiment = "that joint alone, slowly to and fro over its range, then faster"
-    n = len(found.floor)
-    if unsure(found.verdict, n)[joint] and not sight.counts:
+    experiment = "that joint alone, slowly back and forth over its range, then faster"
+    n = len(diagnosis.floor)
+    if unsure(diagnosis.verdict, n)[joint] and not prediction.counts:
         where["statement"] = (
-            f"joint '{name}': torque that several names take together, likelier not all right"
+            f"joint '{name}': torque that several effects explain together, "
+            "which are probably not all right"
         )
-    doubted = [f for f in found.real if f.main.joint in (joint, None)]
-    if doubted and found.doubted[joint] > DOUBTED * found.floor[joint]:
-        likest = max(doubted, key=lambda f: f.probability).main.effect
-        where["statement"] += f"; likest to {likest}, and not enough so"
-        experiment = EFFECTS_BY_NAME[likest].experiment
-    if sight.counts:
-        where["statement"] += f"; {sight.regime} foresees {percent(sight.share)} of it, held out"
-        where |= {"regime": sight.regime, "foreseen": sight.share}
-        share = max(share, sight.share)
-        response = sight.response
+    doubted = [f for f in diagnosis.credible_doubts if f.main.joint in (joint, None)]
+    if doubted and diagnosis.doubted[joint] > DOUBTED * diagnosis.floor[joint]:
+        likeliest = max(doubted, key=lambda f: f.probability).main.effect
+        where["statement"] += f"; most similar to {likeliest}, but not similar enough"
+        experiment = EFFECTS_BY_NAME[likeliest].experiment
+    if prediction.counts:
+        where["statement"] += (
+            f"; {prediction.regime} predicts {percent(prediction.share)} of it on held-out data"
+        )
+        where |= {"regime": prediction.regime, "foreseen": prediction.share}
+        share = max(share, prediction.share)
+        response = prediction.response
         over = (
             response.over
             if response.other is None
-            else f"{found.identified.model.robot.joints[response.other]}: {response.over}"
+            else f"{diagnosis.identified.model.robot.joints[response.other]}: {response.over}"
         )
         where["response"] = {
             "over": over,
@@ -303,20 +322,19 @@ def _unknown(found: Diagnosis, joint: int) -> dict[str, Any]:
             "x": response.x.tolist(),
             "y": response.y.tolist(),
         }
-        experiment = BASES[sight.regime].experiment
-    if found.has_session_change[joint]:
-        other = "friction or offset is another in the recordings held out"
-        if found.has_unmodelled_torque[joint]:
-            where["statement"] += f"; besides, {other}"
+        experiment = BASES[prediction.regime].experiment
+    if diagnosis.has_session_change[joint]:
+        change = "friction or offset differs in the held-out recordings"
+        if diagnosis.has_unmodelled_torque[joint]:
+            where["statement"] += f"; in addition, {change}"
         else:
-            where = {"statement": f"joint '{name}': {other}", "regime": "recording"}
+            where = {"statement": f"joint '{name}': {change}", "regime": "recording"}
             experiment = session_changes.EXPERIMENT
+    probability = max(0.5 + 0.5 * share, doubt(diagnosis.verdict, n)[joint])
     return {
         "joint": name,
         "where": where,
         "share": share,
-        "probability": float(
-            np.clip(max(0.5 + 0.5 * share, doubt(found.verdict, n)[joint]), 0.5, 0.99)
-        ),
+        "probability": float(np.clip(probability, 0.5, 0.99)),
         "experiment": experiment,
     }

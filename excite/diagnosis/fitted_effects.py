@@ -1,4 +1,4 @@
-"""Fitted effects: their torque along a motion, their removal from recordings, their `model.json`."""
+"""Fitted effects: torque along a motion, removal from recordings, and entries of `model.json`."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ class NoiseEstimate:
             than where the floor was found [(N m)²], shape (n,).
         steps: RMS of the model torque's error by encoder quantisation, which repeats with the
             motion [N m], shape (n,).
-        feigned: Random draws of the residuals of both folds by encoder quantisation alone, shapes
+        quantization_draws: Random draws of the residuals of both folds by encoder quantisation alone, shapes
             (N, n); none if the encoders are fine.
         sharpened: Residuals of both folds if reversals were too sharp for the sample rate.
         periods: By recording that repeats: its period and window.
@@ -79,7 +79,7 @@ class NoiseEstimate:
     method: str
     clock: FloatArray
     steps: FloatArray
-    feigned: tuple[tuple[FloatArray, FloatArray], ...]
+    quantization_draws: tuple[tuple[FloatArray, FloatArray], ...]
     sharpened: tuple[FloatArray, FloatArray]
     periods: Mapping[str, Period] = field(default_factory=dict)
 

@@ -78,7 +78,7 @@ class SessionChange:
 
     @property
     def is_significant(self) -> bool:
-        """Whether the joint change is more than noise (Wald 1943)."""
+        """True if the change of all parameters is more than noise (Wald 1943)."""
         wald = self.change @ np.linalg.pinv(self.covariance) @ self.change
         return bool(wald > WALD_THRESHOLD)
 
@@ -196,7 +196,7 @@ def differs_at_first(
 def _explain_residual(
     common: FloatArray, changing: FloatArray, noise: FloatArray, min_excess: float
 ) -> bool:
-    """Whether session changes explain most of a joint's residual beyond noise.
+    """Return True if session changes explain most of a joint's residual beyond noise.
 
     Args:
         common: Mean square residual with common actuator parameters, shape (n,).

@@ -81,7 +81,7 @@ class ResidualPrediction:
 
     @property
     def counts(self) -> bool:
-        """Whether the prediction is better than noise allows."""
+        """True if the prediction is better than noise allows."""
         return self.share > MIN_SHARE and self.sure > MIN_STANDARD_ERRORS
 
 
@@ -249,7 +249,7 @@ def predict_residual(
 
 
 def _standardised(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Columns with mean 0 and standard deviation 1, and the latter; zeros if a column is constant."""
+    """Columns with mean 0 and standard deviation 1, and the latter; zeros for constant columns."""
     centred = x - x.mean(axis=0)
     spread = centred.std(axis=0)
     spread[spread <= CONSTANT_TOLERANCE * np.abs(x).max(axis=0, initial=0.0)] = np.inf

@@ -10,7 +10,7 @@ import numpy as np
 from markupsafe import Markup
 
 from ..diagnosis import residual_atlas
-from ..diagnosis.diagnosis import QUIET, Diagnosis
+from ..diagnosis.diagnosis import EXPLAINED_RMSE_RATIO, Diagnosis
 from ..diagnosis.residual_atlas import Atlas
 from ..effects import EFFECTS, EFFECTS_BY_NAME
 from ..recordings import Remark
@@ -176,11 +176,11 @@ def _missing_section(diagnosis: Diagnosis, document: Document) -> Section:
     """Held-out error of each joint against its noise floor."""
     joints = document["joints"]
     ratios = {j: v["rmse_before"] / v["noise_floor"] for j, v in joints.items()}
-    above = [j for j, ratio in ratios.items() if ratio > QUIET]
+    above = [j for j, ratio in ratios.items() if ratio > EXPLAINED_RMSE_RATIO]
     if not above:
         answer = (
             "No: on the held-out recordings every joint's error with the base model is within "
-            f"{QUIET:g} noise floors."
+            f"{EXPLAINED_RMSE_RATIO:g} noise floors."
         )
     else:
         worst = max(above, key=lambda j: ratios[j])

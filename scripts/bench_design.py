@@ -224,7 +224,8 @@ def cases(folder: Path | None) -> Iterator[Case]:
     yield Case(
         "Panda, κ", "q q̇ q̈", panda, kinematic, dataclasses.replace(bare, period=10.0, samples=100)
     )
-    yield from (Case(f"Panda, {o.criterion.name}", "q q̇ q̈ q⃛ τ", panda, full, o) for o in geometric)
+    bounds = "q q̇ q̈ q⃛ τ"
+    yield from (Case(f"Panda, {o.criterion.name}", bounds, panda, full, o) for o in geometric)
 
 
 def nearest(design: pipeline.CertifiedDesign) -> tuple[float, str]:

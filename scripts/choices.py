@@ -1,10 +1,12 @@
-"""What the choices that excite makes for the user are worth: the period, a budget of robot time, a validation motion.
+"""Measure what the choices that excite makes for the user are worth: period and validation motion.
 
-(1) Predicted standard deviations (the root of the geometric A criterion over the seconds of excitation): of the rule's
-period beside 10 s for equal time, and of the motion planned for a budget beside the rule's, repeated to fill it.
-(2) For several weights of the overlap, means over seeds: the overlap of a second motion with the first, how much
-larger its standard deviation is, and the torque error it shows of a model fitted to the first motion when friction depends
-on position, over the error that the fit itself leaves. Weight 0 is a mere other start.
+1. Predicted standard deviations (root of the geometric A criterion over the seconds of excitation):
+   of the default period against 10 s for equal time, and of the motion that is planned for a time
+   budget against the default motion repeated to fill it.
+2. For several weights of the overlap, means over seeds: overlap of a second motion with the first,
+   increase of its standard deviation, and torque error of a model that is fitted to the first
+   motion when friction depends on position, over the error of the fit itself. Weight 0 is merely
+   another start.
 """
 
 from __future__ import annotations
@@ -14,47 +16,58 @@ import warnings
 from functools import partial
 
 import numpy as np
+from excite.designer.options import DesignOptions
 
+from excite._types import FloatArray
 from excite.designer import motion_overlap, optimize, pipeline, time_budget
 from excite.designer.motion_overlap import StateScaling
 from excite.designer.optimize import DesignSetup
 from excite.designer.pipeline import CertifiedDesign
-from excite.designer.options import DesignOptions
 from excite.designer.time_budget import MotionRequest
 from excite.errors import ExciteWarning
 from excite.robot import dynamics, limits, robot
 from excite.trajectory.fourier import FourierSeries
 
-Array = np.ndarray
-
 
 def deviation(delivery: CertifiedDesign) -> float:
-    """Of the parameters, from the periodic part; up to a factor that depends on the robot and the rate alone."""
+    """Return the predicted standard deviation of the parameters, up to a factor of robot and rate.
+
+    Only the periodic part of the motion counts.
+    """
     motion = delivery.trajectory.motion
     value: float = delivery.trajectory.criteria["optimum"]["geometric"]["a"]
     return float(np.sqrt(value / (motion.periods * motion.fourier.period)))
 
 
 def periods(name: str, options: DesignOptions, budget: float) -> str:
-    """A row of the first table."""
+    """Return a row of the first table."""
     machine = robot.load(name)
     table = limits.resolve(machine)
     run = partial(pipeline.design_trajectory, machine, table)
-    rule, ten = (run(wish.complete(options, table)) for wish in (MotionRequest(), MotionRequest(period=10.0)))
+    default, ten_seconds = (
+        run(request.complete(options, table))
+        for request in (MotionRequest(), MotionRequest(period=10.0))
+    )
     planned = time_budget.plan_for_budget(machine, table, options, MotionRequest(), budget)
     filled = time_budget.run_plan(planned, options, run)
-    motion, period = filled.trajectory.motion, rule.trajectory.motion.fourier.period
-    ramps = rule.trajectory.motion.duration - 2.0 * period
-    repeated = deviation(rule) * np.sqrt(2.0 / int((budget - ramps) / period))
-    # two periods each: the ratio for equal time is the one for equal numbers, times the root of the times' ratio
-    equal = deviation(rule) / deviation(ten) * np.sqrt(period / 10.0)
-    chosen = f"{motion.periods} × {motion.fourier.period:g} s, {motion.fourier.harmonics} harmonics, {motion.duration:.1f} s"
+    motion, period = filled.trajectory.motion, default.trajectory.motion.fourier.period
+    ramps = default.trajectory.motion.duration - 2.0 * period
+    repeated = deviation(default) * np.sqrt(2.0 / int((budget - ramps) / period))
+    # for equal time, the ratio for equal numbers of periods times the root of the ratio of periods
+    equal = deviation(default) / deviation(ten_seconds) * np.sqrt(period / 10.0)
+    chosen = f"{motion.periods} × {motion.fourier.period:g} s, {motion.fourier.harmonics} harmonics"
+    chosen += f", {motion.duration:.1f} s"
     seconds = sum(c.seconds for c in planned.candidates)
-    return f"| {name} | {period:g} | {equal:.2f} | {chosen} | {deviation(filled) / repeated:.2f} | {seconds:.1f} |"
+    against_repeated = deviation(filled) / repeated
+    return (
+        f"| {name} | {period:g} | {equal:.2f} | {chosen} | {against_repeated:.2f} | {seconds:.1f} |"
+    )
 
 
-def regressor(setting: DesignSetup, motion: FourierSeries) -> tuple[Array, Array, Array]:
-    """Regressor rows over noise in base coordinates, positions and velocities along a period."""
+def regressor(
+    setting: DesignSetup, motion: FourierSeries
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return regressor rows over noise in base coordinates, and the states of a period."""
     problem = setting.problem
     samples = motion.samples(motion.grid(problem.options.samples))
     Y = dynamics.regressor(problem.robot, problem.parameters, samples) / setting.noise[:, None]
@@ -62,44 +75,52 @@ def regressor(setting: DesignSetup, motion: FourierSeries) -> tuple[Array, Array
 
 
 def held_out(setting: DesignSetup, first: FourierSeries, second: FourierSeries) -> float:
-    """Error of friction that depends on position, on the second motion over the first, after a fit to the first."""
+    """Return the error of position-dependent friction on a second motion over that of the fit."""
     rng, squares = np.random.default_rng(0), np.zeros(2)
-    both = [regressor(setting, motion) for motion in (first, second)]
+    regressors = [regressor(setting, motion) for motion in (first, second)]
     for _ in range(20):
         phase, order = rng.uniform(0.0, 2.0 * np.pi, first.n), rng.integers(1, 3, first.n)
-        torque = [(np.sin(order * q + phase) * np.tanh(dq / 0.02)).ravel() for _, q, dq in both]
-        found = np.linalg.lstsq(both[0][0], torque[0], rcond=1e-6)[0]
+        torque = [
+            (np.sin(order * q + phase) * np.tanh(dq / 0.02)).ravel() for _, q, dq in regressors
+        ]
+        solution = np.linalg.lstsq(regressors[0][0], torque[0], rcond=1e-6)[0]
         squares += [
-            np.mean((t - rows @ found) ** 2) for t, (rows, _, _) in zip(torque, both, strict=True)
+            np.mean((t - rows @ solution) ** 2)
+            for t, (rows, _, _) in zip(torque, regressors, strict=True)
         ]
     return float(np.sqrt(squares[1] / squares[0]))
 
 
 def second_motions(name: str, options: DesignOptions, weights: list[float], seeds: int) -> str:
-    """A row of the second table."""
+    """Return a row of the second table."""
     machine = robot.load(name)
     table = limits.resolve(machine)
     gauge = StateScaling.for_robot(machine, table)
-    found = np.zeros((len(weights), 3))
+    sums = np.zeros((len(weights), 3))
     for seed in range(seeds):
-        one = MotionRequest().complete(DesignOptions(starts=options.starts, seed=seed, jobs=options.jobs), table)
-        setting = optimize.set_up(machine, table, one)
+        filled = MotionRequest().complete(
+            DesignOptions(starts=options.starts, seed=seed, jobs=options.jobs), table
+        )
+        setting = optimize.set_up(machine, table, filled)
         first = optimize.solve(setting)
         for k, weight in enumerate(weights):
-            kept = motion_overlap.penalise_overlap(gauge, first.motion, weight)
-            second = optimize.solve(optimize.set_up(machine, table, one, overlap_penalty=kept))
+            penalty = motion_overlap.penalise_overlap(gauge, first.motion, weight)
+            second = optimize.solve(
+                optimize.set_up(machine, table, filled, overlap_penalty=penalty)
+            )
             common = motion_overlap.compute_overlap(gauge, first.motion, second.motion)
-            price = second.attempts[0].objective - weight * common - first.attempts[0].objective
-            found[k] += (
+            increase = second.attempts[0].objective - weight * common - first.attempts[0].objective
+            sums[k] += (
                 common,
-                np.expm1(0.5 * price),
+                np.expm1(0.5 * increase),
                 held_out(setting, first.motion, second.motion),
             )
-    cells = [f"{a:.2f}, {100.0 * b:+.1f} %, {c:.2f}" for a, b, c in found / seeds]
+    cells = [f"{a:.2f}, {100.0 * b:+.1f} %, {c:.2f}" for a, b, c in sums / seeds]
     return f"| {name} | " + " | ".join(cells) + " |"
 
 
 def main() -> None:
+    """Print both tables."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -120,7 +141,8 @@ def main() -> None:
     warnings.simplefilter("ignore", ExciteWarning)
     options = DesignOptions(starts=given.starts, jobs=given.jobs)
     print(
-        f"| robot | period by the rule [s] | beside 10 s | planned for {given.time:g} s | beside the rule repeated | planning [s] |"
+        f"| robot | default period [s] | relative to 10 s | planned for {given.time:g} s "
+        "| relative to default, repeated | planning [s] |"
     )
     print("|---|---:|---:|---|---:|---:|")
     for name in given.robots:

@@ -46,7 +46,8 @@ def draw_residual_atlas(folder: Path, joint: str) -> None:
             sys.exit(1)
         page = (Path(out) / "report.html").read_text()
     match = re.search(
-        rf'<svg viewBox="0 0 (\S+) (\S+)" role="img" aria-label="Held-out residual of {joint} .*?</svg>',
+        r'<svg viewBox="0 0 (\S+) (\S+)" role="img" '
+        rf'aria-label="Held-out residual of {joint} .*?</svg>',
         page,
         re.DOTALL,
     )

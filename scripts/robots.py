@@ -244,33 +244,39 @@ def run(row: Row, case: Case, source: str, options: DesignOptions) -> None:
 
 
 def refusal(certificate: certificate_module.Certificate) -> str:
-    """One line on why a motion read back from its file is refused."""
+    """Return the fault of a motion that was read back from its file, in one line."""
     if not certificate.faults:
-        return f"{certificate.worst().limit} of {certificate.worst().joint} is broken when read back from the file"
+        worst = certificate.worst()
+        return f"{worst.limit} of {worst.joint} is violated in the motion read back from its file"
     more = len(certificate.faults) - 1
     return certificate.faults[0] + (f" (and {more} more)" if more else "")
 
 
 def source_of(table: limits.Limits, margin: certificate_module.LimitMargin) -> str:
-    """Where the nearest limit comes from; "derived" ones bind the ramps alone, which run up to them by design."""
+    """Return the source of a limit.
+
+    Derived limits bind the ramps only, which always reach them.
+    """
     sources = dict(zip(table.joints, table.sources.get(margin.limit, ()), strict=False))
     return sources.get(margin.joint, "")
 
 
 def is_builtin(source: str) -> bool:
+    """Return whether a robot is a built-in model."""
     return source in robot.builtin_names()
 
 
 def first_feasible(delivery: pipeline.CertifiedDesign, options: DesignOptions) -> float:
-    """The criterion of the earliest feasible motion of all starts; histories keep the objective, a logarithm.
+    """Return the criterion of the earliest feasible motion of all starts.
 
-    A start that was tightened after the certificate has lost its beginning: then another start's is shown.
+    The histories hold the objective, a logarithm. A start that the certificate asked to tighten has
+    lost its beginning; another start is used then.
     """
-    seen = []
-    for one in delivery.design.attempts:
-        at = int(np.argmax(np.array(one.worst) <= sqp.MAX_FEASIBLE_ROW_VALUE))
-        seen.append((one.time[at], one.values[at]))
-    objective = min(seen)[1]
+    first_values = []
+    for start in delivery.design.attempts:
+        index = int(np.argmax(np.array(start.worst) <= sqp.MAX_FEASIBLE_ROW_VALUE))
+        first_values.append((start.time[index], start.values[index]))
+    objective = min(first_values)[1]
     if options.criterion is Criterion.D:
         return -delivery.design.setup.base.count * objective
     power = {Criterion.E: -1.0, Criterion.COND_REGRESSOR: 0.5}.get(options.criterion, 1.0)
@@ -278,7 +284,7 @@ def first_feasible(delivery: pipeline.CertifiedDesign, options: DesignOptions) -
 
 
 def round_trip(trajectory: trajectory_file.Trajectory) -> certificate_module.Certificate:
-    """Certify what a user would: the file, read back, with the robot found again from what the file says."""
+    """Certify the file as a user would, with the robot that it names."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "trajectory.json"
         path.write_text(text := _json.dumps(trajectory.document()), encoding="utf-8")
@@ -289,7 +295,7 @@ def round_trip(trajectory: trajectory_file.Trajectory) -> certificate_module.Cer
 
 
 def markdown(rows: Sequence[Row], criterion: str) -> str:
-    """The table; a failed robot's last cell is its reason."""
+    """Return the table; the last cell of a robot that failed is the reason."""
     values = [f"{criterion} at start", f"{criterion} after"]
     head = [
         "robot",
@@ -298,7 +304,7 @@ def markdown(rows: Sequence[Row], criterion: str) -> str:
         "design [s]",
         *values,
         "nearest limit",
-        "apart [mm]",
+        "clearance [mm]",
         "motion [s]",
         "ok",
     ]
@@ -307,6 +313,8 @@ def markdown(rows: Sequence[Row], criterion: str) -> str:
 
 
 def cells(row: Row) -> list[str]:
+    """Return the row of a robot."""
+
     def number(value: float | None, style: str) -> str:
         return "" if value is None else format(value, style)
 
@@ -321,7 +329,8 @@ def cells(row: Row) -> list[str]:
         number(row.after, ".3g"),
         ""
         if near is None
-        else f"{near['limit']}, {near['joint']}, {round(100.0 * near['margin'], 2) + 0.0:.2f} %{derived}",
+        else f"{near['limit']}, {near['joint']}, "
+        f"{round(100.0 * near['margin'], 2) + 0.0:.2f} %{derived}",
         "unknown" if row.near is None else number(row.near, ".1f"),
         number(row.duration, ".2f"),
         "yes" if row.ok else f"NO: {row.reason}".replace("|", "\\|"),
@@ -329,7 +338,7 @@ def cells(row: Row) -> list[str]:
 
 
 def chosen(entries: list[tuple[Case, str]], only: str | None) -> list[tuple[Case, str]]:
-    """The robots of --only, in the table's order."""
+    """Return the robots of --only, in the order of the table."""
     if only is None:
         return entries
     names = only.split(",")
@@ -341,7 +350,8 @@ def chosen(entries: list[tuple[Case, str]], only: str | None) -> list[tuple[Case
     return [(case, source) for case, source in entries if case.name in names]
 
 
-def arguments() -> argparse.Namespace:
+def parse_arguments() -> argparse.Namespace:
+    """Parse the command line."""
     standard = DesignOptions()
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument(
@@ -386,7 +396,8 @@ def arguments() -> argparse.Namespace:
 
 
 def main() -> int:
-    given = arguments()
+    """Try the robots; return the exit code."""
+    given = parse_arguments()
     options = DesignOptions(
         criterion=Criterion(given.criterion), starts=given.starts, uncertainty=given.uncertainty
     )

@@ -2,17 +2,17 @@
 
 The script runs in an interpreter that has figaroh (bench_design.py --peer).
 
-Installation that worked (figaroh 1.0.2, cyipopt 1.7.0, casadi 3.8.2, Python 3.11, Linux): cyipopt is
-built against the IPOPT in the casadi wheel, whose ipopt.pc has to be corrected:
+Installation that worked (figaroh 1.0.2, cyipopt 1.7.0, casadi 3.8.2, Python 3.11, Linux): cyipopt
+is built against the IPOPT in the casadi wheel, whose ipopt.pc has to be corrected:
 
     python3.11 -m venv /tmp/figaroh && cd /tmp/figaroh && bin/pip install figaroh==1.0.2 casadi
     C=$(bin/python -c "import casadi, os; print(os.path.dirname(casadi.__file__))") && mkdir pc
     sed "s|^prefix=.*|prefix=$C|; s|^libdir=.*|libdir=$C|" $C/pkgconfig/ipopt.pc > pc/ipopt.pc
     PKG_CONFIG_PATH=$PWD/pc LDFLAGS="-Wl,-rpath,$C" bin/pip install --no-cache-dir cyipopt
 
-The problem is that of figaroh-examples' UR10: cubic spline at rest in waypoints 2 s apart, condition
-number of the base regressor at 20 Hz, position, velocity and torque limits of the URDF, IPOPT.
-Unlike there, limits are not narrowed (soft_lim 0), and meshes are left out, so that collision
+The problem is that of figaroh-examples' UR10: cubic spline at rest in waypoints 2 s apart,
+condition number of the base regressor at 20 Hz, position, velocity and torque limits of the URDF,
+IPOPT. Unlike there, limits are not narrowed (soft_lim 0), and meshes are left out, so that collision
 pairs, which excite does not check in this comparison, cost nothing.
 """
 
@@ -136,7 +136,10 @@ def without_meshes(urdf: Path, folder: Path) -> Path:
 
 
 def solve(given: argparse.Namespace) -> dict[str, Any]:
-    """Run figaroh's optimiser on one segment; times count from after its base parameters are found."""
+    """Run figaroh's optimiser on one segment.
+
+    Times count from after its base parameters are found.
+    """
     np.random.seed(given.seed)  # noqa: NPY002 — figaroh draws from the global generator
     with tempfile.TemporaryDirectory() as name:
         robot = load_robot(

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from excite.collision import continuous_check, scene_file
 from excite.designer import criteria, identifiability, ramps
 from excite.designer.constraint_margins import MotionConstraints
 from excite.report import DesignRecord, design_page, identifiability_page
@@ -343,6 +344,18 @@ def pair(source: str, independent: bool = True, overlap: float = 0.3, criterion:
     return design_page(
         dataclasses.replace(trajectory, design=design), *others, record(), second=second
     )
+
+
+def test_clearances_are_drawn_and_listed() -> None:
+    trajectory, loaded, *others = parts("two_link")
+    cell, _ = scene_file.known(loaded, trajectory.limits, scene_file.Scene(), (), required=False)
+    assert cell is not None
+    nearest = continuous_check.along(cell, trajectory.motion)
+    page = design_page(trajectory, loaded, *others, record(), cell=cell, near=nearest)
+    check_page(page)
+    text = section(page, "collision")
+    assert text.count("<svg") == 2 and "required [mm]" in text
+    assert f"{1e3 * nearest[0].proven:.1f}" in text
 
 
 def test_validation_motion_is_compared_with_the_first() -> None:

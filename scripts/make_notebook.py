@@ -1,4 +1,4 @@
-"""Write the notebooks: cells as text here, so that changes can be read in a diff."""
+"""Write the notebooks from the cells below, as text, so that changes can be read in a diff."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ FIRST_TRAJECTORY = [
         "markdown",
         """# A first excitation trajectory
 
-From a robot to a motion that shows its inertial parameters, step by step, with the Python package.
-Run from the repository's `notebooks/` folder after `scripts/excite robots` has installed everything.""",
+This notebook designs a motion that identifies the inertial parameters of a robot, step
+by step, in Python. Run it from the folder `notebooks/`, after `scripts/excite robots`
+has installed the package.""",
     ),
     (
         "code",
@@ -21,53 +22,70 @@ import numpy as np
 from IPython.display import display
 from matplotlib.figure import Figure
 
-from excite import base, criteria, dynamics, limits, parameters, robot, workflow
-from excite.criteria import Criterion
-from excite.problem import Options""",
+from excite.designer import criteria, pipeline
+from excite.designer.criteria import Criterion
+from excite.designer.options import DesignOptions
+from excite.robot import base_parameters, dynamics, inertial_parameters, limits, robot""",
     ),
     (
         "markdown",
-        """## What can be seen at all
+        """## Base parameters
 
-Not every inertial parameter acts on the joint torques. What does are the *base parameters* θ = Bψ.""",
+Not every inertial parameter influences the joint torques. Identifiable are only certain
+linear combinations, the *base parameters* θ = Bψ. The list below names each and shows
+its combination.""",
     ),
     (
         "code",
         """arm = robot.load("two_link")
 bounds = limits.resolve(arm)
-psi = parameters.standard(arm, bounds)
-theta = base.find(arm, psi, bounds)
+psi = inertial_parameters.standard(arm, bounds)
+theta = base_parameters.find(arm, psi, bounds)
 print(f"{psi.count} standard parameters, {theta.count} base parameters")
 for name, expression in zip(np.array(psi.names)[theta.independent], theta.expressions, strict=True):
     print(f"  {name:6} = {expression}")""",
     ),
     (
         "markdown",
-        """## A motion that shows them
+        """## Two designs
 
-`workflow.run` optimises a Fourier series, adds ramps, and certifies the whole motion. Here for A-optimality in the metric
-of physically consistent parameters, and for D-optimality.""",
+`pipeline.design_trajectory` optimises a Fourier series, adds ramps from and to rest,
+and certifies the complete motion against all limits. One design is A-optimal (least
+mean variance) in the metric of physically consistent parameters, the other D-optimal
+(least volume of the confidence ellipsoid).
+
+Each line lists the criteria of a design and the limit that it comes closest to.""",
     ),
     (
         "code",
-        """results = {c: workflow.run(arm, bounds, Options(criterion=c, starts=1)) for c in (Criterion.A, Criterion.D)}
-for criterion, delivery in results.items():
-    scores = delivery.trajectory.criteria["optimum"]["geometric"]
-    worst = delivery.certificate.worst()
+        """designs = {
+    criterion: pipeline.design_trajectory(arm, bounds, DesignOptions(criterion=criterion, starts=1))
+    for criterion in (Criterion.A, Criterion.D)
+}
+for criterion, design in designs.items():
+    scores = design.trajectory.criteria["optimum"]["geometric"]
+    worst = design.certificate.worst()
     print(
         criterion.name,
         {k: float(f"{v:.4g}") for k, v in scores.items()},
         "certified:",
-        delivery.certificate.ok,
-        f"| nearest limit: {worst.limit} of {worst.joint}, {100 * worst.room:.2f} % left",
+        design.certificate.ok,
+        f"| nearest limit: {worst.limit} of {worst.joint}, {100 * worst.free_share:.2f} % free",
     )""",
+    ),
+    (
+        "markdown",
+        """The figure shows positions (top) and torques (bottom) of both designs. Look at how both
+use the whole range of positions, and at the torque peaks: the D-optimal motion excites
+all directions, the A-optimal one spends its effort on the directions that are hardest
+to see.""",
     ),
     (
         "code",
         """figure = Figure(figsize=(9, 4), layout="constrained")
 axes = figure.subplots(2, 2, sharex=True)
-for column, (criterion, delivery) in enumerate(results.items()):
-    motion = delivery.trajectory.motion
+for column, (criterion, design) in enumerate(designs.items()):
+    motion = design.trajectory.motion
     t = motion.grid(100.0)
     axes[0, column].plot(t, motion.at(t), label=list(arm.joints))
     axes[0, column].set(title=f"designed for {criterion.name}", ylabel="position [rad]")
@@ -79,20 +97,24 @@ display(figure)""",
     ),
     (
         "markdown",
-        """## What it will tell
+        """## Predicted variances
 
-The eigenvalues of I·H₀⁻¹ are scale-free: 1/λ is the variance of its direction relative to the nominal robot, whatever the
-units and frames. Below 0.01 (a standard deviation of about 10 %) a direction counts as practically identifiable.""",
+The eigenvalues λ of I·H₀⁻¹ do not depend on units and frames: 1/λ is the variance of a
+direction of the parameters relative to the nominal robot. Below 0.01 (a standard
+deviation of about 10 %, dashed line) a direction counts as practically identifiable.
+Look at how many points lie below the line for each design.""",
     ),
     (
         "code",
         """figure = Figure(figsize=(7, 3.2), layout="constrained")
 axis = figure.subplots()
-for criterion, delivery in results.items():
-    motion = delivery.trajectory.motion
-    rows = criteria.weighting(Criterion.A, theta, delivery.trajectory.noise, plain=False)
+for criterion, design in designs.items():
+    motion = design.trajectory.motion
+    noise = design.trajectory.noise
+    weighting = criteria.criterion_weighting(Criterion.A, theta, noise, plain=False)
     samples = motion.samples(motion.grid(100.0))
-    eigenvalues = len(samples) * criteria.spectrum(rows.rows(dynamics.regressor(arm, psi, samples)))
+    rows = weighting.rows(dynamics.regressor(arm, psi, samples))
+    eigenvalues = len(samples) * criteria.information_eigenvalues(rows)
     axis.semilogy(np.sort(1.0 / eigenvalues), "o-", label=f"designed for {criterion.name}")
 axis.axhline(1e-2, color="0.4", linestyle="--", linewidth=1)
 axis.set(xlabel="direction", ylabel="scale-free variance 1/λ")
@@ -101,7 +123,7 @@ display(figure)""",
     ),
     (
         "markdown",
-        """The command line does all of this at once and writes the files a controller takes:
+        """The command line does the same and writes the files that a controller reads:
 
 ```
 scripts/excite design two_link -o out/two_link
@@ -113,11 +135,15 @@ scripts/excite export out/two_link/trajectory.json --format ros2-joint-trajector
 IDENTIFY_AND_DESIGN_AGAIN = [
     (
         "markdown",
-        """# From recordings to parameters, and what to record next
+        """# From recordings to parameters, and the next motion
 
-Design a motion, record a robot that follows it, identify the robot, and let what is still unknown decide the next motion.
-The robot here is simulated by `excite.plant` (`pip install 'excite[trial]'`), which shares no code with the estimator: its
-bodies are about 5 % off the URDF, its friction, rotor inertia and offsets are in no file. Record your own instead where you have one.""",
+This notebook designs a motion, records a robot that follows it, identifies the robot,
+and designs the next motion for the parameters that are still uncertain.
+
+The robot is simulated by `excite.simulator` (`pip install 'excite[sim]'`), which shares
+no code with the estimator. Its bodies differ from the URDF by about 5 %; its friction,
+rotor inertia and offsets are in no file. Use your own recordings where you have a
+robot.""",
     ),
     (
         "code",
@@ -130,64 +156,79 @@ import numpy as np
 from IPython.display import display
 from matplotlib.figure import Figure
 
-from excite import artefact, base, limits, parameters, recordings, robot, workflow
-from excite.identify import identification
-from excite.plant import laboratory
-from excite.problem import Options
+from excite import _json, recordings
+from excite.designer import pipeline
+from excite.designer.options import DesignOptions
+from excite.identification import identification
+from excite.robot import base_parameters, inertial_parameters, limits, robot
+from excite.simulator import experiment
 
 arm = robot.load("ur10e")
 bounds = limits.resolve(arm)
-psi = parameters.standard(arm, bounds)
-theta = base.find(arm, psi, bounds)
+psi = inertial_parameters.standard(arm, bounds)
+theta = base_parameters.find(arm, psi, bounds)
 folder = Path(tempfile.mkdtemp())""",
     ),
     (
         "markdown",
         """## Design and record
 
-Two motions: one to fit, one of another seed to judge the model by. Short searches, so that this page runs in seconds.
-Three periods each: the first half second is left out until the loop has settled, and a noise floor takes two whole ones. A recording is a
-CSV of `t`, `q.<joint>` and `tau.<joint>`; the `.json` beside it says after what time the motion repeats.""",
+Two motions are designed: one to fit the model, one with another seed to validate it.
+The searches are short, so that the notebook runs in seconds. Each motion has three
+periods: the first half second, in which the control loop settles, is left out, and a
+noise floor needs two complete periods. A recording is a CSV with `t`, `q.<joint>` and
+`tau.<joint>`; the sidecar `.json` states the period.""",
     ),
     (
         "code",
-        """def design(name, given=None, **options):
-    delivery = workflow.run(arm, bounds, Options(period=5.0, periods=3, starts=1, iterations=40, **options), given=given)
-    (folder / f"{name}.json").write_text(artefact.dumps(delivery.trajectory.document()))
-    print(f"{name}: {delivery.trajectory.motion.duration:.1f} s, certified: {delivery.certificate.ok}")
+        """def design(name, information=None, **options):
+    options = DesignOptions(period=5.0, periods=3, starts=1, iterations=40, **options)
+    result = pipeline.design_trajectory(arm, bounds, options, earlier_information=information)
+    (folder / f"{name}.json").write_text(_json.dumps(result.trajectory.document()))
+    print(f"{name}: {result.trajectory.motion.duration:.1f} s, certified: {result.certificate.ok}")
 
 
 def record(name):
-    setting = laboratory.Setting(seed=3, rate=250.0)
-    measured = laboratory.simulate(robot.locate("ur10e"), folder / f"{name}.json", setting).recording
-    (folder / f"{name}_recorded.csv").write_text(measured.csv())
-    (folder / f"{name}_recorded.json").write_text(json.dumps(measured.sidecar()))
+    settings = experiment.ExperimentSettings(seed=3, rate=250.0)
+    session = experiment.simulate(robot.locate("ur10e"), folder / f"{name}.json", settings)
+    (folder / f"{name}_recorded.csv").write_text(session.recording.to_csv())
+    (folder / f"{name}_recorded.json").write_text(json.dumps(session.recording.to_sidecar()))
     return recordings.read(folder / f"{name}_recorded.csv", arm, bounds)
 
 
 design("first")
-design("judge", seed=7)
-first, judge = record("first"), record("judge")""",
+design("validation", seed=7)
+first, validation = record("first"), record("validation")""",
     ),
     (
         "markdown",
-        """## Identify, and predict a motion that was not used
+        """## Identify and validate
 
-Every link comes out as a body that could be built. The noise floor is what differs between repeated periods, by the same filter: no
-model can be below it but by chance.""",
+All identified links are physically consistent. The table compares the torque error on
+the held-out motion with the noise floor, which is the difference between repeated
+periods after the same filter: a model can be below it by chance only. The identified
+model should be close to it, the URDF far above.""",
     ),
     (
         "code",
-        """def report(found):
-    held_out = found.validations[0]
-    print(f"{found.analysis.identifiable_count} of {theta.count} directions identified, band {found.spectra.hertz:g} Hz")
+        """def report(result):
+    held_out = result.validations[0]
+    count = result.analysis.identifiable_count
+    print(f"{count} of {theta.count} directions identified, band {result.spectra.hertz:g} Hz")
     print(f"{'torque error, held out [N m]':30}{'URDF':>9}{'identified':>12}{'noise floor':>13}")
-    for row in zip(arm.joints, held_out.error("nominal"), held_out.error(), held_out.noise_floor, strict=True):
+    errors = held_out.error("nominal"), held_out.error(), held_out.noise_floor
+    for row in zip(arm.joints, *errors, strict=True):
         print("{:30}{:9.3g}{:12.3g}{:13.3g}".format(*row))
 
 
-before = identification.identify(arm, psi, theta, [first], [judge])
+before = identification.identify(arm, psi, theta, [first], [validation])
 report(before)""",
+    ),
+    (
+        "markdown",
+        """The figure shows two joints of the held-out motion. The identified model (dashed) should
+cover the measured torque; the residual below should look like noise and stay within two
+noise floors (dotted).""",
     ),
     (
         "code",
@@ -195,23 +236,26 @@ report(before)""",
 figure = Figure(figsize=(9, 4.5), layout="constrained")
 axes = figure.subplots(2, 2, sharex=True, height_ratios=(2, 1))
 for column, joint in zip(axes.T, (1, 4), strict=True):
-    column[0].plot(held_out.time, held_out.measured[:, joint], color="0.2", label="measured")
-    column[0].plot(held_out.time, held_out.nominal[:, joint], color="0.7", label="by the URDF")
-    column[0].plot(held_out.time, held_out.fitted[:, joint], color="tab:blue", linestyle="--", label="identified")
+    measured, fitted = held_out.measured[:, joint], held_out.fitted[:, joint]
+    column[0].plot(held_out.time, measured, color="0.2", label="measured")
+    column[0].plot(held_out.time, held_out.nominal[:, joint], color="0.7", label="URDF")
+    column[0].plot(held_out.time, fitted, color="tab:blue", linestyle="--", label="identified")
     column[0].set(title=arm.joints[joint], ylabel="torque [N m]")
-    column[1].plot(held_out.time, held_out.measured[:, joint] - held_out.fitted[:, joint], color="tab:orange", linewidth=0.7)
+    column[1].plot(held_out.time, measured - fitted, color="tab:orange", linewidth=0.7)
     for sign in (-2.0, 2.0):
         column[1].axhline(sign * held_out.noise_floor[joint], color="0.4", linestyle=":")
     column[1].set(xlabel="time [s]", ylabel="residual [N m]")
-figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=3, frameon=False)
+handles = axes[0, 0].get_legend_handles_labels()
+figure.legend(*handles, loc="outside upper right", ncols=3, frameon=False)
 axes[1, 1].set_title("dotted: two noise floors", fontsize="small")
 display(figure)""",
     ),
     (
         "markdown",
-        """## What is still missing
+        """## Directions that are not identified
 
-Directions of the parameters, the worst first: what one would fit there by the data alone. In the model, the prior decides these.""",
+The list names the directions of the parameters that the recording does not determine,
+the worst first. In the model, the prior decides them.""",
     ),
     (
         "code",
@@ -221,54 +265,63 @@ for direction in weak[::-1][:6]:
     ),
     (
         "markdown",
-        """## Design again, for what is missing
+        """## Design the next motion
 
-`given` is the information of the first recording. The search then no longer pays for what is known. The noise that the
-recording has shown replaces the assumed one, at the density of the trajectory's 100 rows a second.""",
+`earlier_information` is the information of the first recording: the second design gains
+nothing from directions that are known already. The measured noise replaces the assumed
+one, converted to the density of the trajectory's 100 rows per second.""",
     ),
     (
         "code",
         """root = before.data.information_root @ theta.matrix
 noise = before.data.noise * np.sqrt(0.5 * 100.0 / before.spectra.hertz)
-design("second", given=root.T @ root, noise=tuple(noise))
-after = identification.identify(arm, psi, theta, [first, record("second")], [judge])
+design("second", information=root.T @ root, noise=tuple(noise))
+after = identification.identify(arm, psi, theta, [first, record("second")], [validation])
 report(after)""",
     ),
     (
         "markdown",
-        """Was it worth another motion, or would the first one once more have done? Repeating it halves every variance.""",
+        """Was a second motion worth it, or would a repeat of the first have been enough? A repeat
+halves every variance (dashed line). Look at the weak directions on the right side of
+the left panel: with the second motion (blue) they should lie well below the dashed
+line. The right panel compares the held-out errors with the noise floor.""",
     ),
     (
         "code",
-        """once, both = (1.0 / found.analysis.eigenvalues for found in (before, after))
+        """results = (before, after)
+one_motion, two_motions = (1.0 / result.analysis.eigenvalues for result in results)
 figure = Figure(figsize=(8, 3.2), layout="constrained")
 left, right = figure.subplots(1, 2, width_ratios=(2, 1))
-left.semilogy(once, "o", color="0.6", label="first recording")
-left.semilogy(0.5 * once, "--", color="0.6", label="the same motion once more")
-left.semilogy(both, "o", color="tab:blue", markersize=4, label="first and second")
+left.semilogy(one_motion, "o", color="0.6", label="first recording")
+left.semilogy(0.5 * one_motion, "--", color="0.6", label="first motion repeated")
+left.semilogy(two_motions, "o", color="tab:blue", markersize=4, label="first and second")
 left.axhline(before.options.threshold, color="tab:red", linewidth=1)
-left.set(xlabel="direction, the best seen first", ylabel="scale-free variance 1/λ")
+left.set(xlabel="direction, best determined first", ylabel="scale-free variance 1/λ")
 left.legend(frameon=False)
-errors = [found.validations[0].error() / found.validations[0].noise_floor for found in (before, after)]
-for place, (error, colour) in enumerate(zip(errors, ("0.6", "tab:blue"), strict=True)):
-    right.barh(np.arange(arm.n) + 0.4 * place, error, 0.4, color=colour)
+held_out = [result.validations[0] for result in (before, after)]
+errors = [prediction.error() / prediction.noise_floor for prediction in held_out]
+for row, (error, colour) in enumerate(zip(errors, ("0.6", "tab:blue"), strict=True)):
+    right.barh(np.arange(arm.n) + 0.4 * row, error, 0.4, color=colour)
 right.axvline(1.0, color="tab:red", linewidth=1)
-right.set(yticks=np.arange(arm.n) + 0.2, yticklabels=arm.joints, xlabel="held-out error over noise floor")
+right.set(yticks=np.arange(arm.n) + 0.2, yticklabels=arm.joints)
+right.set(xlabel="held-out error over noise floor")
 right.invert_yaxis()
 display(figure)
 worst = slice(-len(weak), None)
-print(f"the {len(weak)} weak directions, median variance: {np.median(once[worst]):.3g} → {np.median(both[worst]):.3g}", end="")
-print(f", by the same motion once more {np.median(0.5 * once[worst]):.3g}")
-print("held-out error over the noise floor, RMS over joints: {:.3f} → {:.3f}".format(*(np.sqrt(np.mean(e**2)) for e in errors)))""",
+medians = [np.median(values[worst]) for values in (one_motion, two_motions, 0.5 * one_motion)]
+print("the {} weak directions, median variance: {:.3g} → {:.3g}".format(len(weak), *medians[:2]))
+print(f"the same with the first motion repeated: {medians[2]:.3g}")
+rms = [np.sqrt(np.mean(error**2)) for error in errors]
+print("held-out error over the noise floor, RMS over joints: {:.3f} → {:.3f}".format(*rms))""",
     ),
     (
         "markdown",
-        """The command line does the same, with a report that draws all of this and more:
+        """The command line does the same, with a report:
 
 ```
-scripts/excite identify ur10e first.csv --validate judge.csv -o out/model
+scripts/excite identify ur10e first.csv --validate validation.csv -o out/model
 scripts/excite design ur10e --given first.csv --validation -o out/second
-scripts/excite identify ur10e first.csv second.csv --validate judge.csv -o out/better
+scripts/excite identify ur10e first.csv second.csv --validate validation.csv -o out/better
 ```""",
     ),
 ]
@@ -276,11 +329,16 @@ scripts/excite identify ur10e first.csv second.csv --validate judge.csv -o out/b
 REAL_MACHINES = [
     (
         "markdown",
-        """# What the models of four real machines leave out
+        """# Unmodelled effects of four real machines
 
-Recordings that others have published, whose truth they document and the tool is not told. Their folder is named by
-`EXCITE_RECORDINGS`, else it is `../../shared/recordings`. Every diagnosis here is what
-`excite diagnose ROBOT TRAIN… --validate HELD_OUT [--prior FILE]` does, without its report.""",
+These recordings were published by others, with known effects that the tool is not
+given. Their folder is `../../shared/recordings`, or the one that `EXCITE_RECORDINGS`
+states. Each diagnosis is that of `excite diagnose ROBOT TRAIN… --validate HELD_OUT
+[--prior FILE]`, without the report.
+
+Below each diagnosis, compare the findings with the published facts, and the errors
+before (base model) and after (with the findings). The figures show the held-out
+residual of both models; the band is the noise floor.""",
     ),
     (
         "code",
@@ -293,50 +351,72 @@ import numpy as np
 from IPython.display import display
 from matplotlib.figure import Figure
 
-from excite import base, limits, parameters, recordings, robot
-from excite.diagnose import diagnosis
-from excite.diagnose.document import document
-from excite.identify import priors
+from excite import recordings
+from excite.diagnosis import diagnosis
+from excite.diagnosis.diagnosis_file import document
+from excite.identification import prior as prior_file
+from excite.robot import base_parameters, inertial_parameters, limits, robot
 
 warnings.simplefilter("ignore")
 REAL = Path(os.environ.get("EXCITE_RECORDINGS", "../../shared/recordings"))
 
 
-def diagnosed(folder, urdf, train, held_out, prior=None, band=None):
-    place = REAL / folder
-    machine = robot.load(str(place / urdf))
+def diagnose(folder, urdf, train, held_out, prior=None, band=None):
+    machine = robot.load(str(REAL / folder / urdf))
     table = limits.resolve(machine)
-    standard = parameters.standard(machine, table)
-    first, last = ([recordings.read(place / f"{name}.csv", machine, table) for name in names] for names in (train, held_out))
-    known = priors.trusted(place / prior, machine, standard) if prior else {}
-    options = diagnosis.Options(band, known)
-    return diagnosis.diagnose(machine, standard, base.find(machine, standard, table), first, last, options)
+    standard = inertial_parameters.standard(machine, table)
+    base = base_parameters.find(machine, standard, table)
+    training, validation = (
+        [recordings.read(REAL / folder / f"{name}.csv", machine, table) for name in names]
+        for names in (train, held_out)
+    )
+    trusted = {}
+    if prior:
+        trusted = prior_file.read_trusted_parameters(REAL / folder / prior, machine, standard)
+    options = diagnosis.DiagnosisOptions(band, trusted)
+    return diagnosis.diagnose(machine, standard, base, training, validation, options)
 
 
-def told(found):
-    joints = found.identified.model.robot.joints
-    print(f"{found.name}; band {found.hertz:.0f} Hz, noise by {found.method}")
-    for one in document(found)["findings"]:
-        words = ", ".join(f"{key} {v['value']:.4g} ± {v['std']:.2g} {v['unit']}" for key, v in one["parameters"].items())
-        print(f"  {one['effect']} at {one['joint'] or 'all'} (p {one['probability']:.2f}): {words}")
-    for one in document(found)["between_recordings"]:
-        words = ", ".join(f"{key} {one[key]['value']:+.3g} ± {one[key]['std']:.2g}" for key in ("coulomb", "viscous", "offset"))
-        print(f"  another drive at {one['joint']} in {Path(one['recording']).name}: {words}")
-    for joint, before, after, whole in zip(joints, found.before, found.after, found.torque, strict=True):
-        print(f"  {joint:10} held-out error {100 * before / whole:6.1f} % → {100 * after / whole:5.1f} %")
+def print_findings(result):
+    joints = result.identified.model.robot.joints
+    print(f"{result.name}; band {result.hertz:.0f} Hz, noise by {result.method}")
+    for finding in document(result)["findings"]:
+        values = ", ".join(
+            f"{key} {v['value']:.4g} ± {v['std']:.2g} {v['unit']}"
+            for key, v in finding["parameters"].items()
+        )
+        place = finding["joint"] or "all joints"
+        print(f"  {finding['effect']} at {place} (p {finding['probability']:.2f}): {values}")
+    for change in document(result)["between_recordings"]:
+        values = ", ".join(
+            f"{key} {change[key]['value']:+.3g} ± {change[key]['std']:.2g}"
+            for key in ("coulomb", "viscous", "offset")
+        )
+        name = Path(change["recording"]).name
+        print(f"  changed actuator at {change['joint']} in {name}: {values}")
+    rows = zip(joints, result.before, result.after, result.torque, strict=True)
+    for joint, before, after, torque in rows:
+        print(
+            f"  {joint:10} held-out error {100 * before / torque:6.1f} %"
+            f" → {100 * after / torque:5.1f} %"
+        )
 
 
-def drawn(found, joint, seconds=None):
-    track = found.tracks[1][0]
-    shown = slice(0, len(track)) if seconds is None else track.time < track.time[0] + seconds
+def draw_residual(result, joint, seconds=None):
+    motion = result.motions[1][0]
+    shown = slice(0, len(motion)) if seconds is None else motion.time < motion.time[0] + seconds
     figure = Figure(figsize=(8, 3.0), layout="constrained")
     axes = figure.subplots()
-    for residual, colour, label in zip(found.residuals, ("0.6", "tab:blue"), ("base model", "with the findings"), strict=True):
-        left = np.where(track.moves, residual[: len(track)], np.nan)[shown, joint]
-        axes.plot(track.time[shown], left, color=colour, linewidth=0.9, label=label)
-    axes.axhspan(-found.floor[joint], found.floor[joint], color="tab:red", alpha=0.15, label="± noise floor")
-    name = found.identified.model.robot.joints[joint]
-    axes.set(xlabel="time [s]", ylabel="torque left, held out", title=name)
+    curves = zip(
+        result.residuals, ("0.6", "tab:blue"), ("base model", "with the findings"), strict=True
+    )
+    for residual, colour, label in curves:
+        moving = np.where(motion.moving, residual[: len(motion)], np.nan)[shown, joint]
+        axes.plot(motion.time[shown], moving, color=colour, linewidth=0.9, label=label)
+    floor = result.floor[joint]
+    axes.axhspan(-floor, floor, color="tab:red", alpha=0.15, label="± noise floor")
+    name = result.identified.model.robot.joints[joint]
+    axes.set(xlabel="time [s]", ylabel="residual, held out", title=name)
     axes.legend(frameon=False, ncols=3)
     display(figure)""",
     ),
@@ -344,74 +424,93 @@ def drawn(found, joint, seconds=None):
         "markdown",
         """## EMPS: one prismatic servo axis
 
-Known: viscous friction of 167 N s/m one way and 240 the other. The motion repeats, so the noise floor is known, though
-no sidecar says so. The pulses were met by a little more friction than the motion that the model is fitted to: what is left of
-them is that, and the tool says so.""",
+Published: viscous friction of 167 N s/m in one direction and 240 N s/m in the other.
+The tool detects that the motion repeats, so that the noise floor is known. The held-out
+pulses show slightly more friction than the training motion; the diagnosis reports this
+as a change of the actuator between the recordings.""",
     ),
     (
         "code",
-        """emps = diagnosed("emps", "emps.urdf", ["train"], ["validate_pulses"])
-told(emps)
-drawn(emps, 0)""",
+        """emps = diagnose("emps", "emps.urdf", ["train"], ["validate_pulses"])
+print_findings(emps)
+draw_residual(emps, 0)""",
     ),
     (
         "markdown",
-        """## TX40: a wrist whose last motor turns with two joints
+        """## TX40: a coupled wrist
 
-Known: the motor of axis 6 turns with q₅ + q₆; its friction, 0.62 viscous and 1.95 Coulomb, loads axis 5.""",
+Published: the motor of axis 6 turns with q₅ + q₆; its friction (viscous 0.62, Coulomb
+1.95) loads axis 5. Look for the effect `coupling` at joint 5, and at the residual that
+it removes.""",
     ),
     (
         "code",
-        """tx40 = diagnosed("tx40", "tx40.urdf", ["train"], ["validate"])
-told(tx40)
-drawn(tx40, 4)""",
+        """tx40 = diagnose("tx40", "tx40.urdf", ["train"], ["validate"])
+print_findings(tx40)
+draw_residual(tx40, 4)""",
     ),
     (
         "markdown",
         """## KUKA KR300: a load, a gas spring and a prior
 
-The CAD's inertias and the rotors are trusted; friction and offsets are not known. Known: about 150 kg at the flange, a
-counterbalance on axis 2, elastic joints with lost motion. The wrist is badly explained by the published model too.""",
+The prior trusts the inertias of the CAD model and the rotor inertias; friction and
+offsets are not known. Published: about 150 kg at the flange, a counterbalance (gas
+spring) on axis 2, elastic joints with backlash. The published model explains the wrist
+poorly as well. Gaps in the figure are times at which the axis stands still: static
+friction takes any value there, so nothing is judged.""",
     ),
     (
         "code",
-        """kuka = diagnosed("kuka_kr300", "kuka_kr300.urdf", ["traj_A", "traj_B"], ["traj_C"], prior="prior.json")
-told(kuka)
-drawn(kuka, 1)""",
+        """training, validation = ["traj_A", "traj_B"], ["traj_C"]
+kuka = diagnose("kuka_kr300", "kuka_kr300.urdf", training, validation, prior="prior.json")
+print_findings(kuka)
+draw_residual(kuka, 1)""",
     ),
     (
         "markdown",
-        """Where an axis stands still nothing is judged: static friction is whatever holds it.
-
-Axes 1 to 3 have a second encoder, behind the gear. What it reads differently is mostly its clock, 2.8 ms; the rest winds up with
-the torque that the gear carries. Known: 4.6, 7.5 and 4.1 MN m/rad, and lost motion.""",
+        """Axes 1 to 3 have a second encoder behind the gear. Most of the difference between both
+encoders is a delay of 2.8 ms; the remainder grows with the torque that the gear
+transmits. The figure shows this deflection (grey) and the fitted curve, whose slope is
+the compliance. Published: 4.6, 7.5 and 4.1 MN m/rad, and backlash.""",
     ),
     (
         "code",
         """figure = Figure(figsize=(9, 2.8), layout="constrained")
 for axes, gear in zip(figure.subplots(1, len(kuka.gears)), kuka.gears, strict=True):
     load = np.linspace(gear.load.min(), gear.load.max(), 101)
-    axes.plot(gear.load, 1e3 * gear.windup, ".", color="0.6", markersize=2)
+    axes.plot(gear.load, 1e3 * gear.deflection, ".", color="0.6", markersize=2)
     axes.plot(load, 1e3 * gear.curve(load), color="tab:orange")
-    stiffness = "" if gear.stiffness is None else f"{1e-6 * gear.stiffness[0]:.1f} ± {1e-6 * gear.stiffness[1]:.1f} MN m/rad"
-    axes.set(title=f"axis {gear.joint + 1}: {stiffness}", xlabel="torque carried [N m]", ylabel="wind-up [mrad]")
-    print(f"axis {gear.joint + 1}: read {1e3 * gear.apart[0]:.2f} ms apart; {1e3 * gear.before:.2f} → {1e3 * gear.after:.3f} mrad held out")
-    print("  lost motion", "not seen" if gear.play is None else f"{1e3 * gear.play[0]:.3f} ± {1e3 * gear.play[1]:.3f} mrad")
+    stiffness = ""
+    if gear.stiffness is not None:
+        stiffness = "{:.1f} ± {:.1f} MN m/rad".format(*(1e-6 * value for value in gear.stiffness))
+    axes.set(title=f"axis {gear.joint + 1}: {stiffness}")
+    axes.set(xlabel="transmitted torque [N m]", ylabel="deflection [mrad]")
+    print(
+        f"axis {gear.joint + 1}: delay between encoders {1e3 * gear.read_delay[0]:.2f} ms; "
+        f"RMS difference {1e3 * gear.before:.2f} → {1e3 * gear.after:.3f} mrad held out"
+    )
+    backlash = "not significant"
+    if gear.backlash is not None:
+        backlash = "{:.3f} ± {:.3f} mrad".format(*(1e3 * value for value in gear.backlash))
+    print("  backlash", backlash)
 display(figure)""",
     ),
     (
         "markdown",
         """## A bare motor: cogging
 
-Known: 72 cycles a turn and multiples. The band follows from the torque's lines.""",
+Published: torque ripple of 72 cycles per turn and its multiples. The tool chooses the
+band by the lines in the torque's spectrum. Look at the orders that are printed, and at
+how much of the residual they explain.""",
     ),
     (
         "code",
-        """motor = diagnosed("laas_cogging", "motor.urdf", ["speed_1rev_per_s_comp_off_then_on"], ["speed_test_b"])
-told(motor)
-orders = [motor.design.shapes[part.shape].values.get("order") for finding in motor.verdict.findings for part in finding.parts]
-print("orders a turn:", [round(order, 2) for order in orders if order])
-drawn(motor, 0, seconds=2.0)""",
+        """training, validation = ["speed_1rev_per_s_comp_off_then_on"], ["speed_test_b"]
+motor = diagnose("laas_cogging", "motor.urdf", training, validation)
+print_findings(motor)
+orders = [effect.shape.values.get("order") for effect in motor.parts]
+print("orders [1/turn]:", [round(order, 2) for order in orders if order])
+draw_residual(motor, 0, seconds=2.0)""",
     ),
 ]
 
@@ -422,7 +521,8 @@ NOTEBOOKS = {
 }
 
 
-def written(name: str, cells: list[tuple[str, str]]) -> None:
+def write_notebook(name: str, cells: list[tuple[str, str]]) -> None:
+    """Write a notebook without outputs."""
     notebook = nbformat.v4.new_notebook()
     for number, (kind, text) in enumerate(cells):
         cell = (
@@ -436,8 +536,9 @@ def written(name: str, cells: list[tuple[str, str]]) -> None:
 
 
 def main() -> None:
+    """Write all notebooks."""
     for name, cells in NOTEBOOKS.items():
-        written(name, cells)
+        write_notebook(name, cells)
 
 
 if __name__ == "__main__":

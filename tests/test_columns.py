@@ -23,7 +23,7 @@ def drawn(
         for j in own:
             torque[:, j, k] = rng.normal(size=samples)
     parts = [Columns.of(torque[:, :, k : k + 1]) for k in range(len(felt))]
-    return Columns.none(samples, joints).beside(parts), torque.reshape(-1, len(felt))
+    return Columns.none(samples, joints).jointly_with(parts), torque.reshape(-1, len(felt))
 
 
 FELT = st.lists(
@@ -42,7 +42,7 @@ def test_they_multiply_as_dense_ones_do(felt: list[tuple[int, ...]], others: lis
     np.testing.assert_allclose(a.along(x), dense.T @ x, atol=1e-12)
     np.testing.assert_allclose(a.squares(), np.sum(dense**2, axis=0), atol=1e-12)
     np.testing.assert_array_equal(a.picked(places).full(), dense[:, places])
-    np.testing.assert_array_equal(a.beside([b]).full(), np.hstack([dense, other]))
+    np.testing.assert_array_equal(a.jointly_with([b]).full(), np.hstack([dense, other]))
     np.testing.assert_array_equal(a.scaled(factor).full(), dense * np.tile(factor, 9)[:, None])
 
 

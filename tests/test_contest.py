@@ -75,7 +75,7 @@ def test_a_name_between_two_of_a_grid_beats_one_that_is_nearly_it():
 def test_all_are_tuned_only_with_what_tuned_alone_is_nearly_as_good(monkeypatch, odd, tuned):
     """A ripple that, tuned, takes 0.85 or 0.97 of what a spring does."""
     one = designed(*([[wave(5.0, n) + odd * ODD[n] for n in range(2)]] * 2), (4.7, 5.3))
-    real, asked = search.turned, list[int]()
+    real, asked = search.optimised, list[int]()
 
     def turned(
         design: search.EffectRegression, chosen: Sequence[int], sweeps: int, since: int = 0

@@ -146,7 +146,7 @@ def test_what_an_encoder_feigns_at_one_joint_raises_the_bar_there_and_a_little_e
     assert bars["drag", 0] > bars["drag", 1] + 100.0
     assert bars["drag", 1] == pytest.approx(judge.AT_ALL)
     assert bars["spring", 1] == 0.0
-    assert warned.measured.feigns("drag", 2) == pytest.approx(
+    assert warned.measured.artefact_gain("drag", 2) == pytest.approx(
         bars["drag", 0]
     )  # a joint not looked at: as where it is most
 

@@ -1,3 +1,5 @@
+"""Objective and constraints of a design problem against finite differences and Pinocchio."""
+
 from __future__ import annotations
 
 from functools import cache
@@ -18,7 +20,8 @@ from excite.robot.limits import resolve
 from excite.robot.robot import load
 
 BOX = WorkspaceBox("tip", (-0.5, -0.1, -0.7), (0.8, 0.1, 0.6))
-STEP = 2e-5  # in variables of size 1: small against the width of the smooth Coulomb column
+STEP = 2e-5
+"""Step in variables of size 1, small compared with the width of smooth Coulomb friction [1]."""
 KINDS = ("position", "velocity", "acceleration", "jerk", "torque", "braking", "box0", "box1")
 
 
@@ -53,14 +56,14 @@ def direction(e: Evaluator, seed: int = 1) -> np.ndarray:
     return d / np.linalg.norm(d)
 
 
-# -- objective -----------------------------------------------------------------------------------------------------
+# objective
 
 
 @pytest.mark.parametrize("free", [None, (1.0, 4.0)])
 @pytest.mark.parametrize("plain", [False, True])
 @pytest.mark.parametrize("criterion", list(Criterion))
 @pytest.mark.parametrize("name", ["two_link", "mimic"])
-def test_objective_gradient_is_the_derivative(name, criterion, plain, free):
+def test_objective_gradient_equals_finite_differences(name, criterion, plain, free):
     e = evaluator(name, criterion=criterion, plain=plain, free_period=free)
     x = point(e)
     gradient = e.objective(x, 4.0)[1]
@@ -70,14 +73,14 @@ def test_objective_gradient_is_the_derivative(name, criterion, plain, free):
         assert abs(gradient @ d - measured) < 1e-6 * np.linalg.norm(gradient)
 
 
-def test_objective_gradient_by_the_period_is_the_derivative():
+def test_objective_gradient_by_the_period_equals_finite_differences():
     e = evaluator(free_period=(1.0, 4.0))
     x, unit = point(e), np.eye(e.problem.size)[-1]
     measured = slope(lambda h: np.array(e.objective(x + h * unit, 4.0)[0]), STEP)
     assert abs(e.objective(x, 4.0)[1][-1] / measured - 1) < 1e-6
 
 
-def test_objective_with_given_information_has_its_own_gradient():
+def test_objective_gradient_with_earlier_information():
     robot = load("two_link")
     options = DesignOptions(period=2.0, harmonics=3, samples=24)
     root = np.random.default_rng(0).normal(size=(28, 28))
@@ -89,14 +92,14 @@ def test_objective_with_given_information_has_its_own_gradient():
     assert e.objective(x, 4.0)[0] < evaluator().objective(x, 4.0)[0]
 
 
-def test_going_back_to_a_point_gives_its_value_again():
+def test_objective_is_reproducible_at_a_previous_point():
     e = evaluator()
     first, other = point(e, 0), point(e, 1)
     values = [e.objective(x, 4.0)[0] for x in (first, other, first)]
     assert values[0] == values[2] != values[1]
 
 
-def test_a_returned_gradient_is_not_overwritten_by_the_next():
+def test_returned_gradient_is_not_overwritten():
     e = evaluator()
     gradient = e.objective(point(e, 0), 4.0)[1]
     kept = gradient.copy()
@@ -104,20 +107,22 @@ def test_a_returned_gradient_is_not_overwritten_by_the_next():
     assert np.array_equal(gradient, kept)
 
 
-# -- rows ----------------------------------------------------------------------------------------------------------
+# constraints
 
 
 def rows_of(e: Evaluator, kind: str, x: np.ndarray) -> ConstraintRows:
-    """Every finite row of one kind."""
+    """Select all finite constraints of one kind."""
     return e.rows(
-        np.concatenate([(np.isfinite(v) & (k == kind)).ravel() for k, v in e.constraint_values(x).items()])
+        np.concatenate(
+            [(np.isfinite(v) & (k == kind)).ravel() for k, v in e.constraint_values(x).items()]
+        )
     )
 
 
 @pytest.mark.parametrize("free", [None, (1.0, 4.0)])
 @pytest.mark.parametrize("uncertainty", [0.0, 0.1])
 @pytest.mark.parametrize("kind", KINDS)
-def test_row_gradients_are_the_derivatives(kind, uncertainty, free):
+def test_constraint_gradients_equal_finite_differences(kind, uncertainty, free):
     frames = (BOX, WorkspaceBox("link_2", BOX.lower, BOX.upper))
     given_options = {"free_period": free, "uncertainty": uncertainty}
     e = (
@@ -134,7 +139,7 @@ def test_row_gradients_are_the_derivatives(kind, uncertainty, free):
 
 
 @pytest.mark.parametrize("kind", ["torque", "position"])
-def test_row_gradients_of_a_mimic_robot_are_the_derivatives(kind):
+def test_constraint_gradients_with_mimic_joints(kind):
     e = evaluator("mimic")
     x, d = point(e), direction(e)
     rows = rows_of(e, kind, x)
@@ -143,7 +148,7 @@ def test_row_gradients_of_a_mimic_robot_are_the_derivatives(kind):
     assert np.abs(jacobian @ d - measured).max() < 1e-6 * np.linalg.norm(jacobian, axis=1).max()
 
 
-def test_fr3_has_every_kind_of_row_that_its_limits_state():
+def test_constraint_kinds_follow_from_the_limits():
     assert evaluator("fr3").kinds == (
         "position",
         "velocity",
@@ -154,7 +159,7 @@ def test_fr3_has_every_kind_of_row_that_its_limits_state():
     )
 
 
-def test_kinematic_rows_are_each_quantity_over_its_limit():
+def test_kinematic_constraints_are_quantities_over_limits():
     e = evaluator()
     x, p = point(e), evaluator().problem
     motion, t = p.fourier(x), p.fourier(x).grid(p.options.samples)
@@ -167,16 +172,21 @@ def test_kinematic_rows_are_each_quantity_over_its_limit():
         )
 
 
-def test_braking_rows_are_one_where_the_speed_is_the_stated_function_of_position():
+def test_braking_constraints_follow_their_definition():
     e = evaluator("fr3")
-    brake = e.problem.limits.braking[0]
-    q = np.linspace(0.0, brake.stop[1] - 0.2, e.problem.options.samples)
-    dq = -brake.offset + np.sqrt(brake.rate * (brake.stop[1] - q))
-    value = e._braking(np.column_stack([q] * 3), np.column_stack([dq] * 3), 1.0)[0][:, 0]
-    assert np.allclose(value, 1.0, rtol=1e-12)
+    x, limits = point(e), e.problem.limits
+    motion = e.problem.fourier(x)
+    t = motion.grid(e.problem.options.samples)
+    values = e.constraint_values(x)["braking"]
+    for j, brake in enumerate(limits.braking):
+        q, dq = motion.at(t)[:, j], motion.at(t, 1)[:, j]
+        middle, half = np.mean(brake.stop), 0.5 * np.ptp(brake.stop)
+        for side, sign in enumerate((1.0, -1.0)):
+            overlap = np.maximum(sign * dq + brake.offset, 0.0) ** 2 / brake.rate
+            assert np.allclose(values[side, :, j], (overlap + sign * (q - middle)) / half)
 
 
-def test_box_rows_are_one_on_the_boxs_faces():
+def test_box_constraints_are_positions_over_half_widths():
     e = evaluator(boxes=(BOX,))
     x, box = point(e), e.problem.boxes[0]
     q = e.problem.fourier(x).at(e.problem.fourier(x).grid(24))
@@ -187,14 +197,17 @@ def test_box_rows_are_one_on_the_boxs_faces():
     )
 
 
-def test_held_poses_have_the_rows_of_a_motion_that_stays():
+def test_static_constraints_equal_those_of_a_motion_at_rest():
     e = evaluator(boxes=(BOX,))
     pose = np.array([0.4, -0.9])
-    held, resting = e.static_constraint_values(np.tile(pose, (24, 1))), e.constraint_values(stationary_variables(e.problem, pose))
-    assert all(np.allclose(held[kind], resting[kind], atol=1e-12) for kind in e.kinds)
+    static, resting = (
+        e.static_constraint_values(np.tile(pose, (24, 1))),
+        e.constraint_values(stationary_variables(e.problem, pose)),
+    )
+    assert all(np.allclose(static[kind], resting[kind], atol=1e-12) for kind in e.kinds)
 
 
-def test_selected_rows_are_those_above_the_threshold():
+def test_selected_constraints_are_above_the_threshold():
     e = evaluator()
     x = point(e)
     rows = e.rows(e.rows_above(x, 0.5))
@@ -206,32 +219,34 @@ def test_selected_rows_are_those_above_the_threshold():
 
 
 @given(st.integers(0, 100), st.sampled_from([None, (1.0, 4.0)]))
-def test_variables_and_motion_are_each_others_inverse(seed, free):
+def test_variables_invert_fourier(seed, free):
     e = evaluator(free_period=free)
     x = point(e, seed)
     assert np.allclose(e.problem.variables(e.problem.fourier(x)), x, rtol=1e-13)
 
 
-# -- uncertain robots ----------------------------------------------------------------------------------------------
+# uncertain robots
 
 
 @pytest.mark.parametrize("name", ["two_link", "ur10e", "mimic"])
-def test_no_robot_in_the_ball_exceeds_the_uncertain_torque(name):
+def test_torque_bound_holds_for_all_robots_in_the_ellipsoid(name):
     e = evaluator(name, uncertainty=0.3)
     p, x = e.problem, point(e)
     motion = p.fourier(x)
     Y = dynamics.regressor(p.robot, p.parameters, motion.samples(motion.grid(24)))
-    bound = e.constraint_values(x)["torque"] * p.limits.torque  # of +τ and of −τ
-    ways = np.random.default_rng(0).normal(size=(3000, p.parameters.count))
-    ways /= np.linalg.norm(ways, axis=1)[:, None]
-    torques = np.einsum("tip,sp->tis", Y, p.parameters.nominal + 0.3 * ways @ p.parameters.scale.T)
+    bound = e.constraint_values(x)["torque"] * p.limits.torque  # for +τ and for −τ
+    directions = np.random.default_rng(0).normal(size=(3000, p.parameters.count))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    torques = np.einsum(
+        "tip,sp->tis", Y, p.parameters.nominal + 0.3 * directions @ p.parameters.scale.T
+    )
     assert (torques.max(axis=2) <= bound[0] + 1e-9).all() and (
         -torques.min(axis=2) <= bound[1] + 1e-9
     ).all()
 
 
 @pytest.mark.parametrize("name", ["two_link", "ur10e", "mimic"])
-def test_some_robot_in_the_ball_attains_the_uncertain_torque(name):
+def test_torque_bound_is_attained_in_the_ellipsoid(name):
     e = evaluator(name, uncertainty=0.3)
     p, x = e.problem, point(e)
     motion = p.fourier(x)
@@ -241,13 +256,13 @@ def test_some_robot_in_the_ball_attains_the_uncertain_torque(name):
     G0 = np.linalg.inv(p.parameters.scale).T @ np.linalg.inv(p.parameters.scale)
     assert np.allclose(
         np.einsum("tip,pq,tiq->ti", worst, G0, worst), 0.3**2, rtol=1e-6
-    )  # it lies on the ball
+    )  # on the surface of the ellipsoid
     for sign, side in ((1.0, 0), (-1.0, 1)):
         attained = sign * np.einsum("tip,tip->ti", Y, p.parameters.nominal + sign * worst)
         assert off(e.constraint_values(x)["torque"][side] * p.limits.torque, attained) < 1e-9
 
 
-def test_the_checks_band_is_the_optimisers():
+def test_torque_band_equals_that_of_the_certificate():
     e = evaluator("ur10e", uncertainty=0.3)
     p, x = e.problem, point(e)
     motion = p.fourier(x)
@@ -257,6 +272,9 @@ def test_the_checks_band_is_the_optimisers():
         0.3,
     )
     assert (
-        off(e.constraint_values(x)["torque"] * p.limits.torque, np.stack([nominal + width, width - nominal]))
+        off(
+            e.constraint_values(x)["torque"] * p.limits.torque,
+            np.stack([nominal + width, width - nominal]),
+        )
         < 1e-9
     )

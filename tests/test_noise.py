@@ -140,7 +140,7 @@ def test_the_residual_due_to_timestamp_jitter_grows_with_the_motion(subject, by,
         level,
         largest,
     )
-    assert high == pytest.approx(np.minimum(largest, 1.0 + noise.DOUBTFUL), rel=1e-3)
+    assert high == pytest.approx(np.minimum(largest, 1.0 + noise.MAX_DOUBTFUL_NOISE), rel=1e-3)
 
 
 def test_noise_bounds_follow_the_noise_of_the_encoders():

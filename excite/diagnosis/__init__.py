@@ -1,1 +1,1 @@
-"""What a robot model leaves out: track ← catalogue ← search ← judge ← diagnosis."""
+"""Diagnosis: find the effects that a robot model lacks, from recordings of the robot."""

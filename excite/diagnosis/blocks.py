@@ -1,4 +1,7 @@
-"""Least squares whose errors are told between blocks of rows: noise that forgets within a block has any colour (Liang & Zeger 1986)."""
+"""Least squares with standard errors between blocks of rows, valid for noise of any colour.
+
+Noise must decorrelate within a block (Liang & Zeger 1986).
+"""
 
 from __future__ import annotations
 
@@ -10,8 +13,16 @@ Array = np.ndarray
 
 
 def sandwiched(blocks: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
-    """Coefficients and their covariance A⁻¹ Σ s sᵀ A⁻¹, s a block's share of Aᵀ(y − Ax). blocks: columns and right side of each,
-    (m, k) and (m,). Shapes (k,), (k, k)."""
+    """Return least-squares coefficients and their sandwich covariance A⁻¹ Σ s sᵀ A⁻¹.
+
+    Here s is a block's share of the score Aᵀ(y − Ax).
+
+    Args:
+        blocks: Columns, shape (m, k), and right side, shape (m,), of each block.
+
+    Returns:
+        Coefficients, shape (k,), and covariance, shape (k, k).
+    """
     A, y = (
         np.concatenate([columns for columns, _ in blocks]),
         np.concatenate([right for _, right in blocks]),

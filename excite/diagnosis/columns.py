@@ -1,4 +1,4 @@
-"""Columns of torque, most of which act on one joint: kept joint by joint, without the zeros elsewhere."""
+"""Torque columns stored joint by joint, without the zeros on joints that they do not affect."""
 
 from __future__ import annotations
 
@@ -12,10 +12,12 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Columns:
-    """Columns over the rows of a recording set: sample by sample, joint by joint.
+    """Torque columns over the rows of a recording set, sample by sample, joint by joint.
 
-    which: of each joint, the columns that it feels, in rising order. Shapes (k_j,). values: these at its rows. Shapes (N, k_j).
-    count: of all columns, K.
+    Attributes:
+        which: Indices of the columns that affect each joint, rising, shapes (k_j,).
+        values: Values of these columns on each joint, shapes (N, k_j).
+        count: Number of all columns, K.
     """
 
     which: tuple[Array, ...]
@@ -24,12 +26,12 @@ class Columns:
 
     @classmethod
     def none(cls, samples: int, joints: int) -> Columns:
-        """No column yet."""
+        """Return an empty set of columns."""
         return cls((np.zeros(0, int),) * joints, (np.zeros((samples, 0)),) * joints, 0)
 
     @classmethod
     def of(cls, torque: Array) -> Columns:
-        """Of torque as it is. Shape (N, n, k)."""
+        """Return the columns of a full array, shape (N, n, k)."""
         _, n, k = torque.shape
         felt = [np.arange(k if torque[:, j].any() else 0) for j in range(n)]
         return cls(
@@ -40,15 +42,16 @@ class Columns:
 
     @property
     def joints(self) -> int:
+        """Number of joints."""
         return len(self.which)
 
     @property
     def nbytes(self) -> int:
-        """Memory that they take."""
+        """Memory in use [bytes]."""
         return sum(x.nbytes for x in self.values)
 
-    def beside(self, others: Sequence[Columns]) -> Columns:
-        """These, then all of others."""
+    def jointly_with(self, others: Sequence[Columns]) -> Columns:
+        """Return these columns, then those of others."""
         every = (self, *others)
         starts = np.cumsum([0, *(one.count for one in every)])
         which = tuple(
@@ -59,7 +62,7 @@ class Columns:
         return Columns(which, values, int(starts[-1]))
 
     def picked(self, places: Array) -> Columns:
-        """Some columns, in the order of `places`. Shape (k,)."""
+        """Return some columns in the given order, shape (k,)."""
         to = np.full(self.count, -1)
         to[places] = np.arange(len(places))
         which, values = list[Array](), list[Array]()
@@ -71,7 +74,7 @@ class Columns:
         return Columns(tuple(which), tuple(values), len(places))
 
     def scaled(self, factor: Array) -> Columns:
-        """Torque times a factor of each joint. Shape (n,)."""
+        """Return the columns times a factor of each joint, shape (n,)."""
         return Columns(
             self.which,
             tuple(x * f for x, f in zip(self.values, factor.tolist(), strict=True)),
@@ -79,14 +82,14 @@ class Columns:
         )
 
     def full(self) -> Array:
-        """With the zeros. Shape (N n, K)."""
+        """Return the full array with zeros, shape (N n, K)."""
         out = np.zeros((len(self.values[0]), self.joints, self.count))
         for j, (own, x) in enumerate(zip(self.which, self.values, strict=True)):
             out[:, j, own] = x
         return out.reshape(len(out) * self.joints, self.count)
 
     def along(self, x: Array) -> Array:
-        """Cᵀ x. Shapes (N n, k) -> (K, k)."""
+        """Return Cᵀ x: (N n, k) -> (K, k)."""
         out, rows = np.zeros((self.count, x.shape[1])), x.reshape(-1, self.joints, x.shape[1])
         for j, (own, values) in enumerate(zip(self.which, self.values, strict=True)):
             if len(own):
@@ -94,14 +97,14 @@ class Columns:
         return out
 
     def squares(self) -> Array:
-        """Sum of each column's squares. Shape (K,)."""
+        """Return the sum of squares of each column, shape (K,)."""
         out = np.zeros(self.count)
         for own, values in zip(self.which, self.values, strict=True):
             out[own] += np.einsum("nk,nk->k", values, values)
         return out
 
     def products(self, other: Columns) -> Array:
-        """Cᵀ D. Shape (K, K′)."""
+        """Return Cᵀ D, shape (K, K′)."""
         out = np.zeros((self.count, other.count))
         for own, x, its, y in zip(self.which, self.values, other.which, other.values, strict=True):
             if len(own) and len(its):

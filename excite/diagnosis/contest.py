@@ -1,4 +1,7 @@
-"""Which shapes predict best together: each name as good as it gets before it is told, replaced or left out."""
+"""Selection of the set of candidate models that predicts best.
+
+Each effect is optimised before it is accepted, replaced or dropped.
+"""
 
 from __future__ import annotations
 
@@ -26,30 +29,32 @@ from .search import Built, EffectRegression, Trial, trial
 
 Array = np.ndarray
 SHARE, SAME, LIKE, MOSTLY, ELSEWHERE = 0.04, 0.02, 0.005, 0.5, 0.5
-"""Of the gain so far, what a further effect must add, a further shape of one that is there, and one of a kind that a joint may have several
-of, such as a gear's orders: forms are never quite the catalogue's. Of the mean square that others leave, what a further effect may explain
-instead. And of what others explain, what may be where it acts, lest all of it has a form there to mend."""
+"""Of the gain so far, what a further effect must add, a further shape of one that is there, and one
+of a kind that a joint may have several of, such as a gear's orders: forms are never quite the
+catalogue's. Of the mean square that others leave, what a further effect may explain instead. And of
+what others explain, what may be where it acts, lest all of it has a form there to mend."""
 BEYOND, CLEARLY = 0.8, 0.2
-"""Of what others leave beyond noise, what a further effect may explain instead too: all but a little, which no law does that only mends
-another's form; and over the noise, how much that must be."""
+"""Of what others leave beyond noise, what a further effect may explain instead too: all but a
+little, which no law does that only mends another's form; and over the noise, how much that must be.
+"""
 MOST, BENT = 6, 2
 """Shapes, at the most; and those beside which each is tried in other shapes for one more."""
 CLOSE, CLOSER, CONTENDERS = 0.6, 0.9, 2
-"""Of a name's gain, what another must have to be tuned in its place, and then for all to be tuned with it, which added a tenth of it in
-one of 60 trials; and how many are."""
+"""Of a name's gain, what another must have to be tuned in its place, and then for all to be tuned
+with it, which added a tenth of it in one of 60 trials; and how many are."""
 FRONT = 24
 """Effects that are tried in pairs."""
 
 
 def searched(one: EffectRegression, chosen: list[int]) -> tuple[EffectRegression, list[int]]:
-    """Shapes that predict best together: those chosen, then more while each is worth it, all tuned and looked at again."""
+    """Extend and improve a set of candidate models until nothing predicts better."""
     looked, seen = set[int | None](), set[frozenset[int]]()
     for _ in range(2 * MOST):  # one more, or another, each time
         chosen = _replaced(one, chosen)
         if not chosen:
             break
         finer, turned = search.refined(one, chosen, sweeps=1)
-        if max(each_size(finer, trial(finer, turned))) <= CANCELS * one.loudest:
+        if max(each_size(finer, trial(finer, turned))) <= CANCELS * one.largest_rms:
             one, chosen = finer, turned
         joints = {one.shapes[i].joint for i in chosen} - {None} - looked
         one = search.relisted(one, chosen, joints)
@@ -71,9 +76,9 @@ def searched(one: EffectRegression, chosen: list[int]) -> tuple[EffectRegression
     return one, chosen
 
 
-def _tuned(one: EffectRegression, shapes: Sequence[int]) -> tuple[list[Built], Trial | None]:
-    """Shapes where they predict best together, and what they do then; None where that is no physics, or the last is none that counts."""
-    built = search.turned(one, shapes, 1)
+def _optimised(one: EffectRegression, shapes: Sequence[int]) -> tuple[list[Built], Trial | None]:
+    """Candidate models optimised jointly, and their trial; None if implausible or too small."""
+    built = search.optimised(one, shapes, 1)
     small = search.afresh(one, built)
     found = trial(small, range(len(built)))
     large = each_size(small, found)
@@ -81,60 +86,63 @@ def _tuned(one: EffectRegression, shapes: Sequence[int]) -> tuple[list[Built], T
         found.is_plausible
         and agrees(small, found)
         and counts(small, found, large)
-        and max(large) <= CANCELS * one.loudest
+        and max(large) <= CANCELS * one.largest_rms
     )
     return built, found if good else None
 
 
 def _contested(one: EffectRegression, chosen: list[int]) -> tuple[EffectRegression, list[int]]:
-    """One of the names that were tuned replaced by another that predicts better when it is tuned as well: a grid has it not at its best."""
+    """Replace an effect by a rival that predicts better when it is optimised as well."""
     now = trial(one, chosen).gain
     for i in chosen:
         others, told = [k for k in chosen if k != i], one.shapes[i].effect
         rest = trial(one, others).gain
         least = rest + CLOSE * (now - rest)
         rivals = (h for h in ranked(one, tuple(others), name) if h.effect != told)
-        for h in islice(takewhile(lambda h, least=least: h.trial.gain > least, rivals), CONTENDERS):  # type: ignore[misc]
-            nearly = search.afresh(one, search.turned(one, [*others, h.shape], 1, len(others)))
+        better = takewhile(lambda h, least=least: h.trial.gain > least, rivals)  # type: ignore[misc]
+        for h in islice(better, CONTENDERS):
+            nearly = search.afresh(one, search.optimised(one, [*others, h.shape], 1, len(others)))
             if trial(nearly, range(len(chosen))).gain < rest + CLOSER * (now - rest):
                 continue
-            built, found = _tuned(one, [*others, h.shape])
+            built, found = _optimised(one, [*others, h.shape])
             lead = -search.NATS if _plainer(h.effect, told) else search.NATS
             if found is None or found.gain < now + lead:
                 continue
             finer, instead = search.joined(one, [*others, h.shape], built)
             if not _stays(finer, trial(finer, instead)):
                 continue
-            again = _tuned(one, chosen)[1]  # the one that is there may get better too
+            again = _optimised(one, chosen)[1]  # the one that is there may get better too
             if again is None or found.gain > again.gain + lead:
                 return finer, instead
     return one, chosen
 
 
 def _plainer(effect: str, other: str) -> bool:
-    """Whether an effect is what a trusted prior may simply have wrong, and another is not: no law need be bent to say that a joint has
-    friction."""
+    """Tell whether an effect is one that a trusted prior may have wrong, and the other is not."""
     return EFFECTS_BY_NAME[effect].prior_only and not EFFECTS_BY_NAME[other].prior_only
 
 
 def _stays(one: EffectRegression, found: Trial) -> bool:
-    """Whether the last of some shapes is believed beside the others, or by itself."""
+    """Tell whether the last of some candidate models is accepted jointly with the others."""
     others = found.shapes[:-1]
     return _earns(one, others, found, trial(one, others).gain)
 
 
 def _further(one: EffectRegression, chosen: list[int]) -> tuple[EffectRegression, list[int] | None]:
-    """Those chosen and what predicts best beside them, if it is worth it; or beside one of them in another of its shapes: what is told
-    alone bends to take what is another's. What is not worth it as a grid has it may be, where all are tuned together."""
+    """Add the best further candidate model, if it is worth it.
+
+    One accepted model may also change its form, since alone it absorbs torque of other effects. A
+    model that is not worth it as the grid has it may be when all are optimised jointly.
+    """
     now = trial(one, chosen).gain
     best = list[Trial]()
-    for way in (_beside(one, chosen, now), _bent(one, chosen)):
+    for way in (_jointly(one, chosen, now), _with_other_form(one, chosen)):
         for number, found in enumerate(way):
             if _earns(one, chosen, found, now):
                 return one, list(found.shapes)
             best += [found] if number == 0 else []
     for found in best:
-        built, tuned = _tuned(one, found.shapes)
+        built, tuned = _optimised(one, found.shapes)
         if tuned is None or tuned.gain < now:
             continue
         finer, wider = search.joined(one, found.shapes, built)
@@ -143,8 +151,8 @@ def _further(one: EffectRegression, chosen: list[int]) -> tuple[EffectRegression
     return one, None
 
 
-def _beside(one: EffectRegression, chosen: list[int], now: float) -> Iterator[Trial]:
-    """Those chosen beside one more at the end, the best first. now: their gain."""
+def _jointly(one: EffectRegression, chosen: list[int], now: float) -> Iterator[Trial]:
+    """Trials of the chosen models with one more, the best first, above the present gain."""
     yield from (
         h.trial
         for h in takewhile(lambda h: h.trial.gain > now + search.NATS, ranked(one, tuple(chosen)))
@@ -152,8 +160,8 @@ def _beside(one: EffectRegression, chosen: list[int], now: float) -> Iterator[Tr
     )
 
 
-def _bent(one: EffectRegression, chosen: list[int]) -> Iterator[Trial]:
-    """The best of those chosen with one of them in another shape, beside one more at the end."""
+def _with_other_form(one: EffectRegression, chosen: list[int]) -> Iterator[Trial]:
+    """The best trial with one of the chosen models in another form, and one model more."""
     if len(chosen) > BENT:
         return
     found = list[Trial]()
@@ -171,7 +179,7 @@ def _bent(one: EffectRegression, chosen: list[int]) -> Iterator[Trial]:
 
 
 def _siblings(one: EffectRegression, i: int, chosen: Sequence[int]) -> list[int]:
-    """Other shapes of the same effect at the same joint, not chosen themselves."""
+    """Other candidate models of the same effect at the same joint."""
     own = one.shapes[i]
     if own.interval is not None:
         return []
@@ -183,17 +191,20 @@ def _siblings(one: EffectRegression, i: int, chosen: Sequence[int]) -> list[int]
 
 
 def _earns(one: EffectRegression, others: Sequence[int], wider: Trial, rest: float) -> bool:
-    """Whether the last of some shapes adds enough to the gain of others, `rest`: a share of it, lest it mend their form, or most of what
-    they leave.
+    """Tell whether the last model adds enough to the gain of the others.
 
-    Where they explain the lesser part, a share of that is enough, if the noise is known: else what is left there may be anything. What
-    explains nearly all that is left beyond known noise needs no share. A name that is there earns one more shape sooner, and by its share.
+    It must add a share of their gain, so that it does not fit the model error of another effect, or
+    explain most of what they leave. Where they explain the smaller part, a share of that is enough,
+    if the noise is known. A model that explains nearly all beyond known noise needs no share. A
+    further model of an accepted effect needs a smaller share.
     """
     shape, adds = wider.shapes[-1], wider.gain - rest
     there = any(who(one.shapes[i]) == who(one.shapes[shape]) for i in others)
     if not _believed(one, wider, rest):
         return False
-    share = (LIKE if there and one.shapes[shape].allows_several else SAME if there else SHARE) * rest
+    share = (
+        LIKE if there and one.shapes[shape].allows_several else SAME if there else SHARE
+    ) * rest
     if adds > share:
         return True
     before, rested, after = (search.level(one, shapes) for shapes in ((), others, wider.shapes))
@@ -207,7 +218,7 @@ def _earns(one: EffectRegression, others: Sequence[int], wider: Trial, rest: flo
         return True
     if there:
         return False
-    if noise is not None and not _mends(one, others, shape):
+    if noise is not None and not _fits_model_error(one, others, shape):
         beyond = rested[joint] / noise[joint] - 1.0
         if beyond > CLEARLY and after[joint] / noise[joint] - 1.0 < (1.0 - BEYOND) * beyond:
             return True
@@ -215,14 +226,16 @@ def _earns(one: EffectRegression, others: Sequence[int], wider: Trial, rest: flo
 
 
 def _believed(one: EffectRegression, wider: Trial, rest: float) -> bool:
-    """Whether what the last of some shapes adds to a gain `rest` of the others is no noise. What a fault of the measurement may feign is
-    believed too, of the usual gain, where another name at its joint is believed and adds less, and nothing beside it: something is there,
-    and this says it better."""
+    """Tell whether the gain of the last model is no noise.
+
+    An effect that a measurement artefact may mimic is accepted too, if another effect at its joint
+    is accepted that gains less, and nothing jointly with it.
+    """
     *others, shape = wider.shapes
     adds = wider.gain - rest
     if adds > one.bar(shape):
         return True
-    if adds < one.unfeigned_bar(shape):
+    if adds < one.bar_without_artefacts(shape):
         return False
     own = one.shapes[shape]
     for h in takewhile(lambda h: h.trial.gain > rest + search.NATS, ranked(one, tuple(others))):
@@ -233,15 +246,15 @@ def _believed(one: EffectRegression, wider: Trial, rest: float) -> bool:
     return False
 
 
-def _mends(one: EffectRegression, others: Sequence[int], shape: int) -> bool:
-    """Whether a shape's effect is taken for one that is at its joint already: it could mend that one's form whatever it leaves."""
+def _fits_model_error(one: EffectRegression, others: Sequence[int], shape: int) -> bool:
+    """Tell whether a model's effect is confusable with one at its joint."""
     own = one.shapes[shape]
     there = {one.shapes[i].effect for i in others if one.shapes[i].joint == own.joint}
     return any(are_confusable(own.effect, other) for other in there)
 
 
 def _replaced(one: EffectRegression, chosen: list[int]) -> list[int]:
-    """Each shape in turn replaced by what predicts best beside the others, or left out where it is not worth it, until none is."""
+    """Replace each model by a better one, or drop it, until nothing changes."""
     for _ in range(3):
         before = list(chosen)
         for i in before:
@@ -266,8 +279,7 @@ def _replaced(one: EffectRegression, chosen: list[int]) -> list[int]:
 
 
 def begun(one: EffectRegression, alone: Sequence[Hypothesis]) -> tuple[EffectRegression, list[int]]:
-    """The single that predicts best, or the best pair where that predicts more than it does when it is tuned: two on a grid may say between
-    them what one says off it. alone: singles, the best first."""
+    """Return the best model, or the best pair if it predicts more than the optimised model."""
     single, pair = [alone[0].shape], _best_pair(one, alone)
     if pair is None:
         return one, single
@@ -276,7 +288,7 @@ def begun(one: EffectRegression, alone: Sequence[Hypothesis]) -> tuple[EffectReg
 
 
 def _best_pair(one: EffectRegression, alone: Sequence[Hypothesis]) -> list[int] | None:
-    """The pair that predicts best, if it predicts enough better than the best single and both parts are of a size that counts."""
+    """The pair that predicts best, if it predicts enough better than the best single model."""
     single = alone[0].trial.gain
     beside = islice(ranked(one, (alone[0].shape,)), FRONT // 2)
     front = list({h.shape: h for h in (*alone[: FRONT // 2], *beside)}.values())
@@ -292,7 +304,7 @@ def _best_pair(one: EffectRegression, alone: Sequence[Hypothesis]) -> list[int] 
             if (
                 large[0] > SMALLEST
                 and counts(one, found, large)
-                and max(large) <= CANCELS * one.loudest
+                and max(large) <= CANCELS * one.largest_rms
             ):
                 best = (found.gain, [a.shape, b.shape])
     return None if best is None or best[0] - single < max(search.NATS, SHARE * single) else best[1]

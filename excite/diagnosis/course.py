@@ -1,4 +1,4 @@
-"""The course of a search: from the equations of two halves to names, over a scale that sharpens as more is found."""
+"""Course of a diagnosis: from the equations of two folds to findings, with a decreasing scale."""
 
 from __future__ import annotations
 
@@ -20,18 +20,28 @@ from .session_changes import Halves
 Array = np.ndarray
 Progress = Callable[[str], None]
 MISFIT = {"periods": 0.1, "differences": 0.3}
-"""Share of the residual taken for a form that is not quite the catalogue's, by how the noise is known."""
+"""Share of the residual taken for a form that is not quite the catalogue's, by how the noise is
+known."""
 AGAIN, COARSE = 2, 0.7
-"""Times that all is looked at again over what is left, and from which share of its scale on that is not worth it."""
+"""Times that all is looked at again over what is left, and from which share of its scale on that is
+not worth it."""
 
 CLEAR = 0.3
-"""Of what is left with drives that are the same in all recordings, what others must leave, to be told before anything is taken for late."""
+"""Of what is left with drives that are the same in all recordings, what others must leave, to be
+told before anything is taken for late."""
 
 
 @dataclass(frozen=True)
 class Course:
-    """What a search came to. scale: that torque is told over. Shape (n,) [N m]. differing: whether drives differ between recordings, so
-    that each after the first has its own."""
+    """State of a diagnosis.
+
+    Attributes:
+        one: The effect regression.
+        verdict: The verdict.
+        noisy: The noise estimate.
+        scale: Scale by which torque is divided [N m], shape (n,).
+        differing: Whether every recording after the first has its own actuator parameters.
+    """
 
     one: EffectRegression
     verdict: Verdict
@@ -41,21 +51,21 @@ class Course:
 
     @property
     def shapes(self) -> tuple[int, ...]:
-        """Of what was found."""
+        """Indices of the accepted candidate models."""
         return () if self.verdict.together is None else self.verdict.together.shapes
 
     @property
     def residual(self) -> Array:
-        """Mean square over what a right model would leave, of all recordings. Shape (n,)."""
+        """Mean square residual of all recordings over that of a right model, shape (n,)."""
         return search.level(self.one, self.shapes) * (self.scale / self.noisy.noise_rms) ** 2
 
     @property
     def later(self) -> Array:
-        """What is left of the held-out torque, over the scale. Shape (N, n)."""
+        """Residual of the held-out torque over the scale, shape (N, n)."""
         return held_out_test.residuals(self.one, self.verdict.together, np.ones(len(self.scale)))[1]
 
     def explained(self, moves: Array) -> bool:
-        """Whether no joint's torque is left louder than noise, of all recordings or of those held out. moves: rows of these that count."""
+        """Return True if no residual exceeds the noise, on all and on held-out recordings."""
         most = 1.0 + session_changes.MIN_EXCESS
         return bool(
             (self.residual < most).all()
@@ -63,10 +73,13 @@ class Course:
         )
 
     def otherwise(
-        self, other: Callable[[], EffectRegression], scale: Array, every: Sequence[RecordedMotion], moves: Array
+        self,
+        other: Callable[[], EffectRegression],
+        scale: Array,
+        every: Sequence[RecordedMotion],
+        moves: Array,
     ) -> bool:
-        """Whether what is left of all recordings, or of those held out, says that drives differ. other: makes the design where they do,
-        over a scale."""
+        """Return True if the residual says that actuators differ between recordings."""
         if session_changes.differs(
             self.one, self.shapes, every, (self.noisy.noise_rms / self.scale) ** 2
         ):
@@ -78,7 +91,7 @@ class Course:
 
     @property
     def _expected(self) -> Array:
-        """Mean square over the scale that a right model would leave of the held-out torque. Shape (n,)."""
+        """Mean square over the scale of a right model's held-out residual, shape (n,)."""
         return np.asarray(
             (self.noisy.noise_rms / self.scale) ** 2
             + held_out_test.reach(self.one, np.ones(len(self.scale))) ** 2
@@ -93,10 +106,10 @@ def run(
     names: Collection[str],
     progress: Progress,
 ) -> Course:
-    """Search with drives that are the same in all recordings, or where that leaves what others would take, with drives of their own, if
-    these are sure then. Laws come first: over speed they may look like other drives where each recording has a speed of its own.
+    """Search with common actuator parameters, and where these do not suffice with separate ones.
 
-    trusted, names: see `diagnosis.Options`.
+    Effects come first: over speed they may look like a change of friction if each recording has its
+    own speed. For `trusted` and `names` see `diagnosis.DiagnosisOptions`.
     """
     every, scale = (
         [*halves[0], *halves[1]],
@@ -121,7 +134,8 @@ def run(
         return (
             found
             if any(
-                change.is_significant for change in session_changes.changes(found.one, found.shapes, halves)
+                change.is_significant
+                for change in session_changes.changes(found.one, found.shapes, halves)
             )
             else None
         )
@@ -150,14 +164,14 @@ def run(
 
 
 def _begun(one: EffectRegression, noisy: NoiseEstimate, scale: Array) -> Course:
-    """What is found first over a coarse scale, then over what that leaves."""
+    """The result of a search with the initial scale, then with the residual's."""
     one, verdict = judge.judged(_warned(one, noisy, scale))
     one, verdict, scale = _sharper(one, verdict, noisy, scale)
     return Course(one, verdict, noisy, scale)
 
 
 def _followed(begun: Course, every: Sequence[RecordedMotion]) -> Course:
-    """The same with all late that a delay delays, and over noise without what touched the robot once."""
+    """The same with delayed effects, and with the noise re-estimated without contacts."""
     noisy = begun.noisy
     one, verdict, scale = _sharper(*late.followed(begun.one, begun.verdict), noisy, begun.scale)
     for _ in range(AGAIN):
@@ -166,18 +180,20 @@ def _followed(begun: Course, every: Sequence[RecordedMotion]) -> Course:
         ):
             break
         left = search.remaining(one, verdict.together.shapes) * scale
-        noisy = noise.refine_by_repetition(noisy, every, recorded_motion.split_by_motion(left, every))
+        noisy = noise.refine_by_repetition(
+            noisy, every, recorded_motion.split_by_motion(left, every)
+        )
         one, verdict, scale = _sharper(one, verdict, noisy, scale)
     return Course(one, once.kept(one, verdict, every, noisy.periods), noisy, scale)
 
 
 def _scale(noisy: NoiseEstimate, left: Array) -> Array:
-    """Noise, and a share of an RMS residual for a form that is not quite the catalogue's. Shape (n,) [N m]."""
+    """Noise plus a share of the RMS residual for inexact forms of effects [N m], shape (n,)."""
     return np.asarray(np.sqrt(noisy.floor**2 + (MISFIT[noisy.method] * left) ** 2))
 
 
 def _warned(one: EffectRegression, noisy: NoiseEstimate, scale: Array) -> EffectRegression:
-    """The design that knows what the encoders' steps feign, and samples that are too rare."""
+    """The regression with the gains that measurement artefacts mimic."""
     steps, sharpened = (
         [((a / scale).ravel(), (b / scale).ravel()) for a, b in own]
         for own in (noisy.quantization_draws, [noisy.sharpened])
@@ -195,7 +211,7 @@ def _warned(one: EffectRegression, noisy: NoiseEstimate, scale: Array) -> Effect
 def _sharper(
     one: EffectRegression, verdict: Verdict, noisy: NoiseEstimate, scale: Array
 ) -> tuple[EffectRegression, Verdict, Array]:
-    """Looked at again over the scale that is left with what was found: a slight effect beside a strong one drowns in the first."""
+    """Search again with the scale of the residual, so that weak effects become visible."""
     for _ in range(AGAIN):
         if verdict.together is None:
             break
@@ -209,5 +225,5 @@ def _sharper(
 
 
 def rms(one: EffectRegression, shapes: Sequence[int], scale: Array) -> Array:
-    """RMS of what is left of all recordings when base and shapes are fitted to them. Shape (n,) [N m]."""
+    """Return the RMS residual of a fit to all recordings [N m], shape (n,)."""
     return np.asarray(np.sqrt(search.level(one, shapes)) * scale)

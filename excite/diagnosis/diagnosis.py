@@ -1,4 +1,4 @@
-"""Diagnosis of a robot from recordings: which effects the base model lacks, and how certain it is."""
+"""Diagnosis of a robot from recordings: the effects that the base model lacks."""
 
 from __future__ import annotations
 

@@ -138,7 +138,7 @@ def _gear(diagnosis: Diagnosis, gear: GearEstimate) -> dict[str, Any]:
 
 
 def _parameters(diagnosis: Diagnosis) -> list[dict[str, Any]]:
-    """Base parameters without and with the findings, the largest change in standard errors first."""
+    """Base parameters without and with the findings, the most significant change first."""
     if diagnosis.refitted is None or not diagnosis.verdict.findings:
         return []
     base, plain, refitted = (
@@ -272,7 +272,7 @@ def _considered(diagnosis: Diagnosis, hypothesis: Hypothesis) -> dict[str, Any]:
 
 
 def _doubted(diagnosis: Diagnosis, finding: Finding) -> dict[str, Any]:
-    """A finding below the probability to be reported; it is part of the model if it predicts better."""
+    """Element of "considered" for a finding of low probability; it may still be in the model."""
     stated, together = _considered(diagnosis, finding.main), diagnosis.verdict.together
     modelled = together is not None and finding.main.shape in together.shapes
     changed = {

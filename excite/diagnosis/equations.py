@@ -1,4 +1,4 @@
-"""A diagnosis's equations: both halves of the recordings beside the base model, and the columns of the catalogue on them."""
+"""Equations of a diagnosis: both folds with the base model, and the columns of the candidates."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ROOM = 400_000_000
 
 
 def kept(psi: Array, trusted: Mapping[int, float]) -> Array:
-    """Parameters with what is trusted as it was told: a fit to data that have more in them would bend it."""
+    """Return parameters with those of a trusted prior unchanged, as a fit would distort them."""
     out = psi.copy()
     for place, value in trusted.items():
         out[place] = value
@@ -36,9 +36,15 @@ def half(
     scale: Array,
     differing: Halves | None = None,
 ) -> Half:
-    """Base columns and what they explain: all parameters, or beside a trusted prior those that it leaves free.
+    """Return the whitened equations of a fold: all base parameters, or those that a prior leaves
+    free.
 
-    differing: both halves, where drives differ between their recordings (`between`).
+    Args:
+        tracks: Motions of the fold.
+        identified: The base model.
+        trusted: Values of a trusted prior by parameter index.
+        scale: Scale of each joint's torque, shape (n,).
+        differing: Motions of both folds, if actuator parameters differ between recordings.
     """
     base, parameters = identified.model.base, identified.model.parameters
     places = np.arange(base.count)
@@ -71,7 +77,7 @@ def half(
 def _known(
     identified: Identification, trusted: Mapping[int, float], width: int
 ) -> tuple[Array, Array]:
-    """What is known of the base parameters beforehand, as rows: a short recording alone would not predict another."""
+    """Prior of the base parameters as rows: a short recording alone would not predict another."""
     n = identified.model.robot.n
     slopes = np.hstack(
         [np.zeros((n, width - n)), np.eye(n)]
@@ -81,7 +87,9 @@ def _known(
     base, prior = identified.model.base, identified.prior
     spread = (
         base.matrix
-        @ consistency.symmetric_pseudo_inverse(consistency.prior_information(identified.model.parameters, prior))
+        @ consistency.symmetric_pseudo_inverse(
+            consistency.prior_information(identified.model.parameters, prior)
+        )
         @ base.matrix.T
     )
     values, vectors = np.linalg.eigh(consistency.symmetric_pseudo_inverse(spread))
@@ -96,7 +104,14 @@ def _known(
 def shapes(
     halves: Sequence[list[RecordedMotion]], trusted: bool, floor: Array, names: Collection[str] = ()
 ) -> list[CandidateModel]:
-    """Every shape of the effects that are looked for, where noise is not too loud for it. floor: of the noise. Shape (n,) [N m]."""
+    """Return all candidate models of the wanted effects that the noise permits.
+
+    Args:
+        halves: Motions of both folds.
+        trusted: Whether a prior is trusted.
+        floor: Noise floor [N m], shape (n,).
+        names: Names of the wanted effects; all when empty.
+    """
     every = [*halves[0], *halves[1]]
     wanted = [
         effect
@@ -108,15 +123,19 @@ def shapes(
     )
     every_shape = (shape for effect in wanted for shape in effect.candidates(every))
     return [
-        shape for shape in every_shape if shape.joint is None or grain[shape.joint] <= shape.max_noise_ratio
+        shape
+        for shape in every_shape
+        if shape.joint is None or grain[shape.joint] <= shape.max_noise_ratio
     ]
 
 
 def builder(
     halves: Sequence[list[RecordedMotion]], scale: Array, listed: Sequence[CandidateModel] = ()
 ) -> search.Build:
-    """Columns of a shape on both halves, over the scale. listed: shapes that will be asked for again, beside what was found or other
-    drives; theirs are kept, as far as there is room."""
+    """Return a function that builds a candidate model's columns on both folds, over the scale.
+
+    Columns of the models in `listed`, which are needed again, are kept as far as memory permits.
+    """
     again, made, room = (
         {search.key(shape) for shape in listed},
         dict[tuple[object, ...], tuple[Columns, Columns] | None](),

@@ -1,11 +1,11 @@
 """Gear parameters from two encoders of a joint, where recordings have the link's (`qlink`).
 
 q − q_link = τ_L/K + (b/2) sgn τ_L + d q̇ + h sgn q̇ + e cos(q + φ) + const. The gear deflects by
-the torque τ_L = τ − I_a q̈ that it transmits (Spong 1987) and has backlash b. The link's encoder may be
-read a time d after the motor's, which differs from a deflection by its dependence on speed; gear
-friction causes the hysteresis h, and an eccentric encoder an error e once a turn. Standard errors
-come from a sandwich estimator over blocks of one second (Liang & Zeger 1986), because encoder
-errors repeat with the angle.
+the torque τ_L = τ − I_a q̈ that it transmits (Spong 1987) and has backlash b. The link's encoder
+may be read a time d after the motor's, which differs from a deflection by its dependence on speed;
+gear friction causes the hysteresis h, and an eccentric encoder an error e once a turn. Standard
+errors come from a sandwich estimator over blocks of one second (Liang & Zeger 1986), because
+encoder errors repeat with the angle.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Products of columns that a base fit leaves, without forming what it leaves: CᵀC less what the base takes of either."""
+"""Gram matrices of columns projected off the base model, without forming the projected columns."""
 
 from __future__ import annotations
 
@@ -14,8 +14,13 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Gram:
-    """Products of the columns that a base fit leaves, with each other and with the residual. Shapes (K, K), (K,). shadow: what it takes of
-    them, in its basis. Shape (r, K)."""
+    """Products of projected columns with each other and with the residual.
+
+    Attributes:
+        matrix: CᵀC of the projected columns, shape (K, K).
+        score: Their products with the residual, shape (K,).
+        shadow: Their components along the basis of the base fit, shape (r, K).
+    """
 
     matrix: Array
     score: Array
@@ -23,28 +28,33 @@ class Gram:
 
     @classmethod
     def none(cls, rank: int) -> Gram:
-        """Of no column, beside a base fit of so many."""
+        """Return the products of no columns, for a base fit of a given rank."""
         return cls(np.zeros((0, 0)), np.zeros(0), np.zeros((rank, 0)))
 
 
 @dataclass(frozen=True)
 class AddedProducts:
-    """New columns of a recording set. products: of all columns, these at the end, with them. Shape (K, k). shadow: what the base takes of
-    them, in its basis. Shape (r, k). score: of them with its residual. Shape (k,)."""
+    """Products of new columns of a recording set.
+
+    Attributes:
+        products: With all columns, the new ones last, shape (K, k).
+        shadow: Components along the basis of the base fit, shape (r, k).
+        score: Products with the residual, shape (k,).
+    """
 
     products: Array
     shadow: Array
     score: Array
 
     def __add__(self, other: AddedProducts) -> AddedProducts:
-        """The same of two sets that share a base fit."""
+        """Return the products over two recording sets that share a base fit."""
         return AddedProducts(
             self.products + other.products, self.shadow + other.shadow, self.score + other.score
         )
 
 
 def grown(gram: Gram, new: AddedProducts) -> Gram:
-    """Products with further columns, free of the base: CᵀC less what the base takes of either."""
+    """Return the products with further columns, projected off the base."""
     shadow, old = np.hstack([gram.shadow, new.shadow]), len(gram.matrix)
     cross = new.products - shadow.T @ new.shadow
     matrix = np.empty((len(cross), len(cross)))
@@ -61,8 +71,15 @@ def powers(
     shadow: Array,
     places: Sequence[slice],
 ) -> list[Array]:
-    """Mean products of each new shape's columns, free of the base, on every joint: the base's share of them is `shadow`, and `shares`
-    what that is worth on a joint. basis: of the base fit, at the recorded rows of each set, Shape (m, r). Shapes (n, k, k)."""
+    """Return the mean products of each new model's projected columns on every joint, (n, k, k).
+
+    Args:
+        new: New columns of each recording set.
+        basis: Basis of the base fit at the recorded rows of each set, shapes (m, r).
+        shares: Products of the basis on each joint, shape (n, r, r).
+        shadow: Components of the columns along the basis, shape (r, k).
+        places: Columns of each model.
+    """
     joints, samples = new[0].joints, sum(len(own.values[0]) for own in new)
     out = [
         np.zeros((joints, place.stop - place.start, place.stop - place.start)) for place in places

@@ -1,4 +1,4 @@
-"""Whitened equations of a set of recordings: the base model's columns, the torque they explain, and what was known before."""
+"""Whitened equations of a fold: base columns, the torque they explain, and the prior."""
 
 from __future__ import annotations
 
@@ -15,10 +15,13 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Half:
-    """Whitened equations of some recordings, and below them what was known before. gamma: base columns. Shape (m + k, p).
+    """Whitened equations of some recordings, followed by k rows of the prior.
 
-    torque: Shape (m + k,). joint: of each row, −1 of the k rows that no recording made. Shape (m + k,). counts: rows that are judged by;
-    all else is zero in the others. Shape (m + k,).
+    Attributes:
+        gamma: Base columns, shape (m + k, p).
+        torque: Right side, shape (m + k,).
+        joint: Joint of each row, −1 for rows of the prior, shape (m + k,).
+        counts: Rows that are judged; all others are zero, shape (m + k,).
     """
 
     gamma: Array
@@ -33,43 +36,44 @@ class Half:
 
     @cached_property
     def _factors(self) -> tuple[Array, Array]:
+        """Factors of the base columns."""
         return factors(self.gamma)
 
     @property
     def basis(self) -> Array:
-        """Orthonormal columns that span Γ's. Shape (m + k, r)."""
+        """Orthonormal basis of the base columns, shape (m + k, r)."""
         return self._factors[0]
 
     @cached_property
     def recorded(self) -> tuple[Array, Array]:
-        """The basis and the residual at the rows that were recorded. Shapes (m, r), (m,)."""
+        """Basis and residual at the recorded rows, shapes (m, r), (m,)."""
         return self.basis[self.rows], self.residual[self.rows]
 
     @cached_property
     def shares(self) -> Array:
-        """QᵀQ of the basis's rows on each joint. Shape (n, r, r)."""
+        """Products of the basis's rows on each joint, shape (n, r, r)."""
         own = self.recorded[0].reshape(-1, int(self.joint.max()) + 1, self.basis.shape[1])
         return np.stack([own[:, j].T @ own[:, j] for j in range(own.shape[1])])
 
     @cached_property
     def inverse(self) -> Array:
-        """Γ⁺. Shape (p, m + k)."""
+        """Pseudo-inverse of the base columns, shape (p, m + k)."""
         return np.asarray(self._factors[1] @ self.basis.T)
 
     def full(self, columns: Array) -> Array:
-        """Columns at the recorded rows, with the zeros that they have elsewhere. Shapes (m, k) -> (m + k, k)."""
+        """Return columns with zeros at the rows of the prior: (m, k) -> (m + k, k)."""
         out = np.zeros((len(self.joint), columns.shape[1]))
         out[self.rows] = columns
         return out
 
     def free(self, columns: Array) -> Array:
-        """What the base leaves of columns. Shapes (m, k) -> (m + k, k)."""
+        """Return columns projected off the base: (m, k) -> (m + k, k)."""
         full = self.full(columns)
         return np.asarray(full - self.basis @ (self.basis.T @ full))
 
     @cached_property
     def residual(self) -> Array:
-        """Torque that the base leaves. Shape (m + k,)."""
+        """Residual of the base fit, shape (m + k,)."""
         return np.asarray(self.torque - self.basis @ (self.basis.T @ self.torque))
 
 
@@ -80,9 +84,14 @@ def whitened(
     scale: Array,
     known: tuple[Array, Array],
 ) -> Half:
-    """Rows of several stretches over a scale. base: base columns of each, (N, n, p); torque: what they explain, (N, n); counts: see `Half`.
+    """Return the equations of several motions over a scale.
 
-    known: further rows and their right side, already over their uncertainty. Shapes (k, p), (k,).
+    Args:
+        base: Base columns of each motion, shapes (N, n, p).
+        torque: Their right sides, shapes (N, n).
+        counts: Rows that are judged, shapes (N, n).
+        scale: Scale of each joint, shape (n,).
+        known: Rows of the prior and their right side, shapes (k, p), (k,).
     """
     n = len(scale)
     gamma = np.concatenate([b / scale[:, None] for b in base]).reshape(-1, base[0].shape[2])
@@ -99,7 +108,7 @@ def whitened(
 
 
 def stacked(halves: tuple[Half, Half]) -> Half:
-    """Both halves, what was known before counted once."""
+    """Return the equations of both folds, with the prior once."""
     first, second = halves
     seen = second.rows
     fields = ("gamma", "torque", "joint", "counts")
@@ -109,8 +118,10 @@ def stacked(halves: tuple[Half, Half]) -> Half:
 
 
 def facing(halves: tuple[Half, Half], both: Half) -> tuple[Array, Array]:
-    """What a half's columns are multiplied with, at its recorded rows: the basis of its base fit, what that leaves, then those of both
-    halves' fit. Shape (m, r + r′ + 2)."""
+    """Return what a fold's columns are multiplied with, shape (m, r + r′ + 2).
+
+    The basis and the residual of its own base fit, then those of the joint fit.
+    """
     basis, left = (np.split(x, [len(halves[0].recorded[1])]) for x in both.recorded)
     first, second = (
         np.column_stack([*half.recorded, *own])

@@ -1,4 +1,4 @@
-"""What one recording foretells of another: the second half's torque by what the first half teaches, and findings that make it worse."""
+"""Test of findings on held-out torque, predicted with coefficients fitted to the training fold."""
 
 from __future__ import annotations
 
@@ -12,17 +12,19 @@ from .search import EffectRegression, Trial
 
 Array = np.ndarray
 WORSE, SHOWN = 1.05, 0.1
-"""Held-out mean square with a finding over that without, from which it is refuted; unless the halves, each by itself, show so much of its
-gain: a law whose columns are nearly alike in the first is foretold badly though it is right."""
+"""Held-out mean square with a finding over that without, from which it is refuted; unless the
+halves, each by itself, show so much of its gain: a law whose columns are nearly alike in the first
+is foretold badly though it is right."""
 CHANCE = 9.0
-"""Times the variance that coefficients bring which the first half does not tell, that is forgiven: three standard deviations, as noise has
-colour, and a law that is not quite right is told worse than noise lets it."""
+"""Times the variance that coefficients bring which the first half does not tell, that is forgiven:
+three standard deviations, as noise has colour, and a law that is not quite right is told worse than
+noise lets it."""
 BELIEVED = 0.12
 """Probability of a finding that is refuted."""
 
 
 def residuals(one: EffectRegression, together: Trial | None, scale: Array) -> tuple[Array, Array]:
-    """Torque of the second half that the base model fitted to the first leaves, and with some shapes. Shapes (N, n) [N m]."""
+    """Return the held-out residual of the base model, and with candidate models [N m], (N, n)."""
     before = one.across.reshape(-1, len(scale)) * scale
     if together is None:
         return before, before
@@ -38,9 +40,10 @@ def residuals(one: EffectRegression, together: Trial | None, scale: Array) -> tu
 
 
 def reach(one: EffectRegression, scale: Array) -> Array:
-    """RMS by which the held-out torque is off because the first half does not tell the base parameters better. Shape (n,) [N m].
+    """Return the RMS error of held-out torque by the uncertainty of the base parameters [N m],
+    (n,).
 
-    Drives of the second half's own (`between`) are not among them.
+    Actuator parameters of the held-out recordings alone are not included.
     """
     first, second = one.halves
     gamma, covariance = second.gamma[second.rows] * ~_own(one), first.inverse @ first.inverse.T
@@ -51,9 +54,13 @@ def reach(one: EffectRegression, scale: Array) -> Array:
 
 
 def tested(one: EffectRegression, verdict: Verdict, moves: Array, noise: Array) -> Verdict:
-    """The verdict without what the held-out torque speaks against, one finding after the other, the worst first.
+    """Reject findings that worsen the prediction of held-out torque, one by one, the worst first.
 
-    moves: rows of the second half that are judged, Shape (N, n). noise: mean square over the scale, Shape (n,).
+    Args:
+        one: The effect regression.
+        verdict: The verdict.
+        moves: Rows of the held-out fold that are judged, shape (N, n).
+        noise: Mean square noise over the scale, shape (n,).
     """
     while verdict.findings:
         ratios = [_ratios(one, verdict, finding, moves, noise) for finding in verdict.findings]
@@ -70,8 +77,11 @@ def tested(one: EffectRegression, verdict: Verdict, moves: Array, noise: Array) 
 def _ratios(
     one: EffectRegression, verdict: Verdict, finding: Finding, moves: Array, noise: Array
 ) -> tuple[float, float]:
-    """Held-out mean square over noise, where a finding acts: with all findings over that without this one, or without any, whichever is
-    more; less what may be chance, and as it is. 0 of what happened once, not to be foretold, and of what a half shows by itself."""
+    """Held-out mean square with a finding over that without it, net of chance, and as it is.
+
+    Zero for transient effects, which cannot be predicted, and for findings that a fold shows by
+    itself.
+    """
     together = verdict.together
     assert together is not None
     rest = search.trial(one, judge.without(together.shapes, finding.parts))
@@ -96,8 +106,7 @@ def _ratios(
 
 
 def levelled(one: EffectRegression, left: Array) -> Array:
-    """What is left of the second half's torque without what drives of its own may take (`between`): no finding makes that better or worse.
-    As it is, where drives are the same in all recordings. Shape (N, n)."""
+    """Return the held-out residual without what separate actuator parameters explain, (N, n)."""
     own, second = _own(one), one.halves[1]
     if not own.any():
         return left
@@ -109,13 +118,13 @@ def levelled(one: EffectRegression, left: Array) -> Array:
 
 
 def _own(one: EffectRegression) -> Array:
-    """Base columns that only the second half's recordings have. Shape (p,)."""
+    """Base columns that only the held-out recordings have, shape (p,)."""
     first, second = one.halves
     return ~first.gamma[first.rows].any(axis=0) & second.gamma[second.rows].any(axis=0)
 
 
 def _unsure(one: EffectRegression, found: Trial, moves: Array) -> Array:
-    """Mean square by which the second half's torque is off because the first half does not tell coefficients better. Shape (n,)."""
+    """Mean square error of held-out torque by the uncertainty of the coefficients, shape (n,)."""
     which = one.which(
         [i for i in found.shapes if one.shapes[i].interval is None]
     )  # what happened once is known from where it did

@@ -1,4 +1,4 @@
-"""Effects at joints, each in its best shape, alone or beside others; how large they are, and whether both halves agree."""
+"""Hypotheses: effects at joints in their best candidate model, their size and consistency."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from .search import EffectRegression, Trial, trial
 
 Array = np.ndarray
 ALONE, SMALLEST = 0.24, 0.3
-"""RMS torque of an effect over the scale, below which nothing is asserted, alone and beside others: clocks, encoders and friction's step
-are never as the model has them. What predicts as much as a name must, in 280 simulated robots with nothing missing, is 0.21 at the most."""
+"""RMS torque of an effect over the scale, below which nothing is asserted, alone and beside others:
+clocks, encoders and friction's step are never as the model has them. What predicts as much as a
+name must, in 280 simulated robots with nothing missing, is 0.21 at the most."""
 CANCELS = 5.0
 """Times what the base model leaves that an effect may be beside others."""
 ABOVE = 2.0
@@ -22,12 +23,22 @@ ABOVE = 2.0
 SEEN = 9.0
 """Log-likelihood, twice, from which a half sees an effect: three standard deviations."""
 ACTS = 0.2
-"""Of an effect's torque at the joint where it is largest, what another joint must feel of it to be looked at too."""
+"""Of an effect's torque at the joint where it is largest, what another joint must feel of it to be
+looked at too."""
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """An effect at a joint in its best shape. size: RMS of its torque over the noise floor, the base refit. shows: whether that counts."""
+    """An effect at a joint in its best candidate model.
+
+    Attributes:
+        effect: Name of the effect.
+        joint: Index of the joint; None for no single joint.
+        shape: Index of the candidate model.
+        trial: Fit of the model, jointly with others.
+        size: RMS of its torque over the scale, the base refit.
+        shows: Whether that size counts.
+    """
 
     effect: str
     joint: int | None
@@ -38,19 +49,26 @@ class Hypothesis:
 
 
 def who(shape: CandidateModel) -> tuple[str, int | None]:
+    """Return effect and joint of a candidate model."""
     return shape.effect, shape.joint
 
 
 def name(shape: CandidateModel) -> str:
+    """Return the effect of a candidate model."""
     return shape.effect
 
 
 def ranked(
-    one: EffectRegression, beside: tuple[int, ...] = (), each: Callable[[CandidateModel], object] = who
+    one: EffectRegression,
+    beside: tuple[int, ...] = (),
+    each: Callable[[CandidateModel], object] = who,
 ) -> Iterator[Hypothesis]:
-    """Every effect at every joint in its best plausible shape, alone or beside shapes that are there already, the best first.
+    """Yield every effect at every joint in its best plausible model, the best first.
 
-    each: what only the best is wanted of, if not an effect at a joint.
+    Args:
+        one: The effect regression.
+        beside: Models with which each is fitted jointly.
+        each: Key of which only the best is wanted, if not effect and joint.
     """
     (predicts, own), done = search.fits(one, beside), set[object]()
     there = {who(one.shapes[i]) for i in beside}
@@ -69,7 +87,7 @@ def ranked(
         if not found.is_plausible or not agrees(one, found):
             continue
         large = each_size(one, found)
-        if not beside or max(large) <= CANCELS * one.loudest:
+        if not beside or max(large) <= CANCELS * one.largest_rms:
             done.add(each(shape))
             yield Hypothesis(
                 shape.effect, shape.joint, i, found, large[-1], counts(one, found, large)
@@ -77,13 +95,12 @@ def ranked(
 
 
 def each_size(one: EffectRegression, found: Trial) -> list[float]:
-    """The size of each of the fitted shapes. Far larger than what the base model leaves, they can only take each other off."""
+    """Return the size of each fitted model; models that compensate each other are very large."""
     return [size(one, found, number) for number in range(len(found.shapes))]
 
 
 def counts(one: EffectRegression, found: Trial, large: Sequence[float]) -> bool:
-    """Whether the last of some fitted shapes is of a size that counts: noise in columns of measured torque is in the residual too. large:
-    the size of each."""
+    """Return True if the last fitted model is large enough, also over the noise in its columns."""
     shape, noise = one.shapes[found.shapes[-1]], one.measured.noise
     own = shape.column_noise(one.split(found.shapes, found.coefficients)[-1])
     known = 1.0 if noise is None or shape.joint is None else float(np.sqrt(noise[shape.joint]))
@@ -92,7 +109,7 @@ def counts(one: EffectRegression, found: Trial, large: Sequence[float]) -> bool:
 
 
 def meanwhile(one: EffectRegression, i: int, beside: Sequence[int]) -> bool:
-    """Whether a shape lasts for some of the time, and another at another joint is there meanwhile: one touch, not two that fight."""
+    """Return True if a transient model overlaps in time with one at another joint."""
     own = one.shapes[i]
     if own.interval is None:
         return False
@@ -110,26 +127,26 @@ def meanwhile(one: EffectRegression, i: int, beside: Sequence[int]) -> bool:
 
 
 def sizes(one: EffectRegression, found: Trial, number: int) -> Array:
-    """RMS torque of one of the fitted shapes beyond the base, over the floor, on each joint. Shape (n,)."""
+    """Return the RMS torque of a fitted model on each joint, projected off the base, shape (n,)."""
     shape, c = found.shapes[number], one.split(found.shapes, found.coefficients)[number]
     return np.asarray(np.sqrt(np.maximum(np.einsum("i,jik,k->j", c, one.power[shape], c), 0.0)))
 
 
 def size(one: EffectRegression, found: Trial, number: int) -> float:
-    """The same on the joint where it is largest."""
+    """Return that on the joint where it is largest."""
     return float(sizes(one, found, number).max())
 
 
 def acting(one: EffectRegression, found: Trial, shape: int) -> Array:
-    """Joints that feel one of the fitted shapes. Shape (n,)."""
+    """Return the joints on which a fitted model acts, shape (n,)."""
     where = sizes(one, found, found.shapes.index(shape))
     return np.asarray(where > ACTS * where.max())
 
 
 def agrees(one: EffectRegression, found: Trial) -> bool:
-    """Whether the two halves say the same of the torque: what both say together, and what each says, explain most of the same in it.
+    """Return True if both folds agree on the torque of the fitted models.
 
-    What a half does not see, it need not know. What happens only then has no second time to be compared with.
+    A fold that does not observe the torque need not agree; a transient effect has no second fold.
     """
     if any(one.shapes[i].interval is not None for i in found.shapes):
         return True

@@ -1,4 +1,4 @@
-"""From fitted shapes to what is asserted: names, their parts, their rivals, or nothing."""
+"""Verdict: from fitted candidate models to findings with their rivals."""
 
 from __future__ import annotations
 
@@ -18,19 +18,28 @@ from .search import EffectRegression, Trial, trial
 
 Array = np.ndarray
 T = TypeVar("T")
-FEIGNED, AT_ALL = 1.5, 150.0
-"""Further gain that an effect needs, over what it gains at its joint from what an encoder's steps drawn anew would leave, the most of a few
-draws; and what it needs besides if it gains anything from them at any joint. What came nearest to its bar, in 46 simulated robots with
-coarse encoders and nothing missing, reached 0.7 of it."""
+ARTEFACT_FACTOR, AT_ALL = 1.5, 150.0
+"""Further gain that an effect needs, over what it gains at its joint from what an encoder's steps
+drawn anew would leave, the most of a few draws; and what it needs besides if it gains anything from
+them at any joint. What came nearest to its bar, in 46 simulated robots with coarse encoders and
+nothing missing, reached 0.7 of it."""
 CONSIDERED = 8
 """Effects told beside the findings."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What is asserted. parts: its shapes at one joint, the largest first. gain: that it adds to the others. rivals: what other names
-    would add in its place. here: those that would at its joint. equivalents: those of them that it cannot be told from. probability:
-    that the truth is it or one of these. evidence: what that is made of."""
+    """An accepted effect at a joint.
+
+    Attributes:
+        parts: Its candidate models, the largest first.
+        gain: Log-likelihood gain that it adds to the others.
+        rivals: Gain of other effects in its place.
+        here: Those of them at the same joint.
+        equivalents: Effects from which the recordings cannot distinguish it.
+        probability: Probability that the truth is the effect or an equivalent.
+        evidence: Quantities from which the probability is computed.
+    """
 
     parts: tuple[Hypothesis, ...]
     gain: float
@@ -42,13 +51,20 @@ class Finding:
 
     @property
     def main(self) -> Hypothesis:
+        """The largest of its candidate models."""
         return self.parts[0]
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """findings: the largest gain first. doubted: under a name that is likelier wrong than right. together: the parts of both that predict
-    better, fitted at once. considered: the best alternatives."""
+    """Result of a selection.
+
+    Attributes:
+        findings: Findings, the largest gain first.
+        together: Joint fit of all accepted models; None if there are none.
+        considered: Best alternatives.
+        doubted: Findings that are more likely wrong than right.
+    """
 
     findings: tuple[Finding, ...]
     together: Trial | None
@@ -57,12 +73,12 @@ class Verdict:
 
     @property
     def named(self) -> tuple[int, ...]:
-        """Shapes of what is asserted."""
+        """Indices of the candidate models of the findings."""
         return tuple(part.shape for finding in self.findings for part in finding.parts)
 
     @property
     def chosen(self) -> tuple[Hypothesis, ...]:
-        """The main part of each finding."""
+        """Largest candidate model of each finding."""
         return tuple(finding.main for finding in self.findings)
 
 
@@ -73,20 +89,29 @@ def warned(
     stepped: float,
     noise: Array | None,
 ) -> EffectRegression:
-    """The design that knows what each effect gains from residuals that an encoder alone, drawn anew, or rare samples may leave
-    (`search.pretended`); the encoder's share of the noise; and the noise, if it is known from a motion made again."""
+    """Return the regression with the gains that measurement artefacts mimic.
+
+    Args:
+        one: The effect regression.
+        steps: Residuals of both folds by encoder quantisation, several draws.
+        sharpened: Residuals of both folds by too low a sample rate.
+        stepped: Share of the noise power by encoder quantisation.
+        noise: Mean square noise over the scale, shape (n,); None if it is not known.
+    """
     drawn, rare = _most(one, steps, who), _most(one, [sharpened], name)
-    at_all, feigned = {effect for effect, _ in drawn}, dict[tuple[str, int | None], float]()
+    at_all, artefact_gains = {effect for effect, _ in drawn}, dict[tuple[str, int | None], float]()
     for shape in one.shapes:
-        by_steps = FEIGNED * drawn.get(who(shape), 0.0) + AT_ALL * (shape.effect in at_all)
-        feigned[who(shape)] = max(by_steps, rare.get(shape.effect, 0.0))
-    return replace(one, measured=Measured(feigned, stepped, noise))
+        by_steps = ARTEFACT_FACTOR * drawn.get(who(shape), 0.0) + AT_ALL * (shape.effect in at_all)
+        artefact_gains[who(shape)] = max(by_steps, rare.get(shape.effect, 0.0))
+    return replace(one, measured=Measured(artefact_gains, stepped, noise))
 
 
 def _most(
-    one: EffectRegression, residuals: Sequence[tuple[Array, Array]], each: Callable[[CandidateModel], T]
+    one: EffectRegression,
+    residuals: Sequence[tuple[Array, Array]],
+    each: Callable[[CandidateModel], T],
 ) -> dict[T, float]:
-    """What each effect, or each at a joint, gains from the residual that gives it most; none where nothing is gained."""
+    """Largest gain of each effect, or effect at a joint, from some residuals."""
     out: dict[T, float] = {}
     for residual in residuals:
         for h in ranked(search.pretended(one, residual), each=each):
@@ -96,7 +121,12 @@ def _most(
 
 
 def judged(one: EffectRegression, chosen: Sequence[int] = ()) -> tuple[EffectRegression, Verdict]:
-    """Names at joints, or none; and the design with the shapes that were found. chosen: shapes to begin with, else the best."""
+    """Return the verdict, and the regression with the candidate models that were optimised.
+
+    Args:
+        one: The effect regression.
+        chosen: Models to start with; the best when empty.
+    """
     if not chosen:
         alone = list(ranked(one))
         counts = [h for h in alone if h.shows and h.trial.gain > one.bar(h.shape)]
@@ -111,7 +141,7 @@ def judged(one: EffectRegression, chosen: Sequence[int] = ()) -> tuple[EffectReg
 
 
 def said(one: EffectRegression, chosen: Sequence[int]) -> Verdict:
-    """What some shapes say together: the findings that they are parts of."""
+    """Group some candidate models into findings."""
     if not chosen:
         return Verdict((), None, ())
     together = trial(one, chosen)
@@ -130,7 +160,10 @@ def said(one: EffectRegression, chosen: Sequence[int]) -> Verdict:
 
 
 def moved(one: EffectRegression, verdict: Verdict, better: Verdict, start: int) -> Verdict:
-    """The verdict with the parts of another about the same names, whose shapes stand in a design from `start`."""
+    """Return the verdict with the models of a better fit of the same findings.
+
+    The better fit's models start at index `start` of the regression.
+    """
     assert better.together is not None
     place = {shape: start + k for k, shape in enumerate(better.together.shapes)}
     parts = {
@@ -146,7 +179,7 @@ def moved(one: EffectRegression, verdict: Verdict, better: Verdict, start: int) 
 
 
 def refused(one: EffectRegression, verdict: Verdict, refuted: Sequence[Finding]) -> Verdict:
-    """The verdict without some of its findings, which are doubted from now on."""
+    """Return the verdict with some findings moved to the doubted ones."""
     assert verdict.together is not None
     left = instead(
         one,
@@ -157,16 +190,17 @@ def refused(one: EffectRegression, verdict: Verdict, refuted: Sequence[Finding])
 
 
 def instead(one: EffectRegression, verdict: Verdict, chosen: Sequence[int]) -> Verdict:
-    """What other shapes say together, after all that was considered and doubted for a verdict."""
+    """Return the verdict of other models, with the same alternatives and doubts."""
     return replace(said(one, chosen), considered=verdict.considered, doubted=verdict.doubted)
 
 
 def without(shapes: Sequence[int], parts: Sequence[Hypothesis]) -> list[int]:
+    """Return the models that are not among some hypotheses."""
     return [i for i in shapes if all(i != part.shape for part in parts)]
 
 
 def _finding(one: EffectRegression, together: Trial, parts: tuple[Hypothesis, ...]) -> Finding:
-    """With what other names would gain in its place."""
+    """A finding with the gains of rival effects in its place."""
     others = without(together.shapes, parts)
     effect, rest = parts[0].effect, trial(one, others).gain
     gain = together.gain - rest

@@ -1,8 +1,9 @@
-"""What is recorded late is late as a whole: beside a delay, what else is found at its joint comes as late as the base model does.
+"""Delayed effects: with a recording delay, all torque of a joint is delayed, not only the base
+model.
 
-τ(t) = [Y ψ + Σ effects](t − d), or all of it through a filter of first order. Where only the base model is taken to be late, whatever bends
-to them says how late the effects are; so, once a delay is among what was found, everything at its joint is looked for anew, delayed by what
-predicts best.
+τ(t) = [Y ψ + Σ effects](t − d), or all of it through a first-order lag. If only the base model were
+delayed, flexible effects would fit the delay of the others. Once a delay is found, everything at
+its joint is therefore sought again, delayed by what predicts best.
 """
 
 from __future__ import annotations
@@ -19,20 +20,29 @@ from .judge import Verdict
 from .search import EffectRegression, Trial
 
 LEAST, SETTLED, PASSES = 5e-4, 0.05, 2
-"""Of a delay, from which it is one [s]; how far off it was, over itself, to be looked at again; and how often that is."""
+"""Of a delay, from which it is one [s]; how far off it was, over itself, to be looked at again; and
+how often that is."""
 FURTHEST, TRIED = 3.0, 5
-"""How many times as long, or as short, a delay may be as it was told at first; and how many between are tried."""
+"""How many times as long, or as short, a delay may be as it was told at first; and how many between
+are tried."""
 USUAL = 0.01
 """Of a delay that is not known at all [s]."""
 Delays = dict[int | None, RecordingDelay]
 
 
-def followed(one: EffectRegression, verdict: Verdict, again: bool = False) -> tuple[EffectRegression, Verdict]:
-    """The design and the verdict with all late that a delay delays, where that predicts better. again: what could be one was looked at
-    before, beside nearly the same base."""
+def followed(
+    one: EffectRegression, verdict: Verdict, again: bool = False
+) -> tuple[EffectRegression, Verdict]:
+    """Delay everything that a found delay affects, where that predicts better.
+
+    Args:
+        one: The effect regression.
+        verdict: The verdict.
+        again: Whether delays were sought before, with nearly the same base model.
+    """
     if verdict.together is None:
         return one, verdict
-    together, loud = verdict.together, _loud(one, verdict.together)
+    together, loud = verdict.together, _above_noise(one, verdict.together)
     told, tuned = (
         _worth(_delays(one, together) or ({} if again else _hidden(one, together)), loud),
         list[CandidateModel](),
@@ -52,7 +62,7 @@ def followed(one: EffectRegression, verdict: Verdict, again: bool = False) -> tu
             later,
             found,
             found.together,
-            _loud(later, found.together),
+            _above_noise(later, found.together),
             [],
         )
         off = {
@@ -63,18 +73,22 @@ def followed(one: EffectRegression, verdict: Verdict, again: bool = False) -> tu
     return one, verdict
 
 
-def renewed(one: EffectRegression, together: Trial, shapes: Iterable[CandidateModel]) -> list[CandidateModel]:
-    """Shapes made anew, as late as those that were fitted."""
+def renewed(
+    one: EffectRegression, together: Trial, shapes: Iterable[CandidateModel]
+) -> list[CandidateModel]:
+    """Return candidate models delayed like those that were fitted."""
     late = [values for i in together.shapes if "late" in (values := one.shapes[i].values)]
     told = {
-        int(v["late_joint"]) if "late_joint" in v else None: RecordingDelay(v["late"], "lagging" in v)
+        int(v["late_joint"]) if "late_joint" in v else None: RecordingDelay(
+            v["late"], "lagging" in v
+        )
         for v in late
     }
     return _like(shapes, told)
 
 
 def _delays(one: EffectRegression, together: Trial) -> Delays:
-    """Delays that were found beside something that they delay [s]."""
+    """Delays that were found together with something that they delay."""
     chosen = [one.shapes[i] for i in together.shapes]
     fitted = zip(chosen, one.split(together.shapes, together.coefficients), strict=True)
     found = {
@@ -90,15 +104,16 @@ def _delays(one: EffectRegression, together: Trial) -> Delays:
 
 
 def _hidden(one: EffectRegression, together: Trial) -> Delays:
-    """Delays that may be behind friction's memory: its springs bend to the most of one [s]."""
+    """Delays that may be hidden behind presliding hysteresis, which can fit them."""
     bent = {one.shapes[i].joint for i in together.shapes if one.shapes[i].effect == "hysteresis"}
     return dict.fromkeys(
-        bent & {shape.joint for shape in one.listed if shape.effect == "delay"}, RecordingDelay(USUAL)
+        bent & {shape.joint for shape in one.listed if shape.effect == "delay"},
+        RecordingDelay(USUAL),
     )
 
 
-def _loud(one: EffectRegression, together: Trial) -> set[int]:
-    """Joints where more is left than noise, or may be."""
+def _above_noise(one: EffectRegression, together: Trial) -> set[int]:
+    """Joints whose residual exceeds the noise."""
     left, noise = search.level(one, together.shapes), one.measured.noise
     return {
         int(j)
@@ -107,12 +122,12 @@ def _loud(one: EffectRegression, together: Trial) -> set[int]:
 
 
 def _worth(told: Delays, loud: set[int]) -> Delays:
-    """Delays of what is loud."""
+    """Delays of joints with a residual."""
     return {joint: d for joint, d in told.items() if joint in loud or (joint is None and loud)}
 
 
 def _follows(shape: CandidateModel, joint: int | None) -> bool:
-    """Whether what a shape adds comes as late as a joint's torque, or all: not a delay, nor what is made of torque that is late already."""
+    """Tell whether a model's torque is delayed with a joint's torque, or with all torque."""
     return (
         shape.effect != "delay"
         and not shape.values.get("measured")
@@ -121,8 +136,7 @@ def _follows(shape: CandidateModel, joint: int | None) -> bool:
 
 
 def _moved(shape: CandidateModel, told: Delays) -> CandidateModel | None:
-    """A shape as late as it comes; itself, where that is in time. None of a delay told by the slope of all that was measured, or of what is
-    no longer in time."""
+    """A model with its delay; None for a delay that is now applied exactly."""
     if shape.effect == "delay" and shape.joint in told and "seconds" not in shape.values:
         return None
     for joint, delay in told.items():
@@ -132,13 +146,17 @@ def _moved(shape: CandidateModel, told: Delays) -> CandidateModel | None:
 
 
 def _like(shapes: Iterable[CandidateModel], told: Delays) -> list[CandidateModel]:
-    """All shapes as late as they come."""
+    """All models with their delays."""
     return [moved for shape in shapes if (moved := _moved(shape, told)) is not None]
 
 
-def _timed(one: EffectRegression, together: Trial, told: Delays, nearly: bool) -> tuple[Delays, list[CandidateModel]]:
-    """Each delay where what was found predicts best, all of it as late, by a clock or a filter: turned as well for the best of a few, of
-    those next to it where it is `nearly` right, then as it is. And what was found, turned so."""
+def _timed(
+    one: EffectRegression, together: Trial, told: Delays, nearly: bool
+) -> tuple[Delays, list[CandidateModel]]:
+    """Optimise each delay jointly with what was found, as a dead time and as a lag.
+
+    Returns the delays, and the models optimised with them.
+    """
     from scipy.optimize import minimize_scalar  # slow to import
 
     bare, out, chosen = search.only(one, ()), dict(told), [one.shapes[i] for i in together.shapes]
@@ -146,7 +164,8 @@ def _timed(one: EffectRegression, together: Trial, told: Delays, nearly: bool) -
     def fitted(delays: Delays, sweeps: int) -> tuple[EffectRegression, Trial]:
         others = [shape for shape in chosen if shape.effect != "delay" or shape.joint not in delays]
         fixed = [
-            dataclasses.replace(_by(one.listed, joint, d), nonlinear=None) for joint, d in delays.items()
+            dataclasses.replace(_by(one.listed, joint, d), nonlinear=None)
+            for joint, d in delays.items()
         ]
         design = search.appended(bare, [*_like(others, delays), *fixed])
         finer, turned = search.refined(design, range(len(design.shapes)), sweeps)
@@ -175,10 +194,13 @@ def _timed(one: EffectRegression, together: Trial, told: Delays, nearly: bool) -
 
 
 def _later(
-    one: EffectRegression, together: Trial, told: Delays, loud: set[int], tuned: list[CandidateModel]
+    one: EffectRegression,
+    together: Trial,
+    told: Delays,
+    loud: set[int],
+    tuned: list[CandidateModel],
 ) -> tuple[EffectRegression, list[int]]:
-    """The design with what comes late, where something is left or was found; and what to begin with: the delays, and what was found and
-    tuned with them, or where it was not, what was found elsewhere."""
+    """The regression with delayed models, and the models to start with."""
     where = {
         *loud,
         *(one.shapes[i].joint for i in together.shapes if one.shapes[i].effect != "delay"),
@@ -201,8 +223,10 @@ def _later(
     return wider, [*range(len(wider.shapes) - len(first), len(wider.shapes)), *there]
 
 
-def _by(listed: Iterable[CandidateModel], joint: int | None, delay: RecordingDelay) -> CandidateModel:
-    """The delay of a joint, or of all, by so much."""
+def _by(
+    listed: Iterable[CandidateModel], joint: int | None, delay: RecordingDelay
+) -> CandidateModel:
+    """Candidate model of a delay of a joint, or of all joints, by a given time."""
     alike = (
         s
         for s in listed

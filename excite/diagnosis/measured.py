@@ -1,4 +1,4 @@
-"""How well recordings were made."""
+"""Quality of the measurements, as far as it limits the evidence."""
 
 from __future__ import annotations
 
@@ -12,18 +12,22 @@ Array = np.ndarray
 
 @dataclass(frozen=True)
 class Measured:
-    """feigned: further gain that each effect at each joint needs, for what faults of measurement may give it. stepped: share of the noise
-    that is an encoder's steps. noise: its mean square over the scale, per joint, Shape (n,), where it is what differs when a motion is made
-    again; None where it is but a guess from below."""
+    """Quality of the measurements.
 
-    feigned: Mapping[tuple[str, int | None], float] = field(default_factory=dict)
+    Attributes:
+        artefact_gains: Further gain that an effect at a joint needs, as artefacts may mimic it.
+        stepped: Share of the noise power by encoder quantisation.
+        noise: Mean square noise over the scale, shape (n,); None if only a lower bound is known.
+    """
+
+    artefact_gains: Mapping[tuple[str, int | None], float] = field(default_factory=dict)
     stepped: float = 0.0
     noise: Array | None = None
 
-    def feigns(self, effect: str, joint: int | None) -> float:
-        """What an effect at a joint needs; where that joint was not looked at, as much as where it is most."""
-        if (effect, joint) in self.feigned:
-            return self.feigned[effect, joint]
+    def artefact_gain(self, effect: str, joint: int | None) -> float:
+        """Return the further gain that an effect needs; the largest if its joint was not tested."""
+        if (effect, joint) in self.artefact_gains:
+            return self.artefact_gains[effect, joint]
         return max(
-            (gain for (name, _), gain in self.feigned.items() if name == effect), default=0.0
+            (gain for (name, _), gain in self.artefact_gains.items() if name == effect), default=0.0
         )

@@ -69,8 +69,8 @@ class NoiseEstimate:
             than where the floor was found [(N m)²], shape (n,).
         steps: RMS of the model torque's error by encoder quantisation, which repeats with the
             motion [N m], shape (n,).
-        quantization_draws: Random draws of the residuals of both folds by encoder quantisation alone, shapes
-            (N, n); none if the encoders are fine.
+        quantization_draws: Random draws of the residuals of both folds by encoder quantisation
+            alone, shapes (N, n); none if the encoders are fine.
         sharpened: Residuals of both folds if reversals were too sharp for the sample rate.
         periods: By recording that repeats: its period and window.
     """

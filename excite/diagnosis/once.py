@@ -1,4 +1,8 @@
-"""What touched the robot once: it does not come again whenever the motion does. A load that swings, a broken tooth or a weak supply do."""
+"""Rejection of contact findings that recur with the motion.
+
+A true contact happens once; a torque that reappears one period later is caused by the motion, as by
+an oscillating load, a broken tooth or a weak supply.
+"""
 
 from __future__ import annotations
 
@@ -24,25 +28,35 @@ SEEN = 0.5
 
 
 def kept(
-    one: EffectRegression, verdict: Verdict, every: Sequence[RecordedMotion], periods: Mapping[str, Period]
+    one: EffectRegression,
+    verdict: Verdict,
+    every: Sequence[RecordedMotion],
+    periods: Mapping[str, Period],
 ) -> Verdict:
-    """The verdict without touches that come again. every: stretches of both halves; periods: see `Noise`."""
+    """Return the verdict without contacts that recur.
+
+    Args:
+        one: The effect regression.
+        verdict: The verdict.
+        every: Motions of both folds.
+        periods: See `noise.NoiseEstimate`.
+    """
     refuted = list[Finding]()
     for finding in verdict.findings:
-        share = _again(one, verdict, finding, every, periods)
+        share = _recurring_share(one, verdict, finding, every, periods)
         if share > AGAIN:
             refuted.append(replace(finding, probability=BELIEVED, evidence={"again": share}))
     return judge.refused(one, verdict, refuted) if refuted else verdict
 
 
-def _again(
+def _recurring_share(
     one: EffectRegression,
     verdict: Verdict,
     finding: Finding,
     every: Sequence[RecordedMotion],
     periods: Mapping[str, Period],
 ) -> float:
-    """How much of a touch's torque is in what all else leaves a period later or earlier; 0 where that is not known."""
+    """Share of a contact's torque in the residual a period later or earlier; 0 if unknown."""
     together = verdict.together
     assert together is not None
     touches = [i for i in together.shapes if one.shapes[i].interval is not None]
@@ -64,20 +78,24 @@ def _again(
             np.concatenate([own.picked(one.which([part.shape])).full() for own in one.columns])
             @ values[part.shape]
         )
-        for track, own, rest in zip(every, split_by_motion(torque.reshape(-1, n), every), left, strict=True):
+        for track, own, rest in zip(
+            every, split_by_motion(torque.reshape(-1, n), every), left, strict=True
+        ):
             found[2] += float(np.sum(own**2))
             if track.segment.source in periods and own.any():
-                then = _elsewhere(track, own, rest, *periods[track.segment.source])
+                then = _a_period_apart(track, own, rest, *periods[track.segment.source])
                 seen = np.isfinite(then).all(axis=1)
                 found[:2] += float(np.sum((own * then)[seen])), float(np.sum(own[seen] ** 2))
     return float(found[0] / found[1]) if found[1] > SEEN * found[2] else 0.0
 
 
-def _elsewhere(
+def _a_period_apart(
     track: RecordedMotion, own: Array, rest: Array, period: float, window: tuple[float, float]
 ) -> Array:
-    """What is left a period later, else a period earlier, at every row; NaN where the motion was not made then, or the same touch lasts
-    until then: it is not what comes again. Shapes (N, n)."""
+    """Residual a period later, else a period earlier, at every row, shape (N, n).
+
+    NaN where the motion was not repeated, or where the contact still lasts.
+    """
     rate, acts = (
         1.0 / (track.time[1] - track.time[0]),
         np.abs(own).max(axis=1) > LASTS * np.abs(own).max(),

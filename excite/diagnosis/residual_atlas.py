@@ -1,10 +1,10 @@
 """Residual atlas: all curves of the held-out residual, with p-values for their number.
 
-**Statistic.** A curve is a set of weighted means of the held-out residual (`residual_curves`),
-each divided by its standard error; its statistic is the sum of their squares (over spatial frequency: the
-largest). Standard errors are those between blocks (`residual_curves.block_length`) of the residual
-of the fullest model, findings included, with Student's t for the number of blocks. The uncertainty
-of the base fit and of the findings' fit by the noise of the fitted recordings is added.
+**Statistic.** A curve is a set of weighted means of the held-out residual (`residual_curves`), each
+divided by its standard error; its statistic is the sum of their squares (over spatial frequency:
+the largest). Standard errors are those between blocks (`residual_curves.block_length`) of the
+residual of the fullest model, findings included, with Student's t for the number of blocks. The
+uncertainty of the base fit and of the findings' fit by the noise of the fitted recordings is added.
 
 **Null distribution.** Every block of either set gets a random sign (Rademacher), the same for all
 joints. It contains noise of any colour that decorrelates within a block, but nothing that repeats

@@ -1,0 +1,51 @@
+"""Sequential quadratic programming: resuming, budgets, stages."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import QUICK
+
+from excite.designer import optimize, sqp
+from excite.designer.criteria import Criterion
+from excite.designer.evaluator import Evaluator
+from excite.robot import limits
+from excite.robot.robot import load
+
+
+@pytest.fixture(scope="module")
+def problem():
+    robot = load("two_link")
+    return optimize.set_up(robot, limits.resolve(robot), QUICK).problem
+
+
+@pytest.mark.parametrize("criterion", [Criterion.A, Criterion.COND_REGRESSOR])
+def test_resumed_search_equals_an_uninterrupted_one(problem, criterion):
+    built = replace(problem, options=replace(problem.options, criterion=criterion, iterations=80))
+    x = np.full(built.size, 0.05)
+    x[:: built.options.harmonics] = 0.1
+    uninterrupted = sqp.advance(Evaluator(built), sqp.initial_state(x), sqp.History())
+    state = sqp.initial_state(x)
+    for _ in range(100):
+        state = sqp.advance(Evaluator(built), state, sqp.History(), 7)
+        if state.done:
+            break
+    assert state.done and uninterrupted.done
+    assert state.iterations == uninterrupted.iterations
+    assert np.array_equal(state.best, uninterrupted.best)
+
+
+def test_iterations_are_limited_over_all_stages(problem):
+    built = replace(problem, options=replace(problem.options, criterion=Criterion.E, iterations=9))
+    history = sqp.History()
+    state = sqp.advance(Evaluator(built), sqp.initial_state(np.full(built.size, 0.05)), history)
+    assert state.done and state.iterations == len(history.time) == 9
+
+
+def test_sharpness_increases_from_stage_to_stage():
+    for criterion in Criterion:
+        sharpness = sqp.sharpness_stages(criterion)
+        assert all(a < b for a, b in itertools.pairwise(sharpness))

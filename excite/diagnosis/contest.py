@@ -99,8 +99,8 @@ def _contested(one: EffectRegression, chosen: list[int]) -> tuple[EffectRegressi
         rest = trial(one, others).gain
         least = rest + CLOSE * (now - rest)
         rivals = (h for h in ranked(one, tuple(others), name) if h.effect != told)
-        better = takewhile(lambda h, least=least: h.trial.gain > least, rivals)  # type: ignore[misc]
-        for h in islice(better, CONTENDERS):
+        best = takewhile(lambda h, least=least: h.trial.gain > least, rivals)  # type: ignore[misc]
+        for h in islice(best, CONTENDERS):
             nearly = search.afresh(one, search.optimised(one, [*others, h.shape], 1, len(others)))
             if trial(nearly, range(len(chosen))).gain < rest + CLOSER * (now - rest):
                 continue

@@ -126,7 +126,8 @@ def synthetic_recording(
     s = fourier.samples(t)
     exact = rnea_torque(model, psi, s.q, s.dq, s.ddq)
     rng = np.random.default_rng(1)
-    sidecar = Sidecar(**({"period": fourier.period, "periodic": (0.0, float(t[-1]))} | side))  # type: ignore[arg-type]
+    fields = {"period": fourier.period, "periodic": (0.0, float(t[-1]))} | side
+    sidecar = Sidecar(**fields)  # type: ignore[arg-type]
     return Recording(
         "synthetic.csv",
         model.robot.joints,

@@ -160,9 +160,12 @@ def test_what_steps_are_said_to_feign_is_of_the_size_of_what_they_do(tmp_path):
         setting,
         periods=1,
     )
-    true = true_parameters(fine.plant, standard, table)
+    true = true_parameters(fine.robot, standard, table)
     model = IdentificationModel(
-        machine, standard, base_parameters.find(machine, standard, table), fine.plant.drive.width
+        machine,
+        standard,
+        base_parameters.find(machine, standard, table),
+        fine.robot.actuators.width,
     )
     theta, body = model.base.matrix @ true, recorded_motion.fitted_robot(machine, standard, true)
 
@@ -174,7 +177,11 @@ def test_what_steps_are_said_to_feign_is_of_the_size_of_what_they_do(tmp_path):
         path = tmp_path / "r.csv"
         path.write_text(told.csv())
         return recorded_motion.recorded_motions(
-            model, body, theta, list(segments.extract_segments([recordings.read(path, machine)])), 20.0
+            model,
+            body,
+            theta,
+            list(segments.extract_segments([recordings.read(path, machine)])),
+            20.0,
         )
 
     right, coarse = tracked(1e-9), tracked(STEP)

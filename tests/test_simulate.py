@@ -207,7 +207,8 @@ def test_unknown_effect_lists_all_effects_with_parameters(tmp_path, capsys):
     message = capsys.readouterr().err
     assert len(message.strip().splitlines()) == 1
     for name, effect_type in EFFECT_TYPES.items():
-        assert f"{name}({', '.join(f'{q.name} [{q.unit}]' for q in effect_type.parameters)})" in message
+        parameters = ", ".join(f"{q.name} [{q.unit}]" for q in effect_type.parameters)
+        assert f"{name}({parameters})" in message
     assert not list(tmp_path.iterdir())
 
 

@@ -51,7 +51,7 @@ def test_payload_of_the_trajectory_is_attached():
         "inertia": [0.01, 0.001, 0.02, 0.0, 0.0, 0.015],
     }
     tree = urdf_tree.read_urdf(builtin_urdf("two_link"))
-    name = tree.child("joint_2")
+    name = tree.child_link("joint_2")
     motion = replace(quick_motion(), robot={"payload": {**payload, "link": name}})
     robot = experiment.build_robot(
         builtin_urdf("two_link"), motion, ExperimentSettings(model_error=0.0)

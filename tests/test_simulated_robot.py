@@ -133,7 +133,7 @@ def test_perturbed_bodies_are_consistent_and_differ_by_the_stated_size():
     ) == pytest.approx(tree.pseudo_inertia("forearm_link"), rel=1e-12)
 
 
-# -- closed loop -------------------------------------------------------------------------------------
+# -- closed loop ------------------------------------------------------------------------------
 
 
 def test_recorded_torque_is_the_inverse_dynamics_of_the_motion(robot_session):

@@ -256,8 +256,8 @@ class ClosedLoop:
         The motor accelerates by (push − f)/J.
 
         Returns:
-            The mean of the spring torque f [N m] and the double integral of f minus its mean over the
-            step [N m s²].
+            The mean of the spring torque f [N m], and the double integral over the step of f
+            minus its mean [N m s²].
         """
         j, actuators, count = spring.joint, self.actuators, max(1, round(self.step / SPRING_STEP))
         dt = self.step / count

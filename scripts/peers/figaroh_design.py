@@ -11,8 +11,8 @@ is built against the IPOPT in the casadi wheel, whose ipopt.pc has to be correct
     PKG_CONFIG_PATH=$PWD/pc LDFLAGS="-Wl,-rpath,$C" bin/pip install --no-cache-dir cyipopt
 
 The problem is that of figaroh-examples' UR10: cubic spline at rest in waypoints 2 s apart,
-condition number of the base regressor at 20 Hz, position, velocity and torque limits of the URDF,
-IPOPT. Unlike there, limits are not narrowed (soft_lim 0), and meshes are left out, so that collision
+condition number of the base regressor at 20 Hz, position, velocity and torque limits of the
+URDF, IPOPT. Unlike there, limits are not narrowed (soft_lim 0), and meshes are left out, so that collision
 pairs, which excite does not check in this comparison, cost nothing.
 """
 

@@ -1,3 +1,5 @@
+"""Symbolic dynamics against Pinocchio and finite differences."""
+
 from __future__ import annotations
 
 from collections.abc import Callable
@@ -26,7 +28,7 @@ def layout(robot: Robot) -> Parameters:
 
 
 def near_standstill(n: int) -> Samples:
-    """States in which Coulomb friction is on its slope."""
+    """Return states in which smooth Coulomb friction is not saturated."""
     motion = states(n, count=3, seed=5)
     return Samples(motion.q, 1e-3 * motion.dq, motion.ddq)
 
@@ -42,7 +44,7 @@ def symbolic_regressor(robot: Robot, standard: Parameters, motion: Samples) -> n
 
 
 @pytest.mark.parametrize("name", BUILTIN)
-def test_regressor_of_a_builtin_model_is_pinocchios(name):
+def test_regressor_of_built_in_models_equals_pinocchio(name):
     robot = load(name)
     standard, motion = layout(robot), states(robot.n)
     assert (
@@ -59,7 +61,7 @@ def test_regressor_of_a_builtin_model_is_pinocchios(name):
     st.sampled_from([None, MIMICS]),
     st.sampled_from([(0, 0, -9.81), (1.0, -2.0, 7.0)]),
 )
-def test_regressor_of_any_robot_is_pinocchios(rng, tidy, mimics, gravity):
+def test_regressor_of_random_robots_equals_pinocchio(rng, tidy, mimics, gravity):
     robot = loaded(random_urdf(rng, 4, tidy=tidy, mimics=mimics), gravity=gravity)
     standard = layout(robot)
     for motion in (states(robot.n), near_standstill(robot.n)):
@@ -72,13 +74,13 @@ def test_regressor_of_any_robot_is_pinocchios(rng, tidy, mimics, gravity):
         )
 
 
-# -- gradients, against differences of Pinocchio's regressor -------------------------------------------------------
+# gradients
 
 
 def differences(
     robot: Robot, standard: Parameters, motion: Samples, scalar: Callable[[np.ndarray], float]
 ) -> np.ndarray:
-    """Gradient of a function of Y by q, dq and ddq at each sample. Shape (N, 3n)."""
+    """Return finite-difference gradients of a function of Y at each sample. Shape (N, 3n)."""
     out = np.empty((len(motion), 3 * robot.n))
     for t in range(len(motion)):
         state = np.concatenate([motion.q[t], motion.dq[t], motion.ddq[t]])
@@ -97,7 +99,7 @@ def differences(
 ROBOTS = ["two_link", "tx40", "mimic"]
 
 
-def chosen(name: str) -> Robot:
+def robot_named(name: str) -> Robot:
     return (
         loaded(random_urdf(np.random.default_rng(1), 4, mimics=MIMICS))
         if name == "mimic"
@@ -106,47 +108,48 @@ def chosen(name: str) -> Robot:
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_adjoint_is_the_gradient(name):
-    robot = chosen(name)
+def test_adjoint_equals_finite_differences(name):
+    robot = robot_named(name)
     standard, motion = layout(robot), near_standstill(robot.n)
     seed = np.random.default_rng(2).normal(size=(robot.n, standard.count))
     adjoint = casadi_model.dynamics_functions(robot, standard).adjoint
-    found = [
+    computed = [
         np.concatenate([np.asarray(g).ravel() for g in adjoint(*s, seed.T)])
         for s in zip(motion.q, motion.dq, motion.ddq, strict=True)
     ]
     assert (
         off(
-            np.array(found), differences(robot, standard, motion, lambda Y: float(np.sum(seed * Y)))
+            np.array(computed),
+            differences(robot, standard, motion, lambda Y: float(np.sum(seed * Y))),
         )
         < 1e-8
     )
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_row_gradients_are_the_gradients_of_each_torque(name):
-    robot = chosen(name)
+def test_torque_gradients_equal_finite_differences(name):
+    robot = robot_named(name)
     standard, motion = layout(robot), near_standstill(robot.n)
     weight = np.random.default_rng(2).normal(size=standard.count)
     row = casadi_model.dynamics_functions(robot, standard).row
     for j, pick in enumerate(np.eye(robot.n)):
-        found = [
+        computed = [
             np.concatenate([np.asarray(g).ravel() for g in row(*s, weight, pick)])
             for s in zip(motion.q, motion.dq, motion.ddq, strict=True)
         ]
         assert (
             off(
-                np.array(found),
+                np.array(computed),
                 differences(robot, standard, motion, lambda Y, j=j: float(Y[j] @ weight)),
             )
             < 1e-8
         )
 
 
-# -- frames --------------------------------------------------------------------------------------------------------
+# frames
 
 
-def reached(text: str, frame: str, joints: tuple[str, ...], q: np.ndarray) -> np.ndarray:
+def pinocchio_position(text: str, frame: str, joints: tuple[str, ...], q: np.ndarray) -> np.ndarray:
     model = pin.buildModelFromXML(text)
     data = model.createData()
     x = np.zeros(model.nq)
@@ -159,7 +162,7 @@ def reached(text: str, frame: str, joints: tuple[str, ...], q: np.ndarray) -> np
     ("name", "frame"),
     [("two_link", "tip"), ("ur10e", "tool0"), ("panda", "panda_link4"), ("tree", "tool")],
 )
-def test_frame_position_is_pinocchios(name, frame):
+def test_frame_position_equals_pinocchio(name, frame):
     text = (
         random_urdf(np.random.default_rng(4), 5, kinds=("revolute", "prismatic"))
         if name == "tree"
@@ -169,23 +172,25 @@ def test_frame_position_is_pinocchios(name, frame):
     function = casadi_model.frame_position(robot, frame)
     for q in states(robot.n).q:
         assert np.allclose(
-            np.asarray(function(q)[0]).ravel(), reached(text, frame, robot.joints, q), atol=1e-12
+            np.asarray(function(q)[0]).ravel(),
+            pinocchio_position(text, frame, robot.joints, q),
+            atol=1e-12,
         )
 
 
-def test_frame_jacobian_is_the_derivative():
+def test_frame_jacobian_equals_finite_differences():
     robot = load("ur10e")
     function, q = casadi_model.frame_position(robot, "tool0"), states(6).q[0]
-    found = np.asarray(function(q)[1])
+    computed = np.asarray(function(q)[1])
     measured = [
         slope(lambda h, e=e: dynamics.positions(robot, "tool0", (q + h * e)[None])[0], 1e-2)
         for e in np.eye(6)
     ]
-    assert off(found, np.array(measured).T) < 1e-8
+    assert off(computed, np.array(measured).T) < 1e-8
 
 
-def test_frame_of_a_mimic_robot_follows_it():
-    robot = chosen("mimic")
+def test_frame_position_with_mimic_joints():
+    robot = robot_named("mimic")
     q = states(robot.n).q
     function = casadi_model.frame_position(robot, "tool")
     assert (
@@ -197,6 +202,6 @@ def test_frame_of_a_mimic_robot_follows_it():
     )
 
 
-def test_an_unknown_frame_is_refused():
+def test_unknown_frame_is_refused():
     with pytest.raises(UnusableInput, match="no frame 'claw'"):
         casadi_model.frame_position(load("two_link"), "claw")

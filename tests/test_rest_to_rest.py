@@ -1,3 +1,5 @@
+"""Fourier series, ramps of constant jerk and complete motions from rest to rest."""
+
 from __future__ import annotations
 
 import dataclasses
@@ -35,13 +37,13 @@ def times(seed: int, count: int = 7) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-5, 5, count)
 
 
-drawn = st.integers(0, 10**4)
+seeds = st.integers(0, 10**4)
 
-# -- the series ----------------------------------------------------------------------------------------------------
+# Fourier series
 
 
-@given(drawn)
-def test_position_is_the_series_of_METHOD(seed):
+@given(seeds)
+def test_position_equals_the_definition_of_the_series(seed):
     f, t = series(seed), times(seed)
     k = np.arange(1, 5) * 2 * np.pi / 3.0
     terms = [
@@ -52,31 +54,31 @@ def test_position_is_the_series_of_METHOD(seed):
     assert np.allclose(f.at(t), f.offset + sum(terms), atol=1e-12)
 
 
-@given(drawn, st.integers(0, 5))
-def test_each_order_is_the_derivative_of_the_one_before(seed, order):
+@given(seeds, st.integers(0, 5))
+def test_each_order_is_the_derivative_of_the_previous_order(seed, order):
     f, t = series(seed), times(seed)
     assert off(f.at(t, order + 1), slope(lambda h: f.at(t + h, order), 5e-3)) < 1e-6
 
 
-@given(drawn, st.integers(-3, 3))
-def test_motion_repeats_every_period(seed, turns):
+@given(seeds, st.integers(-3, 3))
+def test_series_is_periodic(seed, turns):
     f, t = series(seed), times(seed)
     assert np.allclose(f.at(t + turns * f.period), f.at(t), atol=1e-12)
 
 
-@given(drawn, st.floats(-4, 4), st.integers(0, 3))
-def test_shifted_motion_starts_later(seed, shift, order):
+@given(seeds, st.floats(-4, 4), st.integers(0, 3))
+def test_shifted_series_starts_later(seed, shift, order):
     f, t = series(seed), times(seed)
     assert off(f.shifted(shift).at(t, order), f.at(t + shift, order)) < 1e-12
 
 
-@given(drawn, st.floats(0.1, 1.0), st.integers(0, 3))
-def test_slowed_motion_takes_the_same_path(seed, speed, order):
+@given(seeds, st.floats(0.1, 1.0), st.integers(0, 3))
+def test_slowed_series_takes_the_same_path(seed, speed, order):
     f, t = series(seed), times(seed)
     assert off(f.slowed(speed).at(t, order), f.at(t * speed, order) * speed**order) < 1e-12
 
 
-def test_samples_are_the_three_first_orders():
+def test_samples_are_position_velocity_acceleration():
     f, t = series(0), times(0)
     samples = f.samples(t)
     assert all(
@@ -85,15 +87,26 @@ def test_samples_are_the_three_first_orders():
     )
 
 
+@pytest.mark.parametrize("order", range(4))
+def test_scalar_time_gives_one_row(delivery, order):
+    motion = delivery.trajectory.motion
+    ramp = motion.segments[0].profile
+    for part in (motion, motion.fourier, ramp):
+        for time in (0.0, 0.37, np.float64(1.0), np.array(0.2)):
+            row = part.at(time, order)
+            assert row.shape == (2,)
+            assert np.allclose(row, part.at(np.array([float(time)]), order)[0], rtol=1e-12)
+
+
 def test_grid_covers_one_period_without_its_end():
     assert np.allclose(series(0, period=3.0).grid(4), [0.0, 0.75, 1.5, 2.25])
 
 
-# -- what a grid proves --------------------------------------------------------------------------------------------
+# oversampling bound
 
 
-@given(drawn, st.integers(1, 6), st.integers(1, 30), st.integers(0, 3))
-def test_no_motion_exceeds_the_grid_by_more_than_the_bound(seed, harmonics, more, order):
+@given(seeds, st.integers(1, 6), st.integers(1, 30), st.integers(0, 3))
+def test_oversampling_bound_holds_between_samples(seed, harmonics, more, order):
     f = series(seed, harmonics=harmonics)
     count = 2 * harmonics + more
     swing = [
@@ -104,7 +117,7 @@ def test_no_motion_exceeds_the_grid_by_more_than_the_bound(seed, harmonics, more
 
 
 @pytest.mark.parametrize("degree", [1, 3, 5])
-def test_some_motion_attains_the_bound(degree):
+def test_oversampling_bound_is_attained(degree):
     count = 4 * degree
     wave = FourierSeries(np.eye(degree)[-1:], np.zeros((1, degree)), np.zeros(1), 1.0).shifted(
         0.5 / count
@@ -113,11 +126,11 @@ def test_some_motion_attains_the_bound(degree):
     assert np.isclose(oversampling_bound(count, degree) * on_grid, 1.0, rtol=1e-12)
 
 
-def test_a_grid_that_is_too_coarse_proves_nothing():
+def test_oversampling_bound_of_a_coarse_grid_is_infinite():
     assert oversampling_bound(10, 5) == np.inf
 
 
-# -- profiles of constant jerk -------------------------------------------------------------------------------------
+# profiles of constant jerk
 
 
 def profile(seed: int) -> JerkProfile:
@@ -132,7 +145,7 @@ def profile(seed: int) -> JerkProfile:
     return JerkProfile(*(rng.normal(size=2) for _ in range(3)), pieces)
 
 
-@given(drawn, st.integers(0, 2))
+@given(seeds, st.integers(0, 2))
 def test_profile_orders_are_derivatives_of_each_other(seed, order):
     p = profile(seed)
     knots = p.knots()
@@ -141,14 +154,14 @@ def test_profile_orders_are_derivatives_of_each_other(seed, order):
     assert off(p.at(t, order + 1), slope(lambda h: p.at(t + h, order), h)) < 1e-6
 
 
-@given(drawn, st.integers(0, 2))
+@given(seeds, st.integers(0, 2))
 def test_profile_is_continuous_at_its_knots(seed, order):
     p = profile(seed)
     knots = p.knots()[1:]
     assert np.allclose(p.at(knots - 1e-11, order), p.at(knots + 1e-11, order), atol=1e-8)
 
 
-def test_profile_starts_in_its_state():
+def test_profile_starts_in_its_initial_state():
     p = profile(0)
     assert all(
         np.array_equal(p.at(np.zeros(1), order)[0], state)
@@ -156,17 +169,19 @@ def test_profile_starts_in_its_state():
     )
 
 
-@given(drawn)
+@given(seeds)
 def test_reversed_profile_runs_backwards(seed):
     p, duration = profile(seed), 2.5
     t = np.linspace(0, duration, 9)
     for order in range(3):
         assert np.allclose(
-            reverse_profile(p, duration).at(t, order), (-1) ** order * p.at(duration - t, order), atol=1e-9
+            reverse_profile(p, duration).at(t, order),
+            (-1) ** order * p.at(duration - t, order),
+            atol=1e-9,
         )
 
 
-# -- whole motions -------------------------------------------------------------------------------------------------
+# complete motions
 
 
 def test_motion_goes_from_approach_to_return(delivery):
@@ -179,13 +194,13 @@ def test_motion_goes_from_approach_to_return(delivery):
     ]
 
 
-def test_motion_begins_and_ends_where_it_was_told(delivery):
+def test_motion_begins_and_ends_at_the_start_pose(delivery):
     motion = delivery.trajectory.motion
     assert np.allclose(motion.at(np.array([0.0, motion.duration])), [-1.5, 0.3], atol=1e-9)
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_first_and_last_row_are_exactly_at_rest(delivery, braked, order):
+def test_first_and_last_sample_are_exactly_at_rest(delivery, braked, order):
     for motion in (
         delivery.trajectory.motion,
         braked.trajectory.motion,
@@ -214,7 +229,7 @@ def test_motion_is_continuous_to_its_acceleration(delivery, braked):
             ).all()
 
 
-def test_periods_of_the_fourier_part_are_alike(delivery):
+def test_periods_of_the_fourier_part_are_equal(delivery):
     motion = delivery.trajectory.motion
     part = motion.segment("fourier")
     t = part.start + motion.fourier.grid(50)[1:]
@@ -222,7 +237,7 @@ def test_periods_of_the_fourier_part_are_alike(delivery):
     assert np.allclose(motion.at(t), motion.at(t + motion.fourier.period), atol=1e-9)
 
 
-def test_segments_lie_on_the_exports_grid(delivery):
+def test_segments_lie_on_the_sampling_grid(delivery):
     motion = delivery.trajectory.motion
     ticks = np.array([edge * 100.0 for s in motion.segments for edge in (s.start, s.end)])
     assert np.allclose(ticks, np.round(ticks), atol=1e-9)
@@ -248,7 +263,7 @@ def test_segments_survive_json_exactly(delivery):
 
 
 @given(speed=st.floats(0.1, 1.0))
-def test_slowed_motion_takes_the_same_path_whole(delivery, speed):
+def test_slowed_motion_takes_the_same_path(delivery, speed):
     motion = delivery.trajectory.motion
     t = np.linspace(0.01, motion.duration - 0.01, 97) + 1e-4
     slow = motion.slowed(speed)
@@ -257,12 +272,12 @@ def test_slowed_motion_takes_the_same_path_whole(delivery, speed):
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, 1.5, np.nan])
-def test_a_speed_that_is_no_share_is_refused(delivery, speed):
+def test_speed_out_of_range_is_refused(delivery, speed):
     with pytest.raises(UnusableInput, match="--speed"):
         delivery.trajectory.motion.slowed(speed)
 
 
-def test_a_motion_without_ramps_names_what_it_lacks():
+def test_missing_segment_is_named():
     motion = Motion(("a", "b", "c"), series(0), 2, (MotionSegment("fourier", 0.0, 6.0),))
     with pytest.raises(KeyError, match="ramp_in"):
         motion.segment("ramp_in")

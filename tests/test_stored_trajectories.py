@@ -1,4 +1,4 @@
-"""The trajectories that come with the repository still hold, recomputed from their files."""
+"""The stored trajectories keep all limits, recomputed from their files."""
 
 from pathlib import Path
 
@@ -11,12 +11,12 @@ from excite.trajectory import trajectory_file
 FOLDER = Path(__file__).resolve().parent.parent / "trajectories"
 
 
-def test_every_built_in_robot_has_one():
+def test_every_built_in_robot_has_a_trajectory():
     assert {path.stem for path in FOLDER.glob("*.json")} == set(robot.builtin_names())
 
 
 @pytest.mark.parametrize("path", sorted(FOLDER.glob("*.json")), ids=lambda p: p.stem)
-def test_it_keeps_its_certificate(path):
+def test_stored_trajectory_is_certified(path):
     trajectory = trajectory_file.read_trajectory(path)
     certificate = certificate_module.verify_file(trajectory, trajectory.load_robot())
     assert certificate.ok, (certificate.worst(), certificate.faults)

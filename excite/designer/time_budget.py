@@ -462,7 +462,9 @@ def _try_candidate(
         repeats=options.periods,
         robot_time=complete.duration,
         value=value,
-        deviation=_deviation(options.criterion, value, setup.base, _recorded_samples(options)),
+        deviation=predicted_deviation(
+            options.criterion, value, setup.base, _recorded_samples(options)
+        ),
         seconds=time.perf_counter() - begin_time,
     )
 
@@ -488,7 +490,7 @@ def _criterion_per_sample(varied: problem.DesignProblem, motion: FourierSeries) 
     )
 
 
-def _deviation(criterion: Criterion, value: float, base: Base, count: float) -> float:
+def predicted_deviation(criterion: Criterion, value: float, base: Base, count: float) -> float:
     """Return the standard deviation that a criterion stands for.
 
     It is the root of the mean (A), geometric mean (D) or largest (E) variance; condition numbers,

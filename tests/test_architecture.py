@@ -131,7 +131,7 @@ def test_the_simulator_loads_nothing_that_identifies():
         text=True,
         check=True,
     )
-    assert {name.split(".")[1] for name in done.stdout.split()} <= {"simulator", "errors"}
+    assert {name.split(".")[1] for name in done.stdout.split()} <= {"simulator", "errors", "_types"}
 
 
 def test_designing_needs_no_plots_and_no_yaml():

@@ -172,10 +172,10 @@ def test_what_steps_are_said_to_feign_is_of_the_size_of_what_they_do(tmp_path):
     def tracked(resolution: float) -> list[recorded_motion.RecordedMotion]:
         chain = dataclasses.replace(fine.chain, encoder=resolution)
         told = dataclasses.replace(
-            fine.recording, q=chain.positions(fine.run.told(fine.recording.t)[0])
+            fine.recording, q=chain.quantise_positions(fine.motion.measured(fine.recording.t)[0])
         )
         path = tmp_path / "r.csv"
-        path.write_text(told.csv())
+        path.write_text(told.to_csv())
         return recorded_motion.recorded_motions(
             model,
             body,

@@ -10,7 +10,7 @@ import pytest
 from scipy import integrate, linalg
 from test_diagnose import found
 
-from excite.effects import environment
+from excite.effects import base_compliance
 from excite.effects.base_dynamics import FloatingBaseDynamics, floating_base_dynamics
 from excite.effects.effect import CandidateModel
 from excite.robot import robot
@@ -111,7 +111,7 @@ def test_coupled_masses_swing_as_a_solver_says():
         return np.concatenate([z[2:], np.linalg.solve(m, f - d @ z[2:] - k @ z[:2])])
 
     m, d, k, f = parts(t)
-    place, speed, haste = (x.sum(axis=2) for x in environment._carried(m, d, k, f, 1.0 / rate))
+    place, speed, haste = (x.sum(axis=2) for x in base_compliance._simulate_base(m, d, k, f, 1.0 / rate))
     start = np.concatenate([np.linalg.solve(k[0], f[0]), np.zeros(2)])
     right = integrate.solve_ivp(slope, (0.0, t[-1]), start, t_eval=t, rtol=1e-9, atol=1e-12).y
     for told, true in ((place, right[:2].T), (speed, right[2:].T)):
@@ -131,7 +131,7 @@ def test_the_exponential_of_a_step_holds_however_long_it_is(size):
     a[:, 2:, :2] = -np.swapaxes(a[:, :2, 2:], 1, 2)  # so that it swings, and hardly grows
     both = np.zeros((5, 8, 8))
     both[:, :4, :4], both[:, :4, 4:] = a, np.eye(4)
-    whole, mean = environment._exponential(a)
+    whole, mean = base_compliance._matrix_exponential(a)
     right = linalg.expm(both)
     np.testing.assert_allclose(whole, right[:, :4, :4], atol=1e-4 * np.abs(right).max())
     np.testing.assert_allclose(mean, right[:, :4, 4:], atol=1e-4 * np.abs(right).max())
@@ -149,12 +149,12 @@ def test_a_bases_spring_is_the_same_in_every_recording(monkeypatch):
         told.append(np.diagonal(stiffness, axis1=1, axis2=2))
         return (np.zeros((*force.shape, force.shape[1])),) * 3
 
-    monkeypatch.setattr(environment, "_carried", seen)
+    monkeypatch.setattr(base_compliance, "_simulate_base", seen)
     fixed = {"frequency": 5.0, "damping": 0.1, "way": 1.0, "stand": 0.2, "apart": 1.5}
-    rocks = CandidateModel("base_compliance", None, environment._swung, fixed)
+    rocks = CandidateModel("base_compliance", None, base_compliance._columns, fixed)
     every = [one for half in result.motions for one in half]
     for one in every:
-        one.__dict__["afloat"] = dataclasses.replace(one.base_dynamics, by_place=0.0 * one.base_dynamics.by_place)
+        one.__dict__["base_dynamics"] = dataclasses.replace(one.base_dynamics, by_place=0.0 * one.base_dynamics.by_place)
         rocks.columns(one)
     stood = every[0].upright_inertia[3:5]
     for stiffness in told:

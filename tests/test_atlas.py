@@ -170,7 +170,7 @@ def test_blocks_are_of_a_second_but_a_short_recording_has_shorter_ones() -> None
 def test_distance_since_reversal_ignores_a_crawl() -> None:
     t = np.linspace(0.0, 2.0 * np.pi, 401)
     q, dq = np.sin(t), np.cos(t) + 0.001 * (-1.0) ** np.arange(401)
-    distance = residual_curves._since_reversal(q, dq)
+    distance = residual_curves._travel_since_reversal(q, dq)
     assert distance.max() == pytest.approx(2.0, abs=0.01)
     assert distance[130] < 0.15 < distance[60]
 

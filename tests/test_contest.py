@@ -18,8 +18,8 @@ from excite.diagnosis import contest, hypothesis, judge, search
 from excite.diagnosis.columns import Columns
 from excite.diagnosis.half import Half, whitened
 from excite.diagnosis.measured import Measured
-from excite.effects import environment, gear_dynamics
-from excite.effects.effect import CandidateModel, beside, family
+from excite.effects import base_compliance, gear_dynamics
+from excite.effects.effect import CandidateModel, grid_candidates, variants_within
 
 Array = np.ndarray
 RNG = np.random.default_rng(5)
@@ -54,7 +54,7 @@ def designed(columns: list[Array], torque: list[Array], grid: tuple[float, float
         return CandidateModel("torque_ripple", 0, unexpected_columns, {"order": order})
 
     return search.design(
-        (halves[0], halves[1]), [CandidateModel("spring", 0, unexpected_columns), *family(grid, ripple)], build
+        (halves[0], halves[1]), [CandidateModel("spring", 0, unexpected_columns), *grid_candidates(grid, ripple)], build
     )
 
 
@@ -83,7 +83,7 @@ def test_all_are_tuned_only_with_what_tuned_alone_is_nearly_as_good(monkeypatch,
         asked.append(since)
         return real(design, chosen, sweeps, since)
 
-    monkeypatch.setattr(search, "turned", turned)
+    monkeypatch.setattr(search, "optimised", turned)
     contest._contested(one, [0])
     assert len(asked) == tuned
 
@@ -181,7 +181,7 @@ PUSHED = [np.convolve(RNG.normal(size=4000), np.hanning(25), "same") for _ in ra
 def swings(frequency: float, damping: float, half: int) -> Array:
     """Speed of a mass on a spring that is pushed for 40 s."""
     omega, ones = 2.0 * np.pi * frequency, np.ones(4000)
-    return gear_dynamics.oscillator(
+    return gear_dynamics.simulate_oscillator(
         omega * PUSHED[half], ones, omega**2 * ones, 2.0 * damping * omega * ones, 0.01
     )[1][::8]
 
@@ -195,7 +195,7 @@ def test_a_resonance_between_two_tried_frequencies_is_found(frequency):
 
     def swing(damping: float):  # type: ignore[no-untyped-def]
         def shape(hertz: float) -> CandidateModel:
-            kin = lambda: beside(  # noqa: E731
+            kin = lambda: variants_within(  # noqa: E731
                 hertz, gear_dynamics.NEAR, map(swing, gear_dynamics.damped(damping))
             )
             return CandidateModel(
@@ -214,8 +214,8 @@ def test_a_resonance_between_two_tried_frequencies_is_found(frequency):
 
     shapes = [
         one
-        for damping in environment.DAMPINGS
-        for one in family(environment.SWINGS.tolist(), swing(damping))
+        for damping in base_compliance.DAMPING_RATIOS
+        for one in grid_candidates(base_compliance.FREQUENCIES.tolist(), swing(damping))
     ]
     done, verdict = judge.judged(search.design((halves[0], halves[1]), shapes, build))
     (finding,) = verdict.findings
@@ -339,10 +339,10 @@ def test_beside_another_a_strong_effect_may_need_another_of_its_shapes():
         return single_joint_columns(first[:, None], second[:, None])
 
     powers = [
-        CandidateModel("drag", 0, unexpected_columns, {"exponent": k}, plausible=lambda c: bool(c[0] > 0.0))
+        CandidateModel("drag", 0, unexpected_columns, {"exponent": k}, is_plausible=lambda c: bool(c[0] > 0.0))
         for k in (2.0, 2.5, 3.0)
     ]
-    shapes = [*powers, CandidateModel("stribeck", 0, unexpected_columns, plausible=lambda c: bool(c[0] > 0.0))]
+    shapes = [*powers, CandidateModel("stribeck", 0, unexpected_columns, is_plausible=lambda c: bool(c[0] > 0.0))]
     one = dataclasses.replace(
         search.design((halves[0], halves[1]), shapes, build), measured=Measured(noise=np.ones(1))
     )

@@ -26,7 +26,7 @@ from excite.diagnosis.columns import Columns
 from excite.diagnosis.diagnosis_file import document
 from excite.diagnosis.half import whitened
 from excite.effects import EFFECTS_BY_NAME, recorded_motion
-from excite.effects.effect import CandidateModel, beside, family
+from excite.effects.effect import CandidateModel, grid_candidates, variants_within
 from excite.recordings import Recording
 from excite.robot import dynamics
 from excite.robot.samples import Samples
@@ -123,7 +123,7 @@ def test_another_residual_is_judged_as_if_it_had_been_measured():
         for told in (([residual], quiet), ([], residual))
     )
     usual = search.NATS + 0.3 * search.STEPPED
-    assert by_steps.bar(0) == pytest.approx(usual + judge.AT_ALL + judge.FEIGNED * best)
+    assert by_steps.bar(0) == pytest.approx(usual + judge.AT_ALL + judge.ARTEFACT_FACTOR * best)
     assert by_rare_samples.bar(0) == pytest.approx(usual + best)
 
 
@@ -163,7 +163,7 @@ def test_a_reversal_that_falls_on_a_sample_may_have_either_sign():
             lowpass=lambda x: x,
         )
         track.fitted_robot = types.SimpleNamespace(drive=lambda name: {"coulomb": np.array([3.0])}[name])
-        return np.asarray(noise._reversing(track))[:, 0]
+        return np.asarray(noise._reversal_error(track))[:, 0]
 
     assert np.abs(left(0.1)).max() < 1e-9  # between samples
     assert (
@@ -224,7 +224,7 @@ def test_a_grid_is_left_for_the_value_between_its_neighbours(monkeypatch):
         return single_joint_columns(column, column)
 
     shapes = list(
-        family((1.0, 1.4, 2.0, 2.8), lambda power: CandidateModel("drag", 0, unexpected_columns, {"power": power}))
+        grid_candidates((1.0, 1.4, 2.0, 2.8), lambda power: CandidateModel("drag", 0, unexpected_columns, {"power": power}))
     )
     one = search.design((halves[0], halves[1]), shapes, build)
     coarse = max(range(4), key=lambda i: search.trial(one, [i]).gain)
@@ -261,7 +261,7 @@ def test_a_value_that_no_grid_has_is_found_from_kin_to_kin():
                 0,
                 unexpected_columns,
                 {"speed": speed, "damping": damping},
-                variants=lambda: beside(speed, 1.2, map(rung, near)),
+                variants=lambda: variants_within(speed, 1.2, map(rung, near)),
             )
 
         return shape
@@ -275,7 +275,7 @@ def test_a_value_that_no_grid_has_is_found_from_kin_to_kin():
         return single_joint_columns(column, column)
 
     one = search.design(
-        (halves[0], halves[1]), list(family((4.0, 6.0, 10.0, 16.0), rung(1.0))), build
+        (halves[0], halves[1]), list(grid_candidates((4.0, 6.0, 10.0, 16.0), rung(1.0))), build
     )
     finer, (best,) = search.refined(
         one, [max(range(len(one.shapes)), key=lambda i: search.trial(one, [i]).gain)]
@@ -439,7 +439,7 @@ def test_a_base_that_leans_is_told_with_its_sign(subject, roll, pitch):
 
 def test_gravity_may_be_turned_but_not_longer():
     large = next(
-        shape for shape in EFFECTS_BY_NAME["gravity_tilt"].shapes([Upright()]) if shape.values["large"]
+        shape for shape in EFFECTS_BY_NAME["gravity_tilt"].candidates([Upright()]) if shape.values["large"]
     )
     leans = large.is_plausible
     roll, pitch = 0.3, -0.2

@@ -18,7 +18,7 @@ from test_predicted import fitted_with, stated
 
 from excite.diagnosis import diagnosis, equations, fitted_effects, hypothesis, search
 from excite.diagnosis.measured import Measured
-from excite.effects import EFFECTS_BY_NAME, electrical
+from excite.effects import EFFECTS_BY_NAME, torque_saturation
 from excite.effects.effect import CandidateModel
 from excite.effects.recorded_motion import RecordedMotion
 from excite.identification.regression import IdentificationModel
@@ -90,7 +90,7 @@ def test_a_measured_loss_is_predicted_from_what_is_predicted(subject):
         < 0.05 * np.abs(expected - torque[:, 0]).max()
     )
     assert np.array_equal(recorded_as[:, 1], torque[:, 1])
-    most = electrical.overdrawn(0.9, LOSS, np.array([-1e3, 0.0, 1e3]))  # more than it can make
+    most = torque_saturation.recorded_torque(0.9, LOSS, np.array([-1e3, 0.0, 1e3]))  # more than it can make
     assert np.isfinite(most).all() and most[2] == -most[0] and most[1] == 0.0
     assert most[2] >= 1e3  # what is recorded is never less than what is made
 
@@ -119,9 +119,9 @@ def test_a_drive_whose_torque_levels_off_is_told(subject):
     loss = 1.0 - 1.0 / np.sqrt(1.0 + (largest / LEVEL) ** 2)
     assert shape.parameters(together.coefficients)["loss"] == pytest.approx(loss, rel=0.1)
     x = np.linspace(-largest, largest, 101)
-    made = x - together.coefficients[0] * electrical._missing(shape.values, x)
+    made = x - together.coefficients[0] * torque_saturation._lost_torque(shape.values, x)
     np.testing.assert_allclose(
-        electrical.overdrawn(float(together.coefficients[0]), shape.values, made),
+        torque_saturation.recorded_torque(float(together.coefficients[0]), shape.values, made),
         x,
         atol=0.02 * largest,
     )
@@ -139,14 +139,14 @@ def test_of_its_usual_torque_a_drive_loses_little(calm, bend, rests):
     )
     shapes = [
         s
-        for s in EFFECTS_BY_NAME["torque_saturation"].shapes([track])
+        for s in EFFECTS_BY_NAME["torque_saturation"].candidates([track])
         if s.joint == 0 and s.values.get("bend") == bend
     ]
     usual = float(np.median(np.abs(drawn[len(drawn) * 2 // 3 if rests else 0 :, 0])))
     assert len(shapes) == 6
     for shape in shapes:
         most = max(c for c in np.linspace(0.01, 1.2, 120) if shape.is_plausible(np.array([c])))
-        assert most * electrical._missing(shape.values, np.array([usual]))[0] < 0.31 * usual
+        assert most * torque_saturation._lost_torque(shape.values, np.array([usual]))[0] < 0.31 * usual
 
 
 def test_noise_in_a_column_of_measured_torque_is_no_saturation():

@@ -57,7 +57,7 @@ def test_what_is_late_at_one_joint_is_in_time_at_others(nothing):
     every = dataclasses.replace(
         one, grid=Grid.RECORDED, kept=slice(0, len(one.segment)), time=one.times
     )
-    shapes = list(EFFECTS_BY_NAME["elasticity"].shapes([one]))
+    shapes = list(EFFECTS_BY_NAME["elasticity"].candidates([one]))
     shape = next(s for s in shapes if s.joint == 0)
     now, then = shape.columns(every), shape.delayed(RecordingDelay(seconds), 0).columns(every)
     moved = np.column_stack(
@@ -78,7 +78,7 @@ def test_what_a_track_remembers_is_found_once_for_all_that_see_it_later(nothing)
 
 
 def test_what_is_turned_stays_as_late(nothing):
-    shape = next(s for s in EFFECTS_BY_NAME["hysteresis"].shapes(nothing.motions[0]) if s.joint == 1)
+    shape = next(s for s in EFFECTS_BY_NAME["hysteresis"].candidates(nothing.motions[0]) if s.joint == 1)
     then = shape.delayed(RecordingDelay(0.004), 1)
     assert then.nonlinear is not None
     kin = [knob.at(knob.value) for knob in then.variants()]

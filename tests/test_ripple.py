@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from excite.effects import ripple
+from excite.effects import torque_ripple
 
 Array = np.ndarray
 STEP = 1.6
@@ -16,7 +16,7 @@ def strongest(q: Array, left: Array, base: Array) -> float:
     def waves(which: Array) -> Array:
         return np.exp(1j * np.outer(which, q))
 
-    return ripple._peaks(waves, (GRID, waves(GRID), STEP), left, base)[0]
+    return torque_ripple._periodogram_peaks(waves, (GRID, waves(GRID), STEP), left, base)[0]
 
 
 @pytest.mark.parametrize("some", [slice(None), slice(None, None, 3)])
@@ -31,7 +31,7 @@ def test_an_order_is_found_that_the_base_has_taken_most_of(order, some):
         size=(len(q), 2)
     )
     fitted = torque - gamma @ np.linalg.lstsq(gamma.reshape(-1, 8), torque.ravel(), rcond=None)[0]
-    left, base = ripple._freed(fitted[some], gamma[some], 0)
+    left, base = torque_ripple._without_base(fitted[some], gamma[some], 0)
     beside, bare = (
         strongest(q[some], left, base),
         strongest(q[some], fitted[some, 0], np.zeros((len(left), 0))),
@@ -45,5 +45,5 @@ def test_a_joint_of_which_nothing_is_left_outweighs_no_other():
         rng.normal(size=(300, 2, 5)),
         np.column_stack([rng.normal(size=300), np.zeros(300)]),
     )
-    free, base = ripple._freed(left, gamma, 0)
+    free, base = torque_ripple._without_base(left, gamma, 0)
     assert base.shape == (300, 5) and np.isfinite(free).all()

@@ -188,7 +188,7 @@ def test_what_steps_are_said_to_feign_is_of_the_size_of_what_they_do(tmp_path):
     assert coarse[0].segment.smoothed.all() and not right[0].segment.smoothed.any()
     done = np.concatenate([a.residual - b.residual for a, b in zip(coarse, right, strict=True)])
     said = np.concatenate(
-        [half for draw in noise.stepped(model, (coarse, coarse)) for half in draw]
+        [half for draw in noise.quantization_residuals(model, (coarse, coarse)) for half in draw]
     )
     ratio = np.sqrt(np.mean(said**2, axis=0) / np.mean(done**2, axis=0))
     assert (ratio > 0.45).all() and (

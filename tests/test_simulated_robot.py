@@ -63,7 +63,7 @@ def test_base_physics_agrees_with_pinocchio(name):
         rng.normal(size=(20, arm.n)),
         5 * rng.normal(size=(20, arm.n)),
     )
-    model = pin.buildModelFromXML(tree.text)
+    model = pin.buildModelFromXML(tree.xml)
     data = model.createData()
     assert tuple(model.names[1:]) == arm.joints
     expected = np.array([pin.rnea(model, data, *row) for row in zip(q, v, a, strict=True)])

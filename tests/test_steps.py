@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from excite.effects import EFFECTS_BY_NAME
 from excite.effects.effect import CandidateModel
-from excite.effects.friction import TOLD
+from excite.effects.friction import RESOLVED_SPEED_RATIO
 from excite.effects.recorded_motion import RecordedMotion
 
 Array = np.ndarray
@@ -41,7 +41,7 @@ class Turning:
 
 
 def shapes(effect: str, tracks: Sequence[Any]) -> list[CandidateModel]:
-    return list(EFFECTS_BY_NAME[effect].shapes(tracks))
+    return list(EFFECTS_BY_NAME[effect].candidates(tracks))
 
 
 STEPS = {"bits": st.integers(10, 20), "turns": st.floats(0.5, 20.0)}
@@ -88,7 +88,7 @@ def test_fine_encoders_hide_nothing(effect):
 def test_friction_that_changes_at_speeds_which_an_encoder_does_not_tell_has_no_name(bits, turns):
     """Stribeck's that fades there, and a power that has risen to half there."""
     track = Turning(2.0 * np.pi / 2**bits, turns)
-    least, fastest = TOLD * track.steps / track.reversal_dwell, np.abs(track.samples.dq).max(axis=0)
+    least, fastest = RESOLVED_SPEED_RATIO * track.steps / track.reversal_dwell, np.abs(track.samples.dq).max(axis=0)
     for factor in (0.9, 1.1):
         for shape in shapes("stribeck", [track]):
             assert shape.nonlinear is not None

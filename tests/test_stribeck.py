@@ -102,13 +102,13 @@ def test_values_that_make_up_for_each_other_are_turned_together():
     def shape(values: Mapping[str, float]) -> CandidateModel:
         return CandidateModel("drag", 0, unexpected_columns, dict(values))
 
-    best, most = NonlinearParameterSet({"a": (2.0, 0.1, 4.0), "b": (1.0, 0.1, 4.0)}, shape).best(gain, -1e9)
+    best, most = NonlinearParameterSet({"a": (2.0, 0.1, 4.0), "b": (1.0, 0.1, 4.0)}, shape).maximise(gain, -1e9)
     assert most > -0.1 and len(asked) < 150
     assert np.log([best.values["a"], best.values["b"]]) == pytest.approx([-0.25, 0.75], abs=0.05)
-    bounded, _ = NonlinearParameterSet({"a": (2.0, 1.0, 4.0), "b": (1.0, 0.1, 4.0)}, shape).best(gain, -1e9)
+    bounded, _ = NonlinearParameterSet({"a": (2.0, 1.0, 4.0), "b": (1.0, 0.1, 4.0)}, shape).maximise(gain, -1e9)
     assert bounded.values["a"] == pytest.approx(1.0, abs=0.02)
     where = shape({"a": 2.0, "b": 1.0})
-    assert NonlinearParameterSet({"a": (2.0, 0.1, 4.0), "b": (1.0, 0.1, 4.0)}, shape).best(gain, 1.0) == (
+    assert NonlinearParameterSet({"a": (2.0, 0.1, 4.0), "b": (1.0, 0.1, 4.0)}, shape).maximise(gain, 1.0) == (
         where,
         1.0,
     )
@@ -119,22 +119,22 @@ def test_stribecks_curve_turned_is_as_late_and_has_no_width_that_an_encoder_hide
     tracks = diagnosis.diagnose(
         subject.robot, subject.parameters, subject.base, [train], [held_out]
     ).motions[0]
-    first = next(s for s in EFFECTS_BY_NAME["stribeck"].shapes(tracks))
-    assert [set(near.here.values) for near in first.variants()] == [
+    first = next(s for s in EFFECTS_BY_NAME["stribeck"].candidates(tracks))
+    assert [set(near.current.values) for near in first.variants()] == [
         {"velocity", "exponent", "width", "usual"},
         {"velocity", "exponent", "width", "usual", "rational"},
     ]
     late = first.delayed(RecordingDelay(0.004), 0)
     assert all(
-        near.here.values["late"] == 0.004 and near.here.nonlinear.at(0.1).values["late"] == 0.004
+        near.current.values["late"] == 0.004 and near.current.nonlinear.at(0.1).values["late"] == 0.004
         for near in late.variants()
     )
     coarse = [
         dataclasses.replace(t, segment=dataclasses.replace(t.segment, encoder=np.full(2, 1e-3)))
         for t in tracks
     ]
-    hidden = next(s for s in EFFECTS_BY_NAME["stribeck"].shapes(coarse))
-    assert [set(near.here.values) for near in hidden.variants()] == [
+    hidden = next(s for s in EFFECTS_BY_NAME["stribeck"].candidates(coarse))
+    assert [set(near.current.values) for near in hidden.variants()] == [
         {"velocity", "exponent"},
         {"velocity", "exponent", "rational"},
     ]

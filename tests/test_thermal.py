@@ -13,7 +13,7 @@ from test_predicted import fitted_with, stated
 
 from excite.diagnosis import diagnosis, fitted_effects, interval
 from excite.diagnosis.diagnosis_file import document
-from excite.effects import EFFECTS_BY_NAME, thermal
+from excite.effects import EFFECTS_BY_NAME, thermal_drift
 from excite.effects.effect import CandidateModel
 from excite.effects.recorded_motion import Grid, RecordedMotion
 from excite.errors import UnusableInput
@@ -131,7 +131,7 @@ def test_a_joint_that_its_own_friction_heats_cools_where_it_slows_down(subject):
 
 def heated(subject: IdentificationModel, constant: float) -> tuple[RecordedMotion, CandidateModel]:
     track = found(subject, None).motions[0][0]
-    shapes = EFFECTS_BY_NAME["thermal_drift"].shapes([track])
+    shapes = EFFECTS_BY_NAME["thermal_drift"].candidates([track])
     return track, next(s for s in shapes if s.joint == 0 and "power" in s.values).nonlinear.at(constant)
 
 
@@ -143,9 +143,9 @@ def test_friction_of_a_heated_joint_never_falls_far_below_nothing(subject, const
     slow = len(q) // 3
     q[slow:] = q[slow] + 0.1 * (q[slow:] - q[slow])
     uneven = dataclasses.replace(track, segment=dataclasses.replace(track.segment, q=q))
-    shapes = EFFECTS_BY_NAME["thermal_drift"].shapes([uneven])
+    shapes = EFFECTS_BY_NAME["thermal_drift"].candidates([uneven])
     shape = next(s for s in shapes if s.joint == 0 and "power" in s.values).nonlinear.at(constant)
-    warm = thermal._heated(uneven, shape)
+    warm = thermal_drift._warming_by_losses(uneven, shape)
     for c in np.linspace(-4.0, -0.01, 200):
         if shape.is_plausible(np.array([c])):
             assert 1.0 + c * (warm.max() - warm.mean()) > -1e-9
@@ -164,10 +164,10 @@ def test_a_gap_in_a_recording_makes_no_joint_cold(subject, power):
         q=track.segment.q[half:],
         torque=track.segment.torque[half:],
         start=float(track.times[half]),
-        began=start,
+        recording_start=start,
     )
     whole_way, after = (
-        thermal._changed(
+        thermal_drift._columns(
             dataclasses.replace(track, segment=piece, grid=Grid.RECORDED, kept=slice(0, len(piece))),
             shape,
         )[:, 0, 0]

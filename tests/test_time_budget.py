@@ -11,7 +11,7 @@ from conftest import BUILTIN, loaded, pendulum
 
 from excite.designer import optimize, pipeline, time_budget
 from excite.designer.criteria import Criterion
-from excite.designer.options import DesignOptions
+from excite.designer.options import DesignOptions, samples_per_period
 from excite.designer.time_budget import (
     DEVIATION_TOLERANCE,
     MAX_FREQUENCY,
@@ -63,7 +63,7 @@ def test_rule_gives_whole_samples_and_bounded_frequencies(name, rate):
     limits = resolve(robot.load(name))
     for harmonics in (3, 5, 12):
         period = time_budget.choose_period(limits, harmonics, rate)
-        optimize.samples_per_period(period, rate)
+        samples_per_period(period, rate)
         assert harmonics / period <= MAX_FREQUENCY + 1e-9
         assert period <= time_budget.MAX_PERIOD
 
@@ -98,10 +98,10 @@ def test_rule_gives_more_information_per_sample_than_ten_seconds(two_link, table
 
 
 def test_stated_quantities_are_kept(table):
-    request = MotionRequest(period=3.0, harmonics=7, samples=33, periods=4)
-    options = request.complete(DesignOptions(), table)
+    desired = MotionRequest(period=3.0, harmonics=7, samples=33, periods=4)
+    options = desired.complete(DesignOptions(), table)
     assert (options.period, options.harmonics, options.samples, options.periods) == (3.0, 7, 33, 4)
-    assert request.unspecified == [] and MotionRequest(harmonics=7).unspecified == [
+    assert desired.unspecified == [] and MotionRequest(harmonics=7).unspecified == [
         "period",
         "samples",
         "periods",
@@ -119,9 +119,9 @@ def test_continuous_joint_has_a_sweep_period():
 # budget
 
 
-def planned(two_link, table, budget=16.0, request=None, options=SHORT, **arguments) -> BudgetPlan:
+def planned(two_link, table, budget=16.0, desired=None, options=SHORT, **arguments) -> BudgetPlan:
     return time_budget.plan_for_budget(
-        two_link, table, options, request or MotionRequest(), budget, **arguments
+        two_link, table, options, desired or MotionRequest(), budget, **arguments
     )
 
 
@@ -153,7 +153,7 @@ def test_plan_does_not_depend_on_the_number_of_processes(two_link, table):
 
 
 @pytest.mark.parametrize(
-    "request",
+    "desired",
     [
         MotionRequest(period=4.0),
         MotionRequest(harmonics=4),
@@ -162,15 +162,15 @@ def test_plan_does_not_depend_on_the_number_of_processes(two_link, table):
         MotionRequest(period=3.0, harmonics=3, samples=40, periods=2),
     ],
 )
-def test_only_free_quantities_are_chosen(two_link, table, request):
-    for c in planned(two_link, table, request=request).candidates:
+def test_only_free_quantities_are_chosen(two_link, table, desired):
+    for c in planned(two_link, table, desired=desired).candidates:
         for name, value in (
             ("period", c.period),
             ("harmonics", c.harmonics),
             ("samples", c.samples),
             ("periods", c.repeats),
         ):
-            assert getattr(request, name) in (None, value)
+            assert getattr(desired, name) in (None, value)
         assert c.samples > 2 * c.harmonics
 
 
@@ -178,11 +178,11 @@ def test_earlier_information_lowers_the_deviation(two_link, table):
     setup = optimize.set_up(two_link, table, SHORT)
     root = setup.problem.parameters.scale / 1e3
     earlier = 1e9 * np.linalg.inv(root @ root.T)
-    request = MotionRequest(harmonics=3)
+    desired = MotionRequest(harmonics=3)
     assert max(
         c.deviation
-        for c in planned(two_link, table, request=request, earlier_information=earlier).candidates
-    ) < 0.5 * min(c.deviation for c in planned(two_link, table, request=request).candidates)
+        for c in planned(two_link, table, desired=desired, earlier_information=earlier).candidates
+    ) < 0.5 * min(c.deviation for c in planned(two_link, table, desired=desired).candidates)
 
 
 @pytest.mark.parametrize("criterion", list(Criterion))
@@ -208,7 +208,7 @@ def test_short_budget_is_refused_with_the_time_needed(two_link, table):
 
 
 @pytest.mark.parametrize(
-    ("budget", "request", "options", "words"),
+    ("budget", "desired", "options", "words"),
     [
         (0.0, MotionRequest(), SHORT, "--time 0 should be positive"),
         (np.nan, MotionRequest(), SHORT, "--time nan should be positive"),
@@ -220,14 +220,14 @@ def test_short_budget_is_refused_with_the_time_needed(two_link, table):
         (12.0, MotionRequest(period=0.0), SHORT, "--period 0"),
     ],
 )
-def test_inconsistent_budget_is_refused(two_link, table, budget, request, options, words):
+def test_inconsistent_budget_is_refused(two_link, table, budget, desired, options, words):
     with pytest.raises(UnusableInput, match=words):
-        planned(two_link, table, budget, request, options)
+        planned(two_link, table, budget, desired, options)
 
 
 def test_approach_to_a_start_pose_counts_for_the_budget(two_link, table):
     pose = np.array([-1.5, 0.3])
-    plan = planned(two_link, table, start=pose, request=MotionRequest(harmonics=3))
+    plan = planned(two_link, table, start=pose, desired=MotionRequest(harmonics=3))
     delivery = time_budget.run_plan(
         plan,
         SHORT,

@@ -29,7 +29,7 @@ def test_wind_up_is_that_of_the_differential_equation():
     t = np.arange(500) * dt
     force, inertia = np.sin(9.0 * t) + 0.4 * np.sin(31.0 * t), 0.5 + 0.1 * np.sin(2.0 * t)
     stiffness, damping = 400.0 + 30.0 * np.cos(3.0 * t), 1.5 + np.sin(5.0 * t)
-    place, speed = gear_dynamics.oscillator(force, inertia, stiffness, damping, dt, start)
+    place, speed = gear_dynamics.simulate_oscillator(force, inertia, stiffness, damping, dt, start)
 
     def slope(at: float, state: Array) -> Array:
         f, m, k, d = (np.interp(at, t, x) for x in (force, inertia, stiffness, damping))
@@ -43,7 +43,7 @@ def test_wind_up_is_that_of_the_differential_equation():
 def step_by_step(push: Array, dt: float, half: float, omega: float) -> Array:
     x, v, places = half if push[0] > 0.0 else -half, 0.0, []
     for a in push.tolist():
-        v += (a - omega**2 * x - 2.0 * gear_dynamics.OIL * omega * v) * dt
+        v += (a - omega**2 * x - 2.0 * gear_dynamics.GAP_DAMPING_RATIO * omega * v) * dt
         x += v * dt
         if abs(x) > half:
             x, v = float(np.copysign(half, x)), 0.0
@@ -63,7 +63,7 @@ def test_a_link_goes_from_flank_to_flank_as_it_does_step_by_step(seed, hold, hal
     push = sum(
         a * np.sin(w * t + p) for a, w, p in rng.uniform([0.0, 0.5, 0.0], [8.0, 30.0, 6.0], (4, 3))
     )
-    assert gear_dynamics.between_flanks(push, dt, half, omega) == pytest.approx(
+    assert gear_dynamics.simulate_backlash_gap(push, dt, half, omega) == pytest.approx(
         step_by_step(push, dt, half, omega), abs=1e-5 * half
     )
 
@@ -72,7 +72,7 @@ def test_a_link_goes_from_flank_to_flank_as_it_does_step_by_step(seed, hold, hal
 def test_a_link_in_its_play_goes_on_for_minutes_and_where_samples_hardly_follow_it(dt):
     t, omega = dt * np.arange(100_000), 2.0 * np.pi * (0.0 if dt < 1e-2 else 20.0)
     push = 30.0 + 45.0 * np.sin(3.0 * t)
-    assert gear_dynamics.between_flanks(push, dt, 5e-5, omega) == pytest.approx(
+    assert gear_dynamics.simulate_backlash_gap(push, dt, 5e-5, omega) == pytest.approx(
         step_by_step(push, dt, 5e-5, omega), abs=1e-9
     )
 
@@ -140,11 +140,11 @@ def test_a_spring_that_swings_beyond_the_band_is_told_where_its_coefficient_is_o
     for track, least in ((calm, 0.0), (shaken, 0.02)):
         knob = next(
             s
-            for s in EFFECTS_BY_NAME["elasticity"].shapes([track])
+            for s in EFFECTS_BY_NAME["elasticity"].candidates([track])
             if s.joint == 1 and not s.values["rests"]
         ).nonlinear
         stiffness = (
-            float(gear_dynamics.mass(track, 1).mean()) * (2.0 * np.pi * 1.3 * track.band.hertz) ** 2
+            float(gear_dynamics.link_inertia(track, 1).mean()) * (2.0 * np.pi * 1.3 * track.band.hertz) ** 2
         )
         true, other = knob.at(stiffness), knob.at(over * stiffness)
         (c,) = np.linalg.lstsq(
@@ -158,11 +158,11 @@ def test_a_spring_that_swings_beyond_the_band_is_told_where_its_coefficient_is_o
 @pytest.mark.parametrize("rests", [False, True])
 def test_a_link_winds_up_from_where_it_was_when_its_motor_began(subject, rests):
     track = found(subject, None).motions[1][0]
-    assert gear_dynamics.launched(track, 1)  # slowly: its link may hang still or come along
+    assert gear_dynamics.starts_in_motion(track, 1)  # slowly: its link may hang still or come along
     t, K, ratio = np.arange(len(track.coarse_samples)) / track.band.rate_of(Grid.COARSE), 60.0, 0.02
-    damping = 2.0 * ratio * float(np.sqrt(K * gear_dynamics.mass(track, 1).mean()))
+    damping = 2.0 * ratio * float(np.sqrt(K * gear_dynamics.link_inertia(track, 1).mean()))
     exact = swung(track.fitted_robot.model, K, damping, t, track.coarse_samples.q, rests)[0]
-    told, other = (gear_dynamics.wound(track, 1, K, ratio, which) for which in (rests, not rests))
+    told, other = (gear_dynamics.elastic_deflection(track, 1, K, ratio, which) for which in (rests, not rests))
     second = slice(0, 120)
     assert (
         np.abs(told - exact)[second].max()
@@ -173,11 +173,11 @@ def test_a_link_winds_up_from_where_it_was_when_its_motor_began(subject, rests):
 
 def test_play_whose_load_never_turns_is_none(subject):
     every = [one for half in found(subject, None).motions for one in half]
-    assert {shape.joint for shape in EFFECTS_BY_NAME["backlash"].shapes(every)} == {0, 1}
+    assert {shape.joint for shape in EFFECTS_BY_NAME["backlash"].candidates(every)} == {0, 1}
     pressed = [dataclasses.replace(one) for one in every]
     for one in pressed:
         one.__dict__["rigid_torque"] = one.rigid_torque + np.array([1e4, 0.0])
-    assert {shape.joint for shape in EFFECTS_BY_NAME["backlash"].shapes(pressed)} == {1}
+    assert {shape.joint for shape in EFFECTS_BY_NAME["backlash"].candidates(pressed)} == {1}
 
 
 def _step_by_step(q: Array, step: Callable[[float, float], float]) -> Array:
@@ -190,7 +190,7 @@ def test_friction_with_memory_from_reversal_to_reversal_is_what_it_is_step_by_st
     """Whatever a joint does: it may rest, begin either way, turn at once or step from end to end."""
     q = np.array(places, float)
     slipped = _step_by_step(q, lambda z, step: min(max(z + step / reach, -1.0), 1.0))
-    np.testing.assert_allclose(hysteresis.slipping(q, reach), slipped, atol=1e-12)
+    np.testing.assert_allclose(hysteresis.maxwell_slip(q, reach), slipped, atol=1e-12)
     bent = _step_by_step(
         q,
         lambda z, step: (

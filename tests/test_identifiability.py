@@ -17,7 +17,9 @@ from excite.designer.identifiability import (
     analyse_information,
     analyse_root,
     information_root,
+    named_coordinates_root,
     regressor_root,
+    rotation_to_named_coordinates,
 )
 from excite.robot import base_parameters as base_parameters_module
 from excite.robot import dynamics, inertial_parameters, limits, robot
@@ -53,21 +55,21 @@ def motion_of(name: str, count: int = 300, period: float = 5.0) -> tuple[Motion,
 
 
 def result(name: str) -> tuple[Identifiability, np.ndarray]:
-    loaded, table, standard, found = setup(name)
+    loaded, table, standard, base = setup(name)
     noise = 0.01 * table.torque
     root = information_root(loaded, standard, motion_of(name)[1], noise)
-    return analyse_root(standard, found, root, noise, loaded), root
+    return analyse_root(standard, base, root, noise, loaded), root
 
 
-def test_eigenvalues_are_those_of_the_generalised_problem() -> None:
+def test_eigenvalues_equal_those_of_the_generalised_problem() -> None:
     """I v = λ H₀ v in the base coordinates of an arbitrary B, by LAPACK's generalised solver."""
-    _, table, standard, found = setup("two_link")
+    _, table, standard, base = setup("two_link")
     analysis, _ = result("two_link")
     Y = dynamics.regressor(setup("two_link")[0], standard, motion_of("two_link")[1])
     weighted = (Y / (0.01 * table.torque)[:, None]).reshape(-1, standard.count)
-    gamma = weighted @ np.linalg.pinv(found.matrix)
+    gamma = weighted @ np.linalg.pinv(base.matrix)
     inverse_metric = standard.scale @ standard.scale.T
-    H0 = np.linalg.inv(found.matrix @ inverse_metric @ found.matrix.T)
+    H0 = np.linalg.inv(base.matrix @ inverse_metric @ base.matrix.T)
     expected = scipy.linalg.eigh(gamma.T @ gamma, 0.5 * (H0 + H0.T), eigvals_only=True)[::-1]
     np.testing.assert_allclose(analysis.eigenvalues, expected, rtol=1e-6)
     assert [d.identifiable for d in analysis.directions] == [
@@ -77,15 +79,15 @@ def test_eigenvalues_are_those_of_the_generalised_problem() -> None:
 
 @pytest.mark.parametrize("name", ["two_link", "ur10e", "fr3"])
 def test_information_and_root_agree(name: str) -> None:
-    loaded, table, standard, found = setup(name)
+    loaded, table, standard, base = setup(name)
     analysis, root = result(name)
-    again = analyse_information(standard, found, root.T @ root, 0.01 * table.torque, loaded)
+    again = analyse_information(standard, base, root.T @ root, 0.01 * table.torque, loaded)
     top = analysis.eigenvalues[0]
     np.testing.assert_allclose(again.eigenvalues, analysis.eigenvalues, rtol=1e-6, atol=1e-13 * top)
     assert again.identifiable_count == analysis.identifiable_count
 
 
-def test_blocks_give_the_information_of_the_whole() -> None:
+def test_information_by_blocks_equals_that_of_all_samples() -> None:
     loaded, table, standard, _ = setup("ur10e")
     samples = motion_of("ur10e", 900)[1]
     noise = 0.01 * table.torque
@@ -97,20 +99,22 @@ def test_blocks_give_the_information_of_the_whole() -> None:
 
 
 @pytest.mark.parametrize("name", ["two_link", "ur10e"])
-def test_nothing_depends_on_the_choice_of_base(name: str) -> None:
-    loaded, table, standard, found = setup(name)
+def test_results_do_not_depend_on_the_choice_of_base(name: str) -> None:
+    loaded, table, standard, base = setup(name)
     analysis, root = result(name)
     rng = np.random.default_rng(0)
-    other_rows = scipy.linalg.qr(rng.normal(size=(found.count, found.count)))[0] @ found.matrix
+    other_rows = scipy.linalg.qr(rng.normal(size=(base.count, base.count)))[0] @ base.matrix
     geometric = standard.scale @ np.linalg.qr((other_rows @ standard.scale).T)[0]
-    other: Base = dataclasses.replace(found, matrix=other_rows, geometric=geometric)
+    other: Base = dataclasses.replace(base, matrix=other_rows, geometric=geometric)
     again = analyse_root(standard, other, root, 0.01 * table.torque, loaded)
     np.testing.assert_allclose(
         again.eigenvalues, analysis.eigenvalues, rtol=1e-6, atol=1e-12 * analysis.eigenvalues[0]
     )
-    for one, two in zip(analysis.links + analysis.joints, again.links + again.joints, strict=True):
-        assert one.name == two.name
-        assert one.identifiable_share == pytest.approx(two.identifiable_share, abs=1e-6)
+    for share, other_share in zip(
+        analysis.links + analysis.joints, again.links + again.joints, strict=True
+    ):
+        assert share.name == other_share.name
+        assert share.identifiable_share == pytest.approx(other_share.identifiable_share, abs=1e-6)
     if name == "two_link":  # distinct eigenvalues: the directions themselves are the same
         for a, b in zip(analysis.directions, again.directions, strict=True):
             assert a.words == b.words
@@ -127,21 +131,19 @@ def test_weights_are_shares_of_a_unit_direction() -> None:
 
 
 @pytest.mark.parametrize("name", ["two_link", "ur10e", "fr3"])
-def test_named_coordinates_keep_the_metric(name: str) -> None:
-    """The coordinates that carry names are whitened too, and δm alone moves only the one called mass."""
-    from excite.designer.identifiability import _named_root, _rotation
-
+def test_directions_are_orthonormal_in_named_coordinates(name: str) -> None:
+    """Named coordinates are white, and a change of mass alone changes only the first of them."""
     standard = setup(name)[2]
-    turn = _rotation(standard)
-    np.testing.assert_allclose(turn @ turn.T, np.eye(standard.count), atol=1e-9)
+    rotation = rotation_to_named_coordinates(standard)
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(standard.count), atol=1e-9)
     total = float(standard.nominal[0 : 10 * standard.bodies : 10].sum())
     for i in range(standard.bodies):
         block = slice(10 * i, 10 * i + 10)
         phi = inertial_parameters.proper_body(standard.nominal[block], total)[0]
-        named, whitened = _named_root(phi), standard.scale[block, block]
+        named, whitened = named_coordinates_root(phi), standard.scale[block, block]
         expected = whitened @ whitened.T
         np.testing.assert_allclose(named @ named.T, expected, atol=1e-10 * np.abs(expected).max())
-        # a body that grows heavier and keeps its centre of mass: δφ ∝ (m, mc, inertia of a point mass at c)
+        # added mass with constant centre of mass: δφ ∝ (m, mc, inertia of a point mass at c)
         c = phi[1:4] / phi[0]
         point = np.array(
             [
@@ -160,16 +162,16 @@ def test_named_coordinates_keep_the_metric(name: str) -> None:
         )
 
 
-def test_deviations_are_those_of_repeated_least_squares() -> None:
-    loaded, table, standard, found = setup("two_link")
+def test_deviations_equal_those_of_repeated_least_squares() -> None:
+    loaded, table, standard, base = setup("two_link")
     samples = motion_of("two_link", 120)[1]
     noise = 0.01 * table.torque
     root = information_root(loaded, standard, samples, noise)
-    analysis = analyse_root(standard, found, root, noise, loaded)
-    gamma = dynamics.regressor(loaded, standard, samples) @ np.linalg.pinv(found.matrix)
-    rows = (gamma / noise[:, None]).reshape(-1, found.count)
+    analysis = analyse_root(standard, base, root, noise, loaded)
+    gamma = dynamics.regressor(loaded, standard, samples) @ np.linalg.pinv(base.matrix)
+    rows = (gamma / noise[:, None]).reshape(-1, base.count)
     rng = np.random.default_rng(7)
-    truth = found.matrix @ standard.nominal
+    truth = base.matrix @ standard.nominal
     torque = rows @ truth
     draws = np.linalg.lstsq(
         rows, (torque[:, None] + rng.normal(size=(len(torque), 4000))), rcond=None
@@ -180,17 +182,17 @@ def test_deviations_are_those_of_repeated_least_squares() -> None:
     np.testing.assert_allclose([b.nominal for b in analysis.base_parameters], truth)
 
 
-def test_a_joint_that_rests_is_not_seen_and_said_so() -> None:
-    loaded, table, standard, found = setup("two_link")
+def test_parameters_of_a_resting_joint_are_reported_as_unknown() -> None:
+    loaded, table, standard, base = setup("two_link")
     samples = motion_of("two_link")[1]
-    still = np.array([1.0, 0.0])
+    moving = np.array([1.0, 0.0])
     frozen = Samples(
-        samples.q * still + 0.3 * (1.0 - still), samples.dq * still, samples.ddq * still
+        samples.q * moving + 0.3 * (1.0 - moving), samples.dq * moving, samples.ddq * moving
     )
     noise = 0.01 * table.torque
     root = information_root(loaded, standard, frozen, noise)
-    analysis = analyse_root(standard, found, root, noise, loaded)
-    # a resting joint never rubs: the two friction terms of joint 2 are hidden, its rotor inertia with them
+    analysis = analyse_root(standard, base, root, noise, loaded)
+    # friction and rotor inertia of a joint at rest produce no torque
     hidden = [d for d in analysis.directions if not np.isfinite(d.variance)]
     assert hidden
     assert all(not d.identifiable and d.words.startswith("not seen: ") for d in hidden)
@@ -206,7 +208,7 @@ def test_a_joint_that_rests_is_not_seen_and_said_so() -> None:
     json.dumps(analysis.document(), allow_nan=False)
 
 
-def test_document_is_the_contracts() -> None:
+def test_document_has_the_keys_of_the_contract() -> None:
     analysis, _ = result("ur10e")
     document = json.loads(json.dumps(analysis.document(), allow_nan=False))
     assert document["schema"] == "excite.identifiability/1"
@@ -236,22 +238,22 @@ def test_document_is_the_contracts() -> None:
         assert link["identifiable_share"] is None or 0.0 <= link["identifiable_share"] <= 1.0
 
 
-def test_a_looser_threshold_shows_more() -> None:
-    loaded, table, standard, found = setup("ur10e")
+def test_larger_threshold_identifies_more_directions() -> None:
+    loaded, table, standard, base = setup("ur10e")
     _, root = result("ur10e")
     counts, shares = [], []
     for threshold in (1e-4, 1e-2, 1e12):
         analysis = analyse_root(
-            standard, found, root, 0.01 * table.torque, loaded, threshold=threshold
+            standard, base, root, 0.01 * table.torque, loaded, threshold=threshold
         )
         counts.append(analysis.identifiable_count)
         shares.append([s.identifiable_share for s in analysis.links])
-    assert counts == sorted(counts) and counts[-1] == found.count
+    assert counts == sorted(counts) and counts[-1] == base.count
     assert np.all(np.diff(np.array(shares), axis=0) >= -1e-12)
     np.testing.assert_allclose(shares[-1], 1.0)
 
 
-def test_words_name_links_and_joints() -> None:
+def test_descriptions_name_links_and_joints() -> None:
     analysis, _ = result("ur10e")
     loaded = setup("ur10e")[0]
     for direction in analysis.directions:
@@ -265,12 +267,12 @@ def test_words_name_links_and_joints() -> None:
     assert spoken("Fc2", standard) == "Coulomb friction of shoulder_lift_joint"
 
 
-def test_twice_the_time_and_twice_the_speed() -> None:
-    loaded, table, standard, found = setup("two_link")
+def test_scenarios_of_twice_the_time_and_twice_the_speed() -> None:
+    loaded, table, standard, base = setup("two_link")
     motion, _ = motion_of("two_link")
     noise = 0.01 * table.torque
     now, time, speed = compare_scenarios(
-        loaded, standard, found, table, motion, noise=noise, rate=100.0
+        loaded, standard, base, table, motion, noise=noise, rate=100.0
     )
     np.testing.assert_allclose(time.eigenvalues, 2.0 * now.eigenvalues, rtol=1e-9)
     assert (now.name, time.name, speed.name) == ("now", "time", "speed") and not time.broken_limits
@@ -279,23 +281,23 @@ def test_twice_the_time_and_twice_the_speed() -> None:
     count = round(100.0 * motion.duration)
     t = np.arange(count) * (motion.duration / count)
     direct = analyse_root(
-        standard, found, information_root(loaded, standard, fast.samples(t), noise), noise, loaded
+        standard, base, information_root(loaded, standard, fast.samples(t), noise), noise, loaded
     )
     np.testing.assert_allclose(speed.eigenvalues, direct.eigenvalues, rtol=0.02)
     peak = np.abs(fast.at(fast.grid(300), 1)).max(axis=0) / table.velocity
     assert any(b.limit == "velocity" for b in speed.broken_limits) == bool(peak.max() > 1.0)
-    # a limit derived for the ramps does not bind the excitation; a stated one does
+    # derived limits apply to the ramps only, stated ones to the excitation, too
     low = dataclasses.replace(table, acceleration=np.full(2, 0.1))
     derived = dataclasses.replace(
         low, sources={**table.sources, "acceleration": ("derived", "derived")}
     )
     for limited, expected in ((low, True), (derived, False)):
-        broken = compare_scenarios(loaded, standard, found, limited, motion, noise=noise, rate=100.0)[
-            2
-        ].broken_limits
-        assert any(b.limit == "acceleration" for b in broken) == expected
+        broken_limits = compare_scenarios(
+            loaded, standard, base, limited, motion, noise=noise, rate=100.0
+        )[2].broken_limits
+        assert any(b.limit == "acceleration" for b in broken_limits) == expected
     slow = dataclasses.replace(table, velocity=0.5 * np.abs(fast.at(fast.grid(300), 1)).max(axis=0))
-    broken = compare_scenarios(loaded, standard, found, slow, motion, noise=noise, rate=100.0)[
-        2
-    ].broken_limits
-    assert next(b for b in broken if b.limit == "velocity").factor == pytest.approx(2.0)
+    broken_limits = compare_scenarios(
+        loaded, standard, base, slow, motion, noise=noise, rate=100.0
+    )[2].broken_limits
+    assert next(b for b in broken_limits if b.limit == "velocity").factor == pytest.approx(2.0)

@@ -67,13 +67,15 @@ def test_gradients_equal_finite_differences(rng):
 def test_overlap_does_not_depend_on_phase_period_and_sampling(rng):
     first, second = motion(rng), motion(rng)
     value = overlap_of(first, second)
-    assert overlap_of(first, second.shifted(1.3)) == pytest.approx(value, abs=2e-3)
+    # tolerances: the largest difference of 3,000 random pairs is 0.003 with 60 samples per period
+    # and 0.021 with 30
+    assert overlap_of(first, second.shifted(1.3)) == pytest.approx(value, abs=5e-3)
     assert overlap_of(first, second, 7 * MAX_COMPARED_SAMPLES) == pytest.approx(value, abs=2e-3)
     zero = np.zeros_like(second.sine)  # the same motion with two periods in one
     twice = [np.stack([zero, c], axis=2).reshape(len(c), -1) for c in (second.sine, second.cosine)]
     assert overlap_of(
         first, FourierSeries(*twice, second.offset, 2.0 * second.period)
-    ) == pytest.approx(value, abs=5e-3)
+    ) == pytest.approx(value, abs=3e-2)
 
 
 @given(seeds)

@@ -327,7 +327,9 @@ def _describe(
         variances = 1.0 / values
     is_identifiable = variances <= threshold
     # W = G₀^{-1/2} V: undo the root to obtain unit vectors, then rotate to named coordinates
-    units = _rotation(parameters) @ np.linalg.solve(parameters.scale, base.geometric @ vectors)
+    units = rotation_to_named_coordinates(parameters) @ np.linalg.solve(
+        parameters.scale, base.geometric @ vectors
+    )
     directions = []
     for variance, identifiable, unit in zip(variances, is_identifiable, units.T, strict=True):
         shares = unit**2 / np.sum(unit**2)
@@ -414,7 +416,7 @@ def _shares(
     return links, joints
 
 
-def _rotation(parameters: Parameters) -> FloatArray:
+def rotation_to_named_coordinates(parameters: Parameters) -> FloatArray:
     """Return the rotation from whitened coordinates to coordinates that are named after parameters.
 
     Whitened coordinates may be rotated within a body. The rotated ones are: mass (with constant
@@ -430,7 +432,7 @@ def _rotation(parameters: Parameters) -> FloatArray:
     total = float(np.maximum(masses, 0.0).sum())
     for i in range(parameters.bodies):
         block = slice(10 * i, 10 * i + 10)
-        named = _named_root(proper_body(parameters.nominal[block], total)[0])
+        named = named_coordinates_root(proper_body(parameters.nominal[block], total)[0])
         size = np.linalg.norm(named, axis=1)[:, None]  # rows differ in unit: kg, kg m, kg m²
         rotation = np.linalg.solve(named / size, parameters.scale[block, block] / size)
         left, _, right = np.linalg.svd(rotation)
@@ -438,7 +440,7 @@ def _rotation(parameters: Parameters) -> FloatArray:
     return out
 
 
-def _named_root(phi: FloatArray) -> FloatArray:
+def named_coordinates_root(phi: FloatArray) -> FloatArray:
     """Return K with K Kᵀ = g(φ)⁻¹, a column per named parameter of a body. Shape (10, 10)."""
     mass, centre = phi[0], phi[1:4] / phi[0]
     values, axes = np.linalg.eigh(pseudo_inertia(phi)[:3, :3] - mass * np.outer(centre, centre))

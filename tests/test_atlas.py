@@ -94,11 +94,11 @@ def null(one: Diagnosis, rng: np.random.Generator, loud: tuple[float, float]) ->
 
 def test_pure_noise_of_any_colour_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     one, rng = found(), np.random.default_rng(0)
-    monkeypatch.setattr(residual_curves, "ORDERS", 60)
+    monkeypatch.setattr(residual_curves, "MAX_ORDERS", 60)
     motion_of = residual_curves.motion_rows(one.motions[1])
     same = list(residual_curves.residual_curves(motion_of, ("joint_1", "joint_2")))
-    monkeypatch.setattr(residual_curves, "rows", lambda *_: motion_of)
-    monkeypatch.setattr(residual_curves, "looks", lambda *_: iter(same))
+    monkeypatch.setattr(residual_curves, "motion_rows", lambda *_: motion_of)
+    monkeypatch.setattr(residual_curves, "residual_curves", lambda *_: iter(same))
     least = np.array(
         [
             min(

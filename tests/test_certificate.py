@@ -1,3 +1,5 @@
+"""Certificate: valid motions pass, tampering is detected, bounds hold between samples."""
+
 from __future__ import annotations
 
 import copy
@@ -43,23 +45,23 @@ def certificate(document: dict) -> Certificate:
     return certificate_module.verify_file(trajectory, trajectory.load_robot())
 
 
-# -- what is right stays right -------------------------------------------------------------------------------------
+# valid motions
 
 
-def test_a_certified_motion_stays_ok_after_its_file(any_delivery, tmp_path: Path):
+def test_certified_motion_is_certified_after_reading_its_file(any_delivery, tmp_path: Path):
     path = tmp_path / "trajectory.json"
     path.write_text(_json.dumps(any_delivery.trajectory.document()), encoding="utf-8")
     again = trajectory_file.read_trajectory(path)
-    found = certificate_module.verify_file(again, again.load_robot())
-    assert found.ok and [m.document() for m in found.margins] == again.margins
+    certificate = certificate_module.verify_file(again, again.load_robot())
+    assert certificate.ok and [m.document() for m in certificate.margins] == again.margins
 
 
-def test_a_file_reads_back_exactly(any_delivery):
+def test_file_reads_back_exactly(any_delivery):
     stated = any_delivery.trajectory.document()
     assert _json.dumps(reread(stated).document()) == _json.dumps(stated)
 
 
-def test_the_file_holds_what_the_contract_names(delivery):
+def test_file_has_the_keys_of_the_contract(delivery):
     keys = {
         "schema",
         "robot",
@@ -89,20 +91,22 @@ def test_the_file_holds_what_the_contract_names(delivery):
     assert set(document["criteria"]) == {"optimum", "exported"}
 
 
-def test_derived_limits_are_marked_so(two_link, table):
+def test_derived_limits_are_marked(two_link, table):
     bare = replace(table, jerk=np.full(2, np.inf), sources={**table.sources, "jerk": ("", "")})
-    limits = pipeline.design_trajectory(two_link, bare, replace(QUICK, iterations=3)).trajectory.document()[
-        "limits"
-    ]
+    limits = pipeline.design_trajectory(
+        two_link, bare, replace(QUICK, iterations=3)
+    ).trajectory.document()["limits"]
     assert {entry["source"] for entry in limits["jerk"].values()} == {"derived"}
     assert {entry["source"] for entry in limits["torque"].values()} == {"two_link.toml"}
 
 
-def test_a_slowed_motion_is_certified_too(two_link, table):
-    assert pipeline.design_trajectory(two_link, table, replace(QUICK, iterations=3), speed=0.5).certificate.ok
+def test_slowed_motion_is_certified(two_link, table):
+    assert pipeline.design_trajectory(
+        two_link, table, replace(QUICK, iterations=3), speed=0.5
+    ).certificate.ok
 
 
-def test_a_robot_is_loaded_again_as_it_was_designed_for(table):
+def test_robot_is_loaded_with_the_payload_and_gravity_of_the_design(table):
     held = load("two_link", payload=Payload("tip", 0.4, (0.0, 0.0, 0.1)), gravity=(0.0, 0.0, -5.0))
     trajectory = reread(
         pipeline.design_trajectory(held, table, replace(QUICK, iterations=3)).trajectory.document()
@@ -113,7 +117,7 @@ def test_a_robot_is_loaded_again_as_it_was_designed_for(table):
     )
 
 
-# -- tampering is caught -------------------------------------------------------------------------------------------
+# tampering
 
 
 def coefficient(d: dict) -> None:
@@ -142,7 +146,7 @@ def odd_rate(d: dict) -> None:
     d["rate"] = 99.3
 
 
-def once(d: dict) -> None:
+def single_period(d: dict) -> None:
     d["periods"] = 1
     part = next(i for i, segment in enumerate(d["segments"]) if segment["kind"] == "fourier")
     d["segments"][part]["end"] -= d["period"]
@@ -151,7 +155,7 @@ def once(d: dict) -> None:
         segment["end"] -= d["period"]
 
 
-def flattered(d: dict) -> None:
+def improved_criterion(d: dict) -> None:
     d["criteria"]["optimum"]["geometric"]["a"] *= 0.999
 
 
@@ -161,8 +165,8 @@ TAMPERED = {
     "moving start": (moving_start, "joint_1 is not at rest at the start"),
     "moving end": (moving_end, "joint_2 is not at rest at the end"),
     "odd rate": (odd_rate, "the period 2 s is no whole number of samples at 99.3 Hz"),
-    "once": (once, "1 period"),
-    "flattered": (flattered, "criterion optimum.geometric.a is"),
+    "single period": (single_period, "1 period"),
+    "improved criterion": (improved_criterion, "criterion optimum.geometric.a is"),
 }
 
 
@@ -173,16 +177,16 @@ def tampered(delivery: CertifiedDesign, how: Callable[[dict], None]) -> Certific
 
 
 @pytest.mark.parametrize("case", TAMPERED)
-def test_tampering_is_a_fault_that_says_what(delivery, case):
+def test_tampering_is_reported_as_a_fault(delivery, case):
     how, words = TAMPERED[case]
-    found = tampered(delivery, how)
-    assert not found.ok
-    assert any(re.search(words, fault) for fault in found.faults), found.faults
+    certificate = tampered(delivery, how)
+    assert not certificate.ok
+    assert any(re.search(words, fault) for fault in certificate.faults), certificate.faults
 
 
 @pytest.mark.parametrize("joint", [0, 1])
 @pytest.mark.parametrize("key", ["sine", "cosine", "offset"])
-def test_any_coefficient_changed_is_caught(delivery, joint, key):
+def test_changed_coefficient_is_detected(delivery, joint, key):
     def tamper(d):
         entry = d[key][joint]
         d[key][joint] = [1.01 * entry[0], *entry[1:]] if isinstance(entry, list) else 1.01 * entry
@@ -192,49 +196,51 @@ def test_any_coefficient_changed_is_caught(delivery, joint, key):
 
 @pytest.mark.parametrize("quantity", ["velocity", "jerk", "torque"])
 @pytest.mark.parametrize("factor", [0.5, 1000.0])
-def test_a_limit_that_differs_from_its_source_is_a_fault(delivery, quantity, factor):
+def test_limit_that_differs_from_its_source_is_a_fault(delivery, quantity, factor):
     def tamper(d):
         d["limits"][quantity]["joint_2"]["value"] *= factor
 
-    found = tampered(delivery, tamper)
-    assert not found.ok and any(
-        f"the {quantity} limit of 'joint_2'" in fault for fault in found.faults
+    certificate = tampered(delivery, tamper)
+    assert not certificate.ok and any(
+        f"the {quantity} limit of 'joint_2'" in fault for fault in certificate.faults
     )
 
 
 @pytest.mark.parametrize("quantity", ["position", "velocity", "jerk", "torque"])
-def test_a_limit_below_what_is_reached_is_broken(delivery, quantity):
+def test_limit_below_the_reached_value_fails(delivery, quantity):
     trajectory = delivery.trajectory
     robot = trajectory.load_robot()
     reached = {m.joint: abs(m.value) for m in delivery.certificate.margins if m.limit == quantity}
     size = 0.99 * np.array([reached[joint] for joint in robot.joints])
     lowered = {quantity: np.column_stack([-size, size]) if quantity == "position" else size}
-    found = certificate_module.verify(trajectory, robot, replace(resolve(robot), **lowered))
-    assert not found.ok and found.limits is certificate_module.CertificateVerdict.FAILED
-    assert {m.limit for m in found.margins if m.free_share < 0} == {quantity}
+    certificate = certificate_module.verify(trajectory, robot, replace(resolve(robot), **lowered))
+    assert not certificate.ok and certificate.limits is certificate_module.CertificateVerdict.FAILED
+    assert {m.limit for m in certificate.margins if m.free_share < 0} == {quantity}
 
 
-def test_a_removed_limit_is_not_a_pass(braked):
+def test_removed_limit_is_a_fault(braked):
     def tamper(d):
         d["limits"]["braking"] = {
             j: {**entry, "offset": 0.0} for j, entry in d["limits"]["braking"].items()
         }
 
-    found = tampered(braked, tamper)
-    assert not found.ok and any("braking limit" in fault for fault in found.faults)
+    certificate = tampered(braked, tamper)
+    assert not certificate.ok and any("braking limit" in fault for fault in certificate.faults)
 
 
-def test_a_promised_margin_is_held_to(delivery):
+def test_promised_margin_is_required(delivery):
     def tamper(d):
         d["design"]["margin"]["velocity"] = 0.5
 
-    found = tampered(delivery, tamper)
+    certificate = tampered(delivery, tamper)
     assert (
-        not found.ok and found.worst().limit == "velocity" and "should stay free" in found.failure_reason()
+        not certificate.ok
+        and certificate.worst().limit == "velocity"
+        and "should stay free" in certificate.failure_reason()
     )
 
 
-def test_a_design_keeps_its_margin(delivery):
+def test_design_keeps_its_margin(delivery):
     kept = {m.limit: m.free_share for m in reversed(delivery.certificate.margins)}
     assert all(kept[kind] >= 0.02 - 1e-9 for kind in ("velocity", "acceleration", "jerk", "torque"))
     assert "-0" not in " ".join(
@@ -243,7 +249,7 @@ def test_a_design_keeps_its_margin(delivery):
 
 
 def spike(d: dict, joint: str, length: float, jerk: float) -> None:
-    """Insert four pieces of opposite jerk into a ramp, after which the joint is where it would have been, at its speed."""
+    """Insert pieces of opposite jerk into a ramp that leave the state after them unchanged."""
     pieces = d["segments"][0]["profile"]["pieces"][joint]
     whole = pieces[0][0]
     pieces[:1] = [[length, jerk], [2.0 * length, -jerk], [length, jerk]] * 2 + [
@@ -252,14 +258,14 @@ def spike(d: dict, joint: str, length: float, jerk: float) -> None:
 
 
 @pytest.mark.parametrize("length", [1e-3, 1e-4, 1e-6])
-def test_a_spike_between_two_samples_is_found(delivery, length):
-    """However short: its acceleration is the jerk limit's matter, and its torque is sampled within each piece."""
-    found = tampered(delivery, lambda d: spike(d, "joint_1", length, 1e3 / length))
-    broken = {m.limit for m in found.margins if m.free_share < 0}
-    assert not found.ok and {"acceleration", "jerk", "torque"} <= broken
+def test_jerk_spike_between_samples_is_detected(delivery, length):
+    """A spike of any duration exceeds the limits, as each piece is checked and sampled."""
+    certificate = tampered(delivery, lambda d: spike(d, "joint_1", length, 1e3 / length))
+    broken = {m.limit for m in certificate.margins if m.free_share < 0}
+    assert not certificate.ok and {"acceleration", "jerk", "torque"} <= broken
 
 
-def test_another_urdf_is_refused(delivery, tmp_path: Path):
+def test_changed_urdf_is_refused(delivery, tmp_path: Path):
     other = tmp_path / "two_link.urdf"
     other.write_text(locate("two_link").read_text() + "\n")
     with pytest.raises(UnusableInput, match=r"sha256 differs.* --robot"):
@@ -281,7 +287,7 @@ def test_another_urdf_is_refused(delivery, tmp_path: Path):
         (gap, "start: .* is not where ramp_out ends"),
     ],
 )
-def test_a_broken_file_is_unusable_input(delivery, change, part, tmp_path: Path):
+def test_malformed_file_is_refused(delivery, change, part, tmp_path: Path):
     document = json.loads(_json.dumps(delivery.trajectory.document()))
     change(document)
     path = tmp_path / "trajectory.json"
@@ -292,18 +298,21 @@ def test_a_broken_file_is_unusable_input(delivery, change, part, tmp_path: Path)
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{", "\x00"])
-def test_a_file_that_is_no_trajectory_is_unusable_input(text, tmp_path: Path):
+def test_file_that_is_no_trajectory_is_refused(text, tmp_path: Path):
     path = tmp_path / "trajectory.json"
     path.write_text(text)
     with pytest.raises(UnusableInput, match=r"give the trajectory.json"):
         trajectory_file.read_trajectory(path)
 
 
-# -- what the certificate claims holds between its samples ----------------------------------------------------------
+# bounds between samples
 
 
-def dense_room(delivery: CertifiedDesign, per_step: int = 100) -> dict[tuple[str, str], float]:
-    """Distance to every limit, from samples `per_step` times denser than the certificate's torque grid, of one period and all ramps."""
+def dense_margins(delivery: CertifiedDesign, per_step: int = 100) -> dict[tuple[str, str], float]:
+    """Return the margins to all limits of dense samples of one period and all ramps.
+
+    Samples are `per_step` times denser than those of the certificate for torques.
+    """
     trajectory, problem = delivery.trajectory, delivery.design.setup.problem
     motion, limits, robot = trajectory.motion, trajectory.limits, problem.robot
     step = motion.fourier.period / (10 * problem.options.samples * per_step)
@@ -316,17 +325,19 @@ def dense_room(delivery: CertifiedDesign, per_step: int = 100) -> dict[tuple[str
             derived = [
                 source == "derived" and segment.profile is None for source in limits.sources[kind]
             ]
-            _note(out, kind, robot.joints, part.at(t, order), getattr(limits, kind), derived)
+            _record_margin(
+                out, kind, robot.joints, part.at(t, order), getattr(limits, kind), derived
+            )
         coarse = t[:: max(1, len(t) // 4000)]
         samples = certificate_module.Samples(*(part.at(coarse, order) for order in range(3)))
         Y = dynamics.regressor(robot, problem.parameters, samples)
         nominal, width = dynamics.band(Y, problem.parameters, problem.options.uncertainty)
         for values in (nominal + width, nominal - width):
-            _note(out, "torque", robot.joints, values, limits.torque, [False] * robot.n)
+            _record_margin(out, "torque", robot.joints, values, limits.torque, [False] * robot.n)
     return out
 
 
-def _note(
+def _record_margin(
     out: dict,
     kind: str,
     names: tuple[str, ...],
@@ -335,16 +346,16 @@ def _note(
     skip: list[bool],
 ) -> None:
     lower, upper = bound.T if kind == "position" else (-bound, bound)
-    room = np.minimum(upper - values.max(axis=0), values.min(axis=0) - lower) / (
+    margins = np.minimum(upper - values.max(axis=0), values.min(axis=0) - lower) / (
         0.5 * (upper - lower)
     )
-    for name, r, skipped in zip(names, room, skip, strict=True):
+    for name, margin, skipped in zip(names, margins, skip, strict=True):
         if not skipped:
-            out[kind, name] = min(out.get((kind, name), np.inf), float(r))
+            out[kind, name] = min(out.get((kind, name), np.inf), float(margin))
 
 
-def test_every_margin_bounds_a_hundred_times_denser_sampling(any_delivery):
-    dense = dense_room(any_delivery)
+def test_margins_are_below_those_of_dense_samples(any_delivery):
+    dense = dense_margins(any_delivery)
     claimed = {
         (m.limit, m.joint): m.free_share
         for m in any_delivery.certificate.margins
@@ -354,8 +365,8 @@ def test_every_margin_bounds_a_hundred_times_denser_sampling(any_delivery):
     assert all(claimed[key] <= dense[key] + 1e-12 for key in dense)
 
 
-def test_margins_are_not_much_smaller_than_the_truth(any_delivery):
-    dense = dense_room(any_delivery, 10)
+def test_margins_are_close_to_those_of_dense_samples(any_delivery):
+    dense = dense_margins(any_delivery, 10)
     assert all(
         m.free_share > dense[m.limit, m.joint] - 0.1
         for m in any_delivery.certificate.margins
@@ -363,19 +374,19 @@ def test_margins_are_not_much_smaller_than_the_truth(any_delivery):
     )
 
 
-def test_a_margins_value_is_reached_at_its_time(any_delivery):
+def test_margin_value_is_reached_at_its_time(any_delivery):
     motion = any_delivery.trajectory.motion
     for m in any_delivery.certificate.margins:
         if m.limit in ("position", "velocity", "acceleration"):
-            near = motion.at(m.time + np.array([-1e-3, 0.0, 1e-3]), ORDERS[m.limit])[
+            values = motion.at(m.time + np.array([-1e-3, 0.0, 1e-3]), ORDERS[m.limit])[
                 :, motion.joints.index(m.joint)
             ]
             half = abs(m.bound) if m.limit != "position" else 1.0
-            assert np.abs(near - m.value).min() < 0.02 * half, m
+            assert np.abs(values - m.value).min() < 0.02 * half, m
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_excess_bounds_smooth_and_kinked_functions_between_samples(seed):
+def test_intersample_bound_holds_for_smooth_and_kinked_functions(seed):
     rng = np.random.default_rng(seed)
 
     def smooth(t):
@@ -386,11 +397,13 @@ def test_excess_bounds_smooth_and_kinked_functions_between_samples(seed):
     rng_a, rng_w, rng_p = rng.normal(size=4), rng.uniform(0.5, 12, 4), rng.uniform(0, 6, 4)
     coarse, kink = np.linspace(0, 2, 201), rng.uniform(0.3, 1.7)
     fine = np.linspace(0, 2, 20001)
-    blocks = np.repeat(np.arange(3), 67)  # differences across the ends of blocks say nothing
+    blocks = np.repeat(np.arange(3), 67)  # no differences across the ends of blocks
     for function in (smooth, lambda t: 3 * np.abs(t - kink)):
         ends = np.concatenate([function(coarse[blocks == k]) for k in range(3)])[:, None]
-        apart = np.concatenate([constraint_margins.intersample_bound(ends[blocks == k]) for k in range(3)])
-        assert np.array_equal(constraint_margins.intersample_bound(ends, blocks), apart)
+        separate = np.concatenate(
+            [constraint_margins.intersample_bound(ends[blocks == k]) for k in range(3)]
+        )
+        assert np.array_equal(constraint_margins.intersample_bound(ends, blocks), separate)
         values, between = function(coarse), function(fine).reshape(-1)
         more = constraint_margins.intersample_bound(values[:, None])[:, 0]
         cell = np.minimum((fine / coarse[1]).astype(int), 199)
@@ -399,12 +412,14 @@ def test_excess_bounds_smooth_and_kinked_functions_between_samples(seed):
         assert (between <= highest + 1e-12).all() and (between >= lowest - 1e-12).all()
 
 
-def test_torque_that_may_break_its_limit_between_samples_fails(delivery, monkeypatch):
+def test_torque_above_its_limit_between_samples_fails(delivery, monkeypatch):
     trajectory = delivery.trajectory
     robot = trajectory.load_robot()
     with monkeypatch.context() as without:
         without.setattr(
-            constraint_margins, "excess", lambda values, blocks=None: np.zeros_like(values)
+            constraint_margins,
+            "intersample_bound",
+            lambda values, blocks=None: np.zeros_like(values),
         )
         sampled = {
             m.joint: abs(m.value)
@@ -412,37 +427,45 @@ def test_torque_that_may_break_its_limit_between_samples_fails(delivery, monkeyp
             if m.limit == "torque"
         }
     just_above = np.array([sampled[joint] * (1 + 1e-9) for joint in trajectory.joints])
-    found = certificate_module.verify(trajectory, robot, replace(resolve(robot), torque=just_above))
-    assert {m.limit for m in found.margins if m.free_share < 0} == {"torque"}
+    certificate = certificate_module.verify(
+        trajectory, robot, replace(resolve(robot), torque=just_above)
+    )
+    assert {m.limit for m in certificate.margins if m.free_share < 0} == {"torque"}
 
 
 @pytest.mark.parametrize("side", [0, 1])
-def test_braking_is_used_up_where_the_speed_is_the_stated_function_of_position(braked, side):
+def test_braking_limit_is_reached_at_its_velocity(braked, side):
     trajectory = braked.trajectory
-    subject = certificate_module.motion_constraints(trajectory, trajectory.load_robot(), trajectory.limits)
+    constraints = certificate_module.motion_constraints(
+        trajectory, trajectory.load_robot(), trajectory.limits
+    )
     sign, brakes = (-1.0, 1.0)[side], trajectory.limits.braking
     q = np.tile([b.stop[side] - sign * 0.3 for b in brakes], (3, 1))
     dq = np.tile([sign * (-b.offset + np.sqrt(0.3 * b.rate)) for b in brakes], (3, 1))
-    demand = constraint_margins.braking_quantity(subject, certificate_module.Samples(q, dq, 0 * q))
+    quantity = constraint_margins.braking_quantity(
+        constraints, certificate_module.Samples(q, dq, 0 * q)
+    )
     assert np.allclose(
-        (demand.low, demand.high)[side], (demand.lower, demand.upper)[side], rtol=1e-12
+        (quantity.low, quantity.high)[side], (quantity.lower, quantity.upper)[side], rtol=1e-12
     )
 
 
-# -- ramps -----------------------------------------------------------------------------------------------------------
+# ramps
 
 
-def test_profiles_extremes_are_ruckigs_own(two_link, table, monkeypatch):
+def test_ramp_extremes_equal_those_of_ruckig(two_link, table, monkeypatch):
     pairs = []
-    original = ramps._profile
+    original = ramps.profile_from_ruckig
 
-    def noted(begin, found):
-        profile = original(begin, found)
-        pairs.append((profile, found.duration, found.position_extrema))
+    def recorded(begin, planned):
+        profile = original(begin, planned)
+        pairs.append((profile, planned.duration, planned.position_extrema))
         return profile
 
-    monkeypatch.setattr(ramps, "_profile", noted)
-    pipeline.design_trajectory(two_link, table, replace(QUICK, iterations=10), start=np.array([-1.5, 0.3]))
+    monkeypatch.setattr(ramps, "profile_from_ruckig", recorded)
+    pipeline.design_trajectory(
+        two_link, table, replace(QUICK, iterations=10), start=np.array([-1.5, 0.3])
+    )
     assert pairs
     for profile, duration, extrema in pairs:
         t = np.union1d(
@@ -453,91 +476,102 @@ def test_profiles_extremes_are_ruckigs_own(two_link, table, monkeypatch):
         assert np.allclose(q.min(axis=0), [e.min for e in extrema], atol=1e-6)
 
 
-def test_certificate_covers_ruckigs_extremes(two_link, table, monkeypatch):
+def test_certificate_bounds_the_extremes_of_ramps(two_link, table, monkeypatch):
     reached = {}
-    original = ramps._profile
+    original = ramps.profile_from_ruckig
 
-    def noted(begin, found):
-        profile = original(begin, found)
-        reached[id(profile)] = (profile, [(e.min, e.max) for e in found.position_extrema])
+    def recorded(begin, planned):
+        profile = original(begin, planned)
+        reached[id(profile)] = (profile, [(e.min, e.max) for e in planned.position_extrema])
         return profile
 
-    monkeypatch.setattr(ramps, "_profile", noted)
+    monkeypatch.setattr(ramps, "profile_from_ruckig", recorded)
     trajectory = pipeline.design_trajectory(
         two_link, table, replace(QUICK, iterations=10), start=np.array([-1.5, 0.3])
     ).trajectory
-    subject = certificate_module.motion_constraints(trajectory, two_link, trajectory.limits)
+    constraints = certificate_module.motion_constraints(trajectory, two_link, trajectory.limits)
     used = [
         s for s in trajectory.motion.segments if s.profile is not None and id(s.profile) in reached
     ]
     assert used
     for segment in used:
-        demand = next(
+        quantity = next(
             d
-            for _, d in certificate_module._demands(subject, trajectory, segment)
+            for _, d in certificate_module.segment_quantities(constraints, trajectory, segment)
             if d.limit == "position"
         )
         lowest, highest = np.array(reached[id(segment.profile)][1]).T
-        assert (demand.high.max(axis=0) >= highest - 1e-12).all() and (
-            demand.low.min(axis=0) <= lowest + 1e-12
+        assert (quantity.high.max(axis=0) >= highest - 1e-12).all() and (
+            quantity.low.min(axis=0) <= lowest + 1e-12
         ).all()
 
 
-def test_jerk_limits_beyond_ruckigs_numbers_are_met_by_less_jerk():
-    """A limits file may say "none that matters" by a huge number."""
+def test_huge_jerk_limits_are_reduced_for_ruckig():
+    """Limits files may state a huge jerk for no limit."""
     panda = load("panda")
-    loose = replace(resolve(panda), jerk=np.full(panda.n, 1e9))
-    found = pipeline.design_trajectory(panda, loose, replace(QUICK, period=6.0, samples=60, iterations=5))
-    profiles = [s.profile for s in found.trajectory.motion.segments if s.profile is not None]
-    steepest = np.max(
+    limits = replace(resolve(panda), jerk=np.full(panda.n, 1e9))
+    delivery = pipeline.design_trajectory(
+        panda, limits, replace(QUICK, period=6.0, samples=60, iterations=5)
+    )
+    profiles = [s.profile for s in delivery.trajectory.motion.segments if s.profile is not None]
+    largest_jerk = np.max(
         [
             [max(abs(jerk) for _, jerk in pieces) for pieces in profile.pieces]
             for profile in profiles
         ],
         axis=0,
     )
-    assert found.certificate.ok and (steepest <= ramps.MAX_JERK_RATIO * loose.acceleration).all()
+    assert (
+        delivery.certificate.ok
+        and (largest_jerk <= ramps.MAX_JERK_RATIO * limits.acceleration).all()
+    )
 
 
-def test_ramps_keep_limits_that_ruckig_does_not_know(two_link, table):
+def test_ramps_keep_boxes(two_link, table):
     low = WorkspaceBox("tip", (-1.0, -0.1, -1.0), (1.0, 0.1, 0.2))
-    found = pipeline.design_trajectory(two_link, table, replace(QUICK, boxes=(low,)), start=np.array([-1.5, 0.3]))
-    motion = found.trajectory.motion
+    delivery = pipeline.design_trajectory(
+        two_link, table, replace(QUICK, boxes=(low,)), start=np.array([-1.5, 0.3])
+    )
+    motion = delivery.trajectory.motion
     heights = dynamics.positions(two_link, "tip", motion.at(np.linspace(0, motion.duration, 4001)))[
         :, 2
     ]
-    assert found.certificate.ok and heights.max() <= 0.2
+    assert delivery.certificate.ok and heights.max() <= 0.2
 
 
-def test_derived_limits_do_not_bind_the_periodic_part(two_link, table):
+def test_derived_limits_do_not_restrict_the_periodic_part(two_link, table):
     bare = replace(table, acceleration=np.full(2, np.inf), jerk=np.full(2, np.inf))
-    found = pipeline.design_trajectory(two_link, bare, replace(QUICK, iterations=10))
-    derived: Limits = ramps.with_derived_limits(bare, found.design.motion)
-    motion = found.design.motion
+    delivery = pipeline.design_trajectory(two_link, bare, replace(QUICK, iterations=10))
+    derived: Limits = ramps.with_derived_limits(bare, delivery.design.motion)
+    motion = delivery.design.motion
     t = motion.grid(2000)
     assert (1.2 * np.abs(motion.at(t, 2)).max(axis=0) <= derived.acceleration * (1 + 1e-2)).all()
 
 
-def test_the_oversampling_of_the_certificate_is_exact_enough():
+def test_oversampling_of_the_certificate_is_accurate():
     assert oversampling_bound(10 * 200, 5) - 1 < 1e-4
 
 
-def test_friction_at_reversals_costs_no_phantom_torque():
-    """The jump of Coulomb friction between two samples is bounded by its sides, not taken for curvature."""
+def test_friction_at_reversals_is_bounded_tightly():
+    """The jump of Coulomb friction between two samples is bounded by its two sides."""
     machine = loaded(pendulum(LIMIT + '<dynamics friction="8" damping="0.1"/>'))
     standard = inertial_parameters.standard(machine, resolve(machine))
-    subject = constraint_margins.MotionConstraints(machine, resolve(machine), standard)
+    constraints = constraint_margins.MotionConstraints(machine, resolve(machine), standard)
     motion = FourierSeries(np.array([[0.5]]), np.array([[0.2]]), np.array([0.3]), 4.0)
     coarse, dense = (motion.samples(motion.grid(n)) for n in (400, 200_000))
-    bound = float(constraint_margins.torque_quantity(subject, coarse).high.max())
+    bound = float(constraint_margins.torque_quantity(constraints, coarse).high.max())
     true = float((dynamics.regressor(machine, standard, dense) @ standard.nominal).max())
     assert true <= bound <= 1.02 * true
 
 
-def test_a_robot_with_a_locked_mimic_pair_is_found_again():
-    body = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+def test_robot_with_a_locked_mimic_joint():
+    body = (
+        '<inertial><mass value="1"/>'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
     pair = "".join(
-        f'<link name="{child}">{body}</link><joint name="{name}" type="revolute"><parent link="arm"/><child link="{child}"/>'
+        f'<link name="{child}">{body}</link><joint name="{name}" type="revolute">'
+        f'<parent link="arm"/><child link="{child}"/>'
         f'<limit lower="-1" upper="1" velocity="1" effort="1"/>{mimic}</joint>'
         for name, child, mimic in (
             ("grip", "finger", ""),

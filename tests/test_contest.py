@@ -196,7 +196,8 @@ def test_a_resonance_between_two_tried_frequencies_is_found(frequency):
     def swing(damping: float):  # type: ignore[no-untyped-def]
         def shape(hertz: float) -> CandidateModel:
             kin = lambda: variants_within(  # noqa: E731
-                hertz, gear_dynamics.NEAR, map(swing, gear_dynamics.damped(damping))
+                hertz, gear_dynamics.FREQUENCY_FACTOR,
+                map(swing, gear_dynamics.neighbouring_damping_ratios(damping)),
             )
             return CandidateModel(
                 "base_compliance", 0, unexpected_columns, {"frequency": hertz, "damping": damping}, variants=kin

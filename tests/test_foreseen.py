@@ -9,7 +9,7 @@ import pytest
 
 from excite.diagnosis import unmodelled
 from excite.diagnosis.residual_curves import MotionRows
-from excite.diagnosis.unmodelled import FORESEEN, SURE
+from excite.diagnosis.unmodelled import MIN_SHARE, MIN_STANDARD_ERRORS
 
 RATE, SECONDS = 50.0, 40.0
 COUNT = int(RATE * SECONDS)
@@ -91,7 +91,7 @@ def physics(regime: str) -> np.ndarray:
 
 def test_coloured_noise_is_foreseen_by_nothing():
     sights = [seen(coloured(np.random.default_rng(seed))) for seed in range(20)]
-    assert not any(one.share > FORESEEN for one in sights)
+    assert not any(one.share > MIN_SHARE for one in sights)
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,7 @@ def test_coloured_noise_is_foreseen_by_nothing():
 def test_physics_without_a_name_is_foreseen_by_what_it_is_made_of(regime):
     found = seen(physics(regime) + coloured(np.random.default_rng(7)))
     assert found.regime == regime
-    assert FORESEEN < found.share < 0.55 and found.sure > SURE
+    assert MIN_SHARE < found.share < 0.55 and found.sure > MIN_STANDARD_ERRORS
 
 
 def test_a_resonance_of_the_load_is_told_by_what_went_before():
@@ -122,7 +122,7 @@ def test_what_happens_at_one_half_only_is_not_foreseen():
     first = np.arange(2 * COUNT) < COUNT
     assert (
         seen(np.where(first, physics("position"), 0.0) + coloured(np.random.default_rng(5))).share
-        < FORESEEN
+        < MIN_SHARE
     )
 
 

@@ -108,4 +108,4 @@ def test_several_names_at_a_joint_that_are_likelier_not_all_right_are_told_as_su
         one["where"]["statement"]
         for one in document(dataclasses.replace(doubtful, refitted=None))["unknown"]
     ]
-    assert any("likelier not all right" in text for text in stated)
+    assert any("probably not all right" in text for text in stated)

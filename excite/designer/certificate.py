@@ -354,7 +354,7 @@ def limit_margins(trajectory: Trajectory, constraints: MotionConstraints) -> lis
     """
     margins: dict[tuple[str, str], LimitMargin] = {}
     for segment in trajectory.motion.segments:
-        for times, quantity in _quantities(constraints, trajectory, segment):
+        for times, quantity in segment_quantities(constraints, trajectory, segment):
             for margin in _margins(quantity, times, _promised(trajectory, quantity.limit)):
                 if segment.profile is None and _is_derived(
                     constraints.limits, constraints.robot, margin
@@ -404,7 +404,7 @@ def _is_derived(limits: Limits, robot: Robot, margin: LimitMargin) -> bool:
     )
 
 
-def _quantities(
+def segment_quantities(
     constraints: MotionConstraints, trajectory: Trajectory, segment: MotionSegment
 ) -> Iterator[tuple[FloatArray, BoundedQuantity]]:
     """Yield the bounded quantities of one segment with the times of their samples [s]."""

@@ -174,7 +174,7 @@ class RampPlanner:
             return None
         if result not in (ruckig.Result.Working, ruckig.Result.Finished):
             return None
-        return _profile(begin, planned)
+        return profile_from_ruckig(begin, planned)
 
     def _check(self, profile: JerkProfile, duration: float) -> tuple[bool, str]:
         """Return whether a ramp keeps all constraints, and the one it violates most."""
@@ -332,7 +332,7 @@ def _duration(profile: JerkProfile, grid: float) -> float:
     return max(round(longest / grid), 1) * grid
 
 
-def _profile(begin: JointState, planned: ruckig.Trajectory) -> JerkProfile:
+def profile_from_ruckig(begin: JointState, planned: ruckig.Trajectory) -> JerkProfile:
     """Convert a trajectory of Ruckig to pieces of constant jerk."""
     rows = []
     for joint in planned.profiles[0]:

@@ -145,7 +145,7 @@ def _rows(motion: RecordedMotion, recording: Recording, joint: int) -> _GearRows
     block = np.searchsorted(
         block_starts(motion.time - motion.time[0], BLOCK), np.arange(len(motion)), side="right"
     )
-    return _GearRows(*(x[moving] for x in (lag, load, speed, position, block)))
+    return _GearRows(lag[moving], load[moving], speed[moving], position[moving], block[moving])
 
 
 def _columns(rows: _GearRows, load: float, speed: float) -> FloatArray:

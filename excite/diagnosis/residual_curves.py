@@ -9,6 +9,7 @@ from __future__ import annotations
 import enum
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -79,7 +80,7 @@ class ResidualCurve:
     centres: FloatArray
     weights: Callable[[slice], FloatArray]
     size: FloatArray
-    counts: IntArray
+    counts: IntArray | FloatArray
     centred: bool = False
     logarithmic: bool = False
 
@@ -143,7 +144,7 @@ class MotionRows:
 
 def motion_rows(motions: Sequence[RecordedMotion]) -> MotionRows:
     """Concatenate the rows of some motions."""
-    parts: dict[str, list[FloatArray]] = {}
+    parts: dict[str, list[Any]] = {}
     starts, begins, at, elapsed = list[IntArray](), list[int](), 0, 0.0
     length = block_length(motions)
     for motion in motions:
@@ -178,7 +179,7 @@ def block_starts(clock: FloatArray, length: float) -> IntArray:
     return np.unique(np.searchsorted(clock, np.arange(count) * length))
 
 
-def _state(motion: RecordedMotion) -> dict[str, FloatArray]:
+def _state(motion: RecordedMotion) -> dict[str, FloatArray | BoolArray]:
     """Fields of `MotionRows` of one motion."""
     s = motion.coarse_samples
     t = motion.segment.start + np.arange(len(s)) / motion.band.rate_of(Grid.COARSE)

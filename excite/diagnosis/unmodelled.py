@@ -272,7 +272,9 @@ def _response(
         return ResidualResponse(
             basis.label,
             _lag_step(rows) * np.arange(len(c)),
-            impulse_response / max(float(np.abs(impulse_response).max()), 1e-300),
+            np.asarray(
+                impulse_response / max(float(np.abs(impulse_response).max()), 1e-300), float
+            ),
             relative=True,
         )
     if basis.every:  # over the joint that explains most
@@ -299,7 +301,7 @@ def _fit(
     c = np.linalg.solve(
         x.T @ x / len(x) + ridge * np.eye(x.shape[1]), x.T @ residual[moves] / len(x)
     )
-    return c, x, spread
+    return np.asarray(c, float), x, spread
 
 
 def _binned_means(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -309,7 +311,7 @@ def _binned_means(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]
     count = np.bincount(place, minlength=RESPONSE_BINS)
     enough = count >= MIN_BIN_ROWS
     mean = np.bincount(place, y, minlength=RESPONSE_BINS) / np.maximum(count, 1)
-    return 0.5 * (edges[1:] + edges[:-1])[enough], mean[enough]
+    return 0.5 * (edges[1:] + edges[:-1])[enough], np.asarray(mean[enough], float)
 
 
 def _cross_validate(

@@ -19,7 +19,7 @@ from excite.robot import inertial_parameters, limits
 from excite.robot.robot import load
 
 needs_compiler = pytest.mark.skipif(
-    casadi_batch.compiler() is None and not Path("/usr/bin/cc").exists(),
+    casadi_batch.find_compiler() is None and not Path("/usr/bin/cc").exists(),
     reason="no C compiler here",
 )
 
@@ -46,7 +46,7 @@ def wait(condition: Callable[[], bool], seconds: float = 60.0) -> None:
         time.sleep(0.01)
 
 
-def ready(library: casadi_batch.Library | None) -> casadi_batch.Library:
+def ready(library: casadi_batch.CompiledLibrary | None) -> casadi_batch.CompiledLibrary:
     assert library is not None
     wait(library.is_ready)
     return library
@@ -56,20 +56,20 @@ def arguments(functions: casadi_model.DynamicsFunctions, count: int) -> dict[str
     rng = np.random.default_rng(0)
     out = {}
     for name in ("regressor", "adjoint", "row"):
-        blank = casadi_batch.Mapped(getattr(functions, name), count).inputs
+        blank = casadi_batch.MappedFunction(getattr(functions, name), count).inputs
         out[name] = [rng.normal(size=a.shape) for a in blank]
     return out
 
 
 def results(
-    functions: casadi_model.DynamicsFunctions, library: casadi_batch.Library | None
+    functions: casadi_model.DynamicsFunctions, library: casadi_batch.CompiledLibrary | None
 ) -> list[np.ndarray]:
     """The results of all three functions at random arguments."""
     given = arguments(functions, 70)
     return [
         a.copy()
         for name, values in given.items()
-        for a in casadi_batch.Mapped(getattr(functions, name), 70, library)(*values)
+        for a in casadi_batch.MappedFunction(getattr(functions, name), 70, library)(*values)
     ]
 
 
@@ -85,8 +85,8 @@ def test_compiled_functions_equal_the_interpreter_bit_by_bit(cached):
     assert library.load("row") is not None and equal(results(functions, library), slow)
     given = arguments(functions, 70)["row"]
     assert equal(
-        casadi_batch.Padded(functions.row, library)(*given),
-        casadi_batch.Mapped(functions.row, 70)(*given),
+        casadi_batch.PaddedFunction(functions.row, library)(*given),
+        casadi_batch.MappedFunction(functions.row, 70)(*given),
     )
 
 
@@ -360,8 +360,8 @@ def test_padding_changes_no_sample(count):
         robot, inertial_parameters.standard(robot, limits.resolve(robot), ())
     )
     given = arguments(functions, count)["row"]
-    plain = [a.copy() for a in casadi_batch.Mapped(functions.row, count)(*given)]
+    plain = [a.copy() for a in casadi_batch.MappedFunction(functions.row, count)(*given)]
     assert all(
         np.array_equal(a, b)
-        for a, b in zip(casadi_batch.Padded(functions.row)(*given), plain, strict=True)
+        for a, b in zip(casadi_batch.PaddedFunction(functions.row)(*given), plain, strict=True)
     )

@@ -457,7 +457,7 @@ def test_equivalent_effects_of_the_contract():
 
 
 def test_wrong_use_prints_one_line(tmp_path):
-    done = subprocess.motion(
+    done = subprocess.run(
         [sys.executable, str(SCRIPT), "run", "--analyst", "greedy=x", "-o", str(tmp_path)],
         capture_output=True,
         text=True,

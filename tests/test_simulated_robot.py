@@ -27,7 +27,7 @@ from excite.simulator.actuator import ControllerGains
 from excite.simulator.effects import CATALOGUE_NAMES, EFFECT_TYPES, FORM_FAMILIES
 from excite.simulator.experiment import ExperimentSettings
 from excite.simulator.model_error import perturb_bodies
-from excite.simulator.physical_effect import PhysicalEffect, TransmissionSpring
+from excite.simulator.physical_effect import JointStates, PhysicalEffect, TransmissionSpring
 from excite.simulator.recording_file import inertial_vector
 
 
@@ -386,7 +386,7 @@ def test_hysteresis_has_memory_and_dissipates(robot_session, form):
     q, v = 0.02 * np.sin(2 * np.pi * t), 0.02 * 2 * np.pi * np.cos(2 * np.pi * t)
     z, torque = np.zeros(effect.state_size), []
     for speed in v:
-        x = experiment.plants.Instant(
+        x = JointStates(
             np.asarray(0.0), np.zeros(2), np.array([0.0, speed]), np.zeros(2), np.zeros(2)
         )
         z = effect.advance_state(x, z, 1e-3)

@@ -107,7 +107,7 @@ class RigidBodyDynamics:
         for k in range(len(q)):
             mass, _ = self.mass_and_bias(q[k], v[k])
             mujoco.mj_energyPos(model, data)
-            out[k] = 0.5 * v[k] @ mass @ v[k] + data.total_energy[0]
+            out[k] = 0.5 * v[k] @ mass @ v[k] + data.energy[0]
         return out
 
 

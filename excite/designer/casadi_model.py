@@ -41,7 +41,7 @@ class DynamicsFunctions:
     regressor: ca.Function
     adjoint: ca.Function
     row: ca.Function
-    library: casadi_batch.Library | None
+    library: casadi_batch.CompiledLibrary | None
     support: tuple[IntArray, ...]
 
 
@@ -256,7 +256,7 @@ def dynamics_functions(robot: Robot, parameters: Parameters) -> DynamicsFunction
     )
     support = tuple(np.array(Y[j, :].sparsity().get_col(), int) for j in range(n))
     return DynamicsFunctions(
-        regressor, adjoint, row, casadi_batch.library((regressor, adjoint, row)), support
+        regressor, adjoint, row, casadi_batch.find_library((regressor, adjoint, row)), support
     )
 
 

@@ -13,7 +13,7 @@ from .._types import BoolArray, FloatArray, IntArray
 from ..collision.clearance_constraint import Look
 from ..robot.inertial_parameters import Parameters
 from . import casadi_model, criteria
-from .casadi_batch import Mapped, Padded
+from .casadi_batch import MappedFunction, PaddedFunction
 from .problem import DesignProblem
 
 
@@ -62,9 +62,9 @@ class Evaluator:
         self.problem = problem
         self.bases = problem.bases()
         functions, count = problem.functions, problem.options.samples
-        self._regressor = Mapped(functions.regressor, count, functions.library)
-        self._adjoint = Mapped(functions.adjoint, count, functions.library)
-        self._row = Padded(functions.row, functions.library)
+        self._regressor = MappedFunction(functions.regressor, count, functions.library)
+        self._adjoint = MappedFunction(functions.adjoint, count, functions.library)
+        self._row = PaddedFunction(functions.row, functions.library)
         self._frames = [
             casadi_model.frame_position(problem.robot, box.frame) for box in problem.boxes
         ]

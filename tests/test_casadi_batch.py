@@ -1,3 +1,5 @@
+"""Compiled functions equal the interpreter, and faults of the cache fall back to it."""
+
 from __future__ import annotations
 
 import os
@@ -20,7 +22,7 @@ from excite.robot.robot import load
 
 needs_compiler = pytest.mark.skipif(
     casadi_batch.find_compiler() is None and not Path("/usr/bin/cc").exists(),
-    reason="no C compiler here",
+    reason="no C compiler",
 )
 
 
@@ -31,8 +33,8 @@ def cached(tmp_path, monkeypatch):
     return tmp_path / "excite"
 
 
-def built(name: str) -> casadi_model.DynamicsFunctions:
-    """The functions of a built-in robot; their compilation begins here."""
+def build_functions(name: str) -> casadi_model.DynamicsFunctions:
+    """Build the functions of a built-in robot, which begins their compilation."""
     robot = load(name)
     return casadi_model.dynamics_functions(
         robot, inertial_parameters.standard(robot, limits.resolve(robot), inertial_parameters.DRIVE)
@@ -42,11 +44,11 @@ def built(name: str) -> casadi_model.DynamicsFunctions:
 def wait(condition: Callable[[], bool], seconds: float = 60.0) -> None:
     until = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < until, "nothing happened"
+        assert time.monotonic() < until, "timeout"
         time.sleep(0.01)
 
 
-def ready(library: casadi_batch.CompiledLibrary | None) -> casadi_batch.CompiledLibrary:
+def wait_until_ready(library: casadi_batch.CompiledLibrary | None) -> casadi_batch.CompiledLibrary:
     assert library is not None
     wait(library.is_ready)
     return library
@@ -64,35 +66,35 @@ def arguments(functions: casadi_model.DynamicsFunctions, count: int) -> dict[str
 def results(
     functions: casadi_model.DynamicsFunctions, library: casadi_batch.CompiledLibrary | None
 ) -> list[np.ndarray]:
-    """The results of all three functions at random arguments."""
-    given = arguments(functions, 70)
+    """Evaluate all three functions at random arguments."""
+    inputs = arguments(functions, 70)
     return [
         a.copy()
-        for name, values in given.items()
+        for name, values in inputs.items()
         for a in casadi_batch.MappedFunction(getattr(functions, name), 70, library)(*values)
     ]
 
 
-def equal(one: list[np.ndarray], other: list[np.ndarray]) -> bool:
-    return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+def are_equal(first: list[np.ndarray], second: list[np.ndarray]) -> bool:
+    return all(np.array_equal(a, b) for a, b in zip(first, second, strict=True))
 
 
 @needs_compiler
 def test_compiled_functions_equal_the_interpreter_bit_by_bit(cached):
-    functions = built("panda")
-    slow = results(functions, None)
-    library = ready(functions.library)
-    assert library.load("row") is not None and equal(results(functions, library), slow)
-    given = arguments(functions, 70)["row"]
-    assert equal(
-        casadi_batch.PaddedFunction(functions.row, library)(*given),
-        casadi_batch.MappedFunction(functions.row, 70)(*given),
+    functions = build_functions("panda")
+    interpreted = results(functions, None)
+    library = wait_until_ready(functions.library)
+    assert library.load("row") is not None and are_equal(results(functions, library), interpreted)
+    inputs = arguments(functions, 70)["row"]
+    assert are_equal(
+        casadi_batch.PaddedFunction(functions.row, library)(*inputs),
+        casadi_batch.MappedFunction(functions.row, 70)(*inputs),
     )
 
 
 @needs_compiler
-def test_the_cache_is_private_and_holds_nothing_else(cached):
-    ready(built("two_link").library)
+def test_cache_is_private_and_has_no_other_files(cached):
+    wait_until_ready(build_functions("two_link").library)
     wait(lambda: not [path for path in cached.iterdir() if path.suffix == ".partial"])
     assert sorted(path.suffix for path in cached.iterdir()) == [".sha256", ".so"]
     assert stat.S_IMODE(cached.stat().st_mode) == 0o700
@@ -100,23 +102,23 @@ def test_the_cache_is_private_and_holds_nothing_else(cached):
 
 
 @needs_compiler
-def test_the_library_takes_over_without_a_trace_while_an_evaluator_runs(cached):
+def test_library_replaces_the_interpreter_without_changing_results(cached):
     robot = load("two_link")
-    setting = optimize.prepare(robot, limits.resolve(robot), QUICK)
-    evaluator, x = Evaluator(setting.problem), np.full(setting.problem.size, 0.1)
+    setup = optimize.set_up(robot, limits.resolve(robot), QUICK)
+    evaluator, x = Evaluator(setup.problem), np.full(setup.problem.size, 0.1)
     before = evaluator.objective(x, 1.0)
-    ready(setting.problem.functions.library)
+    wait_until_ready(setup.problem.functions.library)
     evaluator.objective(x + 1.0, 1.0)
     after = evaluator.objective(x, 1.0)
     assert before[0] == after[0]
     assert np.array_equal(before[1], after[1])
-    assert optimize.prepare(
+    assert optimize.set_up(
         robot, limits.resolve(robot), QUICK
-    ).problem.functions.library.is_intact()  # found again
+    ).problem.functions.library.is_intact()  # from the cache
 
 
 @pytest.mark.parametrize("value", ["", "no-such-compiler"])
-def test_without_a_compiler_there_is_no_library(monkeypatch, value):
+def test_no_library_without_a_compiler(monkeypatch, value):
     monkeypatch.setenv("EXCITE_COMPILER", value)
     robot = loaded(pendulum())
     assert (
@@ -127,12 +129,12 @@ def test_without_a_compiler_there_is_no_library(monkeypatch, value):
     )
 
 
-def test_a_compiler_that_fails_leaves_the_interpreter(cached, monkeypatch):
+def test_interpreter_is_used_where_the_compiler_fails(cached, monkeypatch):
     monkeypatch.setenv("EXCITE_COMPILER", "false")
-    functions = built("two_link")
+    functions = build_functions("two_link")
     assert functions.library is not None
     wait(lambda: not list(cached.iterdir()))
-    assert equal(results(functions, functions.library), results(functions, None))
+    assert are_equal(results(functions, functions.library), results(functions, None))
 
 
 def test_large_functions_are_not_compiled(cached):
@@ -146,34 +148,34 @@ def test_large_functions_are_not_compiled(cached):
     )
 
 
-def test_a_folder_that_cannot_be_written_leaves_the_interpreter(cached):
+def test_interpreter_is_used_where_the_cache_cannot_be_written(cached):
     cached.parent.mkdir(exist_ok=True)
     cached.write_text("a file where the folder should be")
-    assert built("two_link").library is None
+    assert build_functions("two_link").library is None
 
 
 @pytest.mark.parametrize("mode", [0o755, 0o770, 0o701])
-def test_a_folder_that_others_can_access_is_not_used(cached, mode):
+def test_cache_that_others_can_access_is_not_used(cached, mode):
     cached.mkdir()
     cached.chmod(mode)
-    assert built("two_link").library is None
+    assert build_functions("two_link").library is None
     assert not list(cached.iterdir())
 
 
 @pytest.mark.skipif(
     not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root can give files to others"
 )
-def test_what_another_user_owns_is_not_used(cached):
+def test_cache_of_another_user_is_not_used(cached):
     cached.mkdir(mode=0o700)
     os.chown(cached, 12345, 12345)
-    assert built("two_link").library is None
+    assert build_functions("two_link").library is None
 
 
 def _garbage(path: Path) -> None:
     path.write_bytes(b"garbage")
 
 
-def _truncated(path: Path) -> None:  # a crash of the loader, were it loaded
+def _truncated(path: Path) -> None:  # the loader would crash on it
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 3])
 
 
@@ -181,7 +183,7 @@ def _writable_by_others(path: Path) -> None:
     path.chmod(0o666)
 
 
-def _given_away(path: Path) -> None:
+def _owned_by_another_user(path: Path) -> None:
     if os.geteuid() != 0:
         pytest.skip("only root can give files to others")
     os.chown(path, 12345, 12345)
@@ -204,21 +206,22 @@ def _pipe(path: Path) -> None:
 @needs_compiler
 @pytest.mark.parametrize("suffix", [".so", ".sha256"])
 @pytest.mark.parametrize(
-    "damage", [_garbage, _truncated, _writable_by_others, _given_away, _link, _absent, _pipe]
+    "damage",
+    [_garbage, _truncated, _writable_by_others, _owned_by_another_user, _link, _absent, _pipe],
 )
-def test_a_damaged_library_is_not_loaded_and_compiled_again(cached, damage, suffix):
-    functions = built("two_link")
-    expected, library = results(functions, None), ready(functions.library)
+def test_damaged_library_is_compiled_again(cached, damage, suffix):
+    functions = build_functions("two_link")
+    expected, library = results(functions, None), wait_until_ready(functions.library)
     damage(next(path for path in cached.iterdir() if path.suffix == suffix))
     assert not library.is_intact() and library.load("row") is None
-    assert equal(results(functions, library), expected)
-    assert ready(built("two_link").library).load("row") is not None
+    assert are_equal(results(functions, library), expected)
+    assert wait_until_ready(build_functions("two_link").library).load("row") is not None
 
 
 @needs_compiler
-def test_a_library_without_the_functions_is_not_used(cached, tmp_path):
-    functions = built("two_link")
-    library = ready(functions.library)
+def test_library_without_the_functions_is_not_used(cached, tmp_path):
+    functions = build_functions("two_link")
+    library = wait_until_ready(functions.library)
     (tmp_path / "other.c").write_text("int unrelated(void) { return 0; }")
     other = tmp_path / "other.so"
     subprocess.run(
@@ -226,40 +229,40 @@ def test_a_library_without_the_functions_is_not_used(cached, tmp_path):
     )
     library.publish(other)
     assert library.is_intact() and library.load("row") is None
-    assert equal(results(functions, library), results(functions, None))
+    assert are_equal(results(functions, library), results(functions, None))
 
 
 @needs_compiler
-def test_a_library_of_another_robot_is_not_used(cached):
-    functions, others = built("two_link"), built("ur5e")
-    library, other = ready(functions.library), ready(others.library)
+def test_library_of_another_robot_is_not_used(cached):
+    functions, others = build_functions("two_link"), build_functions("ur5e")
+    library, other = wait_until_ready(functions.library), wait_until_ready(others.library)
     library.record.write_text(other.record.read_text())
     assert library.load("row") is not None
-    assert equal(results(functions, library), results(functions, None))
+    assert are_equal(results(functions, library), results(functions, None))
 
 
 NOEXEC = """
 import os, time
 import conftest  # which switches the compiler off
 os.environ["EXCITE_COMPILER"] = "cc"
-from test_compiled import built, equal, results
-functions = built("two_link")
+from test_casadi_batch import build_functions, are_equal, results
+functions = build_functions("two_link")
 until = time.monotonic() + 60.0
 while not functions.library.is_ready():
     assert time.monotonic() < until
     time.sleep(0.01)
 assert functions.library.is_intact() and functions.library.load("row") is None
-assert equal(results(functions, functions.library), results(functions, None))
+assert are_equal(results(functions, functions.library), results(functions, None))
 print("interpreted")
 """
 
 
 @needs_compiler
-def test_a_cache_on_a_file_system_that_forbids_execution_leaves_the_interpreter(tmp_path):
+def test_interpreter_is_used_where_the_file_system_forbids_execution(tmp_path):
     script = 'mount -t tmpfs -o noexec none "$XDG_CACHE_HOME" || exit 77; exec "$0" -c "$1"'
     command = ["unshare", "--mount", "/bin/sh", "-c", script, sys.executable, NOEXEC]
     if shutil.which("unshare") is None:
-        pytest.skip("no unshare here")
+        pytest.skip("unshare is missing")
     path = os.pathsep.join(
         [str(Path(__file__).parent), *filter(None, [os.environ.get("PYTHONPATH")])]
     )
@@ -270,7 +273,7 @@ def test_a_cache_on_a_file_system_that_forbids_execution_leaves_the_interpreter(
     assert done.stdout == "interpreted\n", done.stderr
 
 
-# -- the compiler's process ----------------------------------------------------------------------------------------
+# process of the compiler
 
 SLOW = """#!/bin/sh
 echo $$ > "$PIDS/$$"
@@ -280,11 +283,12 @@ wait
 """
 BUILD = """
 import os, signal, sys, time
-from excite.designer import casadi_model as symbolic
-from excite.robot import inertial_parameters as parameters, limits
+from excite.designer import casadi_model
+from excite.robot import inertial_parameters, limits
 from excite.robot.robot import load
 robot = load("two_link")
-functions = symbolic.functions(robot, parameters.standard(robot, limits.resolve(robot), ()))
+standard = inertial_parameters.standard(robot, limits.resolve(robot), ())
+functions = casadi_model.dynamics_functions(robot, standard)
 assert functions.library is not None
 until = time.monotonic() + 60.0
 while len(os.listdir(os.environ["PIDS"])) < 2:
@@ -304,7 +308,7 @@ def _is_running(process: int) -> bool:
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
 @pytest.mark.parametrize("end", ["end", "SIGTERM", "SIGKILL"])
-def test_the_compiler_ends_with_the_process_and_its_files_are_removed(
+def test_compiler_ends_with_the_process_and_its_files_are_removed(
     cached, tmp_path, monkeypatch, end
 ):
     (tmp_path / "pids").mkdir()
@@ -319,16 +323,16 @@ def test_the_compiler_ends_with_the_process_and_its_files_are_removed(
     if end == "end":
         assert not list(cached.iterdir())
     monkeypatch.setenv("EXCITE_COMPILER", "false")
-    built("ur5e")  # the next run, of any robot
+    build_functions("ur5e")  # the next run, of any robot, removes the files
     wait(lambda: not list(cached.iterdir()))
 
 
-def test_the_compiler_is_bounded_in_time_and_memory(cached, tmp_path, monkeypatch):
-    compiler = tmp_path / "nosy-cc"
+def test_compiler_is_limited_in_time_and_memory(cached, tmp_path, monkeypatch):
+    compiler = tmp_path / "reporting-cc"
     compiler.write_text(f"#!/bin/sh\n(ulimit -t; ulimit -v; ulimit -c) > '{tmp_path}/bounds'\n")
     compiler.chmod(0o755)
     monkeypatch.setenv("EXCITE_COMPILER", str(compiler))
-    assert built("two_link").library is not None
+    assert build_functions("two_link").library is not None
     bounds = tmp_path / "bounds"
     wait(lambda: bounds.exists() and len(bounds.read_text().split()) == 3)
     assert bounds.read_text().split() == [
@@ -346,7 +350,7 @@ def test_a_library_that_another_process_compiles_is_not_compiled_twice(
     compiler.write_text(f"#!/bin/sh\necho called >> '{calls}'\nsleep 2\nexit 1\n")
     compiler.chmod(0o755)
     monkeypatch.setenv("EXCITE_COMPILER", str(compiler))
-    first, second = built("two_link").library, built("two_link").library
+    first, second = build_functions("two_link").library, build_functions("two_link").library
     assert first is not None and first == second
     wait(calls.exists)
     wait(lambda: not list(cached.iterdir()))
@@ -359,9 +363,9 @@ def test_padding_changes_no_sample(count):
     functions = casadi_model.dynamics_functions(
         robot, inertial_parameters.standard(robot, limits.resolve(robot), ())
     )
-    given = arguments(functions, count)["row"]
-    plain = [a.copy() for a in casadi_batch.MappedFunction(functions.row, count)(*given)]
+    inputs = arguments(functions, count)["row"]
+    plain = [a.copy() for a in casadi_batch.MappedFunction(functions.row, count)(*inputs)]
     assert all(
         np.array_equal(a, b)
-        for a, b in zip(casadi_batch.PaddedFunction(functions.row)(*given), plain, strict=True)
+        for a, b in zip(casadi_batch.PaddedFunction(functions.row)(*inputs), plain, strict=True)
     )

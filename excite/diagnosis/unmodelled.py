@@ -271,7 +271,7 @@ def _response(
         impulse_response = c / spread  # 0 for constant features
         return ResidualResponse(
             basis.label,
-            _lag_step(rows) * np.arange(len(c)),
+            np.asarray(_lag_step(rows) * np.arange(len(c)), float),
             np.asarray(
                 impulse_response / max(float(np.abs(impulse_response).max()), 1e-300), float
             ),

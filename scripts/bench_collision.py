@@ -34,13 +34,13 @@ from bench_design import prepared, say, show  # first: it keeps BLAS to one thre
 # isort: split
 import numpy as np
 from brute_force import HULL_CLEARANCE, DistanceJudge, PairDistance
-from excite.designer.options import DesignOptions
 from robots import wheel
 
 from excite._types import FloatArray
 from excite.collision import clearance_builder, continuous_check, scene_file
 from excite.collision.workcell import Cell
 from excite.designer import criteria, pipeline
+from excite.designer.options import DesignOptions
 from excite.designer.time_budget import MotionRequest
 from excite.errors import CheckFailed, ExciteError, ExciteWarning, Infeasible, UnusableInput
 from excite.robot import limits, robot

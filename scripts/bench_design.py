@@ -37,7 +37,6 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 import numpy as np
 import pinocchio as pin
-from excite.designer.options import DesignOptions
 from robots import source_of, wheel
 
 from excite._types import FloatArray
@@ -45,6 +44,7 @@ from excite.designer import criteria, optimize, pipeline, sqp
 from excite.designer.criteria import Criterion
 from excite.designer.evaluator import ConstraintRows, Evaluator
 from excite.designer.optimize import DesignSetup
+from excite.designer.options import DesignOptions
 from excite.designer.problem import DesignProblem
 from excite.errors import ExciteError, ExciteWarning, UnusableInput
 from excite.robot import dynamics, limits, robot

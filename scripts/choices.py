@@ -16,12 +16,12 @@ import warnings
 from functools import partial
 
 import numpy as np
-from excite.designer.options import DesignOptions
 
 from excite._types import FloatArray
 from excite.designer import motion_overlap, optimize, pipeline, time_budget
 from excite.designer.motion_overlap import StateScaling
 from excite.designer.optimize import DesignSetup
+from excite.designer.options import DesignOptions
 from excite.designer.pipeline import CertifiedDesign
 from excite.designer.time_budget import MotionRequest
 from excite.errors import ExciteWarning

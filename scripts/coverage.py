@@ -21,11 +21,11 @@ os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
 import joblib
 import numpy as np
 import pinocchio as pin
-from excite.designer.options import DesignOptions
 
 from excite import _json
 from excite._types import FloatArray
 from excite.designer import identifiability, pipeline
+from excite.designer.options import DesignOptions
 from excite.identification import estimators, identification
 from excite.identification.identification import Identification, IdentificationOptions
 from excite.identification.lowpass import LowPassFilter

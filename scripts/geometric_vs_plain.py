@@ -13,11 +13,11 @@ import sys
 import warnings
 
 import numpy as np
-from excite.designer.options import DesignOptions
 
 from excite._types import FloatArray
 from excite.designer import criteria, optimize
 from excite.designer.criteria import Criterion
+from excite.designer.options import DesignOptions
 from excite.errors import ExciteWarning
 from excite.robot import dynamics, limits, robot
 from excite.trajectory.fourier import FourierSeries

@@ -6,12 +6,11 @@ import argparse
 import sys
 from pathlib import Path
 
-from excite.designer.options import DesignOptions
-
 from excite import _json
 from excite._system.output_files import output_files
 from excite.collision import scene_file
 from excite.designer import pipeline, time_budget
+from excite.designer.options import DesignOptions
 from excite.robot import limits, robot
 
 FOLDER = Path(__file__).resolve().parent.parent / "trajectories"

@@ -26,13 +26,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from excite.designer.options import DesignOptions
 
 from excite import _json
 from excite.collision import scene_file
 from excite.designer import certificate as certificate_module
 from excite.designer import criteria, pipeline, sqp, time_budget
 from excite.designer.criteria import Criterion
+from excite.designer.options import DesignOptions
 from excite.errors import CheckFailed
 from excite.robot import limits, robot
 from excite.trajectory import trajectory_file

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 os.environ["EXCITE_COMPILER"] = (
-    ""  # the tests' many robots are not worth compiling; test_compiled.py does
+    ""  # the tests' many robots are not worth compiling; test_casadi_batch.py does
 )
 os.environ.setdefault(
     "OPENBLAS_NUM_THREADS", "1"
@@ -20,12 +20,12 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from excite.designer.options import DesignOptions
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from recording_fixtures import DamagedMotion, two_joint_motion
 
 from excite.designer import pipeline
+from excite.designer.options import DesignOptions
 from excite.designer.pipeline import CertifiedDesign
 from excite.identification.regression import IdentificationModel
 from excite.robot.limits import Limits, resolve

@@ -12,8 +12,8 @@ is built against the IPOPT in the casadi wheel, whose ipopt.pc has to be correct
 
 The problem is that of figaroh-examples' UR10: cubic spline at rest in waypoints 2 s apart,
 condition number of the base regressor at 20 Hz, position, velocity and torque limits of the
-URDF, IPOPT. Unlike there, limits are not narrowed (soft_lim 0), and meshes are left out, so that collision
-pairs, which excite does not check in this comparison, cost nothing.
+URDF, IPOPT. Unlike there, limits are not narrowed (soft_lim 0), and meshes are left out, so that
+collision pairs, which excite does not check in this comparison, cost nothing.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ from synthetic_recordings import (
     write_recording,
 )
 
-from excite import recordings
+from excite import _json, recordings
 from excite.cli.main import main
 from excite.collision import scene_file
 from excite.diagnosis import fitted_effects
@@ -237,8 +237,8 @@ def test_the_sound_files_are_accepted(tmp_path):
 
 @pytest.mark.parametrize("path", TRAJECTORIES, ids=lambda path: path.stem)
 def test_published_trajectories_read_back_exactly(path):
-    trajectory = trajectory_file.read(path)
-    assert trajectory_file.dumps(trajectory.document()) == trajectory_file.dumps(
+    trajectory = trajectory_file.read_trajectory(path)
+    assert _json.dumps(trajectory.document()) == _json.dumps(
         json.loads(path.read_text(encoding="utf-8"))
     )
 
@@ -276,10 +276,10 @@ names_of_sources = st.characters(exclude_categories=("Cs",))
 def test_a_trajectory_survives_its_file(delivery, tmp_path_factory, data):
     trajectory = data.draw(trajectories(delivery.trajectory))
     path = tmp_path_factory.getbasetemp() / "again.json"
-    path.write_text(trajectory_file.dumps(trajectory.document()), encoding="utf-8")
-    again = trajectory_file.read(path)
+    path.write_text(_json.dumps(trajectory.document()), encoding="utf-8")
+    again = trajectory_file.read_trajectory(path)
     assert again.joints == trajectory.joints and again.motion.periods == trajectory.motion.periods
-    assert trajectory_file.dumps(again.document()) == path.read_text(encoding="utf-8")
+    assert _json.dumps(again.document()) == path.read_text(encoding="utf-8")
     t = trajectory.motion.grid(50.0)
     for order in range(4):
         assert np.array_equal(again.motion.at(t, order), trajectory.motion.at(t, order))
@@ -310,7 +310,7 @@ def test_what_no_document_holds_is_refused(data, problem, tmp_path):
     path = tmp_path / "t.json"
     path.write_bytes(data)
     with pytest.raises(UnusableInput) as caught:
-        trajectory_file.read(path)
+        trajectory_file.read_trajectory(path)
     message = str(caught.value)
     assert message.startswith(f"{path}: ") and problem.replace("\\\\", "\\") in message
     assert "\n" not in message and len(message) < 400
@@ -319,7 +319,7 @@ def test_what_no_document_holds_is_refused(data, problem, tmp_path):
 def test_a_byte_order_mark_is_no_fault(tmp_path):
     path = tmp_path / "t.json"
     path.write_bytes(b"\xef\xbb\xbf" + TRAJECTORIES[0].read_bytes())
-    assert trajectory_file.read(path).joints
+    assert trajectory_file.read_trajectory(path).joints
 
 
 @pytest.mark.parametrize(
@@ -388,13 +388,13 @@ def test_yaml_keys_that_look_like_numbers_or_switches_are_names(tmp_path):
     ],
 )
 def test_each_rule_of_a_trajectory_names_its_key(delivery, change, problem, tmp_path):
-    content = json.loads(trajectory_file.dumps(delivery.trajectory.document()))
+    content = json.loads(_json.dumps(delivery.trajectory.document()))
     change(content)
     if problem is None:
-        assert trajectory_file.parse(content, tmp_path / "t.json").joints
+        assert trajectory_file.parse_trajectory(content, tmp_path / "t.json").joints
         return
     with pytest.raises(UnusableInput) as caught:
-        trajectory_file.parse(content, tmp_path / "t.json")
+        trajectory_file.parse_trajectory(content, tmp_path / "t.json")
     assert f"t.json: {problem}" in str(caught.value)
     assert str(caught.value).endswith("; design it again")
 
@@ -472,8 +472,12 @@ def identified(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("identified")
     subject = two_link_model()
     psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
-    write_recording(synthetic_recording(subject, psi, random_fourier(2, 2), 3, 0.2), folder / "train.csv")
-    write_recording(synthetic_recording(subject, psi, random_fourier(2, 5), 0.6, 0.2), folder / "short.csv")
+    write_recording(
+        synthetic_recording(subject, psi, random_fourier(2, 2), 3, 0.2), folder / "train.csv"
+    )
+    write_recording(
+        synthetic_recording(subject, psi, random_fourier(2, 5), 0.6, 0.2), folder / "short.csv"
+    )
     (folder / "short.json").unlink()
     assert run("identify", "two_link", folder / "train.csv", "-o", folder / "model").code == 0
     return folder

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -21,7 +22,7 @@ from excite.robot.robot import load
 
 BOX = WorkspaceBox("tip", (-0.5, -0.1, -0.7), (0.8, 0.1, 0.6))
 STEP = 2e-5
-"""Step in variables of size 1, small compared with the width of smooth Coulomb friction [1]."""
+"""Step of finite differences, in variables of size 1 [1]; Coulomb friction is wider."""
 KINDS = ("position", "velocity", "acceleration", "jerk", "torque", "braking", "box0", "box1")
 
 
@@ -40,7 +41,7 @@ def evaluator(name: str = "two_link", **changes: object) -> Evaluator:
         robot = load(
             name, joints=("fr3_joint1", "fr3_joint2", "fr3_joint4") if name == "fr3" else None
         )
-    options = DesignOptions(period=2.0, harmonics=3, samples=24, **changes)  # type: ignore[arg-type]
+    options = replace(DesignOptions(period=2.0, harmonics=3, samples=24), **changes)
     return Evaluator(optimize.set_up(robot, resolve(robot), options).problem)
 
 

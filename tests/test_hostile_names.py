@@ -28,7 +28,7 @@ from excite.cli.main import main
 from excite.errors import UnusableInput, toml_key
 from excite.robot import urdf
 from excite.schemas.quantities import Name, converted
-from excite.trajectory.rest_to_rest import Motion, Segment
+from excite.trajectory.rest_to_rest import Motion, MotionSegment
 
 HOSTILE = {
     "joint_1": "$x_1$ <script>alert(1)</script> & \"q\" 'a' {0} %s %n\\n",
@@ -199,7 +199,7 @@ def test_a_segments_kind_stays_in_its_comment(tmp_path):
     trajectory = made(6)
     kind = "fourier\n  set_digital_out(0, True)\r  movej()\u2028#"
     odd = tuple(
-        Segment(kind if segment.profile is None else segment.kind, *segment_rest(segment))
+        MotionSegment(kind if segment.profile is None else segment.kind, *segment_rest(segment))
         for segment in trajectory.motion.segments
     )
     motion = trajectory.motion
@@ -212,7 +212,7 @@ def test_a_segments_kind_stays_in_its_comment(tmp_path):
     assert programs[0] == programs[1] and "\r" not in texts[1]
 
 
-def segment_rest(segment: Segment) -> tuple[object, ...]:
+def segment_rest(segment: MotionSegment) -> tuple[object, ...]:
     return segment.start, segment.end, segment.profile
 
 

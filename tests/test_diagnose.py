@@ -257,7 +257,7 @@ def test_what_only_a_doubted_name_foresees_is_unknown(subject, monkeypatch):
         and result.doubted[0] > result.floor[0]
     )
     (stated,) = document(result)["unknown"]
-    assert "likest to stribeck" in stated["where"]["statement"]
+    assert "most similar to stribeck" in stated["where"]["statement"]
 
 
 def test_a_coupling_takes_energy_whichever_way_the_other_joint_turns_the_shaft(subject):
@@ -328,7 +328,7 @@ def test_a_trusted_prior_shows_what_a_refit_absorbs(subject):
 def test_the_catalogue_is_the_contracts():
     assert sorted(EFFECTS_BY_NAME) == sorted(EFFECT_NAMES) and len(EFFECTS) == len(EFFECT_NAMES)
     for effect in EFFECTS:
-        assert effect.units and effect.signature and effect.experiment and effect.source
+        assert effect.units and effect.signature and effect.experiment and effect.equation
         assert set(effect.are_confusable) <= set(EFFECT_NAMES)
 
 

@@ -233,7 +233,7 @@ def test_a_grid_is_left_for_the_value_between_its_neighbours(monkeypatch):
     assert search.trial(finer, [best]).gain > search.trial(one, [coarse]).gain
     settled, (last,) = search.refined(finer, [best], sweeps=20)
     monkeypatch.setattr(
-        search, "_beside", lambda small, shape: pytest.fail("what was tuned is tuned again")
+        search, "_joint_gain", lambda small, shape: pytest.fail("what was tuned is tuned again")
     )
     assert search.refined(settled, [last])[1] == [last]
     louder = search.rescaled(settled, np.array([2.0]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os.path
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -27,6 +28,7 @@ from ..schemas.limits import (
     MoveItValuesFile,
     StatedLimits,
 )
+from ..schemas.quantities import shown
 from .robot import Follower, Robot, builtin_names
 
 Array = np.ndarray
@@ -40,6 +42,8 @@ WITH_MARGIN = ("velocity", "acceleration", "jerk", "torque")
 DEFAULT_MARGIN = 0.02
 """Share of these limits that a design keeps free unless told otherwise [1]: a controller stops the robot at the limit itself, and
 its tracking overshoots the commanded motion. `--margin` and the limits file's [margin] table change it."""
+SHOWN_PATH = 300
+"""Characters of the name of a file that a message repeats."""
 TomlLimits = TypeVar("TomlLimits", bound=LimitsFile)
 MOVEIT = {
     "max_velocity": "velocity",
@@ -227,13 +231,15 @@ def from_sources(
     if file is None and named:
         if len(named) > 1:
             raise UnusableInput(
-                f"{robot.source}: the limits name several sources ({', '.join(named)}); give the file with --limits"
+                f"{robot.source}: the limits name several sources ({', '.join(shown(name, SHOWN_PATH) for name in named)}); "
+                "give the file with --limits"
             )
         candidates = [Path(named[0]), *([] if folder is None else [folder / Path(named[0]).name])]
-        file = next((path for path in candidates if path.is_file()), None)
+        file = next((path for path in candidates if os.path.isfile(path)), None)
         if file is None:
             raise UnusableInput(
-                f"{named[0]}: the limits file of this trajectory is not there; say where it is with --limits FILE"
+                f"{shown(named[0], SHOWN_PATH)}: the limits file of this trajectory is not there; "
+                "say where it is with --limits FILE"
             )
     return resolve(robot, file)
 

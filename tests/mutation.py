@@ -861,9 +861,9 @@ def valid_inputs(folder: Path) -> dict[str, bytes]:
         "limits.toml": limits.encode(),
         "limits.yaml": yaml.encode(),
         "scene.toml": (
-            'floor = -1.5\nclearance = 0.01\n[[box]]\nname = "table"\nsize = [1.0, 1.0, 0.1]\nposition = [0.0, 2.0, 0.0]\n'
-            '[[sphere]]\nradius = 0.1\nposition = [0.0, -2.0, 0.0]\n[[mesh]]\nname = "wall"\nfile = "part.stl"\nposition = [2.0, 2.0, 2.0]\n'
-        ).encode(),
+            b'floor = -1.5\nclearance = 0.01\n[[box]]\nname = "table"\nsize = [1.0, 1.0, 0.1]\nposition = [0.0, 2.0, 0.0]\n'
+            b'[[sphere]]\nradius = 0.1\nposition = [0.0, -2.0, 0.0]\n[[mesh]]\nname = "wall"\nfile = "part.stl"\nposition = [2.0, 2.0, 2.0]\n'
+        ),
         "bounds.toml": b"[links.link_2]\nmass = [1.0, 3.0]\ncentre = [[0.0, -0.1, -0.1], [0.4, 0.1, 0.1]]\n",
     }
 

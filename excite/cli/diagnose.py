@@ -14,6 +14,7 @@ from ..diagnosis.diagnosis_file import document
 from ..diagnosis.session_changes import KINDS
 from ..identification import identified_model, torque_check
 from ..identification import prior as prior_module
+from ..recordings import recording_cost
 from ..robot import base_parameters, inertial_parameters
 from ..trajectory import trajectory_file
 from . import options as told
@@ -34,6 +35,7 @@ def diagnose(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outco
         [recordings.read(Path(path), robot, table) for path in paths] for paths in both
     )
     recordings.refuse_same(train, held_out)
+    recording_cost.require_diagnosable([*train, *held_out], say)
     train, held_out = (
         [torque_check.checked(one, robot, table) for one in some] for some in (train, held_out)
     )

@@ -22,7 +22,7 @@ from ..identification.consistency import Bounds
 from ..identification.estimators import Method
 from ..identification.identification import Identification, Options
 from ..identification.inertia_distance import Distance
-from ..recordings import Recording
+from ..recordings import Recording, recording_cost
 from ..robot import base_parameters, inertial_parameters
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import Limits
@@ -54,6 +54,7 @@ def identify(arguments: argparse.Namespace, say: Callable[[str], None]) -> Outco
         for paths in (arguments.recordings, arguments.validate)
     )
     recordings.refuse_same(train, held_out)
+    recording_cost.require_identifiable([*train, *held_out], say)
     train, held_out = (
         [torque_check.checked(one, robot, table) for one in some] for some in (train, held_out)
     )

@@ -17,7 +17,7 @@ from ..robot.base_parameters import Base
 from ..robot.limits import Limits
 from ..robot.robot import Robot
 from ..trajectory.fourier import Fourier
-from . import criteria, initial_guess, multistart, problem, sqp
+from . import criteria, design_cost, initial_guess, multistart, problem, sqp
 from .constraint_margins import Subject
 from .criteria import Criterion
 from .evaluator import Evaluator
@@ -138,6 +138,7 @@ def prepare(
 ) -> Setting:
     """Build the problem. given: information of earlier recordings in standard parameters. Shape (P, P). The others: see Problem."""
     check(options)
+    design_cost.require(robot, options)
     if options.free_period is not None:
         options = dataclasses.replace(
             options, period=float(np.clip(options.period, *options.free_period))

@@ -18,7 +18,7 @@ from ..robot.limits import Limits
 from ..robot.robot import Robot
 from ..trajectory.trajectory_file import Trajectory, versions
 from . import certificate as certificate_module
-from . import optimize, ramps
+from . import design_cost, optimize, ramps
 from .certificate import CELL, CLEARANCE, Certificate
 from .motion_overlap import Apart
 from .multistart import Progress
@@ -79,6 +79,8 @@ def run(
         raise UnusableInput(f"--speed {speed:g} should be above 0 and at most 1")
     if options.free_period is None:
         optimize.whole_samples(options.period / speed, options.rate)
+    optimize.check(options)
+    design_cost.require(robot, options, speed, progress)
     clearance = None if cell is None else clearance_builder.clearance(cell)
     setting = optimize.prepare(robot, limits, options, given, apart, clearance, start)
     if start is not None:  # before the optimisation, which begins within its sight

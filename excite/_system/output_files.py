@@ -11,7 +11,7 @@ Guarantees:
   are moved in, the main file last. A process that is killed in between leaves an incomplete set without its main file, never old
   files beside new ones. This holds for files beside each other in a folder of the user's (`output_files`), and for a folder that
   is a mount point or above or at the current directory, holds links in place of files of the set, more than
-  `_folder_exchange.MOST_ENTRIES` entries, entries of other owners or of another file system, or that is on a file system
+  `folder_exchange.MOST_ENTRIES` entries, entries of other owners or of another file system, or that is on a file system
   without hard links or without exchange. A single file is replaced by one rename.
 * What a killed process leaves in staging directories is removed by the next run that writes to the same place.
 * Symbolic links are followed: the file that a link leads to is replaced, the link stays. A target that is no regular file
@@ -176,6 +176,8 @@ class OutputFiles:
             try:
                 kind = _special_file(os.stat(path))
             except OSError as error:
+                if error.errno == errno.ENAMETOOLONG:
+                    raise _refusal(path, "its name is too long", "give another -o") from error
                 kind = "a loop of symbolic links" if error.errno == errno.ELOOP else None
             if kind is not None:
                 raise _refusal(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -20,6 +20,8 @@ from excite.recordings import Recording, Sidecar
 from excite.robot import base_parameters, inertial_parameters, limits, robot
 from excite.robot.inertial_parameters import Parameters
 from excite.robot.limits import Limits
+from excite.schemas.document_file import DocumentFile
+from excite.schemas.effects import EffectDocument
 from excite.trajectory.fourier import Fourier
 
 if TYPE_CHECKING:  # of an extra that need not be there
@@ -155,3 +157,9 @@ def halved(gamma: Array, torque: Array, known: tuple[Array, Array], scale: float
 def on_one(first: Array, second: Array) -> tuple[Columns, Columns]:
     """Columns of both halves, of a robot with one joint."""
     return Columns.of(first[:, None]), Columns.of(second[:, None])
+
+
+def validated(effect: dict[str, Any]) -> EffectDocument:
+    """An effect of a `model.json`, as reading the file gives it."""
+    file = DocumentFile(Path("model.json"), "a model", "diagnose again", "a model.json")
+    return file.converted(effect, EffectDocument)

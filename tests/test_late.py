@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from made import validated
 from scipy import signal
 from test_diagnose import PLANTED, found, on, recordings_of, slips
 
@@ -128,7 +129,7 @@ def test_torque_that_was_filtered_is_told_as_that_and_hides_nothing(subject, eff
     )  # of steps, not of the continuous filter
     assert (result.after < 1.6 * result.expected).all()
     again = [
-        whole.restored(whole.entry(part, subject.robot), subject.robot, "model.json")
+        whole.restored(validated(whole.entry(part, subject.robot)), subject.robot)
         for part in result.parts
     ]
     along = result.tracks[1][0]
@@ -164,7 +165,7 @@ def test_an_effect_that_comes_late_with_all_the_rest_is_named_beside_the_delay(
         if s.effect != "delay"
     ]
     again = [
-        whole.restored(whole.entry(part, subject.robot), subject.robot, "model.json")
+        whole.restored(validated(whole.entry(part, subject.robot)), subject.robot)
         for part in result.parts
     ]
     along = result.tracks[1][0]

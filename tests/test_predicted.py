@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from made import WIDTH, perturbed
+from made import WIDTH, perturbed, validated
 from test_diagnose import PLANTED, found, recordings_of
 
 from excite.diagnosis import whole
@@ -15,15 +14,8 @@ from excite.effects import track
 from excite.errors import UnusableInput
 from excite.identification.identified_model import FittedModel
 from excite.identification.regression import Model
-from excite.schemas.document_file import DocumentFile
-from excite.schemas.effects import EffectDocument
 
 Array = np.ndarray
-
-
-def validated(effect: dict[str, Any]) -> EffectDocument:
-    file = DocumentFile(Path("model.json"), "a model", "diagnose again", "a model.json")
-    return file.converted(effect, EffectDocument)
 
 
 def test_what_was_found_is_predicted_and_gone_from_the_recording(subject):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pinocchio as pin
@@ -19,6 +19,8 @@ from excite.identification import consistency
 from excite.identification.regression import IdentificationModel
 from excite.recordings import Recording, Sidecar
 from excite.robot import base_parameters, inertial_parameters, limits, robot
+from excite.schemas.document_file import DocumentFile
+from excite.schemas.effects import EffectDocument
 from excite.robot.inertial_parameters import Parameters
 from excite.robot.limits import Limits
 from excite.trajectory.fourier import FourierSeries
@@ -183,3 +185,9 @@ def single_joint_fold(
 def single_joint_columns(first: FloatArray, second: FloatArray) -> tuple[Columns, Columns]:
     """Return the columns of both folds for a robot with one joint."""
     return Columns.of(first[:, None]), Columns.of(second[:, None])
+
+
+def validated(effect: dict[str, Any]) -> EffectDocument:
+    """An effect of a `model.json`, as reading the file gives it."""
+    file = DocumentFile(Path("model.json"), "a model", "diagnose again", "a model.json")
+    return file.converted(effect, EffectDocument)

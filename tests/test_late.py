@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy import signal
+from synthetic_recordings import validated
 from test_diagnose import PLANTED, found, on, recordings_of, slips
 
 from excite.diagnosis import diagnosis, fitted_effects, interval, late, search
@@ -128,7 +129,9 @@ def test_torque_that_was_filtered_is_told_as_that_and_hides_nothing(subject, eff
     )  # of steps, not of the continuous filter
     assert (result.after < 1.6 * result.expected).all()
     again = [
-        fitted_effects.restored(fitted_effects.entry(part, subject.robot), subject.robot, "model.json")
+        fitted_effects.restored(
+            validated(fitted_effects.entry(part, subject.robot)), subject.robot
+        )
         for part in result.parts
     ]
     along = result.motions[1][0]
@@ -164,7 +167,9 @@ def test_an_effect_that_comes_late_with_all_the_rest_is_named_beside_the_delay(
         if s.effect != "delay"
     ]
     again = [
-        fitted_effects.restored(fitted_effects.entry(part, subject.robot), subject.robot, "model.json")
+        fitted_effects.restored(
+            validated(fitted_effects.entry(part, subject.robot)), subject.robot
+        )
         for part in result.parts
     ]
     along = result.motions[1][0]

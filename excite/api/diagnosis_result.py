@@ -14,7 +14,7 @@ from ..diagnosis import diagnosis, fitted_effects, residual_atlas
 from ..diagnosis.diagnosis_file import document as diagnosis_document
 from ..identification import identified_model
 from ..identification import prior as prior_module
-from ..recordings import Recording
+from ..recordings import Recording, recording_cost
 from ..robot import base_parameters, inertial_parameters
 from ..robot.limits import Limits
 from .identification_result import RecordingSource, _read_both
@@ -139,6 +139,7 @@ def diagnose(
     )
     train, held_out = _read_both(loaded, table, recordings, validate)
     say = progress or (lambda text: None)
+    recording_cost.require_diagnosable([*train, *held_out], say)
     options = diagnosis.DiagnosisOptions(band, known)
     found = diagnosis.diagnose(loaded, standard, base, train, held_out, options, say)
     return DiagnosisResult(found, tuple(train), tuple(held_out), with_report)

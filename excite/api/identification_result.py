@@ -21,7 +21,7 @@ from ..identification import consistency, identification, identified_model, lmi_
 from ..identification import prior as prior_module
 from ..identification.consistency import Bounds
 from ..identification.identification import Identification, IdentificationOptions
-from ..recordings import Recording
+from ..recordings import Recording, recording_cost, refuse_same
 from ..robot import base_parameters, inertial_parameters
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import Limits
@@ -225,6 +225,7 @@ def identify(
     say = progress or (lambda text: None)
     say(f"reading {', '.join(map(_name, (*recordings, *validate)))}")
     train, held_out = _read_both(loaded, table, recordings, validate, period, window)
+    recording_cost.require_identifiable([*train, *held_out], say)
     found = identification.identify(loaded, standard, base, train, held_out, chosen, say)
     return IdentificationResult(
         found, tuple(train), tuple(held_out), _compare_lmi(found) if check_lmi else None
@@ -293,7 +294,7 @@ def _read_both(
         [read_recording(one, robot, limits=limits, period=period, window=window) for one in paths]
         for paths in (train, held_out)
     ]
-    recordings.refuse_same(*both)
+    refuse_same(*both)
     train_set, held_out_set = (
         [torque_check.check_torque(one, robot, limits) for one in some] for some in both
     )

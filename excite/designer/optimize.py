@@ -18,7 +18,7 @@ from ..robot.base_parameters import Base
 from ..robot.limits import Limits
 from ..robot.robot import Robot
 from ..trajectory.fourier import FourierSeries
-from . import criteria, initial_guess, multistart, problem, sqp
+from . import criteria, design_cost, initial_guess, multistart, problem, sqp
 from .constraint_margins import MotionConstraints
 from .criteria import Criterion
 from .evaluator import Evaluator
@@ -122,6 +122,7 @@ def set_up(
         UnusableInput: Options are inconsistent.
     """
     check_options(options)
+    design_cost.require(robot, options)
     if options.free_period is not None:
         options = dataclasses.replace(
             options, period=float(np.clip(options.period, *options.free_period))

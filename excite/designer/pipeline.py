@@ -22,12 +22,12 @@ from ..robot.limits import Limits
 from ..robot.robot import Robot
 from ..trajectory.trajectory_file import Trajectory, package_versions
 from . import certificate as certificate_module
-from . import optimize, ramps
+from . import design_cost, optimize, ramps
 from .certificate import CELL_KEY, CLEARANCE, Certificate
 from .motion_overlap import OverlapPenalty
 from .multistart import Progress
 from .optimize import OptimizedDesign
-from .options import DesignOptions, samples_per_period
+from .options import DesignOptions, check_options, samples_per_period
 from .problem import LIMIT_RESERVE
 
 CertifiedTrajectory = tuple[Trajectory, Certificate]
@@ -108,6 +108,8 @@ def design_trajectory(
         raise UnusableInput(f"--speed {speed:g} should be above 0 and at most 1")
     if options.free_period is None:
         samples_per_period(options.period / speed, options.rate)
+    check_options(options)
+    design_cost.require(robot, options, speed, progress)
     clearance = None if cell is None else clearance_builder.clearance(cell)
     setup = optimize.set_up(
         robot, limits, options, earlier_information, overlap_penalty, clearance, start

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -175,7 +176,7 @@ def beside(path: Path) -> Path:
 
 def is_note(path: Path) -> bool:
     """Return whether a file is the note to an exported file, as `notes` begins it."""
-    if not path.is_file():
+    if not os.path.isfile(path):  # a pipe would wait for its other end
         return False
     try:
         with path.open("rb") as stream:

@@ -11,7 +11,15 @@ from ..errors import UnusableInput
 from ..robot.limits import Limits
 from ..robot.robot import Robot
 from ..robot.urdf import is_file
-from . import csv_reader, data_quality, magnitudes, npz_reader, rosbag_reader, sidecar
+from . import (
+    csv_reader,
+    data_quality,
+    magnitudes,
+    npz_reader,
+    recording_cost,
+    rosbag_reader,
+    sidecar,
+)
 from .block import Block, joined
 from .data_quality import Patient, Window
 from .recording import Recording
@@ -35,7 +43,13 @@ def read(path: Path, robot: Robot, limits: Limits | None = None) -> Recording:
         `remarks` lists these too.
     """
     patient = Patient(str(path), robot, sidecar.read(path, robot), limits)
-    found = [block for block in _blocks(path, patient) if len(block) or block.remarks]
+    found, rows, numbers = list[Block](), 0, 0
+    for part in _blocks(path, patient):
+        if len(part) or part.remarks:
+            found.append(part)
+        rows += len(part)
+        numbers += len(part) * (1 + robot.n * len(part.values))
+        recording_cost.require_readable(str(path), rows, numbers)
     if not found:
         raise UnusableInput(f"{path}: has no rows; record again")
     block, remarks = order(str(path), joined(found))

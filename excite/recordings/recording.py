@@ -109,6 +109,11 @@ class Recording:
                 f"it runs from {self.t[0]:g} to {self.t[-1]:g} s"
             )
 
+    @property
+    def quantities(self) -> int:
+        """Number of quantities that were measured, positions included."""
+        return sum(getattr(self, name) is not None for name in QUANTITIES)
+
     def has(self, quantity: str, joint: str) -> bool:
         """Whether a quantity of a joint was measured at all."""
         values = getattr(self, quantity)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os.path
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -49,7 +50,7 @@ def read(recording: Path, robot: Robot) -> Sidecar:
             `schemas.recording`, or names a joint that is not there.
     """
     path = beside(recording)
-    if path == recording or not path.is_file():
+    if path == recording or not os.path.isfile(path):
         return Sidecar()
     file = DocumentFile(
         path,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os.path
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -27,6 +28,7 @@ from ..schemas.limits import (
     MoveItValuesFile,
     StatedLimits,
 )
+from ..schemas.quantities import shown
 from .robot import Follower, Robot, builtin_names
 
 Array = np.ndarray
@@ -42,6 +44,8 @@ DEFAULT_MARGIN = 0.02
 robot at the limit itself, and its tracking overshoots the commanded motion. `--margin` and the
 limits file's [margin] table change it."""
 TomlLimits = TypeVar("TomlLimits", bound=LimitsFile)
+SHOWN_PATH = 300
+"""Characters of the name of a file that a message repeats."""
 MOVEIT = {
     "max_velocity": "velocity",
     "max_acceleration": "acceleration",
@@ -236,14 +240,14 @@ def from_sources(
     if file is None and named:
         if len(named) > 1:
             raise UnusableInput(
-                f"{robot.source}: the limits name several sources ({', '.join(named)}); give the "
+                f"{robot.source}: the limits name several sources ({', '.join(shown(name, SHOWN_PATH) for name in named)}); give the "
                 "file with --limits"
             )
         candidates = [Path(named[0]), *([] if folder is None else [folder / Path(named[0]).name])]
-        file = next((path for path in candidates if path.is_file()), None)
+        file = next((path for path in candidates if os.path.isfile(path)), None)
         if file is None:
             raise UnusableInput(
-                f"{named[0]}: the limits file of this trajectory is not there; say where it is "
+                f"{shown(named[0], SHOWN_PATH)}: the limits file of this trajectory is not there; say where it is "
                 "with --limits FILE"
             )
     return resolve(robot, file)

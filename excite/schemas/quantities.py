@@ -24,8 +24,8 @@ SHOWN = 40
 """Characters of a value that a message repeats."""
 
 
-def shown(value: Any) -> str:
-    """A value as a message repeats it: short, on one line, printable."""
+def shown(value: Any, longest: int = SHOWN) -> str:
+    """A value as a message repeats it: printable, on one line, of at most `longest` characters."""
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
     if isinstance(value, dict):
@@ -40,7 +40,7 @@ def shown(value: Any) -> str:
     printable = "".join(
         letter if letter.isprintable() else f"\\u{ord(letter):04x}" for letter in text
     )
-    return printable if len(printable) <= SHOWN else f"{printable[:SHOWN]}…"
+    return printable if len(printable) <= longest else f"{printable[:longest]}…"
 
 
 def _positive(accepted: Range, smallest: float | None = None) -> Range:

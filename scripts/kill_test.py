@@ -1,0 +1,234 @@
+"""Kill commands while they run and while they replace their files, and compare what is left with whole sets of files.
+
+    python scripts/kill_test.py [--random 30] [--between 10]
+
+Four cases: `design` into its folder, which is exchanged as a whole; `design` with that folder as the current directory, where the
+files are replaced in place; `design` into a folder that does not exist; and `simulate`, whose files lie beside others. Each is killed
+by SIGKILL at random times, and before operations on names of files (rename, exchange, link, remove) that are spread evenly over all
+that replace the set. Since a seed gives the same files again, to the byte, every file is known to be old or new. The exit code is 1
+where files are mixed or broken, a foreign file has changed, or the next run does not remove what a killed one has left.
+"""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import dataclasses
+import os
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+QUICK = ("--starts", "1", "--iterations", "15", "--harmonics", "3", "--samples", "60")
+CHILD = """
+import os, signal, sys
+at, count, out = int(sys.argv[1]), 0, sys.argv[-1]
+EVENTS = ("os.rename", "os.link", "os.remove", "os.rmdir")
+
+def hook(event, arguments):
+    global count
+    touches = any(".partial" in str(argument) or str(argument).startswith(out) for argument in arguments)
+    if event in EVENTS and touches or event == "ctypes.dlsym" and arguments[1] in ("renameat2", "renamex_np"):
+        count += 1
+        if count == at:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+sys.addaudithook(hook)
+from excite.cli.main import main
+code = main(sys.argv[2:])
+print(count)
+sys.exit(code)
+"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """A command whose output is killed. command: without seed and output. target: its `-o`, relative to the folder it works in."""
+
+    name: str
+    command: tuple[str, ...]
+    target: str
+    exists: bool = True
+    inside: bool = False
+
+    def start(self, root: Path, seed: int, at: int = 0) -> subprocess.Popen[str]:
+        """Start the command in a folder; at: the operation on files at which it is killed, 0 for none."""
+        out = root / self.target
+        command = [
+            sys.executable,
+            "-c",
+            CHILD,
+            str(at),
+            *self.command,
+            "--seed",
+            str(seed),
+            "-o",
+            str(out),
+        ]
+        where = out if self.inside else None
+        return subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=where
+        )
+
+    def run(self, root: Path, seed: int, at: int = 0) -> int:
+        """Run the command to its end and return how many operations on files it took."""
+        process = self.start(root, seed, at)
+        printed = process.communicate()[0]
+        if at == 0 and process.returncode != 0:
+            raise SystemExit(f"{self.name}: exit code {process.returncode}")
+        return int(printed.split()[-1]) if at == 0 else 0
+
+
+def files(root: Path) -> dict[str, bytes]:
+    """Content of all files of a folder, by their relative names."""
+    return {
+        str(path.relative_to(root)): path.read_bytes()
+        for path in sorted(root.rglob("*"))
+        if path.is_file()
+    }
+
+
+def state(found: dict[str, bytes], old: dict[str, bytes], new: dict[str, bytes]) -> str:
+    """Compare a folder with the old and the new set: the name of its state, in capitals if it should not be."""
+    kinds = set()
+    for name in {*old, *new}:
+        content = found.get(name)
+        if content is None:
+            kinds.add("absent")
+        elif content not in (old.get(name), new.get(name)):
+            return "BROKEN"
+        elif old.get(name) != new.get(name):
+            kinds.add("new" if content == new.get(name) else "old")
+    if {"old", "new"} <= kinds:
+        return "MIXED"
+    if "absent" in kinds:
+        return "none" if kinds == {"absent"} else "incomplete"
+    return kinds.pop()
+
+
+def prepare(root: Path, before: Path, case: Case) -> None:
+    """Set up a folder with the old files and a foreign one."""
+    shutil.rmtree(root, ignore_errors=True)
+    if case.exists:
+        shutil.copytree(before, root)
+    else:
+        root.mkdir()
+    foreign = root / (
+        "foreign.txt" if not case.exists or "." in case.target else f"{case.target}/foreign.txt"
+    )
+    foreign.write_text("not ours")
+
+
+def tried(case: Case, folder: Path, randoms: int, betweens: int) -> tuple[list[str], bool]:
+    """The row of a case, and whether all was well."""
+    before, after, root = folder / "before", folder / "after", folder / "root"
+    for path, seed in ((before, 0), (after, 1)):
+        (path / case.target).parent.mkdir(parents=True)
+        if case.inside:
+            (path / case.target).mkdir()
+        begun = time.perf_counter()
+        case.run(path, seed)
+    seconds = time.perf_counter() - begun
+    old, new = files(before) if case.exists else {}, files(after)
+    prepare(root, before, case)
+    operations = case.run(root, 1)
+    moments = [(None, seconds * random.random()) for _ in range(randoms)]
+    moments += [(1 + (operations - 1) * i // max(1, betweens - 1), 0.0) for i in range(betweens)]
+    states: tuple[collections.Counter[str], collections.Counter[str]] = (
+        collections.Counter(),
+        collections.Counter(),
+    )
+    good = True
+    for at, delay in moments:
+        prepare(root, before, case)
+        if at is None:
+            process = case.start(root, 1)
+            time.sleep(delay)
+            process.kill()
+            process.communicate()
+        else:
+            case.run(root, 1, at)
+        found = files(root)
+        whole = state(
+            {name: text for name, text in found.items() if ".partial" not in name}, old, new
+        )
+        states[at is not None][whole] += 1
+        good &= whole in ("old", "new", "none", "incomplete")
+        if at is None and set(found) <= {*old, *new, "foreign.txt", f"{case.target}/foreign.txt"}:
+            continue  # nothing is left that the next run would have to remove
+        case.run(root, 1)
+        again = files(root)
+        foreign = {name for name, text in again.items() if text == b"not ours"}
+        clean = (
+            set(again) == set(new) | foreign
+            and len(foreign) == 1
+            and all(again[name] == new[name] for name in new)
+        )
+        good &= clean
+    words = [
+        ", ".join(f"{count} {name}" for name, count in sorted(counter.items()))
+        for counter in states
+    ]
+    return [case.name, words[0], words[1], str(operations), "yes" if good else "NO"], good
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--random",
+        type=int,
+        default=30,
+        metavar="N",
+        help="kills at random times, of each case (default %(default)s)",
+    )
+    parser.add_argument(
+        "--between",
+        type=int,
+        default=10,
+        metavar="N",
+        help="kills between operations on files (default %(default)s)",
+    )
+    parser.add_argument(
+        "--only", metavar="CASE", action="append", help="exchanged, in-place, fresh or beside"
+    )
+    arguments = parser.parse_args(argv)
+    os.environ["EXCITE_COMPILER"] = ""
+    random.seed(0)
+    with tempfile.TemporaryDirectory() as name:
+        made = Path(name) / "made"
+        Case("motion", ("design", "two_link", *QUICK), "motion").run(made.parent, 0)
+        design = ("design", "two_link", "--validation", *QUICK)
+        motion = str(made.parent / "motion" / "trajectory.json")
+        cases = (
+            Case("exchanged", design, "out"),
+            Case("in-place", design, "out", inside=True),
+            Case("fresh", design, "out", exists=False),
+            Case("beside", ("simulate", "two_link", motion), "run.csv"),
+        )
+        rows, good = [], True
+        for case in cases:
+            if arguments.only and case.name not in arguments.only:
+                continue
+            row, fine = tried(case, Path(name) / case.name, arguments.random, arguments.between)
+            rows.append(row)
+            good &= fine
+    head = (
+        "case",
+        "killed at random",
+        "killed between operations",
+        "operations",
+        "never mixed or broken, next run clean",
+    )
+    print("\n".join("| " + " | ".join(row) + " |" for row in (head, ["---"] * len(head), *rows)))
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -34,7 +35,9 @@ class Sidecar:
 
 def beside(recording: Path) -> Path:
     """Where the sidecar of a recording lies: `run.csv` and the folder `run` both have `run.json`."""
-    return recording.parent / f"{recording.name if recording.is_dir() else recording.stem}.json"
+    return (
+        recording.parent / f"{recording.name if os.path.isdir(recording) else recording.stem}.json"
+    )
 
 
 def read(recording: Path, robot: Robot) -> Sidecar:
@@ -47,7 +50,7 @@ def read(recording: Path, robot: Robot) -> Sidecar:
             `schemas.recording`, or names a joint that is not there.
     """
     path = beside(recording)
-    if path == recording or not path.is_file():
+    if path == recording or not os.path.isfile(path):
         return Sidecar()
     file = DocumentFile(
         path,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import unicodedata
 import xml.etree.ElementTree as ElementTree
@@ -68,7 +69,7 @@ def read(path: Path) -> Urdf:
         UnusableInput: The file is missing, is an unexpanded xacro, is no valid XML or is not in the encoding that it declares; it holds
             a number outside its `physical_ranges`; it has a joint of more than one degree of freedom; or its links form no tree.
     """
-    if not is_file(path):
+    if not os.path.isfile(path):  # False for a name that is too long, too
         raise UnusableInput(
             f"{path}: no such file; give a URDF's path or a name that 'excite robots' lists"
         )
@@ -104,14 +105,6 @@ def read(path: Path) -> Urdf:
     name = _printable(source, "robot", root.get("name") or path.stem)
     text = f'<robot name="{_escape(name)}">\n' + "\n".join(elements) + "\n</robot>\n"
     return Urdf(source=source, text=text, name=name, joints=joints, links=links)
-
-
-def is_file(path: Path) -> bool:
-    """Whether a path names a regular file that can be looked up; names that are too long name none."""
-    try:
-        return path.is_file()
-    except OSError:
-        return False
 
 
 def _require_finite_shapes(source: str, link: ElementTree.Element) -> None:

@@ -7,6 +7,7 @@ A new kind of document takes an entry in COMMANDS, with the names of the valid f
 Run as a script, it tries other seeds than the tests: `python tests/mutation.py FIRST COUNT [KIND…]`.
 """
 
+# ruff: noqa: PLR0911, PLR0912
 from __future__ import annotations
 
 import contextlib

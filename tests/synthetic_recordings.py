@@ -19,10 +19,10 @@ from excite.identification import consistency
 from excite.identification.regression import IdentificationModel
 from excite.recordings import Recording, Sidecar
 from excite.robot import base_parameters, inertial_parameters, limits, robot
-from excite.schemas.document_file import DocumentFile
-from excite.schemas.effects import EffectDocument
 from excite.robot.inertial_parameters import Parameters
 from excite.robot.limits import Limits
+from excite.schemas.document_file import DocumentFile
+from excite.schemas.effects import EffectDocument
 from excite.trajectory.fourier import FourierSeries
 
 if TYPE_CHECKING:  # MuJoCo is an optional extra

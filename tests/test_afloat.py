@@ -111,7 +111,9 @@ def test_coupled_masses_swing_as_a_solver_says():
         return np.concatenate([z[2:], np.linalg.solve(m, f - d @ z[2:] - k @ z[:2])])
 
     m, d, k, f = parts(t)
-    place, speed, haste = (x.sum(axis=2) for x in base_compliance._simulate_base(m, d, k, f, 1.0 / rate))
+    place, speed, haste = (
+        x.sum(axis=2) for x in base_compliance._simulate_base(m, d, k, f, 1.0 / rate)
+    )
     start = np.concatenate([np.linalg.solve(k[0], f[0]), np.zeros(2)])
     right = integrate.solve_ivp(slope, (0.0, t[-1]), start, t_eval=t, rtol=1e-9, atol=1e-12).y
     for told, true in ((place, right[:2].T), (speed, right[2:].T)):
@@ -154,7 +156,9 @@ def test_a_bases_spring_is_the_same_in_every_recording(monkeypatch):
     rocks = CandidateModel("base_compliance", None, base_compliance._columns, fixed)
     every = [one for half in result.motions for one in half]
     for one in every:
-        one.__dict__["base_dynamics"] = dataclasses.replace(one.base_dynamics, by_place=0.0 * one.base_dynamics.by_place)
+        one.__dict__["base_dynamics"] = dataclasses.replace(
+            one.base_dynamics, by_place=0.0 * one.base_dynamics.by_place
+        )
         rocks.columns(one)
     stood = every[0].upright_inertia[3:5]
     for stiffness in told:

@@ -49,7 +49,9 @@ def found(extra: str = "") -> Diagnosis:
     psi = perturbed_parameters(model.parameters, np.random.default_rng(3))
     both = []
     for seed, name in ((1, "train.csv"), (2, "validate.csv")):
-        one = synthetic_recording(model, psi, random_fourier(2, seed, 9.0), 2.5, NOISE, period=None, periodic=None)
+        one = synthetic_recording(
+            model, psi, random_fourier(2, seed, 9.0), 2.5, NOISE, period=None, periodic=None
+        )
         both.append(plant(dataclasses.replace(one, source=name), extra))
     options = diagnosis.DiagnosisOptions(names=("drag",))
     done = diagnosis.diagnose(
@@ -103,7 +105,9 @@ def test_pure_noise_of_any_colour_shows_nothing(monkeypatch: pytest.MonkeyPatch)
         [
             min(
                 p.p_before
-                for p in residual_atlas.compute_atlas(null(one, rng, (1.0, 5.0)), draws=199, seed=k).panels
+                for p in residual_atlas.compute_atlas(
+                    null(one, rng, (1.0, 5.0)), draws=199, seed=k
+                ).panels
             )
             for k in range(NULLS)
         ]
@@ -154,7 +158,9 @@ def test_temperature_is_looked_at_where_it_was_recorded() -> None:
     one = found("stribeck")
     first, *rest = one.motions[1]
     warm = np.column_stack([30.0 + 0.1 * first.times, np.full(len(first.segment), np.nan)])
-    measured = dataclasses.replace(first, segment=dataclasses.replace(first.segment, temperature=warm))
+    measured = dataclasses.replace(
+        first, segment=dataclasses.replace(first.segment, temperature=warm)
+    )
     warmed = dataclasses.replace(one, motions=(one.motions[0], [measured, *rest]))
     seen = {(p.joint, p.against) for p in residual_atlas.compute_atlas(warmed).panels}
     assert (0, "temperature, along the motion") in seen

@@ -49,7 +49,8 @@ def shares(
     places = tuple(range(len(effects)))
     intervals = [(1.0, 2.0) if happens else None for happens in once or [False] * len(effects)]
     shapes = tuple(
-        CandidateModel(name, 0, nothing, interval=own) for name, own in zip(effects, intervals, strict=True)
+        CandidateModel(name, 0, nothing, interval=own)
+        for name, own in zip(effects, intervals, strict=True)
     )
     tried = search.Trial(places, np.ones(len(effects)), (np.ones(1), np.ones(1)), 50.0, True)
     findings = tuple(

@@ -43,7 +43,12 @@ def found(name: str | None, more: float = 1.0, names: tuple[str, ...] = ()) -> D
     rubs = more * MORE * (coulomb * np.tanh(speed / FRICTION_WIDTH) + viscous * speed)
     other = dataclasses.replace(held_out, tau=held_out.torque + rubs)
     return diagnosis.diagnose(
-        subject.robot, subject.parameters, subject.base, [train], [other], DiagnosisOptions(names=names)
+        subject.robot,
+        subject.parameters,
+        subject.base,
+        [train],
+        [other],
+        DiagnosisOptions(names=names),
     )
 
 
@@ -132,7 +137,9 @@ def test_another_day_does_not_excuse_what_has_no_name() -> None:
     assert (
         regimes["joint_2"]["regime"] != "recording" and "besides" in regimes["joint_2"]["statement"]
     )
-    assert "No effect is missing" not in diagnosis_page(one, document(one), residual_atlas.compute_atlas(one))
+    assert "No effect is missing" not in diagnosis_page(
+        one, document(one), residual_atlas.compute_atlas(one)
+    )
 
 
 @pytest.mark.parametrize("planted", [True, False])
@@ -170,7 +177,10 @@ def test_a_change_is_as_sure_as_its_recording_is_long() -> None:
     psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
     for seed in range(6):
         rng = np.random.default_rng(seed)
-        runs = [synthetic_recording(subject, psi, random_fourier(2, 2), periods, 0.0) for periods in (6.0, 0.8)]
+        runs = [
+            synthetic_recording(subject, psi, random_fourier(2, 2), periods, 0.0)
+            for periods in (6.0, 0.8)
+        ]
         noisy = [
             dataclasses.replace(
                 r, tau=r.torque + 0.1 * rng.normal(size=r.q.shape), source=f"{len(r)}.csv"
@@ -196,7 +206,8 @@ def test_a_change_is_as_sure_as_its_recording_is_long() -> None:
         ]
         assert not one.changes
     assert (
-        np.sqrt(np.mean(np.square(ratios))) < 1.5 and np.max(np.abs(ratios)) < session_changes.WALD_THRESHOLD
+        np.sqrt(np.mean(np.square(ratios))) < 1.5
+        and np.max(np.abs(ratios)) < session_changes.WALD_THRESHOLD
     )
 
 

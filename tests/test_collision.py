@@ -360,7 +360,9 @@ def test_the_constraint_has_an_effect(free):
     # and the cell is made again from the file
     again = certificate_module.verify_file(kept.trajectory, cell.robot)
     assert again.collision == kept.certificate.collision
-    assert [n.names for n in again.pair_distances] == [n.names for n in kept.certificate.pair_distances]
+    assert [n.names for n in again.pair_distances] == [
+        n.names for n in kept.certificate.pair_distances
+    ]
 
 
 def test_the_way_back_goes_round():
@@ -372,7 +374,9 @@ def test_the_way_back_goes_round():
     standard = optimize.set_up(robot, limits, QUICK).problem.parameters
     planner = ramps.RampPlanner(MotionConstraints(robot, limits, standard, clearance=clear), 100.0)
     begin, end = np.array([0.9, -0.2]), np.array([-0.9, 0.2])
-    assert "pillar" in planner.clearance_violation(begin + np.linspace(0, 1, 50)[:, None] * (end - begin))
+    assert "pillar" in planner.clearance_violation(
+        begin + np.linspace(0, 1, 50)[:, None] * (end - begin)
+    )
     legs, _ = planner.plan_transfer(begin, end, begin[None])
     assert len(legs) > 1
     for profile, duration in legs:

@@ -64,7 +64,9 @@ def test_products_are_those_of_columns_less_what_the_base_takes():
         halves, shapes, lambda shape: (made[shape.joint_index][0][0], made[shape.joint_index][1][0])
     )
     assert len(one.shapes) == len(felt)
-    dense = [np.hstack([made[shape.joint_index][half][1] for shape in one.shapes]) for half in (0, 1)]
+    dense = [
+        np.hstack([made[shape.joint_index][half][1] for shape in one.shapes]) for half in (0, 1)
+    ]
     for half, gram, own in zip(halves, one.grams, dense, strict=True):
         free = half.free(own)
         np.testing.assert_allclose(gram.matrix, free.T @ free, atol=1e-10)

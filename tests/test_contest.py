@@ -35,7 +35,9 @@ def wave(order: float, number: int) -> Array:
     return np.asarray(np.cos(order * PLACES[number]))
 
 
-def designed(columns: list[Array], torque: list[Array], grid: tuple[float, float]) -> search.EffectRegression:
+def designed(
+    columns: list[Array], torque: list[Array], grid: tuple[float, float]
+) -> search.EffectRegression:
     """A spring with a column of its own, and ripples whose order lies between those of a grid."""
     halves = [
         single_joint_fold(g, (g @ [1.0, -2.0] + t + n)[:, None], KNOWN)
@@ -54,7 +56,9 @@ def designed(columns: list[Array], torque: list[Array], grid: tuple[float, float
         return CandidateModel("torque_ripple", 0, unexpected_columns, {"order": order})
 
     return search.design(
-        (halves[0], halves[1]), [CandidateModel("spring", 0, unexpected_columns), *grid_candidates(grid, ripple)], build
+        (halves[0], halves[1]),
+        [CandidateModel("spring", 0, unexpected_columns), *grid_candidates(grid, ripple)],
+        build,
     )
 
 
@@ -196,11 +200,16 @@ def test_a_resonance_between_two_tried_frequencies_is_found(frequency):
     def swing(damping: float):  # type: ignore[no-untyped-def]
         def shape(hertz: float) -> CandidateModel:
             kin = lambda: variants_within(  # noqa: E731
-                hertz, gear_dynamics.FREQUENCY_FACTOR,
+                hertz,
+                gear_dynamics.FREQUENCY_FACTOR,
                 map(swing, gear_dynamics.neighbouring_damping_ratios(damping)),
             )
             return CandidateModel(
-                "base_compliance", 0, unexpected_columns, {"frequency": hertz, "damping": damping}, variants=kin
+                "base_compliance",
+                0,
+                unexpected_columns,
+                {"frequency": hertz, "damping": damping},
+                variants=kin,
             )
 
         return shape
@@ -238,13 +247,20 @@ def test_shapes_that_take_each_other_off_are_no_finding():
         for g, d in zip(gammas, slight, strict=True)
     ]
     known = (1e-2 * np.eye(2), np.zeros(2))
-    first, second = (single_joint_fold(g, t[:, None], known) for g, t in zip(gammas, torques, strict=True))
+    first, second = (
+        single_joint_fold(g, t[:, None], known) for g, t in zip(gammas, torques, strict=True)
+    )
 
     def build(shape: CandidateModel) -> tuple[Columns, Columns]:
         return single_joint_columns(*(own[shape.effect][:, None] for own in columns))
 
     one = search.design(
-        (first, second), [CandidateModel("drag", 0, unexpected_columns), CandidateModel("stribeck", 0, unexpected_columns)], build
+        (first, second),
+        [
+            CandidateModel("drag", 0, unexpected_columns),
+            CandidateModel("stribeck", 0, unexpected_columns),
+        ],
+        build,
     )
     one = dataclasses.replace(one, prior=np.full(2, 1e-6))
     assert search.trial(one, [0, 1]).gain > 200.0
@@ -261,7 +277,13 @@ def two_joints(blurred: float = 1.0, mend: str = "spring") -> search.EffectRegre
         both = np.column_stack([30.0 * s + 0.8 * r, 0.8 * o])
         left = both + rng.normal(size=(300, 2))
         halves.append(
-            whitened([np.ones((300, 2, 1))], [left], [np.ones(left.shape, bool)], np.ones(2), NO_KNOWN_COLUMNS)
+            whitened(
+                [np.ones((300, 2, 1))],
+                [left],
+                [np.ones(left.shape, bool)],
+                np.ones(2),
+                NO_KNOWN_COLUMNS,
+            )
         )
         joints = {
             ("drag", 0): np.column_stack([s, 0.0 * s]),
@@ -329,7 +351,10 @@ def test_beside_another_a_strong_effect_may_need_another_of_its_shapes():
     x = [rng.normal(size=400) for _ in range(2)]
     torques = [3.0 * own**3 + 20.0 * own / (1.0 + np.abs(own)) for own in x]
     halves = [
-        single_joint_fold(np.ones((400, 1)), t[:, None] + rng.normal(size=(400, 1)), NO_KNOWN_COLUMNS) for t in torques
+        single_joint_fold(
+            np.ones((400, 1)), t[:, None] + rng.normal(size=(400, 1)), NO_KNOWN_COLUMNS
+        )
+        for t in torques
     ]
 
     def build(shape: CandidateModel) -> tuple[Columns, Columns]:
@@ -340,10 +365,15 @@ def test_beside_another_a_strong_effect_may_need_another_of_its_shapes():
         return single_joint_columns(first[:, None], second[:, None])
 
     powers = [
-        CandidateModel("drag", 0, unexpected_columns, {"exponent": k}, is_plausible=lambda c: bool(c[0] > 0.0))
+        CandidateModel(
+            "drag", 0, unexpected_columns, {"exponent": k}, is_plausible=lambda c: bool(c[0] > 0.0)
+        )
         for k in (2.0, 2.5, 3.0)
     ]
-    shapes = [*powers, CandidateModel("stribeck", 0, unexpected_columns, is_plausible=lambda c: bool(c[0] > 0.0))]
+    shapes = [
+        *powers,
+        CandidateModel("stribeck", 0, unexpected_columns, is_plausible=lambda c: bool(c[0] > 0.0)),
+    ]
     one = dataclasses.replace(
         search.design((halves[0], halves[1]), shapes, build), measured=Measured(noise=np.ones(1))
     )
@@ -363,7 +393,9 @@ def test_the_best_of_each_law_is_looked_at():
     rng = np.random.default_rng(4)
     truth = [rng.normal(size=200) for _ in range(2)]
     halves = [
-        single_joint_fold(np.ones((200, 1)), 5.0 * t[:, None] + rng.normal(size=(200, 1)), NO_KNOWN_COLUMNS)
+        single_joint_fold(
+            np.ones((200, 1)), 5.0 * t[:, None] + rng.normal(size=(200, 1)), NO_KNOWN_COLUMNS
+        )
         for t in truth
     ]
     blurred = {
@@ -374,10 +406,16 @@ def test_the_best_of_each_law_is_looked_at():
         first, second = (x[:, None] for x in blurred[int(shape.values["ratio"])])
         return single_joint_columns(first, second)
 
-    heavy = [CandidateModel("coupling", 0, unexpected_columns, {"ratio": float(ratio)}, 1) for ratio in range(1, 7)]
+    heavy = [
+        CandidateModel("coupling", 0, unexpected_columns, {"ratio": float(ratio)}, 1)
+        for ratio in range(1, 7)
+    ]
     one = search.design(
         (halves[0], halves[1]),
-        [*heavy, CandidateModel("coupling", 0, unexpected_columns, {"ratio": 7.0, "light": 1.0}, 1)],
+        [
+            *heavy,
+            CandidateModel("coupling", 0, unexpected_columns, {"ratio": 7.0, "light": 1.0}, 1),
+        ],
         build,
     )
     assert [shape.values["ratio"] for shape in one.shapes] == [1.0, 2.0, 3.0, 4.0, 7.0]
@@ -395,7 +433,9 @@ def test_halves_agree_about_what_both_see():
         own = [
             c @ [2.0, k] + 0.1 * n for c, k, n in zip(columns, (first, second), noise_, strict=True)
         ]
-        halves = [single_joint_fold(np.ones((200, 1)), t[:, None], NO_KNOWN_COLUMNS, 0.1) for t in own]
+        halves = [
+            single_joint_fold(np.ones((200, 1)), t[:, None], NO_KNOWN_COLUMNS, 0.1) for t in own
+        ]
         return search.design(
             (halves[0], halves[1]),
             [CandidateModel("drag", 0, unexpected_columns)],

@@ -84,7 +84,9 @@ PLANTED: dict[str, tuple[Plant, int | None]] = {
     "torque_ripple": (lambda t, q, dq, tau: on(1, 0.5 * np.cos(23.0 * q[:, 1] + 0.4)), 1),
     "spring": (lambda t, q, dq, tau: on(1, 1.7 * q[:, 1]), 1),
     "position_friction": (
-        lambda t, q, dq, tau: on(0, 0.8 * np.tanh(dq[:, 0] / FRICTION_WIDTH) * np.cos(2.0 * q[:, 0] + 1.0)),
+        lambda t, q, dq, tau: on(
+            0, 0.8 * np.tanh(dq[:, 0] / FRICTION_WIDTH) * np.cos(2.0 * q[:, 0] + 1.0)
+        ),
         0,
     ),
     "coupling": (lambda t, q, dq, tau: on(0, shaft(dq[:, 0] - 0.7 * dq[:, 1])), 0),
@@ -336,7 +338,9 @@ def test_every_shape_gives_finite_columns_and_named_parameters(subject):
     result = found(
         subject,
         PLANTED["spring"][0],
-        trusted=dict(enumerate(perturbed_parameters(subject.parameters, np.random.default_rng(4)).tolist())),
+        trusted=dict(
+            enumerate(perturbed_parameters(subject.parameters, np.random.default_rng(4)).tolist())
+        ),
     )
     seen = {shape.effect for shape in result.design.shapes}
     assert seen >= set(EFFECT_NAMES) - {"contact", "kinematic_error"}
@@ -373,7 +377,10 @@ def test_the_document_is_the_contracts(subject):
 
 def test_the_command_and_what_it_refuses(subject, tmp_path, capsys):
     train, held_out = recordings_of(subject, PLANTED["asymmetric_viscous"][0])
-    first, second = write_recording(train, tmp_path / "a.csv"), write_recording(held_out, tmp_path / "b.csv")
+    first, second = (
+        write_recording(train, tmp_path / "a.csv"),
+        write_recording(held_out, tmp_path / "b.csv"),
+    )
     go = ["diagnose", "two_link", str(first), "-o", str(tmp_path / "out")]
     assert main_module.main([*go, "--validate", str(second)]) == 0
     assert "asymmetric_viscous" in capsys.readouterr().out

@@ -74,7 +74,9 @@ def test_emps_rubs_more_one_way_than_the_other():
         found.changes
     )  # what is left of the pulses is friction that is a little more by then
     assert (
-        change.is_significant and 4.0 < change.change[1] < 14.0 and found.fitted[1][0] < 1.2 * found.noise_rms[0]
+        change.is_significant
+        and 4.0 < change.change[1] < 14.0
+        and found.fitted[1][0] < 1.2 * found.noise_rms[0]
     )
 
 

@@ -54,8 +54,14 @@ def test_the_gain_is_the_quotient_of_marginal_likelihoods():
         for g, c in zip(gammas, columns, strict=True)
     ]
     known = (1e-2 * np.eye(p), np.zeros(p))  # a proper prior, so that densities exist
-    first, second = (single_joint_fold(g, t[:, None], known) for g, t in zip(gammas, torques, strict=True))
-    one = search.design((first, second), [CandidateModel("drag", 0, unexpected_columns)], lambda _: single_joint_columns(*columns))
+    first, second = (
+        single_joint_fold(g, t[:, None], known) for g, t in zip(gammas, torques, strict=True)
+    )
+    one = search.design(
+        (first, second),
+        [CandidateModel("drag", 0, unexpected_columns)],
+        lambda _: single_joint_columns(*columns),
+    )
     gain = search.trial(one, [0]).gain
 
     def evidence(parts: tuple[int, ...], wide: bool) -> float:
@@ -79,11 +85,15 @@ def test_all_gains_at_once_are_those_of_one_after_the_other():
     rng = np.random.default_rng(7)
     gammas, torques = ([rng.normal(size=(m, k)) for m in (60, 50)] for k in (3, 1))
     first, second = (
-        single_joint_fold(g, t, (np.eye(3), np.zeros(3))) for g, t in zip(gammas, torques, strict=True)
+        single_joint_fold(g, t, (np.eye(3), np.zeros(3)))
+        for g, t in zip(gammas, torques, strict=True)
     )
     columns = {width: [rng.normal(size=(m, width)) for m in (60, 50)] for width in (1, 2, 4)}
     columns[5] = [np.column_stack([4.0 * c, c[:, :1]]) for c in columns[4]]  # the same once more
-    shapes = [CandidateModel("spring", 0, unexpected_columns, {"width": float(width)}) for width in columns]
+    shapes = [
+        CandidateModel("spring", 0, unexpected_columns, {"width": float(width)})
+        for width in columns
+    ]
     one = search.design(
         (first, second), shapes, lambda shape: single_joint_columns(*columns[shape.values["width"]])
     )
@@ -105,7 +115,9 @@ def test_another_residual_is_judged_as_if_it_had_been_measured():
     def designed(own: list[Array]) -> search.EffectRegression:
         first, second = (single_joint_fold(g, t, known) for g, t in zip(gammas, own, strict=True))
         return search.design(
-            (first, second), [CandidateModel("drag", 0, unexpected_columns)], lambda _: single_joint_columns(*columns)
+            (first, second),
+            [CandidateModel("drag", 0, unexpected_columns)],
+            lambda _: single_joint_columns(*columns),
         )
 
     others = [c[:, :1] - g[:, :1] for c, g in zip(columns, gammas, strict=True)]
@@ -133,13 +145,20 @@ def test_what_an_encoder_feigns_at_one_joint_raises_the_bar_there_and_a_little_e
         np.linalg.qr(rng.normal(size=(m, 5)))[0] * np.sqrt(m) for m in (60, 40)
     ]  # what one gains, no other does
     first, second = (
-        single_joint_fold(q[:, :2], rng.normal(size=(len(q), 1)), (np.eye(2), np.zeros(2))) for q in apart
+        single_joint_fold(q[:, :2], rng.normal(size=(len(q), 1)), (np.eye(2), np.zeros(2)))
+        for q in apart
     )
-    shapes = [CandidateModel("drag", 0, unexpected_columns), CandidateModel("drag", 1, unexpected_columns), CandidateModel("spring", 1, unexpected_columns)]
+    shapes = [
+        CandidateModel("drag", 0, unexpected_columns),
+        CandidateModel("drag", 1, unexpected_columns),
+        CandidateModel("spring", 1, unexpected_columns),
+    ]
     columns = {
         judge.who(shape): [q[:, 2 + k : 3 + k] for q in apart] for k, shape in enumerate(shapes)
     }
-    one = search.design((first, second), shapes, lambda shape: single_joint_columns(*columns[judge.who(shape)]))
+    one = search.design(
+        (first, second), shapes, lambda shape: single_joint_columns(*columns[judge.who(shape)])
+    )
     drawn = tuple(5.0 * c.ravel() for c in columns["drag", 0])
     warned = judge.warned(one, [drawn], (np.zeros(60), np.zeros(40)), 0.0, None)  # type: ignore[list-item]
     bars = {judge.who(shape): warned.bar(i) - search.NATS for i, shape in enumerate(warned.shapes)}
@@ -162,7 +181,9 @@ def test_a_reversal_that_falls_on_a_sample_may_have_either_sign():
             widths=np.array([0.005]),
             lowpass=lambda x: x,
         )
-        track.fitted_robot = types.SimpleNamespace(drive=lambda name: {"coulomb": np.array([3.0])}[name])
+        track.fitted_robot = types.SimpleNamespace(
+            drive=lambda name: {"coulomb": np.array([3.0])}[name]
+        )
         return np.asarray(noise._reversal_error(track))[:, 0]
 
     assert np.abs(left(0.1)).max() < 1e-9  # between samples
@@ -179,9 +200,14 @@ def test_what_remains_is_what_least_squares_leaves():
         rng.normal(size=(len(g), 1)) + 50.0 * c for g, c in zip(gammas, columns, strict=True)
     ]
     first, second = (
-        single_joint_fold(g, t, (np.zeros((0, 3)), np.zeros(0))) for g, t in zip(gammas, torques, strict=True)
+        single_joint_fold(g, t, (np.zeros((0, 3)), np.zeros(0)))
+        for g, t in zip(gammas, torques, strict=True)
     )
-    one = search.design((first, second), [CandidateModel("drag", 0, unexpected_columns)], lambda _: single_joint_columns(*columns))
+    one = search.design(
+        (first, second),
+        [CandidateModel("drag", 0, unexpected_columns)],
+        lambda _: single_joint_columns(*columns),
+    )
     y = np.concatenate(torques)
     for chosen, wide in (
         ((), gammas),
@@ -215,7 +241,10 @@ def test_a_grid_is_left_for_the_value_between_its_neighbours(monkeypatch):
     x = np.linspace(0.0, 1.0, 400)
     halves = [
         single_joint_fold(
-            np.ones((400, 1)), 5.0 * x[:, None] ** 1.7 + 0.1 * rng.normal(size=(400, 1)), NO_KNOWN_COLUMNS, 0.1
+            np.ones((400, 1)),
+            5.0 * x[:, None] ** 1.7 + 0.1 * rng.normal(size=(400, 1)),
+            NO_KNOWN_COLUMNS,
+            0.1,
         )
     ] * 2
 
@@ -224,7 +253,10 @@ def test_a_grid_is_left_for_the_value_between_its_neighbours(monkeypatch):
         return single_joint_columns(column, column)
 
     shapes = list(
-        grid_candidates((1.0, 1.4, 2.0, 2.8), lambda power: CandidateModel("drag", 0, unexpected_columns, {"power": power}))
+        grid_candidates(
+            (1.0, 1.4, 2.0, 2.8),
+            lambda power: CandidateModel("drag", 0, unexpected_columns, {"power": power}),
+        )
     )
     one = search.design((halves[0], halves[1]), shapes, build)
     coarse = max(range(4), key=lambda i: search.trial(one, [i]).gain)
@@ -349,7 +381,9 @@ def test_a_push_that_lasts_for_half_a_period_is_no_noise_either(subject):
 def test_levers_are_the_jacobians_of_the_links_centres(subject):
     (track, *_), _ = found(subject, None).motions
     np.testing.assert_allclose(
-        track.link_jacobians[::50, 1, 0], force_along_x(track.fitted_robot.model, track.coarse_samples.q[::50]), atol=1e-9
+        track.link_jacobians[::50, 1, 0],
+        force_along_x(track.fitted_robot.model, track.coarse_samples.q[::50]),
+        atol=1e-9,
     )
 
 
@@ -423,7 +457,9 @@ def test_a_base_that_leans_is_told_with_its_sign(subject, roll, pitch):
         )
 
     train, held_out = (leant(one) for one in recordings_of(subject, None))
-    options = diagnosis.DiagnosisOptions(trusted=dict(enumerate(psi.tolist())), names=("gravity_tilt",))
+    options = diagnosis.DiagnosisOptions(
+        trusted=dict(enumerate(psi.tolist())), names=("gravity_tilt",)
+    )
     result = diagnosis.diagnose(
         subject.robot, subject.parameters, subject.base, [train], [held_out], options
     )
@@ -439,7 +475,9 @@ def test_a_base_that_leans_is_told_with_its_sign(subject, roll, pitch):
 
 def test_gravity_may_be_turned_but_not_longer():
     large = next(
-        shape for shape in EFFECTS_BY_NAME["gravity_tilt"].candidates([Upright()]) if shape.values["large"]
+        shape
+        for shape in EFFECTS_BY_NAME["gravity_tilt"].candidates([Upright()])
+        if shape.values["large"]
     )
     leans = large.is_plausible
     roll, pitch = 0.3, -0.2

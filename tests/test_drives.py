@@ -90,7 +90,9 @@ def test_a_measured_loss_is_predicted_from_what_is_predicted(subject):
         < 0.05 * np.abs(expected - torque[:, 0]).max()
     )
     assert np.array_equal(recorded_as[:, 1], torque[:, 1])
-    most = torque_saturation.recorded_torque(0.9, LOSS, np.array([-1e3, 0.0, 1e3]))  # more than it can make
+    most = torque_saturation.recorded_torque(
+        0.9, LOSS, np.array([-1e3, 0.0, 1e3])
+    )  # more than it can make
     assert np.isfinite(most).all() and most[2] == -most[0] and most[1] == 0.0
     assert most[2] >= 1e3  # what is recorded is never less than what is made
 
@@ -146,17 +148,23 @@ def test_of_its_usual_torque_a_drive_loses_little(calm, bend, rests):
     assert len(shapes) == 6
     for shape in shapes:
         most = max(c for c in np.linspace(0.01, 1.2, 120) if shape.is_plausible(np.array([c])))
-        assert most * torque_saturation._lost_torque(shape.values, np.array([usual]))[0] < 0.31 * usual
+        assert (
+            most * torque_saturation._lost_torque(shape.values, np.array([usual]))[0] < 0.31 * usual
+        )
 
 
 def test_noise_in_a_column_of_measured_torque_is_no_saturation():
     """Where friction is nearly all of a torque, powers of what was measured have nothing but noise that the base model does not take."""
     rng, way = np.random.default_rng(2), np.sign(np.sin(np.linspace(0.0, 40.0, 600)))
     measured = [1.7 * way + 0.018 * rng.normal(size=600) for _ in range(2)]
-    halves = [single_joint_fold(way[:, None], x[:, None], NO_KNOWN_COLUMNS, 0.018) for x in measured]
+    halves = [
+        single_joint_fold(way[:, None], x[:, None], NO_KNOWN_COLUMNS, 0.018) for x in measured
+    ]
 
     def found(slope: float) -> list[bool]:
-        shape = CandidateModel("torque_saturation", 0, unexpected_columns, noisy=lambda c: abs(float(c[0])) * slope)
+        shape = CandidateModel(
+            "torque_saturation", 0, unexpected_columns, noisy=lambda c: abs(float(c[0])) * slope
+        )
         one = search.design(
             (halves[0], halves[1]),
             [shape],

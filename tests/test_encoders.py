@@ -20,7 +20,9 @@ Array = np.ndarray
 STIFFNESS, PLAY, APART, OFF = (4e3, 9e3), 4e-4, 2.5e-3, 3e-4
 
 
-def lag(subject: IdentificationModel, psi: Array, recording: Recording, dq: Array, ddq: Array) -> Array:
+def lag(
+    subject: IdentificationModel, psi: Array, recording: Recording, dq: Array, ddq: Array
+) -> Array:
     """How far the link reads behind its motor: both are sprung, joint 2, whose load changes sign, is loose too."""
     load = recording.torque - psi[subject.parameters.block("rotor_inertia")] * ddq
     out = load / np.array(STIFFNESS) + APART * dq + OFF * np.cos(recording.q + 0.4) + 0.02
@@ -28,7 +30,9 @@ def lag(subject: IdentificationModel, psi: Array, recording: Recording, dq: Arra
     return np.asarray(out)
 
 
-def both(subject: IdentificationModel, *, linked: bool = True, stiff: bool = False) -> list[Recording]:
+def both(
+    subject: IdentificationModel, *, linked: bool = True, stiff: bool = False
+) -> list[Recording]:
     psi, out = perturbed_parameters(subject.parameters, np.random.default_rng(4)), []
     for seed in (2, 5):
         fourier = random_fourier(2, seed)

@@ -94,7 +94,8 @@ def test_a_column_of_nothing_is_no_matter():
     """Of a force, for one, in a direction that no joint feels."""
     one = halved(0.0)
     wider = search.appended(
-        dataclasses.replace(one, build=lambda _: (NOTHING, NOTHING)), [CandidateModel("contact", 1, nothing)]
+        dataclasses.replace(one, build=lambda _: (NOTHING, NOTHING)),
+        [CandidateModel("contact", 1, nothing)],
     )
     assert not held_out_test.tested(wider, judge.said(wider, [0, 1, 2]), EVERY, np.ones(2)).doubted
 

@@ -139,9 +139,7 @@ def test_poor_data_give_a_consistent_model_with_fewer_identified_directions(mode
     assert consistency.is_consistent(model.parameters, result.psi)
     assert np.isfinite(result.psi).all()
     assert consistency.is_consistent(model.parameters, result.reduced.psi)
-    counts = [
-        sum(d.identifiable for d in run.analysis.directions) for run in (result, reference)
-    ]
+    counts = [sum(d.identifiable for d in run.analysis.directions) for run in (result, reference)]
     assert counts[0] < counts[1]
     unidentified = " ".join(
         name

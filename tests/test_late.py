@@ -75,11 +75,15 @@ def test_what_a_track_remembers_is_found_once_for_all_that_see_it_later(nothing)
     assert not one.cache
     later = [one.delayed(seconds, lagging) for seconds, lagging in ((0.004, False), (0.006, True))]
     assert later[0].link_jacobians is later[1].link_jacobians is one.link_jacobians
-    assert not dataclasses.replace(one, fitted_robot=one.fitted_robot).cache  # another base model's are others
+    assert not dataclasses.replace(
+        one, fitted_robot=one.fitted_robot
+    ).cache  # another base model's are others
 
 
 def test_what_is_turned_stays_as_late(nothing):
-    shape = next(s for s in EFFECTS_BY_NAME["hysteresis"].candidates(nothing.motions[0]) if s.joint == 1)
+    shape = next(
+        s for s in EFFECTS_BY_NAME["hysteresis"].candidates(nothing.motions[0]) if s.joint == 1
+    )
     then = shape.delayed(RecordingDelay(0.004), 1)
     assert then.nonlinear is not None
     kin = [knob.at(knob.value) for knob in then.variants()]
@@ -129,13 +133,13 @@ def test_torque_that_was_filtered_is_told_as_that_and_hides_nothing(subject, eff
     )  # of steps, not of the continuous filter
     assert (result.after < 1.6 * result.expected).all()
     again = [
-        fitted_effects.restored(
-            validated(fitted_effects.entry(part, subject.robot)), subject.robot
-        )
+        fitted_effects.restored(validated(fitted_effects.entry(part, subject.robot)), subject.robot)
         for part in result.parts
     ]
     along = result.motions[1][0]
-    np.testing.assert_allclose(fitted_effects.torque(again, along), fitted_effects.torque(result.parts, along))
+    np.testing.assert_allclose(
+        fitted_effects.torque(again, along), fitted_effects.torque(result.parts, along)
+    )
 
 
 @pytest.mark.parametrize(
@@ -167,13 +171,13 @@ def test_an_effect_that_comes_late_with_all_the_rest_is_named_beside_the_delay(
         if s.effect != "delay"
     ]
     again = [
-        fitted_effects.restored(
-            validated(fitted_effects.entry(part, subject.robot)), subject.robot
-        )
+        fitted_effects.restored(validated(fitted_effects.entry(part, subject.robot)), subject.robot)
         for part in result.parts
     ]
     along = result.motions[1][0]
-    np.testing.assert_allclose(fitted_effects.torque(again, along), fitted_effects.torque(result.parts, along))
+    np.testing.assert_allclose(
+        fitted_effects.torque(again, along), fitted_effects.torque(result.parts, along)
+    )
     assert ways and ways == pytest.approx([value] * len(ways), rel=0.15)
 
 

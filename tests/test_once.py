@@ -22,7 +22,11 @@ def struck(subject: IdentificationModel, again: float) -> Diagnosis:
     for seed in (2, 5):
         fourier = random_fourier(2, seed)
         one = synthetic_recording(
-            subject, perturbed_parameters(subject.parameters, np.random.default_rng(4)), fourier, 2, 0.0
+            subject,
+            perturbed_parameters(subject.parameters, np.random.default_rng(4)),
+            fourier,
+            2,
+            0.0,
         )
         turns, within = np.divmod(one.t, fourier.period)
         u = (within / fourier.period - 0.4) / 0.05
@@ -60,7 +64,11 @@ def test_a_touch_that_lasts_for_longer_than_a_period_is_not_what_comes_again(sub
         fourier = random_fourier(2, seed)
         fourier = dataclasses.replace(fourier, period=fourier.period / 2.6)
         one = synthetic_recording(
-            subject, perturbed_parameters(subject.parameters, np.random.default_rng(4)), fourier, 20, 0.0
+            subject,
+            perturbed_parameters(subject.parameters, np.random.default_rng(4)),
+            fourier,
+            20,
+            0.0,
         )
         push = 3.0 * ((one.t > 5.0) & (one.t < 5.0 + 3.0 * fourier.period) & (seed == 2))
         noise = 0.1 * np.random.default_rng(seed).normal(size=one.q.shape)
@@ -80,7 +88,10 @@ def test_a_touch_that_lasts_for_longer_than_a_period_is_not_what_comes_again(sub
 
 def test_names_that_make_held_out_torque_worse_leave_it_unknown(subject):
     result = struck(subject, 0.0)
-    told = {"fitted": (10.0 * result.noise_rms, 1.2 * result.noise_rms), "before": 2.0 * result.expected}
+    told = {
+        "fitted": (10.0 * result.noise_rms, 1.2 * result.noise_rms),
+        "before": 2.0 * result.expected,
+    }
     for after in (1.2, 1.9):
         assert dataclasses.replace(result, after=after * result.expected, **told).unknown == []
     assert dataclasses.replace(result, after=9.0 * result.expected, **told).unknown == [0, 1]
@@ -102,7 +113,9 @@ def test_several_names_at_a_joint_that_are_likelier_not_all_right_are_told_as_su
             j == first.main.joint and unsure for j in range(2)
         ]
     sight = next(iter(struck(subject, 1.0).residual_predictions.values()))
-    doubtful = dataclasses.replace(result, verdict=sure(0.6, 0.7), residual_predictions={0: sight, 1: sight})
+    doubtful = dataclasses.replace(
+        result, verdict=sure(0.6, 0.7), residual_predictions={0: sight, 1: sight}
+    )
     assert first.main.joint in doubtful.unknown
     stated = [
         one["where"]["statement"]

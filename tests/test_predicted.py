@@ -40,7 +40,9 @@ def test_what_was_found_is_predicted_and_gone_from_the_recording(subject):
         fitted_effects.restored(validated(fitted_effects.entry(part, subject.robot)), subject.robot)
         for part in result.parts
     ]
-    np.testing.assert_allclose(fitted_effects.torque(again, one), fitted_effects.torque(result.parts, one))
+    np.testing.assert_allclose(
+        fitted_effects.torque(again, one), fitted_effects.torque(result.parts, one)
+    )
     before, after = result.ahead
     assert (
         before is not None
@@ -49,7 +51,9 @@ def test_what_was_found_is_predicted_and_gone_from_the_recording(subject):
     )
 
 
-def fitted_with(subject: IdentificationModel, effects: tuple[dict[str, Any], ...]) -> IdentifiedModel:
+def fitted_with(
+    subject: IdentificationModel, effects: tuple[dict[str, Any], ...]
+) -> IdentifiedModel:
     documents = tuple(validated(effect) for effect in effects)
     psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
     return IdentifiedModel(

@@ -12,7 +12,15 @@ import pytest
 from conftest import document, joint, link, loaded, pendulum
 from hypothesis import given
 from hypothesis import strategies as st
-from recording_fixtures import JOINTS, Array, remark_kinds, two_joint_motion, assert_refused, read_with_warnings, write_columns
+from recording_fixtures import (
+    JOINTS,
+    Array,
+    assert_refused,
+    read_with_warnings,
+    remark_kinds,
+    two_joint_motion,
+    write_columns,
+)
 
 from excite import recordings
 from excite.errors import UnusableInput
@@ -178,7 +186,9 @@ def test_rtde_has_no_names_to_leave_joints_out_by(tmp_path):
     columns = rtde()
     del columns["actual_q_4"]
     columns["actual_q_6"] = columns["actual_q_5"]
-    assert_refused(write_columns(tmp_path / "r.csv", columns), load("ur5e"), "'actual_q_4'", "wrist_2_joint")
+    assert_refused(
+        write_columns(tmp_path / "r.csv", columns), load("ur5e"), "'actual_q_4'", "wrist_2_joint"
+    )
 
 
 def test_torque_of_some_joints_and_current_of_others(two_link, tmp_path):
@@ -339,7 +349,10 @@ def test_mixed_units_and_counts(two_link, tmp_path, damage):
     assert_refused(write_columns(tmp_path / "r.csv", columns), two_link, "dq is in degrees/s")
     columns = damage.columns | {"q.joint_1": damage.columns["q.joint_1"] * 1e5}
     assert_refused(
-        write_columns(tmp_path / "r.csv", columns), two_link, "joint 'joint_1' reaches 5e+04", "encoder"
+        write_columns(tmp_path / "r.csv", columns),
+        two_link,
+        "joint 'joint_1' reaches 5e+04",
+        "encoder",
     )
     columns = damage.columns | {"dq.joint_2": -2.0 * damage.columns["dq.joint_2"]}
     found = recordings.read(write_columns(tmp_path / "r.csv", columns), two_link)

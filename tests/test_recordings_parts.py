@@ -56,7 +56,9 @@ def test_a_stream_is_the_whole_in_blocks(two_link, tmp_path_factory, seed, rows,
     )
     late = write_columns(
         path.with_name("late.csv"),
-        DamagedMotion(columns).rows(np.argsort(np.arange(2000) + rng.uniform(0.0, 20.0, 2000))).columns,
+        DamagedMotion(columns)
+        .rows(np.argsort(np.arange(2000) + rng.uniform(0.0, 20.0, 2000)))
+        .columns,
     )
     for file in (path, late):
         with warnings.catch_warnings():
@@ -112,6 +114,8 @@ def test_streams_refuse(two_link, tmp_path):
     path = write_columns(tmp_path / "r.csv", two_joint_motion(1000))
     with pytest.raises(UnusableInput, match="at least 256 rows"):
         list(recordings.stream(path, two_link, rows=10))
-    again = write_columns(path, DamagedMotion(two_joint_motion(1000)).rows(np.r_[0:1000, 0:1000]).columns)
+    again = write_columns(
+        path, DamagedMotion(two_joint_motion(1000)).rows(np.r_[0:1000, 0:1000]).columns
+    )
     with pytest.raises(UnusableInput, match="time goes back"):
         list(recordings.stream(again, two_link, rows=300))

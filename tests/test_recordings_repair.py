@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from recording_fixtures import DamagedMotion, remark_kinds, two_joint_motion, assert_refused, read_with_warnings, write_columns
+from recording_fixtures import (
+    DamagedMotion,
+    assert_refused,
+    read_with_warnings,
+    remark_kinds,
+    two_joint_motion,
+    write_columns,
+)
 
 from excite.identification import segments as segments_module
 from excite.recordings import Kind
@@ -18,8 +25,12 @@ from excite.recordings import Kind
 def test_rows_in_any_order_and_repeated_come_back_in_order(two_link, tmp_path_factory, seed):
     rng = np.random.default_rng(seed)
     which = rng.permutation(np.concatenate([np.arange(400), rng.integers(0, 400, 30)]))
-    found, _ = DamagedMotion(two_joint_motion()).rows(which).read(tmp_path_factory.mktemp("r"), two_link)
-    assert (found.t == two_joint_motion()["t"]).all() and (found.q[:, 1] == two_joint_motion()["q.joint_2"]).all()
+    found, _ = (
+        DamagedMotion(two_joint_motion()).rows(which).read(tmp_path_factory.mktemp("r"), two_link)
+    )
+    assert (found.t == two_joint_motion()["t"]).all() and (
+        found.q[:, 1] == two_joint_motion()["q.joint_2"]
+    ).all()
     assert remark_kinds(found) == [Kind.ORDER, Kind.REPEATED]
 
 
@@ -55,7 +66,9 @@ def test_how_coarse_an_encoder_is_outlives_another_grid(two_link, tmp_path, dama
 def test_few_missing_rows_are_filled_and_more_split(two_link, tmp_path, damage):
     lost = np.r_[50:54, 200:230]
     found, texts = damage.rows(np.setdiff1d(np.arange(400), lost)).read(tmp_path, two_link)
-    assert remark_kinds(found) == [Kind.GAP, Kind.JITTER] and "4 missing rows are filled" in texts[1]
+    assert (
+        remark_kinds(found) == [Kind.GAP, Kind.JITTER] and "4 missing rows are filled" in texts[1]
+    )
     assert "longest 0.31 s" in texts[0] and found.remarks[0].start == pytest.approx(1.99)
     parts = list(found.segments())
     assert [len(part) for part in parts] == [200, 170] and parts[1].t[0] == pytest.approx(2.3)
@@ -68,9 +81,15 @@ def test_few_missing_rows_are_filled_and_more_split(two_link, tmp_path, damage):
 def test_rows_without_a_time_are_dropped(two_link, tmp_path, damage):
     damage.columns["t"][[100, 101]] = np.nan
     found, texts = damage.read(tmp_path, two_link)
-    assert "2 rows without a time" in texts[0] and Kind.CLOCK in remark_kinds(found) and len(found) == 400
+    assert (
+        "2 rows without a time" in texts[0]
+        and Kind.CLOCK in remark_kinds(found)
+        and len(found) == 400
+    )
     damage.columns["t"][:100] = np.nan
-    assert_refused(write_columns(tmp_path / "r.csv", damage.columns), two_link, "102 of 400 rows have no time")
+    assert_refused(
+        write_columns(tmp_path / "r.csv", damage.columns), two_link, "102 of 400 rows have no time"
+    )
 
 
 def test_a_clock_that_starts_again(two_link, tmp_path, damage):
@@ -106,14 +125,19 @@ def test_stamps_in_bunches(two_link, tmp_path, damage):
 def test_time_in_other_units(two_link, tmp_path, damage, factor, unit):
     damage.columns["t"] = damage.columns["t"] * factor
     assert_refused(
-        write_columns(tmp_path / "r.csv", damage.columns), two_link, f"is time in {unit}", f"{factor:g}"
+        write_columns(tmp_path / "r.csv", damage.columns),
+        two_link,
+        f"is time in {unit}",
+        f"{factor:g}",
     )
 
 
 def test_fast_milliseconds_are_betrayed_by_the_velocities(two_link, tmp_path):
     columns = two_joint_motion(4000, 4000.0)
     columns["t"] = columns["t"] * 1e3
-    assert_refused(write_columns(tmp_path / "r.csv", columns), two_link, "joint 'joint_1'", "time is in ms")
+    assert_refused(
+        write_columns(tmp_path / "r.csv", columns), two_link, "joint 'joint_1'", "time is in ms"
+    )
 
 
 # -- numbers -------------------------------------------------------------------------------------------------------
@@ -176,7 +200,9 @@ def test_mostly_missing_numbers(two_link, tmp_path, damage):
     found, _ = damage.read(tmp_path, two_link)
     assert not found.has("tau", "joint_1") and found.has("tau", "joint_2") and len(found) == 400
     damage.columns["tau.joint_1"][:100] = 1.0
-    assert_refused(write_columns(tmp_path / "r.csv", damage.columns), two_link, "joint 'joint_1': 75 % of tau")
+    assert_refused(
+        write_columns(tmp_path / "r.csv", damage.columns), two_link, "joint 'joint_1': 75 % of tau"
+    )
     damage.columns["q.joint_2"][:] = np.nan
     assert_refused(
         write_columns(tmp_path / "r.csv", damage.columns),

@@ -210,9 +210,9 @@ def test_margins_are_kept_by_kind_and_stated(designed):
 def test_a_margin_costs_and_none_is_allowed(two_link):
     free = DesignOptions(period=4.0, samples=60, starts=1, iterations=60)
     values = [
-        pipeline.design_trajectory(two_link, resolve(two_link, margin=share), free).trajectory.criteria[
-            "optimum"
-        ]["geometric"]["a"]
+        pipeline.design_trajectory(
+            two_link, resolve(two_link, margin=share), free
+        ).trajectory.criteria["optimum"]["geometric"]["a"]
         for share in (0.0, 0.3)
     ]
     assert values[1] > 1.05 * values[0]
@@ -362,7 +362,9 @@ def test_a_link_that_turns_just_above_the_floor_does_not_stand_in_the_way(tmp_pa
 def test_a_slower_run_that_asks_for_more_torque_is_not_exported(capsys, two_link, tmp_path):
     """Where inertia carries the arm, less speed leaves gravity to the actuator."""
     table = resolve(two_link)
-    found = pipeline.design_trajectory(two_link, table, DesignOptions(period=4.0, samples=60, starts=1, iterations=60))
+    found = pipeline.design_trajectory(
+        two_link, table, DesignOptions(period=4.0, samples=60, starts=1, iterations=60)
+    )
     slow = certificate.limit_margins(
         dataclasses.replace(found.trajectory, motion=found.trajectory.motion.slowed(0.05)),
         certificate.motion_constraints(found.trajectory, two_link, table),

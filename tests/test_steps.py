@@ -51,7 +51,9 @@ STEPS = {"bits": st.integers(10, 20), "turns": st.floats(0.5, 20.0)}
 def test_a_joint_stays_within_a_step_for_as_long_as_it_takes_to_fall_through_it(bits, turns):
     step = 2.0 * np.pi / 2**bits
     long = np.sqrt(2.0 * step / turns)  # q = q̈ t²/2
-    np.testing.assert_allclose(Turning(step, turns).reversal_dwell, [long, 2.0 * long, np.inf], rtol=1e-3)
+    np.testing.assert_allclose(
+        Turning(step, turns).reversal_dwell, [long, 2.0 * long, np.inf], rtol=1e-3
+    )
 
 
 @given(**STEPS)
@@ -80,7 +82,9 @@ def test_no_delay_is_told_that_an_encoder_hides(bits, turns):
 def test_fine_encoders_hide_nothing(effect):
     small = np.array([1e-5])
     assert all(
-        s.is_plausible(small) for s in shapes(effect, [Turning(0.0, 3.0)]) if "seconds" not in s.values
+        s.is_plausible(small)
+        for s in shapes(effect, [Turning(0.0, 3.0)])
+        if "seconds" not in s.values
     )
 
 
@@ -88,16 +92,21 @@ def test_fine_encoders_hide_nothing(effect):
 def test_friction_that_changes_at_speeds_which_an_encoder_does_not_tell_has_no_name(bits, turns):
     """Stribeck's that fades there, and a power that has risen to half there."""
     track = Turning(2.0 * np.pi / 2**bits, turns)
-    least, fastest = RESOLVED_SPEED_RATIO * track.steps / track.reversal_dwell, np.abs(track.samples.dq).max(axis=0)
+    least, fastest = (
+        RESOLVED_SPEED_RATIO * track.steps / track.reversal_dwell,
+        np.abs(track.samples.dq).max(axis=0),
+    )
     for factor in (0.9, 1.1):
         for shape in shapes("stribeck", [track]):
             assert shape.nonlinear is not None
             if least[shape.joint_index] > 0.0:  # the joint turns back
-                assert shape.nonlinear.at(factor * least[shape.joint_index]).is_plausible(np.array([0.1])) == (
-                    factor > 1.0
-                )
+                assert shape.nonlinear.at(factor * least[shape.joint_index]).is_plausible(
+                    np.array([0.1])
+                ) == (factor > 1.0)
         for shape in shapes("nonlinear_viscous", [track]):
             assert shape.nonlinear is not None
             if 0.0 < factor * least[shape.joint_index] < fastest[shape.joint_index]:
-                power = np.log(0.5) / np.log(factor * least[shape.joint_index] / fastest[shape.joint_index])
+                power = np.log(0.5) / np.log(
+                    factor * least[shape.joint_index] / fastest[shape.joint_index]
+                )
                 assert shape.nonlinear.at(power).is_plausible(np.array([0.1])) == (factor > 1.0)

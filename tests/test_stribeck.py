@@ -82,11 +82,14 @@ def test_a_joint_that_creeps_as_it_turns_back_tells_how_high_stribecks_curve_is(
     assert told["amplitude"][0] == pytest.approx(HEIGHT, rel=0.05)
     assert told["velocity"][0] == pytest.approx(VELOCITY, rel=0.05)
     again = [
-        fitted_effects.restored(fitted_effects.entry(part, subject.robot), subject.robot, "model.json")
+        fitted_effects.restored(
+            fitted_effects.entry(part, subject.robot), subject.robot, "model.json"
+        )
         for part in result.parts
     ]
     np.testing.assert_allclose(
-        fitted_effects.torque(again, result.motions[1][0]), fitted_effects.torque(result.parts, result.motions[1][0])
+        fitted_effects.torque(again, result.motions[1][0]),
+        fitted_effects.torque(result.parts, result.motions[1][0]),
     )
 
 
@@ -102,13 +105,19 @@ def test_values_that_make_up_for_each_other_are_turned_together():
     def shape(values: Mapping[str, float]) -> CandidateModel:
         return CandidateModel("drag", 0, unexpected_columns, dict(values))
 
-    best, most = NonlinearParameterSet({"a": (2.0, 0.1, 4.0), "b": (1.0, 0.1, 4.0)}, shape).maximise(gain, -1e9)
+    best, most = NonlinearParameterSet(
+        {"a": (2.0, 0.1, 4.0), "b": (1.0, 0.1, 4.0)}, shape
+    ).maximise(gain, -1e9)
     assert most > -0.1 and len(asked) < 150
     assert np.log([best.values["a"], best.values["b"]]) == pytest.approx([-0.25, 0.75], abs=0.05)
-    bounded, _ = NonlinearParameterSet({"a": (2.0, 1.0, 4.0), "b": (1.0, 0.1, 4.0)}, shape).maximise(gain, -1e9)
+    bounded, _ = NonlinearParameterSet(
+        {"a": (2.0, 1.0, 4.0), "b": (1.0, 0.1, 4.0)}, shape
+    ).maximise(gain, -1e9)
     assert bounded.values["a"] == pytest.approx(1.0, abs=0.02)
     where = shape({"a": 2.0, "b": 1.0})
-    assert NonlinearParameterSet({"a": (2.0, 0.1, 4.0), "b": (1.0, 0.1, 4.0)}, shape).maximise(gain, 1.0) == (
+    assert NonlinearParameterSet({"a": (2.0, 0.1, 4.0), "b": (1.0, 0.1, 4.0)}, shape).maximise(
+        gain, 1.0
+    ) == (
         where,
         1.0,
     )
@@ -126,7 +135,8 @@ def test_stribecks_curve_turned_is_as_late_and_has_no_width_that_an_encoder_hide
     ]
     late = first.delayed(RecordingDelay(0.004), 0)
     assert all(
-        near.current.values["late"] == 0.004 and near.current.nonlinear.at(0.1).values["late"] == 0.004
+        near.current.values["late"] == 0.004
+        and near.current.nonlinear.at(0.1).values["late"] == 0.004
         for near in late.variants()
     )
     coarse = [

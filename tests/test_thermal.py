@@ -132,7 +132,9 @@ def test_a_joint_that_its_own_friction_heats_cools_where_it_slows_down(subject):
 def heated(subject: IdentificationModel, constant: float) -> tuple[RecordedMotion, CandidateModel]:
     track = found(subject, None).motions[0][0]
     shapes = EFFECTS_BY_NAME["thermal_drift"].candidates([track])
-    return track, next(s for s in shapes if s.joint == 0 and "power" in s.values).nonlinear.at(constant)
+    return track, next(s for s in shapes if s.joint == 0 and "power" in s.values).nonlinear.at(
+        constant
+    )
 
 
 @pytest.mark.parametrize("constant", [1.0, 4.0, 15.0])
@@ -168,7 +170,9 @@ def test_a_gap_in_a_recording_makes_no_joint_cold(subject, power):
     )
     whole_way, after = (
         thermal_drift._columns(
-            dataclasses.replace(track, segment=piece, grid=Grid.RECORDED, kept=slice(0, len(piece))),
+            dataclasses.replace(
+                track, segment=piece, grid=Grid.RECORDED, kept=slice(0, len(piece))
+            ),
             shape,
         )[:, 0, 0]
         for piece in (track.segment, later)

@@ -118,7 +118,9 @@ def swung(
 def test_a_link_on_a_spring_that_is_hardly_damped_is_found_between_any_that_are_tried(
     subject, stiffness
 ):
-    bodies = pinocchio_model(subject, perturbed_parameters(subject.parameters, np.random.default_rng(4)))
+    bodies = pinocchio_model(
+        subject, perturbed_parameters(subject.parameters, np.random.default_rng(4))
+    )
     result = found(subject, lambda t, q, dq, tau: swung(bodies, stiffness, 0.05, t, q, False)[1])
     assert [(h.effect, h.joint) for h in result.verdict.chosen] == [("elasticity", 1)]
     told, _ = interval.finding_parameters(result.design, result.verdict, 0)["stiffness"]
@@ -144,7 +146,8 @@ def test_a_spring_that_swings_beyond_the_band_is_told_where_its_coefficient_is_o
             if s.joint == 1 and not s.values["rests"]
         ).nonlinear
         stiffness = (
-            float(gear_dynamics.link_inertia(track, 1).mean()) * (2.0 * np.pi * 1.3 * track.band.hertz) ** 2
+            float(gear_dynamics.link_inertia(track, 1).mean())
+            * (2.0 * np.pi * 1.3 * track.band.hertz) ** 2
         )
         true, other = knob.at(stiffness), knob.at(over * stiffness)
         (c,) = np.linalg.lstsq(
@@ -162,7 +165,9 @@ def test_a_link_winds_up_from_where_it_was_when_its_motor_began(subject, rests):
     t, K, ratio = np.arange(len(track.coarse_samples)) / track.band.rate_of(Grid.COARSE), 60.0, 0.02
     damping = 2.0 * ratio * float(np.sqrt(K * gear_dynamics.link_inertia(track, 1).mean()))
     exact = swung(track.fitted_robot.model, K, damping, t, track.coarse_samples.q, rests)[0]
-    told, other = (gear_dynamics.elastic_deflection(track, 1, K, ratio, which) for which in (rests, not rests))
+    told, other = (
+        gear_dynamics.elastic_deflection(track, 1, K, ratio, which) for which in (rests, not rests)
+    )
     second = slice(0, 120)
     assert (
         np.abs(told - exact)[second].max()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -73,10 +74,8 @@ def duration(seconds: float) -> str:
 def machine_memory() -> float | None:
     """Memory of the machine or of the container that this process runs in [bytes]; None where unknown."""
     known = []
-    try:
+    with contextlib.suppress(AttributeError, OSError, ValueError):  # Windows
         known.append(float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES"))
-    except (AttributeError, OSError, ValueError):  # Windows
-        pass
     for file in CGROUP_LIMITS:
         try:
             known.append(float(file.read_text(encoding="ascii")))

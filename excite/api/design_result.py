@@ -18,9 +18,7 @@ from ..collision.workcell import NOT_CHECKED, Cell
 from ..designer import experiment_comparison, identifiability, pipeline, time_budget
 from ..designer import validation_trajectory as validation
 from ..designer.motion_overlap import OverlapPenalty
-from ..designer.options import torque_noise_levels
-from ..designer.options import WorkspaceBox
-from ..designer.options import DesignOptions
+from ..designer.options import DesignOptions, WorkspaceBox, torque_noise_levels
 from ..errors import UnusableInput
 from ..exporters import csv_json, file_format
 from ..report.design_record import DesignRecord
@@ -294,7 +292,14 @@ def design(
     if time is not None:
         covers = None if workcell is None else clearance_builder.clearance(workcell)
         plan = time_budget.plan_for_budget(
-            loaded, table, chosen, wish, time, start=pose, earlier_information=information, clearance=covers
+            loaded,
+            table,
+            chosen,
+            wish,
+            time,
+            start=pose,
+            earlier_information=information,
+            clearance=covers,
         )
         facts["plan"] = plan.reproducible_document()
     run = partial(
@@ -312,7 +317,9 @@ def design(
 
     def deliver(apart: OverlapPenalty | None = None) -> pipeline.CertifiedDesign:
         # a validation motion should show everything, known or not
-        search_once = partial(run, overlap_penalty=apart, earlier_information=information if apart is None else None)
+        search_once = partial(
+            run, overlap_penalty=apart, earlier_information=information if apart is None else None
+        )
         return (
             search_once(chosen) if plan is None else time_budget.run_plan(plan, chosen, search_once)
         )

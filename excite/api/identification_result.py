@@ -304,7 +304,11 @@ def _read_both(
 def _compare_lmi(found: Identification) -> lmi_check.LmiCheck:
     """Compare the estimate with a conic solver's; a refined one is compared at where refinement started."""
     data, model, bounds = found.data, found.model, found.options.bounds
-    root, target, estimate = data.information_root @ model.base.matrix, data.information_root @ data.theta, found.posterior
+    root, target, estimate = (
+        data.information_root @ model.base.matrix,
+        data.information_root @ data.theta,
+        found.posterior,
+    )
     if found.options.refine:
         estimate = consistency.maximum_a_posteriori(
             model.parameters, root, target, found.prior, bounds

@@ -11,8 +11,7 @@ from .._system.output_files import output_folder
 from ..api.design_result import DESIGN_FILES, CellOptions
 from ..designer import cluster, criteria
 from ..designer.criteria import Criterion
-from ..designer.options import WorkspaceBox
-from ..designer.options import DesignOptions
+from ..designer.options import DesignOptions, WorkspaceBox
 from ..errors import UnusableInput
 from ..robot.robot import Robot
 from . import options as shared

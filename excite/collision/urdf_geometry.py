@@ -12,7 +12,7 @@ from ..errors import UnusableInput
 from ..physical_ranges import Range
 from ..robot import xml_file
 from ..robot.robot import locate
-from ..robot.urdf import is_file, numbers
+from ..robot.urdf import numbers
 from . import mesh_file
 from .geometry import WORDS, Kind, Shape
 
@@ -111,7 +111,7 @@ def _find(path: Path, owner: str, name: str, packages: Sequence[str]) -> Path:
         candidates = [path.resolve().parent / name.removeprefix("file://")]
         candidates += [Path(place) / name for place in places if place]
     for candidate in candidates:
-        if is_file(candidate):
+        if os.path.isfile(candidate):
             return candidate
     raise MissingMesh(str(path), owner, name)
 

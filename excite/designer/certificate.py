@@ -650,7 +650,10 @@ def _criteria_faults(trajectory: Trajectory, recomputed: Mapping[str, Any]) -> I
                 yield f"criterion {part}.{name} is missing in the file"
                 continue
             stated_value = stated[name]
-            if stated_value is None or value is None or not np.isfinite(value):
+            if value is None or not np.isfinite(value):
+                continue
+            if stated_value is None:
+                yield f"criterion {part}.{name} is missing in the file"
                 continue
             tolerance = CRITERION_TOLERANCE * max(abs(stated_value), 1e-300)
             if abs(value - stated_value) > tolerance:

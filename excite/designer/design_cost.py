@@ -9,7 +9,7 @@ The terms are the regressor and its derivative, passes over it, its products wit
 takes about 100 iterations to its end, and a finished motion as many again for its ramps and for what its certificate finds between
 samples. A process holds eight regressors (N n P) and the gradients of the active rows, about 2.4 for each sample and joint:
 
-    m = 130 MB + 8 bytes · N n (8.2 P + 2.4 V)
+    m = 160 MB + 8 bytes · N n (8.2 P + 2.4 V)
 
 `scripts/bench_scale.py` measured the coefficients on chains and trees of 2 to 60 joints with 100 to 50,000 samples and 5 to 100
 harmonics, of which an iteration's time is met within a factor of 1.5 and memory within 1.4.
@@ -45,7 +45,7 @@ DENSE_GRIDS = 30
 """Rows of regressors that certificate and report compute, over the optimiser's samples."""
 LONGEST_RAMPS = 20.0
 """Time that is left for the ramps of a motion at its file's end [s]."""
-PROCESS_MEMORY = 1.3e8
+PROCESS_MEMORY = 1.6e8
 """Memory of a process with its libraries [bytes]."""
 REGRESSORS = 8.2
 """Regressors of all samples that an evaluation holds."""
@@ -72,7 +72,10 @@ def estimated(robot: Robot, options: DesignOptions) -> Cost:
 
 
 def require(
-    robot: Robot, options: DesignOptions, speed: float = 1.0, say: Callable[[str], None] | None = None
+    robot: Robot,
+    options: DesignOptions,
+    speed: float = 1.0,
+    say: Callable[[str], None] | None = None,
 ) -> None:
     """Refuse a design that is too large for this machine or for a trajectory file.
 

@@ -8,6 +8,7 @@ more (nan, quotes, blanks, text in columns nobody reads) and says where a cell i
 
 from __future__ import annotations
 
+import contextlib
 import io
 import re
 from collections.abc import Sequence
@@ -41,7 +42,9 @@ def rows(text: bytes, separator: str, width: int, columns: Sequence[int]) -> Arr
         text = text.replace(b"\r\n", b"\n")
     text = text if text.endswith(b"\n") else text + b"\n"
     if plain(text, width):
-        return _fast(text, width)[:, list(columns)]
+        # a cell such as "-" or ".", of which the tolerant reader says where it is
+        with contextlib.suppress(ValueError):
+            return _fast(text, width)[:, list(columns)]
     return _tolerant(text, width, columns)
 
 
@@ -57,6 +60,10 @@ def plain(text: bytes, width: int) -> bool:
         or (body[signs[before == CELL]] == ord("+")).any()
     ):
         return False
+    exponents = np.flatnonzero(kind == EXPONENT)
+    first, second = (kind.take(exponents + k, mode="clip") for k in (1, 2))
+    if not ((first == 0) | ((first == SIGN) & (second == 0))).all():
+        return False  # "1e", of which SciPy's reader takes the 1
     marks = np.flatnonzero((kind != 0) & (kind != SIGN))
     order = kind[marks]
     if order.max() > EXPONENT:

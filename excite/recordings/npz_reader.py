@@ -32,6 +32,7 @@ UNREADABLE = (
     ValueError,
     OverflowError,
     RuntimeError,
+    TypeError,
 )
 """What zipfile and numpy raise for files that are no archives or that ask for a compression or a
 password that is not there."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,7 +11,6 @@ import numpy as np
 from ..errors import UnusableInput
 from ..robot.limits import Limits
 from ..robot.robot import Robot
-from ..robot.urdf import is_file
 from . import (
     csv_reader,
     data_quality,
@@ -94,7 +94,7 @@ def stream(
 
 
 def _blocks(path: Path, patient: Patient) -> Iterator[Block]:
-    if not (path.is_dir() or is_file(path)):
+    if not (os.path.isdir(path) or os.path.isfile(path)):
         raise UnusableInput(f"{path}: no such file; give a recording: {FORMATS}")
     if path.suffix == ".json":
         raise UnusableInput(f"{path}: is no recording but JSON; give the file beside it: {FORMATS}")

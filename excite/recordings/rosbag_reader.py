@@ -77,13 +77,14 @@ def blocks(path: Path, robot: Robot, sidecar: Sidecar) -> Iterator[Block]:
 @contextmanager
 def _refusing(path: Path, rosbags: ModuleType) -> Iterator[None]:
     """Turn what rosbags and its decompressors raise for a damaged file into UnusableInput."""
-    import ruamel.yaml  # these two come with rosbags
+    import apsw  # these three come with rosbags
+    import ruamel.yaml
     import zstandard
 
     own = (rosbags.highlevel.AnyReaderError, rosbags.rosbag2.ReaderError, rosbags.serde.SerdeError)
     try:
         yield
-    except (*own, ruamel.yaml.YAMLError, zstandard.ZstdError, *UNREADABLE) as error:
+    except (*own, apsw.Error, ruamel.yaml.YAMLError, zstandard.ZstdError, *UNREADABLE) as error:
         reason = " ".join(str(error).split()) or "cut short"
         raise UnusableInput(
             f"{path}: cannot be read as a bag ({reason}); record it again or 'ros2 bag reindex'"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import os.path
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -37,7 +38,9 @@ class Sidecar:
 def beside(recording: Path) -> Path:
     """Where the sidecar of a recording lies: `run.csv` and the folder `run` both have
     `run.json`."""
-    return recording.parent / f"{recording.name if recording.is_dir() else recording.stem}.json"
+    return (
+        recording.parent / f"{recording.name if os.path.isdir(recording) else recording.stem}.json"
+    )
 
 
 def read(recording: Path, robot: Robot) -> Sidecar:

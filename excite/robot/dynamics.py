@@ -59,10 +59,12 @@ def torque_band(
     robot: Robot, parameters: Parameters, motion: Samples, radius: float
 ) -> tuple[Array, Array]:
     """Nominal torque and the half-width of `band` along a motion of any length. Shapes (N, n)."""
-    parts = [band(Y, parameters, radius) for Y in regressor_blocks(robot, parameters, motion)]
-    empty = np.empty((0, robot.n))
-    nominal, width = (np.concatenate([empty, *part]) for part in zip(*parts, strict=True))
-    return nominal, width
+    nominal, width = [np.empty((0, robot.n))], [np.empty((0, robot.n))]
+    for Y in regressor_blocks(robot, parameters, motion):
+        middle, half = band(Y, parameters, radius)
+        nominal.append(middle)
+        width.append(half)
+    return np.concatenate(nominal), np.concatenate(width)
 
 
 def positions(robot: Robot, frame: str, q: Array) -> Array:

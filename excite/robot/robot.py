@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -125,7 +126,7 @@ def locate(source: str) -> Path:
     if source in builtin_names():
         return Path(str(resources.files("excite.robot") / "models" / f"{source}.urdf"))
     path = Path(source)
-    if not urdf.is_file(path) and path.suffix == "" and "/" not in source:
+    if not os.path.isfile(path) and path.suffix == "" and "/" not in source:
         raise UnusableInput(
             f"{source}: neither a file nor a built-in model ({', '.join(builtin_names())})"
         )

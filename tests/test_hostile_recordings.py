@@ -1,0 +1,441 @@
+"""Recordings that are damaged, absurd or made to do harm: read, or refused in one line by column and row."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import pickle
+import struct
+import warnings
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from shared_inputs import INPUTS, needs_inputs
+from written import motion, refused, write
+
+from excite import recordings
+from excite.cli import main as cli
+from excite.errors import ExciteWarning, UnusableInput
+from excite.identification import torque_check
+from excite.recordings import Kind
+from excite.robot.limits import resolve
+
+Array = np.ndarray
+
+
+def written(path: Path, content: bytes) -> Path:
+    path.write_bytes(content)
+    return path
+
+
+def csv(columns: dict[str, Array] | None = None) -> bytes:
+    columns = columns or motion()
+    lines = [",".join(columns)]
+    lines += [
+        ",".join(repr(float(values[k])) for values in columns.values())
+        for k in range(len(columns["t"]))
+    ]
+    return ("\n".join(lines) + "\n").encode()
+
+
+# -- the shared inputs ---------------------------------------------------------------------------------------------
+
+
+@needs_inputs
+@pytest.mark.parametrize(("name", "parts"), [
+    ("r_tau_zero", ["torque of every joint is 0", "6221 rows"]),
+    ("r_one_cell_1e308", ["row 1002", "tau.joint_1", "1e+308"]),
+    ("r_cr_only", ["row 1", "carriage return"]),
+    ("r_t_tiny", ["time step", "2e-12 s"]),
+    ("r_tau_1e200", ["row 2", "tau.joint_1", "1e+200"]),
+])  # fmt: skip
+def test_a_faulty_recording_is_refused_with_its_fault(name, parts, tmp_path, capsys):
+    assert (
+        cli.main(["identify", "two_link", str(INPUTS / f"{name}.csv"), "-o", str(tmp_path / "out")])
+        == 2
+    )
+    out, err = capsys.readouterr()
+    lines = [line for line in err.splitlines() if line.startswith("excite:")]
+    assert out == "" and len(lines) == 1 and all(part in lines[0] for part in (name, *parts)), err
+    assert not (tmp_path / "out").exists()
+
+
+@needs_inputs
+@pytest.mark.parametrize(("name", "parts"), [
+    ("r_tau_million", ["joint_1", "7.808e+05 times its limit 60", "joint_2", "3.711e+05 times its limit 20"]),
+    ("r_tau_flipped", ["joint_1", "correlated by -0.99", "joint_2", "correlated by -0.98", "sign"]),
+    ("r_tau1_zero", ["joint_1", "torque is 0 in all 6221 rows"]),
+])  # fmt: skip
+def test_a_doubtful_torque_is_warned_of_with_the_figure_that_shows_it(
+    name, parts, tmp_path, capsys
+):
+    assert (
+        cli.main(["identify", "two_link", str(INPUTS / f"{name}.csv"), "-o", str(tmp_path / "out")])
+        == 0
+    )
+    out, err = capsys.readouterr()
+    said = " ".join(line for line in err.splitlines() if line.startswith("warning:"))
+    assert all(part in said for part in parts), err
+    report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert all(part.split("+")[0] in report for part in parts)
+    for text in (out, report):
+        assert (
+            ">inf<" not in text
+            and ">nan<" not in text
+            and "inf%" not in text
+            and "inf floors" not in text
+        )
+
+
+@needs_inputs
+@pytest.mark.parametrize("name", ["good", "good2"])
+def test_a_clean_recording_is_not_doubted(name, two_link):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", ExciteWarning)
+        found = recordings.read(INPUTS / f"{name}.csv", two_link)
+        assert torque_check.checked(found, two_link, resolve(two_link)).remarks == found.remarks
+
+
+# -- CSV -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("column", ["q.joint_1", "dq.joint_2", "tau.joint_1"])
+@pytest.mark.parametrize("value", [1e13, -1e200, 1e308])
+def test_a_number_that_no_measurement_has_is_named_by_column_and_row(
+    column, value, two_link, tmp_path
+):
+    columns = motion()
+    columns[column][[17, 30]] = value
+    refused(
+        write(tmp_path / "r.csv", columns), two_link, "row 19", f"column {column}", f"{value:g}"
+    )
+
+
+@pytest.mark.parametrize(("value", "part"), [(1e25, "row 9, column t"), (1e308, "row 9, column t")])
+def test_a_time_that_no_clock_has_is_named_by_row(value, part, two_link, tmp_path):
+    columns = motion()
+    columns["t"][7] = value
+    refused(write(tmp_path / "r.csv", columns), two_link, part)
+
+
+@pytest.mark.parametrize(("factor", "part"), [
+    (1e-12, "more than a million rows a second"), (1e3, "is time in ms"), (0.0, "rows"), (-1.0, "rows"), (1e30, "column t"),
+])  # fmt: skip
+def test_clocks_in_other_units_are_told(factor, part, two_link, tmp_path):
+    columns = motion()
+    columns["t"] = columns["t"] * factor
+    if factor == -1.0:  # backwards: rows are sorted, and all is well
+        assert (
+            len(recordings.read(write(tmp_path / "r.csv", columns), two_link)) == 400
+            if _warned(ExciteWarning)
+            else True
+        )
+        return
+    refused(write(tmp_path / "r.csv", columns), two_link, part)
+
+
+def _warned(category: type[Warning]) -> bool:
+    warnings.simplefilter("ignore", category)
+    return True
+
+
+HEADER = b"t,q.joint_1,q.joint_2\n"
+ROWS = b"".join(b"%f,%f,%f\n" % (k / 100, k / 50, k / 70) for k in range(40))
+
+
+@pytest.mark.parametrize(("content", "parts"), [
+    (csv().replace(b"\n", b"\r"), ["row 1", "carriage return"]),
+    (csv().decode().encode("utf-16"), ["UTF-8"]),
+    (csv().decode().encode("utf-32"), ["UTF-8"]),
+    (b"\x00" + csv(), ["no column 't'"]),
+    (HEADER + ROWS.replace(b"0.5", b"0.\x00"), ["row"]),
+    (HEADER + ROWS.replace(b"0.5", b'"0.5'), ["row"]),
+    (b'"t,q.joint_1,q.joint_2\n' + ROWS, ["column"]),
+    (b"\xff" + HEADER + ROWS, ["UTF-8"]),
+    (HEADER + ROWS + b"\xff\xfe\n", ["row"]),
+    (HEADER, ["no rows"]),
+    (HEADER + ROWS[:20], ["rows"]),
+    (HEADER + b"1,2\n" + ROWS, ["row 2", "2 cells instead of 3"]),
+    (HEADER + ROWS + b"1,2,3,4\n", ["row 42", "4 cells instead of 3"]),
+    (HEADER + ROWS + b"1,2,off\n", ["row 42"]),
+    (HEADER + ROWS + b"1,2,1e\n", ["row 42"]),
+    (HEADER + ROWS + b"1,2,0x1F\n", ["row 42"]),
+    (HEADER.replace(b"joint_2", b"joint_1") + ROWS, ["q.joint_1", "twice"]),
+    (b"," * 3000 + b"\n" + ROWS, ["no column 't'"]),
+    (b"t" * (1 << 21), ["row 1 is longer"]),
+    (HEADER + ROWS + b"1" * (1 << 24), ["longer than"]),
+    (b"\n\n\n", ["no column 't'"]),
+    (b"", ["no column 't'"]),
+])  # fmt: skip
+def test_texts_that_are_no_table_are_refused(content, parts, two_link, tmp_path):
+    refused(written(tmp_path / "r.csv", content), two_link, *parts)
+
+
+@pytest.mark.parametrize("change", [
+    lambda text: b"\xef\xbb\xbf" + text, lambda text: text.replace(b"\n", b"\r\n"), lambda text: text.replace(b",", b";"),
+    lambda text: text.replace(b",", b"\t"), lambda text: b"# " + text, lambda text: text + b"\n\n\n", lambda text: text[:-1],
+])  # fmt: skip
+def test_tables_as_other_programs_write_them_are_read(change, two_link, tmp_path):
+    plain = recordings.read(written(tmp_path / "a.csv", csv()), two_link)
+    again = recordings.read(written(tmp_path / "b.csv", change(csv())), two_link)
+    assert np.array_equal(plain.q, again.q) and np.array_equal(plain.tau, again.tau)
+
+
+@pytest.mark.parametrize("kind", ["folder", "fifo", "absent", "long name"])
+def test_places_that_hold_no_file_are_refused(kind, two_link, tmp_path):
+    path = tmp_path / ("r.csv" if kind != "long name" else "r" * 3000 + ".csv")
+    if kind == "folder":
+        path.mkdir()
+    elif kind == "fifo":
+        os.mkfifo(path)
+    with pytest.raises(UnusableInput) as caught:
+        recordings.read(path, two_link)
+    assert "\n" not in str(caught.value)
+
+
+# -- torque --------------------------------------------------------------------------------------------------------
+
+
+def doubted(columns: dict[str, Array], robot, folder: Path) -> tuple[list[str], list[Kind]]:
+    """The warnings and the kinds of remarks that a torque gets besides those of its reading."""
+    found = recordings.read(write(folder / "r.csv", columns), robot)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        checked = torque_check.checked(found, robot, resolve(robot))
+    return [str(w.message) for w in caught], [
+        remark.kind for remark in checked.remarks[len(found.remarks) :]
+    ]
+
+
+@pytest.fixture
+def loaded(two_link) -> dict[str, Array]:
+    """Columns of a motion with the torque that the two-link robot needs for it."""
+    from excite.robot import dynamics, inertial_parameters
+    from excite.robot.samples import Samples
+
+    columns = motion()
+    q, dq = (
+        np.column_stack([columns[f"{kind}.joint_{k}"] for k in (1, 2)]) for kind in ("q", "dq")
+    )
+    ddq = -np.array([4.0, 9.0]) * q
+    torque = dynamics.torque(
+        two_link, inertial_parameters.standard(two_link, resolve(two_link)), Samples(q, dq, ddq)
+    )
+    for k in (0, 1):
+        columns[f"tau.joint_{k + 1}"] = torque[:, k]
+    return columns
+
+
+def test_torque_as_it_should_be_is_not_doubted(loaded, two_link, tmp_path):
+    assert doubted(loaded, two_link, tmp_path) == ([], [])
+
+
+@pytest.mark.parametrize("joint", ["joint_1", "joint_2"])
+@pytest.mark.parametrize(("factor", "kinds", "part"), [
+    (-1.0, [Kind.INCONSISTENT], "correlated by -1.00"), (1e3, [Kind.UNIT], "times its limit"), (0.0, [Kind.FROZEN], "torque is 0 in all"),
+    (0.5, [], ""), (2.0, [], ""),
+])  # fmt: skip
+def test_a_wrong_torque_of_one_joint_is_doubted_there(
+    joint, factor, kinds, part, loaded, two_link, tmp_path
+):
+    loaded[f"tau.{joint}"] = loaded[f"tau.{joint}"] * factor
+    texts, found = doubted(loaded, two_link, tmp_path)
+    assert found == kinds
+    assert all(joint in text and part in text for text in texts)
+
+
+@pytest.mark.parametrize(("value", "word"), [(0.0, "0"), (3.5, "constant")])
+def test_a_recording_without_any_torque_is_refused(value, word, loaded, two_link, tmp_path):
+    for joint in ("joint_1", "joint_2"):
+        loaded[f"tau.{joint}"] = np.full(400, value)
+    found = recordings.read(write(tmp_path / "r.csv", loaded), two_link)
+    with pytest.raises(UnusableInput, match=f"every joint is {word} in all 400 rows"):
+        torque_check.checked(found, two_link, resolve(two_link))
+
+
+@pytest.mark.parametrize(("options", "part"), [
+    (["--period", "0.05"], "fewer than 16 rows"), (["--period", "1000"], "shorter than the recording"),
+    (["--period", "1", "--window", "50,60"], "no row"), (["--window", "0,1"], "needs --period"),
+])  # fmt: skip
+def test_a_period_fits_the_recording(options, part, loaded, tmp_path, capsys):
+    path = write(tmp_path / "r.csv", loaded)
+    assert cli.main(["identify", "two_link", str(path), "-o", str(tmp_path / "out"), *options]) == 2
+    err = capsys.readouterr().err
+    assert part in err and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("period", [0.02, 1e-3])
+def test_the_period_of_a_sidecar_has_rows(period, loaded, two_link, tmp_path):
+    path = write(tmp_path / "r.csv", loaded)
+    path.with_suffix(".json").write_text(
+        json.dumps({"schema": "excite.recording/1", "period": period})
+    )
+    with pytest.raises(UnusableInput, match=r"r\.json"):
+        recordings.read(path, two_link)
+
+
+# -- archives ------------------------------------------------------------------------------------------------------
+
+
+class Mark:
+    """Pickled, it makes a file when it is loaded."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[Callable[..., object], tuple[str, str]]:
+        return open, (str(self.path), "w")
+
+
+def archive(**arrays: Array) -> bytes:
+    stream = io.BytesIO()
+    np.savez(stream, **arrays)
+    return stream.getvalue()
+
+
+def whole() -> dict[str, Array]:
+    columns = motion()
+    q = np.column_stack([columns["q.joint_1"], columns["q.joint_2"]])
+    return {"t": columns["t"], "joints": np.array(["joint_1", "joint_2"]), "q": q, "tau": 0.1 * q}
+
+
+def member(name: str, header: bytes, data: bytes = b"") -> bytes:
+    """An archive as `whole`, one array of which has another header and other bytes."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as file:
+        for key, value in whole().items():
+            plain = io.BytesIO()
+            np.lib.format.write_array(plain, value)
+            content = plain.getvalue()
+            if key == name:
+                padded = header.ljust(117) + b"\n"
+                content = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(padded)) + padded + data
+            file.writestr(f"{key}.npy", content)
+    return stream.getvalue()
+
+
+def described(shape: str, kind: str = "<f8") -> bytes:
+    return f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}".encode()
+
+
+@pytest.mark.parametrize("name", ["t", "q", "tau", "joints"])
+def test_pickled_objects_are_not_loaded(name, two_link, tmp_path):
+    mark = tmp_path / "loaded"
+    content = member(
+        name, described("(400,)" if name == "t" else "(400, 2)", "|O"), pickle.dumps(Mark(mark))
+    )
+    refused(written(tmp_path / "r.npz", content), two_link, f"'{name}'", "Python objects")
+    assert not mark.exists()
+
+
+@pytest.mark.parametrize(("shape", "kind"), [
+    ("(10000000000000,)", "<f8"), ("(-400,)", "<f8"), ("(400, 2, 9999999)", "<f8"), ("(99999999999999999999999,)", "<f8"),
+    ("()", "<f8"), ("(400,)", "<U1000000000"), ("(True,)", "<f8"), ("400", "<f8"), ("(400,)", "what"),
+])  # fmt: skip
+@pytest.mark.parametrize("name", ["t", "joints"])
+def test_headers_that_ask_for_more_than_is_there_are_refused(name, shape, kind, two_link, tmp_path):
+    refused(
+        written(tmp_path / "r.npz", member(name, described(shape, kind), b"\x00" * 800)),
+        two_link,
+        "r.npz",
+    )
+
+
+@pytest.mark.parametrize("content", [
+    b"", b"PK\x03\x04", archive(**whole())[:500], archive(**whole())[:-30], archive(**whole())[30:],
+    archive(**whole()).replace(b"NUMPY", b"NUMPX"), archive(**{**whole(), "t": np.array([])}),
+    archive(**{key: value for key, value in whole().items() if key != "joints"}), archive(x=np.zeros(3)),
+    archive(**{**whole(), "q": whole()["q"].astype("U8")}), archive(**{**whole(), "joints": np.array([1, 2])}),
+])  # fmt: skip
+def test_damaged_archives_are_refused(content, two_link, tmp_path):
+    with pytest.raises(UnusableInput) as caught:
+        recordings.read(written(tmp_path / "r.npz", content), two_link)
+    assert "r.npz" in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("damage", range(60))
+def test_archives_with_other_bytes_are_read_or_refused(damage, two_link, tmp_path):
+    rng, content = np.random.default_rng(damage), bytearray(archive(**whole()))
+    for place in rng.integers(0, len(content), 1 + damage // 10):
+        content[place] = rng.integers(256)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ExciteWarning)
+            found = recordings.read(written(tmp_path / "r.npz", bytes(content)), two_link)
+    except UnusableInput as error:
+        assert "\n" not in str(error)
+    else:
+        assert np.isfinite(found.q).all()
+
+
+# -- bags ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module", params=["mcap", "sqlite3"])
+def bag(request, tmp_path_factory) -> dict[str, bytes]:
+    """Files of a rosbag2 folder, by name."""
+    pytest.importorskip("rosbags")
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types = store.types
+    plugin = StoragePlugin.MCAP if request.param == "mcap" else StoragePlugin.SQLITE3
+    folder = tmp_path_factory.mktemp("bag") / "run"
+    columns = motion(rows=100)
+    with Writer(folder, version=9, storage_plugin=plugin) as writer:
+        topic = writer.add_connection(
+            "/joint_states", "sensor_msgs/msg/JointState", typestore=store
+        )
+        for k, t in enumerate(columns["t"]):
+            stamp = types["builtin_interfaces/msg/Time"](sec=1, nanosec=int(1e9 * t) % 10**9)
+            message = types["sensor_msgs/msg/JointState"](
+                header=types["std_msgs/msg/Header"](stamp=stamp, frame_id=""),
+                name=["joint_1", "joint_2"],
+                position=np.array([columns["q.joint_1"][k], columns["q.joint_2"][k]]),
+                velocity=np.array([]),
+                effort=np.array([columns["tau.joint_1"][k], columns["tau.joint_2"][k]]),
+            )
+            writer.write(
+                topic, int(1e9 * (1.0 + t)), store.serialize_cdr(message, message.__msgtype__)
+            )
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize("damage", range(40))
+def test_damaged_bags_are_read_or_refused(damage, bag, two_link, tmp_path):
+    rng, folder = np.random.default_rng(damage), tmp_path / "run"
+    folder.mkdir()
+    victim = sorted(bag)[damage % len(bag)]
+    for name, content in bag.items():
+        data = bytearray(content)
+        if name == victim:
+            if damage % 4 == 0:
+                data = data[: rng.integers(len(data))]
+            else:
+                for place in rng.integers(0, len(data), int(rng.choice([1, 5, 200]))):
+                    data[place] = rng.integers(256)
+        (folder / name).write_bytes(data)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ExciteWarning)
+            found = recordings.read(folder, two_link)
+    except UnusableInput as error:
+        assert "\n" not in str(error) and "run" in str(error)
+    else:
+        assert np.isfinite(found.q).all()
+
+
+@pytest.mark.parametrize("name", ["r.mcap", "r.db3", "r.bag"])
+@pytest.mark.parametrize(
+    "content", [b"", b"\x89MCAP0\r\n", b"SQLite format 3\x00", b"#ROSBAG V2.0\n", b"\x00" * 4096]
+)
+def test_files_that_only_begin_like_bags_are_refused(name, content, two_link, tmp_path):
+    pytest.importorskip("rosbags")
+    with pytest.raises(UnusableInput) as caught:
+        recordings.read(written(tmp_path / name, content), two_link)
+    assert "\n" not in str(caught.value)

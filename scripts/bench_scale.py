@@ -1,12 +1,13 @@
 #!/usr/bin/env python
 """How time and memory grow with joints, samples, harmonics and rows; what the estimates say before.
 
-    python scripts/bench_scale.py             # an iteration of designs of 2 to 60 joints (5 minutes)
-    python scripts/bench_scale.py --whole     # whole commands too: designs of up to 60 joints, long recordings (20 minutes)
+    python scripts/bench_scale.py             # an iteration of designs of 2 to 60 joints (5
+    minutes) python scripts/bench_scale.py --whole     # whole commands too: designs of up to 60
+    joints, long recordings (20 minutes)
 
 Prints Markdown tables: measured processor time and memory against excite.designer.design_cost and
-excite.recordings.recording_cost, and the coefficients that fit an iteration's times best. Each case runs in a process of its own, on
-one thread, without a compiler.
+excite.recordings.recording_cost, and the coefficients that fit an iteration's times best. Each case
+runs in a process of its own, on one thread, without a compiler.
 """
 
 from __future__ import annotations
@@ -78,7 +79,8 @@ def source(robot: str, folder: Path) -> str:
 
 
 def iteration(case: Case) -> dict[str, Any]:
-    """Processor time of an iteration [s] and memory of the process [bytes], with the sizes they depend on."""
+    """Processor time of an iteration [s] and memory of the process [bytes], with the sizes they
+    depend on."""
     warnings.simplefilter("ignore", ExciteWarning)
     name, harmonics, samples, count = case
     with tempfile.TemporaryDirectory() as folder, threadpoolctl.threadpool_limits(1):
@@ -124,7 +126,8 @@ def iterations() -> None:
         ]
     )
     print(
-        "| robot (joints/limbs) | harmonics | samples | iteration [s] | estimated | memory [MB] | estimated |"
+        "| robot (joints/limbs) | harmonics | samples | iteration [s] | estimated | memory [MB] | "
+        "estimated |"
     )
     print("|---|---:|---:|---:|---:|---:|---:|")
     for (name, K, N, _), r, row in zip(CASES, results, terms, strict=True):
@@ -195,9 +198,11 @@ def recording(name: str, rows: int, folder: Path, rate: float = 1000.0) -> str:
 def _command(title: str, words: Sequence[str]) -> None:
     script = (
         "import resource, subprocess, sys, json\n"
-        "done = subprocess.run([sys.executable, '-m', 'excite', *sys.argv[1:]], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)\n"
+        "done = subprocess.run([sys.executable, '-m', 'excite', *sys.argv[1:]], "
+        "stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)\n"
         "used = resource.getrusage(resource.RUSAGE_CHILDREN)\n"
-        "print(json.dumps([done.returncode, used.ru_utime + used.ru_stime, used.ru_maxrss / 1e3, done.stderr]))"
+        "print(json.dumps([done.returncode, used.ru_utime + used.ru_stime, used.ru_maxrss / 1e3, "
+        "done.stderr]))"
     )
     done = subprocess.run(
         [sys.executable, "-c", script, *words], capture_output=True, text=True, check=True
@@ -205,7 +210,8 @@ def _command(title: str, words: Sequence[str]) -> None:
     code, seconds, memory, said = json.loads(done.stdout)
     announced = next((line for line in said.splitlines() if "this takes" in line), "nothing")
     print(
-        f"| {title}{'' if code == 0 else f' (exit code {code})'} | {seconds:.0f} | {memory:.0f} | {announced} |",
+        f"| {title}{'' if code == 0 else f' (exit code {code})'} | {seconds:.0f} | {memory:.0f} | "
+        f"{announced} |",
         flush=True,
     )
 

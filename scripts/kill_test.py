@@ -1,12 +1,15 @@
-"""Kill commands while they run and while they replace their files, and compare what is left with whole sets of files.
+"""Kill commands while they run and while they replace their files, and compare what is left with
+whole sets of files.
 
     python scripts/kill_test.py [--random 30] [--between 10]
 
-Four cases: `design` into its folder, which is exchanged as a whole; `design` with that folder as the current directory, where the
-files are replaced in place; `design` into a folder that does not exist; and `simulate`, whose files lie beside others. Each is killed
-by SIGKILL at random times, and before operations on names of files (rename, exchange, link, remove) that are spread evenly over all
-that replace the set. Since a seed gives the same files again, to the byte, every file is known to be old or new. The exit code is 1
-where files are mixed or broken, a foreign file has changed, or the next run does not remove what a killed one has left.
+Four cases: `design` into its folder, which is exchanged as a whole; `design` with that folder as
+the current directory, where the files are replaced in place; `design` into a folder that does not
+exist; and `simulate`, whose files lie beside others. Each is killed by SIGKILL at random times, and
+before operations on names of files (rename, exchange, link, remove) that are spread evenly over all
+that replace the set. Since a seed gives the same files again, to the byte, every file is known to
+be old or new. The exit code is 1 where files are mixed or broken, a foreign file has changed, or
+the next run does not remove what a killed one has left.
 """
 
 from __future__ import annotations
@@ -48,7 +51,8 @@ sys.exit(code)
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """A command whose output is killed. command: without seed and output. target: its `-o`, relative to the folder it works in."""
+    """A command whose output is killed. command: without seed and output. target: its `-o`,
+    relative to the folder it works in."""
 
     name: str
     command: tuple[str, ...]
@@ -57,7 +61,8 @@ class Case:
     inside: bool = False
 
     def start(self, root: Path, seed: int, at: int = 0) -> subprocess.Popen[str]:
-        """Start the command in a folder; at: the operation on files at which it is killed, 0 for none."""
+        """Start the command in a folder; at: the operation on files at which it is killed, 0 for
+        none."""
         out = root / self.target
         command = [
             sys.executable,
@@ -94,7 +99,8 @@ def files(root: Path) -> dict[str, bytes]:
 
 
 def state(found: dict[str, bytes], old: dict[str, bytes], new: dict[str, bytes]) -> str:
-    """Compare a folder with the old and the new set: the name of its state, in capitals if it should not be."""
+    """Compare a folder with the old and the new set: the name of its state, in capitals if it
+    should not be."""
     kinds = set()
     for name in {*old, *new}:
         content = found.get(name)

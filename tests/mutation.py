@@ -1,10 +1,12 @@
 """Seeded mutations of valid inputs: robots, recordings, documents and options.
 
-`case(valid, seed)` gives a command line and the files that it reads, one of them damaged; the same seed gives the same case. `run` runs
-cases in a forked process and tells what is wrong with the way each ended, a crash of the process included.
+`case(valid, seed)` gives a command line and the files that it reads, one of them damaged; the same
+seed gives the same case. `run` runs cases in a forked process and tells what is wrong with the way
+each ended, a crash of the process included.
 
-A new kind of document takes an entry in COMMANDS, with the names of the valid files that its commands read, and a mutator in MUTATORS.
-Run as a script, it tries other seeds than the tests: `python tests/mutation.py FIRST COUNT [KIND…]`.
+A new kind of document takes an entry in COMMANDS, with the names of the valid files that its
+commands read, and a mutator in MUTATORS. Run as a script, it tries other seeds than the tests:
+`python tests/mutation.py FIRST COUNT [KIND…]`.
 """
 
 # ruff: noqa: PLR0911, PLR0912
@@ -80,7 +82,8 @@ MEMORY = 6 << 30
 class Case:
     """A command line and what it reads.
 
-    argv: words, in which {name} stands for the path of a file of that name and {out} for the place of the output.
+    argv: words, in which {name} stands for the path of a file of that name and {out} for the place
+        of the output.
     damage: what was done to which file, for people.
     """
 
@@ -103,7 +106,7 @@ class Failure:
         return f"seed {self.case.seed} ({self.case.kind}; {self.case.damage}): {self.reason}\n  excite {' '.join(self.case.argv)}\n{self.detail}"
 
 
-# -- texts ---------------------------------------------------------------------------------------------------------
+# -- texts -----------------------------------------------------------------------------------------
 
 
 def text(rng: random.Random, content: bytes) -> tuple[bytes, str]:
@@ -230,7 +233,7 @@ def toml_document(rng: random.Random, content: bytes) -> tuple[bytes, str]:
     return b"\n".join(lines), f"line {at + 1} changed"
 
 
-# -- robots --------------------------------------------------------------------------------------------------------
+# -- robots ----------------------------------------------------------------------------------------
 
 
 def robot(rng: random.Random, content: bytes) -> tuple[bytes, str]:
@@ -297,7 +300,7 @@ def mesh(rng: random.Random, content: bytes) -> tuple[bytes, str]:
     return number_in(rng, content) if rng.random() < 0.5 else text(rng, content)
 
 
-# -- recordings ----------------------------------------------------------------------------------------------------
+# -- recordings ------------------------------------------------------------------------------------
 
 
 def table(rng: random.Random, content: bytes) -> tuple[bytes, str]:
@@ -425,7 +428,7 @@ def archive(rng: random.Random, content: bytes) -> tuple[bytes, str]:
     return stream.getvalue(), f"{name} {done}"
 
 
-# -- kinds ---------------------------------------------------------------------------------------------------------
+# -- kinds -----------------------------------------------------------------------------------------
 
 SHORT = (
     "--starts",
@@ -544,7 +547,8 @@ def case(valid: Mapping[str, bytes], seed: int, kinds: Sequence[str] = KINDS) ->
 
 
 def _options(rng: random.Random, argv: list[str]) -> tuple[list[str], str]:
-    """Add options of the command: most of them numeric, with numbers from all over their range and hostile ones."""
+    """Add options of the command: most of them numeric, with numbers from all over their range and
+    hostile ones."""
     commands = next(one for one in cli.parser()._actions if isinstance(one.choices, dict))
     actions = [
         one
@@ -604,7 +608,7 @@ def _number(rng: random.Random, accepted: Range, *, whole: bool) -> str:
     return str(round(value)) if whole else repr(float(value))
 
 
-# -- running -------------------------------------------------------------------------------------------------------
+# -- running ---------------------------------------------------------------------------------------
 
 
 @dataclass
@@ -766,7 +770,7 @@ def _not_finite(name: str, content: bytes) -> str:
     )
 
 
-# -- valid inputs --------------------------------------------------------------------------------------------------
+# -- valid inputs ----------------------------------------------------------------------------------
 
 
 def valid_inputs(folder: Path) -> dict[str, bytes]:
@@ -835,11 +839,13 @@ def valid_inputs(folder: Path) -> dict[str, bytes]:
         for name in names
     }
     limits = "".join(
-        f"[joints.{name}]\nposition = [-2.0, 2.0]\nvelocity = 2.0\nacceleration = 20.0\njerk = 300.0\ntorque = 50.0\n"
+        f"[joints.{name}]\nposition = [-2.0, 2.0]\nvelocity = 2.0\nacceleration = 20.0\njerk = "
+        "300.0\ntorque = 50.0\n"
         for name in names
     )
     yaml = "joint_limits:\n" + "".join(
-        f"  {name}:\n    has_velocity_limits: true\n    max_velocity: 2.0\n    has_acceleration_limits: true\n    max_acceleration: 9.0\n"
+        f"  {name}:\n    has_velocity_limits: true\n    max_velocity: 2.0\n    "
+        "has_acceleration_limits: true\n    max_acceleration: 9.0\n"
         for name in names
     )
     return {

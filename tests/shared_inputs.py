@@ -1,4 +1,5 @@
-"""Where the faulty inputs of the shared folder are; tests that read them skip where the folder is absent."""
+"""Where the faulty inputs of the shared folder are; tests that read them skip where the folder is
+absent."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""A robot on a base that gives way: against finite differences of Pinocchio's inverse dynamics, and against a solver of stiff equations."""
+"""A robot on a base that gives way: against finite differences of Pinocchio's inverse dynamics, and
+against a solver of stiff equations."""
 
 from __future__ import annotations
 
@@ -31,8 +32,9 @@ def moved(arm) -> tuple[Samples, FloatingBaseDynamics]:
 
 
 def torque(arm: robot.Robot, motion: Samples, row: int, base: tuple[Array, Array, Array]) -> Array:
-    """Force and moment on the base, along its hinges, then torque on the joints, of a base that slides, and turns about x, then y, z:
-    Newton's laws in the base's own frame, where gravity is turned and all is hastened. base: place, speed, acceleration. Shape (6,)."""
+    """Force and moment on the base, along its hinges, then torque on the joints, of a base that
+    slides, and turns about x, then y, z: Newton's laws in the base's own frame, where gravity is
+    turned and all is hastened. base: place, speed, acceleration. Shape (6,)."""
     (place, speed, haste), model = base, arm.model
     about = [pin.exp3(angle * axis) for angle, axis in zip(place[3:], np.eye(3), strict=True)]
     first, second, turn = about[0], about[0] @ about[1], about[0] @ about[1] @ about[2]

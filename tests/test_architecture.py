@@ -37,7 +37,8 @@ ORDER = (
     "__main__",
 )
 INDEPENDENT = {"simulator": {"errors", "_types"}}
-"""Packages that share nothing with the rest but these: the simulated robot must not know who identifies it."""
+"""Packages that share nothing with the rest but these: the simulated robot must not know who
+identifies it."""
 
 
 def module(path: Path) -> str:

@@ -1,4 +1,5 @@
-"""The residual atlas: silent on noise of any colour, and where something is missing it says in which joint and against what."""
+"""The residual atlas: silent on noise of any colour, and where something is missing it says in
+which joint and against what."""
 
 from __future__ import annotations
 
@@ -127,7 +128,8 @@ def test_what_is_missing_shows_in_its_joint_against_what_it_depends_on(
     first = looked.shown[0]
     assert (first.joint, first.against) == (1, against)
     assert first.p_before < 0.05 and first.share_before > 0.5
-    # the base fit, bent by what is missing, leaves a little in the other joint too: less than in its own
+    # the base fit, bent by what is missing, leaves a little in the other joint too: less than in
+    # its own
     assert (
         max((p.score_before for p in looked.shown if p.joint == 0), default=0.0)
         < first.score_before

@@ -65,7 +65,7 @@ def counts(robot: Robot, drive: tuple[str, ...]) -> tuple[int, int, int]:
     )
 
 
-# -- counting ------------------------------------------------------------------------------------------------------
+# -- counting --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", BUILTIN)
@@ -95,7 +95,8 @@ def test_rank_of_any_robot_is_the_structural_count(rng, count, tree, tidy, drive
 
 
 def planar(count: int, axis: tuple[float, ...], kind: str = "revolute", roll: float = 0.0) -> str:
-    """A chain in one plane with parallel joints, moving bodies of no symmetry; its first frame is rolled about x."""
+    """A chain in one plane with parallel joints, moving bodies of no symmetry; its first frame is
+    rolled about x."""
     rng, parts = np.random.default_rng(0), [link("l")]
     for i in range(count):
         parts.append(random_link(rng, f"l{i}"))
@@ -163,7 +164,7 @@ def test_structural_count_bounds_a_robot_with_mimics(rng):
     assert found == rank(wide(robot, standard)) <= base_count(robot, standard)
 
 
-# -- the base itself -----------------------------------------------------------------------------------------------
+# -- the base itself -------------------------------------------------------------------------------
 
 ROBOTS = [*BUILTIN, 0, 1, 2]
 

@@ -42,9 +42,11 @@ def shares(
     once: Sequence[bool] | None = None,
     bounds: tuple[float, float] = (1.0, 1.0),
 ) -> list[float]:
-    """What each of some effects leaves on a joint where mean squares over the noise are as stated, with all and without each.
+    """What each of some effects leaves on a joint where mean squares over the noise are as stated,
+    with all and without each.
 
-    once: which of them happen for some of the time. bounds: of the noise, over what it is told to be.
+    once: which of them happen for some of the time. bounds: of the noise, over what it is told to
+        be.
     """
     places = tuple(range(len(effects)))
     intervals = [(1.0, 2.0) if happens else None for happens in once or [False] * len(effects)]
@@ -233,7 +235,8 @@ def test_what_is_told_with_a_name_brings_what_it_is_taken_for_itself():
 def test_what_another_law_may_leave_is_no_further_effect_though_it_is_taken_whole(
     monkeypatch, strong, left, told
 ):
-    """A ripple beside a spring at the same joint, of less or more than springs usually leave, and what is left then."""
+    """A ripple beside a spring at the same joint, of less or more than springs usually leave, and
+    what is left then."""
     shapes = tuple(CandidateModel(name, 0, nothing) for name in ("spring", "torque_ripple"))
     tried = search.Trial((0, 1), np.ones(2), (np.ones(1), np.ones(1)), 50.0, True)
     findings = tuple(

@@ -1,4 +1,5 @@
-"""Friction that is another on the day of the recordings held out: told as that, and no veil over what else is missing."""
+"""Friction that is another on the day of the recordings held out: told as that, and no veil over
+what else is missing."""
 
 from __future__ import annotations
 
@@ -35,7 +36,8 @@ def friction() -> tuple[Array, Array]:
 
 @cache
 def found(name: str | None, more: float = 1.0, names: tuple[str, ...] = ()) -> Diagnosis:
-    """Of two recordings with something planted, in the second of which friction is another. names: that are looked for."""
+    """Of two recordings with something planted, in the second of which friction is another. names:
+    that are looked for."""
     subject, plant = two_link_model(), None if name is None else PLANTED[name][0]
     train, held_out = recordings_of(subject, plant)
     coulomb, viscous = friction()
@@ -144,7 +146,8 @@ def test_another_day_does_not_excuse_what_has_no_name() -> None:
 
 @pytest.mark.parametrize("planted", [True, False])
 def test_a_recording_of_each_speed_shows_a_law_and_not_other_drives(planted: bool) -> None:
-    """A ladder of speeds: Coulomb and viscous friction of each file by itself would take most of a law over speed."""
+    """A ladder of speeds: Coulomb and viscous friction of each file by itself would take most of a
+    law over speed."""
     subject, runs = two_link_model(), []
     psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
     for number, slower in enumerate((8.0, 4.0, 1.0, 2.0)):

@@ -1,4 +1,5 @@
-"""The command line as a user meets it: files written, exit codes, one line when something is wrong."""
+"""The command line as a user meets it: files written, exit codes, one line when something is
+wrong."""
 
 import json
 import subprocess
@@ -276,7 +277,7 @@ def test_robots_lists_models(capsys):
     }
 
 
-# -- bad input -------------------------------------------------------------------------------------------------------
+# -- bad input -------------------------------------------------------------------------------------
 
 LINK = '<inertial><mass value="1"/><origin xyz="0.1 0 0"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>'
 

@@ -1,4 +1,5 @@
-"""What the robot may touch: distances against brute force and coal, covers that cover, a check between the moments looked at."""
+"""What the robot may touch: distances against brute force and coal, covers that cover, a check
+between the moments looked at."""
 
 import dataclasses
 from pathlib import Path
@@ -54,7 +55,7 @@ def octahedron(path: Path, size: float = 0.2) -> str:
     return str(path)
 
 
-# -- kinematics and distances --------------------------------------------------------------------------------------
+# -- kinematics and distances ----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["panda", "ur10e", "two_link"])
@@ -209,7 +210,7 @@ def test_rows_of_the_design_problem_have_exact_gradients():
     np.testing.assert_allclose(e.row_gradients(x, picked) @ d, measured, atol=1e-4)
 
 
-# -- which pairs ---------------------------------------------------------------------------------------------------
+# -- which pairs -----------------------------------------------------------------------------------
 
 
 def test_neighbours_are_not_a_pair_and_the_rest_are():
@@ -273,7 +274,7 @@ def test_loose_covers_give_way_to_hulls(tmp_path):
         np.testing.assert_allclose(slopes[:, j], measured, atol=1e-3)
 
 
-# -- along a motion ------------------------------------------------------------------------------------------------
+# -- along a motion --------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -400,7 +401,7 @@ def test_no_pose_is_refused_with_what_is_in_the_way():
         pipeline.design_trajectory(cell.robot, cell.limits, QUICK, cell=cell)
 
 
-# -- shapes of a URDF ----------------------------------------------------------------------------------------------
+# -- shapes of a URDF ------------------------------------------------------------------------------
 
 
 def test_shapes_of_a_urdf_are_pinocchios():

@@ -54,7 +54,8 @@ def halved(rng: np.random.Generator, samples: int) -> Half:
 
 
 def test_products_are_those_of_columns_less_what_the_base_takes():
-    """Gram matrices, scores and the power on each joint, of shapes on one joint and on several, against plain least squares."""
+    """Gram matrices, scores and the power on each joint, of shapes on one joint and on several,
+    against plain least squares."""
     rng = np.random.default_rng(0)
     halves = halved(rng, 30), halved(rng, 40)
     felt = [(0,), (1,), (0, 2), (0, 1, 2)]

@@ -1,4 +1,5 @@
-"""Whatever happens to the command line ends in an exit code and at most one line: streams, signals, memory, errors unforeseen."""
+"""Whatever happens to the command line ends in an exit code and at most one line: streams, signals,
+memory, errors unforeseen."""
 
 from __future__ import annotations
 
@@ -37,7 +38,7 @@ def lines(done: subprocess.CompletedProcess[bytes]) -> list[str]:
     return [line for line in text.splitlines() if line.startswith("excite: ")]
 
 
-# -- standard streams ----------------------------------------------------------------------------------------------
+# -- standard streams ------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("encoding", ["latin1", "ascii", "utf-16", "cp437", "ascii:strict"])
@@ -128,7 +129,7 @@ def test_a_reader_that_is_gone_is_no_error(command: list[object]) -> None:
     assert (done.returncode, done.stderr) == (0, b"")
 
 
-# -- surroundings --------------------------------------------------------------------------------------------------
+# -- surroundings ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("home", [None, "", "relative", "absent", "/dev/null"])
@@ -170,7 +171,7 @@ def test_names_that_are_not_utf_8(tmp_path: Path) -> None:
     assert done.returncode == 2 and len(lines(done)) == 1
 
 
-# -- errors --------------------------------------------------------------------------------------------------------
+# -- errors ----------------------------------------------------------------------------------------
 
 FAULT = """
 import sys
@@ -288,7 +289,7 @@ def test_an_error_after_the_files_were_written_says_so(tmp_path: Path) -> None:
     assert line.endswith(f"files that were written before: {tmp_path / 'x'}")
 
 
-# -- signals -------------------------------------------------------------------------------------------------------
+# -- signals ---------------------------------------------------------------------------------------
 
 
 def started(tmp_path: Path, *arguments: object) -> subprocess.Popen[bytes]:

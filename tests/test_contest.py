@@ -268,7 +268,8 @@ def test_shapes_that_take_each_other_off_are_no_finding():
 
 
 def two_joints(blurred: float = 1.0, mend: str = "spring") -> search.EffectRegression:
-    """A strong drag at one of two joints, of a form that a blurred spring mends, or another effect; and a slight one at the other."""
+    """A strong drag at one of two joints, of a form that a blurred spring mends, or another effect;
+    and a slight one at the other."""
     rng = np.random.default_rng(0)
     strong, rest, other = ([rng.normal(size=300) for _ in range(2)] for _ in range(3))
     blur = [blurred * rng.normal(size=300) for _ in range(2)]
@@ -346,7 +347,8 @@ def test_what_explains_all_that_another_leaves_beyond_noise_needs_no_share_of_it
 
 
 def test_beside_another_a_strong_effect_may_need_another_of_its_shapes():
-    """x³ and x/(1 + |x|) look like x^1.5 or so: alone, the power is told between them, beside which the other is told of the wrong sign."""
+    """x³ and x/(1 + |x|) look like x^1.5 or so: alone, the power is told between them, beside which
+    the other is told of the wrong sign."""
     rng = np.random.default_rng(1)
     x = [rng.normal(size=400) for _ in range(2)]
     torques = [3.0 * own**3 + 20.0 * own / (1.0 + np.abs(own)) for own in x]
@@ -389,7 +391,8 @@ def test_beside_another_a_strong_effect_may_need_another_of_its_shapes():
 
 
 def test_the_best_of_each_law_is_looked_at():
-    """Alone, four other shapes predict better than a light coupling; a law with a value turned better than its grid may win yet."""
+    """Alone, four other shapes predict better than a light coupling; a law with a value turned
+    better than its grid may win yet."""
     rng = np.random.default_rng(4)
     truth = [rng.normal(size=200) for _ in range(2)]
     halves = [

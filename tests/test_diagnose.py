@@ -157,7 +157,8 @@ def test_parameters_come_with_intervals_that_hold_the_truth(subject):
 
 
 def slips(q: Array, ways: Array) -> Array:
-    """Mean force of springs that each slip after a way of their own: the play operator, by what was last pushed past."""
+    """Mean force of springs that each slip after a way of their own: the play operator, by what was
+    last pushed past."""
     out, rest = np.empty((len(q), len(ways))), np.full(len(ways), q[0])
     for k, place in enumerate(q):
         rest = np.clip(rest, place - ways, place + ways)
@@ -302,7 +303,8 @@ def test_two_effects_are_both_named(subject):
 
 
 def test_what_no_name_takes_is_unknown(subject):
-    """A torque that repeats with the motion but follows no law of the catalogue: a random function of both positions."""
+    """A torque that repeats with the motion but follows no law of the catalogue: a random function
+    of both positions."""
     rng = np.random.default_rng(3)
     waves, phases = rng.normal(0.0, 9.0, (60, 2)), rng.uniform(0.0, 6.28, 60)
 

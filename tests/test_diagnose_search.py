@@ -1,4 +1,5 @@
-"""The search of a diagnosis against first principles: marginal likelihoods, noise floors, wind-up, and what joins the model."""
+"""The search of a diagnosis against first principles: marginal likelihoods, noise floors, wind-up,
+and what joins the model."""
 
 from __future__ import annotations
 
@@ -171,7 +172,8 @@ def test_what_an_encoder_feigns_at_one_joint_raises_the_bar_there_and_a_little_e
 
 
 def test_a_reversal_that_falls_on_a_sample_may_have_either_sign():
-    """Friction makes a speed turn where it reverses: how sharply, samples cannot tell, and near zero that decides friction's sign."""
+    """Friction makes a speed turn where it reverses: how sharply, samples cannot tell, and near
+    zero that decides friction's sign."""
 
     def left(first: float) -> np.ndarray:
         speed = first + 0.2 * np.arange(-5.0, 6.0) * np.where(np.arange(-5, 6) < 0, 1.0, 0.6)
@@ -329,7 +331,8 @@ def test_options_name_what_is_looked_for(subject):
 
 
 def force_along_x(model: pin.Model, q: Array) -> Array:
-    """Torque of a unit force along x on the centre of the second of two links in a vertical plane, by Pinocchio's Jacobian."""
+    """Torque of a unit force along x on the centre of the second of two links in a vertical plane,
+    by Pinocchio's Jacobian."""
     data = model.createData()
     out = np.empty((len(q), 2))
     for k, place in enumerate(q):
@@ -388,7 +391,8 @@ def test_levers_are_the_jacobians_of_the_links_centres(subject):
 
 
 def test_what_hides_behind_another_effect_is_found_beside_it(subject):
-    """A slight Stribeck effect under a strong coupling: alone, another velocity fits best, and it is a hundredth of the whole gain."""
+    """A slight Stribeck effect under a strong coupling: alone, another velocity fits best, and it
+    is a hundredth of the whole gain."""
 
     def both(t: Array, q: Array, dq: Array, tau: Array) -> Array:
         out = PLANTED["stribeck"][0](t, q, dq, tau)

@@ -44,7 +44,8 @@ LOSS: dict[str, float] = {"power": 3.0, "largest": 40.0}
 
 
 def drawn(made: Array, loss: float) -> Array:
-    """What a drive is recorded with that makes some torque at a loss of its square, by bisection."""
+    """What a drive is recorded with that makes some torque at a loss of its square, by
+    bisection."""
     low, high = np.zeros_like(made), np.full_like(made, 55.0)
     for _ in range(60):
         middle = 0.5 * (low + high)
@@ -132,7 +133,8 @@ def test_a_drive_whose_torque_levels_off_is_told(subject):
 @pytest.mark.parametrize("bend", [1.0, 2.0])
 @pytest.mark.parametrize("rests", [False, True])
 def test_of_its_usual_torque_a_drive_loses_little(calm, bend, rests):
-    """Else all of the torque could be taken for lost, and its noise with it. rests: for most of the time, bearing nothing."""
+    """Else all of the torque could be taken for lost, and its noise with it. rests: for most of the
+    time, bearing nothing."""
     drawn, speed = calm.measured_torque.copy(), calm.samples.dq.copy()
     if rests:
         drawn[: 2 * len(drawn) // 3], speed[: 2 * len(speed) // 3] = 1e-3, 0.0
@@ -154,7 +156,8 @@ def test_of_its_usual_torque_a_drive_loses_little(calm, bend, rests):
 
 
 def test_noise_in_a_column_of_measured_torque_is_no_saturation():
-    """Where friction is nearly all of a torque, powers of what was measured have nothing but noise that the base model does not take."""
+    """Where friction is nearly all of a torque, powers of what was measured have nothing but noise
+    that the base model does not take."""
     rng, way = np.random.default_rng(2), np.sign(np.sin(np.linspace(0.0, 40.0, 600)))
     measured = [1.7 * way + 0.018 * rng.normal(size=600) for _ in range(2)]
     halves = [

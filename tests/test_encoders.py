@@ -1,4 +1,5 @@
-"""Gears between two encoders: what was put between motor and link comes out, and nothing where nothing was."""
+"""Gears between two encoders: what was put between motor and link comes out, and nothing where
+nothing was."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ STIFFNESS, PLAY, APART, OFF = (4e3, 9e3), 4e-4, 2.5e-3, 3e-4
 def lag(
     subject: IdentificationModel, psi: Array, recording: Recording, dq: Array, ddq: Array
 ) -> Array:
-    """How far the link reads behind its motor: both are sprung, joint 2, whose load changes sign, is loose too."""
+    """How far the link reads behind its motor: both are sprung, joint 2, whose load changes sign,
+    is loose too."""
     load = recording.torque - psi[subject.parameters.block("rotor_inertia")] * ddq
     out = load / np.array(STIFFNESS) + APART * dq + OFF * np.cos(recording.q + 0.4) + 0.02
     out[:, 1] += 0.5 * PLAY * np.sign(load[:, 1])
@@ -80,7 +82,8 @@ def test_without_a_second_encoder_nothing_is_said(subject):
 
 def test_it_is_told_in_every_place(subject):
     pair = both(subject)
-    pair[1].qlink[:, 1] = np.nan  # type: ignore[index]  # not in every recording: nothing to judge it by
+    # not in every recording: nothing to judge it by
+    pair[1].qlink[:, 1] = np.nan  # type: ignore[index]
     result = found(subject, pair)
     stated = document(result)
     (name,) = stated["encoders"]

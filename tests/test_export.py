@@ -71,7 +71,8 @@ def wrapped(motion: Motion, forced: bool = False) -> Trajectory:
 
 
 def made(n: int, forced: bool = False) -> Trajectory:
-    """Approach, ramp-in, two periods of three harmonics, ramp-out, return of n joints; seeded by n."""
+    """Approach, ramp-in, two periods of three harmonics, ramp-out, return of n joints; seeded by
+    n."""
     rng = np.random.default_rng(n)
     fourier = FourierSeries(
         rng.normal(0.0, 0.3, (n, 3)), rng.normal(0.0, 0.3, (n, 3)), rng.normal(0.0, 0.5, n), 4.0
@@ -100,7 +101,8 @@ def made(n: int, forced: bool = False) -> Trajectory:
 
 
 def tiny(n: int) -> Trajectory:
-    """A trajectory of 0.1 s whose numbers are round, for the golden files: out and back with one jerk, no waves."""
+    """A trajectory of 0.1 s whose numbers are round, for the golden files: out and back with one
+    jerk, no waves."""
     half = ((0.01, 100.0), (0.01, -100.0), (0.01, -100.0), (0.01, 100.0))
     joints = tuple(f"j{i + 1}" for i in range(n))
     start, still = np.linspace(0.0, 0.5, n), np.zeros(n)
@@ -165,7 +167,8 @@ def test_position_tables_start_and_end_at_rest(name: str, tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("name", list(exporters.FORMATS))
 def test_golden(name: str, tmp_path: Path) -> None:
-    """Byte for byte. To renew after an intended change: delete the file, run once, look at it, run again."""
+    """Byte for byte. To renew after an intended change: delete the file, run once, look at it, run
+    again."""
     path = exporters.write(
         tiny(JOINTS.get(name, 2)),
         name,
@@ -365,7 +368,7 @@ def test_franka_has_seven_bare_columns(tmp_path: Path) -> None:
     assert "start [rad]" in (tmp_path / "f.csv.txt").read_text()
 
 
-# -- vendors -------------------------------------------------------------------------------------------------------
+# -- vendors ---------------------------------------------------------------------------------------
 
 
 def test_profiles_claim_no_hardware() -> None:
@@ -404,13 +407,15 @@ def test_vendor_sign_offset_and_inverse(relative: bool) -> None:
     np.testing.assert_allclose(profile.decode(profile.encode(q), q[0]), q, atol=1e-12)
 
 
-# -- URScript ------------------------------------------------------------------------------------------------------
+# -- URScript --------------------------------------------------------------------------------------
 
 
 def run(script: str, step: float) -> tuple[list[list[float]], list[object]]:
-    """What a controller with that step is told: servoj's targets, and the other motions. URScript read as Python.
+    """What a controller with that step is told: servoj's targets, and the other motions. URScript
+    read as Python.
 
-    Python and URScript agree on the statements used here, but for `end`, `local`, `global` and lists, which URScript copies.
+    Python and URScript agree on the statements used here, but for `end`, `local`, `global` and
+    lists, which URScript copies.
     """
     names = re.findall(r"global (\w+) =", script)
     lines: list[str] = []

@@ -1,4 +1,5 @@
-"""Output files: replaced together or not at all, through links, with their modes, and what is no file refused."""
+"""Output files: replaced together or not at all, through links, with their modes, and what is no
+file refused."""
 
 from __future__ import annotations
 
@@ -57,7 +58,7 @@ def replaced(request: pytest.FixtureRequest, out: Path, monkeypatch: pytest.Monk
     return out
 
 
-# -- whole sets ----------------------------------------------------------------------------------------------------
+# -- whole sets ------------------------------------------------------------------------------------
 
 
 def test_a_new_folder_and_what_is_above_it_are_made(tmp_path: Path) -> None:
@@ -130,7 +131,7 @@ def test_text_is_written_as_it_is(tmp_path: Path) -> None:
     ).read_bytes() == "\N{GREEK SMALL LETTER TAU}\r\n\N{REPLACEMENT CHARACTER}".encode()
 
 
-# -- modes and links -----------------------------------------------------------------------------------------------
+# -- modes and links -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("mask", [0o022, 0o077, 0o002])
@@ -181,7 +182,7 @@ def test_a_link_to_a_folder_is_followed_where_it_is_exchanged(out: Path, tmp_pat
     assert words(out) == dict.fromkeys(NAMES, "new") and os.readlink(tmp_path / "way") == "out"
 
 
-# -- refusals ------------------------------------------------------------------------------------------------------
+# -- refusals --------------------------------------------------------------------------------------
 
 
 def _pipe(path: Path) -> None:
@@ -327,7 +328,7 @@ def test_a_folder_without_permission_is_refused(tmp_path: Path) -> None:
         tmp_path.chmod(0o700)
 
 
-# -- killed processes ----------------------------------------------------------------------------------------------
+# -- killed processes ------------------------------------------------------------------------------
 
 KILLER = """
 import json, os, shutil, signal, sys
@@ -376,7 +377,8 @@ print(json.dumps(states))
 
 
 def killed(folder: Path, kind: str) -> list[list[str]]:
-    """The state of each file of the set after a kill at each operation; the last is that of the whole run."""
+    """The state of each file of the set after a kill at each operation; the last is that of the
+    whole run."""
     command = [sys.executable, "-c", KILLER, json.dumps(NAMES), str(folder / "out"), kind]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -473,7 +475,7 @@ def test_a_killed_command_leaves_the_old_or_the_new_files() -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-# -- commands ------------------------------------------------------------------------------------------------------
+# -- commands --------------------------------------------------------------------------------------
 
 QUICK = ["--starts", "1", "--iterations", "15", "--harmonics", "3", "--samples", "60"]
 TRAJECTORY = Path(excite.__file__).parent.parent / "trajectories" / "two_link.json"

@@ -1,4 +1,5 @@
-"""The flexible foreseen: noise of any colour is foreseen by nothing, physics without a name by the features that it is made of."""
+"""The flexible foreseen: noise of any colour is foreseen by nothing, physics without a name by the
+features that it is made of."""
 
 from __future__ import annotations
 
@@ -135,7 +136,8 @@ def test_a_recording_does_not_remember_the_one_before():
 
 
 def test_a_robot_of_any_strength_is_told_alike():
-    """What all drives draw is told in its own size: a share of it that changes a torque is as visible in watts as in kilowatts."""
+    """What all drives draw is told in its own size: a share of it that changes a torque is as
+    visible in watts as in kilowatts."""
     shares = []
     for size in (1.0, 1000.0):
         made = rows(size=size)

@@ -25,9 +25,9 @@ def nothing(track: RecordedMotion, shape: CandidateModel) -> Array:
 def halved(
     moved: float, spread: float = 1.0, bent: float = 3.0, once: bool = False
 ) -> search.EffectRegression:
-    """A drag at either joint, and an offset that the base model has. At the second joint the drag's column is `moved` more in the other
-    half and varies by `spread` in either, and the torque by three times that; in the first half by `bent` times. once: for some of
-    the time."""
+    """A drag at either joint, and an offset that the base model has. At the second joint the drag's
+    column is `moved` more in the other half and varies by `spread` in either, and the torque by
+    three times that; in the first half by `bent` times. once: for some of the time."""
     rng = np.random.default_rng(3)
     halves, columns = list[Half](), list[list[Array]]()
     for number in (0, 1):
@@ -56,7 +56,8 @@ def left_by(one: search.EffectRegression) -> judge.Verdict:
 
 
 ODD = {"moved": 1.0, "spread": 0.01, "bent": -60.0}
-"""An offset that changes from half to half, which a column that hardly varies in either may explain."""
+"""An offset that changes from half to half, which a column that hardly varies in either may
+explain."""
 
 
 @pytest.mark.parametrize("bent", [3.0, 2.4, 0.5])
@@ -101,7 +102,8 @@ def test_a_column_of_nothing_is_no_matter():
 
 
 def test_a_touch_excuses_nobody():
-    """What happened in the second recording is unknown to the first, and known from where it was."""
+    """What happened in the second recording is unknown to the first, and known from where it
+    was."""
     one, touch = halved(**ODD), np.zeros((ROWS, 2, 1))
     touch[:20, 1] = 1.0
     wider = dataclasses.replace(one, build=lambda _: (NOTHING, Columns.of(touch)))

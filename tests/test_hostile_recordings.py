@@ -1,4 +1,5 @@
-"""Recordings that are damaged, absurd or made to do harm: read, or refused in one line by column and row."""
+"""Recordings that are damaged, absurd or made to do harm: read, or refused in one line by column
+and row."""
 
 from __future__ import annotations
 
@@ -42,7 +43,7 @@ def csv(columns: dict[str, Array] | None = None) -> bytes:
     return ("\n".join(lines) + "\n").encode()
 
 
-# -- the shared inputs ---------------------------------------------------------------------------------------------
+# -- the shared inputs -----------------------------------------------------------------------------
 
 
 @needs_inputs
@@ -100,7 +101,7 @@ def test_a_clean_recording_is_not_doubted(name, two_link):
         assert torque_check.checked(found, two_link, resolve(two_link)).remarks == found.remarks
 
 
-# -- CSV -----------------------------------------------------------------------------------------------------------
+# -- CSV -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("column", ["q.joint_1", "dq.joint_2", "tau.joint_1"])
@@ -197,7 +198,7 @@ def test_places_that_hold_no_file_are_refused(kind, two_link, tmp_path):
     assert "\n" not in str(caught.value)
 
 
-# -- torque --------------------------------------------------------------------------------------------------------
+# -- torque ----------------------------------------------------------------------------------------
 
 
 def doubted(columns: dict[str, Array], robot, folder: Path) -> tuple[list[str], list[Kind]]:
@@ -278,7 +279,7 @@ def test_the_period_of_a_sidecar_has_rows(period, loaded, two_link, tmp_path):
         recordings.read(path, two_link)
 
 
-# -- archives ------------------------------------------------------------------------------------------------------
+# -- archives --------------------------------------------------------------------------------------
 
 
 class Mark:
@@ -372,7 +373,7 @@ def test_archives_with_other_bytes_are_read_or_refused(damage, two_link, tmp_pat
         assert np.isfinite(found.q).all()
 
 
-# -- bags ----------------------------------------------------------------------------------------------------------
+# -- bags ------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module", params=["mcap", "sqlite3"])

@@ -1,4 +1,5 @@
-"""Robot descriptions and meshes that are damaged, contradictory or made to do harm: read, or refused in one line."""
+"""Robot descriptions and meshes that are damaged, contradictory or made to do harm: read, or
+refused in one line."""
 
 from __future__ import annotations
 
@@ -59,7 +60,7 @@ def written(folder: Path, text: str | bytes, name: str = "thing.urdf") -> Path:
     return path
 
 
-# -- the shared inputs ---------------------------------------------------------------------------------------------
+# -- the shared inputs -----------------------------------------------------------------------------
 
 
 @needs_inputs
@@ -121,7 +122,7 @@ def test_closed_loops_name_a_joint_and_the_links_it_connects(path):
     assert line.count("'") >= 6, "a joint and two links"
 
 
-# -- encodings and XML ---------------------------------------------------------------------------------------------
+# -- encodings and XML -----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("encoding", "mark"), [
@@ -195,7 +196,7 @@ def test_a_name_too_long_for_the_file_system_names_no_file(name, capsys):
     assert capsys.readouterr().err.count("\n") == 1
 
 
-# -- numbers -------------------------------------------------------------------------------------------------------
+# -- numbers ---------------------------------------------------------------------------------------
 
 
 RICH = text_of("two_link").replace(
@@ -214,7 +215,8 @@ SHAPES = '<box size="1 1 1"/>', '<sphere radius="1"/>'
 
 
 def attributes() -> list[tuple[int, str]]:
-    """Places of all numeric attributes of RICH: number of the element in document order, and the attribute."""
+    """Places of all numeric attributes of RICH: number of the element in document order, and the
+    attribute."""
     root = ElementTree.fromstring(RICH)
     return [
         (number, key)
@@ -289,7 +291,7 @@ def test_long_chains_are_read_or_counted(count, tmp_path):
         refused(path, f"{count + 2} links")
 
 
-# -- meshes --------------------------------------------------------------------------------------------------------
+# -- meshes ----------------------------------------------------------------------------------------
 
 
 TETRAHEDRON = np.array([[0, 0, 0], [0.2, 0, 0], [0, 0.2, 0], [0, 0, 0.2]], float)

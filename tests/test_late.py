@@ -104,7 +104,8 @@ def delayed(one: Recording, seconds: float, joint: int) -> Recording:
 
 
 def filtered(one: Recording, lag: float) -> Recording:
-    """A recording whose torque has passed a filter of first order, as controllers log it, with the noise of a sensor that does not."""
+    """A recording whose torque has passed a filter of first order, as controllers log it, with the
+    noise of a sensor that does not."""
     keep = np.exp(-1.0 / (one.rate * lag))
     tau, start = one.torque, keep * one.torque[:1]
     return dataclasses.replace(

@@ -1,4 +1,5 @@
-"""The built-in models' collision shapes: capsules that cover the links and leave well-known poses clear."""
+"""The built-in models' collision shapes: capsules that cover the links and leave well-known poses
+clear."""
 
 from __future__ import annotations
 
@@ -63,7 +64,8 @@ NEAR = {
 
 
 class Shapes:
-    """A built-in model's shapes and the pairs of them whose joints are neither the same nor neighbours."""
+    """A built-in model's shapes and the pairs of them whose joints are neither the same nor
+    neighbours."""
 
     def __init__(self, name: str) -> None:
         path = str(locate(name))
@@ -150,7 +152,7 @@ def test_no_pair_of_links_collides_in_every_pose(named):
     assert min(max(each[pair] for each in found) for pair in found[0]) > 0.0
 
 
-# -- against the maker's meshes ------------------------------------------------------------------------------------
+# -- against the maker's meshes --------------------------------------------------------------------
 
 
 MESHES = "cmeel.prefix/share/example-robot-data/robots/panda_description/meshes/collision"
@@ -164,7 +166,8 @@ def vertices(path: Path) -> np.ndarray:
 
 
 def outside(shape: pin.GeometryObject, points: np.ndarray) -> np.ndarray:
-    """Signed distance [m] of points, given in the joint's frame, from a capsule's or sphere's surface."""
+    """Signed distance [m] of points, given in the joint's frame, from a capsule's or sphere's
+    surface."""
     local = (points - shape.placement.translation) @ shape.placement.rotation
     half = getattr(shape.geometry, "halfLength", 0.0)
     local[:, 2] -= np.clip(local[:, 2], -half, half)

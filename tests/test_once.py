@@ -17,7 +17,8 @@ Array = np.ndarray
 
 
 def struck(subject: IdentificationModel, again: float) -> Diagnosis:
-    """A robot that something pushes at its first link for a while, and `again` times as hard in each further period."""
+    """A robot that something pushes at its first link for a while, and `again` times as hard in
+    each further period."""
     pair = []
     for seed in (2, 5):
         fourier = random_fourier(2, seed)

@@ -1,4 +1,5 @@
-"""Every numeric option of every command refuses what is no number in its range, before the command runs."""
+"""Every numeric option of every command refuses what is no number in its range, before the command
+runs."""
 
 from __future__ import annotations
 
@@ -57,7 +58,8 @@ def commands() -> dict[str, argparse.ArgumentParser]:
 
 
 def options() -> Iterator[tuple[str, argparse.Action]]:
-    """The options and arguments of all commands that take a value, switches and words of a list aside."""
+    """The options and arguments of all commands that take a value, switches and words of a list
+    aside."""
     for command, sub in commands().items():
         for action in sub._actions:
             if action.nargs != 0 and action.choices is None:

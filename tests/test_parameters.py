@@ -61,7 +61,7 @@ def smallest(phi):
     return float(np.linalg.eigvalsh(pseudo_inertia(phi))[0])
 
 
-# -- pseudo-inertia and metric -------------------------------------------------------------------------------------
+# -- pseudo-inertia and metric ---------------------------------------------------------------------
 
 
 @given(seeds)
@@ -150,7 +150,7 @@ def from_pseudo(P):
     )
 
 
-# -- nominal values ------------------------------------------------------------------------------------------------
+# -- nominal values --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", BUILTIN)
@@ -244,7 +244,7 @@ def test_an_unknown_drive_parameter_is_refused():
         inertial_parameters.standard(robot, resolve(robot), ("magic",))
 
 
-# -- bodies that are no bodies -------------------------------------------------------------------------------------
+# -- bodies that are no bodies ---------------------------------------------------------------------
 
 IMPROPER = {
     "massless": body(0.0, (0, 0, 0), (0, 0, 0)),

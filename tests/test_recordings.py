@@ -29,7 +29,7 @@ from excite.robot.limits import resolve
 from excite.robot.robot import load
 
 REAL = Path(__file__).resolve().parents[2] / "shared" / "recordings"
-# -- formats -------------------------------------------------------------------------------------------------------
+# -- formats ---------------------------------------------------------------------------------------
 
 
 @given(seed=st.integers(0, 10**6), separator=st.sampled_from([",", ";", "\t", " ", ", "]))
@@ -62,7 +62,8 @@ def test_a_csv_comes_back_whatever_its_separator_and_order(
 
 
 def test_a_csv_of_a_spreadsheet(two_link, tmp_path):
-    """Byte order mark, quoted names, CRLF, semicolons, decimal commas, no newline at the end, text in a column nobody reads."""
+    """Byte order mark, quoted names, CRLF, semicolons, decimal commas, no newline at the end, text
+    in a column nobody reads."""
     columns = two_joint_motion()
     rows = ["\ufeff" + ";".join(f'"{name}"' for name in [*columns, "state"])]
     rows += [
@@ -210,7 +211,7 @@ def test_torque_of_some_joints_and_current_of_others(two_link, tmp_path):
         _ = recordings.read(write_columns(path, columns), two_link).torque
 
 
-# -- refusals ------------------------------------------------------------------------------------------------------
+# -- refusals --------------------------------------------------------------------------------------
 
 
 def test_files_that_are_no_recordings(two_link, tmp_path):
@@ -316,7 +317,7 @@ def test_a_trajectory_beside_its_csv_is_no_sidecar_and_unknown_keys_are_told(two
     )
 
 
-# -- units ---------------------------------------------------------------------------------------------------------
+# -- units -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("stated", [True, False])
@@ -375,7 +376,7 @@ def test_reach_of_joints_without_limits_and_of_sliding_ones(tmp_path):
     assert_refused(path, slide, "beyond 2.5 m", "in mm")
 
 
-# -- signs ---------------------------------------------------------------------------------------------------------
+# -- signs -----------------------------------------------------------------------------------------
 
 
 def test_channels_that_look_wrong_are_remarked_and_left(two_link, tmp_path):
@@ -409,7 +410,7 @@ def test_joints_that_stand_still_freeze_or_leave_their_limits(two_link, tmp_path
     }
 
 
-# -- real ones -----------------------------------------------------------------------------------------------------
+# -- real ones -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

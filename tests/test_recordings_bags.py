@@ -42,7 +42,8 @@ def message(t: float, names: Sequence[str], *values: Array, stamped: bool = True
 
 
 def arm(stamped: bool = True):
-    """Messages of the arm, the order of whose joints changes, with a joint that the robot hasn't."""
+    """Messages of the arm, the order of whose joints changes, with a joint that the robot
+    hasn't."""
     for k, t in enumerate(T):
         order = [1, 0] if k % 3 else [0, 1]
         yield (

@@ -42,7 +42,8 @@ def test_between(two_link, tmp_path, damage):
     seed=st.integers(0, 10**6), rows=st.integers(256, 700), overlap=st.sampled_from([0, 1, 50, 300])
 )
 def test_a_stream_is_the_whole_in_blocks(two_link, tmp_path_factory, seed, rows, overlap):
-    """Late rows, repeats, short and long lacks, gaps: repaired across the blocks' borders as in the whole."""
+    """Late rows, repeats, short and long lacks, gaps: repaired across the blocks' borders as in the
+    whole."""
     rng = np.random.default_rng(seed)
     columns = two_joint_motion(2000)
     columns["q.joint_1"][rng.integers(20, 1980, 40)] = np.nan

@@ -18,7 +18,7 @@ from recording_fixtures import (
 from excite.identification import segments as segments_module
 from excite.recordings import Kind
 
-# -- time ----------------------------------------------------------------------------------------------------------
+# -- time ------------------------------------------------------------------------------------------
 
 
 @given(seed=st.integers(0, 10**6))
@@ -140,7 +140,7 @@ def test_fast_milliseconds_are_betrayed_by_the_velocities(two_link, tmp_path):
     )
 
 
-# -- numbers -------------------------------------------------------------------------------------------------------
+# -- numbers ---------------------------------------------------------------------------------------
 
 
 def test_few_missing_numbers_are_interpolated_and_more_dropped(two_link, tmp_path, damage):
@@ -166,7 +166,8 @@ def test_few_missing_numbers_are_interpolated_and_more_dropped(two_link, tmp_pat
 def test_temperatures_are_known_between_their_samples_whatever_is_missing_there(
     two_link, tmp_path, damage
 ):
-    """A sensor is read twice a second; a gap splits the recording, and one piece has no sample of its own."""
+    """A sensor is read twice a second; a gap splits the recording, and one piece has no sample of
+    its own."""
     warm = np.full(400, np.nan)
     warm[::50] = 30.0 + 0.02 * np.arange(0, 400, 50)
     damage.columns["temp.joint_1"] = warm

@@ -22,7 +22,8 @@ def strongest(q: Array, left: Array, base: Array) -> float:
 @pytest.mark.parametrize("some", [slice(None), slice(None, None, 3)])
 @pytest.mark.parametrize("order", [12.0, 14.0, 16.0])
 def test_an_order_is_found_that_the_base_has_taken_most_of(order, some):
-    """Over a fifth of a turn, where powers of the place nearly say it: alone it is strongest where they say less."""
+    """Over a fifth of a turn, where powers of the place nearly say it: alone it is strongest where
+    they say less."""
     rng = np.random.default_rng(3)
     q = 0.65 * np.sin(np.linspace(0.0, 47.0, 800))
     own = np.column_stack([q**k for k in range(6)] + [np.cos(3.0 * q), np.sin(5.0 * q)])

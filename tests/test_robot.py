@@ -40,7 +40,7 @@ def torque(robot: Robot, motion: Samples) -> np.ndarray:
     return regressor(robot, standard, motion) @ standard.nominal
 
 
-# -- joints of every kind ------------------------------------------------------------------------------------------
+# -- joints of every kind --------------------------------------------------------------------------
 
 
 @given(seeds, st.booleans())
@@ -162,7 +162,7 @@ def test_fixed_links_keep_their_mass():
     assert np.isclose(loaded(document(*parts)).model.inertias[1].mass, 2.7)
 
 
-# -- locking, payload, gravity -------------------------------------------------------------------------------------
+# -- locking, payload, gravity ---------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -236,7 +236,7 @@ def test_fingerprint_is_the_files(tmp_path: Path):
     assert load(str(path)).sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-# -- what cannot be used -------------------------------------------------------------------------------------------
+# -- what cannot be used ---------------------------------------------------------------------------
 
 ARM = link("arm", 2.0)
 BROKEN = {

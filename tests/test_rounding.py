@@ -1,4 +1,5 @@
-"""Positions that an encoder rounded: the smoothest within its steps are nearer to the truth, and noise of another kind is left alone."""
+"""Positions that an encoder rounded: the smoothest within its steps are nearer to the truth, and
+noise of another kind is left alone."""
 
 from __future__ import annotations
 
@@ -26,7 +27,8 @@ RATE, SECONDS, STEP = 500.0, 12.0, 2.0 * np.pi / 2**16
 
 
 def motion(seed: int, joints: int, rate: float = RATE) -> tuple[np.ndarray, np.ndarray]:
-    """Smooth positions, and what friction that reverses adds: acceleration jumps where they turn back. Shapes (N,), (N, n)."""
+    """Smooth positions, and what friction that reverses adds: acceleration jumps where they turn
+    back. Shapes (N,), (N, n)."""
     rng = np.random.default_rng(seed)
     t = np.arange(int(SECONDS * rate)) / rate
     omega = 2.0 * np.pi * np.array([0.125, 0.25, 0.375, 0.5, 0.625])

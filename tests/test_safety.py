@@ -1,4 +1,5 @@
-"""A certificate is never obtained for what was not checked, and nothing leaves that could hurt someone."""
+"""A certificate is never obtained for what was not checked, and nothing leaves that could hurt
+someone."""
 
 from __future__ import annotations
 
@@ -45,7 +46,7 @@ def octahedron(path: Path, size: float, lift: float = 0.0) -> None:
     )
 
 
-# -- shared inputs ---------------------------------------------------------------------------------------------------
+# -- shared inputs ---------------------------------------------------------------------------------
 
 
 @needs_inputs
@@ -118,7 +119,7 @@ def test_a_cell_that_changed_after_the_design_fails(capsys, tmp_path):
     assert code == 1 and "wall.stl" in err and not (tmp_path / "x.csv").exists()
 
 
-# -- sources of limits -----------------------------------------------------------------------------------------------
+# -- sources of limits -----------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -190,7 +191,7 @@ def test_shapes_of_the_robot_taken_out_of_the_file_fail(capsys, designed, tmp_pa
     assert code == 1 and "'link_2' has another number of shapes" in out
 
 
-# -- margins ---------------------------------------------------------------------------------------------------------
+# -- margins ---------------------------------------------------------------------------------------
 
 
 def test_margins_are_kept_by_kind_and_stated(designed):
@@ -244,7 +245,7 @@ def test_no_percentage_is_a_negative_zero():
     )
 
 
-# -- the cell --------------------------------------------------------------------------------------------------------
+# -- the cell --------------------------------------------------------------------------------------
 
 ARM = (
     '<link name="base"></link>',
@@ -291,7 +292,8 @@ def test_the_height_of_the_floor_is_printed_and_shown(capsys, tmp_path):
 
 @pytest.mark.parametrize("name", ["ur10e", "panda"])
 def test_no_link_comes_below_its_clearance_over_the_mounting_plane(name):
-    """By Pinocchio's own geometry of the URDF: lowest corner of each shape's bounding box over the whole motion."""
+    """By Pinocchio's own geometry of the URDF: lowest corner of each shape's bounding box over the
+    whole motion."""
     trajectory = trajectory_file.read_trajectory(
         Path(__file__).resolve().parents[1] / "trajectories" / f"{name}.json"
     )
@@ -356,7 +358,7 @@ def test_a_link_that_turns_just_above_the_floor_does_not_stand_in_the_way(tmp_pa
     ] == [("post", "floor")]
 
 
-# -- slower is not safer ---------------------------------------------------------------------------------------------
+# -- slower is not safer ---------------------------------------------------------------------------
 
 
 def test_a_slower_run_that_asks_for_more_torque_is_not_exported(capsys, two_link, tmp_path):

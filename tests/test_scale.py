@@ -32,7 +32,7 @@ def states(robot: Robot, count: int) -> Samples:
     return Samples(*(rng.normal(size=(count, robot.n)) for _ in range(3)))
 
 
-# -- estimates -----------------------------------------------------------------------------------------------------
+# -- estimates -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("change", [
@@ -94,7 +94,7 @@ def test_durations_in_words(seconds, words):
     assert duration(seconds) == words
 
 
-# -- commands ------------------------------------------------------------------------------------------------------
+# -- commands --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("options", "part"), [
@@ -136,7 +136,7 @@ def test_a_recording_too_long_for_the_memory_is_refused(rows, fits):
         recording_cost.require_readable("run.csv", rows, 5 * rows)
 
 
-# -- long motions block by block -----------------------------------------------------------------------------------
+# -- long motions block by block -------------------------------------------------------------------
 
 
 def test_torque_of_a_long_motion_is_that_of_its_parts(tmp_path):

@@ -20,7 +20,8 @@ Array = np.ndarray
 
 
 class Turning:
-    """Joints that turn back at so many rad/s², a quarter of it, and never, behind encoders of one step."""
+    """Joints that turn back at so many rad/s², a quarter of it, and never, behind encoders of one
+    step."""
 
     def __init__(self, step: float, turns: float) -> None:
         t = np.arange(0.0, 20.0, 0.004)

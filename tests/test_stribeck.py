@@ -29,7 +29,8 @@ HEIGHT, VELOCITY, CREEP = 1.5, 0.12, 0.15
 
 
 class Creeping(FourierSeries):
-    """A motion whose joints go slowly about where they turn back: at a speed v of the usual, by v³/(v² + c²)."""
+    """A motion whose joints go slowly about where they turn back: at a speed v of the usual, by
+    v³/(v² + c²)."""
 
     def samples(self, t: Array) -> Samples:
         pace = np.linspace(0.0, self.period, 20001)
@@ -69,7 +70,8 @@ LAWS = {
 
 @pytest.mark.parametrize("law", list(LAWS))
 def test_a_joint_that_creeps_as_it_turns_back_tells_how_high_stribecks_curve_is(subject, law):
-    """The base fit, which knows nothing of it, takes friction's step for five times as sharp as it is, and half of the curve with it."""
+    """The base fit, which knows nothing of it, takes friction's step for five times as sharp as it
+    is, and half of the curve with it."""
     train, held_out = creeping(
         subject, lambda v: HEIGHT * np.tanh(v / FRICTION_WIDTH) * LAWS[law](np.abs(v) / VELOCITY)
     )

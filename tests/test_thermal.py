@@ -1,4 +1,5 @@
-"""Friction that depends on temperature, where that was recorded: another day's recording, warmer, is foretold."""
+"""Friction that depends on temperature, where that was recorded: another day's recording, warmer,
+is foretold."""
 
 from __future__ import annotations
 
@@ -28,7 +29,8 @@ DAYS = (24.0, 30.0), (38.0, 33.0)
 
 
 def days(subject: IdentificationModel, dry: bool) -> list[Recording]:
-    """Two recordings, the second warmer; only the first joint has a sensor. dry: Coulomb friction changes as viscous friction does."""
+    """Two recordings, the second warmer; only the first joint has a sensor. dry: Coulomb friction
+    changes as viscous friction does."""
     psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
     coulomb, viscous = (
         float(psi[subject.parameters.block(kind)][0]) for kind in ("coulomb", "viscous")
@@ -89,7 +91,8 @@ def test_a_prediction_needs_the_temperature_that_friction_depends_on(subject):
 
 
 def test_a_joint_that_its_own_friction_heats_cools_where_it_slows_down(subject):
-    """T ϑ̇ = p/p̄ − ϑ over motions that begin and end at rest: by run time alone the time constant would be another."""
+    """T ϑ̇ = p/p̄ − ϑ over motions that begin and end at rest: by run time alone the time constant
+    would be another."""
     psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
     coulomb, viscous = (
         float(psi[subject.parameters.block(kind)][0]) for kind in ("coulomb", "viscous")
@@ -139,7 +142,8 @@ def heated(subject: IdentificationModel, constant: float) -> tuple[RecordedMotio
 
 @pytest.mark.parametrize("constant", [1.0, 4.0, 15.0])
 def test_friction_of_a_heated_joint_never_falls_far_below_nothing(subject, constant):
-    """Fast at first and slow then: the joint is far warmer than at its usual power, and a change that is small there is large here."""
+    """Fast at first and slow then: the joint is far warmer than at its usual power, and a change
+    that is small there is large here."""
     track, _ = heated(subject, constant)
     q = track.segment.q.copy()
     slow = len(q) // 3

@@ -1,4 +1,5 @@
-"""A clock that wavers: seen where joints agree, taken out of positions, and never where they don't."""
+"""A clock that wavers: seen where joints agree, taken out of positions, and never where they
+don't."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ RATE, SECONDS, LATE = 500.0, 12.0, 5e-5
 
 
 def motion(seed: int, joints: int):
-    """Smooth positions and their exact speeds, harmonics as of an excitation, with a little that reversals add. Shapes (N,), (N, n)."""
+    """Smooth positions and their exact speeds, harmonics as of an excitation, with a little that
+    reversals add. Shapes (N,), (N, n)."""
     rng = np.random.default_rng(seed)
     t = np.arange(int(SECONDS * RATE)) / RATE
     omega = 2.0 * np.pi * np.array([0.125, 0.25, 0.375, 0.5, 0.625, 4.0, 9.0, 14.0])

@@ -24,7 +24,8 @@ Array = np.ndarray
 
 
 def test_wind_up_is_that_of_the_differential_equation():
-    """At the rate at which dynamics are evaluated, with a link that hung still while its motor turned."""
+    """At the rate at which dynamics are evaluated, with a link that hung still while its motor
+    turned."""
     dt, start = 8e-3, (0.01, -0.3)
     t = np.arange(500) * dt
     force, inertia = np.sin(9.0 * t) + 0.4 * np.sin(31.0 * t), 0.5 + 0.1 * np.sin(2.0 * t)
@@ -80,7 +81,8 @@ def test_a_link_in_its_play_goes_on_for_minutes_and_where_samples_hardly_follow_
 def swung(
     bodies: pin.Model, stiffness: float, damping: float, t: Array, q: Array, still: bool
 ) -> tuple[Array, Array]:
-    """Wind-up of the second of two links on a spring behind its motor, by rnea where the link is, and what both joints feel of it.
+    """Wind-up of the second of two links on a spring behind its motor, by rnea where the link is,
+    and what both joints feel of it.
 
     still: whether it hung still when its motor began; else it came along.
     """
@@ -130,7 +132,8 @@ def test_a_link_on_a_spring_that_is_hardly_damped_is_found_between_any_that_are_
 
 @pytest.mark.parametrize("over", [0.75, 0.9, 1.3])
 def test_a_spring_that_swings_beyond_the_band_is_told_where_its_coefficient_is_one(subject, over):
-    """A softer one with a lesser coefficient looks the same where what shakes the link is near its resonance."""
+    """A softer one with a lesser coefficient looks the same where what shakes the link is near its
+    resonance."""
     calm = found(subject, None).motions[0][0]
     t, q = calm.times, calm.segment.q
     shaken = dataclasses.replace(
@@ -192,7 +195,8 @@ def _step_by_step(q: Array, step: Callable[[float, float], float]) -> Array:
 
 @given(st.lists(st.integers(-9, 9), min_size=2, max_size=60), st.floats(0.3, 30.0))
 def test_friction_with_memory_from_reversal_to_reversal_is_what_it_is_step_by_step(places, reach):
-    """Whatever a joint does: it may rest, begin either way, turn at once or step from end to end."""
+    """Whatever a joint does: it may rest, begin either way, turn at once or step from end to
+    end."""
     q = np.array(places, float)
     slipped = _step_by_step(q, lambda z, step: min(max(z + step / reach, -1.0), 1.0))
     np.testing.assert_allclose(hysteresis.maxwell_slip(q, reach), slipped, atol=1e-12)

@@ -2,20 +2,26 @@
 
 Guarantees:
 
-* Every file is complete and on the disk before the first takes its place. After a refusal or an error all are as they were.
-* A folder that belongs to the command (`output_folder`) is replaced as a whole: a new folder is completed beside it, in
-  `.<folder>.<process>.<random>.partial`, and takes its name by one rename, or exchanges names with the old folder atomically
-  (`renameat2` with RENAME_EXCHANGE on Linux, `renamex_np` with RENAME_SWAP on macOS). A process that is killed at any moment leaves
-  either the old set or the new one. Other entries of the folder are carried over as hard links to the same files.
-* Where that is impossible the files are replaced in place: the old ones are moved away, the main file first, then the new ones
-  are moved in, the main file last. A process that is killed in between leaves an incomplete set without its main file, never old
-  files beside new ones. This holds for files beside each other in a folder of the user's (`output_files`), and for a folder that
-  is a mount point or above or at the current directory, holds links in place of files of the set, more than
-  `folder_exchange.MOST_ENTRIES` entries, entries of other owners or of another file system, or that is on a file system
-  without hard links or without exchange. A single file is replaced by one rename.
-* What a killed process leaves in staging directories is removed by the next run that writes to the same place.
-* Symbolic links are followed: the file that a link leads to is replaced, the link stays. A target that is no regular file
-  (a device, pipe, socket or folder) is refused.
+* Every file is complete and on the disk before the first takes its place. After a refusal or an
+  error all are as they were.
+* A folder that belongs to the command (`output_folder`) is replaced as a whole: a new folder is
+  completed beside it, in `.<folder>.<process>.<random>.partial`, and takes its name by one rename,
+  or exchanges names with the old folder atomically (`renameat2` with RENAME_EXCHANGE on Linux,
+  `renamex_np` with RENAME_SWAP on macOS). A process that is killed at any moment leaves either the
+  old set or the new one. Other entries of the folder are carried over as hard links to the same
+  files.
+* Where that is impossible the files are replaced in place: the old ones are moved away, the main
+  file first, then the new ones are moved in, the main file last. A process that is killed in
+  between leaves an incomplete set without its main file, never old files beside new ones. This
+  holds for files beside each other in a folder of the user's (`output_files`), and for a folder
+  that is a mount point or above or at the current directory, holds links in place of files of the
+  set, more than `folder_exchange.MOST_ENTRIES` entries, entries of other owners or of another file
+  system, or that is on a file system without hard links or without exchange. A single file is
+  replaced by one rename.
+* What a killed process leaves in staging directories is removed by the next run that writes to the
+  same place.
+* Symbolic links are followed: the file that a link leads to is replaced, the link stays. A target
+  that is no regular file (a device, pipe, socket or folder) is refused.
 * A new file gets the mode that the umask leaves; a replaced file keeps its mode.
 * Ctrl-C, SIGTERM and SIGHUP wait until all files are replaced, which takes milliseconds.
 """
@@ -55,18 +61,22 @@ _replaced: list[Path] = []
 
 
 def replaced_files() -> tuple[Path, ...]:
-    """All files that this process has replaced so far, so that messages about interruptions can be true."""
+    """All files that this process has replaced so far, so that messages about interruptions can be
+    true."""
     return tuple(_replaced)
 
 
 @dataclass(frozen=True)
 class OutputFiles:
-    """The files that a command writes, checked before its computation and replaced together after it.
+    """The files that a command writes, checked before its computation and replaced together after
+    it.
 
     Attributes:
         folder: The folder that all names are relative to.
-        names: All names the command may write, the main file first. A name may have a subfolder: `validation/trajectory.json`.
-        owns_folder: Whether the folder is the command's own, so that it may be exchanged as a whole.
+        names: All names the command may write, the main file first. A name may have a subfolder:
+            `validation/trajectory.json`.
+        owns_folder: Whether the folder is the command's own, so that it may be exchanged as a
+            whole.
     """
 
     folder: Path
@@ -80,7 +90,8 @@ class OutputFiles:
             inputs: Files that the command reads and that must not be replaced.
 
         Raises:
-            UnusableInput: The folder cannot be written, or a target is no regular file, or one of the inputs.
+            UnusableInput: The folder cannot be written, or a target is no regular file, or one of
+                the inputs.
         """
         if os.path.exists(self.folder) and not os.path.isdir(self.folder):
             raise self._refusal("is not a folder")
@@ -99,7 +110,8 @@ class OutputFiles:
         """Replace the files.
 
         Args:
-            contents: The text of each file. Files of `names` that are not among them are removed: they belong to an earlier result.
+            contents: The text of each file. Files of `names` that are not among them are removed:
+                they belong to an earlier result.
 
         Returns:
             The paths of the files, as the user named the folder.
@@ -125,7 +137,8 @@ class OutputFiles:
         return written
 
     def _replace(self, files: Mapping[str, bytes], created: list[Path]) -> None:
-        """Replace the files, by the folder if possible, else in place. Folders that had to be made are added to `created`."""
+        """Replace the files, by the folder if possible, else in place. Folders that had to be made
+        are added to `created`."""
         folder, targets = Path(os.path.realpath(self.folder)), self._targets()
         main = targets[self.names[0]].name
         remove_abandoned(folder.parent, folder.name)
@@ -168,7 +181,8 @@ class OutputFiles:
         _remove_empty(unused - {folder})
 
     def _targets(self) -> dict[str, Path]:
-        """The file that each name leads to, through links. Raises UnusableInput for what cannot be replaced."""
+        """The file that each name leads to, through links. Raises UnusableInput for what cannot be
+        replaced."""
         targets: dict[str, Path] = {}
         for name in self.names:
             path = self.folder / name
@@ -257,7 +271,8 @@ def _is_same_file(one: Path, other: Path) -> bool:
 
 
 def _is_standard_stream(path: Path) -> bool:
-    """Whether a file is what standard output or standard error go to: it would be replaced under their feet."""
+    """Whether a file is what standard output or standard error go to: it would be replaced under
+    their feet."""
     status = status_of(path)
     for handle in (1, 2):
         with contextlib.suppress(OSError):  # closed
@@ -267,7 +282,8 @@ def _is_standard_stream(path: Path) -> bool:
 
 
 def _make_folders(folder: Path) -> list[Path]:
-    """Create a folder and what is missing above it; returns what was created, the outermost first."""
+    """Create a folder and what is missing above it; returns what was created, the outermost
+    first."""
     missing = [path for path in (folder, *folder.parents) if not os.path.exists(path)]
     missing.reverse()
     for path in missing:
@@ -285,7 +301,8 @@ def _remove_empty(folders: Iterable[Path]) -> None:
 def _move_in(
     staged: Mapping[Path, Path], targets: Sequence[Path], stagings: Mapping[Path, Path]
 ) -> None:
-    """Move the old files away, the main one first, and the new ones in, the main one last; an error undoes all of it.
+    """Move the old files away, the main one first, and the new ones in, the main one last; an error
+    undoes all of it.
 
     Args:
         staged: The new file of each target.

@@ -49,7 +49,8 @@ class Cost:
             say: Prints a line of progress; None: nothing is announced.
 
         Raises:
-            UnusableInput: The work takes longer than LONGEST, or more than MEMORY_SHARE of the memory.
+            UnusableInput: The work takes longer than LONGEST, or more than MEMORY_SHARE of the
+                memory.
         """
         memory = machine_memory()
         if memory is not None and self.memory > MEMORY_SHARE * memory:
@@ -72,7 +73,8 @@ def duration(seconds: float) -> str:
 
 
 def machine_memory() -> float | None:
-    """Memory of the machine or of the container that this process runs in [bytes]; None where unknown."""
+    """Memory of the machine or of the container that this process runs in [bytes]; None where
+    unknown."""
     known = []
     with contextlib.suppress(AttributeError, OSError, ValueError):  # Windows
         known.append(float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES"))

@@ -137,7 +137,8 @@ def _become_worker() -> None:
     os.setpgid(
         0,
         0,
-        # signals to the group are for the parent: a worker that dies of one may take a lock of the pool
+        # signals to the group are for the parent: a worker that dies of one may take a lock of the
+        # pool
         # with it
     )
     if (

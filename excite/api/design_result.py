@@ -41,7 +41,8 @@ DESIGN_FILES = (
 )
 """Files of a design; a validation motion of an earlier design is removed with it."""
 THRESHOLD = 1e-2
-"""Largest scale-free variance of a direction that counts as identifiable [1]: about 10 % (Lee, Lee and Park 2021)."""
+"""Largest scale-free variance of a direction that counts as identifiable [1]: about 10 % (Lee, Lee
+and Park 2021)."""
 
 
 @dataclass(frozen=True)
@@ -176,7 +177,8 @@ class DesignResult:
         )
 
     def save(self, folder: str | Path) -> list[Path]:
-        """Write `trajectory.json`, `trajectory.csv`, `identifiability.json` and `report.html`; return their paths."""
+        """Write `trajectory.json`, `trajectory.csv`, `identifiability.json` and `report.html`;
+        return their paths."""
         return output_folder(Path(folder), DESIGN_FILES).replace(self.contents())
 
     def report(self, path: str | Path) -> Path:
@@ -385,7 +387,8 @@ def motion_samples(path: Path, robot: Robot) -> tuple[Samples, Trajectory | None
 def _information(
     paths: Sequence[str | Path], robot: Robot, limits: Limits, options: DesignOptions
 ) -> FloatArray | None:
-    """Return a root of the information of earlier recordings, in standard parameters. Shape (m, P)."""
+    """Return a root of the information of earlier recordings, in standard parameters. Shape (m,
+    P)."""
     if not paths:
         return None
     standard = inertial_parameters.standard(robot, limits, options.drive)

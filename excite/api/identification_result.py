@@ -163,14 +163,16 @@ def with_period(
     """Return the recording with a stated period and the window in which it repeats."""
     if window is not None and period is None:
         raise UnusableInput(
-            f"--window {window[0]:g},{window[1]:g}: needs --period S, the time after which the motion repeats"
+            f"--window {window[0]:g},{window[1]:g}: needs --period S, the time after which the "
+            "motion repeats"
         )
     if period is None:
         return recording
     length = float(np.ptp(recording.t))
     if not 0.0 < period < length:
         raise UnusableInput(
-            f"--period {period:g}: should be shorter than the recording; {recording.source} is {length:.6g} s long"
+            f"--period {period:g}: should be shorter than the recording; {recording.source} is "
+            f"{length:.6g} s long"
         )
     sidecar = dataclasses.replace(recording.sidecar, period=period, periodic=window)
     return dataclasses.replace(recording, sidecar=sidecar)
@@ -302,7 +304,8 @@ def _read_both(
 
 
 def _compare_lmi(found: Identification) -> lmi_check.LmiCheck:
-    """Compare the estimate with a conic solver's; a refined one is compared at where refinement started."""
+    """Compare the estimate with a conic solver's; a refined one is compared at where refinement
+    started."""
     data, model, bounds = found.data, found.model, found.options.bounds
     root, target, estimate = (
         data.information_root @ model.base.matrix,

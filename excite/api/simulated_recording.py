@@ -119,15 +119,16 @@ def simulate(
         trusted: With `severity`: nothing is refit, as with a trusted prior.
         like: `.truth.json` of another recording: the same robot, and effects of the same size.
         periods: Repeats of the excitation; None: as the trajectory states.
-        **setting: Fields of the simulator's `ExperimentSettings`: seed, rate, noise, colour, jitter, encoder,
-            model_error.
+        **setting: Fields of the simulator's `ExperimentSettings`: seed, rate, noise, colour,
+            jitter, encoder, model_error.
 
     Raises:
         UnusableInput: MuJoCo is not installed, or an argument or a file cannot be used.
     """
     if importlib.util.find_spec("mujoco") is None:
         raise UnusableInput(
-            "MuJoCo is not installed: pip install 'excite[sim]' (in a clone: .venv/bin/pip install -e '.[sim]')"
+            "MuJoCo is not installed: pip install 'excite[sim]' (in a clone: .venv/bin/pip install "
+            "-e '.[sim]')"
         )
     from ..simulator import effect_instance, experiment, recording_file, reference_trajectory
     from ..simulator import severity as severities
@@ -157,7 +158,8 @@ def simulate(
             != sibling.bodies
         ):
             raise UnusableInput(
-                f"{like}: its bodies are not those of {source}; give the URDF that it was recorded with"
+                f"{like}: its bodies are not those of {source}; give the URDF that it was recorded "
+                "with"
             )
         hidden = sibling.effects
     else:

@@ -65,7 +65,8 @@ def _text(stated: dict[str, Any], written: list[Path]) -> str:
         alike = f" (or {', '.join(one['equivalents'])})" if one["equivalents"] else ""
         lacking = f"; not shown: {', '.join(one['not_shown'])}" if "not_shown" in one else ""
         lines.append(
-            f"{one['effect']}{alike} at {place}, probability {one['probability']:.2f}: {values}{lacking}"
+            f"{one['effect']}{alike} at {place}, probability {one['probability']:.2f}: "
+            f"{values}{lacking}"
         )
     physics = [one for one in stated["unknown"] if one["where"]["regime"] != "recording"]
     lines += [
@@ -75,7 +76,8 @@ def _text(stated: dict[str, Any], written: list[Path]) -> str:
     for one in stated["between_recordings"]:
         values = ", ".join(f"{kind} {_changed(one[kind])}" for kind in KINDS)
         lines.append(
-            f"another friction or offset at {one['joint']} in {Path(one['recording']).name}: {values}"
+            f"another friction or offset at {one['joint']} in {Path(one['recording']).name}: "
+            f"{values}"
         )
     lines += [_gear(joint, gear) for joint, gear in stated["encoders"].items()]
     lines.append(f"{'joint':25}{'before':>11}{'after':>11}{'noise':>11}")

@@ -67,8 +67,10 @@ def _text(found: Identification, facts: Sequence[str], written: Sequence[Path]) 
     robot = found.model.robot
     shown = found.validations or found.fits
     lines = [
-        f"{robot.name}: {found.analysis.identifiable_count} of {found.model.base.count} directions identified; band {found.spectra.hertz:.3g} Hz",
-        f"{'held out' if found.validations else 'on the data fitted (no --validate)'}: torque error per joint",
+        f"{robot.name}: {found.analysis.identifiable_count} of {found.model.base.count} "
+        f"directions identified; band {found.spectra.hertz:.3g} Hz",
+        f"{'held out' if found.validations else 'on the data fitted (no --validate)'}: torque "
+        "error per joint",
         f"{'joint':25}{'nominal':>11}{'identified':>12}{'noise':>11}{'relative':>10}",
     ]
     for prediction in shown:
@@ -87,6 +89,7 @@ def _text(found: Identification, facts: Sequence[str], written: Sequence[Path]) 
     if abs(common) > 3.0 * spread and not found.options.align:
         order = "after" if common > 0 else "before"
         lines.append(
-            f"torque comes {abs(1e3 * common):.3g} ms {order} position on average (--align takes that out)"
+            f"torque comes {abs(1e3 * common):.3g} ms {order} position on average (--align takes "
+            "that out)"
         )
     return "\n".join([*lines, *facts, *written_lines(written)])

@@ -1,7 +1,9 @@
-"""Types of command-line options that hold numbers: each states the range and the unit that its option accepts.
+"""Types of command-line options that hold numbers: each states the range and the unit that its
+option accepts.
 
-An option with one of these types refuses, before its command runs, what is no number, not finite, or outside the range; `argparse` puts
-the option's name in front of the message. An option whose text is a name, a path or one of several words needs none of them.
+An option with one of these types refuses, before its command runs, what is no number, not finite,
+or outside the range; `argparse` puts the option's name in front of the message. An option whose
+text is a name, a path or one of several words needs none of them.
 """
 
 from __future__ import annotations
@@ -67,7 +69,8 @@ class Numbers:
         words = text.split(",")
         if self.counts is not None and len(words) not in self.counts:
             raise ArgumentTypeError(
-                f"{_shown(text)} should hold {' or '.join(map(str, self.counts))} number(s), not {len(words)}"
+                f"{_shown(text)} should hold {' or '.join(map(str, self.counts))} number(s), not "
+                f"{len(words)}"
             )
         ranges = [self.accepted] * len(words) if isinstance(self.accepted, Range) else self.accepted
         values = tuple(
@@ -93,7 +96,8 @@ class NamedNumbers:
     numbers: Numbers
 
     def __call__(self, text: str) -> tuple[str, tuple[float, ...]]:
-        """The name and the numbers that a text states. Raises ArgumentTypeError, in words, for another text."""
+        """The name and the numbers that a text states. Raises ArgumentTypeError, in words, for
+        another text."""
         name, separator, numbers = text.rpartition(self.separator)
         if not separator:
             raise ArgumentTypeError(f"{_shown(text)} should read {self.form}")
@@ -108,7 +112,8 @@ class WordOrNumbers:
     numbers: Numbers
 
     def __call__(self, text: str) -> str | tuple[float, ...]:
-        """The word or the numbers that a text states. Raises ArgumentTypeError, in words, for another text."""
+        """The word or the numbers that a text states. Raises ArgumentTypeError, in words, for
+        another text."""
         if text in self.words:
             return text
         try:

@@ -1,4 +1,5 @@
-"""What the options of several commands mean: robots, limits, parameters and noise from the command line."""
+"""What the options of several commands mean: robots, limits, parameters and noise from the command
+line."""
 
 from __future__ import annotations
 
@@ -63,7 +64,8 @@ def drive(arguments: argparse.Namespace) -> tuple[str, ...]:
     unknown = set(without) - set(inertial_parameters.DRIVE)
     if unknown:
         raise UnusableInput(
-            f"--without {min(unknown)}: no such joint parameter; there are {', '.join(inertial_parameters.DRIVE)}"
+            f"--without {min(unknown)}: no such joint parameter; there are "
+            f"{', '.join(inertial_parameters.DRIVE)}"
         )
     return (
         ()
@@ -86,9 +88,11 @@ def noise(arguments: argparse.Namespace, machine: Robot) -> tuple[float, ...] | 
 
 
 def of_joints(option: str, values: tuple[float, ...], machine: Robot) -> tuple[float, ...]:
-    """An option's numbers, one per moving joint. Raises UnusableInput for another number of them."""
+    """An option's numbers, one per moving joint. Raises UnusableInput for another number of
+    them."""
     if len(values) != machine.n:
         raise UnusableInput(
-            f"{option}: should hold {machine.n} number(s), one per moving joint ({', '.join(machine.joints)}), not {len(values)}"
+            f"{option}: should hold {machine.n} number(s), one per moving joint "
+            f"({', '.join(machine.joints)}), not {len(values)}"
         )
     return values

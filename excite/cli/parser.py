@@ -71,7 +71,8 @@ class _Parser(argparse.ArgumentParser):
         return f"; did you mean {near[0]}?" if near else ""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse a command line; `--option=--`, of which argparse makes an empty list whatever the option's type, is refused."""
+        """Parse a command line; `--option=--`, of which argparse makes an empty list whatever the
+        option's type, is refused."""
         words = sys.argv[1:] if args is None else list(args)
         for word in words:
             if word.startswith("-") and word.endswith("=--"):
@@ -629,7 +630,8 @@ def _simulate(commands: Commands) -> None:
     sub = _command(
         commands,
         "simulate",
-        "record a simulated robot that follows a trajectory, with physics that its model does not have",
+        "record a simulated robot that follows a trajectory, with physics that its model does not "
+        "have",
     )
     sub.add_argument(
         "robot", metavar="ROBOT", help="path of a URDF, or a name that 'excite robots' lists"

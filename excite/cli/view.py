@@ -1,4 +1,5 @@
-"""`excite view`: a motion in a browser, the robot's shapes among its surroundings (pin's viser visualizer; extra [view])."""
+"""`excite view`: a motion in a browser, the robot's shapes among its surroundings (pin's viser
+visualizer; extra [view])."""
 
 from __future__ import annotations
 

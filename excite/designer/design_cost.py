@@ -1,18 +1,21 @@
 """Time and memory that a design takes, estimated before it begins.
 
-An iteration of the optimiser costs, on one core (K harmonics, N samples, n joints, P standard and p base parameters,
-V = n (2K + 1) variables, A pairs of a joint and a joint on its way to the base, itself included):
+An iteration of the optimiser costs, on one core (K harmonics, N samples, n joints, P standard and p
+base parameters, V = n (2K + 1) variables, A pairs of a joint and a joint on its way to the base,
+itself included):
 
     t = 6e-4 s + N (1.8e-6 A + 3.6e-8 n P + 1.6e-10 n p²) s + 5.8e-10 V³ s
 
-The terms are the regressor and its derivative, passes over it, its products with itself, and the quadratic subproblem. A start
-takes about 100 iterations to its end, and a finished motion as many again for its ramps and for what its certificate finds between
-samples. A process holds eight regressors (N n P) and the gradients of the active rows, about 2.4 for each sample and joint:
+The terms are the regressor and its derivative, passes over it, its products with itself, and the
+quadratic subproblem. A start takes about 100 iterations to its end, and a finished motion as many
+again for its ramps and for what its certificate finds between samples. A process holds eight
+regressors (N n P) and the gradients of the active rows, about 2.4 for each sample and joint:
 
     m = 160 MB + 8 bytes · N n (8.2 P + 2.4 V)
 
-`scripts/bench_scale.py` measured the coefficients on chains and trees of 2 to 60 joints with 100 to 50,000 samples and 5 to 100
-harmonics, of which an iteration's time is met within a factor of 1.5 and memory within 1.4.
+`scripts/bench_scale.py` measured the coefficients on chains and trees of 2 to 60 joints with 100 to
+50,000 samples and 5 to 100 harmonics, of which an iteration's time is met within a factor of 1.5
+and memory within 1.4.
 """
 
 from __future__ import annotations
@@ -40,7 +43,8 @@ SUBPROBLEM_TIME = 5.8e-10
 USUAL_ITERATIONS = 100
 """Iterations of a start until it gains next to nothing, and of the work on a finished motion."""
 ROW_TIME = 2.5e-8
-"""Time per number of the regressor along the exported motion and the certificate's dense grid [s]."""
+"""Time per number of the regressor along the exported motion and the certificate's dense grid
+[s]."""
 DENSE_GRIDS = 30
 """Rows of regressors that certificate and report compute, over the optimiser's samples."""
 LONGEST_RAMPS = 20.0
@@ -91,8 +95,10 @@ def require(
     seconds = options.periods * options.period / speed + LONGEST_RAMPS
     if seconds * options.rate > MOST_ROWS:
         raise UnusableInput(
-            f"--periods {options.periods} of {options.period:g} s with ramps at --rate {options.rate:g} Hz "
-            f"are {seconds * options.rate:.3g} rows, a trajectory has at most {MOST_ROWS}; lower one of them"
+            f"--periods {options.periods} of {options.period:g} s with ramps at --rate "
+            f"{options.rate:g} Hz "
+            f"are {seconds * options.rate:.3g} rows, a trajectory has at most {MOST_ROWS}; lower "
+            "one of them"
         )
     starts = "1 start" if options.starts == 1 else f"{options.starts} starts"
     work = f"{robot.name}: {robot.n} joints, {options.harmonics} harmonics, {options.samples} samples, {starts}"

@@ -1,9 +1,11 @@
 """Time and memory that recordings take, by their rows N and joints n.
 
-    reading and identification:  m = 130 MB + 76 bytes · N (1 + n · quantities)    t = 3 s + 1.2 µs · N n
-    diagnosis:                   m = 200 MB + N (0.7 n + 0.08 n²) kB               t = 4 s + N (20 n + 1.6 n²) µs
+    reading and identification:  m = 130 MB + 76 bytes · N (1 + n · quantities)    t = 3 s + 1.2 µs
+    · N n diagnosis:                   m = 200 MB + N (0.7 n + 0.08 n²) kB               t = 4 s + N
+    (20 n + 1.6 n²) µs
 
-`scripts/bench_scale.py` measured the coefficients with 10⁵ and 10⁶ rows of a robot of two joints and of one of six, sampled at 1 kHz.
+`scripts/bench_scale.py` measured the coefficients with 10⁵ and 10⁶ rows of a robot of two joints
+and of one of six, sampled at 1 kHz.
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ REMEDY = "cut it into parts that one motion each is in, or record at a lower rat
 
 
 def require_readable(source: str, rows: int, numbers: int) -> None:
-    """Raise UnusableInput where so many rows, of so many numbers together, are more than this machine can hold."""
+    """Raise UnusableInput where so many rows, of so many numbers together, are more than this
+    machine can hold."""
     cost = Cost(0.0, PROCESS_MEMORY + BYTES_PER_NUMBER * numbers)
     cost.require(f"{source}: {rows} rows and more", REMEDY)
 

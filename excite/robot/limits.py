@@ -240,14 +240,16 @@ def from_sources(
     if file is None and named:
         if len(named) > 1:
             raise UnusableInput(
-                f"{robot.source}: the limits name several sources ({', '.join(shown(name, SHOWN_PATH) for name in named)}); give the "
+                f"{robot.source}: the limits name several sources "
+                f"({', '.join(shown(name, SHOWN_PATH) for name in named)}); give the "
                 "file with --limits"
             )
         candidates = [Path(named[0]), *([] if folder is None else [folder / Path(named[0]).name])]
         file = next((path for path in candidates if os.path.isfile(path)), None)
         if file is None:
             raise UnusableInput(
-                f"{shown(named[0], SHOWN_PATH)}: the limits file of this trajectory is not there; say where it is "
+                f"{shown(named[0], SHOWN_PATH)}: the limits file of this trajectory is not there; "
+                "say where it is "
                 "with --limits FILE"
             )
     return resolve(robot, file)

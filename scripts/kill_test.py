@@ -46,7 +46,7 @@ from excite.cli.main import main
 code = main(sys.argv[2:])
 print(count)
 sys.exit(code)
-"""
+"""  # noqa: E501
 
 
 @dataclasses.dataclass(frozen=True)

@@ -40,8 +40,8 @@ from excite.cli.option_types import NUMERIC, NamedNumbers, Number, Numbers, Word
 from excite.physical_ranges import Range
 
 NUMBERS = (
-    "nan", "-nan", "inf", "-inf", "Infinity", "NaN", "1e308", "-1e308", "1e-320", "1e400", "-1", "0", "-0.0", "1e-12", "1e12", "3", "0.5",
-    "1e6", "9" * 400, "", " ", "x", "0x10", "1_000", "1,5", "1;5", "--", "true", "null", "٣", "1e", "+", "1/2", "{}", "[1]",
+    "nan", "-nan", "inf", "-inf", "Infinity", "NaN", "1e308", "-1e308", "1e-320", "1e400", "-1", "0", "-0.0", "1e-12", "1e12", "3", "0.5",  # noqa: E501
+    "1e6", "9" * 400, "", " ", "x", "0x10", "1_000", "1,5", "1;5", "--", "true", "null", "٣", "1e", "+", "1/2", "{}", "[1]",  # noqa: E501
 )  # fmt: skip
 """Texts to stand where a number stands."""
 WORDS = (
@@ -68,8 +68,8 @@ WORDS = (
 )
 """Texts to stand where a name stands."""
 VALUES: tuple[object, ...] = (
-    None, True, False, 0, -1, 1, 2.5, 1e308, -1e308, 1e-320, float("nan"), float("inf"), 10**400, 10**18, "", "x", "joint_1", "NaN", [], {},
-    [[]], [None], [1], [1, 2], [1, 2, 3], [1e308] * 3, {"x": 1}, {"joint_1": 1}, {"joint_1": None}, {"value": -1}, "A" * 1000,
+    None, True, False, 0, -1, 1, 2.5, 1e308, -1e308, 1e-320, float("nan"), float("inf"), 10**400, 10**18, "", "x", "joint_1", "NaN", [], {},  # noqa: E501
+    [[]], [None], [1], [1, 2], [1, 2, 3], [1e308] * 3, {"x": 1}, {"joint_1": 1}, {"joint_1": None}, {"value": -1}, "A" * 1000,  # noqa: E501
 )  # fmt: skip
 """Values to stand anywhere in a JSON document."""
 SECONDS = 60
@@ -103,7 +103,7 @@ class Failure:
     detail: str = ""
 
     def __str__(self) -> str:
-        return f"seed {self.case.seed} ({self.case.kind}; {self.case.damage}): {self.reason}\n  excite {' '.join(self.case.argv)}\n{self.detail}"
+        return f"seed {self.case.seed} ({self.case.kind}; {self.case.damage}): {self.reason}\n  excite {' '.join(self.case.argv)}\n{self.detail}"  # noqa: E501
 
 
 # -- texts -----------------------------------------------------------------------------------------
@@ -567,7 +567,7 @@ def _options(rng: random.Random, argv: list[str]) -> tuple[list[str], str]:
             added.append(f"{option}={_fitting(rng, action.type)}")
         else:
             added.append(
-                f"{option}={rng.choice(list(action.choices) if action.choices and rng.random() < 0.7 else WORDS)}".replace(
+                f"{option}={rng.choice(list(action.choices) if action.choices and rng.random() < 0.7 else WORDS)}".replace(  # noqa: E501
                     "\x00", ""
                 )
             )
@@ -577,7 +577,7 @@ def _options(rng: random.Random, argv: list[str]) -> tuple[list[str], str]:
 def _fitting(rng: random.Random, kind: object) -> str:
     """A text for an option of a numeric type: its form is right, its numbers may be anything."""
     if isinstance(kind, NamedNumbers):
-        return f"{rng.choice(('joint_1', 'joint_2', 'tip', 'link_2', *WORDS))}{kind.separator}{_fitting(rng, kind.numbers)}".replace(
+        return f"{rng.choice(('joint_1', 'joint_2', 'tip', 'link_2', *WORDS))}{kind.separator}{_fitting(rng, kind.numbers)}".replace(  # noqa: E501
             "\x00", ""
         )
     if isinstance(kind, WordOrNumbers):
@@ -831,7 +831,7 @@ def valid_inputs(folder: Path) -> dict[str, bytes]:
     corners = ((0, 0, 0), (0.05, 0, 0), (0, 0.05, 0), (0, 0, 0.05))
     facets = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
     part = "solid part\n" + "".join(
-        "facet normal 0 0 1\nouter loop\n" + "".join(f"vertex {x} {y} {z}\n" for x, y, z in (corners[k] for k in facet)) + "endloop\nendfacet\n"
+        "facet normal 0 0 1\nouter loop\n" + "".join(f"vertex {x} {y} {z}\n" for x, y, z in (corners[k] for k in facet)) + "endloop\nendfacet\n"  # noqa: E501
         for facet in facets
     )  # fmt: skip
     joints = {
@@ -868,10 +868,10 @@ def valid_inputs(folder: Path) -> dict[str, bytes]:
         "limits.toml": limits.encode(),
         "limits.yaml": yaml.encode(),
         "scene.toml": (
-            b'floor = -1.5\nclearance = 0.01\n[[box]]\nname = "table"\nsize = [1.0, 1.0, 0.1]\nposition = [0.0, 2.0, 0.0]\n'
-            b'[[sphere]]\nradius = 0.1\nposition = [0.0, -2.0, 0.0]\n[[mesh]]\nname = "wall"\nfile = "part.stl"\nposition = [2.0, 2.0, 2.0]\n'
+            b'floor = -1.5\nclearance = 0.01\n[[box]]\nname = "table"\nsize = [1.0, 1.0, 0.1]\nposition = [0.0, 2.0, 0.0]\n'  # noqa: E501
+            b'[[sphere]]\nradius = 0.1\nposition = [0.0, -2.0, 0.0]\n[[mesh]]\nname = "wall"\nfile = "part.stl"\nposition = [2.0, 2.0, 2.0]\n'  # noqa: E501
         ),
-        "bounds.toml": b"[links.link_2]\nmass = [1.0, 3.0]\ncentre = [[0.0, -0.1, -0.1], [0.4, 0.1, 0.1]]\n",
+        "bounds.toml": b"[links.link_2]\nmass = [1.0, 3.0]\ncentre = [[0.0, -0.1, -0.1], [0.4, 0.1, 0.1]]\n",  # noqa: E501
     }
 
 

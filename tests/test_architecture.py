@@ -125,7 +125,7 @@ def test_only_the_public_interface_and_the_command_line_use_the_simulator():
 
 
 def test_the_simulator_loads_nothing_that_identifies():
-    code = "import excite.simulator.experiment; m = [n for n in sys.modules if n.startswith('excite.')]"
+    code = "import excite.simulator.experiment; m = [n for n in sys.modules if n.startswith('excite.')]"  # noqa: E501
     done = subprocess.run(
         [sys.executable, "-c", f"import sys; {code}; print(*m)"],
         capture_output=True,

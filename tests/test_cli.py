@@ -59,7 +59,7 @@ def test_csv_follows_the_contract(designed):
 
 def test_trajectory_json_has_the_contract_keys(designed):
     document = json.loads((designed / "trajectory.json").read_text())
-    keys = "schema robot joints base_frequency harmonics period periods sine cosine offset segments rate limits torque_noise"
+    keys = "schema robot joints base_frequency harmonics period periods sine cosine offset segments rate limits torque_noise"  # noqa: E501
     assert set((keys + " criterion criteria margins collision seed versions").split()) <= set(
         document
     )
@@ -279,7 +279,7 @@ def test_robots_lists_models(capsys):
 
 # -- bad input -------------------------------------------------------------------------------------
 
-LINK = '<inertial><mass value="1"/><origin xyz="0.1 0 0"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>'
+LINK = '<inertial><mass value="1"/><origin xyz="0.1 0 0"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>'  # noqa: E501
 
 
 def write_urdf(
@@ -287,8 +287,8 @@ def write_urdf(
 ):
     path = folder / "robot.urdf"
     path.write_text(
-        f'<robot name="r"><link name="base"/><link name="arm">{inertial}</link><joint name="elbow" type="{kind}">'
-        f'<parent link="base"/><child link="arm"/><axis xyz="0 1 0"/><limit {limit}/></joint></robot>'
+        f'<robot name="r"><link name="base"/><link name="arm">{inertial}</link><joint name="elbow" type="{kind}">'  # noqa: E501
+        f'<parent link="base"/><child link="arm"/><axis xyz="0 1 0"/><limit {limit}/></joint></robot>'  # noqa: E501
     )
     return path
 

@@ -234,7 +234,7 @@ def test_no_floor_is_guessed_where_gravity_points_elsewhere():
 def test_what_is_disabled_may_touch(tmp_path):
     srdf = tmp_path / "arm.srdf"
     srdf.write_text(
-        '<robot name="x"><disable_collisions link1="base_link" link2="link_2" reason="Never"/></robot>'
+        '<robot name="x"><disable_collisions link1="base_link" link2="link_2" reason="Never"/></robot>'  # noqa: E501
     )
     robot = load("two_link")
     cell = scene_file.cell(
@@ -255,7 +255,7 @@ def test_wrist_links_that_nearly_touch_keep_less_and_are_listed():
 def test_loose_covers_give_way_to_hulls(tmp_path):
     """Two flat plates as meshes pass each other closer than any capsule around them would."""
     plate = Path(octahedron(tmp_path / "plate.obj", 0.5))
-    mesh = f'<collision><geometry><mesh filename="{plate.name}" scale="1 1 0.02"/></geometry></collision>'
+    mesh = f'<collision><geometry><mesh filename="{plate.name}" scale="1 1 0.02"/></geometry></collision>'  # noqa: E501
     parts = [link(f"l{k}", 1.0).replace("</link>", mesh * (k != 1) + "</link>") for k in range(3)]
     tilted = joint("b", "l1", "l2", xyz=(0, 0, 0.03), axis=(0, 0.05, 1))
     urdf = tmp_path / "plates.urdf"

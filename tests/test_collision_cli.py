@@ -99,7 +99,7 @@ def test_a_start_pose_in_the_scene_is_one_line(capsys, tmp_path):
 def test_design_in_a_scene_says_how_near_it_comes(capsys, tmp_path):
     path = tmp_path / "scene.toml"
     path.write_text(
-        'clearance = 0.03\n[[box]]\nname = "block"\nsize = [0.1, 0.6, 0.3]\nposition = [0.75, 0, 0.45]\n'
+        'clearance = 0.03\n[[box]]\nname = "block"\nsize = [0.1, 0.6, 0.3]\nposition = [0.75, 0, 0.45]\n'  # noqa: E501
         '[[sphere]]\nname = "tool"\nradius = 0.05\nlink = "tip"\nposition = [0.05, 0, 0]\n'
     )
     code, out, _ = run(

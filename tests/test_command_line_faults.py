@@ -380,7 +380,7 @@ def hook(event, arguments):
 sys.addaudithook(hook)
 from excite.__main__ import main
 sys.exit(main())
-"""
+"""  # noqa: E501
 
 
 @pytest.mark.parametrize("exists", [False, True])
@@ -404,7 +404,7 @@ def test_a_signal_while_files_are_replaced_waits_and_says_so(tmp_path: Path, exi
     assert done.returncode == 1
     assert (
         line
-        == "excite: interrupted after all files were written: out/identifiability.json, out/report.html"
+        == "excite: interrupted after all files were written: out/identifiability.json, out/report.html"  # noqa: E501
     )
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         "identifiability.json",

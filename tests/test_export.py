@@ -52,7 +52,7 @@ def planned(begin: np.ndarray, end: np.ndarray) -> tuple[JerkProfile, float]:
 def wrapped(motion: Motion, forced: bool = False) -> Trajectory:
     n, every = len(motion.joints), np.ones(len(motion.joints))
     sources = {q: ("urdf",) * n for q in ("position", "velocity", "acceleration", "jerk", "torque")}
-    limits = Limits(motion.joints, np.column_stack([-9.0 * every, 9.0 * every]), 5.0 * every, 50.0 * every, 5e3 * every, 90.0 * every,
+    limits = Limits(motion.joints, np.column_stack([-9.0 * every, 9.0 * every]), 5.0 * every, 50.0 * every, 5e3 * every, 90.0 * every,  # noqa: E501
                     (None,) * n, sources)  # fmt: skip
     robot = {
         "name": "tiny",
@@ -65,7 +65,7 @@ def wrapped(motion: Motion, forced: bool = False) -> Trajectory:
     scores = {"a": 1.0, "d": 2.0, "e": 0.5, "cond": 4.0}
     part = {"geometric": scores, "plain": scores, "cond_regressor": 2.0}
     return Trajectory(
-        robot, motion, 100.0, limits, np.ones(n), {"criterion": "d"}, {"optimum": part, "exported": part}, [], "collision not checked", 0,
+        robot, motion, 100.0, limits, np.ones(n), {"criterion": "d"}, {"optimum": part, "exported": part}, [], "collision not checked", 0,  # noqa: E501
         forced, {"excite": "0"},
     )  # fmt: skip
 

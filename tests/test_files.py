@@ -290,7 +290,7 @@ def test_a_folder_is_no_name_of_a_file(
 
 
 def run_limited(script: str, tmp_path: Path, *limits: str) -> subprocess.CompletedProcess[str]:
-    code = f"from pathlib import Path\nfrom excite._system.output_files import output_files, output_folder\n{script}"
+    code = f"from pathlib import Path\nfrom excite._system.output_files import output_files, output_folder\n{script}"  # noqa: E501
     shell = "".join(f"ulimit {limit}; " for limit in limits) + 'exec "$0" -c "$1"'
     return subprocess.run(
         ["/bin/sh", "-c", shell, sys.executable, code],
@@ -373,7 +373,7 @@ while code == -9:
     assert not left, (at, left)
 assert code == 0
 print(json.dumps(states))
-"""
+"""  # noqa: E501
 
 
 def killed(folder: Path, kind: str) -> list[list[str]]:
@@ -419,8 +419,8 @@ def test_a_kill_in_place_never_leaves_old_beside_new_and_the_main_file_only_with
 
 
 def test_directories_of_running_processes_are_left_alone(out: Path) -> None:
-    script = "import sys, time\nfrom excite._system.staging import StagingDirectory\nfrom pathlib import Path\n"
-    script += "with StagingDirectory(Path(sys.argv[1]), 'out'):\n print('ready', flush=True); time.sleep(60)"
+    script = "import sys, time\nfrom excite._system.staging import StagingDirectory\nfrom pathlib import Path\n"  # noqa: E501
+    script += "with StagingDirectory(Path(sys.argv[1]), 'out'):\n print('ready', flush=True); time.sleep(60)"  # noqa: E501
     process = subprocess.Popen(
         [sys.executable, "-c", script, str(out.parent)], stdout=subprocess.PIPE, text=True
     )
@@ -439,8 +439,8 @@ def test_directories_of_running_processes_are_left_alone(out: Path) -> None:
 
 def test_two_processes_at_once_leave_one_whole_set(tmp_path: Path) -> None:
     """Some exchange the folder, some write in place."""
-    script = "import sys\nfrom pathlib import Path\nfrom excite._system.output_files import output_folder\n"
-    script += f"for _ in range(30):\n output_folder(Path(sys.argv[1]), {NAMES!r}).replace({{n: sys.argv[2] for n in {NAMES!r}}})"
+    script = "import sys\nfrom pathlib import Path\nfrom excite._system.output_files import output_folder\n"  # noqa: E501
+    script += f"for _ in range(30):\n output_folder(Path(sys.argv[1]), {NAMES!r}).replace({{n: sys.argv[2] for n in {NAMES!r}}})"  # noqa: E501
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine").write_text("mine")
     command = [sys.executable, "-c", script, str(tmp_path / "out")]
@@ -531,7 +531,7 @@ def test_commands_look_at_their_file_first(capsys, tmp_path, monkeypatch, comman
 
 @pytest.mark.parametrize("redirection", ["| cat", "> file", ">> file"])
 def test_standard_output_is_no_file_to_export_to(tmp_path: Path, redirection: str) -> None:
-    script = f'"$0" -m excite export "$1" --format csv -o /dev/stdout {redirection}; cat file 2> /dev/null'
+    script = f'"$0" -m excite export "$1" --format csv -o /dev/stdout {redirection}; cat file 2> /dev/null'  # noqa: E501
     done = subprocess.run(
         ["/bin/sh", "-c", script, sys.executable, str(TRAJECTORY)],
         capture_output=True,

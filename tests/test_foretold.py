@@ -66,7 +66,7 @@ def test_what_a_half_shows_by_itself_stays(bent):
     assert {f.main.joint for f in verdict.findings} == {0, 1} and not verdict.doubted
 
 
-def test_what_only_the_difference_between_halves_shows_and_makes_held_out_torque_worse_is_refuted_alone():
+def test_what_only_the_difference_between_halves_shows_and_makes_held_out_torque_worse_is_refuted_alone():  # noqa: E501
     one = halved(**ODD)
     before = judge.said(one, [0, 1])
     verdict = left_by(one)

@@ -67,7 +67,7 @@ def test_a_faulty_recording_is_refused_with_its_fault(name, parts, tmp_path, cap
 
 @needs_inputs
 @pytest.mark.parametrize(("name", "parts"), [
-    ("r_tau_million", ["joint_1", "7.808e+05 times its limit 60", "joint_2", "3.711e+05 times its limit 20"]),
+    ("r_tau_million", ["joint_1", "7.808e+05 times its limit 60", "joint_2", "3.711e+05 times its limit 20"]),  # noqa: E501
     ("r_tau_flipped", ["joint_1", "correlated by -0.99", "joint_2", "correlated by -0.98", "sign"]),
     ("r_tau1_zero", ["joint_1", "torque is 0 in all 6221 rows"]),
 ])  # fmt: skip
@@ -124,7 +124,7 @@ def test_a_time_that_no_clock_has_is_named_by_row(value, part, two_link, tmp_pat
 
 
 @pytest.mark.parametrize(("factor", "part"), [
-    (1e-12, "more than a million rows a second"), (1e3, "is time in ms"), (0.0, "rows"), (-1.0, "rows"), (1e30, "column t"),
+    (1e-12, "more than a million rows a second"), (1e3, "is time in ms"), (0.0, "rows"), (-1.0, "rows"), (1e30, "column t"),  # noqa: E501
 ])  # fmt: skip
 def test_clocks_in_other_units_are_told(factor, part, two_link, tmp_path):
     columns = motion()
@@ -177,8 +177,8 @@ def test_texts_that_are_no_table_are_refused(content, parts, two_link, tmp_path)
 
 
 @pytest.mark.parametrize("change", [
-    lambda text: b"\xef\xbb\xbf" + text, lambda text: text.replace(b"\n", b"\r\n"), lambda text: text.replace(b",", b";"),
-    lambda text: text.replace(b",", b"\t"), lambda text: b"# " + text, lambda text: text + b"\n\n\n", lambda text: text[:-1],
+    lambda text: b"\xef\xbb\xbf" + text, lambda text: text.replace(b"\n", b"\r\n"), lambda text: text.replace(b",", b";"),  # noqa: E501
+    lambda text: text.replace(b",", b"\t"), lambda text: b"# " + text, lambda text: text + b"\n\n\n", lambda text: text[:-1],  # noqa: E501
 ])  # fmt: skip
 def test_tables_as_other_programs_write_them_are_read(change, two_link, tmp_path):
     plain = recordings.read(written(tmp_path / "a.csv", csv()), two_link)
@@ -237,7 +237,7 @@ def test_torque_as_it_should_be_is_not_doubted(loaded, two_link, tmp_path):
 
 @pytest.mark.parametrize("joint", ["joint_1", "joint_2"])
 @pytest.mark.parametrize(("factor", "kinds", "part"), [
-    (-1.0, [Kind.INCONSISTENT], "correlated by -1.00"), (1e3, [Kind.UNIT], "times its limit"), (0.0, [Kind.FROZEN], "torque is 0 in all"),
+    (-1.0, [Kind.INCONSISTENT], "correlated by -1.00"), (1e3, [Kind.UNIT], "times its limit"), (0.0, [Kind.FROZEN], "torque is 0 in all"),  # noqa: E501
     (0.5, [], ""), (2.0, [], ""),
 ])  # fmt: skip
 def test_a_wrong_torque_of_one_joint_is_doubted_there(
@@ -259,7 +259,7 @@ def test_a_recording_without_any_torque_is_refused(value, word, loaded, two_link
 
 
 @pytest.mark.parametrize(("options", "part"), [
-    (["--period", "0.05"], "fewer than 16 rows"), (["--period", "1000"], "shorter than the recording"),
+    (["--period", "0.05"], "fewer than 16 rows"), (["--period", "1000"], "shorter than the recording"),  # noqa: E501
     (["--period", "1", "--window", "50,60"], "no row"), (["--window", "0,1"], "needs --period"),
 ])  # fmt: skip
 def test_a_period_fits_the_recording(options, part, loaded, tmp_path, capsys):
@@ -334,8 +334,8 @@ def test_pickled_objects_are_not_loaded(name, two_link, tmp_path):
 
 
 @pytest.mark.parametrize(("shape", "kind"), [
-    ("(10000000000000,)", "<f8"), ("(-400,)", "<f8"), ("(400, 2, 9999999)", "<f8"), ("(99999999999999999999999,)", "<f8"),
-    ("()", "<f8"), ("(400,)", "<U1000000000"), ("(True,)", "<f8"), ("400", "<f8"), ("(400,)", "what"),
+    ("(10000000000000,)", "<f8"), ("(-400,)", "<f8"), ("(400, 2, 9999999)", "<f8"), ("(99999999999999999999999,)", "<f8"),  # noqa: E501
+    ("()", "<f8"), ("(400,)", "<U1000000000"), ("(True,)", "<f8"), ("400", "<f8"), ("(400,)", "what"),  # noqa: E501
 ])  # fmt: skip
 @pytest.mark.parametrize("name", ["t", "joints"])
 def test_headers_that_ask_for_more_than_is_there_are_refused(name, shape, kind, two_link, tmp_path):
@@ -349,8 +349,8 @@ def test_headers_that_ask_for_more_than_is_there_are_refused(name, shape, kind, 
 @pytest.mark.parametrize("content", [
     b"", b"PK\x03\x04", archive(**whole())[:500], archive(**whole())[:-30], archive(**whole())[30:],
     archive(**whole()).replace(b"NUMPY", b"NUMPX"), archive(**{**whole(), "t": np.array([])}),
-    archive(**{key: value for key, value in whole().items() if key != "joints"}), archive(x=np.zeros(3)),
-    archive(**{**whole(), "q": whole()["q"].astype("U8")}), archive(**{**whole(), "joints": np.array([1, 2])}),
+    archive(**{key: value for key, value in whole().items() if key != "joints"}), archive(x=np.zeros(3)),  # noqa: E501
+    archive(**{**whole(), "q": whole()["q"].astype("U8")}), archive(**{**whole(), "joints": np.array([1, 2])}),  # noqa: E501
 ])  # fmt: skip
 def test_damaged_archives_are_refused(content, two_link, tmp_path):
     with pytest.raises(UnusableInput) as caught:

@@ -126,7 +126,7 @@ def test_closed_loops_name_a_joint_and_the_links_it_connects(path):
 
 
 @pytest.mark.parametrize(("encoding", "mark"), [
-    ("ISO-8859-1", b""), ("windows-1252", b""), ("shift_jis", b""), ("UTF-8", b""), ("UTF-8", codecs.BOM_UTF8),
+    ("ISO-8859-1", b""), ("windows-1252", b""), ("shift_jis", b""), ("UTF-8", b""), ("UTF-8", codecs.BOM_UTF8),  # noqa: E501
     ("UTF-16", codecs.BOM_UTF16_LE), ("UTF-16", codecs.BOM_UTF16_BE),
 ])  # fmt: skip
 def test_a_declared_encoding_is_read_as_declared(encoding, mark, tmp_path):
@@ -146,7 +146,7 @@ def _nominal(robot):
 
 
 @pytest.mark.parametrize(("content", "parts"), [
-    (pendulum().replace("swing", "Gerät").encode("latin-1"), ["line 4", "UTF-8", "declare its encoding"]),
+    (pendulum().replace("swing", "Gerät").encode("latin-1"), ["line 4", "UTF-8", "declare its encoding"]),  # noqa: E501
     (b'<?xml version="1.0" encoding="hex"?>' + pendulum().encode(), ["'hex'", "UTF-8"]),
     (b'<?xml version="1.0" encoding="utf-16"?>' + pendulum().encode(), []),
     (b"\x00" * 200, ["not a URDF"]),
@@ -154,7 +154,7 @@ def _nominal(robot):
     (b"\xff\xfe", ["valid XML"]),
     ((b"<robot>" + b"<a>" * 5000), ["nested"]),
     (b"<robot name='r'><link name='a'/>" + b" " * (17 << 20) + b"</robot>", ["MB"]),
-    (document(link("base"), link("arm", 2.0), joint("a&#10;b", "base", "arm")).encode(), ["joint 'a\\nb'", "U+000A"]),
+    (document(link("base"), link("arm", 2.0), joint("a&#10;b", "base", "arm")).encode(), ["joint 'a\\nb'", "U+000A"]),  # noqa: E501
     (document(link("base"), link(" ", 2.0), joint("a", "base", " ")).encode(), ["empty name"]),
 ])  # fmt: skip
 def test_what_is_no_readable_xml_is_refused(content, parts, tmp_path):
@@ -201,14 +201,14 @@ def test_a_name_too_long_for_the_file_system_names_no_file(name, capsys):
 
 RICH = text_of("two_link").replace(
     '<limit lower="-2.6" upper="2.6" velocity="4" effort="20"/>',
-    '<limit lower="-2.6" upper="2.6" velocity="4" effort="20"/><dynamics damping="0.1" friction="0.2"/>'
-    '<mimic joint="joint_1" multiplier="0.5" offset="0.1"/><excite rotor_inertia="0.01" offset="0.1"/>',
+    '<limit lower="-2.6" upper="2.6" velocity="4" effort="20"/><dynamics damping="0.1" friction="0.2"/>'  # noqa: E501
+    '<mimic joint="joint_1" multiplier="0.5" offset="0.1"/><excite rotor_inertia="0.01" offset="0.1"/>',  # noqa: E501
 )
 """A URDF that has every numeric attribute that is read."""
 NUMERIC = {
-    "limit": ("lower", "upper", "velocity", "effort"), "dynamics": ("damping", "friction"), "mimic": ("multiplier", "offset"),
-    "excite": ("rotor_inertia", "offset"), "origin": ("xyz", "rpy"), "axis": ("xyz",), "mass": ("value",),
-    "inertia": ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "cylinder": ("radius", "length"), "box": ("size",), "sphere": ("radius",),
+    "limit": ("lower", "upper", "velocity", "effort"), "dynamics": ("damping", "friction"), "mimic": ("multiplier", "offset"),  # noqa: E501
+    "excite": ("rotor_inertia", "offset"), "origin": ("xyz", "rpy"), "axis": ("xyz",), "mass": ("value",),  # noqa: E501
+    "inertia": ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "cylinder": ("radius", "length"), "box": ("size",), "sphere": ("radius",),  # noqa: E501
     "mesh": ("scale",),
 }  # fmt: skip
 SHAPES = '<box size="1 1 1"/>', '<sphere radius="1"/>'
@@ -243,7 +243,7 @@ def test_every_numeric_attribute_has_a_range(number, key, tmp_path):
 def test_sizes_of_shapes_are_lengths(solid, tmp_path):
     count = 3 if "box" in solid else 1
     for value in ("nan", "1e300", "-1", "0", "1e-300", "", "wide", "1 2"):
-        geometry = f"<collision><geometry>{solid.format(' '.join([value] * count))}</geometry></collision></link>"
+        geometry = f"<collision><geometry>{solid.format(' '.join([value] * count))}</geometry></collision></link>"  # noqa: E501
         refused(
             written(tmp_path, pendulum().replace("</link>", geometry, 1)),
             "link 'arm'",
@@ -252,7 +252,7 @@ def test_sizes_of_shapes_are_lengths(solid, tmp_path):
 
 
 @pytest.mark.parametrize("inside", [
-    '<limit lower="-1e16" upper="1e16" velocity="3" effort="40"/>', '<limit velocity="3" effort="40"/>', LIMIT,
+    '<limit lower="-1e16" upper="1e16" velocity="3" effort="40"/>', '<limit velocity="3" effort="40"/>', LIMIT,  # noqa: E501
 ])  # fmt: skip
 def test_position_limits_of_a_continuous_joint_are_not_looked_at(inside, tmp_path):
     assert load(str(written(tmp_path, pendulum(inside, "continuous")))).n == 1

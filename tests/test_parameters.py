@@ -322,7 +322,7 @@ def test_a_repair_does_not_change_the_nominal_torque():
 
 
 def test_a_robot_without_any_mass_but_with_inertia_still_has_a_metric():
-    arm = '<link name="arm"><inertial><mass value="0"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    arm = '<link name="arm"><inertial><mass value="0"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'  # noqa: E501
     machine = loaded(pendulum(body=arm))
     with pytest.warns(ExciteWarning, match="arm"):
         found = inertial_parameters.standard(machine, resolve(machine))

@@ -197,7 +197,7 @@ def test_torque_of_some_joints_and_current_of_others(two_link, tmp_path):
     columns["i.joint_2"] = columns.pop("tau.joint_2")
     path = write_columns(tmp_path / "r.csv", columns)
     (tmp_path / "r.json").write_text(
-        '{"schema": "excite.recording/1", "drive_gain": {"joint_2": -2.5}, "period": 2, "motor_side": true}'
+        '{"schema": "excite.recording/1", "drive_gain": {"joint_2": -2.5}, "period": 2, "motor_side": true}'  # noqa: E501
     )
     found = recordings.read(path, two_link)
     assert (

@@ -58,7 +58,7 @@ def run(command: Callable[[], int], argv: Sequence[str], *, owns_process: bool) 
             code, message = _outcome(command, argv)
             if message:
                 say(
-                    f"excite: {message}{f'; files that were written before: {paths}' if (paths := written()) else ''}"
+                    f"excite: {message}{f'; files that were written before: {paths}' if (paths := written()) else ''}"  # noqa: E501
                 )
         except KeyboardInterrupt as interruption:
             say(interrupted(str(interruption) or "interrupted"))
@@ -87,7 +87,7 @@ def _unforeseen(error: Exception, argv: Sequence[str]) -> str:
         log = write_error_log(error, argv)
     place = "no log of it could be written" if log is None else f"its log is {log}"
     if isinstance(error, MemoryError):
-        return f"out of memory ({_one_line(error) or 'no details'}); use fewer samples, harmonics or joints; {place}"
+        return f"out of memory ({_one_line(error) or 'no details'}); use fewer samples, harmonics or joints; {place}"  # noqa: E501
     return (
         f"unforeseen error, please report it: {type(error).__name__}: {_one_line(error)}; {place}"
     )

@@ -94,7 +94,7 @@ class IdentificationResult:
     def __repr__(self) -> str:
         found = self.identification
         known, count = found.analysis.identifiable_count, found.model.base.count
-        return f"<IdentificationResult {found.model.robot.name}: {known} of {count} directions identified>"
+        return f"<IdentificationResult {found.model.robot.name}: {known} of {count} directions identified>"  # noqa: E501
 
 
 @dataclass(frozen=True)

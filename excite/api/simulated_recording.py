@@ -78,7 +78,7 @@ class SimulatedRecording:
 
     def __repr__(self) -> str:
         hidden = ", ".join(effect.name for effect in self.effects) or "nothing hidden"
-        return f"<SimulatedRecording of {len(self.joints)} joints, {len(self.recording.t)} rows: {hidden}>"
+        return f"<SimulatedRecording of {len(self.joints)} joints, {len(self.recording.t)} rows: {hidden}>"  # noqa: E501
 
 
 def checked_path(path: str | Path) -> Path:

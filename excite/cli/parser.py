@@ -40,7 +40,7 @@ RECORDINGS = """recordings:
 examples:
   excite identify ur10e monday.csv --validate tuesday.csv -o out/model
   excite identify arm.urdf a.csv b.csv --validate c.csv --period 8 --bounds masses.toml --check-lmi -o out/model
-"""
+"""  # noqa: E501
 
 
 class _Parser(argparse.ArgumentParser):
@@ -84,7 +84,7 @@ def parser() -> argparse.ArgumentParser:
     """The whole command line."""
     top = _Parser(
         prog="excite",
-        description="Excitation trajectories for robots, and physically consistent parameters from what was recorded.",
+        description="Excitation trajectories for robots, and physically consistent parameters from what was recorded.",  # noqa: E501
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -297,7 +297,7 @@ def _design(commands: Commands) -> None:
         "--margin",
         type=Number(Range(0.0, 0.99, "1")),
         metavar="F",
-        help="share of velocity, acceleration, jerk and torque limits to keep free (default: the limits file's [margin], or 0.02)",
+        help="share of velocity, acceleration, jerk and torque limits to keep free (default: the limits file's [margin], or 0.02)",  # noqa: E501
     )
     group.add_argument(
         "--uncertainty",
@@ -355,13 +355,13 @@ def _surroundings(sub: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--scene",
         metavar="FILE",
-        help="TOML: boxes, spheres, capsules, cylinders and meshes around the robot or on its links",
+        help="TOML: boxes, spheres, capsules, cylinders and meshes around the robot or on its links",  # noqa: E501
     )
     group.add_argument(
         "--floor",
         type=Number(ranges.LENGTH),
         metavar="Z",
-        help="height in the base frame [m] (default: 0, or the lowest point of the links that do not move)",
+        help="height in the base frame [m] (default: 0, or the lowest point of the links that do not move)",  # noqa: E501
     )
     group.add_argument("--no-floor", action="store_true", help="there is none")
     group.add_argument(
@@ -530,7 +530,7 @@ def _identify(commands: Commands) -> None:
         "--estimator",
         choices=("ols", "wls", "full", "huber", "iv"),
         default="wls",
-        help="all rows alike; weighted by each joint's noise; by its covariance; robust to outliers; instruments (default %(default)s)",
+        help="all rows alike; weighted by each joint's noise; by its covariance; robust to outliers; instruments (default %(default)s)",  # noqa: E501
     )
     group.add_argument(
         "--distance",
@@ -543,7 +543,7 @@ def _identify(commands: Commands) -> None:
         type=WordOrNumbers(("evidence", "heldout"), Numbers(VARIANCE, (1, 2))),
         default="evidence",
         metavar="G",
-        help="weight of the nominal robot: evidence, heldout (blocks left out), a number, or two for bodies,drives (default %(default)s)",
+        help="weight of the nominal robot: evidence, heldout (blocks left out), a number, or two for bodies,drives (default %(default)s)",  # noqa: E501
     )
     group.add_argument(
         "--hausman",

@@ -22,7 +22,7 @@ class MissingMesh(UnusableInput):
 
     def __init__(self, source: str, link: str, mesh: str) -> None:
         self.mesh = mesh
-        remedy = "say where its package is with --packages DIR or in ROS_PACKAGE_PATH, or design with --no-collision"
+        remedy = "say where its package is with --packages DIR or in ROS_PACKAGE_PATH, or design with --no-collision"  # noqa: E501
         super().__init__(f"{source}: link '{link}': its mesh {mesh} is not found; {remedy}")
 
 

@@ -82,7 +82,7 @@ def write_goal(job: Job) -> Written:
     late by 2 s."""
     late = _stamp(round(GOAL_TIME_TOLERANCE * NANO))
     return Written(
-        f'{{"trajectory": {_trajectory(job)},\n"path_tolerance": [], "goal_tolerance": [], "goal_time_tolerance": {late}}}\n'
+        f'{{"trajectory": {_trajectory(job)},\n"path_tolerance": [], "goal_tolerance": [], "goal_time_tolerance": {late}}}\n'  # noqa: E501
     )
 
 

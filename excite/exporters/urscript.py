@@ -65,7 +65,7 @@ _FUNCTIONS = f"""\
     end
     origin = origin + duration
   end
-"""
+"""  # noqa: E501
 
 
 def _vector(values: Iterable[float]) -> str:
@@ -113,7 +113,7 @@ def _run(motion: Motion) -> Iterator[str]:
             yield f"  series({fixed(segment.start, None)}, {fixed(segment.end, None)})"
             continue
         p = segment.profile
-        yield f"  enter({fixed(segment.start, None)}, {_vector(p.position)}, {_vector(p.velocity)}, {_vector(p.acceleration)})"
+        yield f"  enter({fixed(segment.start, None)}, {_vector(p.position)}, {_vector(p.velocity)}, {_vector(p.acceleration)})"  # noqa: E501
         for duration, jerk in _pieces(p, segment.end - segment.start):
             yield f"  piece({fixed(duration, None)}, {_vector(jerk)})"
 

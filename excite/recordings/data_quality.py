@@ -105,7 +105,7 @@ def _steadied(block: Block, clock: Clock) -> tuple[Block, list[Remark]]:
         name: found.taken(value) if name in ENCODERS else value
         for name, value in block.values.items()
     }
-    text = f"positions of all joints were read {1e3 * found.rms:.2g} ms (rms) off their stamps; where they were at the stamps is estimated"
+    text = f"positions of all joints were read {1e3 * found.rms:.2g} ms (rms) off their stamps; where they were at the stamps is estimated"  # noqa: E501
     return Block(block.t, values, block.remarks), [Remark(Kind.WAVER, text, repaired=True)]
 
 

@@ -60,4 +60,4 @@ def _first_beyond(values: Array, largest: float) -> tuple[int, int] | None:
 
 
 def _words(source: str, column: str, row: int, value: float, largest: float) -> str:
-    return f"{source}: row {row}, column {column}: {value:g} is beyond ±{largest:g}, no measurement; correct the cell or leave it empty"
+    return f"{source}: row {row}, column {column}: {value:g} is beyond ±{largest:g}, no measurement; correct the cell or leave it empty"  # noqa: E501

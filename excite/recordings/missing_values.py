@@ -81,6 +81,6 @@ def _remark(name: str, joint: str, t: Array, bad: Array, long: Array) -> Remark:
     if (bad & ~long).any():
         text += f", {int((bad & ~long).sum())} interpolated"
     if long.any():
-        text += f", {int(long.sum())} in longer runs {'dropped with their rows' if name in NEEDED else 'left out'}"
+        text += f", {int(long.sum())} in longer runs {'dropped with their rows' if name in NEEDED else 'left out'}"  # noqa: E501
     where = np.flatnonzero(bad)[[0, -1]]
     return Remark(Kind.MISSING, text, joint, float(t[where[0]]), float(t[where[1]]), repaired=True)

@@ -143,7 +143,7 @@ class Recording:
         if joint not in self.sidecar.drive_gain:
             raise UnusableInput(
                 f"{self.source}: joint '{joint}' has a current but no drive gain; put "
-                f'"drive_gain": {{"{joint}": N m/A}} into the .json beside the recording ("schema": "excite.recording/1")'
+                f'"drive_gain": {{"{joint}": N m/A}} into the .json beside the recording ("schema": "excite.recording/1")'  # noqa: E501
             )
         return self.sidecar.drive_gain[joint]
 

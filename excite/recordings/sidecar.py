@@ -71,7 +71,7 @@ def read(recording: Path, robot: Robot) -> Sidecar:
         return Sidecar()
     if schema != SCHEMA:
         raise UnusableInput(
-            f'{path}: should hold "schema": "{SCHEMA}" to describe {recording.name}; add it, or move the file away'
+            f'{path}: should hold "schema": "{SCHEMA}" to describe {recording.name}; add it, or move the file away'  # noqa: E501
         )
     document = file.converted(content, SidecarDocument)
     joints = {*robot.joints, *robot.mimics, *robot.options["locked"]}  # type: ignore[misc]

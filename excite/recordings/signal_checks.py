@@ -95,7 +95,7 @@ def outside(block: Block, robot: Robot, i: int, limits: Limits | None) -> Remark
     if beyond.max() <= 0.01 * (upper - lower):
         return None
     at = int(np.argmax(beyond))
-    text = f"joint '{robot.joints[i]}' is at {q[at]:.4g}, outside its limits [{lower:.4g}, {upper:.4g}]"
+    text = f"joint '{robot.joints[i]}' is at {q[at]:.4g}, outside its limits [{lower:.4g}, {upper:.4g}]"  # noqa: E501
     return Remark(Kind.OUTSIDE, text, robot.joints[i], float(block.t[at]), float(block.t[at]))
 
 
@@ -171,6 +171,6 @@ def clipped(block: Block, robot: Robot, i: int, name: str) -> Remark | None:
         flat = runs(values == distinct[at])
         if (flat[:, 1] - flat[:, 0]).max() >= FLAT:
             start, end = float(block.t[flat[0, 0]]), float(block.t[flat[-1, 1] - 1])
-            text = f"joint '{robot.joints[i]}': {name} is clipped at {distinct[at]:.5g} in {counts[at]} rows"
+            text = f"joint '{robot.joints[i]}': {name} is clipped at {distinct[at]:.5g} in {counts[at]} rows"  # noqa: E501
             return Remark(Kind.CLIPPED, text, robot.joints[i], start, end)
     return None

@@ -155,7 +155,7 @@ def even(block: Block, clock: Clock) -> tuple[Block, list[Remark]]:
     if not len(uneven):
         return block, remarks
     lost = int(np.round(steps.sum() / clock.step)) - len(steps)
-    text = f"time steps from {steps.min():.4g} to {steps.max():.4g} s are put on an even grid of {clock.step:.6g} s by interpolation"
+    text = f"time steps from {steps.min():.4g} to {steps.max():.4g} s are put on an even grid of {clock.step:.6g} s by interpolation"  # noqa: E501
     where = block.t[:-1][np.diff(block.t) <= (GAP + 0.5) * clock.step][uneven[[0, -1]]]
     text += f"; {lost} missing rows are filled" if lost > 0 else ""
     remarks.append(
@@ -173,7 +173,7 @@ def _gaps(t: Array, runs: list[slice]) -> list[Remark]:
     starts, ends = t[[run.stop - 1 for run in runs[:-1]]], t[[run.start for run in runs[1:]]]
     longest = int(np.argmax(ends - starts))
     number = "1 gap" if len(starts) == 1 else f"{len(starts)} gaps"
-    text = f"{number} of more than {GAP} rows, the longest {ends[longest] - starts[longest]:.4g} s, split the recording"
+    text = f"{number} of more than {GAP} rows, the longest {ends[longest] - starts[longest]:.4g} s, split the recording"  # noqa: E501
     return [
         Remark(
             Kind.GAP, text, start=float(starts[longest]), end=float(ends[longest]), repaired=True

@@ -63,7 +63,7 @@ def check_positions(source: str, block: Block, robot: Robot, limits: Limits | No
     if not len(far):
         return
     i = far[0]
-    said = f"{source}: joint '{robot.joints[i]}' reaches {largest[i]:.4g}, far beyond {bounds[i]:.4g} {'rad' if turning[i] else 'm'}"
+    said = f"{source}: joint '{robot.joints[i]}' reaches {largest[i]:.4g}, far beyond {bounds[i]:.4g} {'rad' if turning[i] else 'm'}"  # noqa: E501
     if turning[i] and (np.deg2rad(largest) <= SLACK * bounds)[turning].all():
         raise UnusableInput(f"{said}; its positions are in degrees, convert them to rad")
     if not turning[i] and largest[i] / 1000.0 <= SLACK * bounds[i]:

@@ -182,7 +182,7 @@ def standard(robot: Robot, limits: Limits, drive: Iterable[str] = DRIVE) -> Para
     roots = [inverse_root(phi) for phi, _ in proper]
     repaired = [link for link, (_, changed) in zip(robot.links, proper, strict=True) if changed]
     if repaired:
-        text = f"{robot.source}: no proper body in link(s) {', '.join(repaired)} (massless or singular inertia); the metric uses a substitute"
+        text = f"{robot.source}: no proper body in link(s) {', '.join(repaired)} (massless or singular inertia); the metric uses a substitute"  # noqa: E501
         warnings.warn(text, ExciteWarning, stacklevel=2)
     nominal, scale = _drive_values(robot, limits, [phi for phi, _ in proper])
     size = 10 * len(bodies)

@@ -359,8 +359,8 @@ def _plain_joint(source: str, element: ElementTree.Element, links: set[str]) -> 
     unit = [value / length for value in axis] if length else [1.0, 0.0, 0.0]
     kind = "revolute" if kind == "continuous" else kind
     return (
-        f'<joint name="{_escape(name)}" type="{kind}">{ends[0]}{ends[1]}{_origin(source, owner, element)}'
-        f'<axis xyz="{_words(unit)}"/><limit lower="-1e9" upper="1e9" velocity="1e9" effort="1e9"/></joint>'
+        f'<joint name="{_escape(name)}" type="{kind}">{ends[0]}{ends[1]}{_origin(source, owner, element)}'  # noqa: E501
+        f'<axis xyz="{_words(unit)}"/><limit lower="-1e9" upper="1e9" velocity="1e9" effort="1e9"/></joint>'  # noqa: E501
     )
 
 

@@ -10,11 +10,15 @@ from typing import Any
 
 import numpy as np
 
+from ._system.text import displayable
+
 
 def plain(value: Any) -> Any:
     """A value as strict JSON holds it: arrays as lists, what is not finite as null."""
+    if isinstance(value, str):  # lone surrogates: names of files that are not UTF-8
+        return displayable(value)
     if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
+        return {plain(str(k)): plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain(v) for v in value]
     if isinstance(value, np.ndarray):

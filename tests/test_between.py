@@ -137,7 +137,8 @@ def test_another_day_does_not_excuse_what_has_no_name() -> None:
     assert one.has_unmodelled_torque[1] and len(one.changes) == 2
     regimes = {u["joint"]: u["where"] for u in document(one)["unknown"]}
     assert (
-        regimes["joint_2"]["regime"] != "recording" and "besides" in regimes["joint_2"]["statement"]
+        regimes["joint_2"]["regime"] != "recording"
+        and "in addition" in regimes["joint_2"]["statement"]
     )
     assert "No effect is missing" not in diagnosis_page(
         one, document(one), residual_atlas.compute_atlas(one)

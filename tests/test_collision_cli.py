@@ -27,15 +27,18 @@ FAST = [
     "4",
 ]
 SCENES = {
-    "negative size": ('[[box]]\nname = "b"\nsize = [1, -1, 1]', "'b': its size"),
-    "two numbers": ("[[sphere]]\nradius = 0.1\nposition = [1, 2]", "position should be 3"),
-    "no radius": ('[[sphere]]\nname = "s"', "'s': radius"),
+    "negative size": ('[[box]]\nname = "b"\nsize = [1, -1, 1]', "box[0].size[1]: -1 should be"),
+    "two numbers": (
+        "[[sphere]]\nradius = 0.1\nposition = [1, 2]",
+        "position: should hold 3 values",
+    ),
+    "no radius": ('[[sphere]]\nname = "s"', "has no 'radius'"),
     "not finite": ("[[sphere]]\nradius = inf", "finite"),
     "unknown kind": ("[[cone]]\nradius = 1", "'cone'"),
     "unknown key": ('[[box]]\nname = "b"\nsize = [1, 1, 1]\ncolour = "red"', "'colour'"),
     "same name": (
         '[[box]]\nname = "b"\nsize = [1, 1, 1]\n[[box]]\nname = "b"\nsize = [1, 1, 1]',
-        "two shapes",
+        "'b' is the name of another shape too",
     ),
     "missing mesh": ('[[mesh]]\nname = "m"\nfile = "nowhere.stl"', "nowhere.stl"),
     "unknown link": ('[[box]]\nsize = [0.1, 0.1, 0.1]\nlink = "hand"', "no frame 'hand'"),

@@ -175,13 +175,13 @@ def test_names_that_are_not_utf_8(tmp_path: Path) -> None:
 
 FAULT = """
 import sys
-from excite.cli import commands
+from excite.cli import robots as command
 from excite.cli.main import main
 
 def robots(arguments):
     {fault}
 
-commands.robots = robots
+command.run = robots
 sys.exit(main(["robots"]))
 """
 

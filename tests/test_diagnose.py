@@ -333,7 +333,7 @@ def test_the_catalogue_is_the_contracts():
     assert sorted(EFFECTS_BY_NAME) == sorted(EFFECT_NAMES) and len(EFFECTS) == len(EFFECT_NAMES)
     for effect in EFFECTS:
         assert effect.units and effect.signature and effect.experiment and effect.equation
-        assert set(effect.are_confusable) <= set(EFFECT_NAMES)
+        assert set(effect.similar) <= set(EFFECT_NAMES)
 
 
 def test_every_shape_gives_finite_columns_and_named_parameters(subject):

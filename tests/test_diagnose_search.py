@@ -40,7 +40,7 @@ class Upright(types.SimpleNamespace):
 
     def __init__(self) -> None:
         model = pin.Model()
-        super().__init__(body=types.SimpleNamespace(model=model))
+        super().__init__(fitted_robot=types.SimpleNamespace(model=model))
 
 
 def test_the_gain_is_the_quotient_of_marginal_likelihoods():
@@ -184,7 +184,7 @@ def test_a_reversal_that_falls_on_a_sample_may_have_either_sign():
             lowpass=lambda x: x,
         )
         track.fitted_robot = types.SimpleNamespace(
-            drive=lambda name: {"coulomb": np.array([3.0])}[name]
+            actuator_parameter=lambda name: {"coulomb": np.array([3.0])}[name]
         )
         return np.asarray(noise._reversal_error(track))[:, 0]
 

@@ -653,7 +653,7 @@ def test_a_mutated_prior_is_read_or_refused(two_link, table, tmp_path_factory, t
     path = tmp_path_factory.getbasetemp() / "p.json"
 
     def use(path: Path) -> None:
-        known = prior.trusted(path, two_link, standard)
+        known = prior.read_trusted_parameters(path, two_link, standard)
         assert np.isfinite(list(known.values())).all()
 
     tried(text, path, use)
@@ -727,7 +727,7 @@ def tracks() -> list[recorded_motion.RecordedMotion]:
     )
     body = recorded_motion.fitted_robot(subject.robot, subject.parameters, done.psi)
     theta = subject.base.matrix @ done.psi
-    pieces = list(segments.pieces([recording], average=False))
+    pieces = list(segments.extract_segments([recording], average=False))
     return recorded_motion.recorded_motions(done.model, body, theta, pieces, 20.0)
 
 

@@ -166,7 +166,10 @@ def test_noise_in_a_column_of_measured_torque_is_no_saturation():
 
     def found(slope: float) -> list[bool]:
         shape = CandidateModel(
-            "torque_saturation", 0, unexpected_columns, noisy=lambda c: abs(float(c[0])) * slope
+            "torque_saturation",
+            0,
+            unexpected_columns,
+            column_noise=lambda c: abs(float(c[0])) * slope,
         )
         one = search.design(
             (halves[0], halves[1]),

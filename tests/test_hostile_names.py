@@ -239,7 +239,7 @@ def test_a_joint_name_with_a_line_break_is_refused_before_anything_is_written(tm
 
 def test_names_that_look_like_numbers_survive_a_figure(folder):
     """The SVG is made smaller by rounding its numbers, not its texts."""
-    from excite.report.figures.drawing import render
+    from excite.report.figures.drawing import render_svg as render
 
     name = "joint 1.23456 font-family: x xlink:href"
 

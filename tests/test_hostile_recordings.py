@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recording_fixtures import assert_refused, two_joint_motion, write_columns
 from shared_inputs import INPUTS, needs_inputs
-from written import motion, refused, write
 
 from excite import recordings
 from excite.cli import main as cli
@@ -34,7 +34,7 @@ def written(path: Path, content: bytes) -> Path:
 
 
 def csv(columns: dict[str, Array] | None = None) -> bytes:
-    columns = columns or motion()
+    columns = columns or two_joint_motion()
     lines = [",".join(columns)]
     lines += [
         ",".join(repr(float(values[k])) for values in columns.values())
@@ -109,34 +109,38 @@ def test_a_clean_recording_is_not_doubted(name, two_link):
 def test_a_number_that_no_measurement_has_is_named_by_column_and_row(
     column, value, two_link, tmp_path
 ):
-    columns = motion()
+    columns = two_joint_motion()
     columns[column][[17, 30]] = value
-    refused(
-        write(tmp_path / "r.csv", columns), two_link, "row 19", f"column {column}", f"{value:g}"
+    assert_refused(
+        write_columns(tmp_path / "r.csv", columns),
+        two_link,
+        "row 19",
+        f"column {column}",
+        f"{value:g}",  # noqa: E501
     )
 
 
 @pytest.mark.parametrize(("value", "part"), [(1e25, "row 9, column t"), (1e308, "row 9, column t")])
 def test_a_time_that_no_clock_has_is_named_by_row(value, part, two_link, tmp_path):
-    columns = motion()
+    columns = two_joint_motion()
     columns["t"][7] = value
-    refused(write(tmp_path / "r.csv", columns), two_link, part)
+    assert_refused(write_columns(tmp_path / "r.csv", columns), two_link, part)
 
 
 @pytest.mark.parametrize(("factor", "part"), [
     (1e-12, "more than a million rows a second"), (1e3, "is time in ms"), (0.0, "rows"), (-1.0, "rows"), (1e30, "column t"),  # noqa: E501
 ])  # fmt: skip
 def test_clocks_in_other_units_are_told(factor, part, two_link, tmp_path):
-    columns = motion()
+    columns = two_joint_motion()
     columns["t"] = columns["t"] * factor
     if factor == -1.0:  # backwards: rows are sorted, and all is well
         assert (
-            len(recordings.read(write(tmp_path / "r.csv", columns), two_link)) == 400
+            len(recordings.read(write_columns(tmp_path / "r.csv", columns), two_link)) == 400
             if _warned(ExciteWarning)
             else True
         )
         return
-    refused(write(tmp_path / "r.csv", columns), two_link, part)
+    assert_refused(write_columns(tmp_path / "r.csv", columns), two_link, part)
 
 
 def _warned(category: type[Warning]) -> bool:
@@ -173,7 +177,7 @@ ROWS = b"".join(b"%f,%f,%f\n" % (k / 100, k / 50, k / 70) for k in range(40))
     (b"", ["no column 't'"]),
 ])  # fmt: skip
 def test_texts_that_are_no_table_are_refused(content, parts, two_link, tmp_path):
-    refused(written(tmp_path / "r.csv", content), two_link, *parts)
+    assert_refused(written(tmp_path / "r.csv", content), two_link, *parts)
 
 
 @pytest.mark.parametrize("change", [
@@ -203,7 +207,7 @@ def test_places_that_hold_no_file_are_refused(kind, two_link, tmp_path):
 
 def doubted(columns: dict[str, Array], robot, folder: Path) -> tuple[list[str], list[Kind]]:
     """The warnings and the kinds of remarks that a torque gets besides those of its reading."""
-    found = recordings.read(write(folder / "r.csv", columns), robot)
+    found = recordings.read(write_columns(folder / "r.csv", columns), robot)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         checked = torque_check.checked(found, robot, resolve(robot))
@@ -218,7 +222,7 @@ def loaded(two_link) -> dict[str, Array]:
     from excite.robot import dynamics, inertial_parameters
     from excite.robot.samples import Samples
 
-    columns = motion()
+    columns = two_joint_motion()
     q, dq = (
         np.column_stack([columns[f"{kind}.joint_{k}"] for k in (1, 2)]) for kind in ("q", "dq")
     )
@@ -253,7 +257,7 @@ def test_a_wrong_torque_of_one_joint_is_doubted_there(
 def test_a_recording_without_any_torque_is_refused(value, word, loaded, two_link, tmp_path):
     for joint in ("joint_1", "joint_2"):
         loaded[f"tau.{joint}"] = np.full(400, value)
-    found = recordings.read(write(tmp_path / "r.csv", loaded), two_link)
+    found = recordings.read(write_columns(tmp_path / "r.csv", loaded), two_link)
     with pytest.raises(UnusableInput, match=f"every joint is {word} in all 400 rows"):
         torque_check.checked(found, two_link, resolve(two_link))
 
@@ -263,7 +267,7 @@ def test_a_recording_without_any_torque_is_refused(value, word, loaded, two_link
     (["--period", "1", "--window", "50,60"], "no row"), (["--window", "0,1"], "needs --period"),
 ])  # fmt: skip
 def test_a_period_fits_the_recording(options, part, loaded, tmp_path, capsys):
-    path = write(tmp_path / "r.csv", loaded)
+    path = write_columns(tmp_path / "r.csv", loaded)
     assert cli.main(["identify", "two_link", str(path), "-o", str(tmp_path / "out"), *options]) == 2
     err = capsys.readouterr().err
     assert part in err and not (tmp_path / "out").exists()
@@ -271,7 +275,7 @@ def test_a_period_fits_the_recording(options, part, loaded, tmp_path, capsys):
 
 @pytest.mark.parametrize("period", [0.02, 1e-3])
 def test_the_period_of_a_sidecar_has_rows(period, loaded, two_link, tmp_path):
-    path = write(tmp_path / "r.csv", loaded)
+    path = write_columns(tmp_path / "r.csv", loaded)
     path.with_suffix(".json").write_text(
         json.dumps({"schema": "excite.recording/1", "period": period})
     )
@@ -299,7 +303,7 @@ def archive(**arrays: Array) -> bytes:
 
 
 def whole() -> dict[str, Array]:
-    columns = motion()
+    columns = two_joint_motion()
     q = np.column_stack([columns["q.joint_1"], columns["q.joint_2"]])
     return {"t": columns["t"], "joints": np.array(["joint_1", "joint_2"]), "q": q, "tau": 0.1 * q}
 
@@ -329,7 +333,7 @@ def test_pickled_objects_are_not_loaded(name, two_link, tmp_path):
     content = member(
         name, described("(400,)" if name == "t" else "(400, 2)", "|O"), pickle.dumps(Mark(mark))
     )
-    refused(written(tmp_path / "r.npz", content), two_link, f"'{name}'", "Python objects")
+    assert_refused(written(tmp_path / "r.npz", content), two_link, f"'{name}'", "Python objects")
     assert not mark.exists()
 
 
@@ -339,7 +343,7 @@ def test_pickled_objects_are_not_loaded(name, two_link, tmp_path):
 ])  # fmt: skip
 @pytest.mark.parametrize("name", ["t", "joints"])
 def test_headers_that_ask_for_more_than_is_there_are_refused(name, shape, kind, two_link, tmp_path):
-    refused(
+    assert_refused(
         written(tmp_path / "r.npz", member(name, described(shape, kind), b"\x00" * 800)),
         two_link,
         "r.npz",
@@ -387,7 +391,7 @@ def bag(request, tmp_path_factory) -> dict[str, bytes]:
     types = store.types
     plugin = StoragePlugin.MCAP if request.param == "mcap" else StoragePlugin.SQLITE3
     folder = tmp_path_factory.mktemp("bag") / "run"
-    columns = motion(rows=100)
+    columns = two_joint_motion(rows=100)
     with Writer(folder, version=9, storage_plugin=plugin) as writer:
         topic = writer.add_connection(
             "/joint_states", "sensor_msgs/msg/JointState", typestore=store

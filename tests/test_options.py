@@ -17,6 +17,8 @@ TEXT = {
 }  # fmt: skip
 """Options and arguments whose text is a name, a path or a list of names."""
 POSITIONALS = {
+    "effects": [],
+    "formats": [],
     "robots": [],
     "design": ["two_link", "-o", "unused"],
     "verify": ["unused.json"],

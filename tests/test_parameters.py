@@ -286,7 +286,6 @@ def test_a_proper_body_is_left_alone(rng):
         link("hand"),
         link("hand", 1.0, tensor=np.zeros((3, 3))),
         link("hand", 1.0, (0.1, 0, 0), np.diag([0.0, 0.1, 0.1])),
-        link("hand", -1.0, tensor=0.1 * np.eye(3)),
     ],
 )
 def test_a_warning_names_the_link_that_was_repaired(sick):
@@ -321,9 +320,10 @@ def test_a_repair_does_not_change_the_nominal_torque():
     )
 
 
-def test_a_robot_without_any_mass_but_with_inertia_still_has_a_metric():
-    arm = '<link name="arm"><inertial><mass value="0"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'  # noqa: E501
-    machine = loaded(pendulum(body=arm))
-    with pytest.warns(ExciteWarning, match="arm"):
-        found = inertial_parameters.standard(machine, resolve(machine))
-    assert np.isfinite(found.scale).all()
+def test_inertia_without_mass_is_refused():
+    arm = (
+        '<link name="arm"><inertial><mass value="0"/>'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    )
+    with pytest.raises(UnusableInput, match="link 'arm' has an inertia but the mass 0"):
+        loaded(pendulum(body=arm))

@@ -12,7 +12,7 @@ from large_robots import tree_urdf
 from excite._system.resources import LONGEST, Cost, duration, machine_memory
 from excite.cli import main as cli
 from excite.designer import criteria, design_cost
-from excite.designer.problem import Options
+from excite.designer.options import DesignOptions
 from excite.errors import UnusableInput
 from excite.recordings import recording_cost
 from excite.robot import base_parameters, dynamics, inertial_parameters
@@ -39,7 +39,7 @@ def states(robot: Robot, count: int) -> Samples:
     {"samples": 200}, {"harmonics": 10}, {"starts": 40}, {"iterations": 50}, {"periods": 4},
 ])  # fmt: skip
 def test_an_estimate_grows_with_all_it_is_asked_to_do(change, two_link):
-    options = Options(starts=4, iterations=20)
+    options = DesignOptions(starts=4, iterations=20)
     before = design_cost.estimated(two_link, options)
     after = design_cost.estimated(two_link, dataclasses.replace(options, **change))
     assert after.seconds > before.seconds or after.memory > before.memory
@@ -48,20 +48,20 @@ def test_an_estimate_grows_with_all_it_is_asked_to_do(change, two_link):
 
 def test_an_estimate_grows_with_joints_faster_than_in_proportion(tmp_path):
     few, many = (load(str(tree(tmp_path, n, 5))) for n in (20, 60))
-    costs = [design_cost.estimated(robot, Options()) for robot in (few, many)]
+    costs = [design_cost.estimated(robot, DesignOptions()) for robot in (few, many)]
     assert costs[1].seconds > 5.0 * costs[0].seconds
     assert costs[1].memory > 2.0 * costs[0].memory
 
 
 def test_sixty_joints_are_not_too_many(tmp_path):
     lines: list[str] = []
-    design_cost.require(load(str(tree(tmp_path, 60, 5))), Options(), say=lines.append)
+    design_cost.require(load(str(tree(tmp_path, 60, 5))), DesignOptions(), say=lines.append)
     assert len(lines) == 1 and "60 joints" in lines[0] and "min and" in lines[0]
 
 
 def test_a_small_design_is_not_announced(two_link):
     lines: list[str] = []
-    design_cost.require(two_link, Options(), say=lines.append)
+    design_cost.require(two_link, DesignOptions(), say=lines.append)
     assert not lines
 
 
@@ -71,7 +71,7 @@ def test_what_takes_longer_than_a_day_is_refused_with_the_figure(tmp_path):
         UnusableInput,
         match=r"60 joints, 5 harmonics, 100 samples, 100000 starts: needs about .* days .*--joints",
     ):
-        design_cost.require(robot, Options(starts=100_000))
+        design_cost.require(robot, DesignOptions(starts=100_000))
 
 
 @pytest.mark.parametrize(("cost", "part"), [
@@ -158,8 +158,8 @@ def test_criteria_of_a_long_motion_are_those_of_its_parts(two_link):
     base = base_parameters.find(two_link, standard, table)
     Y = dynamics.regressor(two_link, standard, states(two_link, 300))
     noise = np.array([0.3, 0.1])
-    together = criteria.score(Y, base, noise)
-    parts = criteria.score(iter([Y[:7], Y[7:180], Y[180:]]), base, noise)
+    together = criteria.evaluate_criteria(Y, base, noise)
+    parts = criteria.evaluate_criteria(iter([Y[:7], Y[7:180], Y[180:]]), base, noise)
     for name in ("geometric", "plain"):
         assert parts[name] == pytest.approx(together[name], rel=1e-9)
     assert parts["cond_regressor"] == pytest.approx(together["cond_regressor"], rel=1e-9)

@@ -37,8 +37,8 @@ class Turning:
             np.full(3, 0.004),
         )
         self.samples = types.SimpleNamespace(dq=turns * speed, ddq=most * hastens)
-        self.fitted_robot = types.SimpleNamespace(drive=lambda kind: np.ones(3))
-        self.reversal_dwell: Array = vars(RecordedMotion)["stays"].found(self)
+        self.fitted_robot = types.SimpleNamespace(actuator_parameter=lambda kind: np.ones(3))
+        self.reversal_dwell: Array = vars(RecordedMotion)["reversal_dwell"].compute(self)
 
 
 def shapes(effect: str, tracks: Sequence[Any]) -> list[CandidateModel]:

@@ -14,6 +14,7 @@ from synthetic_recordings import (
     random_fourier,
     synthetic_recording,
     unexpected_columns,
+    validated,
 )
 from test_diagnose import on
 
@@ -84,9 +85,7 @@ def test_a_joint_that_creeps_as_it_turns_back_tells_how_high_stribecks_curve_is(
     assert told["amplitude"][0] == pytest.approx(HEIGHT, rel=0.05)
     assert told["velocity"][0] == pytest.approx(VELOCITY, rel=0.05)
     again = [
-        fitted_effects.restored(
-            fitted_effects.entry(part, subject.robot), subject.robot, "model.json"
-        )
+        fitted_effects.restored(validated(fitted_effects.entry(part, subject.robot)), subject.robot)
         for part in result.parts
     ]
     np.testing.assert_allclose(

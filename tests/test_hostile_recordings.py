@@ -98,7 +98,9 @@ def test_a_clean_recording_is_not_doubted(name, two_link):
     with warnings.catch_warnings():
         warnings.simplefilter("error", ExciteWarning)
         found = recordings.read(INPUTS / f"{name}.csv", two_link)
-        assert torque_check.checked(found, two_link, resolve(two_link)).remarks == found.remarks
+        assert (
+            torque_check.check_torque(found, two_link, resolve(two_link)).remarks == found.remarks
+        )
 
 
 # -- CSV -------------------------------------------------------------------------------------------
@@ -116,7 +118,7 @@ def test_a_number_that_no_measurement_has_is_named_by_column_and_row(
         two_link,
         "row 19",
         f"column {column}",
-        f"{value:g}",  # noqa: E501
+        f"{value:g}",
     )
 
 
@@ -210,7 +212,7 @@ def doubted(columns: dict[str, Array], robot, folder: Path) -> tuple[list[str], 
     found = recordings.read(write_columns(folder / "r.csv", columns), robot)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        checked = torque_check.checked(found, robot, resolve(robot))
+        checked = torque_check.check_torque(found, robot, resolve(robot))
     return [str(w.message) for w in caught], [
         remark.kind for remark in checked.remarks[len(found.remarks) :]
     ]
@@ -259,7 +261,7 @@ def test_a_recording_without_any_torque_is_refused(value, word, loaded, two_link
         loaded[f"tau.{joint}"] = np.full(400, value)
     found = recordings.read(write_columns(tmp_path / "r.csv", loaded), two_link)
     with pytest.raises(UnusableInput, match=f"every joint is {word} in all 400 rows"):
-        torque_check.checked(found, two_link, resolve(two_link))
+        torque_check.check_torque(found, two_link, resolve(two_link))
 
 
 @pytest.mark.parametrize(("options", "part"), [

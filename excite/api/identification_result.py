@@ -174,6 +174,8 @@ def with_period(
             f"--period {period:g}: should be shorter than the recording; {recording.source} is "
             f"{length:.6g} s long"
         )
+    stated_by = "--period" if window is None else "--period, --window"
+    recording.check_period(period, window, stated_by)
     sidecar = dataclasses.replace(recording.sidecar, period=period, periodic=window)
     return dataclasses.replace(recording, sidecar=sidecar)
 

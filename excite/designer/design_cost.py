@@ -101,6 +101,7 @@ def require(
             "one of them"
         )
     starts = "1 start" if options.starts == 1 else f"{options.starts} starts"
-    work = f"{robot.name}: {robot.n} joints, {options.harmonics} harmonics, {options.samples} samples, {starts}"  # noqa: E501
+    size = f"{robot.n} joints, {options.harmonics} harmonics, {options.samples} samples"
+    work = f"{robot.name}: {size}, {starts}"
     remedy = "move fewer joints (--joints), or use fewer --samples, --harmonics or --starts"
     estimated(robot, options).require(work, remedy, say)

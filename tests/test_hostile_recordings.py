@@ -68,7 +68,7 @@ def test_a_faulty_recording_is_refused_with_its_fault(name, parts, tmp_path, cap
 @needs_inputs
 @pytest.mark.parametrize(("name", "parts"), [
     ("r_tau_million", ["joint_1", "7.808e+05 times its limit 60", "joint_2", "3.711e+05 times its limit 20"]),  # noqa: E501
-    ("r_tau_flipped", ["joint_1", "correlated by -0.99", "joint_2", "correlated by -0.98", "sign"]),
+    ("r_tau_flipped", ["joint_1", "correlation of -0.99", "joint_2", "correlation of -0.98", "sign"]),
     ("r_tau1_zero", ["joint_1", "torque is 0 in all 6221 rows"]),
 ])  # fmt: skip
 def test_a_doubtful_torque_is_warned_of_with_the_figure_that_shows_it(
@@ -243,7 +243,7 @@ def test_torque_as_it_should_be_is_not_doubted(loaded, two_link, tmp_path):
 
 @pytest.mark.parametrize("joint", ["joint_1", "joint_2"])
 @pytest.mark.parametrize(("factor", "kinds", "part"), [
-    (-1.0, [Kind.INCONSISTENT], "correlated by -1.00"), (1e3, [Kind.UNIT], "times its limit"), (0.0, [Kind.FROZEN], "torque is 0 in all"),  # noqa: E501
+    (-1.0, [Kind.INCONSISTENT], "correlation of -1.00"), (1e3, [Kind.UNIT], "times its limit"), (0.0, [Kind.FROZEN], "torque is 0 in all"),  # noqa: E501
     (0.5, [], ""), (2.0, [], ""),
 ])  # fmt: skip
 def test_a_wrong_torque_of_one_joint_is_doubted_there(

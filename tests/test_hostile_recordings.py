@@ -68,7 +68,7 @@ def test_a_faulty_recording_is_refused_with_its_fault(name, parts, tmp_path, cap
 @needs_inputs
 @pytest.mark.parametrize(("name", "parts"), [
     ("r_tau_million", ["joint_1", "7.808e+05 times its limit 60", "joint_2", "3.711e+05 times its limit 20"]),  # noqa: E501
-    ("r_tau_flipped", ["joint_1", "correlation of -0.99", "joint_2", "correlation of -0.98", "sign"]),
+    ("r_tau_flipped", ["joint_1", "correlation of -0.99", "joint_2", "correlation of -0.98", "sign"]),  # noqa: E501
     ("r_tau1_zero", ["joint_1", "torque is 0 in all 6221 rows"]),
 ])  # fmt: skip
 def test_a_doubtful_torque_is_warned_of_with_the_figure_that_shows_it(

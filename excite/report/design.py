@@ -133,8 +133,8 @@ def design_page(
         subtitle="An excitation trajectory for identification: whether it may be run, what it will "
         "identify, and how it was found.",
         banners=[
+            _clearance_banner(trajectory),  # first: nothing unchecked follows a certificate
             _limits_banner(trajectory),
-            _clearance_banner(trajectory),
             _identifiability_banner(identifiability),
             *(Banner(text, "warn") for text in _warnings(subject)),
         ],

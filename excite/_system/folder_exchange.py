@@ -148,7 +148,7 @@ def _link_others(folder: Path, fresh: Path, names: frozenset[str]) -> None:
 
 
 def _holds_only(folder: Path, name: Path, names: frozenset[str]) -> bool:
-    """Whether a path is a folder that holds files of the set and nothing else."""
+    """Return whether a path is a folder that holds files of the set and nothing else."""
     path = folder / name
     if path.is_symlink() or not path.is_dir():
         return False

@@ -254,7 +254,7 @@ def _refusal(path: Path, reason: str, remedy: str) -> UnusableInput:
 
 
 def _special_file(status: os.stat_result) -> str | None:
-    """What a file is, in words, unless it is a regular file."""
+    """Return the kind of a file in words, None for a regular file."""
     if stat.S_ISREG(status.st_mode):
         return None
     return next(
@@ -271,8 +271,7 @@ def _is_same_file(one: Path, other: Path) -> bool:
 
 
 def _is_standard_stream(path: Path) -> bool:
-    """Whether a file is what standard output or standard error go to: it would be replaced under
-    their feet."""
+    """Return whether standard output or standard error go to a file: it must stay."""
     status = status_of(path)
     for handle in (1, 2):
         with contextlib.suppress(OSError):  # closed

@@ -106,7 +106,7 @@ class DesignResult:
 
     @property
     def ok(self) -> bool:
-        """Whether every certificate holds."""
+        """True if every certificate holds."""
         second = self.validation
         return self.delivery.certificate.ok and (second is None or second.delivery.certificate.ok)
 
@@ -135,7 +135,7 @@ class DesignResult:
 
     @cached_property
     def comparison(self) -> tuple[experiment_comparison.Scenario, ...]:
-        """What twice the time or twice the speed would buy."""
+        """Predicted gain of twice the time and of twice the speed."""
         trajectory, setting = self.trajectory, self.delivery.design.setup
         return compare_experiments(
             self.robot,

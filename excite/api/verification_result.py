@@ -41,7 +41,7 @@ class VerificationResult:
 
     @property
     def ok(self) -> bool:
-        """Whether nothing failed; the clearance may be unchecked."""
+        """True if nothing failed; the clearance may be unchecked."""
         return self.certificate.ok
 
     def text(self) -> str:
@@ -97,11 +97,8 @@ def verify(
     content = trajectory_file.read_trajectory(path)
     loaded = content.load_robot(None if robot is None else str(robot))
     file = None if limits is None else Path(limits)
-    folder = path.resolve().parent
-    truth = from_sources(loaded, content.limits, file, folder)
-    certificate = certificates.verify_file(
-        content, loaded, folder=folder, limits_file=file, packages=packages
-    )
+    truth = from_sources(loaded, content.limits, file, path.resolve().parent)
+    certificate = certificates.verify_with_cell_on_disk(content, loaded, truth, packages)
     return VerificationResult(certificate, content, loaded, truth)
 
 

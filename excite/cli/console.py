@@ -1,4 +1,4 @@
-"""What a command prints on standard error: progress, warnings, remarks."""
+"""Standard error of a command: progress, warnings, remarks."""
 
 from __future__ import annotations
 

@@ -1,21 +1,18 @@
-"""What the options of several commands mean: robots, limits, parameters and noise from the command
-line."""
+"""Options that several commands share: robot, limits, joint parameters and torque noise."""
 
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-from ..collision.workcell import NOT_CHECKED, Cell
+from ..api.robots import resolve_limits
 from ..errors import UnusableInput
 from ..robot import inertial_parameters
-from ..robot import limits as limit_tables
 from ..robot.limits import Limits
 from ..robot.robot import Payload, Robot, load
 
 
 def robot(arguments: argparse.Namespace) -> Robot:
-    """The robot that the options describe."""
+    """Load the robot that the options describe."""
     payload = None
     if arguments.payload:
         link, values = arguments.payload
@@ -29,33 +26,8 @@ def robot(arguments: argparse.Namespace) -> Robot:
 
 
 def limits(arguments: argparse.Namespace, machine: Robot) -> Limits:
-    """Its limits."""
-    return limit_tables.resolve(
-        machine,
-        Path(arguments.limits) if arguments.limits else None,
-        getattr(arguments, "margin", None),
-    )
-
-
-def cell(arguments: argparse.Namespace, machine: Robot, table: Limits) -> tuple[Cell | None, str]:
-    """What the robot must not touch, or None and why there is nothing to check."""
-    from ..collision import scene_file
-
-    if arguments.no_collision:
-        return None, f"{NOT_CHECKED} (--no-collision)"
-    around = scene_file.read(Path(arguments.scene)) if arguments.scene else scene_file.Scene()
-    around = around.overridden(
-        False if arguments.no_floor else arguments.floor, arguments.clearance
-    )
-    if arguments.srdf:
-        around = around.with_srdf(Path(arguments.srdf))
-    asked = bool(
-        arguments.scene
-        or arguments.srdf
-        or arguments.floor is not None
-        or arguments.clearance is not None
-    )
-    return scene_file.known(machine, table, around, arguments.packages, required=asked)
+    """Resolve the limits of a robot with the limits file and the margin of the options."""
+    return resolve_limits(machine, arguments.limits or None, getattr(arguments, "margin", None))
 
 
 def drive(arguments: argparse.Namespace) -> tuple[str, ...]:

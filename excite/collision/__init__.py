@@ -1,2 +1,2 @@
-"""What the robot may touch: shapes of its links and surroundings, distances for the optimiser, and
+"""Collision geometry: shapes of its links and surroundings, distances for the optimiser, and
 the certificate's own check."""

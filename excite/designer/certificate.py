@@ -334,15 +334,29 @@ def verify_file(
         UnusableInput: The limits file is missing or cannot be read.
     """
     truth = from_sources(robot, trajectory.limits, limits_file, folder)
+    return verify_with_cell_on_disk(trajectory, robot, truth, packages)
+
+
+def verify_with_cell_on_disk(
+    trajectory: Trajectory, robot: Robot, limits: Limits, packages: Sequence[str] = ()
+) -> Certificate:
+    """Verify a trajectory against given limits and its cell as it is on disk.
+
+    Args:
+        trajectory: The file's content.
+        robot: The robot of its URDF.
+        limits: Limits from their sources.
+        packages: Further folders of `package://` meshes.
+    """
     if CELL_KEY not in trajectory.design:
         return verify(
             trajectory,
             robot,
-            truth,
+            limits,
             unchecked_reason=f"{NOT_CHECKED}: the file states no shapes to keep clear of",
         )
-    cell, fault = scene_file.as_on_disk(robot, truth, trajectory.design[CELL_KEY], packages)
-    return verify(trajectory, robot, truth, cell, cell_fault=fault)
+    cell, fault = scene_file.as_on_disk(robot, limits, trajectory.design[CELL_KEY], packages)
+    return verify(trajectory, robot, limits, cell, cell_fault=fault)
 
 
 def limit_margins(trajectory: Trajectory, constraints: MotionConstraints) -> list[LimitMargin]:

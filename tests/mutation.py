@@ -791,6 +791,7 @@ def _not_finite(name: str, content: bytes) -> str:
             r"(?i)(?<![\w.$-])[-+]?(nan|inf(inity)?)(?![\w.-])", shown.partition("\n")[2]
         )
     elif name.endswith((".html", ".urdf", ".svg")):
+        shown = re.sub(r'\b(name|link|joint|filename)="[^"]*"', "", shown)  # may be called "inf"
         match = re.search(r"(?<=[>\s\"])[-+−]?(nan|inf)(?=[<\s\"%,])", shown)
     else:
         match = None

@@ -9,9 +9,14 @@ from .quantities import Angle, ClearanceDistance, FilePath, Length, MeshScale, N
 
 
 class _Placed(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    """The place of a shape: in the frame of `link`, or in the base frame.
+    """Name and place of a shape.
 
-    ignore: bodies that it may touch.
+    Attributes:
+        name: Name of the shape.
+        position: Origin of the shape [m].
+        rotation: Roll, pitch and yaw about the fixed axes [rad].
+        link: Link whose frame it is fixed in; None: the base frame.
+        ignore: Names of bodies that it may touch.
     """
 
     name: Name | None = None
@@ -33,7 +38,12 @@ class SphereEntry(_Placed, forbid_unknown_fields=True, kw_only=True):
 
 
 class CapsuleEntry(_Placed, forbid_unknown_fields=True, kw_only=True):
-    """A capsule along its z axis. length: between the centres of its ends."""
+    """A capsule along its z axis.
+
+    Attributes:
+        radius: Radius [m].
+        length: Distance between the centres of its ends [m].
+    """
 
     radius: Size
     length: Size
@@ -68,7 +78,12 @@ class BoxEntry(_Placed, forbid_unknown_fields=True, kw_only=True):
 
 
 class MeshEntry(_Placed, forbid_unknown_fields=True, kw_only=True):
-    """A mesh. file: relative to the scene file, or absolute."""
+    """A mesh.
+
+    Attributes:
+        file: Path, absolute or relative to the scene file.
+        scale: Factors along x, y and z.
+    """
 
     file: FilePath
     scale: tuple[MeshScale, MeshScale, MeshScale] = (MeshScale(1.0), MeshScale(1.0), MeshScale(1.0))
@@ -83,7 +98,12 @@ ShapeEntry = SphereEntry | CapsuleEntry | CylinderEntry | BoxEntry | MeshEntry
 
 
 class SceneFile(msgspec.Struct, forbid_unknown_fields=True):
-    """The whole file. floor: its height [m], or false for none."""
+    """The complete file.
+
+    Attributes:
+        floor: Height of the floor [m], or false for none.
+        clearance: Distance that bodies must keep [m].
+    """
 
     sphere: list[SphereEntry] = []
     capsule: list[CapsuleEntry] = []

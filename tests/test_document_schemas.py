@@ -228,7 +228,7 @@ def test_the_sound_files_are_accepted(tmp_path):
     assert run(*words, "-o", out).code == 0
     words = ("predict", out / "model.json", INPUTS / "short.csv", "-o", tmp_path / "o.csv")
     assert run(*words).code == 0
-    with pytest.raises(UnusableInput, match=r"the mesh .*wall\.stl is not there"):
+    with pytest.raises(UnusableInput, match=r"the mesh .*wall\.stl does not exist"):
         scene_file.read(INPUTS / "s_mesh.toml")
 
 

@@ -276,7 +276,7 @@ def test_missing_joint_is_reported_with_similar_names(two_link, tmp_path):
     )
     path = tmp_path / "s.csv"
     path.write_text("t,q.joint_1,q.joint_1\n0,0,0\n")
-    assert_refused(path, two_link, "'q.joint_1' stands twice")
+    assert_refused(path, two_link, "'q.joint_1' occurs twice")
 
 
 def test_inconsistent_archives_are_refused(two_link, tmp_path):

@@ -169,7 +169,7 @@ def from_document(entry: Mapping[str, Any]) -> Shape:
         **vectors,  # type: ignore[arg-type]
     )
     if out.file is not None and not Path(out.file).is_file():
-        raise UnusableInput(f"{out.file}: the mesh of '{out.name}' is not there; put it back")
+        raise UnusableInput(f"{out.file}: the mesh of '{out.name}' does not exist; restore it")
     if out.sha256() != entry.get("sha256"):
         raise UnusableInput(
             f"{out.file}: is not the mesh of '{out.name}' that the motion was checked against "

@@ -140,13 +140,13 @@ def _checked(file: str, mesh: TriangleMesh) -> TriangleMesh:
         )
     if mesh.triangles.min() < 0 or mesh.triangles.max() >= len(mesh.vertices):
         raise UnusableInput(
-            f"{file}: a triangle names a corner that the mesh does not have; {REMEDY}"
+            f"{file}: a triangle refers to a vertex that the mesh does not have; {REMEDY}"
         )
     finite = np.isfinite(mesh.vertices).all(axis=1)
     if not finite.all():
         where = int(np.flatnonzero(~finite)[0])
         raise UnusableInput(
-            f"{file}: corner {where + 1} is at {mesh.vertices[where].tolist()}, not finite; "
+            f"{file}: vertex {where + 1} is at {mesh.vertices[where].tolist()}, not finite; "
             f"{REMEDY}"
         )
     return mesh

@@ -134,7 +134,7 @@ def _shape(file: DocumentFile, kind: str, number: int, entry: ShapeEntry) -> Sha
     if isinstance(entry, MeshEntry):
         mesh = file.path.parent / entry.file
         if not os.path.isfile(mesh):
-            raise file.error(f"the mesh {mesh} is not there", f"{kind}[{number}].file")
+            raise file.error(f"the mesh {mesh} does not exist", f"{kind}[{number}].file")
     position, rotation = (tuple(map(float, values)) for values in (entry.position, entry.rotation))
     return Shape(
         name,
@@ -216,7 +216,7 @@ def rebuild_cell(
     try:
         cell = _rebuild(robot, limits, document, packages)
     except UnusableInput as error:
-        return None, f"the cell cannot be made again: {error}"
+        return None, f"the cell cannot be rebuilt: {error}"
     difference = _difference(document, cell.document())
     return (
         (cell, None)
@@ -310,7 +310,7 @@ def _build(
         for i, link in enumerate(robot.links, 1)
         if link not in moving and robot.model.inertias[i].mass > 0.0
     ]
-    notes += [f"no shape is known of {', '.join(without_shape)}"] if without_shape else []
+    notes += [f"no collision shape of {', '.join(without_shape)}"] if without_shape else []
     shapes = [
         *link_shapes,
         *scene.shapes,
@@ -341,7 +341,7 @@ def _check_names(robot: Robot, scene: Scene, link_shapes: Sequence[Shape]) -> No
     for name, other in scene.ignored:
         if other not in existing:
             raise UnusableInput(
-                f"{scene.source}: '{name}' may touch '{other}', which there is not; correct its "
+                f"{scene.source}: '{name}' ignores '{other}', which does not exist; correct its "
                 "'ignore'"
             )
 

@@ -308,6 +308,8 @@ def _grid_distances(cell: Cell, query: DistanceQuery, number: int) -> FloatArray
 def _permanent_contact_message(cell: Cell, link: Body, obstacle: Body) -> str:
     is_floor = obstacle.shapes[0].kind is ShapeKind.FLOOR
     remedy = (
-        "--floor Z or --no-floor" if is_floor else f'move it, or let it: ignore = ["{link.name}"]'
+        "--floor Z or --no-floor"
+        if is_floor
+        else f'move it, or allow the contact: ignore = ["{link.name}"]'
     )
     return f"{cell.robot.source}: '{obstacle.name}' touches '{link.name}' in every pose; {remedy}"

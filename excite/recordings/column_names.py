@@ -81,7 +81,7 @@ def find_columns(source: str, header: Sequence[str], robot: Robot) -> ColumnLayo
     repeated = sorted({name for name in header if header.count(name) > 1 and name})
     if repeated:
         raise UnusableInput(
-            f"{source}: column '{repeated[0]}' stands twice in the header; drop or rename one"
+            f"{source}: column '{repeated[0]}' occurs twice in the header; drop or rename one"
         )
     if "timestamp" in header and f"{RTDE_POSITION}0" in header:
         return _find_rtde_columns(source, header, robot)

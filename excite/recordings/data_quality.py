@@ -134,9 +134,10 @@ def _without_jitter(block: Block, grid: TimeGrid) -> tuple[Block, list[Remark]]:
         name: jitter.corrected(value) if name in ENCODER_QUANTITIES else value
         for name, value in block.values.items()
     }
+    error = f"{1e3 * jitter.rms:.2g} ms (rms)"
     text = (
-        f"positions of all joints were read {1e3 * jitter.rms:.2g} ms (rms) off their stamps; "
-        "where they were at the stamps is estimated"
+        f"positions of all joints were read with a timing error of {error}; their values at the "
+        "stamps are estimated"
     )
     remark = Remark(RemarkKind.TIMESTAMP_JITTER, text, repaired=True)
     return Block(block.t, values, block.remarks), [remark]
@@ -150,7 +151,7 @@ def _without_quantization(block: Block, resolution: FloatArray) -> tuple[Block, 
 
 def _quantization_remarks(robot: Robot, smoothed: BoolArray) -> list[Remark]:
     joints = ", ".join(f"'{robot.joints[j]}'" for j in np.flatnonzero(smoothed))
-    text = f"of joints {joints} the smoothest motion is taken that their encoders' steps allow"
+    text = f"positions of joints {joints} are smoothed within the resolution of their encoders"
     return [Remark(RemarkKind.ROUNDED, text, repaired=True)] if joints else []
 
 

@@ -187,7 +187,7 @@ def _select_topic(path: Path, bag: _Bag, robot: Robot, sidecar: Sidecar) -> str:
         return fitting[0]
     number = "several topics with" if fitting else "no topic with"
     remedy = (
-        f'say which with "topic" in {sidecar_path(path).name}'
+        f'select one with "topic" in {sidecar_path(path).name}'
         if fitting
         else "record one that publishes them"
     )

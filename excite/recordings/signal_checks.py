@@ -179,8 +179,7 @@ def check_frozen_position(block: Block, robot: Robot, i: int) -> Remark | None:
 def _frozen_remark(block: Block, joint: str, name: str, rows: slice) -> Remark:
     start, end = float(block.t[rows.start]), float(block.t[rows.stop - 1])
     text = (
-        f"joint '{joint}': {name} stands still from {start:.4g} to {end:.4g} s while the joint "
-        "moves"
+        f"joint '{joint}': {name} is constant from {start:.4g} to {end:.4g} s while the joint moves"
     )
     return Remark(RemarkKind.FROZEN, text, joint, start, end)
 

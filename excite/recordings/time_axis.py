@@ -122,7 +122,7 @@ def find_grid(source: str, t: FloatArray) -> TimeGrid:
     """
     steps = np.diff(t)
     if not len(steps):
-        raise UnusableInput(f"{source}: has {len(t)} rows with a time of their own; record more")
+        raise UnusableInput(f"{source}: has {len(t)} rows with distinct times; record more")
     usual = float(np.median(steps))
     if usual > MAX_STEP:
         unit, factor = next((u, f) for u, f, largest in UNITS if usual <= largest)
@@ -178,10 +178,8 @@ def resample(block: Block, grid: TimeGrid) -> tuple[Block, list[Remark]]:
     if not len(uneven):
         return block, remarks
     missing = int(np.round(steps.sum() / grid.step)) - len(steps)
-    text = (
-        f"time steps from {steps.min():.4g} to {steps.max():.4g} s are put on an even grid of "
-        f"{grid.step:.6g} s by interpolation"
-    )
+    steps_range = f"{steps.min():.4g} to {steps.max():.4g} s"
+    text = f"time steps from {steps_range} are resampled on an even grid of {grid.step:.6g} s"
     text += f"; {missing} missing rows are filled" if missing > 0 else ""
     is_short = np.diff(block.t) <= (MAX_FILLED_STEPS + 0.5) * grid.step
     start, end = block.t[:-1][is_short][uneven[[0, -1]]]

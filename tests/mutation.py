@@ -284,7 +284,8 @@ def _attribute(rng: random.Random, element: ElementTree.Element, key: str) -> st
     value = element.attrib[key]
     words = value.split()
     match rng.randrange(5):
-        case _ if key in ("name", "link", "filename"):  # a number as a name would look like an output
+        # a number as a name would look like a number of the output
+        case _ if key in ("name", "link", "filename"):
             new = rng.choice(WORDS)
         case 0:
             new = rng.choice(WORDS)

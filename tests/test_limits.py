@@ -262,9 +262,11 @@ def test_limits_that_make_no_sense_are_refused(tmp_path, entry):
 
 def test_a_mimic_joint_keeps_its_own_limits():
     follower = (
-        '<link name="finger"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'  # noqa: E501
-        '<joint name="follow" type="revolute"><parent link="arm"/><child link="finger"/><axis xyz="0 1 0"/>'  # noqa: E501
-        '<limit lower="-0.4" upper="0.6" velocity="0.5" effort="1"/><mimic joint="swing" multiplier="-2" offset="0.1"/></joint></robot>'  # noqa: E501
+        '<link name="finger"><inertial><mass value="1"/>'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        '<joint name="follow" type="revolute"><parent link="arm"/><child link="finger"/>'
+        '<axis xyz="0 1 0"/><limit lower="-0.4" upper="0.6" velocity="0.5" effort="1"/>'
+        '<mimic joint="swing" multiplier="-2" offset="0.1"/></joint></robot>'
     )
     limits = resolve(loaded(pendulum().replace("</robot>", follower)))
     assert limits.position[0] == pytest.approx([-0.25, 0.25])

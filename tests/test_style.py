@@ -17,9 +17,14 @@ CLEAN = (
     "excite/effects",
     "excite/identification",
     "excite/report",
+    "excite/robot",
     "excite/simulator",
     "excite/trajectory",
+    "scripts/base_counts.py",
     "scripts/concealed_trial",
+    "tests/test_base_parameters.py",
+    "tests/test_limits.py",
+    "tests/test_robot.py",
     "README.md",
 )
 """What follows the rules so far; the rest of the project is to join it."""

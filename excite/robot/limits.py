@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from .._types import FloatArray
 from ..errors import ExciteWarning, MissingLimit, UnusableInput
 from ..schemas.document_file import DocumentFile, written
 from ..schemas.limits import (
@@ -31,7 +32,6 @@ from ..schemas.limits import (
 from ..schemas.quantities import shown
 from .robot import Follower, Robot, builtin_names
 
-Array = np.ndarray
 QUANTITIES = ("position", "velocity", "acceleration", "jerk", "torque")
 REQUIRED = ("position", "velocity", "torque")
 DERIVED = "derived"
@@ -60,8 +60,12 @@ class Braking:
     """Velocity limit that falls towards a position stop: |q̇| ≤ −offset + √(rate · distance to the
     stop).
 
-    The form in which Franka states the FR3's limits. offset: [rad/s]. rate: [rad/s²]. stop: (lower,
-    upper) [rad].
+    The form in which Franka states the FR3's limits.
+
+    Attributes:
+        offset: Reduction of the velocity at the stop [rad/s].
+        rate: Increase of the squared velocity with the distance [rad/s²].
+        stop: Lower and upper position stop [rad].
     """
 
     offset: float
@@ -75,22 +79,27 @@ class Braking:
 
 @dataclass(frozen=True)
 class Limits:
-    """What each of n joints may do; ±inf where nothing is stated.
+    """Limits of n joints, ±inf where nothing is stated.
 
-    position: Shape (n, 2) [rad or m]. velocity, acceleration, jerk, torque: Shape (n,), positive,
-        symmetric [rad/s, rad/s², rad/s³, N m; for a prismatic joint m and N].
-    braking: per joint, None where the velocity limit does not depend on position.
-    sources: quantity -> n texts saying where each value came from ("" where there is none).
-    margin: share of each limit of `WITH_MARGIN` that a design keeps free [1]; a kind that is absent
-        keeps none.
+    Attributes:
+        joints: Names of the joints.
+        position: Shape (n, 2) [rad or m].
+        velocity: Positive and symmetric, as the following. Shape (n,) [rad/s or m/s].
+        acceleration: Shape (n,) [rad/s² or m/s²].
+        jerk: Shape (n,) [rad/s³ or m/s³].
+        torque: Shape (n,) [N m or N].
+        braking: Per joint, None where the velocity limit does not depend on position.
+        sources: Per quantity n texts saying where each value came from ("" where there is none).
+        margin: Share of each limit of `WITH_MARGIN` that a design keeps free [1]; a kind that is
+            absent keeps none.
     """
 
     joints: tuple[str, ...]
-    position: Array
-    velocity: Array
-    acceleration: Array
-    jerk: Array
-    torque: Array
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    jerk: FloatArray
+    torque: FloatArray
     braking: tuple[Braking | None, ...]
     sources: Mapping[str, tuple[str, ...]]
     margin: Mapping[str, float] = field(default_factory=dict)
@@ -134,7 +143,7 @@ class Limits:
 def from_document(document: StatedLimits, joints: tuple[str, ...]) -> Limits:
     """The limits that a trajectory states; an absent limit is infinite."""
     sources: dict[str, tuple[str, ...]] = {}
-    arrays: dict[str, Array] = {}
+    arrays: dict[str, FloatArray] = {}
     for quantity in QUANTITIES:
         absent: Any = [-math.inf, math.inf] if quantity == "position" else math.inf
         entries = getattr(document, quantity)
@@ -145,7 +154,12 @@ def from_document(document: StatedLimits, joints: tuple[str, ...]) -> Limits:
     braking = tuple(
         _braking(document.braking[j]) if j in document.braking else None for j in joints
     )
-    return Limits(joints=joints, braking=braking, sources=sources, **arrays)  # type: ignore[arg-type]
+    return Limits(
+        joints=joints,
+        braking=braking,
+        sources=sources,
+        **arrays,  # type: ignore[arg-type]
+    )
 
 
 def _braking(document: BrakingDocument) -> Braking:
@@ -288,7 +302,7 @@ def _tighten(entries: dict[str, tuple[Any, str]], follower: Follower) -> None:
 
 
 def _assemble(robot: Robot, table: Mapping[str, Mapping[str, tuple[Any, str]]]) -> Limits:
-    def values(quantity: str, absent: Any) -> Array:
+    def values(quantity: str, absent: Any) -> FloatArray:
         array = np.array(
             [table[joint].get(quantity, (absent, ""))[0] for joint in robot.joints], float
         )

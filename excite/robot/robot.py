@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import os
 import warnings
@@ -14,24 +15,28 @@ import numpy as np
 import pinocchio as pin
 
 from .. import physical_ranges as ranges
+from .._types import FloatArray
 from ..errors import ExciteWarning, UnusableInput
-from . import urdf
+from . import exact_placement, urdf
 
-Array = np.ndarray
 GRAVITY = (0.0, 0.0, -9.81)
 
 
 @dataclass(frozen=True)
 class Payload:
-    """A body rigidly attached to a link; centre of mass and inertia (about it) in the link's frame.
+    """A body rigidly attached to a link, in the link's frame.
 
-    mass: [kg]. centre: Shape (3,) [m]. inertia: Shape (3, 3) [kg m²].
+    Attributes:
+        link: Name of the link.
+        mass: Mass [kg].
+        centre: Centre of mass. Shape (3,) [m].
+        inertia: Moments about the centre of mass, xx, xy, yy, xz, yz, zz [kg m²].
     """
 
     link: str
     mass: float
     centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    inertia: tuple[float, float, float, float, float, float] = (0.0,) * 6  # xx, xy, yy, xz, yz, zz
+    inertia: tuple[float, float, float, float, float, float] = (0.0,) * 6
 
 
 @dataclass(frozen=True)
@@ -48,14 +53,21 @@ class Follower:
 class Robot:
     """A robot as designed for, identified and verified: n moving joints, all else locked.
 
-    model: Pinocchio model with nq = nv ≥ n (a mimic joint is a coordinate of its own there).
-    joints: names of the n moving joints, in the model's order.
-    spread, shift: q_model = spread q + shift; τ = spreadᵀ τ_model. Shapes (nv, n), (nv,).
-    entries: what the URDF says of each moving joint. followers: the mimic joints that move with
-        them.
-    mimics: names of all mimic joints, moving or not.
-    links: name of the link that each of the model's nv joints moves.
-    options: how it was loaded (locked joints, payload, gravity), enough to load it again.
+    Attributes:
+        name: Name of the robot.
+        source: Path of its file, or name of the built-in model.
+        sha256: Digest of the file.
+        model: Pinocchio model with nq = nv ≥ n (a mimic joint is a coordinate of its own there).
+        joints: Names of the n moving joints, in the model's order.
+        spread: q_model = spread q + shift; τ = spreadᵀ τ_model. Shape (nv, n).
+        shift: See `spread`. Shape (nv,).
+        entries: Each moving joint as the URDF states it.
+        links: Name of the link that each of the model's nv joints moves.
+        structure: The model with exact placements; see `exact_placement`.
+        rounded: Names of the model's joints whose placement differs between model and structure.
+        followers: The mimic joints that move with the moving joints.
+        mimics: Names of all mimic joints, moving or not.
+        options: How it was loaded (locked joints, payload, gravity), enough to load it again.
     """
 
     name: str
@@ -63,10 +75,12 @@ class Robot:
     sha256: str
     model: pin.Model
     joints: tuple[str, ...]
-    spread: Array
-    shift: Array
+    spread: FloatArray
+    shift: FloatArray
     entries: tuple[urdf.JointEntry, ...]
     links: tuple[str, ...]
+    structure: pin.Model
+    rounded: tuple[str, ...] = ()
     followers: tuple[Follower, ...] = ()
     mimics: tuple[str, ...] = ()
     options: Mapping[str, object] = field(default_factory=dict)
@@ -76,6 +90,10 @@ class Robot:
         """Number of moving joints."""
         return len(self.joints)
 
+    def with_exact_placements(self) -> Robot:
+        """The robot whose rounded right angles are exact, for what depends on its structure."""
+        return dataclasses.replace(self, model=self.structure)
+
     def index(self, joint: str) -> int:
         """Position of a moving joint's name; UnusableInput lists the names there are."""
         if joint not in self.joints:
@@ -84,20 +102,15 @@ class Robot:
             )
         return self.joints.index(joint)
 
-    def expand(self, q: Array) -> Array:
+    def expand(self, q: FloatArray) -> FloatArray:
         """Coordinates of the Pinocchio model for joint positions. Shapes (…, n) -> (…, nv) [rad or
         m]."""
         return q @ self.spread.T + self.shift
 
-    def axes(self) -> list[Array]:
+    def axes(self) -> list[FloatArray]:
         """Unit motion subspace of each model joint, (linear, angular), joint frame. nv arrays of
         shape (6,)."""
-        data = self.model.createData()
-        home, moved = np.zeros(self.model.nv), np.ones(self.model.nv)
-        pin.forwardKinematics(self.model, data, home)
-        before = [data.liMi[i].copy() for i in range(1, self.model.njoints)]
-        pin.forwardKinematics(self.model, data, moved)
-        return [pin.log6(a.actInv(data.liMi[i])).vector for i, a in enumerate(before, start=1)]
+        return _axes(self.model)
 
     def frame(self, name: str) -> int:
         """Index of a link's frame, else a joint's; UnusableInput names the ones nearest in
@@ -143,23 +156,31 @@ def load(
 ) -> Robot:
     """Load a robot from a URDF path or a built-in name.
 
-    joints: The joints that move (all that are not mimics, when None); the others are locked.
-    lock: Positions [rad or m] of locked joints; a joint named here doesn't move. Elsewhere 0, moved
-        inside its limits.
-    payload: A body added to a link before anything else is computed.
-    gravity: Shape (3,) [m/s²], base frame. Raises UnusableInput for a file that cannot be used, an
-        unknown joint or a joint that moves no mass.
+    Args:
+        source: The path or the name.
+        joints: The joints that move (all that are not mimics, when None); the others are locked.
+        lock: Positions [rad or m] of locked joints; a joint named here doesn't move. Elsewhere 0,
+            moved inside its limits.
+        payload: A body added to a link before anything else is computed.
+        gravity: Shape (3,) [m/s²], base frame.
+
+    Raises:
+        UnusableInput: The file cannot be used, a joint is unknown or moves no mass.
     """
     path = locate(source)
     document = urdf.read(path)
-    full = _parse(document)
+    full = _parse(document, document.text)
     lock = dict(lock or {})
     moving = _moving(document, full, joints, lock)
     kept, multipliers = _followers(document, moving)
     reference = _rest_positions(document, full, lock, moving)
-    frozen = [full.getJointId(name) for name in full.names[1:] if name not in kept]
-    model = pin.buildReducedModel(full, frozen, reference) if frozen else full
-    model.gravity.linear = np.asarray(gravity, float)
+    model = _reduced(full, kept, reference, gravity)
+    structure, rounded = model, tuple[str, ...]()
+    if document.rounded:
+        exact = _parse(document, document.exact_text)
+        turned = np.array([exact_placement.exact_angle(float(angle)) for angle in reference])
+        structure = _reduced(exact, kept, turned, gravity)
+        rounded = _moved_joints(model, structure)
     if payload is not None:
         _attach(model, document.source, payload)
     order = [name for name in model.names[1:] if name in moving]
@@ -172,6 +193,8 @@ def load(
         source=document.source if source not in builtin_names() else source,
         sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
         model=model,
+        structure=structure,
+        rounded=rounded,
         joints=tuple(order),
         spread=_frozen(spread),
         shift=_frozen(shift),
@@ -197,14 +220,45 @@ def load(
     return robot
 
 
-def _frozen(array: Array) -> Array:
+def _frozen(array: FloatArray) -> FloatArray:
     array.setflags(write=False)
     return array
 
 
-def _parse(document: urdf.Urdf) -> pin.Model:
+def _reduced(
+    full: pin.Model, kept: set[str], reference: FloatArray, gravity: Sequence[float]
+) -> pin.Model:
+    """The model in which all joints but the kept ones are fixed at their reference positions."""
+    frozen = [full.getJointId(name) for name in full.names[1:] if name not in kept]
+    model = pin.buildReducedModel(full, frozen, reference) if frozen else full
+    model.gravity.linear = np.asarray(gravity, float)
+    return model
+
+
+def _moved_joints(model: pin.Model, other: pin.Model) -> tuple[str, ...]:
+    """Names of the joints whose placement or axis differs between two models of one robot."""
+    tolerance = exact_placement.PRINTING_ERROR
+    axes = zip(_axes(model), _axes(other), strict=True)
+    return tuple(
+        str(model.names[i])
+        for i, (axis, other_axis) in enumerate(axes, start=1)
+        if np.max(np.abs(axis - other_axis)) > tolerance
+        or not model.jointPlacements[i].isApprox(other.jointPlacements[i], tolerance)
+    )
+
+
+def _axes(model: pin.Model) -> list[FloatArray]:
+    """Unit motion subspace of each joint, (linear, angular), joint frame. Shape (6,) each."""
+    data = model.createData()
+    pin.forwardKinematics(model, data, np.zeros(model.nv))
+    before = [data.liMi[i].copy() for i in range(1, model.njoints)]
+    pin.forwardKinematics(model, data, np.ones(model.nv))
+    return [pin.log6(a.actInv(data.liMi[i])).vector for i, a in enumerate(before, start=1)]
+
+
+def _parse(document: urdf.Urdf, text: str) -> pin.Model:
     try:
-        return pin.buildModelFromXML(document.text)
+        return pin.buildModelFromXML(text)
     except (ValueError, RuntimeError) as error:
         reason = str(error).strip().splitlines()[0] if str(error).strip() else "no kinematic tree"
         raise UnusableInput(
@@ -279,8 +333,8 @@ def _followers(
 
 def _rest_positions(
     document: urdf.Urdf, full: pin.Model, lock: dict[str, float], moving: set[str]
-) -> Array:
-    rest = np.zeros(full.nq)
+) -> FloatArray:
+    reference = np.zeros(full.nq)
     for name in full.names[1:]:
         master, multiplier, offset = _resolve(document, name)
         lower, upper = document.joints[master].position or (-np.inf, np.inf)
@@ -292,8 +346,8 @@ def _rest_positions(
                 ExciteWarning,
                 stacklevel=3,
             )
-        rest[full.joints[full.getJointId(name)].idx_q] = multiplier * value + offset
-    return rest
+        reference[full.joints[full.getJointId(name)].idx_q] = multiplier * value + offset
+    return reference
 
 
 def _attach(model: pin.Model, source: str, payload: Payload) -> None:

@@ -3,6 +3,7 @@ opened."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
 import unicodedata
@@ -13,7 +14,7 @@ from pathlib import Path
 from .. import physical_ranges as ranges
 from ..errors import UnusableInput
 from ..physical_ranges import Range
-from . import xml_file
+from . import exact_placement, xml_file
 
 MOVABLE = ("revolute", "continuous", "prismatic")
 MOST_LINKS = 1000
@@ -21,6 +22,8 @@ MOST_LINKS = 1000
 NARROWEST = 1e-9
 """Narrowest range of positions that counts as one [rad or m]; lower = upper = 0 is how some URDFs
 say that there is no limit."""
+SHORTEST_AXIS = 1e-9
+"""Length of an <axis xyz> below which it is no direction [1]."""
 SHAPE_NUMBERS = ("xyz", "rpy", "rgba", "radius", "length", "size", "scale")
 """Attributes of <visual> and <collision> that hold numbers."""
 SHOWN = 40
@@ -44,8 +47,12 @@ class JointEntry:
     offset: float = 0.0
 
     def unit(self, turning: str) -> str:
-        """What stands for a turning joint's unit: of a sliding one N, m and kg for N m, rad and kg
-        m²; its angles of waves are m too."""
+        """Unit of a quantity of this joint.
+
+        Args:
+            turning: The unit for a turning joint, such as "N m s/rad". A sliding one has N, m and
+                kg for N m, rad and kg m²; its waves are per length.
+        """
         if self.kind != "prismatic":
             return turning
         return {"kg m²": "kg", "1/turn": "rad/m"}.get(
@@ -55,11 +62,22 @@ class JointEntry:
 
 @dataclass(frozen=True)
 class Urdf:
-    """The mechanical content of a URDF, and a reduced text that Pinocchio parses without
-    surprises."""
+    """The mechanical content of a URDF, and a reduced text that Pinocchio parses without surprises.
+
+    Attributes:
+        source: Path of the file.
+        text: The reduced URDF.
+        exact_text: The same with exact placements; see `exact_placement`.
+        rounded: Names of the joints, fixed ones too, whose placement differs between the two.
+        name: Name of the robot.
+        joints: The movable joints by name.
+        links: Names of all links.
+    """
 
     source: str
     text: str
+    exact_text: str
+    rounded: tuple[str, ...]
     name: str
     joints: dict[str, JointEntry]
     links: tuple[str, ...]
@@ -101,22 +119,36 @@ def read(path: Path) -> Urdf:
             f"{source}: has {len(links)} links, more than {MOST_LINKS}; leave out what does not "
             "belong to the robot"
         )
-    joints, elements = {}, []
+    joints, plain = {}, []
     for element in root.findall("joint"):
         entry = _joint(source, element)
         if entry is not None:
             joints[entry.name] = entry
-        elements.append(_plain_joint(source, element, set(links)))
+        plain.append(_plain_joint(source, element, set(links)))
     _require_tree(source, root, links)
-    elements += [_plain_link(source, link) for link in root.findall("link")]
+    bodies = [_plain_link(source, link) for link in root.findall("link")]
     name = _printable(source, "robot", root.get("name") or path.stem)
-    text = f'<robot name="{_escape(name)}">\n' + "\n".join(elements) + "\n</robot>\n"
-    return Urdf(source=source, text=text, name=name, joints=joints, links=links)
+    exact = [joint.exact() for joint in plain]
+    text, exact_text = (
+        f'<robot name="{_escape(name)}">\n'
+        + "\n".join([*(joint.text() for joint in stated), *bodies])
+        + "\n</robot>\n"
+        for stated in (plain, exact)
+    )
+    rounded = tuple(a.name for a, b in zip(plain, exact, strict=True) if a is not b)
+    return Urdf(
+        source=source,
+        text=text,
+        exact_text=exact_text,
+        rounded=rounded,
+        name=name,
+        joints=joints,
+        links=links,
+    )
 
 
 def is_file(path: Path) -> bool:
-    """Whether a path names a regular file that can be looked up; names that are too long name
-    none."""
+    """Look up a path: true for a regular file, false for others and for names that are too long."""
     try:
         return path.is_file()
     except OSError:
@@ -326,11 +358,18 @@ def _positive(value: float | None) -> float | None:
     return value if value is not None and value > 0.0 else None
 
 
-def _origin(source: str, owner: str, element: ElementTree.Element) -> str:
+def _placement(
+    source: str, owner: str, element: ElementTree.Element
+) -> tuple[list[float], list[float]]:
+    """Position [m] and roll, pitch, yaw [rad] of an element's <origin>."""
     origin = element.find("origin")
     given = {} if origin is None else origin.attrib
     xyz = numbers(source, f"{owner}, origin xyz", given.get("xyz", "0 0 0"), 3, ranges.LENGTH)
     rpy = numbers(source, f"{owner}, origin rpy", given.get("rpy", "0 0 0"), 3, ranges.ANGLE)
+    return xyz, rpy
+
+
+def _origin(xyz: list[float], rpy: list[float]) -> str:
     return f'<origin xyz="{_words(xyz)}" rpy="{_words(rpy)}"/>'
 
 
@@ -338,9 +377,43 @@ def _words(values: list[float]) -> str:
     return " ".join(repr(value) for value in values)
 
 
-def _plain_joint(source: str, element: ElementTree.Element, links: set[str]) -> str:
-    """The joint with what Pinocchio needs and no more; a continuous one becomes revolute, so that
-    nq = nv."""
+@dataclass(frozen=True)
+class _PlainJoint:
+    """A joint with what Pinocchio needs and no more; a continuous one becomes revolute, so that
+    nq = nv.
+
+    Attributes:
+        head: The joint's opening tag, parent and child.
+        xyz: Position of its frame in the parent link's [m].
+        rpy: Roll, pitch and yaw of its frame [rad].
+        axis: Unit vector along which it moves, in its frame.
+    """
+
+    name: str
+    head: str
+    xyz: list[float]
+    rpy: list[float]
+    axis: list[float]
+
+    def text(self) -> str:
+        """The joint as an element of a URDF."""
+        return (
+            f"{self.head}{_origin(self.xyz, self.rpy)}"
+            f'<axis xyz="{_words(self.axis)}"/>'
+            '<limit lower="-1e9" upper="1e9" velocity="1e9" effort="1e9"/></joint>'
+        )
+
+    def exact(self) -> _PlainJoint:
+        """The joint with its placement exact; itself where nothing is rounded."""
+        xyz, rpy = exact_placement.exact_lengths(self.xyz), exact_placement.exact_angles(self.rpy)
+        axis = exact_placement.exact_direction(self.axis)
+        stated, exact = [*self.xyz, *self.rpy, *self.axis], [*xyz, *rpy, *axis]
+        if not exact_placement.is_rounded(stated, exact):
+            return self
+        return dataclasses.replace(self, xyz=xyz, rpy=rpy, axis=axis)
+
+
+def _plain_joint(source: str, element: ElementTree.Element, links: set[str]) -> _PlainJoint:
     name, kind = _attribute(source, element, "name"), _attribute(source, element, "type")
     owner = f"joint '{name}'"
     ends = []
@@ -354,14 +427,13 @@ def _plain_joint(source: str, element: ElementTree.Element, links: set[str]) -> 
     direction = "1 0 0" if axis_element is None else axis_element.get("xyz", "1 0 0")
     axis = numbers(source, f"{owner}, axis", direction, 3, ranges.AXIS)
     length = math.hypot(*axis)
-    if kind != "fixed" and length < 1e-9:
+    if kind != "fixed" and length < SHORTEST_AXIS:
         raise UnusableInput(f"{source}: {owner}: its axis is zero; give a direction in <axis xyz>")
     unit = [value / length for value in axis] if length else [1.0, 0.0, 0.0]
     kind = "revolute" if kind == "continuous" else kind
-    return (
-        f'<joint name="{_escape(name)}" type="{kind}">{ends[0]}{ends[1]}{_origin(source, owner, element)}'  # noqa: E501
-        f'<axis xyz="{_words(unit)}"/><limit lower="-1e9" upper="1e9" velocity="1e9" effort="1e9"/></joint>'  # noqa: E501
-    )
+    xyz, rpy = _placement(source, owner, element)
+    head = f'<joint name="{_escape(name)}" type="{kind}">{ends[0]}{ends[1]}'
+    return _PlainJoint(name, head, xyz, rpy, unit)
 
 
 def _plain_link(source: str, element: ElementTree.Element) -> str:
@@ -377,6 +449,6 @@ def _plain_link(source: str, element: ElementTree.Element) -> str:
     values = [_number(source, owner, tensor, key, ranges.INERTIA) or 0.0 for key in keys]
     moments = " ".join(f'{key}="{value!r}"' for key, value in zip(keys, values, strict=True))
     return (
-        f'<link name="{_escape(name)}"><inertial>{_origin(source, owner, inertial)}'
+        f'<link name="{_escape(name)}"><inertial>{_origin(*_placement(source, owner, inertial))}'
         f'<mass value="{mass!r}"/><inertia {moments}/></inertial></link>'
     )

@@ -25,6 +25,7 @@ CLEAN = (
     "tests/test_base_parameters.py",
     "tests/test_limits.py",
     "tests/test_robot.py",
+    "tests/test_robots_as_they_occur.py",
     "README.md",
 )
 """What follows the rules so far; the rest of the project is to join it."""

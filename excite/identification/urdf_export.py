@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from .._types import FloatArray
-from ..robot import xml_file
+from ..robot import source_text, xml_file
 from ..robot.inertial_parameters import Parameters
 from ..robot.robot import Robot, locate
 
@@ -35,7 +35,7 @@ def identified_urdf(
         widths: Widths of Coulomb friction. Shape (n,) [rad/s or m/s].
     """
     path = locate(robot.source)
-    text = xml_file.read_text(path, "a URDF")
+    text = source_text.read_urdf_text(path)
     # comments before the root element belong to no element, and the parser drops them
     prolog = re.match(r"\s*(<\?xml.*?\?>)?((\s|<!--.*?-->)*)<", text, re.DOTALL)
     root = xml_file.parse_text(path, text, keep_comments=True)

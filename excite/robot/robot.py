@@ -16,8 +16,9 @@ import pinocchio as pin
 
 from .. import physical_ranges as ranges
 from .._types import FloatArray
-from ..errors import ExciteWarning, UnusableInput
+from ..errors import ExciteWarning, UnusableInput, UnusableRobot
 from . import exact_placement, urdf
+from .link_inertia import LinkInertia, impossible_moments
 
 GRAVITY = (0.0, 0.0, -9.81)
 
@@ -65,9 +66,13 @@ class Robot:
         links: Name of the link that each of the model's nv joints moves.
         structure: The model with exact placements; see `exact_placement`.
         rounded: Names of the model's joints whose placement differs between model and structure.
+        inertia_faults: For each moving link whose inertia no body of the robot can have, a
+            sentence.
+        placeholders: Names of the moving links whose inertia is the identity matrix.
         followers: The mimic joints that move with the moving joints.
         mimics: Names of all mimic joints, moving or not.
-        options: How it was loaded (locked joints, payload, gravity), enough to load it again.
+        options: How it was loaded (locked joints, payload, gravity, inertias), enough to load it
+            again.
     """
 
     name: str
@@ -81,6 +86,8 @@ class Robot:
     links: tuple[str, ...]
     structure: pin.Model
     rounded: tuple[str, ...] = ()
+    inertia_faults: tuple[str, ...] = ()
+    placeholders: tuple[str, ...] = ()
     followers: tuple[Follower, ...] = ()
     mimics: tuple[str, ...] = ()
     options: Mapping[str, object] = field(default_factory=dict)
@@ -153,6 +160,7 @@ def load(
     lock: Mapping[str, float] | None = None,
     payload: Payload | None = None,
     gravity: Sequence[float] = GRAVITY,
+    inertias: Mapping[str, LinkInertia] | None = None,
 ) -> Robot:
     """Load a robot from a URDF path or a built-in name.
 
@@ -163,24 +171,31 @@ def load(
             moved inside its limits.
         payload: A body added to a link before anything else is computed.
         gravity: Shape (3,) [m/s²], base frame.
+        inertias: Inertia of links that state none.
 
     Raises:
         UnusableInput: The file cannot be used, a joint is unknown or moves no mass.
     """
     path = locate(source)
     document = urdf.read(path)
-    full = _parse(document, document.text)
+    for remark in document.remarks:
+        warnings.warn(remark, ExciteWarning, stacklevel=2)
+    if inertias:
+        document = dataclasses.replace(document, inertias={**inertias, **document.inertias})
+    full = _parse(document, document.text())
     lock = dict(lock or {})
     moving = _moving(document, full, joints, lock)
     kept, multipliers = _followers(document, moving)
     reference = _rest_positions(document, full, lock, moving)
-    model = _reduced(full, kept, reference, gravity)
+    links = {document.alias(link): link for link in document.links}
+    model = _reduced(full, kept, reference, gravity, links)
     structure, rounded = model, tuple[str, ...]()
     if document.rounded:
-        exact = _parse(document, document.exact_text)
+        exact = _parse(document, document.text(exact=True))
         turned = np.array([exact_placement.exact_angle(float(angle)) for angle in reference])
-        structure = _reduced(exact, kept, turned, gravity)
+        structure = _reduced(exact, kept, turned, gravity, links)
         rounded = _moved_joints(model, structure)
+    faults = _inertia_faults(document, model)
     if payload is not None:
         _attach(model, document.source, payload)
     order = [name for name in model.names[1:] if name in moving]
@@ -195,6 +210,8 @@ def load(
         model=model,
         structure=structure,
         rounded=rounded,
+        inertia_faults=faults,
+        placeholders=_placeholders(document, model),
         joints=tuple(order),
         spread=_frozen(spread),
         shift=_frozen(shift),
@@ -214,6 +231,7 @@ def load(
             },
             "payload": None if payload is None else vars(payload) | {},
             "gravity": [float(g) for g in gravity],
+            **({"inertias": _inertia_document(inertias)} if inertias else {}),
         },
     )
     _require_mass(robot)
@@ -226,12 +244,27 @@ def _frozen(array: FloatArray) -> FloatArray:
 
 
 def _reduced(
-    full: pin.Model, kept: set[str], reference: FloatArray, gravity: Sequence[float]
+    full: pin.Model,
+    kept: set[str],
+    reference: FloatArray,
+    gravity: Sequence[float],
+    links: Mapping[str, str],
 ) -> pin.Model:
-    """The model in which all joints but the kept ones are fixed at their reference positions."""
+    """The model in which all joints but the kept ones are fixed at their reference positions.
+
+    Args:
+        full: The model of all joints.
+        kept: Names of the joints that move.
+        reference: Positions of all joints. Shape (nq,) [rad or m].
+        gravity: Gravity in the base frame. Shape (3,) [m/s²].
+        links: Names of links whose frame has an alias, by the alias.
+    """
     frozen = [full.getJointId(name) for name in full.names[1:] if name not in kept]
     model = pin.buildReducedModel(full, frozen, reference) if frozen else full
     model.gravity.linear = np.asarray(gravity, float)
+    for frame in model.frames:
+        if frame.type == pin.FrameType.BODY:
+            frame.name = links.get(frame.name, frame.name)
     return model
 
 
@@ -308,9 +341,19 @@ def _resolve(document: urdf.Urdf, name: str) -> tuple[str, float, float]:
     while (mimic := document.joints[name].mimic) is not None:
         name, factor, constant = mimic
         if name in seen or name not in document.joints:
+            known = {joint.name for joint in document.placements}
+            reason = (
+                "itself"
+                if name == first
+                else f"'{name}', which follows it"
+                if name in seen
+                else f"'{name}', which is fixed"
+                if name in known
+                else f"'{name}', which the robot does not have"
+            )
             raise UnusableInput(
-                f"{document.source}: mimic joint '{first}' follows '{name}', no real joint; "
-                "correct its <mimic>"
+                f"{document.source}: mimic joint '{first}' follows {reason}; correct its <mimic> "
+                "or make it a fixed joint"
             )
         seen.add(name)
         offset, multiplier = offset + multiplier * constant, multiplier * factor
@@ -362,11 +405,11 @@ def _attach(model: pin.Model, source: str, payload: Payload) -> None:
                 )
     if payload.mass == 0.0:
         raise UnusableInput(f"{source}: --payload at '{payload.link}' needs a positive mass")
-    if not model.existFrame(payload.link):
+    if not model.existFrame(payload.link, pin.FrameType.BODY):
         raise UnusableInput(
             f"{source}: --payload names no link '{payload.link}'; name a link of the URDF"
         )
-    frame = model.frames[model.getFrameId(payload.link)]
+    frame = model.frames[model.getFrameId(payload.link, pin.FrameType.BODY)]
     if frame.parentJoint == 0:
         raise UnusableInput(
             f"{source}: --payload link '{payload.link}' does not move; name a moving link"
@@ -381,6 +424,71 @@ def _attach(model: pin.Model, source: str, payload: Payload) -> None:
         )
     body = pin.Inertia(payload.mass, np.array(payload.centre, float), tensor)
     model.appendBodyToJoint(frame.parentJoint, body, frame.placement)
+
+
+def _placeholders(document: urdf.Urdf, model: pin.Model) -> tuple[str, ...]:
+    """Names of the moving links whose inertia is the identity matrix."""
+    return tuple(
+        frame.name
+        for frame in model.frames
+        if frame.type == pin.FrameType.BODY
+        and frame.parentJoint > 0
+        and frame.name in document.inertias
+        and document.inertias[frame.name].is_placeholder
+    )
+
+
+def _inertia_faults(document: urdf.Urdf, model: pin.Model) -> tuple[str, ...]:
+    """Sentences on moving links whose inertia no link of the robot can have.
+
+    Moments that break the triangle inequality are a fault where the body that the link is part of,
+    all links that are fixed to each other, breaks it too: the dynamics depend on that body alone.
+    """
+    broken = {
+        joint
+        for joint in range(1, model.njoints)
+        if model.inertias[joint].mass > 0.0
+        and impossible_moments(np.linalg.eigvalsh(model.inertias[joint].inertia))
+    }
+    faults = []
+    for frame in model.frames:
+        inertia = document.inertias.get(frame.name)
+        if frame.type != pin.FrameType.BODY or frame.parentJoint == 0 or inertia is None:
+            continue
+        fault = inertia.scale_fault(document.reach)
+        if not fault and frame.parentJoint in broken:
+            fault = inertia.moments_fault()
+        if fault:
+            faults.append(f"link '{frame.name}': {fault}")
+    return tuple(faults)
+
+
+def require_possible_bodies(robot: Robot) -> None:
+    """Check the inertias with which torques are certified.
+
+    A placeholder, the identity matrix that templates hold, is reported by a warning.
+
+    Raises:
+        UnusableRobot: No body of the robot can have the inertia of a moving link.
+    """
+    if robot.placeholders:
+        warnings.warn(
+            f"{robot.source}: the inertia of {', '.join(map(repr, robot.placeholders))} is a "
+            "placeholder of 1 kg m² about every axis; torques and the metric depend on it",
+            ExciteWarning,
+            stacklevel=2,
+        )
+    if robot.inertia_faults:
+        raise UnusableRobot(
+            [f"{robot.source}: {fault}; correct its <inertial>" for fault in robot.inertia_faults]
+        )
+
+
+def _inertia_document(inertias: Mapping[str, LinkInertia]) -> dict[str, list[float]]:
+    """Inertias as `trajectory.json` states them: mass, centre of mass, and the six moments."""
+    return {
+        link: [inertia.mass, *inertia.centre, *inertia.tensor] for link, inertia in inertias.items()
+    }
 
 
 def _require_mass(robot: Robot) -> None:

@@ -208,9 +208,8 @@ def draw_deviations(identifiability: Identifiability) -> str:
                     label=label,
                     zorder=2,
                 )
-        _label_worst(
-            axes, names, x, std, np.where(known & usable, std / np.maximum(size, 1e-300), 0.0)
-        )
+        relative = np.divide(std, size, out=np.zeros_like(std), where=known & usable)
+        _label_worst(axes, names, x, std, relative)
         if (~known & usable).any():
             axes.axvspan(low / 40.0, low / 3.6, color="#f3f5f7", linewidth=0, zorder=0)
             axes.annotate(

@@ -1,0 +1,39 @@
+"""Damaged inputs: every one is used or refused in one line, and a refusal leaves no file."""
+
+from __future__ import annotations
+
+import mutation
+import pytest
+
+CASES = 20
+"""Cases of each kind in the tests: 16 kinds make 320. `python tests/mutation.py` runs others."""
+FIRST_SEED = 20_261_126
+"""First seed of the tests. Any other will do; it is fixed so that a failure can be repeated."""
+
+
+@pytest.fixture(scope="session")
+def valid_inputs(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("EXCITE_COMPILER", "")
+        return mutation.valid_inputs(tmp_path_factory.mktemp("valid"))
+
+
+@pytest.mark.parametrize("kind", mutation.KINDS)
+def test_damaged_input_is_used_or_refused(kind, valid_inputs, tmp_path, monkeypatch):
+    monkeypatch.setenv("EXCITE_COMPILER", "")
+    cases = [
+        mutation.make_case(valid_inputs, seed, [kind])
+        for seed in range(FIRST_SEED, FIRST_SEED + CASES)
+    ]
+    failures = list(mutation.run(cases, tmp_path))
+    assert not failures, "\n".join(map(str, failures))
+
+
+def test_valid_inputs_are_accepted(valid_inputs, tmp_path, monkeypatch):
+    """The counterpart: without damage every command of the cases ends with exit code 0."""
+    monkeypatch.setenv("EXCITE_COMPILER", "")
+    for kind, commands in mutation.COMMANDS.items():
+        for argv in commands:
+            case = mutation.undamaged_case(valid_inputs, kind, argv)
+            ending = mutation.run_here(case, tmp_path)
+            assert ending.code == 0, f"{' '.join(argv)}\n{ending.err[-2000:]}"

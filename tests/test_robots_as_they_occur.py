@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import itertools
 import warnings
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
+import pinocchio as pin
 import pytest
 from conftest import LIMIT, document, joint, link, loaded, pendulum, text_of
 from shared_inputs import INPUTS, needs_inputs
 
 from excite.cli.main import main
-from excite.collision import urdf_geometry
+from excite.collision import nominal_inertia, urdf_geometry
 from excite.errors import ExciteWarning, MissingLimit, UnusableInput, UnusableRobot
 from excite.robot.limits import from_sources, resolve
 from excite.robot.robot import load, require_possible_bodies
+from excite.trajectory import trajectory_file
 
 REPORTS = Path() if INPUTS is None else INPUTS / "reports"
 
@@ -173,6 +177,47 @@ def test_an_impossible_body_is_refused_by_design(tmp_path, capsys):
     assert run_cli("design", robot, "-o", tmp_path / "out", "--no-collision") == 2
     assert "link 'link_2'" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@needs_inputs
+def test_a_robot_without_inertias_gets_nominal_bodies(tmp_path, capsys):
+    path = REPORTS / "25-noinertia/ur5e_no_inertial.urdf"
+    assert run_cli("design", path, "-o", tmp_path / "none") == 2
+    assert "--mass" in capsys.readouterr().err
+    short = ("--starts", "1", "--harmonics", "3", "--samples", "60", "--iterations", "15")
+    out = tmp_path / "out"
+    assert run_cli("design", path, "--mass", "20.6", "-o", out, *short) == 0
+    trajectory = trajectory_file.read_trajectory(out / "trajectory.json")
+    robot = trajectory.load_robot()
+    masses = [robot.model.inertias[i].mass for i in range(1, robot.model.njoints)]
+    base = robot.options["inertias"]["base_link"][0]
+    assert sum(masses) + base == pytest.approx(20.6)
+    assert not robot.inertia_faults
+    assert masses[1] == max(masses)  # the upper arm
+    assert run_cli("verify", out / "trajectory.json") == 0
+
+
+def test_nominal_bodies_need_mass_left():
+    with pytest.raises(UnusableInput, match="two_link: --mass 5: its links state 6 kg already"):
+        nominal_inertia.nominal_inertias("two_link", 5.0)
+
+
+def test_nominal_bodies_need_collision_shapes(tmp_path):
+    path = tmp_path / "robot.urdf"
+    path.write_text(pendulum(inside=LIMIT))
+    with pytest.raises(UnusableInput, match=r"no link without <inertial> has a <collision>"):
+        nominal_inertia.nominal_inertias(str(path), 5.0)
+
+
+def test_the_inertia_of_a_hull_is_that_of_its_shape():
+    half = 0.5 * np.array([0.2, 0.4, 0.6])
+    signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+    corners = signs * half + np.array([1.0, 2.0, 3.0])
+    body = nominal_inertia._hull_inertia(corners, "box")
+    box = pin.Inertia.FromBox(0.2 * 0.4 * 0.6, 0.2, 0.4, 0.6)
+    assert body.mass == pytest.approx(box.mass)
+    assert body.lever == pytest.approx([1.0, 2.0, 3.0])
+    assert np.allclose(body.inertia, box.inertia, rtol=1e-9)
 
 
 # -- mimic joints and trees ------------------------------------------------------------------------

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 
-from ..api.robots import resolve_limits
+from ..api.robots import load_robot, resolve_limits
 from ..errors import UnusableInput
 from ..robot import inertial_parameters
 from ..robot.limits import Limits
-from ..robot.robot import Payload, Robot, load
+from ..robot.robot import Payload, Robot
 
 
 def robot(arguments: argparse.Namespace) -> Robot:
@@ -20,8 +20,14 @@ def robot(arguments: argparse.Namespace) -> Robot:
         payload = Payload(link, values[0], values[1:4], values[4:])
     joints = arguments.joints.split(",") if arguments.joints else None
     lock = {name: value for name, (value,) in arguments.lock}
-    return load(
-        arguments.robot, joints=joints, lock=lock, payload=payload, gravity=arguments.gravity
+    return load_robot(
+        arguments.robot,
+        joints=joints,
+        lock=lock,
+        payload=payload,
+        gravity=arguments.gravity,
+        mass=None if arguments.mass is None else arguments.mass[0],
+        packages=getattr(arguments, "packages", ()),
     )
 
 

@@ -159,6 +159,13 @@ def _robot_options(sub: argparse.ArgumentParser) -> None:
         help="a body at a link: kg, m, kg m² about its centre",
     )
     group.add_argument(
+        "--mass",
+        type=Numbers(ranges.MASS, (1,)),
+        metavar="KG",
+        help="mass of the complete robot: links without <inertial> get uniform bodies in their "
+        "collision shapes",
+    )
+    group.add_argument(
         "--gravity",
         type=Numbers(ranges.GRAVITY, (3,)),
         metavar="X,Y,Z",

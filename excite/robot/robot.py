@@ -491,6 +491,15 @@ def _inertia_document(inertias: Mapping[str, LinkInertia]) -> dict[str, list[flo
     }
 
 
+def inertias_of_document(document: Mapping[str, Sequence[float]]) -> dict[str, LinkInertia]:
+    """Read back the inertias that `Robot.options` states."""
+    inertias = {}
+    for link, numbers in document.items():
+        mass, x, y, z, *moments = (float(number) for number in numbers)
+        inertias[link] = LinkInertia(mass, (x, y, z), tuple(moments))  # type: ignore[arg-type]
+    return inertias
+
+
 def _require_mass(robot: Robot) -> None:
     """Raise UnusableInput for a body with inertia but no mass, and for a joint that moves no mass,
     which makes the dynamics singular."""
@@ -513,6 +522,6 @@ def _require_mass(robot: Robot) -> None:
         ]
         if not any(moment > 0.0 for moment in moments):
             raise UnusableInput(
-                f"{robot.source}: joint '{joint}' moves no mass; give its links an <inertial> or "
-                f"lock it with --lock {joint}=0"
+                f"{robot.source}: joint '{joint}' moves no mass; give its links an <inertial>, "
+                f"or the robot's mass with --mass, or lock it with --lock {joint}=0"
             )

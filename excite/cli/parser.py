@@ -91,6 +91,7 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument("--version", action="version", version=f"excite {__version__}")
     commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
     _robots(commands)
+    _check(commands)
     _command(commands, "effects", "list the effects that a diagnosis can report")
     _command(commands, "formats", "list the formats of excite export")
     _design(commands)
@@ -127,6 +128,27 @@ def _command(commands: Commands, name: str, text: str) -> argparse.ArgumentParse
 
 def _robots(commands: Commands) -> None:
     _command(commands, "robots", "list the built-in robots")
+
+
+def _check(commands: Commands) -> None:
+    sub = _command(commands, "check", "say what is missing or implausible in a robot, all at once")
+    sub.epilog = (
+        "Exit code 0: usable; 1: something has to be corrected before a design; 2: the file cannot "
+        "be used."
+    )
+    _robot_options(sub)
+    sub.add_argument(
+        "--limits-template",
+        metavar="FILE",
+        help="write a limits file with what is known and blanks for the rest",
+    )
+    sub.add_argument(
+        "--packages",
+        metavar="DIR",
+        action="append",
+        default=[],
+        help="a folder of package:// meshes",
+    )
 
 
 def _robot_options(sub: argparse.ArgumentParser) -> None:

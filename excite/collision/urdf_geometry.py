@@ -72,6 +72,20 @@ def read(source: str, packages: Sequence[str] = ()) -> list[Shape]:
     return out
 
 
+def missing_meshes(source: str, packages: Sequence[str] = ()) -> list[tuple[str, str]]:
+    """Links and file names of the collision meshes that do not exist; see `read`."""
+    path = locate(source)
+    root = xml_file.parse_text(path, source_text.read_urdf_text(path))
+    out = []
+    for link in root.findall("link"):
+        for mesh in link.findall("collision/geometry/mesh"):
+            try:
+                _find_mesh(path, str(link.get("name")), mesh.get("filename", ""), packages)
+            except MissingMesh as error:
+                out.append((str(link.get("name")), error.mesh))
+    return out
+
+
 def _shape(
     path: Path,
     link: str,

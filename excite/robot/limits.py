@@ -199,7 +199,7 @@ def resolve(robot: Robot, file: Path | None = None, margin: float | None = None)
         )
     table, shares = stated_limits(robot, file)
     for follower in robot.followers:
-        _tighten(robot, table[follower.master], follower)
+        tighten(robot, table[follower.master], follower)
     missing = missing_limits(robot, table)
     if missing:
         raise MissingLimit(robot.source, missing)
@@ -306,7 +306,7 @@ def _builtin_table(robot: Robot) -> Path:
     return Path(str(resources.files("excite.robot") / "models" / f"{robot.source}.toml"))
 
 
-def _tighten(robot: Robot, entries: dict[str, tuple[Any, str]], follower: Follower) -> None:
+def tighten(robot: Robot, entries: dict[str, tuple[Any, str]], follower: Follower) -> None:
     """Apply a mimic joint's own position and velocity limits to the joint it follows: q_mimic =
     multiplier q + offset.
 

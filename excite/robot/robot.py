@@ -161,6 +161,7 @@ def load(
     payload: Payload | None = None,
     gravity: Sequence[float] = GRAVITY,
     inertias: Mapping[str, LinkInertia] | None = None,
+    require_mass: bool = True,
 ) -> Robot:
     """Load a robot from a URDF path or a built-in name.
 
@@ -172,6 +173,7 @@ def load(
         payload: A body added to a link before anything else is computed.
         gravity: Shape (3,) [m/s²], base frame.
         inertias: Inertia of links that state none.
+        require_mass: Whether every joint has to move a mass.
 
     Raises:
         UnusableInput: The file cannot be used, a joint is unknown or moves no mass.
@@ -195,7 +197,7 @@ def load(
         turned = np.array([exact_placement.exact_angle(float(angle)) for angle in reference])
         structure = _reduced(exact, kept, turned, gravity, links)
         rounded = _moved_joints(model, structure)
-    faults = _inertia_faults(document, model)
+    inertia_faults = _inertia_faults(document, model)
     if payload is not None:
         _attach(model, document.source, payload)
     order = [name for name in model.names[1:] if name in moving]
@@ -210,7 +212,7 @@ def load(
         model=model,
         structure=structure,
         rounded=rounded,
-        inertia_faults=faults,
+        inertia_faults=inertia_faults,
         placeholders=_placeholders(document, model),
         joints=tuple(order),
         spread=_frozen(spread),
@@ -234,7 +236,9 @@ def load(
             **({"inertias": _inertia_document(inertias)} if inertias else {}),
         },
     )
-    _require_mass(robot)
+    faults = mass_faults(robot) if require_mass else []
+    if faults:
+        raise UnusableRobot([f"{robot.source}: {fault}" for fault in faults])
     return robot
 
 
@@ -500,16 +504,17 @@ def inertias_of_document(document: Mapping[str, Sequence[float]]) -> dict[str, L
     return inertias
 
 
-def _require_mass(robot: Robot) -> None:
-    """Raise UnusableInput for a body with inertia but no mass, and for a joint that moves no mass,
-    which makes the dynamics singular."""
+def mass_faults(robot: Robot) -> list[str]:
+    """Sentences on bodies with inertia but no mass, and on joints that move no mass, which make the
+    dynamics singular."""
     model = robot.model
-    for link, body in zip(robot.links, model.inertias[1:], strict=True):
-        if body.mass == 0.0 and np.any(body.inertia):
-            raise UnusableInput(
-                f"{robot.source}: link '{link}' has an inertia but the mass 0; correct its <mass> "
-                "or remove its <inertial>"
-            )
+    faults = [
+        f"link '{link}' has an inertia but the mass 0; correct its <mass> or remove its <inertial>"
+        for link, body in zip(robot.links, model.inertias[1:], strict=True)
+        if body.mass == 0.0 and np.any(body.inertia)
+    ]
+    if faults:
+        return faults
     for column, joint in enumerate(robot.joints):
         carried = [
             i
@@ -521,7 +526,8 @@ def _require_mass(robot: Robot) -> None:
             for i in carried
         ]
         if not any(moment > 0.0 for moment in moments):
-            raise UnusableInput(
-                f"{robot.source}: joint '{joint}' moves no mass; give its links an <inertial>, "
-                f"or the robot's mass with --mass, or lock it with --lock {joint}=0"
+            faults.append(
+                f"joint '{joint}' moves no mass; give its links an <inertial>, or the robot's mass "
+                f"with --mass, or lock it with --lock {joint}=0"
             )
+    return faults

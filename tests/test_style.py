@@ -25,6 +25,7 @@ CLEAN = (
     "tests/test_base_parameters.py",
     "tests/test_limits.py",
     "tests/test_robot.py",
+    "tests/test_mjcf.py",
     "tests/test_robot_check.py",
     "tests/test_robots_as_they_occur.py",
     "README.md",

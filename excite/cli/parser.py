@@ -154,7 +154,9 @@ def _check(commands: Commands) -> None:
 def _robot_options(sub: argparse.ArgumentParser) -> None:
     group = sub.add_argument_group("robot")
     group.add_argument(
-        "robot", metavar="ROBOT", help="path of a URDF, or a name that 'excite robots' lists"
+        "robot",
+        metavar="ROBOT",
+        help="path of a URDF or an MJCF file, or a name that 'excite robots' lists",
     )
     group.add_argument(
         "--joints", metavar="A,B,…", help="the joints that move; the others are locked"
@@ -663,7 +665,9 @@ def _simulate(commands: Commands) -> None:
         "have",
     )
     sub.add_argument(
-        "robot", metavar="ROBOT", help="path of a URDF, or a name that 'excite robots' lists"
+        "robot",
+        metavar="ROBOT",
+        help="path of a URDF or an MJCF file, or a name that 'excite robots' lists",
     )
     sub.add_argument(
         "trajectory", metavar="TRAJECTORY", help="the trajectory.json of 'excite design'"

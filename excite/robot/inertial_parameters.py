@@ -223,11 +223,14 @@ def _drive_values(
     robot: Robot, limits: Limits, bodies: list[FloatArray]
 ) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
     nominal = {
-        "rotor_inertia": np.array([entry.rotor_inertia for entry in robot.entries]),
-        "viscous": np.array([entry.viscous for entry in robot.entries]),
-        "coulomb": np.array([entry.coulomb for entry in robot.entries]),
-        "offset": np.array([entry.offset for entry in robot.entries]),
+        kind: np.array([getattr(entry, kind) for entry in robot.entries], float) for kind in DRIVE
     }
+    for follower in robot.followers:  # at the joint that it follows: q̇ = m q̇_joint, τ_joint = m τ
+        joint, m = robot.index(follower.master), follower.multiplier
+        nominal["rotor_inertia"][joint] += m**2 * follower.entry.rotor_inertia
+        nominal["viscous"][joint] += m**2 * follower.entry.viscous
+        nominal["coulomb"][joint] += abs(m) * follower.entry.coulomb
+        nominal["offset"][joint] += m * follower.entry.offset
     fallback = {
         "rotor_inertia": 0.05 * mean_inertia(robot, limits, bodies),
         "viscous": 0.02 * limits.torque / limits.velocity,

@@ -6,11 +6,13 @@ import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
+from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 
 from ..errors import UnusableInput
 from . import xml_file
+from .mjcf import Conversion, convert_mjcf
 
 SUBSTITUTION = re.compile(r"\$\{[^}]*\}|\$\((arg|find|eval|env|optenv|dirname|anon)\b")
 """Substitutions that only xacro understands."""
@@ -42,10 +44,16 @@ def is_file(path: Path) -> bool:
 
 
 def read_urdf_text(path: Path) -> str:
-    """Read the URDF text of a robot's file.
+    """Read the URDF text of a robot's file; see `read_robot`."""
+    return read_robot(path).text
+
+
+def read_robot(path: Path) -> Conversion:
+    """Read a robot's file as URDF.
 
     Args:
-        path: A URDF, or a xacro file that the package xacrodoc expands.
+        path: A URDF, a xacro file that the package xacrodoc expands, or an MJCF file that MuJoCo
+            compiles.
 
     Raises:
         UnusableInput: The file is missing or in none of these formats, or the package that
@@ -55,6 +63,13 @@ def read_urdf_text(path: Path) -> str:
         raise UnusableInput(
             f"{path}: no such file; give a URDF's path or a name that 'excite robots' lists"
         )
+    status = path.stat()
+    return _read_version(path, status.st_mtime_ns, status.st_size)
+
+
+@lru_cache(maxsize=8)
+def _read_version(path: Path, modified: int, size: int) -> Conversion:
+    """Read a version of a file, which its time of modification and its size tell from others."""
     raw = xml_file.read_text(path, "a URDF")
     if raw.strip() and not raw.lstrip("\ufeff \t\r\n").startswith("<"):
         raise UnusableInput(
@@ -62,12 +77,16 @@ def read_urdf_text(path: Path) -> str:
             "lists"
         )
     if path.suffix == ".xacro":
-        return _expanded(path)
+        return Conversion(_expanded(path), ())
     root = xml_file.parse_text(path, raw)
+    if root.tag == "mujoco":
+        return convert_mjcf(path)
     if root.tag != "robot":
-        raise UnusableInput(f"{path}: its root is <{root.tag}>, not <robot>; give a URDF")
+        raise UnusableInput(
+            f"{path}: its root is <{root.tag}>, not <robot>; give a URDF or an MJCF"
+        )
     namespaces = {XACRO, *DECLARED_XACRO.findall(raw)}
-    return _expanded(path) if _is_xacro(root, namespaces) else raw
+    return Conversion(_expanded(path) if _is_xacro(root, namespaces) else raw, ())
 
 
 def _is_xacro(root: ElementTree.Element, namespaces: set[str]) -> bool:

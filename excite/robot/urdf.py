@@ -155,7 +155,8 @@ def read(path: Path) -> Urdf:
         UnusableInput: The file is missing, is no valid XML or is not in the encoding that it
             declares; or its links form no tree.
     """
-    raw = source_text.read_urdf_text(path)
+    converted = source_text.read_robot(path)
+    raw = converted.text
     root = xml_file.parse_text(path, raw)
     source = str(path)
     links = tuple(_names(source, root, "link"))
@@ -190,6 +191,7 @@ def read(path: Path) -> Urdf:
         f"{source}: elements and attributes of the undeclared XML prefix '{prefix}' are ignored"
         for prefix in undeclared
     ]
+    remarks += converted.remarks
     return Urdf(source, name, joints, links, tuple(placements), inertias, tuple(remarks))
 
 

@@ -15,6 +15,7 @@ import pytest
 from conftest import states
 from pytest import MonkeyPatch
 
+from excite import recordings
 from excite.api.robot_check import check_robot
 from excite.cli.main import main
 from excite.collision import urdf_geometry
@@ -362,6 +363,10 @@ def test_a_design_of_an_mjcf_is_certified_and_verified(tmp_path, capsys):
     document = json.loads((out / "trajectory.json").read_text())
     assert document["robot"]["sha256"] == mujoco_sha256(path)
     assert main(["verify", str(out / "trajectory.json")]) == 0
+    simulated = ("simulate", str(path), str(out / "trajectory.json"))
+    assert main([*simulated, "-o", str(tmp_path / "run.csv")]) == 0, capsys.readouterr().err
+    recording = recordings.read(tmp_path / "run.csv", loaded(path))
+    assert np.abs(recording.torque).max() > 1.0
     path.write_text(ARM.replace('mass="3.2"', 'mass="3.3"'))
     assert main(["verify", str(out / "trajectory.json")]) == 2
     assert "sha256" in capsys.readouterr().err

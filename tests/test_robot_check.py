@@ -123,6 +123,13 @@ def test_missing_meshes_are_all_listed(tmp_path):
     ]
 
 
+def test_shapes_of_fixed_links_alone_are_a_remark(tmp_path):
+    shape = '<link name="base"><collision><geometry><sphere radius="0.1"/></geometry></collision>'
+    text = pendulum(inside=LIMIT).replace('<link name="base"/>', f"{shape}</link>")
+    result = checked(tmp_path, text)
+    assert result.usable and any("no moving link has a" in remark for remark in result.remarks)
+
+
 def test_rounded_angles_and_mimics_are_told(tmp_path, capsys):
     path = written(tmp_path, text_of("ur10e").replace("1.570796326795", "1.5708"))
     assert main(["check", str(path), "--lock", "wrist_3_joint=0.5"]) == 0

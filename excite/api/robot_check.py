@@ -314,9 +314,10 @@ def _floor(robot: Robot, limits: Limits, packages: Sequence[str]) -> tuple[float
         ]
     try:
         shapes = urdf_geometry.read(robot.source, packages)
-        if not shapes:
+        frames = [robot.model.frames[robot.frame(str(shape.link))] for shape in shapes]
+        if not any(int(frame.parentJoint) > 0 for frame in frames):
             warnings.warn(
-                "no link has a <collision> shape: collision cannot be checked",
+                "no moving link has a <collision> shape: collision cannot be checked",
                 ExciteWarning,
                 stacklevel=2,
             )

@@ -20,6 +20,8 @@ def load_robot(
     lock: Mapping[str, float] | None = None,
     payload: Payload | None = None,
     gravity: Sequence[float] = GRAVITY,
+    mass: float | None = None,
+    packages: Sequence[str] = (),
 ) -> Robot:
     """Load a robot.
 
@@ -29,13 +31,28 @@ def load_robot(
         lock: Positions of locked joints [rad or m].
         payload: Body attached to a link.
         gravity: Gravity in the base frame. Shape (3,) [m/s²].
+        mass: Mass of the complete robot [kg], for a robot with links that state no inertia; see
+            `collision.nominal_inertia`.
+        packages: Folders in which `package://` meshes of these links are searched.
 
     Raises:
         UnusableInput: The file cannot be used, or a joint or link is unknown.
     """
     if isinstance(source, Robot):
         return source
-    return load(str(source), joints=joints, lock=lock, payload=payload, gravity=gravity)
+    inertias = None
+    if mass is not None:
+        from ..collision.nominal_inertia import nominal_inertias  # slow to import
+
+        inertias = nominal_inertias(str(source), mass, packages)
+    return load(
+        str(source),
+        joints=joints,
+        lock=lock,
+        payload=payload,
+        gravity=gravity,
+        inertias=inertias,
+    )
 
 
 def resolve_limits(

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable, Sequence
+import tempfile
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +15,8 @@ import numpy as np
 
 from .._system.output_files import OutputFiles, output_files
 from ..errors import UnusableInput
-from ..robot import urdf
+from ..robot import source_text, urdf, xml_file
+from ..robot.limits import Limits
 from ..robot.robot import locate
 from ..schemas.document_file import DocumentFile
 from ..schemas.truth import SCHEMA, TruthDocument
@@ -142,11 +146,11 @@ def simulate(
     source, sibling = locate(str(robot)), None if like is None else _read_sibling(Path(like), asked)
     urdf.read(source)  # the simulator, which shares nothing with the rest, checks less
     chosen = _setting(given, None if sibling is None else sibling.setting)
-    trajectory_file.read_trajectory(
-        Path(trajectory)
-    )  # the simulator reads it by itself, but validates nothing
+    # the simulator reads the trajectory by itself, but validates nothing
+    designed = trajectory_file.read_trajectory(Path(trajectory))
     motion = reference_trajectory.read_reference(Path(trajectory), periods)
-    plant = experiment.build_robot(source, motion, chosen)
+    with _urdf_file(source, designed.limits) as file:
+        plant = experiment.build_robot(file, motion, chosen)
     chain = experiment.measurement_chain(plant, chosen)
     if sibling is not None:
         if sibling.joints != plant.joints:
@@ -231,6 +235,34 @@ def _read_sibling(path: Path, asked: dict[str, Any]) -> _Sibling:
         experiment.ExperimentSettings.from_document(truth["setting"]),
         effects,
     )
+
+
+@contextmanager
+def _urdf_file(source: Path, limits: Limits) -> Iterator[Path]:
+    """The robot's file where it is a URDF, else a temporary URDF that it is converted to.
+
+    An MJCF has no velocity limits; those of the trajectory fill the gaps.
+    """
+    text = source_text.read_urdf_text(source)
+    if text == xml_file.read_text(source, "a URDF"):
+        yield source
+        return
+    root = xml_file.parse_text(source, text)
+    for joint in root.findall("joint"):
+        if joint.get("name") not in limits.joints:
+            continue
+        place = limits.joints.index(str(joint.get("name")))
+        limit = joint.find("limit")
+        if limit is None:
+            limit = ElementTree.SubElement(joint, "limit")
+        known = {"velocity": limits.velocity[place], "effort": limits.torque[place]}
+        for key, value in known.items():
+            limit.attrib.setdefault(key, repr(float(value)))
+    text = ElementTree.tostring(root, encoding="unicode")
+    with tempfile.TemporaryDirectory(prefix="excite-") as folder:
+        file = Path(folder) / f"{source.stem}.urdf"
+        file.write_text(text, encoding="utf-8")
+        yield file
 
 
 def _setting(given: dict[str, Any], like: Any) -> Any:

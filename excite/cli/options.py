@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
-from ..api.robots import resolve_limits
+from ..api.robots import load_robot, resolve_limits
 from ..errors import UnusableInput
 from ..robot import inertial_parameters
 from ..robot.limits import Limits
-from ..robot.robot import Payload, Robot, load
+from ..robot.robot import Payload, Robot
 
 
-def robot(arguments: argparse.Namespace) -> Robot:
-    """Load the robot that the options describe."""
+def robot_choices(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Arguments of `api.load_robot` that the options state."""
     payload = None
     if arguments.payload:
         link, values = arguments.payload
@@ -20,9 +21,20 @@ def robot(arguments: argparse.Namespace) -> Robot:
         payload = Payload(link, values[0], values[1:4], values[4:])
     joints = arguments.joints.split(",") if arguments.joints else None
     lock = {name: value for name, (value,) in arguments.lock}
-    return load(
-        arguments.robot, joints=joints, lock=lock, payload=payload, gravity=arguments.gravity
-    )
+    return {
+        "source": arguments.robot,
+        "joints": joints,
+        "lock": lock,
+        "payload": payload,
+        "gravity": arguments.gravity,
+        "mass": None if arguments.mass is None else arguments.mass[0],
+        "packages": getattr(arguments, "packages", ()),
+    }
+
+
+def robot(arguments: argparse.Namespace) -> Robot:
+    """Load the robot that the options describe."""
+    return load_robot(**robot_choices(arguments))
 
 
 def limits(arguments: argparse.Namespace, machine: Robot) -> Limits:

@@ -91,6 +91,7 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument("--version", action="version", version=f"excite {__version__}")
     commands = top.add_subparsers(dest="command", metavar="COMMAND", required=True)
     _robots(commands)
+    _check(commands)
     _command(commands, "effects", "list the effects that a diagnosis can report")
     _command(commands, "formats", "list the formats of excite export")
     _design(commands)
@@ -129,10 +130,33 @@ def _robots(commands: Commands) -> None:
     _command(commands, "robots", "list the built-in robots")
 
 
+def _check(commands: Commands) -> None:
+    sub = _command(commands, "check", "say what is missing or implausible in a robot, all at once")
+    sub.epilog = (
+        "Exit code 0: usable; 1: something has to be corrected before a design; 2: the file cannot "
+        "be used."
+    )
+    _robot_options(sub)
+    sub.add_argument(
+        "--limits-template",
+        metavar="FILE",
+        help="write a limits file with what is known and blanks for the rest",
+    )
+    sub.add_argument(
+        "--packages",
+        metavar="DIR",
+        action="append",
+        default=[],
+        help="a folder of package:// meshes",
+    )
+
+
 def _robot_options(sub: argparse.ArgumentParser) -> None:
     group = sub.add_argument_group("robot")
     group.add_argument(
-        "robot", metavar="ROBOT", help="path of a URDF, or a name that 'excite robots' lists"
+        "robot",
+        metavar="ROBOT",
+        help="path of a URDF or an MJCF file, or a name that 'excite robots' lists",
     )
     group.add_argument(
         "--joints", metavar="A,B,…", help="the joints that move; the others are locked"
@@ -157,6 +181,13 @@ def _robot_options(sub: argparse.ArgumentParser) -> None:
         type=NamedNumbers(body, ":", Numbers(quantities, (1, 4, 10))),
         metavar=body,
         help="a body at a link: kg, m, kg m² about its centre",
+    )
+    group.add_argument(
+        "--mass",
+        type=Numbers(ranges.MASS, (1,)),
+        metavar="KG",
+        help="mass of the complete robot: links without <inertial> get uniform bodies in their "
+        "collision shapes",
     )
     group.add_argument(
         "--gravity",
@@ -634,7 +665,9 @@ def _simulate(commands: Commands) -> None:
         "have",
     )
     sub.add_argument(
-        "robot", metavar="ROBOT", help="path of a URDF, or a name that 'excite robots' lists"
+        "robot",
+        metavar="ROBOT",
+        help="path of a URDF or an MJCF file, or a name that 'excite robots' lists",
     )
     sub.add_argument(
         "trajectory", metavar="TRAJECTORY", help="the trajectory.json of 'excite design'"

@@ -22,7 +22,7 @@ from ..collision.continuous_check import PairDistance
 from ..collision.workcell import NOT_CHECKED, Cell
 from ..robot import base_parameters, dynamics, inertial_parameters
 from ..robot.limits import DERIVED, QUANTITIES, WITH_MARGIN, Limits, from_sources
-from ..robot.robot import Robot
+from ..robot.robot import Robot, require_possible_bodies
 from ..robot.samples import Samples
 from ..trajectory.fourier import VERIFICATION_DENSITY, oversampling_bound
 from ..trajectory.rest_to_rest import Motion, MotionSegment
@@ -298,6 +298,7 @@ def recompute_criteria(
 
     The periodic part is sampled as in the optimisation.
     """
+    require_possible_bodies(robot)
     motion = trajectory.motion
     base = base_parameters.find(robot, standard, limits)
     samples = int(trajectory.design.get("samples", round(motion.fourier.period * trajectory.rate)))

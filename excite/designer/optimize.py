@@ -16,7 +16,7 @@ from ..errors import ExciteError, UnusableInput
 from ..robot import base_parameters, inertial_parameters
 from ..robot.base_parameters import Base
 from ..robot.limits import Limits
-from ..robot.robot import Robot
+from ..robot.robot import Robot, require_possible_bodies
 from ..trajectory.fourier import FourierSeries
 from . import criteria, design_cost, initial_guess, multistart, problem, sqp
 from .constraint_margins import MotionConstraints
@@ -136,6 +136,7 @@ def set_up(
         len(options.noise) != robot.n or not all(0.0 < s < np.inf for s in options.noise)
     ):
         raise UnusableInput(f"--torque-noise should be {robot.n} positive numbers, one per joint")
+    require_possible_bodies(robot)
     standard = inertial_parameters.standard(robot, limits, options.drive)
     base = base_parameters.find(robot, standard, limits)
     noise = torque_noise_levels(limits, options.noise)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from itertools import pairwise
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypeAlias, get_args
 
 import msgspec
 
@@ -55,6 +55,12 @@ FREQUENCY_TOLERANCE = 1e-9
 """Relative difference of `base_frequency` and 2π over `period` that is tolerated [1]."""
 
 
+InertiaNumbers: TypeAlias = tuple[
+    PositiveMass, Length, Length, Length, Inertia, Inertia, Inertia, Inertia, Inertia, Inertia
+]
+"""Mass, centre of mass and moments xx, xy, yy, xz, yz, zz of a link."""
+
+
 class PayloadDocument(msgspec.Struct):
     """A body that is attached to a link."""
 
@@ -73,6 +79,7 @@ class RobotDocument(msgspec.Struct):
     locked: dict[str, Position]
     payload: PayloadDocument | None
     gravity: tuple[Gravity, Gravity, Gravity]
+    inertias: dict[str, InertiaNumbers] | None = None
 
 
 class ProfileDocument(msgspec.Struct):

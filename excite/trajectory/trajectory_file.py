@@ -15,7 +15,7 @@ from .._types import FloatArray
 from ..errors import UnusableInput
 from ..robot import limits
 from ..robot.limits import Limits
-from ..robot.robot import Payload, Robot, load
+from ..robot.robot import Payload, Robot, inertias_of_document, load
 from ..schemas.document_file import DocumentFile
 from ..schemas.trajectory import SCHEMA, TrajectoryDocument
 from .fourier import FourierSeries
@@ -104,6 +104,7 @@ class Trajectory:
             lock={k: v for k, v in stated.get("locked", {}).items()},
             payload=None if payload is None else _payload(payload),
             gravity=stated.get("gravity", (0.0, 0.0, -9.81)),
+            inertias=inertias_of_document(stated.get("inertias") or {}),
         )
         if robot.sha256 != stated["sha256"]:
             raise UnusableInput(

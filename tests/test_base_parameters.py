@@ -1,8 +1,11 @@
 from __future__ import annotations
 
+import dataclasses
 import itertools
+import os
 import re
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,12 +26,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from excite.errors import ExciteWarning
-from excite.robot import base_parameters, inertial_parameters
+from excite.robot import base_parameters, exact_placement, inertial_parameters
+from excite.robot.base_parameters import base_count
 from excite.robot.dynamics import regressor
 from excite.robot.inertial_parameters import DRIVE, Parameters
 from excite.robot.limits import resolve
 from excite.robot.robot import Robot, load
-from excite.robot.structural_count import base_count
 
 COMBINATIONS = [
     tuple(kind for kind, on in zip(DRIVE, flags, strict=True) if on)
@@ -160,8 +163,8 @@ def test_structural_count_bounds_a_robot_with_mimics(rng):
     robot = loaded(random_urdf(rng, 4, mimics={2: (0, 0.7, 0.1)}))
     limits = resolve(robot)
     standard = inertial_parameters.standard(robot, limits)
-    found = base_parameters.find(robot, standard, limits).count
-    assert found == rank(wide(robot, standard)) <= base_count(robot, standard)
+    base = base_parameters.find(robot, standard, limits).count
+    assert base == rank(wide(robot, standard)) <= base_count(robot, standard)
 
 
 # -- the base itself -------------------------------------------------------------------------------
@@ -184,37 +187,37 @@ def example(
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_base_parameters_reproduce_the_torque(name):
-    robot, standard, found = example(name)
-    Y, B = wide(robot, standard), found.matrix
+    robot, standard, base = example(name)
+    Y, B = wide(robot, standard), base.matrix
     gamma = Y @ B.T @ np.linalg.inv(B @ B.T)
     assert off(gamma @ B, Y) < 1e-8
 
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_independent_columns_reproduce_the_torque(name):
-    robot, standard, found = example(name)
+    robot, standard, base = example(name)
     Y = wide(robot, standard)
-    assert off((Y @ found.selection) @ found.matrix, Y) < 1e-8
+    assert off((Y @ base.selection) @ base.matrix, Y) < 1e-8
 
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_each_base_parameter_is_one_parameter_and_dependent_ones(name):
-    _, _, found = example(name)
-    assert np.array_equal(found.matrix[:, found.independent], np.eye(found.count))
+    _, _, base = example(name)
+    assert np.array_equal(base.matrix[:, base.independent], np.eye(base.count))
 
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_plain_basis_is_orthonormal_and_spans_the_base(name):
-    _, _, found = example(name)
-    assert np.allclose(found.plain.T @ found.plain, np.eye(found.count), atol=1e-12)
-    assert off((found.matrix @ found.plain) @ found.plain.T, found.matrix) < 1e-10
+    _, _, base = example(name)
+    assert np.allclose(base.plain.T @ base.plain, np.eye(base.count), atol=1e-12)
+    assert off((base.matrix @ base.plain) @ base.plain.T, base.matrix) < 1e-10
 
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_geometric_basis_is_orthonormal_in_the_metric(name):
-    _, standard, found = example(name)
-    V = np.linalg.solve(standard.scale, found.geometric)
-    assert np.allclose(V.T @ V, np.eye(found.count), atol=1e-9)
+    _, standard, base = example(name)
+    V = np.linalg.solve(standard.scale, base.geometric)
+    assert np.allclose(V.T @ V, np.eye(base.count), atol=1e-9)
 
 
 def read(expression: str, names: tuple[str, ...]) -> np.ndarray:
@@ -231,9 +234,9 @@ def read(expression: str, names: tuple[str, ...]) -> np.ndarray:
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_expressions_say_what_the_matrix_does(name):
-    _, standard, found = example(name)
-    said = np.array([read(text, standard.names) for text in found.expressions])
-    assert np.allclose(said, found.matrix, rtol=1e-3, atol=1e-12)
+    _, standard, base = example(name)
+    said = np.array([read(text, standard.names) for text in base.expressions])
+    assert np.allclose(said, base.matrix, rtol=1e-3, atol=1e-12)
 
 
 def test_base_does_not_depend_on_global_randomness():
@@ -243,12 +246,119 @@ def test_base_does_not_depend_on_global_randomness():
     assert np.array_equal(first, example("ur5e")[2].matrix)
 
 
-def test_a_rounded_right_angle_makes_no_parameter():
-    exact = text_of("ur10e")
-    rounded = re.sub(r"1\.570796\d*", "1.5708", exact)
-    assert rounded != exact
-    machine = loaded(rounded)
-    standard = inertial_parameters.standard(machine, resolve(machine))
+# -- rounded angles --------------------------------------------------------------------------------
+
+
+def with_rounded_angles(text: str, decimals: int = 4) -> str:
+    """A URDF whose angles have so many decimals."""
+
+    def rounded(match: re.Match[str]) -> str:
+        return 'rpy="' + " ".join(f"{float(word):.{decimals}f}" for word in match[1].split()) + '"'
+
+    return re.sub(r'rpy="([^"]*)"', rounded, text)
+
+
+def base_of(robot: Robot) -> tuple[Parameters, base_parameters.Base]:
+    """Base parameters with limits of 1 where the URDF has none."""
+    robot = dataclasses.replace(
+        robot,
+        entries=tuple(
+            dataclasses.replace(
+                entry,
+                position=entry.position or (-1.0, 1.0),
+                velocity=entry.velocity or 1.0,
+                torque=entry.torque or 1.0,
+            )
+            for entry in robot.entries
+        ),
+    )
+    limits = resolve(robot)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExciteWarning)
-        assert base_parameters.find(machine, standard, resolve(machine)).count == 58
+        standard = inertial_parameters.standard(robot, limits)
+        return standard, base_parameters.find(robot, standard, limits)
+
+
+@pytest.mark.parametrize("decimals", [4, 5, 6, 8])
+@pytest.mark.parametrize("name", BUILTIN)
+def test_base_parameters_do_not_depend_on_rounded_angles(name, decimals):
+    exact, rounded = (
+        loaded(with_rounded_angles(text_of(name), digits)) for digits in (15, decimals)
+    )
+    (_, expected), (_, base) = base_of(exact), base_of(rounded)
+    assert base.count == expected.count
+    assert np.array_equal(base.independent, expected.independent)
+    assert np.allclose(base.matrix, expected.matrix, atol=1e-6)
+
+
+def test_rounded_angles_are_reported_with_the_joint():
+    machine = loaded(with_rounded_angles(text_of("ur10e")))
+    limits = resolve(machine)
+    standard = inertial_parameters.standard(machine, limits)
+    with pytest.warns(ExciteWarning, match=r"shoulder_lift_joint.* rounded .*exact right angles"):
+        base_parameters.find(machine, standard, limits)
+
+
+def test_the_dynamics_keep_the_angles_of_the_file():
+    machine = loaded(with_rounded_angles(text_of("ur10e")))
+    lift = machine.model.getJointId("shoulder_lift_joint")
+    tilt = machine.model.jointPlacements[lift].rotation
+    exact = machine.structure.jointPlacements[lift].rotation
+    assert 1e-6 < np.abs(tilt - exact).max() < 1e-5
+
+
+@pytest.mark.parametrize("name", BUILTIN)
+def test_a_joints_friction_and_offset_are_base_parameters(name):
+    standard, base = base_of(loaded(with_rounded_angles(text_of(name))))
+    for kind in ("viscous", "coulomb", "offset"):
+        places = range(standard.count)[standard.block(kind)]
+        assert set(places) <= set(base.independent.tolist())
+
+
+def test_offset_of_a_lift_stands_for_its_weight():
+    standard, base = base_of(loaded(planar(1, (0, 0, 1), "prismatic")))
+    assert standard.names.index("tau01") in base.independent
+
+
+def test_angles_far_from_right_are_not_changed():
+    assert exact_placement.exact_angles([0.7854, 1.57075, 0.3]) == [np.pi / 4, np.pi / 2, 0.3]
+    assert exact_placement.exact_angles([1.571, 0.002, 0.0]) == [1.571, 0.002, 0.0]
+    assert exact_placement.exact_lengths([9e-7, -2e-6, 0.1]) == [0.0, -2e-6, 0.1]
+
+
+def test_at_a_right_pitch_the_difference_of_yaw_and_roll_is_exact():
+    roll, pitch, yaw = exact_placement.exact_angles([0.3, 1.5708, 0.3 + 1.5708])
+    assert (roll, pitch, yaw) == (0.0, np.pi / 2, np.pi / 2)
+
+
+def test_a_direction_near_an_axis_is_exact():
+    assert exact_placement.exact_direction([0.0, 1.0, 3.67e-6]) == [0.0, 1.0, 0.0]
+    assert exact_placement.exact_direction([0.6, 0.8, 0.0]) == pytest.approx([0.6, 0.8, 0.0])
+
+
+# -- robots of the wheel example-robot-data --------------------------------------------------------
+
+ZOO = Path(os.environ.get("EXCITE_ROBOT_DATA", "/tmp/erd"))
+"""Where the wheel is unpacked; see scripts/base_counts.py."""
+ZOO_ROBOTS = {
+    "xarm_description/urdf/xarm7.urdf": 69,
+    "so_arm_description/urdf/so100.urdf": 58,
+    "so_arm_description/urdf/so101.urdf": 58,
+    "ur_description/urdf/ur10_robot.urdf": 58,
+    "kinova_description/robots/kinova.urdf": 58,
+    "finger_edu_description/robots/finger_edu.urdf": 27,
+}
+"""Robots and their number of base parameters."""
+
+
+@pytest.mark.parametrize(("path", "count"), ZOO_ROBOTS.items())
+def test_robots_of_the_wheel_have_their_structural_number(path, count):
+    file = next(ZOO.glob(f"**/robots/{path}"), None)
+    if file is None:
+        pytest.skip(f"example-robot-data is not unpacked at {ZOO}")
+    text = file.read_text(encoding="utf-8")
+    for variant in (text, with_rounded_angles(text)):
+        standard, base = base_of(loaded(variant))
+        assert base.count == count
+        assert set(range(standard.count)[standard.block("offset")]) <= set(base.independent)
+        assert np.linalg.cond(base.plain.T @ base.plain) < 1.0 + 1e-9

@@ -16,7 +16,7 @@ from synthetic_recordings import (
     unexpected_columns,
     validated,
 )
-from test_diagnose import on
+from test_diagnosis import on
 
 from excite.diagnosis import diagnosis, fitted_effects, interval
 from excite.effects import EFFECTS_BY_NAME

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import signal
 from synthetic_recordings import validated
-from test_diagnose import PLANTED, found, on, recordings_of, slips
+from test_diagnosis import PLANTED, found, on, recordings_of, slips
 
 from excite.diagnosis import diagnosis, fitted_effects, interval, late, search
 from excite.diagnosis.diagnosis import Diagnosis

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy import integrate
 from synthetic_recordings import FRICTION_WIDTH, perturbed_parameters
-from test_diagnose import found, on, recordings_of
-from test_predicted import fitted_with, stated
+from test_diagnosis import found, on, recordings_of
+from test_fitted_effects import fitted_with, stated
 
 from excite.diagnosis import diagnosis, fitted_effects, interval
 from excite.diagnosis.diagnosis_file import document

@@ -15,7 +15,7 @@ from synthetic_recordings import (
     synthetic_recording,
     two_link_model,
 )
-from test_diagnose import PLANTED, recordings_of
+from test_diagnosis import PLANTED, recordings_of
 
 from excite.diagnosis import course, diagnosis, equations, residual_atlas, search, session_changes
 from excite.diagnosis.blocks import sandwiched

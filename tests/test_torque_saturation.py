@@ -13,8 +13,8 @@ from synthetic_recordings import (
     single_joint_fold,
     unexpected_columns,
 )
-from test_diagnose import on, recordings_of
-from test_predicted import fitted_with, stated
+from test_diagnosis import on, recordings_of
+from test_fitted_effects import fitted_with, stated
 
 from excite.diagnosis import diagnosis, equations, fitted_effects, hypothesis, search
 from excite.diagnosis.measured import Measured

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from scipy import integrate, linalg
-from test_diagnose import found
+from test_diagnosis import found
 
 from excite.effects import base_compliance
 from excite.effects.base_dynamics import FloatingBaseDynamics, floating_base_dynamics

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy import integrate
 from scipy.interpolate import CubicSpline
 from synthetic_recordings import perturbed_parameters, pinocchio_model
-from test_diagnose import found
+from test_diagnosis import found
 
 from excite.diagnosis import interval
 from excite.effects import EFFECTS_BY_NAME, gear_dynamics, hysteresis

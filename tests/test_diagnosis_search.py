@@ -20,7 +20,7 @@ from synthetic_recordings import (
     single_joint_fold,
     unexpected_columns,
 )
-from test_diagnose import PLANTED, found, on, recordings_of
+from test_diagnosis import PLANTED, found, on, recordings_of
 
 from excite.diagnosis import diagnosis, equations, hypothesis, interval, judge, noise, search
 from excite.diagnosis.columns import Columns

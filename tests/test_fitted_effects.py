@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from synthetic_recordings import FRICTION_WIDTH, perturbed_parameters
-from test_diagnose import PLANTED, found, recordings_of
+from test_diagnosis import PLANTED, found, recordings_of
 
 from excite.diagnosis import fitted_effects
 from excite.effects import recorded_motion

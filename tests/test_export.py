@@ -477,7 +477,7 @@ def test_urscript_is_small_and_plain(tmp_path: Path) -> None:
 
 def test_urscript_replayed_segments(tmp_path: Path) -> None:
     trajectory = made(6)
-    motion = urscript.replayed(
+    motion = urscript.rebuilt_motion(
         exporters.write(trajectory, "urscript", tmp_path / "p.script").read_text()
     )
     assert [s.kind for s in motion.segments] == [s.kind for s in trajectory.motion.segments]

@@ -335,7 +335,7 @@ def design(
 def motion_files(trajectory: Trajectory, robot: Robot, standard: Parameters) -> dict[str, str]:
     """Return `trajectory.json` and `trajectory.csv` of a motion."""
     torque = nominal_torque(robot, standard)
-    job = file_format.Job(
+    job = file_format.ExportJob(
         trajectory, trajectory.motion, "csv", Path("trajectory.csv"), 1.0, None, torque
     )
     return {

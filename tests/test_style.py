@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import types
 from pathlib import Path
 
 import excite
+from excite import api
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -40,6 +42,12 @@ def test_the_public_interface_is_importable_and_documented():
         documented = getattr(excite, name)
         assert documented.__doc__, name
     assert set(excite.__all__) <= set(dir(excite))
+    offered = {
+        name
+        for name, value in vars(api).items()
+        if not name.startswith("_") and not isinstance(value, types.ModuleType)
+    }
+    assert set(excite.__all__) == offered  # of which type checkers know
 
 
 def test_readme_script_runs(tmp_path, monkeypatch):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from large_robots import tree_urdf
 
-from excite._system.resources import LONGEST, Cost, duration, machine_memory
+from excite._system.resources import MAX_TIME, Cost, duration, machine_memory
 from excite.cli import main as cli
 from excite.designer import criteria, design_cost
 from excite.designer.options import DesignOptions
@@ -75,7 +75,7 @@ def test_what_takes_longer_than_a_day_is_refused_with_the_figure(tmp_path):
 
 
 @pytest.mark.parametrize(("cost", "part"), [
-    (Cost(1.0, 1e15), "GB"), (Cost(2.0 * LONGEST, 1e6), "days"), (Cost(float("inf"), 1e6), "longer"),  # noqa: E501
+    (Cost(1.0, 1e15), "GB"), (Cost(2.0 * MAX_TIME, 1e6), "days"), (Cost(float("inf"), 1e6), "longer"),  # noqa: E501
 ])  # fmt: skip
 def test_work_beyond_the_machine_is_refused(cost, part):
     with pytest.raises(UnusableInput, match=part):

@@ -9,7 +9,7 @@ from typing import TypeAlias
 from ..robot.limits import Limits, resolve
 from ..robot.robot import GRAVITY, Payload, Robot, load
 
-RobotSource: TypeAlias = "str | Path | Robot"
+RobotSource: TypeAlias = str | Path | Robot
 """Path of a URDF, name of a built-in model, or a robot that is already loaded."""
 
 

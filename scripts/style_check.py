@@ -111,7 +111,7 @@ class Fault:
 
 
 def allowed(path: Path, term: str) -> bool:
-    """Return whether a term is allowed in a file."""
+    """Return True if a term is allowed in a file."""
     name = str(path.relative_to(ROOT))
     return any(
         name.startswith(prefix) and (term in terms or "*" in terms)

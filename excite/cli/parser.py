@@ -43,14 +43,16 @@ EXAMPLES = """examples:
 
 
 RECORDINGS = """recordings:
-  A CSV has the columns t [s], q.<joint> [rad or m] and tau.<joint> [N m or N], or i.<joint> [A] and a drive_gain per joint; dq, qref,
-  qlink and temp are read too. A file run.json next to run.csv holds the metadata: {"schema": "excite.recording/1", "period": 6.2,
-  "periodic": [0.8, 25.6], "drive_gain": {"elbow": 0.11}}. The noise floor is estimated from at least two periods in that window.
+  A CSV has the columns t [s], q.<joint> [rad or m] and tau.<joint> [N m or N], or i.<joint> [A]
+  and a drive_gain per joint; dq, qref, qlink and temp are read too. A file run.json next to run.csv
+  holds the metadata: {"schema": "excite.recording/1", "period": 6.2, "periodic": [0.8, 25.6],
+  "drive_gain": {"elbow": 0.11}}. The noise floor is estimated from two or more periods in that
+  window.
 
 examples:
   excite identify ur10e monday.csv --validate tuesday.csv -o out/model
-  excite identify arm.urdf a.csv b.csv --validate c.csv --period 8 --bounds masses.toml --check-lmi -o out/model
-"""  # noqa: E501
+  excite identify arm.urdf a.csv b.csv --validate c.csv --bounds masses.toml -o out/model
+"""
 
 
 class _Parser(argparse.ArgumentParser):

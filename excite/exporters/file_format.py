@@ -237,7 +237,7 @@ def note_path(path: Path) -> Path:
 
 
 def is_note(path: Path) -> bool:
-    """Return whether a file is a note that `write` has placed next to an exported file."""
+    """Return True if a file is a note that `write` has placed next to an exported file."""
     if not os.path.isfile(path):  # opening a pipe would block
         return False
     try:

@@ -91,7 +91,8 @@ def write_goal(job: ExportJob) -> ExportedText:
     """
     tolerance = _stamp(round(GOAL_TIME_TOLERANCE * NANO))
     return ExportedText(
-        f'{{"trajectory": {_trajectory(job)},\n"path_tolerance": [], "goal_tolerance": [], "goal_time_tolerance": {tolerance}}}\n'  # noqa: E501
+        f'{{"trajectory": {_trajectory(job)},\n'
+        f'"path_tolerance": [], "goal_tolerance": [], "goal_time_tolerance": {tolerance}}}\n'
     )
 
 

@@ -45,6 +45,9 @@ HOLD = 0.5
 JOINTS = range(6)
 """Indices of the joints."""
 
+_TAYLOR = ", ".join(
+    f"pos[{i}] + s * (vel[{i}] + s * (acc[{i}] / 2.0 + s * jerk[{i}] / 6.0))" for i in JOINTS
+)
 _FUNCTIONS = f"""\
   def follow(target):
     servoj(target, t=dt, lookahead_time={LOOKAHEAD}, gain={GAIN})
@@ -59,7 +62,7 @@ _FUNCTIONS = f"""\
   def piece(duration, jerk):
     local s = tick * dt - origin
     while s < duration:
-      follow([{", ".join(f"pos[{i}] + s * (vel[{i}] + s * (acc[{i}] / 2.0 + s * jerk[{i}] / 6.0))" for i in JOINTS)}])
+      follow([{_TAYLOR}])
       s = tick * dt - origin
     end
     local i = 0
@@ -71,7 +74,7 @@ _FUNCTIONS = f"""\
     end
     origin = origin + duration
   end
-"""  # noqa: E501
+"""
 
 
 def _vector(values: Iterable[float]) -> str:
@@ -123,7 +126,8 @@ def _run(motion: Motion) -> Iterator[str]:
             yield f"  series({fixed(segment.start, None)}, {fixed(segment.end, None)})"
             continue
         p = segment.profile
-        yield f"  enter({fixed(segment.start, None)}, {_vector(p.position)}, {_vector(p.velocity)}, {_vector(p.acceleration)})"  # noqa: E501
+        state = ", ".join(_vector(values) for values in (p.position, p.velocity, p.acceleration))
+        yield f"  enter({fixed(segment.start, None)}, {state})"
         for duration, jerk in _pieces(p, segment.end - segment.start):
             yield f"  piece({fixed(duration, None)}, {_vector(jerk)})"
 

@@ -10,7 +10,6 @@ import tempfile
 import time
 import traceback
 from collections.abc import Iterator, Sequence
-from importlib import metadata
 from pathlib import Path
 
 from .. import __version__
@@ -55,6 +54,8 @@ def write_error_log(error: BaseException, argv: Sequence[str]) -> Path | None:
 
 
 def _versions() -> Iterator[tuple[str, str]]:
+    from importlib import metadata  # takes 10 ms
+
     for name in PACKAGES:
         with contextlib.suppress(metadata.PackageNotFoundError):
             yield name, metadata.version(name)

@@ -1,5 +1,4 @@
-"""The command line as a user meets it: files written, exit codes, one line when something is
-wrong."""
+"""The command line: files, exit codes, and errors of one line."""
 
 import json
 import subprocess
@@ -22,7 +21,7 @@ def run(capsys, *arguments):
 
 
 def refused(capsys, *arguments, code=2):
-    """The one line that a refused command prints."""
+    """Return the one line that a refused command prints."""
     found, out, err = run(capsys, *arguments)
     assert found == code, err
     assert out == ""
@@ -82,7 +81,7 @@ def test_identifiability_json_has_the_contract_keys(designed):
     ) <= set(document)
 
 
-def test_verify_says_ok_and_how_near_the_bodies_come(capsys, designed):
+def test_verify_states_the_smallest_distance(capsys, designed):
     code, out, _ = run(capsys, "verify", designed / "trajectory.json", "--json")
     document = json.loads(out)
     assert code == 0
@@ -102,7 +101,9 @@ def test_design_json_carries_criteria_and_timing(capsys, tmp_path):
     )
 
 
-def test_a_broken_trajectory_fails_verification_and_is_not_exported(capsys, designed, tmp_path):
+def test_a_trajectory_that_violates_limits_fails_verification_and_export(
+    capsys, designed, tmp_path
+):
     document = json.loads((designed / "trajectory.json").read_text())
     document["limits"]["velocity"]["joint_1"]["value"] *= 0.5
     broken = tmp_path / "broken.json"
@@ -163,7 +164,7 @@ def validated(tmp_path_factory):
     return folder
 
 
-def test_a_validation_motion_has_a_folder_of_its_own_and_is_certified(capsys, validated):
+def test_the_validation_motion_is_certified_in_its_own_folder(capsys, validated):
     assert {p.name for p in (validated / "validation").iterdir()} == {
         "trajectory.json",
         "trajectory.csv",
@@ -179,7 +180,7 @@ def test_a_validation_motion_has_a_folder_of_its_own_and_is_certified(capsys, va
     assert 'id="validation"' in (validated / "report.html").read_text()
 
 
-def test_a_validation_motion_changes_nothing_of_the_first(validated, tmp_path):
+def test_the_validation_motion_does_not_change_the_first(validated, tmp_path):
     assert (
         main_module.main(["design", "two_link", "-o", str(tmp_path), *QUICK, "--starts", "2"]) == 0
     )
@@ -203,7 +204,7 @@ def test_validation_in_json(capsys, tmp_path):
     assert {"criteria", "duration", "margins", "timing"} <= set(facts)
 
 
-def test_time_bounds_the_whole_motion_and_shows_what_was_tried(capsys, tmp_path):
+def test_time_budget_bounds_the_motion_and_lists_all_candidates(capsys, tmp_path):
     code, out, _ = run(
         capsys, "design", "two_link", "-o", tmp_path, "--time", "9", "--json", *QUICK[:4]
     )
@@ -409,7 +410,7 @@ def test_contradictory_limits_file(capsys, tmp_path):
     assert "contradict" in line
 
 
-def test_an_unreachable_box_is_infeasible_and_says_what_fights(capsys, tmp_path):
+def test_an_unreachable_box_is_infeasible_and_names_the_conflict(capsys, tmp_path):
     line = refused(
         capsys,
         "design",
@@ -434,7 +435,7 @@ def test_unusable_trajectory(capsys, tmp_path, text):
     assert str(path) in refused(capsys, "verify", path)
 
 
-def test_a_changed_urdf_is_noticed(capsys, tmp_path):
+def test_a_changed_urdf_is_detected(capsys, tmp_path):
     path = write_urdf(tmp_path)
     assert run(capsys, "design", path, "-o", tmp_path / "out", *QUICK)[0] == 0
     path.write_text(path.read_text().replace('mass value="1"', 'mass value="2"'))

@@ -36,7 +36,7 @@ def test_plan_of_300_cases_covers_all_nuisances_and_effects():
     assert {s.severities[0] for s in specs if s.severities} == {1.0, 3.0, 10.0, 30.0}
     assert {s.category for s in specs} == {"null", "single", "pair", "out_of_catalogue"}
     assert len({s.name for s in specs}) == 300 and all(len(s.name) == 6 for s in specs)
-    # a prior tells nothing of whether something is hidden
+    # a prior does not reveal whether an effect is hidden
     share = [
         np.mean([s.trusted for s in specs if (s.category == "null") == null])
         for null in (True, False)
@@ -66,7 +66,7 @@ def test_metadata_of_a_case_does_not_predict_whether_it_is_null():
     distance = np.square(seen[1000:, None] - seen[None, :1000]).sum(axis=2)
     votes = null[np.argsort(distance, axis=1)[:, :25]].mean(axis=1)
     tried = null[1000:]
-    # area under the curve: the chance that a null gets more votes than a case that hides something
+    # area under the curve: probability that a null case gets more votes than another
     area = (votes[tried][:, None] > votes[~tried]).mean() + 0.5 * (
         votes[tried][:, None] == votes[~tried]
     ).mean()
@@ -157,8 +157,8 @@ def test_cases_are_reproducible_byte_for_byte(trial):
     )
 
 
-def test_effect_that_cannot_show_is_drawn_without_the_nuisance():
-    """A robot that moves slowly has no drag that anyone could find."""
+def test_an_invisible_effect_is_drawn_without_the_nuisance():
+    """A slow robot has no observable drag."""
     case = generate_cases.generate_case(
         case_spec(3, "0d0d0d", "single", ("drag",), nuisance="poor_excitation"), run.MODELS
     )

@@ -1,5 +1,5 @@
-"""Robot descriptions and meshes that are damaged, contradictory or made to do harm: read, or
-refused in one line."""
+"""Damaged, contradictory and malicious robot descriptions and meshes: read, or refused in one
+line."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ HOSTILE = (
     "1,5",
     "1 2 3 4",
 )
-"""What no numeric attribute of a URDF accepts."""
+"""Values that no numeric attribute of a URDF accepts."""
 
 
 def refused(path: Path, *parts: str) -> str:
-    """The line by which a robot is refused, by its loader or, for its shapes, by their reader."""
+    """Return the error message of a refused robot."""
     with pytest.raises(UnusableInput) as caught:
         load(str(path))
         urdf_geometry.read(str(path))
@@ -69,7 +69,7 @@ def written(folder: Path, text: str | bytes, name: str = "thing.urdf") -> Path:
     ("u_mesh_scale1e300", ["link_1", "1e300 1 1"]),
     ("u_mesh_nan", ["nan.stl", "not finite"]),
 ])  # fmt: skip
-def test_a_faulty_mesh_is_refused_by_a_process_that_ends_well(name, parts, tmp_path):
+def test_a_faulty_mesh_is_refused_without_a_crash(name, parts, tmp_path):
     command = [
         sys.executable,
         "-m",
@@ -106,7 +106,7 @@ def test_a_faulty_robot_is_refused_with_its_fault(name, parts, tmp_path, capsys)
 
 @needs_inputs
 @pytest.mark.parametrize(("name", "joint"), [("u_comma", "a,b"), ("u_dollar", "$x_{$")])
-def test_names_with_marks_of_other_languages_are_read(name, joint):
+def test_names_with_characters_of_other_formats_are_read(name, joint):
     assert load(str(INPUTS / f"{name}.urdf")).joints == (joint, "joint_2")
 
 
@@ -157,12 +157,12 @@ def _nominal(robot):
     (document(link("base"), link("arm", 2.0), joint("a&#10;b", "base", "arm")).encode(), ["joint 'a\\nb'", "U+000A"]),  # noqa: E501
     (document(link("base"), link(" ", 2.0), joint("a", "base", " ")).encode(), ["empty name"]),
 ])  # fmt: skip
-def test_what_is_no_readable_xml_is_refused(content, parts, tmp_path):
+def test_invalid_xml_is_refused(content, parts, tmp_path):
     refused(written(tmp_path, content), *parts)
 
 
 def test_entities_are_not_expanded(tmp_path):
-    """1 kB that expands to 3 GB ("billion laughs"), and a file of the machine as an entity."""
+    """1 kB that expands to 3 GB ("billion laughs"), and a local file as an entity."""
     laughs = '<!DOCTYPE robot [<!ENTITY a "lol">' + "".join(
         f'<!ENTITY {name} "{f"&{before};" * 10}">'
         for before, name in zip("abcdefghi", "bcdefghij", strict=True)
@@ -175,7 +175,7 @@ def test_entities_are_not_expanded(tmp_path):
 
 
 def test_included_files_are_not_read(tmp_path):
-    """XInclude is no part of a URDF: the element is passed over."""
+    """XInclude is no part of URDF: the element is ignored."""
     include = (
         '<xi:include xmlns:xi="http://www.w3.org/2001/XInclude" href="/etc/passwd" parse="text"/>'
     )
@@ -183,7 +183,7 @@ def test_included_files_are_not_read(tmp_path):
     assert robot.joints == ("swing",)
 
 
-def test_an_srdf_is_read_with_the_same_care(tmp_path):
+def test_an_srdf_is_read_with_the_same_checks(tmp_path):
     with pytest.raises(UnusableInput, match="DOCTYPE"):
         urdf_geometry.disabled(written(tmp_path, '<!DOCTYPE r SYSTEM "x"><robot/>', "r.srdf"))
     with pytest.raises(UnusableInput, match="SRDF"):
@@ -191,7 +191,7 @@ def test_an_srdf_is_read_with_the_same_care(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["x" * 5000 + ".urdf", "a/" * 3000 + "x.urdf"])
-def test_a_name_too_long_for_the_file_system_names_no_file(name, capsys):
+def test_a_name_that_is_too_long_for_the_file_system(name, capsys):
     assert main_module.main(["design", name, "-o", "unused"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
@@ -204,7 +204,7 @@ RICH = text_of("two_link").replace(
     '<limit lower="-2.6" upper="2.6" velocity="4" effort="20"/><dynamics damping="0.1" friction="0.2"/>'  # noqa: E501
     '<mimic joint="joint_1" multiplier="0.5" offset="0.1"/><excite rotor_inertia="0.01" offset="0.1"/>',  # noqa: E501
 )
-"""A URDF that has every numeric attribute that is read."""
+"""URDF with all numeric attributes that are read."""
 NUMERIC = {
     "limit": ("lower", "upper", "velocity", "effort"), "dynamics": ("damping", "friction"), "mimic": ("multiplier", "offset"),  # noqa: E501
     "excite": ("rotor_inertia", "offset"), "origin": ("xyz", "rpy"), "axis": ("xyz",), "mass": ("value",),  # noqa: E501
@@ -215,8 +215,7 @@ SHAPES = '<box size="1 1 1"/>', '<sphere radius="1"/>'
 
 
 def attributes() -> list[tuple[int, str]]:
-    """Places of all numeric attributes of RICH: number of the element in document order, and the
-    attribute."""
+    """Return all numeric attributes of RICH: number of the element in document order, and name."""
     root = ElementTree.fromstring(RICH)
     return [
         (number, key)
@@ -254,11 +253,11 @@ def test_sizes_of_shapes_are_lengths(solid, tmp_path):
 @pytest.mark.parametrize("inside", [
     '<limit lower="-1e16" upper="1e16" velocity="3" effort="40"/>', '<limit velocity="3" effort="40"/>', LIMIT,  # noqa: E501
 ])  # fmt: skip
-def test_position_limits_of_a_continuous_joint_are_not_looked_at(inside, tmp_path):
+def test_position_limits_of_a_continuous_joint_are_ignored(inside, tmp_path):
     assert load(str(written(tmp_path, pendulum(inside, "continuous")))).n == 1
 
 
-def test_a_chain_of_mimics_multiplies_to_no_more_than_one(tmp_path):
+def test_a_chain_of_mimic_joints_has_a_bounded_multiplier(tmp_path):
     names = ["base", *(f"l{k}" for k in range(6))]
     mimics = [f'<mimic joint="j{k - 1}" multiplier="9e5"/>' if k else "" for k in range(6)]
     joints = [joint(f"j{k}", names[k], names[k + 1], inside=LIMIT + mimics[k]) for k in range(6)]
@@ -275,8 +274,8 @@ def test_a_body_with_inertia_has_a_mass(tmp_path):
 
 
 @pytest.mark.parametrize("count", [300, 1100])
-def test_long_chains_are_read_or_counted(count, tmp_path):
-    """A fixed chain: C++ parsers recurse once a link, and overflow their stack some time."""
+def test_long_chains_are_read_or_refused(count, tmp_path):
+    """A chain of fixed joints: recursive C++ parsers overflow their stack."""
     chain = [joint(f"f{k}", f"b{k}", f"b{k + 1}", "fixed") for k in range(count)]
     parts = [
         *(link(f"b{k}") for k in range(count + 1)),
@@ -299,7 +298,7 @@ FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
 
 def stl(triangles: np.ndarray, count: int | None = None) -> bytes:
-    """A binary STL. count: the number of triangles that its header states."""
+    """Return a binary STL; `count` is the number of triangles in its header."""
     head = b"mesh".ljust(80) + struct.pack("<I", len(triangles) if count is None else count)
     return head + b"".join(struct.pack("<12fH", 0, 0, 0, *np.ravel(one), 0) for one in triangles)
 
@@ -311,7 +310,7 @@ def shape(
 
 
 def touched(one: Shape) -> None:
-    """Everything that is ever made of a shape."""
+    """Return all geometries that are built from a shape."""
     one.solid()
     one.hull()
     one.triangles()
@@ -345,27 +344,27 @@ def test_damaged_meshes_are_refused(content, name, part, tmp_path):
     "scale",
     [(0.0, 1.0, 1.0), (1e300, 1.0, 1.0), (np.nan, 1.0, 1.0), (1e-300, 1.0, 1.0), (1e6, 1e6, 1e6)],
 )
-def test_scales_that_no_part_has_are_refused(scale, tmp_path):
+def test_unrealistic_scales_are_refused(scale, tmp_path):
     with pytest.raises(UnusableInput, match="scale"):
         touched(shape(tmp_path, stl(TETRAHEDRON[FACES]), scale))
 
 
-def test_a_mesh_that_is_missing_or_no_file_is_refused(tmp_path):
+def test_a_missing_mesh_is_refused(tmp_path):
     for file in (tmp_path / "absent.stl", tmp_path):
         with pytest.raises(UnusableInput, match="cannot be read as a mesh"):
             touched(Shape("part", Kind.MESH, (1.0, 1.0, 1.0), file=str(file)))
 
 
 @pytest.mark.parametrize("height", [0.0, 1e-300, 1e-12, 1e-9, 1e-6])
-def test_a_flat_mesh_has_itself_for_a_hull(height, tmp_path):
-    """coal's own convex hull crashes on flat meshes."""
+def test_a_flat_mesh_is_its_own_hull(height, tmp_path):
+    """The convex hull of coal crashes on flat meshes."""
     corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, height]], float)
     one = shape(tmp_path, stl(corners[[[0, 1, 2], [0, 2, 3]]]))
     assert distance(one, 2.0) == pytest.approx((1.5, 1.5), abs=1e-6)
 
 
 def distance(one: Shape, x: float) -> tuple[float, float]:
-    """Distances of a mesh and of its hull to a ball of radius 0.5 on the x axis."""
+    """Return the distances of a mesh and of its hull to a sphere of radius 0.5 on the x axis."""
     import coal
 
     place, request = (
@@ -379,7 +378,7 @@ def distance(one: Shape, x: float) -> tuple[float, float]:
     )
 
 
-def test_triangles_without_an_area_are_dropped(tmp_path):
+def test_triangles_without_area_are_removed(tmp_path):
     """coal reports contact with them at any distance."""
     needle = np.array(
         [[[0.0145, 2.7404076e-15, 0.004], [0.0145, -0.0312, 0.004], [0.0145, 2.7396728e-15, 0.004]]]
@@ -395,7 +394,7 @@ def test_mirrored_meshes_are_read(tmp_path):
     touched(one)
 
 
-def test_one_file_of_several_that_cannot_be_read_is_the_one_named(tmp_path):
+def test_the_unreadable_file_of_several_is_named(tmp_path):
     good, bad = (
         written(tmp_path, stl(TETRAHEDRON[FACES]), "good.stl"),
         written(tmp_path, b"solid", "bad.stl"),

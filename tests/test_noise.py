@@ -65,7 +65,7 @@ def test_the_noise_floor_agrees_with_the_residual_of_a_correct_model(
     assert (low < residual / floor).all() and (residual / floor < high).all()
 
 
-def test_an_unstated_period_is_found(subject):
+def test_an_unstated_period_is_estimated(subject):
     psi = perturbed_parameters(subject.parameters, np.random.default_rng(4))
     stated = synthetic_recording(subject, psi, random_fourier(2, 1), 3.0, 0.1)
     assert stated.sidecar.period is not None

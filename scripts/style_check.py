@@ -68,6 +68,7 @@ ALLOWED: dict[str, dict[str, str]] = {
         "foretold": "key of the diagnosis document",
         "foreseen": "key of the diagnosis document",
     },
+    "tests/test_cross_validation.py": {"foretold": "key of the diagnosis document"},
     "tests/test_diagnosis_report.py": {"foretold": "key of the diagnosis document"},
     "excite/diagnosis/diagnosis_file.py": {"foreseen": "key of the diagnosis document"},
     **{

@@ -128,9 +128,9 @@ def test_only_the_public_interface_and_the_command_line_use_the_simulator():
 
 
 def test_the_simulator_loads_no_other_package():
-    code = "import excite.simulator.experiment; m = [n for n in sys.modules if n.startswith('excite.')]"  # noqa: E501
+    modules = "[name for name in sys.modules if name.startswith('excite.')]"
     done = subprocess.run(
-        [sys.executable, "-c", f"import sys; {code}; print(*m)"],
+        [sys.executable, "-c", f"import sys, excite.simulator.experiment; print(*{modules})"],
         capture_output=True,
         text=True,
         check=True,

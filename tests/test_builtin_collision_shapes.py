@@ -146,8 +146,8 @@ def test_no_pair_of_links_collides_in_every_pose(named):
     poses = rng.uniform(
         shapes.model.lowerPositionLimit, shapes.model.upperPositionLimit, (100, shapes.model.nq)
     )
-    found = [shapes.distances(q) for q in poses]
-    assert min(max(each[pair] for each in found) for pair in found[0]) > 0.0
+    distances = [shapes.distances(q) for q in poses]
+    assert min(max(of_pose[pair] for of_pose in distances) for pair in distances[0]) > 0.0
 
 
 # -- against the vendor's meshes -------------------------------------------------------------------

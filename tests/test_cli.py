@@ -22,12 +22,12 @@ def run(capsys, *arguments):
 
 def refused(capsys, *arguments, code=2):
     """Return the one line that a refused command prints."""
-    found, out, err = run(capsys, *arguments)
-    assert found == code, err
+    exit_code, out, err = run(capsys, *arguments)
+    assert exit_code == code, err
     assert out == ""
-    lines = [line for line in err.splitlines() if line.startswith("excite:")]
-    assert len(lines) == 1, err
-    return lines[0]
+    exit_code = [line for line in err.splitlines() if line.startswith("excite:")]
+    assert len(exit_code) == 1, err
+    return exit_code[0]
 
 
 @pytest.fixture(scope="module")
@@ -58,10 +58,12 @@ def test_csv_follows_the_contract(designed):
 
 def test_trajectory_json_has_the_contract_keys(designed):
     document = json.loads((designed / "trajectory.json").read_text())
-    keys = "schema robot joints base_frequency harmonics period periods sine cosine offset segments rate limits torque_noise"  # noqa: E501
-    assert set((keys + " criterion criteria margins collision seed versions").split()) <= set(
-        document
-    )
+    keys = "schema robot joints base_frequency harmonics period periods sine cosine offset segments"
+    assert set(
+        (
+            keys + " rate limits torque_noise criterion criteria margins collision seed versions"
+        ).split()
+    ) <= set(document)
     assert document["schema"] == "excite.trajectory/1"
     assert {"kind", "start", "end"} <= set(document["segments"][0])
 
@@ -280,7 +282,10 @@ def test_robots_lists_models(capsys):
 
 # -- bad input -------------------------------------------------------------------------------------
 
-LINK = '<inertial><mass value="1"/><origin xyz="0.1 0 0"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>'  # noqa: E501
+LINK = (
+    '<inertial><mass value="1"/><origin xyz="0.1 0 0"/>'
+    '<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>'
+)
 
 
 def write_urdf(
@@ -288,8 +293,9 @@ def write_urdf(
 ):
     path = folder / "robot.urdf"
     path.write_text(
-        f'<robot name="r"><link name="base"/><link name="arm">{inertial}</link><joint name="elbow" type="{kind}">'  # noqa: E501
-        f'<parent link="base"/><child link="arm"/><axis xyz="0 1 0"/><limit {limit}/></joint></robot>'  # noqa: E501
+        f'<robot name="r"><link name="base"/><link name="arm">{inertial}</link>'
+        f'<joint name="elbow" type="{kind}"><parent link="base"/><child link="arm"/>'
+        f'<axis xyz="0 1 0"/><limit {limit}/></joint></robot>'
     )
     return path
 

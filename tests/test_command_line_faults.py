@@ -333,16 +333,16 @@ def workers(process: subprocess.Popen[bytes], seconds: float = 10.0) -> list[str
     """Return the worker processes of a process that has ended."""
     until = time.monotonic() + seconds
     while True:
-        found = []
+        children = []
         for path in Path("/proc").glob("[0-9]*"):
             try:
                 status = (path / "stat").read_text().rpartition(")")[2].split()
             except OSError:
                 continue
             if int(status[3]) == process.pid and status[0] != "Z":  # of the same session
-                found.append(path.name)
-        if not found or time.monotonic() > until:
-            return found
+                children.append(path.name)
+        if not children or time.monotonic() > until:
+            return children
         time.sleep(0.05)
 
 
@@ -372,7 +372,9 @@ count = 0
 
 def hook(event, arguments):
     global count
-    if event == "os.rename" and ".partial" in str(arguments[0]) or event == "ctypes.dlsym" and arguments[1] in ("renameat2", "renamex_np"):
+    renames = event == "os.rename" and ".partial" in str(arguments[0])
+    exchanges = event == "ctypes.dlsym" and arguments[1] in ("renameat2", "renamex_np")
+    if renames or exchanges:
         count += 1
         if count == 1:
             os.kill(os.getpid(), signal.SIGINT)
@@ -380,7 +382,7 @@ def hook(event, arguments):
 sys.addaudithook(hook)
 from excite.__main__ import main
 sys.exit(main())
-"""  # noqa: E501
+"""
 
 
 @pytest.mark.parametrize("exists", [False, True])
@@ -402,10 +404,8 @@ def test_a_signal_during_the_replacement_of_files_is_delayed(tmp_path: Path, exi
     done = subprocess.run(command, capture_output=True, cwd=tmp_path, check=False)
     (line,) = lines(done)
     assert done.returncode == 1
-    assert (
-        line
-        == "excite: interrupted after all files were written: out/identifiability.json, out/report.html"  # noqa: E501
-    )
+    files = "out/identifiability.json, out/report.html"
+    assert line == f"excite: interrupted after all files were written: {files}"
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         "identifiability.json",
         "report.html",

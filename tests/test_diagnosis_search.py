@@ -167,7 +167,7 @@ def test_quantization_raises_the_threshold_at_its_joint_and_slightly_elsewhere()
         (first, second), shapes, lambda shape: single_joint_columns(*columns[judge.who(shape)])
     )
     drawn = tuple(5.0 * c.ravel() for c in columns["drag", 0])
-    warned = judge.warned(regression, [drawn], (np.zeros(60), np.zeros(40)), 0.0, None)  # type: ignore[list-item]
+    warned = judge.warned(regression, [drawn], (np.zeros(60), np.zeros(40)), 0.0, None)
     thresholds = {
         judge.who(shape): warned.bar(i) - search.NATS for i, shape in enumerate(warned.shapes)
     }

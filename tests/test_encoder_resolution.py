@@ -90,7 +90,7 @@ def test_a_fine_encoder_hides_no_effect(effect):
 
 @given(**ENCODERS)
 def test_friction_that_varies_below_the_resolved_speed_is_implausible(bits, turns):
-    """Stribeck friction that decays there, and a power law that has reached one half there."""
+    """Stribeck friction that decays there, and a power function that has reached one half there."""
     motion = ReversingMotion(2.0 * np.pi / 2**bits, turns)
     resolved, fastest = (
         RESOLVED_SPEED_RATIO * motion.steps / motion.reversal_dwell,

@@ -52,8 +52,16 @@ def ruckig_ramp(begin: np.ndarray, end: np.ndarray) -> tuple[JerkProfile, float]
 def trajectory_of(motion: Motion, forced: bool = False) -> Trajectory:
     n, every = len(motion.joints), np.ones(len(motion.joints))
     sources = {q: ("urdf",) * n for q in ("position", "velocity", "acceleration", "jerk", "torque")}
-    limits = Limits(motion.joints, np.column_stack([-9.0 * every, 9.0 * every]), 5.0 * every, 50.0 * every, 5e3 * every, 90.0 * every,  # noqa: E501
-                    (None,) * n, sources)  # fmt: skip
+    limits = Limits(
+        motion.joints,
+        np.column_stack([-9.0 * every, 9.0 * every]),
+        5.0 * every,
+        50.0 * every,
+        5e3 * every,
+        90.0 * every,
+        (None,) * n,
+        sources,
+    )
     robot = {
         "name": "tiny",
         "source": "tiny.urdf",
@@ -65,9 +73,19 @@ def trajectory_of(motion: Motion, forced: bool = False) -> Trajectory:
     scores = {"a": 1.0, "d": 2.0, "e": 0.5, "cond": 4.0}
     part = {"geometric": scores, "plain": scores, "cond_regressor": 2.0}
     return Trajectory(
-        robot, motion, 100.0, limits, np.ones(n), {"criterion": "d"}, {"optimum": part, "exported": part}, [], "collision not checked", 0,  # noqa: E501
-        forced, {"excite": "0"},
-    )  # fmt: skip
+        robot,
+        motion,
+        100.0,
+        limits,
+        np.ones(n),
+        {"criterion": "d"},
+        {"optimum": part, "exported": part},
+        [],
+        "collision not checked",
+        0,
+        forced,
+        {"excite": "0"},
+    )
 
 
 def complete_motion(n: int, forced: bool = False) -> Trajectory:
@@ -141,14 +159,14 @@ def test_round_trip(name: str, speed: float, tmp_path: Path) -> None:
             exporters.write(trajectory, name, path, speed=speed)
         return
     assert exporters.write(trajectory, name, path, speed=speed, tau=torque) == path
-    t, q, *rest = exporters.read(name, path)
+    t, q, *derivatives = exporters.read(name, path)
     motion = trajectory.motion.slowed(speed)
     assert t[0] == 0.0
     assert (np.diff(t) > 0.0).all()
     assert motion.duration <= t[-1] + 1e-9 < motion.duration + 0.021
     np.testing.assert_allclose(q, motion.at(t), **TOLERANCE)
-    assert bool(rest) == (name in ACCURATE)
-    for order, columns in enumerate(rest[:2], start=1):
+    assert bool(derivatives) == (name in ACCURATE)
+    for order, columns in enumerate(derivatives[:2], start=1):
         np.testing.assert_allclose(columns, motion.at(t, order), **TOLERANCE)
         assert (columns[[0, -1]] == 0.0).all()
     # the same path, later

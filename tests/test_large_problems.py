@@ -35,9 +35,16 @@ def states(robot: Robot, count: int) -> Samples:
 # -- estimates -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("change", [
-    {"samples": 200}, {"harmonics": 10}, {"starts": 40}, {"iterations": 50}, {"periods": 4},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"samples": 200},
+        {"harmonics": 10},
+        {"starts": 40},
+        {"iterations": 50},
+        {"periods": 4},
+    ],
+)
 def test_the_estimate_increases_with_all_sizes(change, two_link):
     options = DesignOptions(starts=4, iterations=20)
     before = design_cost.estimated(two_link, options)
@@ -74,9 +81,14 @@ def test_a_computation_of_more_than_a_day_is_refused_with_the_estimate(tmp_path)
         design_cost.require(robot, DesignOptions(starts=100_000))
 
 
-@pytest.mark.parametrize(("cost", "part"), [
-    (Cost(1.0, 1e15), "GB"), (Cost(2.0 * MAX_TIME, 1e6), "days"), (Cost(float("inf"), 1e6), "longer"),  # noqa: E501
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("cost", "part"),
+    [
+        (Cost(1.0, 1e15), "GB"),
+        (Cost(2.0 * MAX_TIME, 1e6), "days"),
+        (Cost(float("inf"), 1e6), "longer"),
+    ],
+)
 def test_a_computation_beyond_the_memory_is_refused(cost, part):
     with pytest.raises(UnusableInput, match=part):
         cost.require("work", "do less")
@@ -87,9 +99,16 @@ def test_the_memory_of_the_machine_is_known():
     assert memory is None or 1e8 < memory < 1e14
 
 
-@pytest.mark.parametrize(("seconds", "words"), [
-    (0.53, "0.53 s"), (42.0, "42 s"), (200.0, "3.3 min"), (7200.0, "2 h"), (3e5, "3.5 days"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [
+        (0.53, "0.53 s"),
+        (42.0, "42 s"),
+        (200.0, "3.3 min"),
+        (7200.0, "2 h"),
+        (3e5, "3.5 days"),
+    ],
+)
 def test_durations_in_words(seconds, words):
     assert duration(seconds) == words
 
@@ -97,10 +116,14 @@ def test_durations_in_words(seconds, words):
 # -- commands --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("options", "part"), [
-    (["--periods", "100000"], "rows"), (["--rate", "100000", "--period", "100"], "rows"),
-    (["--starts", "1000000", "--harmonics", "100", "--samples", "20000"], "--starts"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("options", "part"),
+    [
+        (["--periods", "100000"], "rows"),
+        (["--rate", "100000", "--period", "100"], "rows"),
+        (["--starts", "1000000", "--harmonics", "100", "--samples", "20000"], "--starts"),
+    ],
+)
 def test_a_design_that_is_too_large_is_refused_at_once(options, part, tmp_path, capsys):
     assert cli.main(["design", "two_link", "-o", str(tmp_path / "out"), *options]) == 2
     line = capsys.readouterr().err

@@ -11,9 +11,29 @@ from excite.cli import main as main_module
 from excite.cli.option_types import NUMERIC, NamedNumbers, Number, Numbers, WordOrNumbers
 
 TEXT = {
-    "robot", "joints", "limits", "without", "given", "out", "srdf", "scene", "packages", "cluster", "trajectory", "motion", "recordings",  # noqa: E501
-    "validate", "prior", "bounds", "model", "recording", "effect", "like", "host", "format",
-}  # fmt: skip
+    "robot",
+    "joints",
+    "limits",
+    "without",
+    "given",
+    "out",
+    "srdf",
+    "scene",
+    "packages",
+    "cluster",
+    "trajectory",
+    "motion",
+    "recordings",
+    "validate",
+    "prior",
+    "bounds",
+    "model",
+    "recording",
+    "effect",
+    "like",
+    "host",
+    "format",
+}
 """Options and arguments that are names, paths or lists of names."""
 POSITIONALS = {
     "effects": [],
@@ -53,7 +73,9 @@ NEVER = (
 
 def commands() -> dict[str, argparse.ArgumentParser]:
     action = next(
-        one for one in main_module.parser()._actions if isinstance(one, argparse._SubParsersAction)
+        action
+        for action in main_module.parser()._actions
+        if isinstance(action, argparse._SubParsersAction)
     )
     return dict(action.choices)
 
@@ -149,13 +171,16 @@ def test_a_window_ends_after_it_starts(window, capsys):
     )
 
 
-@pytest.mark.parametrize(("option", "text", "part"), [
-    ("--start", "0,0,0", "2 number(s), one per moving joint (joint_1, joint_2), not 3"),
-    ("--torque-noise", "1,2,3", "2 number(s), one per moving joint"),
-    ("--payload", "tip:1,2", "1 or 4 or 10"),
-    ("--box", "tip:0,1", "should hold 6"),
-    ("--lock", "joint_1", "NAME=VALUE"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("option", "text", "part"),
+    [
+        ("--start", "0,0,0", "2 number(s), one per moving joint (joint_1, joint_2), not 3"),
+        ("--torque-noise", "1,2,3", "2 number(s), one per moving joint"),
+        ("--payload", "tip:1,2", "1 or 4 or 10"),
+        ("--box", "tip:0,1", "should hold 6"),
+        ("--lock", "joint_1", "NAME=VALUE"),
+    ],
+)
 def test_a_wrong_count_of_numbers_is_refused(option, text, part, capsys, tmp_path):
     line = refusal(capsys, "design", "two_link", "-o", str(tmp_path / "out"), f"{option}={text}")
     assert option in line and part in line

@@ -197,11 +197,11 @@ def _loop(path: Path) -> None:
 
 
 def _socket(path: Path) -> None:
-    with socket.socket(socket.AF_UNIX) as one:
+    with socket.socket(socket.AF_UNIX) as endpoint:
         before = os.getcwd()
         os.chdir(path.parent)  # names of sockets have at most 107 bytes
         try:
-            one.bind(path.name)
+            endpoint.bind(path.name)
         finally:
             os.chdir(before)
 
@@ -289,7 +289,8 @@ def test_the_name_of_a_folder_is_refused(
 
 
 def run_limited(script: str, tmp_path: Path, *limits: str) -> subprocess.CompletedProcess[str]:
-    code = f"from pathlib import Path\nfrom excite._system.output_files import output_files, output_folder\n{script}"  # noqa: E501
+    imports = "from excite._system.output_files import output_files, output_folder"
+    code = f"from pathlib import Path\n{imports}\n{script}"
     shell = "".join(f"ulimit {limit}; " for limit in limits) + 'exec "$0" -c "$1"'
     return subprocess.run(
         ["/bin/sh", "-c", shell, sys.executable, code],
@@ -335,7 +336,10 @@ from pathlib import Path
 from excite._system.output_files import OutputFiles
 
 names, folder, kind = json.loads(sys.argv[1]), Path(sys.argv[2]).resolve(), sys.argv[3]
-EVENTS = ("open", "os.mkdir", "os.rename", "os.link", "os.chmod", "os.remove", "os.rmdir", "os.listdir", "os.scandir", "ctypes.dlsym")
+EVENTS = (
+    "open", "os.mkdir", "os.rename", "os.link", "os.chmod", "os.remove", "os.rmdir", "os.listdir",
+    "os.scandir", "ctypes.dlsym",
+)
 
 def replace(at):
     count = 0
@@ -346,9 +350,10 @@ def replace(at):
             os.kill(os.getpid(), signal.SIGKILL)
     if kind == "in place":
         os.chdir(folder)
-    output = OutputFiles(folder, tuple(names), kind != "beside")
+    output = OutputFiles(folder, tuple(names), kind != "siblings")
     sys.addaudithook(hook)
-    output.replace({name: f"new {name}" for name in names if not (kind == "exchanged" and name == names[2])})
+    written = [name for name in names if not (kind == "exchanged" and name == names[2])]
+    output.replace({name: f"new {name}" for name in written})
 
 def forked(at):
     if (child := os.fork()) == 0:
@@ -365,14 +370,15 @@ while code == -9:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_text(f"old {name}")
     code = forked(at)
-    states.append([(folder / name).read_text().split()[0] if (folder / name).exists() else "" for name in names])
+    files = [folder / name for name in names]
+    states.append([path.read_text().split()[0] if path.exists() else "" for path in files])
     assert kind == "fresh" or (folder / "sub/mine.txt").read_text() == "old sub/mine.txt"
-    assert forked(0) == 0  # the next run removes what is left
-    left = [str(path) for path in folder.parent.rglob("*.partial")]
-    assert not left, (at, left)
+    assert forked(0) == 0  # the next run removes the staging directories
+    remaining = [str(path) for path in folder.parent.rglob("*.partial")]
+    assert not remaining, (at, remaining)
 assert code == 0
 print(json.dumps(states))
-"""  # noqa: E501
+"""
 
 
 def killed(folder: Path, kind: str) -> list[list[str]]:
@@ -407,7 +413,7 @@ def test_a_kill_at_any_moment_leaves_the_complete_new_folder_or_none(tmp_path: P
 
 
 @needs_fork
-@pytest.mark.parametrize("kind", ["in place", "beside"])
+@pytest.mark.parametrize("kind", ["in place", "siblings"])
 def test_a_kill_in_place_never_mixes_old_and_new_files(tmp_path: Path, kind: str) -> None:
     states = killed(tmp_path, kind)
     assert states[0] == ["old"] * 4 and states[-1] == ["new"] * 4
@@ -418,8 +424,12 @@ def test_a_kill_in_place_never_mixes_old_and_new_files(tmp_path: Path, kind: str
 
 
 def test_staging_directories_of_running_processes_are_kept(out: Path) -> None:
-    script = "import sys, time\nfrom excite._system.staging import StagingDirectory\nfrom pathlib import Path\n"  # noqa: E501
-    script += "with StagingDirectory(Path(sys.argv[1]), 'out'):\n print('ready', flush=True); time.sleep(60)"  # noqa: E501
+    script = (
+        "import sys, time\nfrom pathlib import Path\n"
+        "from excite._system.staging import StagingDirectory\n"
+        "with StagingDirectory(Path(sys.argv[1]), 'out'):\n"
+        " print('ready', flush=True); time.sleep(60)"
+    )
     process = subprocess.Popen(
         [sys.executable, "-c", script, str(out.parent)], stdout=subprocess.PIPE, text=True
     )
@@ -438,8 +448,13 @@ def test_staging_directories_of_running_processes_are_kept(out: Path) -> None:
 
 def test_concurrent_processes_leave_a_complete_set(tmp_path: Path) -> None:
     """Some processes exchange the folder, some write in place."""
-    script = "import sys\nfrom pathlib import Path\nfrom excite._system.output_files import output_folder\n"  # noqa: E501
-    script += f"for _ in range(30):\n output_folder(Path(sys.argv[1]), {NAMES!r}).replace({{n: sys.argv[2] for n in {NAMES!r}}})"  # noqa: E501
+    script = (
+        "import sys\nfrom pathlib import Path\n"
+        "from excite._system.output_files import output_folder\n"
+        f"names = {NAMES!r}\n"
+        "for _ in range(30):\n"
+        " output_folder(Path(sys.argv[1]), names).replace({name: sys.argv[2] for name in names})"
+    )
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine").write_text("mine")
     command = [sys.executable, "-c", script, str(tmp_path / "out")]
@@ -530,7 +545,8 @@ def test_commands_check_their_file_first(capsys, tmp_path, monkeypatch, command)
 
 @pytest.mark.parametrize("redirection", ["| cat", "> file", ">> file"])
 def test_export_to_standard_output_is_refused(tmp_path: Path, redirection: str) -> None:
-    script = f'"$0" -m excite export "$1" --format csv -o /dev/stdout {redirection}; cat file 2> /dev/null'  # noqa: E501
+    export = '"$0" -m excite export "$1" --format csv -o /dev/stdout'
+    script = f"{export} {redirection}; cat file 2> /dev/null"
     done = subprocess.run(
         ["/bin/sh", "-c", script, sys.executable, str(TRAJECTORY)],
         capture_output=True,
@@ -585,11 +601,13 @@ def test_the_note_of_an_exported_file_is_removed_with_it(tmp_path: Path) -> None
 
 
 def test_the_same_command_gives_the_same_files(tmp_path: Path) -> None:
-    found = []
+    contents_of_runs = []
     for name in ("a", "b"):
         assert (
             main(["design", "two_link", "-o", str(tmp_path / name), "--time", "12", *QUICK[:4]])
             == 0
         )
-        found.append({path.name: path.read_bytes() for path in (tmp_path / name).iterdir()})
-    assert found[0] == found[1]
+        contents_of_runs.append(
+            {path.name: path.read_bytes() for path in (tmp_path / name).iterdir()}
+        )
+    assert contents_of_runs[0] == contents_of_runs[1]

@@ -77,7 +77,7 @@ def unexplained(
 ) -> list[float]:
     regression = types.SimpleNamespace(shapes=shapes)
     within = np.full(joints, bounds[0]), np.full(joints, bounds[1])
-    return [x for x, _ in belief.shares(regression, verdict, np.ones(joints), within)]  # type: ignore[arg-type]
+    return [x for x, _ in belief.shares(regression, verdict, np.ones(joints), within)]
 
 
 def test_probability_decreases_with_the_unexplained_fraction():
@@ -158,7 +158,7 @@ def test_gain_that_quantization_mimics_lowers_the_probability(monkeypatch):
         regression = types.SimpleNamespace(
             shapes=(), measured=Measured({("stribeck", 0): mimicked})
         )
-        weighed = belief.weighed(regression, only("stribeck"), np.ones(1), EXACT_NOISE)  # type: ignore[arg-type]
+        weighed = belief.weighed(regression, only("stribeck"), np.ones(1), EXACT_NOISE)
         probabilities.append((*weighed.findings, *weighed.doubted)[0].probability)
     assert probabilities[0] > probabilities[1] > 0.5 > probabilities[2]
 
@@ -176,7 +176,7 @@ def test_a_rival_that_no_artefact_mimics_raises_the_probability(monkeypatch):
         verdict = dataclasses.replace(
             single, findings=(dataclasses.replace(single.findings[0], rivals=rivals, here=here),)
         )
-        weighed = belief.weighed(regression, verdict, np.ones(1), EXACT_NOISE)  # type: ignore[arg-type]
+        weighed = belief.weighed(regression, verdict, np.ones(1), EXACT_NOISE)
         probabilities.append((*weighed.findings, *weighed.doubted)[0].probability)
     assert probabilities[1] > 0.5 > probabilities[0]
 
@@ -186,7 +186,7 @@ def test_an_improbable_effect_is_rejected_with_its_probability(
 ):
     monkeypatch.setattr(belief, "shares", lambda *_: [(0.8, np.inf)])
     regression = types.SimpleNamespace(shapes=(), measured=Measured())
-    weighed = belief.weighed(regression, only("drag"), np.ones(1), EXACT_NOISE)  # type: ignore[arg-type]
+    weighed = belief.weighed(regression, only("drag"), np.ones(1), EXACT_NOISE)
     assert not weighed.findings and weighed.together is None
     (rejected,) = weighed.doubted
     assert rejected.main.effect == "drag" and 0.0 < rejected.probability < 0.5
@@ -201,7 +201,7 @@ def test_a_certain_finding_raises_the_probability_of_others(monkeypatch, fractio
     regression = types.SimpleNamespace(shapes=(), measured=Measured())
     (spring,), (ripple,) = only("spring").findings, only("torque_ripple").findings
     both = dataclasses.replace(only("spring"), findings=(spring, ripple))
-    weighed = belief.weighed(regression, both, np.ones(2), EXACT_NOISE)  # type: ignore[arg-type]
+    weighed = belief.weighed(regression, both, np.ones(2), EXACT_NOISE)
     first, second = (*weighed.findings, *weighed.doubted)
     by_itself = belief.probability(belief.odds("torque_ripple", 0.15))
     assert (first.probability > belief.SURE) == raised
@@ -263,7 +263,7 @@ def test_the_model_error_of_a_strong_effect_is_no_further_effect(
     regression = types.SimpleNamespace(shapes=shapes, measured=Measured())
     weighed = belief.weighed(
         regression, judge.Verdict(findings, tried, ()), np.ones(1), EXACT_NOISE
-    )  # type: ignore[arg-type]
+    )
     assert [f.main.effect for f in weighed.findings] == ["spring", "torque_ripple"][: 1 + accepted]
 
 

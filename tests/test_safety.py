@@ -65,9 +65,9 @@ def test_a_file_that_violates_its_limits_is_not_certified(capsys, name, tmp_path
 @pytest.mark.parametrize("name", ["cell_deleted", "t_collision_words"])
 def test_a_file_without_a_cell_has_no_clearance_certificate(capsys, name, tmp_path):
     code, out, _ = run(capsys, "verify", INPUTS / f"{name}.json", "--json")
-    found = json.loads(out)
-    assert code == 0 and found["verdict"] == {"limits": "certified", "clearance": "not checked"}
-    assert found["collision"].startswith("collision not checked") and "9999 mm" not in out
+    content = json.loads(out)
+    assert code == 0 and content["verdict"] == {"limits": "certified", "clearance": "not checked"}
+    assert content["collision"].startswith("collision not checked") and "9999 mm" not in out
     _, out, _ = run(capsys, "verify", INPUTS / f"{name}.json")
     assert out.index("not checked") < out.index("certified")
     code, out, _ = run(
@@ -304,13 +304,13 @@ def test_all_links_keep_their_clearance_above_the_mounting_plane(name):
     ground = coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0)
     for q in motion.at(np.arange(0.0, motion.duration, 0.01)):
         pin.updateGeometryPlacements(model, data, geometry, placed, q)
-        for one, placement in zip(geometry.geometryObjects, placed.oMg, strict=True):
-            if one.parentJoint > 0:
+        for entry, placement in zip(geometry.geometryObjects, placed.oMg, strict=True):
+            if entry.parentJoint > 0:
                 at = coal.Transform3s(placement.rotation, placement.translation)
                 lowest = min(
                     lowest,
                     coal.distance(
-                        one.geometry,
+                        entry.geometry,
                         at,
                         ground,
                         coal.Transform3s(),
@@ -352,7 +352,7 @@ def test_a_link_at_a_constant_distance_from_the_floor_is_excepted(tmp_path):
     robot = load(str(tmp_path / "arm.urdf"))
     cell = scene_file.cell(robot, resolve(robot), scene_file.Scene())
     assert cell.floor == 0.0 and [
-        (one.first, one.second) for one in cell.excepted if "floor" in (one.first, one.second)
+        (pair.first, pair.second) for pair in cell.excepted if "floor" in (pair.first, pair.second)
     ] == [("post", "floor")]
 
 
@@ -362,18 +362,18 @@ def test_a_link_at_a_constant_distance_from_the_floor_is_excepted(tmp_path):
 def test_a_slower_motion_with_excessive_torque_is_not_exported(capsys, two_link, tmp_path):
     """If inertia compensates gravity, a lower speed needs more torque."""
     table = resolve(two_link)
-    found = pipeline.design_trajectory(
+    delivery = pipeline.design_trajectory(
         two_link, table, DesignOptions(period=4.0, samples=60, starts=1, iterations=60)
     )
     slow = certificate.limit_margins(
-        dataclasses.replace(found.trajectory, motion=found.trajectory.motion.slowed(0.05)),
-        certificate.motion_constraints(found.trajectory, two_link, table),
+        dataclasses.replace(delivery.trajectory, motion=delivery.trajectory.motion.slowed(0.05)),
+        certificate.motion_constraints(delivery.trajectory, two_link, table),
     )
     still = {m.joint: abs(m.value) for m in slow if m.limit == "torque"}
     weak = table.scaled(torque=np.array([still[j] * 0.99 for j in two_link.joints]) / table.torque)
-    broken = certificate.broken_when_slowed(found.trajectory, two_link, weak, 0.05)
+    broken = certificate.broken_when_slowed(delivery.trajectory, two_link, weak, 0.05)
     assert broken is not None and broken.limit == "torque"
-    assert certificate.broken_when_slowed(found.trajectory, two_link, table, 0.05) is None
+    assert certificate.broken_when_slowed(delivery.trajectory, two_link, table, 0.05) is None
 
 
 def test_environment_variables_are_not_needed(capsys, designed, monkeypatch):

@@ -28,7 +28,10 @@ def without_effects(subject: IdentificationModel) -> Diagnosis:
 def test_a_signal_below_the_cutoff_is_delayed_exactly(periodic):
     t, seconds = np.arange(4000) / 500.0, 0.0137
     lowpass = LowPassFilter(20.0, 500.0, len(t), periodic)
-    wave = lambda t: np.sin(2.0 * np.pi * 3.0 * t) + 0.3 * np.cos(2.0 * np.pi * 11.25 * t + 1.0)  # noqa: E731
+
+    def wave(t):
+        return np.sin(2.0 * np.pi * 3.0 * t) + 0.3 * np.cos(2.0 * np.pi * 11.25 * t + 1.0)
+
     moved = lowpass.filter(wave(t), Grid.RECORDED, delay=seconds)
     kept = slice(lowpass.margin, len(t) - lowpass.margin)
     np.testing.assert_allclose(

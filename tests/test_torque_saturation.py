@@ -132,7 +132,7 @@ def test_a_torque_limit_is_reported_as_saturation(subject):
     ) and not result.unknown
     shape, together = result.design.shapes[finding.main.shape], result.verdict.together
     assert "level" in shape.values and together is not None
-    largest = max(float(np.abs(one.torque[:, 0]).max()) for one in (train, validate))
+    largest = max(float(np.abs(recording.torque[:, 0]).max()) for recording in (train, validate))
     loss = 1.0 - 1.0 / np.sqrt(1.0 + (largest / LEVEL) ** 2)
     assert shape.parameters(together.coefficients)["loss"] == pytest.approx(loss, rel=0.1)
     x = np.linspace(-largest, largest, 101)

@@ -12,9 +12,8 @@ from diagnosis_cases import diagnose_effect
 from scipy import integrate, linalg
 
 from excite._types import FloatArray
-from excite.effects import base_compliance
+from excite.effects import EFFECTS_BY_NAME, base_compliance
 from excite.effects.base_dynamics import FloatingBaseDynamics, floating_base_dynamics
-from excite.effects.effect import CandidateModel
 from excite.robot import robot
 from excite.robot.samples import Samples
 
@@ -125,7 +124,7 @@ def test_coupled_oscillators_agree_with_an_integrator():
 
     m, d, k, f = coefficients(t)
     position, velocity, acceleration = (
-        x.sum(axis=2) for x in base_compliance._simulate_base(m, d, k, f, 1.0 / rate)
+        x.sum(axis=2) for x in base_compliance.simulate_base(m, d, k, f, 1.0 / rate)
     )
     start = np.concatenate([np.linalg.solve(k[0], f[0]), np.zeros(2)])
     exact = integrate.solve_ivp(derivative, (0.0, t[-1]), start, t_eval=t, rtol=1e-9, atol=1e-12).y
@@ -146,7 +145,7 @@ def test_matrix_exponential_agrees_with_scipy_for_steps_of_any_length(size):
     a[:, 2:, :2] = -np.swapaxes(a[:, :2, 2:], 1, 2)  # an oscillation that hardly grows
     block = np.zeros((5, 8, 8))
     block[:, :4, :4], block[:, :4, 4:] = a, np.eye(4)
-    exponential, mean = base_compliance._matrix_exponential(a)
+    exponential, mean = base_compliance.matrix_exponential(a)
     expected = linalg.expm(block)
     np.testing.assert_allclose(exponential, expected[:, :4, :4], atol=1e-4 * np.abs(expected).max())
     np.testing.assert_allclose(mean, expected[:, :4, 4:], atol=1e-4 * np.abs(expected).max())
@@ -168,9 +167,10 @@ def test_base_stiffness_is_the_same_in_all_recordings(monkeypatch):
         stiffnesses.append(np.diagonal(stiffness, axis1=1, axis2=2))
         return (np.zeros((*force.shape, force.shape[1])),) * 3
 
-    monkeypatch.setattr(base_compliance, "_simulate_base", record_stiffness)
+    monkeypatch.setattr(base_compliance, "simulate_base", record_stiffness)
     fixed = {"frequency": 5.0, "damping": 0.1, "way": 1.0, "stand": 0.2, "apart": 1.5}
-    model = CandidateModel("base_compliance", None, base_compliance._columns, fixed)
+    candidate = next(iter(EFFECTS_BY_NAME["base_compliance"].candidates(result.motions[0])))
+    model = dataclasses.replace(candidate, values=fixed)
     motions = [motion for half in result.motions for motion in half]
     for motion in motions:
         motion.__dict__["base_dynamics"] = dataclasses.replace(

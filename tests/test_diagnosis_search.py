@@ -194,7 +194,7 @@ def test_friction_has_either_sign_if_a_reversal_coincides_with_a_sample():
         track.fitted_robot = types.SimpleNamespace(
             actuator_parameter=lambda name: {"coulomb": np.array([3.0])}[name]
         )
-        return np.asarray(noise._reversal_error(track))[:, 0]
+        return np.asarray(noise.reversal_error(track))[:, 0]
 
     assert np.abs(reversal_error(0.1)).max() < 1e-9  # between two samples
     assert (

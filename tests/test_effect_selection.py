@@ -366,8 +366,8 @@ def test_an_effect_that_explains_the_residual_to_the_noise_needs_no_share_of_a_s
 
 
 def test_the_model_variant_of_a_strong_effect_depends_on_other_effects():
-    """x³ and x/(1 + |x|) together resemble x^1.5: a power function alone has an exponent in between,
-    with which the other effect would have the wrong sign."""
+    """x³ and x/(1 + |x|) together resemble x^1.5: a power function alone has a lower exponent, with
+    which the other effect would have the wrong sign."""
     rng = np.random.default_rng(1)
     x = [rng.normal(size=400) for _ in range(2)]
     torques = [3.0 * values**3 + 20.0 * values / (1.0 + np.abs(values)) for values in x]

@@ -72,12 +72,12 @@ def test_an_unstated_period_is_estimated(subject):
     silent = dataclasses.replace(
         stated, sidecar=dataclasses.replace(stated.sidecar, period=None, periodic=None)
     )
-    period = noise._period(silent)
+    period = noise.estimate_period(silent)
     assert period is not None and period[0] == pytest.approx(stated.sidecar.period, abs=2e-3)
     single = synthetic_recording(
         subject, psi, random_fourier(2, 1, 9.0), 1.0, 0.1, period=None, periodic=None
     )
-    assert noise._period(single) is None
+    assert noise.estimate_period(single) is None
 
 
 def recording_with_jitter(

@@ -185,7 +185,7 @@ def test_blocks_last_a_second_or_less_in_short_recordings() -> None:
 def test_travel_since_reversal_ignores_small_speed_reversals() -> None:
     t = np.linspace(0.0, 2.0 * np.pi, 401)
     q, dq = np.sin(t), np.cos(t) + 0.001 * (-1.0) ** np.arange(401)
-    distance = residual_curves._travel_since_reversal(q, dq)
+    distance = residual_curves.travel_since_reversal(q, dq)
     assert distance.max() == pytest.approx(2.0, abs=0.01)
     assert distance[130] < 0.15 < distance[60]
 

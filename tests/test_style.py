@@ -1,4 +1,4 @@
-"""The language of the project, by its own check."""
+"""Language of the project, and its public interface."""
 
 from __future__ import annotations
 
@@ -13,28 +13,39 @@ from excite import api
 ROOT = Path(__file__).resolve().parents[1]
 
 
-CLEAN = (
-    "excite/designer",
-    "excite/diagnosis",
-    "excite/effects",
-    "excite/identification",
-    "excite/report",
-    "excite/simulator",
-    "excite/trajectory",
-    "scripts/concealed_trial",
-    "README.md",
+UNFINISHED = (
+    "excite/collision/",
+    "excite/recordings/",
+    "excite/robot/",
+    "excite/schemas/",
+    "tests/mutation.py",
+    "tests/recording_fixtures.py",
+    "tests/synthetic_recordings.py",
+    "tests/test_base.py",
+    "tests/test_collision",
+    "tests/test_columns.py",
+    "tests/test_encoders.py",
+    "tests/test_hostile_recordings.py",
+    "tests/test_limits.py",
+    "tests/test_mutations.py",
+    "tests/test_recordings",
+    "tests/test_robot.py",
+    "tests/test_rounding.py",
+    "tests/test_viewing.py",
+    "tests/test_waver.py",
 )
-"""What follows the rules so far; the rest of the project is to join it."""
+"""Paths that do not follow the rules yet; the list is to become empty."""
 
 
-def test_the_style_check_finds_nothing():
+def test_the_style_check_has_no_faults():
     done = subprocess.run(
-        [sys.executable, str(ROOT / "scripts" / "style_check.py"), *(str(ROOT / p) for p in CLEAN)],
+        [sys.executable, str(ROOT / "scripts" / "style_check.py")],
         capture_output=True,
         text=True,
         check=False,
     )
-    assert done.returncode == 0, done.stdout
+    faults = [line for line in done.stdout.splitlines() if not line.startswith(UNFINISHED)]
+    assert done.returncode in (0, 1) and not faults, "\n".join(faults)
 
 
 def test_the_public_interface_is_importable_and_documented():

@@ -177,7 +177,7 @@ def test_plausible_self_heating_keeps_friction_positive(subject, constant):
     uneven = dataclasses.replace(motion, segment=dataclasses.replace(motion.segment, q=q))
     shapes = EFFECTS_BY_NAME["thermal_drift"].candidates([uneven])
     shape = next(s for s in shapes if s.joint == 0 and "power" in s.values).nonlinear.at(constant)
-    warm = thermal_drift._warming_by_losses(uneven, shape)
+    warm = thermal_drift.warming_by_losses(uneven, shape)
     for c in np.linspace(-4.0, -0.01, 200):
         if shape.is_plausible(np.array([c])):
             assert 1.0 + c * (warm.max() - warm.mean()) > -1e-9
@@ -199,11 +199,10 @@ def test_self_heating_continues_over_a_gap_of_the_recording(subject, power):
         recording_start=start,
     )
     complete, after = (
-        thermal_drift._columns(
+        shape.columns(
             dataclasses.replace(
                 motion, segment=piece, grid=Grid.RECORDED, kept=slice(0, len(piece))
-            ),
-            shape,
+            )
         )[:, 0, 0]
         for piece in (motion.segment, later)
     )

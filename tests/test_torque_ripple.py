@@ -16,7 +16,7 @@ def strongest(q: FloatArray, residual: FloatArray, base: FloatArray) -> float:
     def waves(which: FloatArray) -> FloatArray:
         return np.exp(1j * np.outer(which, q))
 
-    return torque_ripple._periodogram_peaks(waves, (GRID, waves(GRID), STEP), residual, base)[0]
+    return torque_ripple.periodogram_peaks(waves, (GRID, waves(GRID), STEP), residual, base)[0]
 
 
 @pytest.mark.parametrize("some", [slice(None), slice(None, None, 3)])
@@ -32,7 +32,7 @@ def test_an_order_is_identified_that_the_base_model_mostly_absorbs(order, some):
         size=(len(q), 2)
     )
     fitted = torque - gamma @ np.linalg.lstsq(gamma.reshape(-1, 8), torque.ravel(), rcond=None)[0]
-    residual, base = torque_ripple._without_base(fitted[some], gamma[some], 0)
+    residual, base = torque_ripple.without_base_columns(fitted[some], gamma[some], 0)
     with_base, without_base = (
         strongest(q[some], residual, base),
         strongest(q[some], fitted[some, 0], np.zeros((len(residual), 0))),
@@ -46,5 +46,5 @@ def test_a_joint_without_residual_gives_finite_columns():
         rng.normal(size=(300, 2, 5)),
         np.column_stack([rng.normal(size=300), np.zeros(300)]),
     )
-    free, base = torque_ripple._without_base(residual, gamma, 0)
+    free, base = torque_ripple.without_base_columns(residual, gamma, 0)
     assert base.shape == (300, 5) and np.isfinite(free).all()

@@ -136,7 +136,7 @@ def test_a_torque_limit_is_reported_as_saturation(subject):
     loss = 1.0 - 1.0 / np.sqrt(1.0 + (largest / LEVEL) ** 2)
     assert shape.parameters(together.coefficients)["loss"] == pytest.approx(loss, rel=0.1)
     x = np.linspace(-largest, largest, 101)
-    produced = x - together.coefficients[0] * torque_saturation._lost_torque(shape.values, x)
+    produced = x - together.coefficients[0] * torque_saturation.lost_torque(shape.values, x)
     np.testing.assert_allclose(
         torque_saturation.recorded_torque(float(together.coefficients[0]), shape.values, produced),
         x,
@@ -167,7 +167,7 @@ def test_the_loss_at_usual_torque_is_bounded(motion, bend, rests):
     for shape in shapes:
         largest = max(c for c in np.linspace(0.01, 1.2, 120) if shape.is_plausible(np.array([c])))
         assert (
-            largest * torque_saturation._lost_torque(shape.values, np.array([usual]))[0]
+            largest * torque_saturation.lost_torque(shape.values, np.array([usual]))[0]
             < 0.31 * usual
         )
 

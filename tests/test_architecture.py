@@ -91,8 +91,8 @@ def test_no_module_imports_from_a_later_package(path):
 
 
 def test_imports_are_detected():
-    seen = imported(PACKAGE / "designer" / "ramps.py")
-    assert {"errors", "robot", "trajectory"} <= seen
+    packages = imported(PACKAGE / "designer" / "ramps.py")
+    assert {"errors", "robot", "trajectory"} <= packages
 
 
 def test_no_cyclic_imports():

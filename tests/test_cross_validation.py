@@ -19,27 +19,27 @@ ALL_ROWS, NO_TORQUE = np.ones((ROWS, 2), bool), Columns.of(np.zeros((ROWS, 2, 1)
 
 
 def regression_of_folds(
-    moved: float, spread: float = 1.0, bent: float = 3.0, once: bool = False
+    shift: float, spread: float = 1.0, training_coefficient: float = 3.0, once: bool = False
 ) -> search.EffectRegression:
     """Return a regression with a drag at each joint and an offset in the base model.
 
     Args:
-        moved: Shift of the drag's column at the second joint in the held-out fold.
+        shift: Shift of the drag's column at the second joint in the held-out fold.
         spread: Standard deviation of that column in each fold.
-        bent: Coefficient of that column in the training fold; 3 in the held-out fold.
+        training_coefficient: Coefficient of that column in the training fold; 3 in the other fold.
         once: True for a transient effect.
     """
     rng = np.random.default_rng(3)
     folds, columns = list[Half](), list[list[FloatArray]]()
     for number in (0, 1):
         x = rng.normal(size=(ROWS, 2)) * [1.0, spread]
-        torque = 3.0 * x + rng.normal(size=(ROWS, 2)) + [0.0, 3.0 * moved * number]
-        torque[:, 1] += (bent - 3.0) * x[:, 1] * (1 - number)
+        torque = 3.0 * x + rng.normal(size=(ROWS, 2)) + [0.0, 3.0 * shift * number]
+        torque[:, 1] += (training_coefficient - 3.0) * x[:, 1] * (1 - number)
         base = np.broadcast_to(np.eye(2), (ROWS, 2, 2))
         folds.append(
             whitened([base], [torque], [ALL_ROWS], np.ones(2), (np.zeros((0, 2)), np.zeros(0)))
         )
-        columns.append([x * [1.0, 0.0], (x + np.array([0.0, moved * number])) * [0.0, 1.0]])
+        columns.append([x * [1.0, 0.0], (x + np.array([0.0, shift * number])) * [0.0, 1.0]])
 
     def build(shape: CandidateModel) -> tuple[Columns, Columns]:
         first, second = (Columns.of(fold[shape.joint_index][:, :, None]) for fold in columns)
@@ -56,13 +56,13 @@ def verdict_of(regression: search.EffectRegression) -> judge.Verdict:
     return held_out_test.tested(regression, judge.said(regression, [0, 1]), ALL_ROWS, np.ones(2))
 
 
-DIFFERENT_OFFSETS = {"moved": 1.0, "spread": 0.01, "bent": -60.0}
+DIFFERENT_OFFSETS = {"shift": 1.0, "spread": 0.01, "training_coefficient": -60.0}
 """An offset that differs between the folds; a nearly constant column may explain it."""
 
 
-@pytest.mark.parametrize("bent", [3.0, 2.4, 0.5])
-def test_findings_that_both_folds_show_are_kept(bent):
-    verdict = verdict_of(regression_of_folds(0.0, bent=bent))
+@pytest.mark.parametrize("training_coefficient", [3.0, 2.4, 0.5])
+def test_findings_that_both_folds_show_are_kept(training_coefficient):
+    verdict = verdict_of(regression_of_folds(0.0, training_coefficient=training_coefficient))
     assert {f.main.joint for f in verdict.findings} == {0, 1} and not verdict.doubted
 
 
@@ -84,7 +84,7 @@ def test_a_finding_that_worsens_the_held_out_prediction_is_rejected():
 
 def test_a_coefficient_that_the_training_fold_does_not_determine_rejects_nothing(monkeypatch):
     regression = regression_of_folds(
-        1.0, spread=0.01, bent=-8.0
+        1.0, spread=0.01, training_coefficient=-8.0
     )  # two standard deviations from the coefficient of the other fold
     assert not verdict_of(regression).doubted
     monkeypatch.setattr(held_out_test, "CHANCE", 0.0)

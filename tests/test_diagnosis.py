@@ -285,8 +285,8 @@ def test_every_candidate_model_has_parameters_of_its_effect(subject):
             enumerate(perturbed_parameters(subject.parameters, np.random.default_rng(4)).tolist())
         ),
     )
-    seen = {shape.effect for shape in result.design.shapes}
-    assert seen >= set(EFFECT_NAMES) - {"contact", "kinematic_error"}
+    effects_of_candidates = {shape.effect for shape in result.design.shapes}
+    assert effects_of_candidates >= set(EFFECT_NAMES) - {"contact", "kinematic_error"}
     for shape, place in zip(result.design.shapes, result.design.places, strict=True):
         values = shape.parameters(np.full(place.stop - place.start, 0.3))
         assert set(values) <= set(EFFECTS_BY_NAME[shape.effect].units), shape.effect

@@ -340,8 +340,8 @@ def test_formats_with_a_choice_of_rate(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["csv", "ros2-joint-trajectory", "ur-csv", "urscript"])
 def test_a_motion_that_does_not_rest_is_refused(name: str, tmp_path: Path) -> None:
-    whole = trajectory_for(name).motion
-    bare = Motion(whole.joints, whole.fourier, 2, (MotionSegment("fourier", 0.0, 8.0),))
+    complete = trajectory_for(name).motion
+    bare = Motion(complete.joints, complete.fourier, 2, (MotionSegment("fourier", 0.0, 8.0),))
     with pytest.raises(UnusableInput, match=r"joint 'joint_\d' .* at rest"):
         exporters.write(trajectory_of(bare), name, tmp_path / "out")
 
@@ -369,13 +369,13 @@ def test_forced_and_untried_files_state_it(name: str, tmp_path: Path) -> None:
     for forced in (True, False):
         trajectory = complete_motion(JOINTS.get(name, 2), forced)
         path = exporters.write(trajectory, name, tmp_path / "out")
-        said = "".join(file.read_text() for file in (path, tmp_path / "out.txt") if file.exists())
+        text = "".join(file.read_text() for file in (path, tmp_path / "out.txt") if file.exists())
         if name == "json":
-            assert json.loads(said)["forced"] is forced
+            assert json.loads(text)["forced"] is forced
         else:
-            assert ("FORCED: breaks its limits" in said) is forced
+            assert ("FORCED: breaks its limits" in text) is forced
         if name in vendor_table.profiles() or name == "urscript":
-            assert "never tried on hardware" in said
+            assert "never tried on hardware" in text
 
 
 def test_franka_has_seven_columns_without_header(tmp_path: Path) -> None:

@@ -168,9 +168,9 @@ def test_torque_of_a_long_motion_equals_that_of_its_parts(tmp_path):
     motion = states(robot, 350)
     assert len(list(dynamics.regressor_blocks(robot, standard, motion))) > 1
     nominal, width = dynamics.torque_band(robot, standard, motion, 0.1)
-    whole = dynamics.band(dynamics.regressor(robot, standard, motion), standard, 0.1)
-    assert np.allclose(nominal, whole[0], rtol=1e-12, atol=1e-9) and np.allclose(
-        width, whole[1], rtol=1e-10
+    complete = dynamics.band(dynamics.regressor(robot, standard, motion), standard, 0.1)
+    assert np.allclose(nominal, complete[0], rtol=1e-12, atol=1e-9) and np.allclose(
+        width, complete[1], rtol=1e-10
     )
     assert np.array_equal(dynamics.torque(robot, standard, motion), nominal)
 

@@ -292,8 +292,10 @@ def test_an_error_after_writing_names_the_written_files(tmp_path: Path) -> None:
 # -- signals ---------------------------------------------------------------------------------------
 
 
-def started(tmp_path: Path, *arguments: object) -> subprocess.Popen[bytes]:
-    command = [*PROGRAM, *map(str, arguments)]
+def started(
+    tmp_path: Path, *arguments: object, program: list[str] = PROGRAM
+) -> subprocess.Popen[bytes]:
+    command = [*program, *map(str, arguments)]
     return subprocess.Popen(
         command,
         stdout=subprocess.PIPE,
@@ -357,9 +359,19 @@ def test_workers_end_with_a_killed_process(tmp_path: Path) -> None:
     assert not workers(process)
 
 
-@pytest.mark.parametrize("delay", [0.15, 0.3, 0.45, 0.7, 1.0])
+ANNOUNCED = [
+    sys.executable,
+    "-c",
+    "import sys\nfrom excite.cli.main import main\nprint('ready', file=sys.stderr, flush=True)\n"
+    "sys.exit(main())",
+]
+"""Program that reports when Python has started: before, it cannot handle signals."""
+
+
+@pytest.mark.parametrize("delay", [0.05, 0.2, 0.4, 0.7, 1.0])
 def test_a_signal_during_the_start_of_a_command(tmp_path: Path, delay: float) -> None:
-    process = started(tmp_path, *DESIGN)
+    process = started(tmp_path, *DESIGN, program=ANNOUNCED)
+    assert process.stderr is not None and process.stderr.readline() == b"ready\n"
     time.sleep(delay)
     process.send_signal(signal.SIGINT)
     done = ended(process)

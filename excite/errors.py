@@ -1,4 +1,4 @@
-"""What can go wrong, each with the line a user needs: the file, the joint, the remedy."""
+"""Errors and warnings of the package; each message is one line: file, joint, remedy."""
 
 from __future__ import annotations
 
@@ -8,7 +8,11 @@ from dataclasses import dataclass
 
 
 class ExciteError(Exception):
-    """Base of every error this package raises on purpose. `exit_code` is the command line's."""
+    """Base class of all errors that the package raises deliberately.
+
+    Attributes:
+        exit_code: Exit code of a command that ends with the error.
+    """
 
     exit_code = 2
 
@@ -18,7 +22,7 @@ class UnusableInput(ExciteError):
 
 
 def toml_key(name: str) -> str:
-    """A name as a key of TOML: in quotes unless it has only letters, digits, _ and - of ASCII."""
+    """Return a name as a key of TOML: quoted unless it consists of ASCII letters, digits, _, -."""
     bare = name.isascii() and bool(name) and name.replace("_", "a").replace("-", "a").isalnum()
     return name if bare else json.dumps(name, ensure_ascii=False)
 
@@ -91,16 +95,16 @@ class MissingLimit(UnusableInput):
 
 
 class Infeasible(ExciteError):
-    """No motion obeys all limits; the text says which of them fight."""
+    """No motion satisfies all limits; the message names those that conflict."""
 
     exit_code = 1
 
 
 class CheckFailed(ExciteError):
-    """A finished motion breaks a limit when recomputed from its file."""
+    """A motion violates a limit when it is verified from its file."""
 
     exit_code = 1
 
 
 class ExciteWarning(UserWarning):
-    """Something was handled by a stated rule; the user should know."""
+    """Input was repaired or completed by a documented rule."""

@@ -262,7 +262,7 @@ def source_of(table: limits.Limits, margin: certificate_module.LimitMargin) -> s
 
 
 def is_builtin(source: str) -> bool:
-    """Return whether a robot is a built-in model."""
+    """Return True if a robot is a built-in model."""
     return source in robot.builtin_names()
 
 

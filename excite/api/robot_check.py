@@ -1,4 +1,4 @@
-"""What a robot's file states, and what is missing or implausible in it, all at once."""
+"""Check of a robot: report of everything that is missing or implausible."""
 
 from __future__ import annotations
 

@@ -1,12 +1,13 @@
-"""A URScript program that replays a motion from its formulas, not from a table.
+"""URScript: a program that computes the motion on the controller from its formulas.
 
 A table of 20 s at 500 Hz has 60,000 numbers, more than controllers are known to load. The program
-holds what the trajectory holds instead: per ramp the state at its beginning and pieces of constant
-jerk, for the periodic part the coefficients of the series; every control cycle it computes one set
-point and hands it to servoj, which takes one cycle. Time is counted in cycles, so speed scaling
-stretches the motion and leaves its path. The program first moves to the start pose with movej,
-slowly and blind to obstacles, and holds the last pose for HOLD before stopj, for servoj lags
-behind. To run it, send the file to port 30002 of the controller.
+contains the parameters of the trajectory instead: for each ramp the initial state and the intervals
+of constant jerk, for the periodic part the Fourier coefficients. In every control cycle it computes
+one set point and passes it to servoj, which takes one cycle. Time is counted in cycles, so speed
+scaling slows the motion down without changing its path. The program first moves to the start pose
+with movej, slowly and without checking for obstacles, and holds the last pose for HOLD before
+stopj, because servoj follows with a delay. To run it, send the file to port 30002 of the
+controller.
 """
 
 from __future__ import annotations
@@ -18,14 +19,14 @@ from pathlib import Path
 
 import numpy as np
 
+from .._types import FloatArray
 from ..errors import UnusableInput
 from ..trajectory.fourier import FourierSeries
 from ..trajectory.rest_to_rest import JerkProfile, Motion, MotionSegment
 from .file_format import (
-    Array,
     Columns,
-    Job,
-    Written,
+    ExportedText,
+    ExportJob,
     comment,
     fixed,
     notes,
@@ -34,11 +35,19 @@ from .file_format import (
 )
 
 STEP_RATES = (500.0, 250.0, 125.0)
-LOOKAHEAD, GAIN = 0.1, 300
+"""Control rates of Universal Robots' controllers, e-Series first [Hz]."""
+LOOKAHEAD = 0.1
+"""Look-ahead time of servoj [s]: the default of URScript."""
+GAIN = 300
+"""Proportional gain of servoj [1]: the default of URScript."""
 HOLD = 0.5
 """Time at the last pose before the program ends [s]."""
 JOINTS = range(6)
+"""Indices of the joints."""
 
+_TAYLOR = ", ".join(
+    f"pos[{i}] + s * (vel[{i}] + s * (acc[{i}] / 2.0 + s * jerk[{i}] / 6.0))" for i in JOINTS
+)
 _FUNCTIONS = f"""\
   def follow(target):
     servoj(target, t=dt, lookahead_time={LOOKAHEAD}, gain={GAIN})
@@ -53,7 +62,7 @@ _FUNCTIONS = f"""\
   def piece(duration, jerk):
     local s = tick * dt - origin
     while s < duration:
-      follow([{", ".join(f"pos[{i}] + s * (vel[{i}] + s * (acc[{i}] / 2.0 + s * jerk[{i}] / 6.0))" for i in JOINTS)}])
+      follow([{_TAYLOR}])
       s = tick * dt - origin
     end
     local i = 0
@@ -65,15 +74,19 @@ _FUNCTIONS = f"""\
     end
     origin = origin + duration
   end
-"""  # noqa: E501
+"""
 
 
 def _vector(values: Iterable[float]) -> str:
     return "[" + ", ".join(fixed(v, None) for v in values) + "]"
 
 
-def _pieces(profile: JerkProfile, length: float) -> Iterator[tuple[float, Array]]:
-    """Durations and jerks (n,) of all joints together, from the start of a segment to its end."""
+def _pieces(profile: JerkProfile, length: float) -> Iterator[tuple[float, FloatArray]]:
+    """Intervals of constant jerk of all joints, from the start of a segment to its end.
+
+    Yields:
+        Duration [s] and jerk, shape (n,), of each interval.
+    """
     knots = np.unique(np.append(profile.knots(), length))
     knots = knots[knots <= length]
     for begin, end in pairwise(knots.tolist()):
@@ -82,7 +95,7 @@ def _pieces(profile: JerkProfile, length: float) -> Iterator[tuple[float, Array]
 
 
 def _series(fourier: FourierSeries) -> Iterator[str]:
-    """The function that follows the periodic part: position amplitudes, one line a joint."""
+    """Lines of the function that evaluates the periodic part, one line per joint."""
     orders = range(1, fourier.harmonics + 1)
     k = fourier.omega * np.arange(1, fourier.harmonics + 1)
     sine, cosine = fourier.sine / k, -fourier.cosine / k
@@ -113,14 +126,21 @@ def _run(motion: Motion) -> Iterator[str]:
             yield f"  series({fixed(segment.start, None)}, {fixed(segment.end, None)})"
             continue
         p = segment.profile
-        yield f"  enter({fixed(segment.start, None)}, {_vector(p.position)}, {_vector(p.velocity)}, {_vector(p.acceleration)})"  # noqa: E501
+        state = ", ".join(_vector(values) for values in (p.position, p.velocity, p.acceleration))
+        yield f"  enter({fixed(segment.start, None)}, {state})"
         for duration, jerk in _pieces(p, segment.end - segment.start):
             yield f"  piece({fixed(duration, None)}, {_vector(jerk)})"
 
 
-def write(job: Job) -> Written:
-    """The program. Its step is the controller's own unless a rate is asked for (500, 250 or 125
-    Hz)."""
+def write(job: ExportJob) -> ExportedText:
+    """Return the program.
+
+    Its step is that of the controller, unless the job states a rate of 500, 250 or 125 Hz.
+
+    Raises:
+        UnusableInput: The motion does not have six joints or does not begin and end at rest, or the
+            rate is not supported.
+    """
     require_joints(job, (6,))
     require_rest(job)
     if job.rate is not None and job.rate not in STEP_RATES:
@@ -153,19 +173,25 @@ def write(job: Job) -> Written:
         "  stopj(2.0)",
         "end",
     ]
-    return Written("\n".join(lines) + "\n")
+    return ExportedText("\n".join(lines) + "\n")
 
 
 _NUMBER = re.compile(r"-?\d+\.?\d*(?:[eE][-+]?\d+)?")
 
 
 def _numbers(text: str) -> list[float]:
-    return [float(found) for found in _NUMBER.findall(text)]
+    return [float(number) for number in _NUMBER.findall(text)]
 
 
-def replayed(text: str) -> Motion:
-    """The motion that a program of `write` makes, rebuilt from the numbers in it. Raises ValueError
-    where they are missing."""
+def rebuilt_motion(text: str) -> Motion:
+    """Rebuild the motion of a program from the numbers in its text.
+
+    Args:
+        text: A program that `write` returned.
+
+    Raises:
+        ValueError: The text is no such program.
+    """
     lines = [line.strip() for line in text.splitlines()]
     omega = [
         _numbers(line.partition("*")[0])[0]
@@ -198,13 +224,13 @@ def replayed(text: str) -> Motion:
     return Motion(tuple(f"joint {i}" for i in JOINTS), fourier, 1, tuple(segments))
 
 
-def _thirds(state: list[float]) -> tuple[Array, Array, Array]:
+def _thirds(state: list[float]) -> tuple[FloatArray, FloatArray, FloatArray]:
     position, velocity, acceleration = np.array(state).reshape(3, 6)
     return position, velocity, acceleration
 
 
 def _coefficients(line: str) -> list[float]:
-    return [float(found) for found in re.findall(r"\(([^)]*)\)", line)]
+    return [float(number) for number in re.findall(r"\(([^)]*)\)", line)]
 
 
 def _extended(segment: MotionSegment, duration: float, *jerk: float) -> MotionSegment:
@@ -221,13 +247,16 @@ def _extended(segment: MotionSegment, duration: float, *jerk: float) -> MotionSe
 
 
 def read(path: Path) -> Columns:
-    """Times, positions, velocities, accelerations of a program's motion at its step, 2 ms where
-    that is the controller's own.
+    """Read the motion of a program at the step of the program, or 2 ms if it does not state one.
 
-    Shapes (N,), (N, 6). Raises ValueError for a program that `write` did not write.
+    Returns:
+        Times, shape (N,) [s], positions, velocities and accelerations, shape (N, 6) each.
+
+    Raises:
+        ValueError: The file is no program that `write` returned.
     """
     text = path.read_text(encoding="utf-8")
-    motion = replayed(text)
+    motion = rebuilt_motion(text)
     step = re.search(r"global dt = ([\d.]+)$", text, re.MULTILINE)
     t = motion.grid(1.0 / float(step[1]) if step else STEP_RATES[0])
     samples = motion.samples(t)

@@ -1,5 +1,4 @@
-"""Output files: replaced together or not at all, through links, with their modes, and what is no
-file refused."""
+"""Output files: atomic replacement, links, modes, refusal of special files, killed processes."""
 
 from __future__ import annotations
 
@@ -27,7 +26,7 @@ def contents(word: str, names: tuple[str, ...] = NAMES) -> dict[str, str]:
 
 
 def words(folder: Path) -> dict[str, str]:
-    """The first word of each file of the set that is there."""
+    """Return the first word of each file of the set that exists."""
     return {
         name: (folder / name).read_text().split()[0] for name in NAMES if (folder / name).exists()
     }
@@ -39,7 +38,7 @@ def everything(folder: Path) -> set[str]:
 
 @pytest.fixture
 def out(tmp_path: Path) -> Path:
-    """A folder with the old set, and with files of the user's."""
+    """Folder with the old set and with files of the user."""
     folder = tmp_path / "out"
     output_folder(folder, NAMES).replace(contents("old"))
     (folder / "mine" / "deep").mkdir(parents=True)
@@ -52,16 +51,16 @@ def out(tmp_path: Path) -> Path:
 
 @pytest.fixture(params=["exchanged", "in place"])
 def replaced(request: pytest.FixtureRequest, out: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The same folder, to be exchanged as a whole or written in place."""
+    """The same folder, to be exchanged or written in place."""
     if request.param == "in place":
         monkeypatch.chdir(out)
     return out
 
 
-# -- whole sets ------------------------------------------------------------------------------------
+# -- complete sets ---------------------------------------------------------------------------------
 
 
-def test_a_new_folder_and_what_is_above_it_are_made(tmp_path: Path) -> None:
+def test_missing_parent_folders_are_created(tmp_path: Path) -> None:
     folder = tmp_path / "a" / "b" / "out"
     written = output_folder(folder, NAMES).replace(contents("new"))
     assert written == [folder / name for name in NAMES]
@@ -74,7 +73,7 @@ def test_a_new_folder_and_what_is_above_it_are_made(tmp_path: Path) -> None:
     }
 
 
-def test_files_of_the_user_stay_the_same_files(replaced: Path) -> None:
+def test_other_files_of_the_folder_are_kept(replaced: Path) -> None:
     foreign = ("mine/deep/notes.txt", "sub/other.txt", "link")
     before = {name: os.lstat(replaced / name).st_ino for name in foreign}
     modified = os.stat(replaced / "mine").st_mtime_ns
@@ -87,7 +86,7 @@ def test_files_of_the_user_stay_the_same_files(replaced: Path) -> None:
     assert [path.name for path in replaced.parent.iterdir()] == ["out"]
 
 
-def test_files_that_are_not_written_again_are_removed(replaced: Path) -> None:
+def test_files_of_an_earlier_result_are_removed(replaced: Path) -> None:
     output_folder(replaced, NAMES).replace(contents("new", NAMES[:2]))
     assert words(replaced) == dict.fromkeys(NAMES[:2], "new")
     assert (replaced / "sub" / "other.txt").read_text() == "other"
@@ -97,8 +96,8 @@ def test_files_that_are_not_written_again_are_removed(replaced: Path) -> None:
     assert not (replaced / "sub").exists()
 
 
-def test_an_open_directory_is_written_in_place(out: Path) -> None:
-    """A shell that is in the folder goes on to see what is in it."""
+def test_the_current_directory_of_a_process_is_written_in_place(out: Path) -> None:
+    """A shell in the folder still sees its files."""
     before = out.stat().st_ino
     shell = subprocess.Popen(["sleep", "60"], cwd=out)
     try:
@@ -110,7 +109,7 @@ def test_an_open_directory_is_written_in_place(out: Path) -> None:
     assert (out.stat().st_ino == before) is Path(f"/proc/{os.getpid()}/cwd").exists()
 
 
-def test_files_beside_others_are_replaced(tmp_path: Path) -> None:
+def test_files_in_a_folder_of_the_user_are_replaced(tmp_path: Path) -> None:
     (tmp_path / "other.csv").write_text("other")
     for word in ("old", "new"):
         written = output_files(tmp_path / "run.csv", ["run.json"]).replace(
@@ -124,7 +123,7 @@ def test_files_beside_others_are_replaced(tmp_path: Path) -> None:
     }
 
 
-def test_text_is_written_as_it_is(tmp_path: Path) -> None:
+def test_text_is_written_unchanged(tmp_path: Path) -> None:
     output_files(tmp_path / "a").replace({"a": "\N{GREEK SMALL LETTER TAU}\r\n\udcff"})
     assert (
         tmp_path / "a"
@@ -135,7 +134,7 @@ def test_text_is_written_as_it_is(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("mask", [0o022, 0o077, 0o002])
-def test_new_files_get_what_the_umask_leaves(tmp_path: Path, mask: int) -> None:
+def test_new_files_have_the_mode_of_the_umask(tmp_path: Path, mask: int) -> None:
     before = os.umask(mask)
     try:
         output_folder(tmp_path / "out", NAMES).replace(contents("new"))
@@ -148,7 +147,7 @@ def test_new_files_get_what_the_umask_leaves(tmp_path: Path, mask: int) -> None:
     assert stat.S_IMODE((tmp_path / "run.csv").stat().st_mode) == 0o666 & ~mask
 
 
-def test_modes_stay(replaced: Path) -> None:
+def test_replaced_files_keep_their_modes(replaced: Path) -> None:
     replaced.chmod(0o2750)
     (replaced / "mine").chmod(0o700)
     (replaced / NAMES[0]).chmod(0o600)
@@ -176,7 +175,7 @@ def test_links_are_followed(out: Path, tmp_path: Path) -> None:
     assert everything(tmp_path / "elsewhere") == {"main.json", "sub", "sub/main.json", "page.html"}
 
 
-def test_a_link_to_a_folder_is_followed_where_it_is_exchanged(out: Path, tmp_path: Path) -> None:
+def test_a_link_to_an_exchanged_folder_is_followed(out: Path, tmp_path: Path) -> None:
     (tmp_path / "way").symlink_to("out")
     output_folder(tmp_path / "way", NAMES).replace(contents("new"))
     assert words(out) == dict.fromkeys(NAMES, "new") and os.readlink(tmp_path / "way") == "out"
@@ -198,11 +197,11 @@ def _loop(path: Path) -> None:
 
 
 def _socket(path: Path) -> None:
-    with socket.socket(socket.AF_UNIX) as one:
+    with socket.socket(socket.AF_UNIX) as endpoint:
         before = os.getcwd()
-        os.chdir(path.parent)  # the name of a socket may have 107 bytes
+        os.chdir(path.parent)  # names of sockets have at most 107 bytes
         try:
-            one.bind(path.name)
+            endpoint.bind(path.name)
         finally:
             os.chdir(before)
 
@@ -218,7 +217,7 @@ def _link_to_pipe(path: Path) -> None:
 
 @pytest.mark.parametrize("make", [_pipe, _folder, _loop, _socket, _device, _link_to_pipe])
 @pytest.mark.parametrize("name", ["run.csv", "run.json"])
-def test_what_is_no_regular_file_is_refused(tmp_path: Path, name: str, make) -> None:
+def test_special_files_are_refused(tmp_path: Path, name: str, make) -> None:
     make(tmp_path / name)
     before = {path: os.lstat(path) for path in tmp_path.iterdir()}
     with pytest.raises(
@@ -229,7 +228,7 @@ def test_what_is_no_regular_file_is_refused(tmp_path: Path, name: str, make) -> 
     assert {path: os.lstat(path) for path in tmp_path.iterdir()} == before
 
 
-def test_what_appears_after_the_check_is_refused_too(tmp_path: Path) -> None:
+def test_special_files_that_appear_after_the_check_are_refused(tmp_path: Path) -> None:
     output = output_folder(tmp_path, NAMES)
     os.mkfifo(tmp_path / NAMES[1])
     with pytest.raises(UnusableInput, match="is a pipe"):
@@ -258,7 +257,7 @@ def test_a_file_in_the_place_of_a_subfolder_is_refused(tmp_path: Path) -> None:
     assert everything(tmp_path) == {"sub"} and (tmp_path / "sub").read_text() == "mine"
 
 
-def test_a_name_that_is_too_long_is_refused(tmp_path: Path) -> None:
+def test_a_long_name_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UnusableInput, match="its name is too long"):
         output_files(tmp_path / ("x" * 300))
     with pytest.raises(UnusableInput, match="its name is too long"):
@@ -266,7 +265,7 @@ def test_a_name_that_is_too_long_is_refused(tmp_path: Path) -> None:
     output_folder(tmp_path / ("x" * 250), NAMES).replace(contents("new"))
 
 
-def test_two_outputs_in_one_file_are_refused(tmp_path: Path) -> None:
+def test_two_outputs_with_the_same_target_are_refused(tmp_path: Path) -> None:
     (tmp_path / NAMES[1]).symlink_to(NAMES[0])
     with pytest.raises(UnusableInput, match=r"table\.csv.*the same file as another output"):
         output_folder(tmp_path, NAMES)
@@ -281,7 +280,7 @@ def test_an_input_is_not_replaced(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["", ".", "..", "a/.."])
-def test_a_folder_is_no_name_of_a_file(
+def test_the_name_of_a_folder_is_refused(
     tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -290,7 +289,8 @@ def test_a_folder_is_no_name_of_a_file(
 
 
 def run_limited(script: str, tmp_path: Path, *limits: str) -> subprocess.CompletedProcess[str]:
-    code = f"from pathlib import Path\nfrom excite._system.output_files import output_files, output_folder\n{script}"  # noqa: E501
+    imports = "from excite._system.output_files import output_files, output_folder"
+    code = f"from pathlib import Path\n{imports}\n{script}"
     shell = "".join(f"ulimit {limit}; " for limit in limits) + 'exec "$0" -c "$1"'
     return subprocess.run(
         ["/bin/sh", "-c", shell, sys.executable, code],
@@ -302,7 +302,7 @@ def run_limited(script: str, tmp_path: Path, *limits: str) -> subprocess.Complet
 
 
 @pytest.mark.parametrize("exists", [True, False])
-def test_a_full_disk_leaves_everything_as_it_was(tmp_path: Path, exists: bool) -> None:
+def test_a_full_disk_changes_nothing(tmp_path: Path, exists: bool) -> None:
     if exists:
         output_folder(tmp_path / "out", NAMES).replace(contents("old"))
     before = everything(tmp_path)
@@ -336,7 +336,10 @@ from pathlib import Path
 from excite._system.output_files import OutputFiles
 
 names, folder, kind = json.loads(sys.argv[1]), Path(sys.argv[2]).resolve(), sys.argv[3]
-EVENTS = ("open", "os.mkdir", "os.rename", "os.link", "os.chmod", "os.remove", "os.rmdir", "os.listdir", "os.scandir", "ctypes.dlsym")
+EVENTS = (
+    "open", "os.mkdir", "os.rename", "os.link", "os.chmod", "os.remove", "os.rmdir", "os.listdir",
+    "os.scandir", "ctypes.dlsym",
+)
 
 def replace(at):
     count = 0
@@ -347,9 +350,10 @@ def replace(at):
             os.kill(os.getpid(), signal.SIGKILL)
     if kind == "in place":
         os.chdir(folder)
-    output = OutputFiles(folder, tuple(names), kind != "beside")
+    output = OutputFiles(folder, tuple(names), kind != "siblings")
     sys.addaudithook(hook)
-    output.replace({name: f"new {name}" for name in names if not (kind == "exchanged" and name == names[2])})
+    written = [name for name in names if not (kind == "exchanged" and name == names[2])]
+    output.replace({name: f"new {name}" for name in written})
 
 def forked(at):
     if (child := os.fork()) == 0:
@@ -366,19 +370,22 @@ while code == -9:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_text(f"old {name}")
     code = forked(at)
-    states.append([(folder / name).read_text().split()[0] if (folder / name).exists() else "" for name in names])
+    files = [folder / name for name in names]
+    states.append([path.read_text().split()[0] if path.exists() else "" for path in files])
     assert kind == "fresh" or (folder / "sub/mine.txt").read_text() == "old sub/mine.txt"
-    assert forked(0) == 0  # the next run removes what is left
-    left = [str(path) for path in folder.parent.rglob("*.partial")]
-    assert not left, (at, left)
+    assert forked(0) == 0  # the next run removes the staging directories
+    remaining = [str(path) for path in folder.parent.rglob("*.partial")]
+    assert not remaining, (at, remaining)
 assert code == 0
 print(json.dumps(states))
-"""  # noqa: E501
+"""
 
 
 def killed(folder: Path, kind: str) -> list[list[str]]:
-    """The state of each file of the set after a kill at each operation; the last is that of the
-    whole run."""
+    """Return the state of each file of the set after a kill at each operation.
+
+    The last state is that of the complete run.
+    """
     command = [sys.executable, "-c", KILLER, json.dumps(NAMES), str(folder / "out"), kind]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -399,17 +406,15 @@ def test_a_kill_at_any_moment_leaves_the_old_or_the_new_folder(tmp_path: Path) -
 
 
 @needs_fork
-def test_a_kill_at_any_moment_leaves_the_whole_new_folder_or_none(tmp_path: Path) -> None:
+def test_a_kill_at_any_moment_leaves_the_complete_new_folder_or_none(tmp_path: Path) -> None:
     states = killed(tmp_path, "fresh")
     assert states[0] == [""] * 4 and states[-1] == ["new"] * 4
     assert all(state in (states[0], states[-1]) for state in states)
 
 
 @needs_fork
-@pytest.mark.parametrize("kind", ["in place", "beside"])
-def test_a_kill_in_place_never_leaves_old_beside_new_and_the_main_file_only_with_the_whole_set(
-    tmp_path: Path, kind: str
-) -> None:
+@pytest.mark.parametrize("kind", ["in place", "siblings"])
+def test_a_kill_in_place_never_mixes_old_and_new_files(tmp_path: Path, kind: str) -> None:
     states = killed(tmp_path, kind)
     assert states[0] == ["old"] * 4 and states[-1] == ["new"] * 4
     for state in states:
@@ -418,9 +423,13 @@ def test_a_kill_in_place_never_leaves_old_beside_new_and_the_main_file_only_with
     assert ["", "", "", ""] in states
 
 
-def test_directories_of_running_processes_are_left_alone(out: Path) -> None:
-    script = "import sys, time\nfrom excite._system.staging import StagingDirectory\nfrom pathlib import Path\n"  # noqa: E501
-    script += "with StagingDirectory(Path(sys.argv[1]), 'out'):\n print('ready', flush=True); time.sleep(60)"  # noqa: E501
+def test_staging_directories_of_running_processes_are_kept(out: Path) -> None:
+    script = (
+        "import sys, time\nfrom pathlib import Path\n"
+        "from excite._system.staging import StagingDirectory\n"
+        "with StagingDirectory(Path(sys.argv[1]), 'out'):\n"
+        " print('ready', flush=True); time.sleep(60)"
+    )
     process = subprocess.Popen(
         [sys.executable, "-c", script, str(out.parent)], stdout=subprocess.PIPE, text=True
     )
@@ -437,10 +446,15 @@ def test_directories_of_running_processes_are_left_alone(out: Path) -> None:
     assert [path.name for path in out.parent.iterdir()] == ["out"]
 
 
-def test_two_processes_at_once_leave_one_whole_set(tmp_path: Path) -> None:
-    """Some exchange the folder, some write in place."""
-    script = "import sys\nfrom pathlib import Path\nfrom excite._system.output_files import output_folder\n"  # noqa: E501
-    script += f"for _ in range(30):\n output_folder(Path(sys.argv[1]), {NAMES!r}).replace({{n: sys.argv[2] for n in {NAMES!r}}})"  # noqa: E501
+def test_concurrent_processes_leave_a_complete_set(tmp_path: Path) -> None:
+    """Some processes exchange the folder, some write in place."""
+    script = (
+        "import sys\nfrom pathlib import Path\n"
+        "from excite._system.output_files import output_folder\n"
+        f"names = {NAMES!r}\n"
+        "for _ in range(30):\n"
+        " output_folder(Path(sys.argv[1]), names).replace({name: sys.argv[2] for name in names})"
+    )
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine").write_text("mine")
     command = [sys.executable, "-c", script, str(tmp_path / "out")]
@@ -500,11 +514,11 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     ],
     ids=lambda command: command[0],
 )
-def test_commands_look_at_their_folder_first(capsys, tmp_path, monkeypatch, command) -> None:
+def test_commands_check_their_folder_first(capsys, tmp_path, monkeypatch, command) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "out").mkdir()
     os.mkfifo(tmp_path / "out" / "report.html")
-    line = refused(capsys, *command)  # without a word about its work
+    line = refused(capsys, *command)  # without progress messages
     assert "out/report.html: cannot be written (is a pipe, not a regular file)" in line
 
 
@@ -517,7 +531,7 @@ def test_commands_look_at_their_folder_first(capsys, tmp_path, monkeypatch, comm
     ],
     ids=lambda command: command[0],
 )
-def test_commands_look_at_their_file_first(capsys, tmp_path, monkeypatch, command) -> None:
+def test_commands_check_their_file_first(capsys, tmp_path, monkeypatch, command) -> None:
     monkeypatch.chdir(tmp_path)
     os.mkfifo(tmp_path / "x.csv")
     assert "x.csv: cannot be written (is a pipe, not a regular file)" in refused(capsys, *command)
@@ -530,8 +544,9 @@ def test_commands_look_at_their_file_first(capsys, tmp_path, monkeypatch, comman
 
 
 @pytest.mark.parametrize("redirection", ["| cat", "> file", ">> file"])
-def test_standard_output_is_no_file_to_export_to(tmp_path: Path, redirection: str) -> None:
-    script = f'"$0" -m excite export "$1" --format csv -o /dev/stdout {redirection}; cat file 2> /dev/null'  # noqa: E501
+def test_export_to_standard_output_is_refused(tmp_path: Path, redirection: str) -> None:
+    export = '"$0" -m excite export "$1" --format csv -o /dev/stdout'
+    script = f"{export} {redirection}; cat file 2> /dev/null"
     done = subprocess.run(
         ["/bin/sh", "-c", script, sys.executable, str(TRAJECTORY)],
         capture_output=True,
@@ -558,7 +573,7 @@ def test_simulate_does_not_replace_its_trajectory(capsys, tmp_path) -> None:
     assert (tmp_path / "trajectory.json").read_bytes() == TRAJECTORY.read_bytes()
 
 
-def test_a_design_without_validation_removes_the_validation_of_the_one_before(
+def test_a_design_without_validation_removes_an_earlier_validation(
     tmp_path: Path,
 ) -> None:
     for options in (["--validation"], []):
@@ -571,7 +586,7 @@ def test_a_design_without_validation_removes_the_validation_of_the_one_before(
     }
 
 
-def test_a_note_to_an_exported_file_goes_with_it(tmp_path: Path) -> None:
+def test_the_note_of_an_exported_file_is_removed_with_it(tmp_path: Path) -> None:
     command = [
         "export",
         str(TRAJECTORY.with_name("panda.json")),
@@ -586,11 +601,13 @@ def test_a_note_to_an_exported_file_goes_with_it(tmp_path: Path) -> None:
 
 
 def test_the_same_command_gives_the_same_files(tmp_path: Path) -> None:
-    found = []
+    contents_of_runs = []
     for name in ("a", "b"):
         assert (
             main(["design", "two_link", "-o", str(tmp_path / name), "--time", "12", *QUICK[:4]])
             == 0
         )
-        found.append({path.name: path.read_bytes() for path in (tmp_path / name).iterdir()})
-    assert found[0] == found[1]
+        contents_of_runs.append(
+            {path.name: path.read_bytes() for path in (tmp_path / name).iterdir()}
+        )
+    assert contents_of_runs[0] == contents_of_runs[1]

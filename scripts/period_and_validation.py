@@ -1,4 +1,4 @@
-"""Measure what the choices that excite makes for the user are worth: period and validation motion.
+"""Measure the benefit of the default period, the time budget and the validation motion.
 
 1. Predicted standard deviations (root of the geometric A criterion over the seconds of excitation):
    of the default period against 10 s for equal time, and of the motion that is planned for a time

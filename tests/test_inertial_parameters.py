@@ -1,3 +1,5 @@
+"""Inertial parameters: pseudo-inertia, metric, nominal values, and repair of invalid bodies."""
+
 from __future__ import annotations
 
 import numpy as np
@@ -40,7 +42,7 @@ STEP = 1e-3
 
 
 def body(mass, com, moments):
-    """Ten parameters of any numbers, sensible or not; moments about the centre of mass."""
+    """Return ten arbitrary parameters; moments are about the centre of mass."""
     com = np.array(com, float)
     tensor = np.diag(moments) + mass * (com @ com * np.eye(3) - np.outer(com, com))
     return np.array(
@@ -65,7 +67,7 @@ def smallest(phi):
 
 
 @given(seeds)
-def test_pseudo_inertia_is_pinocchios(rng):
+def test_pseudo_inertia_equals_pinocchio(rng):
     phi = random_body(rng)
     assert np.allclose(
         pseudo_inertia(phi),
@@ -88,7 +90,7 @@ def test_metric_is_half_the_trace_of_the_definition(rng):
 def test_inverse_root_inverts_the_metric(rng):
     phi = random_body(rng)
     R = inverse_root(phi)
-    whitened = R.T @ metric(phi) @ R  # similar to R Rᵀ g, and better scaled
+    whitened = R.T @ metric(phi) @ R  # similar to R Rᵀ g, with a better scaling
     assert np.allclose(whitened, np.eye(10), atol=1e-8)
     assert np.allclose(R @ R.T @ metric(phi), np.eye(10), atol=1e-6)
 
@@ -112,7 +114,7 @@ def affine(first, second):
 @given(rng=seeds)
 def test_metric_is_the_second_order_of_the_distances(distance, rng):
     phi = random_body(rng)
-    direction = inverse_root(phi) @ rng.normal(size=10)  # of like length in every direction
+    direction = inverse_root(phi) @ rng.normal(size=10)  # of similar length in every direction
     ahead, behind = (
         distance(pseudo_inertia(phi + s * STEP * direction), pseudo_inertia(phi)) for s in (1, -1)
     )
@@ -154,7 +156,7 @@ def from_pseudo(P):
 
 
 @pytest.mark.parametrize("name", BUILTIN)
-def test_nominal_torque_is_pinocchios_and_friction(name):
+def test_nominal_torque_is_that_of_pinocchio_plus_friction(name):
     robot = load(name)
     standard, motion = inertial_parameters.standard(robot, resolve(robot)), states(robot.n)
     data = robot.model.createData()
@@ -244,7 +246,7 @@ def test_an_unknown_drive_parameter_is_refused():
         inertial_parameters.standard(robot, resolve(robot), ("magic",))
 
 
-# -- bodies that are no bodies ---------------------------------------------------------------------
+# -- inconsistent bodies ---------------------------------------------------------------------------
 
 IMPROPER = {
     "massless": body(0.0, (0, 0, 0), (0, 0, 0)),
@@ -258,7 +260,7 @@ IMPROPER = {
 
 
 @pytest.mark.parametrize("case", IMPROPER)
-def test_an_improper_body_is_repaired_to_one_that_can_be_built(case):
+def test_an_inconsistent_body_is_repaired(case):
     phi, changed = proper_body(IMPROPER[case], robot_mass=10.0)
     assert changed and smallest(phi) > 0.0 and np.isfinite(inverse_root(phi)).all()
 
@@ -268,13 +270,13 @@ def test_a_repair_keeps_mass_and_centre(case):
     assert np.allclose(proper_body(IMPROPER[case], 10.0)[0][:4], IMPROPER[case][:4])
 
 
-def test_a_repaired_rod_keeps_the_moments_it_has():
+def test_a_repaired_rod_keeps_its_moments():
     rod = IMPROPER["rod"]
     assert np.allclose(proper_body(rod, 10.0)[0][[6, 9]], rod[[6, 9]], rtol=2e-3)
 
 
 @given(seeds)
-def test_a_proper_body_is_left_alone(rng):
+def test_a_consistent_body_is_not_changed(rng):
     phi = random_body(rng)
     kept, changed = proper_body(phi, 10.0)
     assert not changed and kept is phi
@@ -288,7 +290,7 @@ def test_a_proper_body_is_left_alone(rng):
         link("hand", 1.0, (0.1, 0, 0), np.diag([0.0, 0.1, 0.1])),
     ],
 )
-def test_a_warning_names_the_link_that_was_repaired(sick):
+def test_a_warning_names_the_repaired_link(sick):
     tail = [link("tip", 0.5), joint("twist", "hand", "tip", axis=(0, 0, 1))]
     robot = loaded(
         document(

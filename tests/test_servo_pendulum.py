@@ -93,7 +93,7 @@ def write_recording(
 
 
 @pytest.mark.filterwarnings(f"ignore::{ExciteWarning.__module__}.{ExciteWarning.__name__}")
-def test_load_friction_is_found_in_a_joint_that_sticks(tmp_path: Path):
+def test_load_friction_is_reported_with_static_friction(tmp_path: Path):
     t, rng = np.arange(0.0, DURATION, STEP), np.random.default_rng(0)
     chirp, waves = np.sin(t**2), 1.6 * np.sin(t) + 0.5 * np.sin(5.0 * t) * np.sin(2.0 * t)
     ramp = np.interp(t, [0.0, 3.0, 6.0], [0.0, 1.9, 0.0])
@@ -115,6 +115,6 @@ def test_load_friction_is_found_in_a_joint_that_sticks(tmp_path: Path):
     stated = diagnosis_file.document(result)
     finding = stated["findings"][0]
     assert (finding["effect"], finding["joint"]) == ("load_friction", "servo")
-    # 0.22 in fast motion, half as much again in slow motion
+    # 0.22 in fast motion, 0.33 in slow motion
     assert 0.15 < finding["parameters"]["mu"]["value"] < 0.6
     assert result.after[0] < 0.65 * result.before[0]

@@ -1,7 +1,7 @@
-"""Names are text wherever they go: no name becomes part of a program, a page, a table or a figure.
+"""Names with special characters are escaped in programs, pages, tables and figures.
 
-A robot whose joints and links have every character that some format treats specially is designed
-for, exported, simulated, identified and reported.
+A robot whose joints and links have all characters with a special meaning in some format is
+designed for, exported, simulated, identified and reported.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 import yaml
 from conftest import text_of
-from test_export import JOINTS, made
+from test_export import JOINTS, complete_motion
 
 from excite import exporters
 from excite.cli.main import main
@@ -39,7 +39,7 @@ HOSTILE = {
 ROBOT = "rob$ot <i>&\"'</i> {x} %d"
 FOLDER = "<u>&'$d$ {0} %s"
 TAGS_OF_NAMES = {"script", "u"}
-"""Elements that stand in names and in no page of ours."""
+"""Elements that are in names and not in the pages of the package."""
 
 
 def run(*words: object) -> int:
@@ -48,7 +48,7 @@ def run(*words: object) -> int:
 
 
 def done(*words: object) -> None:
-    """Run a command that should succeed."""
+    """Run a command and check that it succeeds."""
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = main([str(word) for word in words])
@@ -56,7 +56,7 @@ def done(*words: object) -> None:
 
 
 def renamed(text: str) -> str:
-    """A URDF under hostile names; names in ours are each other's prefixes nowhere."""
+    """Return a URDF with special names; no original name is a prefix of another."""
     root = ElementTree.fromstring(text)
     root.set("name", ROBOT)
     for element in root.iter():
@@ -68,7 +68,7 @@ def renamed(text: str) -> str:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Everything that the commands make of the robot."""
+    """Folder with the files of all commands."""
     folder = tmp_path_factory.mktemp("hostile") / FOLDER
     folder.mkdir()
     robot, table = folder / "robot.urdf", folder / "limits.toml"
@@ -99,7 +99,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 class Page(HTMLParser):
-    """The elements, attributes and text of a page."""
+    """Elements, attributes and text of a page."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -158,9 +158,9 @@ def test_names_are_the_same_in_the_identified_robot(folder):
 
 
 @pytest.mark.parametrize("name", exporters.FORMATS)
-def test_names_stay_out_of_programs(name, tmp_path):
-    """The lines of a file that are no comments do not depend on the names."""
-    trajectory = made(JOINTS.get(name, 2))
+def test_names_do_not_enter_programs(name, tmp_path):
+    """Lines that are no comments do not depend on the names."""
+    trajectory = complete_motion(JOINTS.get(name, 2))
     joints = tuple(f"{i} {HOSTILE['joint_1']}" for i in range(len(trajectory.joints)))
     motion = replace(trajectory.motion, joints=joints)
     limits = replace(trajectory.limits, joints=joints)
@@ -194,9 +194,9 @@ def test_names_stay_out_of_programs(name, tmp_path):
         assert all(text.isascii() for text in texts)
 
 
-def test_a_segments_kind_stays_in_its_comment(tmp_path):
-    """A file cannot state another kind than the five; a motion made in a program can."""
-    trajectory = made(6)
+def test_the_kind_of_a_segment_stays_in_its_comment(tmp_path):
+    """A motion that is built in Python may have other kinds of segments than files have."""
+    trajectory = complete_motion(6)
     kind = "fourier\n  set_digital_out(0, True)\r  movej()\u2028#"
     odd = tuple(
         MotionSegment(kind if segment.profile is None else segment.kind, *segment_rest(segment))
@@ -219,13 +219,13 @@ def segment_rest(segment: MotionSegment) -> tuple[object, ...]:
 @pytest.mark.parametrize(
     "name", ["a\nb", "a\tb", "\x1b[31m", "a\u2028b", "\x85", " ", "", "n" * 1001]
 )
-def test_a_name_that_fits_no_line_is_refused(name):
+def test_a_name_with_a_line_break_is_refused(name):
     with pytest.raises(ValueError, match="the name "):
         converted(Name, name)
 
 
-def test_a_joint_name_with_a_line_break_is_refused_before_anything_is_written(tmp_path):
-    """As a character reference it passes the XML parser."""
+def test_a_joint_name_with_a_line_break_is_refused_before_writing(tmp_path):
+    """The XML parser accepts it as a character reference."""
     text = text_of("two_link").replace(
         'name="joint_1"', 'name="joint&#10;set_digital_out(0, True)"'
     )
@@ -237,8 +237,8 @@ def test_a_joint_name_with_a_line_break_is_refused_before_anything_is_written(tm
     assert not (tmp_path / "out").exists()
 
 
-def test_names_that_look_like_numbers_survive_a_figure(folder):
-    """The SVG is made smaller by rounding its numbers, not its texts."""
+def test_names_that_look_like_numbers_are_not_rounded_in_figures(folder):
+    """Numbers in the SVG are rounded, texts are not."""
     from excite.report.figures.drawing import render_svg as render
 
     name = "joint 1.23456 font-family: x xlink:href"

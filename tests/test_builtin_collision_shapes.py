@@ -1,5 +1,4 @@
-"""The built-in models' collision shapes: capsules that cover the links and leave well-known poses
-clear."""
+"""Collision shapes of the built-in models: capsules that cover the links and are clear at home."""
 
 from __future__ import annotations
 
@@ -33,7 +32,7 @@ HOME = {
     "ur5e": UR_HOME,
 }
 
-# Folded so that the two links named cannot but meet.
+# Folded poses in which the two links collide.
 FRANKA_FOLDED = (0, 1.7, 0, -2.6, 0, 1, 0)
 UR_FOLDED = (0, -R, 2.9, 0, 0, 0)
 FOLDED = {
@@ -46,7 +45,7 @@ FOLDED = {
     "ur5e": (UR_FOLDED, "upper_arm_link", "wrist_2_link"),
 }
 
-# Next but one links that stay within millimetres of each other however the arm is bent.
+# Links with one link in between, at distances of millimetres in all poses.
 UR_NEAR = {
     ("base_link", "upper_arm_link"),
     ("forearm_link", "wrist_2_link"),
@@ -64,8 +63,7 @@ NEAR = {
 
 
 class Shapes:
-    """A built-in model's shapes and the pairs of them whose joints are neither the same nor
-    neighbours."""
+    """Shapes of a built-in model, and their pairs on joints that are not adjacent."""
 
     def __init__(self, name: str) -> None:
         path = str(locate(name))
@@ -82,7 +80,7 @@ class Shapes:
         return str(self.model.frames[self.geometry.geometryObjects[at].parentFrame].name)
 
     def distances(self, q: object) -> dict[tuple[str, str], float]:
-        """Least distance [m] of each pair of links; negative where they overlap."""
+        """Return the smallest distance of each pair of links, negative for an overlap [m]."""
         pin.computeDistances(self.model, self.data, self.geometry, self.found, np.array(q, float))
         out: dict[tuple[str, str], float] = defaultdict(lambda: np.inf)
         for pair, result in zip(
@@ -99,7 +97,7 @@ def named(request: pytest.FixtureRequest) -> tuple[str, Shapes]:
 
 
 @pytest.mark.parametrize("name", BUILTIN)
-def test_every_link_with_mass_and_the_base_have_shape(name):
+def test_the_base_and_all_links_with_mass_have_shapes(name):
     links = ElementTree.fromstring(text_of(name)).findall("link")
     bare = [link.get("name") for link in links if link.find("collision") is None]
     assert [
@@ -109,7 +107,7 @@ def test_every_link_with_mass_and_the_base_have_shape(name):
 
 
 @pytest.mark.parametrize("name", BUILTIN)
-def test_shapes_of_a_link_have_names_of_their_own(name):
+def test_shapes_of_a_link_have_unique_names(name):
     for link in ElementTree.fromstring(text_of(name)).findall("link"):
         names = [shape.get("name") for shape in link.findall("collision")]
         assert None not in names and len(set(names)) == len(names)
@@ -120,7 +118,7 @@ def test_shapes_are_capsules_and_spheres(named):
     assert kinds <= {
         coal.Capsule,
         coal.Sphere,
-    }  # a cylinder's flat face would mean that a name is misspelt
+    }  # a cylinder with flat faces would indicate a misspelt name
 
 
 def test_home_poses_are_clear(named):
@@ -148,11 +146,11 @@ def test_no_pair_of_links_collides_in_every_pose(named):
     poses = rng.uniform(
         shapes.model.lowerPositionLimit, shapes.model.upperPositionLimit, (100, shapes.model.nq)
     )
-    found = [shapes.distances(q) for q in poses]
-    assert min(max(each[pair] for each in found) for pair in found[0]) > 0.0
+    distances = [shapes.distances(q) for q in poses]
+    assert min(max(of_pose[pair] for of_pose in distances) for pair in distances[0]) > 0.0
 
 
-# -- against the maker's meshes --------------------------------------------------------------------
+# -- against the vendor's meshes -------------------------------------------------------------------
 
 
 MESHES = "cmeel.prefix/share/example-robot-data/robots/panda_description/meshes/collision"
@@ -166,8 +164,7 @@ def vertices(path: Path) -> np.ndarray:
 
 
 def outside(shape: pin.GeometryObject, points: np.ndarray) -> np.ndarray:
-    """Signed distance [m] of points, given in the joint's frame, from a capsule's or sphere's
-    surface."""
+    """Return the signed distances of points in the frame of the joint to the surface [m]."""
     local = (points - shape.placement.translation) @ shape.placement.rotation
     half = getattr(shape.geometry, "halfLength", 0.0)
     local[:, 2] -= np.clip(local[:, 2], -half, half)

@@ -1,4 +1,4 @@
-"""Large robots, grids and recordings: done, or refused with a figure before the work begins."""
+"""Large robots, grids and recordings: computed, or refused with an estimate before."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from large_robots import tree_urdf
 
-from excite._system.resources import LONGEST, Cost, duration, machine_memory
+from excite._system.resources import MAX_TIME, Cost, duration, machine_memory
 from excite.cli import main as cli
 from excite.designer import criteria, design_cost
 from excite.designer.options import DesignOptions
@@ -35,10 +35,17 @@ def states(robot: Robot, count: int) -> Samples:
 # -- estimates -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("change", [
-    {"samples": 200}, {"harmonics": 10}, {"starts": 40}, {"iterations": 50}, {"periods": 4},
-])  # fmt: skip
-def test_an_estimate_grows_with_all_it_is_asked_to_do(change, two_link):
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"samples": 200},
+        {"harmonics": 10},
+        {"starts": 40},
+        {"iterations": 50},
+        {"periods": 4},
+    ],
+)
+def test_the_estimate_increases_with_all_sizes(change, two_link):
     options = DesignOptions(starts=4, iterations=20)
     before = design_cost.estimated(two_link, options)
     after = design_cost.estimated(two_link, dataclasses.replace(options, **change))
@@ -46,14 +53,14 @@ def test_an_estimate_grows_with_all_it_is_asked_to_do(change, two_link):
     assert after.seconds >= before.seconds and after.memory >= before.memory
 
 
-def test_an_estimate_grows_with_joints_faster_than_in_proportion(tmp_path):
+def test_the_estimate_increases_more_than_linearly_with_the_joints(tmp_path):
     few, many = (load(str(tree(tmp_path, n, 5))) for n in (20, 60))
     costs = [design_cost.estimated(robot, DesignOptions()) for robot in (few, many)]
     assert costs[1].seconds > 5.0 * costs[0].seconds
     assert costs[1].memory > 2.0 * costs[0].memory
 
 
-def test_sixty_joints_are_not_too_many(tmp_path):
+def test_sixty_joints_are_accepted(tmp_path):
     lines: list[str] = []
     design_cost.require(load(str(tree(tmp_path, 60, 5))), DesignOptions(), say=lines.append)
     assert len(lines) == 1 and "60 joints" in lines[0] and "min and" in lines[0]
@@ -65,7 +72,7 @@ def test_a_small_design_is_not_announced(two_link):
     assert not lines
 
 
-def test_what_takes_longer_than_a_day_is_refused_with_the_figure(tmp_path):
+def test_a_computation_of_more_than_a_day_is_refused_with_the_estimate(tmp_path):
     robot = load(str(tree(tmp_path, 60, 5)))
     with pytest.raises(
         UnusableInput,
@@ -74,22 +81,34 @@ def test_what_takes_longer_than_a_day_is_refused_with_the_figure(tmp_path):
         design_cost.require(robot, DesignOptions(starts=100_000))
 
 
-@pytest.mark.parametrize(("cost", "part"), [
-    (Cost(1.0, 1e15), "GB"), (Cost(2.0 * LONGEST, 1e6), "days"), (Cost(float("inf"), 1e6), "longer"),  # noqa: E501
-])  # fmt: skip
-def test_work_beyond_the_machine_is_refused(cost, part):
+@pytest.mark.parametrize(
+    ("cost", "part"),
+    [
+        (Cost(1.0, 1e15), "GB"),
+        (Cost(2.0 * MAX_TIME, 1e6), "days"),
+        (Cost(float("inf"), 1e6), "longer"),
+    ],
+)
+def test_a_computation_beyond_the_memory_is_refused(cost, part):
     with pytest.raises(UnusableInput, match=part):
         cost.require("work", "do less")
 
 
-def test_the_machine_has_memory():
+def test_the_memory_of_the_machine_is_known():
     memory = machine_memory()
     assert memory is None or 1e8 < memory < 1e14
 
 
-@pytest.mark.parametrize(("seconds", "words"), [
-    (0.53, "0.53 s"), (42.0, "42 s"), (200.0, "3.3 min"), (7200.0, "2 h"), (3e5, "3.5 days"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [
+        (0.53, "0.53 s"),
+        (42.0, "42 s"),
+        (200.0, "3.3 min"),
+        (7200.0, "2 h"),
+        (3e5, "3.5 days"),
+    ],
+)
 def test_durations_in_words(seconds, words):
     assert duration(seconds) == words
 
@@ -97,10 +116,14 @@ def test_durations_in_words(seconds, words):
 # -- commands --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("options", "part"), [
-    (["--periods", "100000"], "rows"), (["--rate", "100000", "--period", "100"], "rows"),
-    (["--starts", "1000000", "--harmonics", "100", "--samples", "20000"], "--starts"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("options", "part"),
+    [
+        (["--periods", "100000"], "rows"),
+        (["--rate", "100000", "--period", "100"], "rows"),
+        (["--starts", "1000000", "--harmonics", "100", "--samples", "20000"], "--starts"),
+    ],
+)
 def test_a_design_that_is_too_large_is_refused_at_once(options, part, tmp_path, capsys):
     assert cli.main(["design", "two_link", "-o", str(tmp_path / "out"), *options]) == 2
     line = capsys.readouterr().err
@@ -128,7 +151,7 @@ def test_twelve_joints_are_designed(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(("rows", "fits"), [(10**6, True), (10**11, False)])
-def test_a_recording_too_long_for_the_memory_is_refused(rows, fits):
+def test_a_recording_that_exceeds_the_memory_is_refused(rows, fits):
     if fits:
         recording_cost.require_readable("run.csv", rows, 5 * rows)
         return
@@ -136,23 +159,23 @@ def test_a_recording_too_long_for_the_memory_is_refused(rows, fits):
         recording_cost.require_readable("run.csv", rows, 5 * rows)
 
 
-# -- long motions block by block -------------------------------------------------------------------
+# -- long motions in blocks ----------------------------------------------------------------------
 
 
-def test_torque_of_a_long_motion_is_that_of_its_parts(tmp_path):
+def test_torque_of_a_long_motion_equals_that_of_its_parts(tmp_path):
     robot = load(str(tree(tmp_path, 30, 3)))
     standard = inertial_parameters.standard(robot, resolve(robot))
     motion = states(robot, 350)
     assert len(list(dynamics.regressor_blocks(robot, standard, motion))) > 1
     nominal, width = dynamics.torque_band(robot, standard, motion, 0.1)
-    whole = dynamics.band(dynamics.regressor(robot, standard, motion), standard, 0.1)
-    assert np.allclose(nominal, whole[0], rtol=1e-12, atol=1e-9) and np.allclose(
-        width, whole[1], rtol=1e-10
+    complete = dynamics.band(dynamics.regressor(robot, standard, motion), standard, 0.1)
+    assert np.allclose(nominal, complete[0], rtol=1e-12, atol=1e-9) and np.allclose(
+        width, complete[1], rtol=1e-10
     )
     assert np.array_equal(dynamics.torque(robot, standard, motion), nominal)
 
 
-def test_criteria_of_a_long_motion_are_those_of_its_parts(two_link):
+def test_criteria_of_a_long_motion_equal_those_of_its_parts(two_link):
     table = resolve(two_link)
     standard = inertial_parameters.standard(two_link, table)
     base = base_parameters.find(two_link, standard, table)

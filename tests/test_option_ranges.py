@@ -1,5 +1,4 @@
-"""Every numeric option of every command refuses what is no number in its range, before the command
-runs."""
+"""Numeric options of all commands refuse values outside their ranges before the command runs."""
 
 from __future__ import annotations
 
@@ -12,10 +11,30 @@ from excite.cli import main as main_module
 from excite.cli.option_types import NUMERIC, NamedNumbers, Number, Numbers, WordOrNumbers
 
 TEXT = {
-    "robot", "joints", "limits", "without", "given", "out", "srdf", "scene", "packages", "cluster", "trajectory", "motion", "recordings",  # noqa: E501
-    "validate", "prior", "bounds", "model", "recording", "effect", "like", "host", "format",
-}  # fmt: skip
-"""Options and arguments whose text is a name, a path or a list of names."""
+    "robot",
+    "joints",
+    "limits",
+    "without",
+    "given",
+    "out",
+    "srdf",
+    "scene",
+    "packages",
+    "cluster",
+    "trajectory",
+    "motion",
+    "recordings",
+    "validate",
+    "prior",
+    "bounds",
+    "model",
+    "recording",
+    "effect",
+    "like",
+    "host",
+    "format",
+}
+"""Options and arguments that are names, paths or lists of names."""
 POSITIONALS = {
     "effects": [],
     "formats": [],
@@ -49,19 +68,20 @@ NEVER = (
     "10**9",
     "1e",
 )
-"""What no numeric option accepts."""
+"""Texts that no numeric option accepts."""
 
 
 def commands() -> dict[str, argparse.ArgumentParser]:
     action = next(
-        one for one in main_module.parser()._actions if isinstance(one, argparse._SubParsersAction)
+        action
+        for action in main_module.parser()._actions
+        if isinstance(action, argparse._SubParsersAction)
     )
     return dict(action.choices)
 
 
 def options() -> Iterator[tuple[str, argparse.Action]]:
-    """The options and arguments of all commands that take a value, switches and words of a list
-    aside."""
+    """Return the options and arguments with a value, except switches and choices."""
     for command, sub in commands().items():
         for action in sub._actions:
             if action.nargs != 0 and action.choices is None:
@@ -77,7 +97,7 @@ def named(pair: tuple[str, argparse.Action]) -> str:
 
 
 def fitting(kind: object, number: str) -> str:
-    """The text of an option with a number somewhere in it, all else right."""
+    """Return a valid text of an option in which one number is replaced."""
     if isinstance(kind, NamedNumbers):
         return f"joint_1{kind.separator}{fitting(kind.numbers, number)}"
     if isinstance(kind, WordOrNumbers):
@@ -96,11 +116,11 @@ def refusal(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     return captured.err
 
 
-def test_every_command_is_known_here():
+def test_all_commands_are_covered():
     assert set(commands()) == set(POSITIONALS)
 
 
-def test_every_option_that_takes_a_value_is_a_text_or_states_its_range():
+def test_every_numeric_option_states_its_range():
     forgotten = [
         (command, action.dest)
         for command, action in options()
@@ -110,7 +130,7 @@ def test_every_option_that_takes_a_value_is_a_text_or_states_its_range():
 
 
 @pytest.mark.parametrize("pair", numeric(), ids=named)
-def test_what_is_no_number_in_range_is_refused_with_the_name_of_the_option(pair, capsys):
+def test_invalid_numbers_are_refused_with_the_name_of_the_option(pair, capsys):
     command, action = pair
     option = action.option_strings[0]
     for number in NEVER:
@@ -120,7 +140,7 @@ def test_what_is_no_number_in_range_is_refused_with_the_name_of_the_option(pair,
 
 
 @pytest.mark.parametrize("pair", numeric(), ids=named)
-def test_numbers_just_outside_the_range_are_refused_and_its_ends_are_not(pair):
+def test_the_ends_of_a_range_are_accepted_and_numbers_outside_are_refused(pair):
     kind = pair[1].type
     kind = kind.numbers if isinstance(kind, (NamedNumbers, WordOrNumbers)) else kind
     accepted = kind.accepted if isinstance(kind, (Number, Numbers)) else None
@@ -139,7 +159,7 @@ def test_numbers_just_outside_the_range_are_refused_and_its_ends_are_not(pair):
 
 
 @pytest.mark.parametrize("text", ["1.5", "1e3", "0.0", "2.0"])
-def test_whole_numbers_have_no_fraction(text, capsys):
+def test_integers_have_no_fraction(text, capsys):
     line = refusal(capsys, "design", "two_link", "-o", "unused", "--harmonics", text)
     assert "--harmonics" in line and "whole number" in line
 
@@ -151,14 +171,17 @@ def test_a_window_ends_after_it_starts(window, capsys):
     )
 
 
-@pytest.mark.parametrize(("option", "text", "part"), [
-    ("--start", "0,0,0", "2 number(s), one per moving joint (joint_1, joint_2), not 3"),
-    ("--torque-noise", "1,2,3", "2 number(s), one per moving joint"),
-    ("--payload", "tip:1,2", "1 or 4 or 10"),
-    ("--box", "tip:0,1", "should hold 6"),
-    ("--lock", "joint_1", "NAME=VALUE"),
-])  # fmt: skip
-def test_another_number_of_numbers_is_refused(option, text, part, capsys, tmp_path):
+@pytest.mark.parametrize(
+    ("option", "text", "part"),
+    [
+        ("--start", "0,0,0", "2 number(s), one per moving joint (joint_1, joint_2), not 3"),
+        ("--torque-noise", "1,2,3", "2 number(s), one per moving joint"),
+        ("--payload", "tip:1,2", "1 or 4 or 10"),
+        ("--box", "tip:0,1", "should hold 6"),
+        ("--lock", "joint_1", "NAME=VALUE"),
+    ],
+)
+def test_a_wrong_count_of_numbers_is_refused(option, text, part, capsys, tmp_path):
     line = refusal(capsys, "design", "two_link", "-o", str(tmp_path / "out"), f"{option}={text}")
     assert option in line and part in line
     assert not (tmp_path / "out").exists()

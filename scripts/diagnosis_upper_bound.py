@@ -1,7 +1,7 @@
 #!/usr/bin/env python
 """Upper bound of a diagnosis: how often could any method name what a trial's robots hide?
 
-    scripts/ceiling.py out/scored --cases 60 --jobs 2
+    scripts/diagnosis_upper_bound.py out/scored --cases 60 --jobs 2
 
 For every case with one hidden effect, its torque is simulated again, exactly. The best fit by any
 other effect of the catalogue, together with the base parameters, leaves a residual of length δ in

@@ -1,5 +1,5 @@
-"""Robot descriptions and meshes that are damaged, contradictory or made to do harm: read, or
-refused in one line."""
+"""Damaged, contradictory and malicious robot descriptions and meshes: read, or refused in one
+line."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ HOSTILE = (
     "1,5",
     "1 2 3 4",
 )
-"""What no numeric attribute of a URDF accepts."""
+"""Values that no numeric attribute of a URDF accepts."""
 
 
 def refused(path: Path, *parts: str) -> str:
-    """The line by which a robot is refused, by its loader or, for its shapes, by their reader."""
+    """Return the error message of a refused robot."""
     with pytest.raises(UnusableInput) as caught:
         load(str(path))
         urdf_geometry.read(str(path))
@@ -64,12 +64,15 @@ def written(folder: Path, text: str | bytes, name: str = "thing.urdf") -> Path:
 
 
 @needs_inputs
-@pytest.mark.parametrize(("name", "parts"), [
-    ("u_mesh_scale0", ["link_1", "'0 0 0'", "not 0"]),
-    ("u_mesh_scale1e300", ["link_1", "1e300 1 1"]),
-    ("u_mesh_nan", ["nan.stl", "not finite"]),
-])  # fmt: skip
-def test_a_faulty_mesh_is_refused_by_a_process_that_ends_well(name, parts, tmp_path):
+@pytest.mark.parametrize(
+    ("name", "parts"),
+    [
+        ("u_mesh_scale0", ["link_1", "'0 0 0'", "not 0"]),
+        ("u_mesh_scale1e300", ["link_1", "1e300 1 1"]),
+        ("u_mesh_nan", ["nan.stl", "not finite"]),
+    ],
+)
+def test_a_faulty_mesh_is_refused_without_a_crash(name, parts, tmp_path):
     command = [
         sys.executable,
         "-m",
@@ -86,15 +89,18 @@ def test_a_faulty_mesh_is_refused_by_a_process_that_ends_well(name, parts, tmp_p
 
 
 @needs_inputs
-@pytest.mark.parametrize(("name", "parts"), [
-    ("u_latin1", ["line 3", "0xe4", "encoding"]),
-    ("u_klingon", ["klingon"]),
-    ("u_iyz1e308", ["link_1", "iyz", "kg m²"]),
-    ("u_mass0", ["link_1", "mass"]),
-    ("u_mimic1e300", ["joint_2", "multiplier"]),
-    ("u_pos1e300", ["joint_2", "lower", "rad"]),
-    ("u_vel1e300", ["joint_2", "velocity", "rad/s"]),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "parts"),
+    [
+        ("u_latin1", ["line 3", "0xe4", "encoding"]),
+        ("u_klingon", ["klingon"]),
+        ("u_iyz1e308", ["link_1", "iyz", "kg m²"]),
+        ("u_mass0", ["link_1", "mass"]),
+        ("u_mimic1e300", ["joint_2", "multiplier"]),
+        ("u_pos1e300", ["joint_2", "lower", "rad"]),
+        ("u_vel1e300", ["joint_2", "velocity", "rad/s"]),
+    ],
+)
 def test_a_faulty_robot_is_refused_with_its_fault(name, parts, tmp_path, capsys):
     assert (
         main_module.main(["design", str(INPUTS / f"{name}.urdf"), "-o", str(tmp_path / "out")]) == 2
@@ -106,7 +112,7 @@ def test_a_faulty_robot_is_refused_with_its_fault(name, parts, tmp_path, capsys)
 
 @needs_inputs
 @pytest.mark.parametrize(("name", "joint"), [("u_comma", "a,b"), ("u_dollar", "$x_{$")])
-def test_names_with_marks_of_other_languages_are_read(name, joint):
+def test_names_with_characters_of_other_formats_are_read(name, joint):
     assert load(str(INPUTS / f"{name}.urdf")).joints == (joint, "joint_2")
 
 
@@ -125,10 +131,18 @@ def test_closed_loops_name_a_joint_and_the_links_it_connects(path):
 # -- encodings and XML -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("encoding", "mark"), [
-    ("ISO-8859-1", b""), ("windows-1252", b""), ("shift_jis", b""), ("UTF-8", b""), ("UTF-8", codecs.BOM_UTF8),  # noqa: E501
-    ("UTF-16", codecs.BOM_UTF16_LE), ("UTF-16", codecs.BOM_UTF16_BE),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("encoding", "mark"),
+    [
+        ("ISO-8859-1", b""),
+        ("windows-1252", b""),
+        ("shift_jis", b""),
+        ("UTF-8", b""),
+        ("UTF-8", codecs.BOM_UTF8),
+        ("UTF-16", codecs.BOM_UTF16_LE),
+        ("UTF-16", codecs.BOM_UTF16_BE),
+    ],
+)
 def test_a_declared_encoding_is_read_as_declared(encoding, mark, tmp_path):
     name = "関節" if encoding == "shift_jis" else "Gerät"
     text = f'<?xml version="1.0" encoding="{encoding}"?>\n' + pendulum().replace("swing", name)
@@ -145,24 +159,33 @@ def _nominal(robot):
     return parameters, parameters.nominal, np.full(robot.n, 0.01)
 
 
-@pytest.mark.parametrize(("content", "parts"), [
-    (pendulum().replace("swing", "Gerät").encode("latin-1"), ["line 4", "UTF-8", "declare its encoding"]),  # noqa: E501
-    (b'<?xml version="1.0" encoding="hex"?>' + pendulum().encode(), ["'hex'", "UTF-8"]),
-    (b'<?xml version="1.0" encoding="utf-16"?>' + pendulum().encode(), []),
-    (b"\x00" * 200, ["not a URDF"]),
-    (b"", ["valid XML"]),
-    (b"\xff\xfe", ["valid XML"]),
-    ((b"<robot>" + b"<a>" * 5000), ["nested"]),
-    (b"<robot name='r'><link name='a'/>" + b" " * (17 << 20) + b"</robot>", ["MB"]),
-    (document(link("base"), link("arm", 2.0), joint("a&#10;b", "base", "arm")).encode(), ["joint 'a\\nb'", "U+000A"]),  # noqa: E501
-    (document(link("base"), link(" ", 2.0), joint("a", "base", " ")).encode(), ["empty name"]),
-])  # fmt: skip
-def test_what_is_no_readable_xml_is_refused(content, parts, tmp_path):
+@pytest.mark.parametrize(
+    ("content", "parts"),
+    [
+        (
+            pendulum().replace("swing", "Gerät").encode("latin-1"),
+            ["line 4", "UTF-8", "declare its encoding"],
+        ),
+        (b'<?xml version="1.0" encoding="hex"?>' + pendulum().encode(), ["'hex'", "UTF-8"]),
+        (b'<?xml version="1.0" encoding="utf-16"?>' + pendulum().encode(), []),
+        (b"\x00" * 200, ["not a URDF"]),
+        (b"", ["valid XML"]),
+        (b"\xff\xfe", ["valid XML"]),
+        ((b"<robot>" + b"<a>" * 5000), ["nested"]),
+        (b"<robot name='r'><link name='a'/>" + b" " * (17 << 20) + b"</robot>", ["MB"]),
+        (
+            document(link("base"), link("arm", 2.0), joint("a&#10;b", "base", "arm")).encode(),
+            ["joint 'a\\nb'", "U+000A"],
+        ),
+        (document(link("base"), link(" ", 2.0), joint("a", "base", " ")).encode(), ["empty name"]),
+    ],
+)
+def test_invalid_xml_is_refused(content, parts, tmp_path):
     refused(written(tmp_path, content), *parts)
 
 
 def test_entities_are_not_expanded(tmp_path):
-    """1 kB that expands to 3 GB ("billion laughs"), and a file of the machine as an entity."""
+    """1 kB that expands to 3 GB ("billion laughs"), and a local file as an entity."""
     laughs = '<!DOCTYPE robot [<!ENTITY a "lol">' + "".join(
         f'<!ENTITY {name} "{f"&{before};" * 10}">'
         for before, name in zip("abcdefghi", "bcdefghij", strict=True)
@@ -175,7 +198,7 @@ def test_entities_are_not_expanded(tmp_path):
 
 
 def test_included_files_are_not_read(tmp_path):
-    """XInclude is no part of a URDF: the element is passed over."""
+    """XInclude is no part of URDF: the element is ignored."""
     include = (
         '<xi:include xmlns:xi="http://www.w3.org/2001/XInclude" href="/etc/passwd" parse="text"/>'
     )
@@ -183,7 +206,7 @@ def test_included_files_are_not_read(tmp_path):
     assert robot.joints == ("swing",)
 
 
-def test_an_srdf_is_read_with_the_same_care(tmp_path):
+def test_an_srdf_is_read_with_the_same_checks(tmp_path):
     with pytest.raises(UnusableInput, match="DOCTYPE"):
         urdf_geometry.disabled_pairs(written(tmp_path, '<!DOCTYPE r SYSTEM "x"><robot/>', "r.srdf"))
     with pytest.raises(UnusableInput, match="SRDF"):
@@ -191,7 +214,7 @@ def test_an_srdf_is_read_with_the_same_care(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["x" * 5000 + ".urdf", "a/" * 3000 + "x.urdf"])
-def test_a_name_too_long_for_the_file_system_names_no_file(name, capsys):
+def test_a_name_that_is_too_long_for_the_file_system(name, capsys):
     assert main_module.main(["design", name, "-o", "unused"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
@@ -201,22 +224,31 @@ def test_a_name_too_long_for_the_file_system_names_no_file(name, capsys):
 
 RICH = text_of("two_link").replace(
     '<limit lower="-2.6" upper="2.6" velocity="4" effort="20"/>',
-    '<limit lower="-2.6" upper="2.6" velocity="4" effort="20"/><dynamics damping="0.1" friction="0.2"/>'  # noqa: E501
-    '<mimic joint="joint_1" multiplier="0.5" offset="0.1"/><excite rotor_inertia="0.01" offset="0.1"/>',  # noqa: E501
+    '<limit lower="-2.6" upper="2.6" velocity="4" effort="20"/>'
+    '<dynamics damping="0.1" friction="0.2"/>'
+    '<mimic joint="joint_1" multiplier="0.5" offset="0.1"/>'
+    '<excite rotor_inertia="0.01" offset="0.1"/>',
 )
-"""A URDF that has every numeric attribute that is read."""
+"""URDF with all numeric attributes that are read."""
 NUMERIC = {
-    "limit": ("lower", "upper", "velocity", "effort"), "dynamics": ("damping", "friction"), "mimic": ("multiplier", "offset"),  # noqa: E501
-    "excite": ("rotor_inertia", "offset"), "origin": ("xyz", "rpy"), "axis": ("xyz",), "mass": ("value",),  # noqa: E501
-    "inertia": ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), "cylinder": ("radius", "length"), "box": ("size",), "sphere": ("radius",),  # noqa: E501
+    "limit": ("lower", "upper", "velocity", "effort"),
+    "dynamics": ("damping", "friction"),
+    "mimic": ("multiplier", "offset"),
+    "excite": ("rotor_inertia", "offset"),
+    "origin": ("xyz", "rpy"),
+    "axis": ("xyz",),
+    "mass": ("value",),
+    "inertia": ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"),
+    "cylinder": ("radius", "length"),
+    "box": ("size",),
+    "sphere": ("radius",),
     "mesh": ("scale",),
-}  # fmt: skip
+}
 SHAPES = '<box size="1 1 1"/>', '<sphere radius="1"/>'
 
 
 def attributes() -> list[tuple[int, str]]:
-    """Places of all numeric attributes of RICH: number of the element in document order, and the
-    attribute."""
+    """Return all numeric attributes of RICH: number of the element in document order, and name."""
     root = ElementTree.fromstring(RICH)
     return [
         (number, key)
@@ -243,7 +275,8 @@ def test_every_numeric_attribute_has_a_range(number, key, tmp_path):
 def test_sizes_of_shapes_are_lengths(solid, tmp_path):
     count = 3 if "box" in solid else 1
     for value in ("nan", "1e300", "-1", "1e-300", "", "wide", "1 2"):
-        geometry = f"<collision><geometry>{solid.format(' '.join([value] * count))}</geometry></collision></link>"  # noqa: E501
+        shape_text = solid.format(" ".join([value] * count))
+        geometry = f"<collision><geometry>{shape_text}</geometry></collision></link>"
         refused(
             written(tmp_path, pendulum().replace("</link>", geometry, 1)),
             "link 'arm'",
@@ -251,14 +284,19 @@ def test_sizes_of_shapes_are_lengths(solid, tmp_path):
         )
 
 
-@pytest.mark.parametrize("inside", [
-    '<limit lower="-1e16" upper="1e16" velocity="3" effort="40"/>', '<limit velocity="3" effort="40"/>', LIMIT,  # noqa: E501
-])  # fmt: skip
-def test_position_limits_of_a_continuous_joint_are_not_looked_at(inside, tmp_path):
+@pytest.mark.parametrize(
+    "inside",
+    [
+        '<limit lower="-1e16" upper="1e16" velocity="3" effort="40"/>',
+        '<limit velocity="3" effort="40"/>',
+        LIMIT,
+    ],
+)
+def test_position_limits_of_a_continuous_joint_are_ignored(inside, tmp_path):
     assert load(str(written(tmp_path, pendulum(inside, "continuous")))).n == 1
 
 
-def test_a_chain_of_mimics_multiplies_to_no_more_than_one(tmp_path):
+def test_a_chain_of_mimic_joints_has_a_bounded_multiplier(tmp_path):
     names = ["base", *(f"l{k}" for k in range(6))]
     mimics = [f'<mimic joint="j{k - 1}" multiplier="9e5"/>' if k else "" for k in range(6)]
     joints = [joint(f"j{k}", names[k], names[k + 1], inside=LIMIT + mimics[k]) for k in range(6)]
@@ -275,8 +313,8 @@ def test_a_body_with_inertia_has_a_mass(tmp_path):
 
 
 @pytest.mark.parametrize("count", [300, 1100])
-def test_long_chains_are_read_or_counted(count, tmp_path):
-    """A fixed chain: C++ parsers recurse once a link, and overflow their stack some time."""
+def test_long_chains_are_read_or_refused(count, tmp_path):
+    """A chain of fixed joints: recursive C++ parsers overflow their stack."""
     chain = [joint(f"f{k}", f"b{k}", f"b{k + 1}", "fixed") for k in range(count)]
     parts = [
         *(link(f"b{k}") for k in range(count + 1)),
@@ -299,9 +337,11 @@ FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
 
 def stl(triangles: np.ndarray, count: int | None = None) -> bytes:
-    """A binary STL. count: the number of triangles that its header states."""
+    """Return a binary STL; `count` is the number of triangles in its header."""
     head = b"mesh".ljust(80) + struct.pack("<I", len(triangles) if count is None else count)
-    return head + b"".join(struct.pack("<12fH", 0, 0, 0, *np.ravel(one), 0) for one in triangles)
+    return head + b"".join(
+        struct.pack("<12fH", 0, 0, 0, *np.ravel(triangle), 0) for triangle in triangles
+    )
 
 
 def shape(
@@ -310,34 +350,41 @@ def shape(
     return Shape("part", ShapeKind.MESH, scale, file=str(written(folder, content, name)))
 
 
-def touched(one: Shape) -> None:
-    """Everything that is ever made of a shape."""
-    one.solid()
-    one.hull()
-    one.triangles()
+def touched(mesh: Shape) -> None:
+    """Return all geometries that are built from a shape."""
+    mesh.solid()
+    mesh.hull()
+    mesh.triangles()
 
 
-@pytest.mark.parametrize(("content", "name", "part"), [
-    (b"", "part.stl", "cannot be read as a mesh"),
-    (b"solid x\nfacet normal 0 0 1\n", "part.stl", "part.stl"),
-    (stl(TETRAHEDRON[FACES], count=2**32 - 1), "part.stl", "cannot be read as a mesh"),
-    (stl(TETRAHEDRON[FACES])[:-30], "part.stl", "cannot be read as a mesh"),
-    (stl(np.full((4, 3, 3), np.nan)), "part.stl", "not finite"),
-    (stl(np.where(TETRAHEDRON[FACES] > 0.1, np.inf, 0.0)), "part.stl", "not finite"),
-    (stl(1e30 * TETRAHEDRON[FACES]), "part.stl", "m long"),
-    (stl(np.zeros((4, 3, 3))), "part.stl", "part.stl"),
-    (stl(np.linspace(0, 1, 9).reshape(1, 3, 3)), "part.stl", "no area"),
-    (b"v 0 0 0\nv 1 0 0\nf 1 2 9\n", "part.obj", "part.obj"),
-    (b"v 0 0 0\nv 1 0 0\n", "part.obj", "part.obj"),
-    (b"<COLLADA/>", "part.dae", "part.dae"),
-    (b"<?xml version='1.0'?><!DOCTYPE x [<!ENTITY a 'b'>]><COLLADA>&a;", "part.dae", "part.dae"),
-    (b"\x00\xff" * 500, "part.dae", "part.dae"),
-    (b"what", "part.xyz", "part.xyz"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("content", "name", "part"),
+    [
+        (b"", "part.stl", "cannot be read as a mesh"),
+        (b"solid x\nfacet normal 0 0 1\n", "part.stl", "part.stl"),
+        (stl(TETRAHEDRON[FACES], count=2**32 - 1), "part.stl", "cannot be read as a mesh"),
+        (stl(TETRAHEDRON[FACES])[:-30], "part.stl", "cannot be read as a mesh"),
+        (stl(np.full((4, 3, 3), np.nan)), "part.stl", "not finite"),
+        (stl(np.where(TETRAHEDRON[FACES] > 0.1, np.inf, 0.0)), "part.stl", "not finite"),
+        (stl(1e30 * TETRAHEDRON[FACES]), "part.stl", "m long"),
+        (stl(np.zeros((4, 3, 3))), "part.stl", "part.stl"),
+        (stl(np.linspace(0, 1, 9).reshape(1, 3, 3)), "part.stl", "no area"),
+        (b"v 0 0 0\nv 1 0 0\nf 1 2 9\n", "part.obj", "part.obj"),
+        (b"v 0 0 0\nv 1 0 0\n", "part.obj", "part.obj"),
+        (b"<COLLADA/>", "part.dae", "part.dae"),
+        (
+            b"<?xml version='1.0'?><!DOCTYPE x [<!ENTITY a 'b'>]><COLLADA>&a;",
+            "part.dae",
+            "part.dae",
+        ),
+        (b"\x00\xff" * 500, "part.dae", "part.dae"),
+        (b"what", "part.xyz", "part.xyz"),
+    ],
+)
 def test_damaged_meshes_are_refused(content, name, part, tmp_path):
-    one = shape(tmp_path, content, name=name)
+    mesh = shape(tmp_path, content, name=name)
     with pytest.raises(UnusableInput) as caught:
-        touched(one)
+        touched(mesh)
     assert part in str(caught.value) and "\n" not in str(caught.value)
 
 
@@ -345,27 +392,27 @@ def test_damaged_meshes_are_refused(content, name, part, tmp_path):
     "scale",
     [(0.0, 1.0, 1.0), (1e300, 1.0, 1.0), (np.nan, 1.0, 1.0), (1e-300, 1.0, 1.0), (1e6, 1e6, 1e6)],
 )
-def test_scales_that_no_part_has_are_refused(scale, tmp_path):
+def test_unrealistic_scales_are_refused(scale, tmp_path):
     with pytest.raises(UnusableInput, match="scale"):
         touched(shape(tmp_path, stl(TETRAHEDRON[FACES]), scale))
 
 
-def test_a_mesh_that_is_missing_or_no_file_is_refused(tmp_path):
+def test_a_missing_mesh_is_refused(tmp_path):
     for file in (tmp_path / "absent.stl", tmp_path):
         with pytest.raises(UnusableInput, match="cannot be read as a mesh"):
             touched(Shape("part", ShapeKind.MESH, (1.0, 1.0, 1.0), file=str(file)))
 
 
 @pytest.mark.parametrize("height", [0.0, 1e-300, 1e-12, 1e-9, 1e-6])
-def test_a_flat_mesh_has_itself_for_a_hull(height, tmp_path):
-    """coal's own convex hull crashes on flat meshes."""
+def test_a_flat_mesh_is_its_own_hull(height, tmp_path):
+    """The convex hull of coal crashes on flat meshes."""
     corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, height]], float)
-    one = shape(tmp_path, stl(corners[[[0, 1, 2], [0, 2, 3]]]))
-    assert distance(one, 2.0) == pytest.approx((1.5, 1.5), abs=1e-6)
+    mesh = shape(tmp_path, stl(corners[[[0, 1, 2], [0, 2, 3]]]))
+    assert distance(mesh, 2.0) == pytest.approx((1.5, 1.5), abs=1e-6)
 
 
-def distance(one: Shape, x: float) -> tuple[float, float]:
-    """Distances of a mesh and of its hull to a ball of radius 0.5 on the x axis."""
+def distance(mesh: Shape, x: float) -> tuple[float, float]:
+    """Return the distances of a mesh and of its hull to a sphere of radius 0.5 on the x axis."""
     import coal
 
     place, request = (
@@ -375,27 +422,27 @@ def distance(one: Shape, x: float) -> tuple[float, float]:
     ball = coal.Sphere(0.5)
     return tuple(
         coal.distance(s, coal.Transform3s(), ball, place, request, coal.DistanceResult())
-        for s in (one.solid(), one.hull())
+        for s in (mesh.solid(), mesh.hull())
     )
 
 
-def test_triangles_without_an_area_are_dropped(tmp_path):
+def test_triangles_without_area_are_removed(tmp_path):
     """coal reports contact with them at any distance."""
     needle = np.array(
         [[[0.0145, 2.7404076e-15, 0.004], [0.0145, -0.0312, 0.004], [0.0145, 2.7396728e-15, 0.004]]]
     )
-    one = shape(tmp_path, stl(np.concatenate([TETRAHEDRON[FACES], needle])))
-    assert len(one.triangles()) == 4
-    assert distance(one, 2.0) == pytest.approx((2.3, 2.3), abs=1e-4)
+    mesh = shape(tmp_path, stl(np.concatenate([TETRAHEDRON[FACES], needle])))
+    assert len(mesh.triangles()) == 4
+    assert distance(mesh, 2.0) == pytest.approx((2.3, 2.3), abs=1e-4)
 
 
 def test_mirrored_meshes_are_read(tmp_path):
-    one = shape(tmp_path, stl(TETRAHEDRON[FACES]), (-1.0, 1.0, 1.0))
-    assert one.triangles().reshape(-1, 3).min() == pytest.approx(-0.2)
-    touched(one)
+    mesh = shape(tmp_path, stl(TETRAHEDRON[FACES]), (-1.0, 1.0, 1.0))
+    assert mesh.triangles().reshape(-1, 3).min() == pytest.approx(-0.2)
+    touched(mesh)
 
 
-def test_one_file_of_several_that_cannot_be_read_is_the_one_named(tmp_path):
+def test_the_unreadable_file_of_several_is_named(tmp_path):
     good, bad = (
         written(tmp_path, stl(TETRAHEDRON[FACES]), "good.stl"),
         written(tmp_path, b"solid", "bad.stl"),

@@ -643,7 +643,7 @@ def test_a_mutated_moveit_file_is_read_or_refused(two_link, tmp_path_factory, te
 @given(text=mutated(SCENE, toml=True))
 def test_a_mutated_scene_is_placed_or_refused(two_link, table, tmp_path_factory, text):
     path = tmp_path_factory.getbasetemp() / "s.toml"
-    tried(text, path, lambda path: scene_file.cell(two_link, table, scene_file.read(path)))
+    tried(text, path, lambda path: scene_file.build_cell(two_link, table, scene_file.read(path)))
 
 
 @settings(max_examples=100)

@@ -6,9 +6,9 @@ from typing import Literal
 
 import msgspec
 
-from .quantities import Angle, Clearance, FilePath, Length, Name, Sha256, Size, Text, shown
+from .quantities import Angle, ClearanceDistance, FilePath, Length, Name, Sha256, Size, Text, shown
 
-ShapeKind = Literal["sphere", "capsule", "cylinder", "box", "mesh", "floor"]
+ShapeKindName = Literal["sphere", "capsule", "cylinder", "box", "mesh", "floor"]
 SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "box": 3, "mesh": 3, "floor": 0}
 """How many numbers the size of each kind of shape has."""
 
@@ -20,7 +20,7 @@ class ShapeDocument(msgspec.Struct):
     """
 
     name: Name
-    kind: ShapeKind
+    kind: ShapeKindName
     size: list[Size]
     position: tuple[Length, Length, Length]
     rotation: tuple[Angle, Angle, Angle]
@@ -65,7 +65,7 @@ class RecipeDocument(msgspec.Struct):
     scene: FilePath | None = None
     srdf: FilePath | None = None
     floor: float | bool | None = None
-    clearance: Clearance | None = None
+    clearance: ClearanceDistance | None = None
 
     def __post_init__(self) -> None:
         check_floor(self.floor)
@@ -74,7 +74,7 @@ class RecipeDocument(msgspec.Struct):
 class CellDocument(msgspec.Struct):
     """A cell; `collision.cell.Cell.document` writes it."""
 
-    margin: Clearance
+    margin: ClearanceDistance
     shapes: list[ShapeDocument]
     disabled: list[tuple[Name, Name]] = []
     excepted: list[ExceptedDocument] = []

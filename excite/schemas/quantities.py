@@ -179,7 +179,7 @@ class Size(Quantity):
     accepted = ranges.SIZE
 
 
-class Clearance(Quantity):
+class ClearanceDistance(Quantity):
     """A distance to keep."""
 
     accepted = Range(0.0, ranges.LENGTH.upper, "m")

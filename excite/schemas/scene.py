@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from .cell import check_floor
-from .quantities import Angle, Clearance, FilePath, Length, MeshScale, Name, Size
+from .quantities import Angle, ClearanceDistance, FilePath, Length, MeshScale, Name, Size
 
 
 class _Placed(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
@@ -21,18 +21,18 @@ class _Placed(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     ignore: list[Name] = []
 
 
-class Sphere(_Placed, forbid_unknown_fields=True, kw_only=True):
+class SphereEntry(_Placed, forbid_unknown_fields=True, kw_only=True):
     """A sphere."""
 
     radius: Size
 
     @property
     def dimensions(self) -> tuple[float, ...]:
-        """The numbers of `collision.shape.Shape.size`."""
+        """Numbers of `collision.geometry.Shape.size`."""
         return (self.radius,)
 
 
-class Capsule(_Placed, forbid_unknown_fields=True, kw_only=True):
+class CapsuleEntry(_Placed, forbid_unknown_fields=True, kw_only=True):
     """A capsule along its z axis. length: between the centres of its ends."""
 
     radius: Size
@@ -40,11 +40,11 @@ class Capsule(_Placed, forbid_unknown_fields=True, kw_only=True):
 
     @property
     def dimensions(self) -> tuple[float, ...]:
-        """The numbers of `collision.shape.Shape.size`."""
+        """Numbers of `collision.geometry.Shape.size`."""
         return self.radius, self.length
 
 
-class Cylinder(_Placed, forbid_unknown_fields=True, kw_only=True):
+class CylinderEntry(_Placed, forbid_unknown_fields=True, kw_only=True):
     """A cylinder along its z axis."""
 
     radius: Size
@@ -52,22 +52,22 @@ class Cylinder(_Placed, forbid_unknown_fields=True, kw_only=True):
 
     @property
     def dimensions(self) -> tuple[float, ...]:
-        """The numbers of `collision.shape.Shape.size`."""
+        """Numbers of `collision.geometry.Shape.size`."""
         return self.radius, self.length
 
 
-class Box(_Placed, forbid_unknown_fields=True, kw_only=True):
+class BoxEntry(_Placed, forbid_unknown_fields=True, kw_only=True):
     """A box."""
 
     size: tuple[Size, Size, Size]
 
     @property
     def dimensions(self) -> tuple[float, ...]:
-        """The numbers of `collision.shape.Shape.size`."""
+        """Numbers of `collision.geometry.Shape.size`."""
         return self.size
 
 
-class Mesh(_Placed, forbid_unknown_fields=True, kw_only=True):
+class MeshEntry(_Placed, forbid_unknown_fields=True, kw_only=True):
     """A mesh. file: relative to the scene file, or absolute."""
 
     file: FilePath
@@ -75,23 +75,23 @@ class Mesh(_Placed, forbid_unknown_fields=True, kw_only=True):
 
     @property
     def dimensions(self) -> tuple[float, ...]:
-        """The numbers of `collision.shape.Shape.size`."""
+        """Numbers of `collision.geometry.Shape.size`."""
         return self.scale
 
 
-StatedShape = Sphere | Capsule | Cylinder | Box | Mesh
+ShapeEntry = SphereEntry | CapsuleEntry | CylinderEntry | BoxEntry | MeshEntry
 
 
 class SceneFile(msgspec.Struct, forbid_unknown_fields=True):
     """The whole file. floor: its height [m], or false for none."""
 
-    sphere: list[Sphere] = []
-    capsule: list[Capsule] = []
-    cylinder: list[Cylinder] = []
-    box: list[Box] = []
-    mesh: list[Mesh] = []
+    sphere: list[SphereEntry] = []
+    capsule: list[CapsuleEntry] = []
+    cylinder: list[CylinderEntry] = []
+    box: list[BoxEntry] = []
+    mesh: list[MeshEntry] = []
     floor: float | bool | None = None
-    clearance: Clearance | None = None
+    clearance: ClearanceDistance | None = None
 
     def __post_init__(self) -> None:
         check_floor(self.floor)

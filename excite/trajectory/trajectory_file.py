@@ -125,7 +125,8 @@ def _payload(stated: Mapping[str, Any]) -> Payload:
 def package_versions() -> dict[str, str]:
     """Return the versions of excite and of the packages that compute its results."""
     return {"excite": __version__} | {
-        name: metadata.version(name) for name in ("casadi", "pin", "numpy", "scipy", "ruckig")
+        name: metadata.version(name)
+        for name in ("casadi", "daqp", "pin", "numpy", "scipy", "ruckig")
     }
 
 

@@ -234,7 +234,12 @@ def _assemble(
     options = setup.problem.options
     usable = ramps.with_derived_limits(limits, design.motion).reduced()
     motion = ramps.plan_rest_to_rest(
-        setup.constraints(usable), design.motion, options.periods, options.rate, start
+        setup.constraints(usable),
+        design.motion,
+        options.periods,
+        options.rate,
+        start,
+        options.samples,
     )
     if speed != 1.0:
         motion = motion.slowed(speed)

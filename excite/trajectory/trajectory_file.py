@@ -179,7 +179,10 @@ def _from_document(document: TrajectoryDocument, content: Mapping[str, Any]) -> 
     arrays = [np.array(rows, float) for rows in (document.sine, document.cosine, document.offset)]
     fourier = FourierSeries(arrays[0], arrays[1], arrays[2], float(document.period))
     motion = Motion(
-        joints, fourier, document.periods, segments_from_document(document.segments, joints)
+        joints,
+        fourier,
+        document.periods,
+        segments_from_document(document.segments, joints, fourier),
     )
     return Trajectory(
         robot=content["robot"],

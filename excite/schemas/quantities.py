@@ -197,6 +197,12 @@ class MeshScale(Quantity):
     accepted = Range(ranges.MESH_SCALE.smallest, ranges.MESH_SCALE.upper, "1")
 
 
+class ShapeSize(Quantity):
+    """A size of a shape, or a scale of a mesh, which a URDF may mirror by a negative one."""
+
+    accepted = ranges.MESH_SCALE
+
+
 class Gravity(Quantity):
     """A component of the acceleration of gravity."""
 

@@ -437,8 +437,8 @@ def _fourier_quantities(
     factor = oversampling_bound(count, fourier.harmonics) - 1.0
     for order, limit in enumerate(("position", "velocity", "acceleration", "jerk")):
         values = fourier.at(t, order)
-        swing = values - (fourier.offset if order == 0 else 0.0)
-        more = factor * np.abs(swing).max(axis=0)
+        # a constant may be subtracted first; the middle of the samples gives the tightest bound
+        more = factor * 0.5 * np.ptp(values, axis=0)
         yield (
             segment.start + t,
             constraint_margins.joint_quantity(limit, constraints, values - more, values + more),

@@ -54,15 +54,15 @@ def test_constraints_are_added_when_a_step_violates_them():
     assert multipliers == pytest.approx([3.0 - slack[0], 0.0], abs=1e-6)
 
 
-def test_inconsistent_constraints_are_relaxed_by_the_least_common_amount():
+def test_inconsistent_constraints_are_relaxed_by_a_common_amount():
     J, slack = np.array([[1.0], [-1.0]]), np.array([-0.5, -0.3])
     step, multipliers, violation = qp_subproblem.solve(
         np.eye(1), np.array([1.0]), J, slack, np.full(1, -0.2), np.full(1, 0.2)
     )
-    # d ≤ −0.5 + t and d ≥ 0.3 − t
-    assert violation == pytest.approx(0.4, abs=1e-5)
-    assert step == pytest.approx([-0.1], abs=1e-5)
-    assert np.isfinite(multipliers).all()
+    # d ≤ −0.5 + t and d ≥ 0.3 − t: t ≥ 0.4, of which 90 % of the way from 0.5 is asked for
+    assert violation == pytest.approx(0.41, abs=1e-5)
+    assert step == pytest.approx([-0.11], abs=1e-5)
+    assert multipliers.max() < 10.0
 
 
 def test_constraints_out_of_reach_are_approached_as_far_as_the_bounds_allow():
@@ -70,7 +70,7 @@ def test_constraints_out_of_reach_are_approached_as_far_as_the_bounds_allow():
     step, _, violation = qp_subproblem.solve(
         np.eye(2), np.array([1.0, -0.05]), J, slack, np.full(2, -0.1), np.full(2, 0.1)
     )
-    assert violation == pytest.approx(0.9, abs=1e-5)
+    assert violation == pytest.approx(0.91, abs=1e-5)
     assert step == pytest.approx([-0.1, 0.05], abs=1e-5)
 
 

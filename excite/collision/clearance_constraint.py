@@ -234,7 +234,7 @@ class ClearanceEvaluation:
             pairs = np.flatnonzero(c.kind == kind)
             if not len(pairs):
                 continue
-            distance = self._lower_bound(kind, c.first[pairs], c.second[pairs])
+            distance = self._lower_bound(kind, pairs)
             sample, column = np.nonzero(distance < c.required[pairs] + EXACT_BELOW)
             if len(sample):
                 nearest = self._nearest_points(kind, sample, pairs[column])
@@ -277,9 +277,10 @@ class ClearanceEvaluation:
             self._cached_twists = self.constraint.tree.joint_twists(self.rotation, self.origin)
         return self._cached_twists
 
-    def _lower_bound(self, kind: CoverPairKind, a: IntArray, b: IntArray) -> FloatArray:
+    def _lower_bound(self, kind: CoverPairKind, pairs: IntArray) -> FloatArray:
         """Distances of balls around the covers. Shape (N, pairs of the kind) [m]."""
         c = self.constraint
+        a, b = c.first[pairs], c.second[pairs]
         if kind in HULL_KINDS:
             h = c.hull_arrays
             R, p = self.rotation[:, h.joint], self.origin[:, h.joint]
@@ -290,10 +291,15 @@ class ClearanceEvaluation:
         if kind == CoverPairKind.CAPSULES:
             return np.asarray(_norm(centre - middle[:, b]) - radius[a] - radius[b])
         if kind == CoverPairKind.CAPSULE_BOX:
-            transposed = np.swapaxes(c.box_pose[b], 1, 2)
-            in_box_frame = (transposed @ (centre - c.box_centre[b])[..., None])[..., 0]
-            outside = np.maximum(np.abs(in_box_frame) - c.box_half[b], 0.0)
-            return np.asarray(_norm(outside) - radius[a])
+            offset = centre - c.box_centre[b]
+            bound = np.asarray(_norm(offset) - _norm(c.box_half[b]) - radius[a])
+            # the box itself where the ball around it is near
+            sample, column = np.nonzero(bound < c.required[pairs] + EXACT_BELOW)
+            near = b[column]
+            in_box_frame = np.einsum("mji,mj->mi", c.box_pose[near], offset[sample, column])
+            outside = np.maximum(np.abs(in_box_frame) - c.box_half[near], 0.0)
+            bound[sample, column] = _norm(outside) - radius[a[column]]
+            return bound
         return np.asarray(np.sum(centre * c.normal[b], axis=2) - c.height[b] - radius[a])
 
     def _nearest_points(

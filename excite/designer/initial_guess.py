@@ -6,6 +6,8 @@ active.
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from .._types import FloatArray
@@ -45,6 +47,9 @@ CLEARANCE_SCALING = 2.5
 Their unit is many times the required clearance, and neighbouring bodies may never be more than two
 units apart, so that without it no pose would count as comfortable.
 """
+
+FLOOR_NAME = " floor"
+"""End of the name of a pair of bodies of which one is the floor."""
 
 POSES_PER_LINE = 60
 """Steps along the straight line from the start pose on which clearance is checked [1]."""
@@ -209,21 +214,18 @@ def _minimise_largest(evaluator: Evaluator, pose: FloatArray) -> FloatArray:
     """Minimise s subject to g ≤ s over poses within the joint ranges, by SLSQP. Shape (n,)."""
     from scipy import optimize  # rarely needed, slow to import
 
+    # all samples of a robot at rest are equal
+    options = dataclasses.replace(evaluator.problem.options, samples=1)
+    evaluator = Evaluator(dataclasses.replace(evaluator.problem, options=options))
     problem = evaluator.problem
     n = problem.robot.n
     columns = np.arange(n) * problem.scale.shape[1] + problem.scale.shape[1] - 1
     # position limits are bounds of the optimiser instead of constraints
     position = evaluator.kinds.index("position") if "position" in evaluator.kinds else -1
-    first = np.zeros(problem.options.samples, bool)
-    first[0] = True
 
     def rows_at(z: FloatArray) -> tuple[FloatArray, FloatArray]:
         x = stationary_variables(problem, z[:n])
-        table = evaluator.constraint_values(x)
-        mask = np.concatenate(
-            [np.broadcast_to(first[None, :, None], v.shape).ravel() for v in table.values()]
-        )
-        rows: ConstraintRows = evaluator.rows(mask)
+        rows: ConstraintRows = evaluator.rows(evaluator.rows_above(x, -np.inf))
         values = evaluator.row_values(x, rows)
         keep = np.isfinite(values) & (rows.kind != position)
         slopes = evaluator.row_gradients(x, rows)[:, columns] / problem.scale[:, -1]
@@ -268,9 +270,15 @@ def _raise_infeasible(problem: DesignProblem, static: _StaticPoses, pose: FloatA
         raise Infeasible(text) if problem.boxes else UnusableInput(text)
     if kind == "clearance":
         assert problem.clearance is not None
+        pair = problem.clearance.names[joint]
+        remedy = (
+            "give the floor's height with --floor, or --no-floor"
+            if pair.endswith(FLOOR_NAME)
+            else "clear the scene"
+        )
         raise Infeasible(
-            f"{robot.source}: no pose keeps the clearance of {problem.clearance.names[joint]}; "
-            "clear the scene, lower --clearance, or widen the position limits"
+            f"{robot.source}: no pose keeps the clearance of {pair}; "
+            f"{remedy}, lower --clearance, or widen the position limits"
         )
     name = problem.boxes[int(kind[3:])].frame if kind.startswith("box") else robot.joints[joint]
     raise Infeasible(

@@ -33,6 +33,10 @@ SHRINKING = (1.0, *(1.0 - 0.5 ** np.arange(9, 1, -1)), 0.6, 0.45, 0.3, 0.2)
 STARTS_PER_RESTART = 2
 """Starts of a search that is repeated because no motion of the first one was certified."""
 
+WARM_ITERATIONS = 40
+"""Iterations of a search that continues with the curvature of an earlier one; the motion changes by
+millimetres."""
+
 WARM_RADIUS = 0.05
 """First trust-region radius of a search that continues with the curvature of an earlier one, in
 units of the variables: a quarter of that of a new search."""
@@ -228,7 +232,14 @@ def improve(
         if earlier is not None:
             last = len(sqp.sharpness_stages(setup.problem.options.criterion)) - 1
             state = sqp.SearchState(shrunk, shrunk, stage=last, B=earlier.B, radius=WARM_RADIUS)
-        return multistart.optimize_from(evaluator, shrunk, setup.build_time, number, state=state)
+        return multistart.optimize_from(
+            evaluator,
+            shrunk,
+            setup.build_time,
+            number,
+            until=None if state is None else WARM_ITERATIONS,
+            state=state,
+        )
 
 
 def _fixed_period(design: OptimizedDesign) -> OptimizedDesign:

@@ -48,7 +48,7 @@ STALLED_TIGHTENINGS = 3
 VIOLATION_DECREASE = 0.8
 """Ratio of a violation to the least one before, above which it counts as not decreased [1]."""
 
-MAX_REFINEMENT = 4
+MAX_REFINEMENT = 2
 """Largest ratio of the samples to those that were asked for [1]."""
 
 MAX_CERTIFIED_ATTEMPTS = 3

@@ -2,7 +2,7 @@
 
 DAQP solves it, a dual active-set method (Arnström, Bemporad and Axehill, IEEE TAC 2022). Few
 constraints are ever active, so they are added as a step violates them. Constraints that no step
-within the bounds can satisfy are relaxed by the least common amount that makes them consistent.
+within the bounds can satisfy are relaxed by a common amount, little more than needed.
 """
 
 from __future__ import annotations
@@ -34,6 +34,11 @@ OPTIMAL_FLAG = 1
 RELAXATION_CURVATURE = 1e-6
 """Curvature of the linear program that finds the least relaxation, relative to its slope, as DAQP
 solves strictly convex programs only [1]."""
+
+
+RELAXATION_SHARE = 0.1
+"""Share of the possible decrease of the violation that is not asked for [1]: the least relaxation
+would leave a single point, with multipliers beyond all bounds."""
 
 
 class SubproblemSolution(NamedTuple):
@@ -76,7 +81,7 @@ def solve(
     while True:
         solution = _solve(B, g, J[working], slack[working] + violation, lower, upper)
         if solution is None and violation == 0.0:
-            violation = _least_relaxation(J, slack, lower, upper)
+            violation = _relaxation(J, slack, lower, upper)
             continue
         if solution is None:  # numerical failure; the caller shrinks the trust region
             return SubproblemSolution(np.zeros_like(g), np.zeros(len(slack)), violation)
@@ -116,10 +121,8 @@ def _solve(
     return np.clip(solution, lower, upper), np.maximum(info["lam"][len(f) :], 0.0)
 
 
-def _least_relaxation(
-    J: FloatArray, slack: FloatArray, lower: FloatArray, upper: FloatArray
-) -> float:
-    """Return the least t ≥ 0 for which J d ≤ slack + t has a solution within the bounds."""
+def _relaxation(J: FloatArray, slack: FloatArray, lower: FloatArray, upper: FloatArray) -> float:
+    """Return t ≥ 0 for which J d ≤ slack + t has solutions within the bounds, nearly the least."""
     size, largest = J.shape[1], max(float(-slack.min(initial=0.0)), 0.0)
     scale = max(largest, FEASIBILITY_TOLERANCE)
     solution = _solve(
@@ -130,5 +133,5 @@ def _least_relaxation(
         np.append(lower, 0.0),
         np.append(upper, largest + scale),
     )
-    relaxation = largest if solution is None else min(float(solution[0][-1]), largest)
-    return max(relaxation, 0.0) + FEASIBILITY_TOLERANCE
+    least = largest if solution is None else min(max(float(solution[0][-1]), 0.0), largest)
+    return least + RELAXATION_SHARE * (largest - least) + FEASIBILITY_TOLERANCE

@@ -34,8 +34,15 @@ STEERING_SHARE = 0.3
 """Least share of the predicted decrease of the violation by which the merit must decrease [1]; the
 penalty is raised until it does (Byrd, Nocedal and Waltz, Optim. Methods Softw. 23, 2008)."""
 
+STEERED_DECREASE = 1e-4
+"""Decrease of the excess below which the penalty is not raised for it [1]: a tenth of what counts
+as feasible."""
+
 STALL_ITERATIONS = 10
 """Iterations over which the gain is compared with the stopping tolerance [1]."""
+
+INFEASIBLE_STALL_ITERATIONS = 40
+"""The same while the iterate is infeasible [1]."""
 
 EARLY_STAGE_GAIN_FACTOR = 20.0
 """Factor on the stopping tolerance in all stages but the last one [1]."""
@@ -261,12 +268,20 @@ class _Search:
             if np.isfinite(self.best_f):
                 merit = self.f + self.penalty * self.excess
                 trail.append(min(merit, trail[-1] if trail else np.inf))
-            if self.radius < self.tolerances.radius or (
-                len(trail) > STALL_ITERATIONS
-                and trail[-1 - STALL_ITERATIONS] - trail[-1] < min_gain
-            ):
+            if self.radius < self.tolerances.radius or self._is_stalled(min_gain):
                 return True
         return False
+
+    def _is_stalled(self, min_gain: float) -> bool:
+        """Return whether the merit has not decreased for a number of iterations.
+
+        The merit of an infeasible iterate depends on the penalty, which changes; it counts after
+        more iterations only.
+        """
+        feasible = 1.0 + self.excess <= MAX_FEASIBLE_ROW_VALUE
+        count = STALL_ITERATIONS if feasible else INFEASIBLE_STALL_ITERATIONS
+        trail = self.trail
+        return len(trail) > count and trail[-1 - count] - trail[-1] < min_gain
 
     def _iterate(self) -> None:
         """Take one step, or shrink the trust region."""
@@ -302,7 +317,7 @@ class _Search:
         """Let the penalty exceed the multipliers, and outweigh an increase of the objective."""
         self.penalty = max(self.penalty * 0.9, 1.5 * float(solution.multipliers.sum()), 1e-3)
         decrease, change = self._violation_decrease(solution), self._model_change(solution.step)
-        if decrease > 0.0 and change > 0.0:
+        if decrease > STEERED_DECREASE and change > 0.0:
             self.penalty = max(self.penalty, change / ((1.0 - STEERING_SHARE) * decrease))
 
     def _linearise(self, mask: BoolArray) -> tuple[ConstraintRows, FloatArray, FloatArray]:

@@ -22,7 +22,7 @@ import numpy as np
 from .._types import FloatArray
 from ..errors import UnusableInput
 from ..trajectory.fourier import FourierSeries
-from ..trajectory.rest_to_rest import JerkProfile, Motion, MotionSegment
+from ..trajectory.rest_to_rest import JerkProfile, Motion, MotionSegment, PhaseProfile
 from .file_format import (
     Columns,
     ExportedText,
@@ -76,6 +76,21 @@ _FUNCTIONS = f"""\
   end
 """
 
+_SERIES = """\
+  def series(start, end_time):
+    while tick * dt < end_time:
+      wave(tick * dt - start)
+    end
+  end
+  def warp(start, duration, phase, rate, acceleration, jerk):
+    local s = tick * dt - start
+    while s < duration:
+      wave(phase + s * (rate + s * (acceleration / 2.0 + s * jerk / 6.0)))
+      s = tick * dt - start
+    end
+  end
+"""
+
 
 def _vector(values: Iterable[float]) -> str:
     return "[" + ", ".join(fixed(v, None) for v in values) + "]"
@@ -95,28 +110,37 @@ def _pieces(profile: JerkProfile, length: float) -> Iterator[tuple[float, FloatA
 
 
 def _series(fourier: FourierSeries) -> Iterator[str]:
-    """Lines of the function that evaluates the periodic part, one line per joint."""
+    """Yield the functions that follow the periodic part: position amplitudes, one line a joint."""
     orders = range(1, fourier.harmonics + 1)
     k = fourier.omega * np.arange(1, fourier.harmonics + 1)
     sine, cosine = fourier.sine / k, -fourier.cosine / k
     names = [*(f"s{o}" for o in orders), *(f"c{o}" for o in orders), *(f"q{i}" for i in JOINTS)]
-    yield "  def series(start, end_time):"
-    yield "    local x = 0.0"
+    yield "  def wave(phase):"
+    yield f"    local x = {fixed(fourier.omega, None)} * phase"
     yield from (f"    local {name} = 0.0" for name in names)
-    yield "    while tick * dt < end_time:"
-    yield f"      x = {fixed(fourier.omega, None)} * (tick * dt - start)"
     for o in orders:
-        yield f"      s{o} = sin({o} * x)"
-        yield f"      c{o} = cos({o} * x)"
+        yield f"    s{o} = sin({o} * x)"
+        yield f"    c{o} = cos({o} * x)"
     for i in JOINTS:
         terms = [
             f"({fixed(sine[i, o - 1], None)}) * s{o} + ({fixed(cosine[i, o - 1], None)}) * c{o}"
             for o in orders
         ]
-        yield f"      q{i} = {' + '.join([f'({fixed(fourier.offset[i], None)})', *terms])}"
-    yield f"      follow([{', '.join(f'q{i}' for i in JOINTS)}])"
-    yield "    end"
+        yield f"    q{i} = {' + '.join([f'({fixed(fourier.offset[i], None)})', *terms])}"
+    yield f"    follow([{', '.join(f'q{i}' for i in JOINTS)}])"
     yield "  end"
+    yield from _SERIES.splitlines()
+
+
+def _warped(profile: PhaseProfile, start: float, length: float) -> Iterator[str]:
+    """Yield the calls that follow a ramp along the path of the periodic part, one per cubic."""
+    knots = np.unique(np.append(profile.knots(), length))
+    for begin, end in pairwise(knots[knots <= length].tolist()):
+        if end - begin > 1e-15:
+            state = [profile.phase.at(begin, order)[0] for order in range(3)]
+            jerk = profile.phase.at(0.5 * (begin + end), 3)[0]
+            numbers = [start + begin, end - begin, *state, jerk]
+            yield f"  warp({', '.join(fixed(number, None) for number in numbers)})"
 
 
 def _run(motion: Motion) -> Iterator[str]:
@@ -126,6 +150,9 @@ def _run(motion: Motion) -> Iterator[str]:
             yield f"  series({fixed(segment.start, None)}, {fixed(segment.end, None)})"
             continue
         p = segment.profile
+        if isinstance(p, PhaseProfile):
+            yield from _warped(p, segment.start, segment.end - segment.start)
+            continue
         state = ", ".join(_vector(values) for values in (p.position, p.velocity, p.acceleration))
         yield f"  enter({fixed(segment.start, None)}, {state})"
         for duration, jerk in _pieces(p, segment.end - segment.start):
@@ -196,7 +223,7 @@ def rebuilt_motion(text: str) -> Motion:
     omega = [
         _numbers(line.partition("*")[0])[0]
         for line in lines
-        if line.startswith("x = ") and "tick" in line
+        if line.startswith("local x = ") and "phase" in line
     ]
     rows = [_coefficients(line) for line in lines if re.match(r"q\d = ", line)]
     if len(omega) != 1 or len(rows) != 6:
@@ -219,9 +246,30 @@ def rebuilt_motion(text: str) -> Motion:
             segments.append(
                 MotionSegment(kind, start, start, JerkProfile(*_thirds(state), ((),) * 6))
             )
+        elif line.startswith("warp("):
+            _add_warp(segments, kind, fourier, _numbers(line))
         elif line.startswith("piece("):
             segments[-1] = _extended(segments[-1], *_numbers(line))
     return Motion(tuple(f"joint {i}" for i in JOINTS), fourier, 1, tuple(segments))
+
+
+def _add_warp(
+    segments: list[MotionSegment], kind: str, fourier: FourierSeries, numbers: list[float]
+) -> None:
+    """Begin a ramp along the path of the periodic part, or continue the last one."""
+    start, duration, phase, rate, acceleration, jerk = numbers
+    last = segments[-1] if segments else None
+    if last is not None and last.kind == kind and isinstance(last.profile, PhaseProfile):
+        before = last.profile.phase
+        row = (*before.pieces[0], (duration, jerk))
+        longer = JerkProfile(before.position, before.velocity, before.acceleration, (row,))
+        profile = PhaseProfile(fourier, longer)
+        segments[-1] = MotionSegment(kind, last.start, last.end + duration, profile)
+        return
+    pieces = (((duration, jerk),),)
+    state = JerkProfile(np.array([phase]), np.array([rate]), np.array([acceleration]), pieces)
+    profile = PhaseProfile(fourier, state)
+    segments.append(MotionSegment(kind, start, start + duration, profile))
 
 
 def _thirds(state: list[float]) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -234,7 +282,7 @@ def _coefficients(line: str) -> list[float]:
 
 
 def _extended(segment: MotionSegment, duration: float, *jerk: float) -> MotionSegment:
-    if segment.profile is None:
+    if not isinstance(segment.profile, JerkProfile):
         raise ValueError("a piece stands before the state it starts from")
     p = segment.profile
     pieces = tuple((*before, (duration, j)) for before, j in zip(p.pieces, jerk, strict=True))

@@ -126,7 +126,8 @@ def _payload(stated: Mapping[str, Any]) -> Payload:
 def package_versions() -> dict[str, str]:
     """Return the versions of excite and of the packages that compute its results."""
     return {"excite": __version__} | {
-        name: metadata.version(name) for name in ("casadi", "pin", "numpy", "scipy", "ruckig")
+        name: metadata.version(name)
+        for name in ("casadi", "daqp", "pin", "numpy", "scipy", "ruckig")
     }
 
 
@@ -179,7 +180,10 @@ def _from_document(document: TrajectoryDocument, content: Mapping[str, Any]) -> 
     arrays = [np.array(rows, float) for rows in (document.sine, document.cosine, document.offset)]
     fourier = FourierSeries(arrays[0], arrays[1], arrays[2], float(document.period))
     motion = Motion(
-        joints, fourier, document.periods, segments_from_document(document.segments, joints)
+        joints,
+        fourier,
+        document.periods,
+        segments_from_document(document.segments, joints, fourier),
     )
     return Trajectory(
         robot=content["robot"],

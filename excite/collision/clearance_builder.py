@@ -79,7 +79,7 @@ class _Covers:
         return len(self.capsules), len(self.boxes), len(self.planes)
 
     def pairs_of(self, pair: BodyPair) -> Iterator[tuple[int, int, int]]:
-        """Yield kind, index of the capsule and index of the other cover for a pair of bodies.
+        A body may have capsules and boxes at once, as a base of cylinders and boxes has.
 
         Both bodies may have capsules beside boxes, as a base of cylinders and boxes has.
         """

@@ -79,9 +79,9 @@ class _Covers:
         return len(self.capsules), len(self.boxes), len(self.planes)
 
     def pairs_of(self, pair: BodyPair) -> Iterator[tuple[int, int, int]]:
-        A body may have capsules and boxes at once, as a base of cylinders and boxes has.
+        """Yield kind, index of the capsule and index of the other cover for a pair of bodies.
 
-        Both bodies may have capsules beside boxes, as a base of cylinders and boxes has.
+        A body may have capsules and boxes at once, as a base of cylinders and boxes has.
         """
         first, second = self.of_bodies[pair.first], self.of_bodies[pair.second]
         for with_capsules, other in ((first, second), (second, first)):

@@ -269,6 +269,7 @@ class _CertifiedSearch:
         self.reason = ""
         self.error: Infeasible | None = None
         self._clearance: ClearanceConstraint | None = None
+        self._best_objective = np.inf
 
     def tightened(self, setup: DesignSetup) -> DesignSetup:
         """Return a design problem with the clearances that the last certificates asked for."""
@@ -294,6 +295,7 @@ class _CertifiedSearch:
                 if design.attempts[0].feasible
                 else "no motion keeps all limits"
             )
+        self._best_objective = min([self._best_objective, *(a.objective for a in usable)])
         tried = 0
         for attempt in usable:
             others = (other for other in design.attempts if other is not attempt)
@@ -305,7 +307,7 @@ class _CertifiedSearch:
                 self.reason = f"no ramps ({str(error).rpartition(': ')[2]})"
                 continue
             if result.certificate.ok:
-                self._warn_of_loss(usable[0], attempt)
+                self._warn_of_loss(attempt)
                 return result
             failed = failed or result
             tried += 1
@@ -313,9 +315,9 @@ class _CertifiedSearch:
                 break
         return failed
 
-    def _warn_of_loss(self, best: Attempt, delivered: Attempt) -> None:
+    def _warn_of_loss(self, delivered: Attempt) -> None:
         """Warn where the delivered motion is much worse than one that was not certified."""
-        loss = delivered.objective - best.objective
+        loss = delivered.objective - self._best_objective
         if loss > NOTABLE_LOSS:
             warnings.warn(
                 f"the best motion found was not certified ({self.reason}); the delivered one is "

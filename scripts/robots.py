@@ -571,7 +571,8 @@ def main() -> int:
         for text in row.warnings:
             say(f"  {text}")
         say("  " + " | ".join(cells(row)))
-    say(summary(rows))
+    if not given.alone:
+        say(summary(rows))
     print(
         json.dumps([dataclasses.asdict(r) for r in rows], indent=1)
         if given.json

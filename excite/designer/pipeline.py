@@ -57,6 +57,9 @@ MAX_CERTIFIED_ATTEMPTS = 3
 MAX_RESTARTS = 3
 """Searches that follow the first one, from other initial guesses, until one is certified."""
 
+MAX_BLIND_RESTARTS = 1
+"""The same where no start finds a motion that keeps all limits and excites all base parameters."""
+
 NOTABLE_LOSS = 0.7
 """Loss of the objective, a logarithm, beyond which a warning states that the best motion has no
 ramps [1]: a factor of two in the criterion."""
@@ -153,6 +156,8 @@ def design_trajectory(
         # faults of the file are no matter of the motion
         if result is not None and (result.certificate.ok or result.certificate.faults):
             break
+        if not design.attempts[0].usable and restart > MAX_BLIND_RESTARTS:
+            break
         report(f"{search.reason}; searching from other poses ({restart} of {MAX_RESTARTS})")
         try:
             design = optimize.solve(search.tightened(setup), progress, restart)
@@ -215,14 +220,14 @@ def _unexcited(setup: DesignSetup, design: OptimizedDesign) -> ExciteError:
     active = evaluator.active_constraints(x)
     if not attempt.feasible:
         return Infeasible(
-            f"{robot.source}: no motion of {1 + MAX_RESTARTS} searches keeps all limits: "
+            f"{robot.source}: no motion of {1 + MAX_BLIND_RESTARTS} searches keeps all limits: "
             f"{' and '.join(active)} conflict; widen one of them or lengthen --period"
         )
     names = evaluator.unexcited_parameters(x)
     hint = f"; {' and '.join(active)} leave no room to move" if active else ""
     return Infeasible(
-        f"{robot.source}: no motion of {1 + MAX_RESTARTS} searches excites all base parameters: "
-        f"{', '.join(names)} stay unknown{hint}; widen those limits, or design with --joints for "
+        f"{robot.source}: no motion of {1 + MAX_BLIND_RESTARTS} searches excites all base "
+        f"parameters: {', '.join(names)} stay unknown{hint}; widen those limits, or design with --joints for "
         "the joints that can move"
     )
 

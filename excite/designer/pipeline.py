@@ -227,8 +227,8 @@ def _unexcited(setup: DesignSetup, design: OptimizedDesign) -> ExciteError:
     hint = f"; {' and '.join(active)} leave no room to move" if active else ""
     return Infeasible(
         f"{robot.source}: no motion of {1 + MAX_BLIND_RESTARTS} searches excites all base "
-        f"parameters: {', '.join(names)} stay unknown{hint}; widen those limits, or design with --joints for "
-        "the joints that can move"
+        f"parameters: {', '.join(names)} stay unknown{hint}; widen those limits, or design with "
+        "--joints for the joints that can move"
     )
 
 

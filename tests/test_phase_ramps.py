@@ -173,7 +173,7 @@ def test_urscript_follows_the_phase(step, speed, tmp_path: Path):
     motion = trajectory.motion.slowed(speed)
     t = step * np.arange(1, len(targets) + 1)
     np.testing.assert_allclose(targets, motion.at(t), atol=1e-9)
-    replayed = urscript.replayed(script)
+    replayed = urscript.rebuilt_motion(script)
     assert [s.kind for s in replayed.segments] == [s.kind for s in motion.segments]
     inside = t[t < motion.duration - 0.01]
     np.testing.assert_allclose(replayed.at(inside), motion.at(inside), atol=1e-9)

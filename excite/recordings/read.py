@@ -21,6 +21,7 @@ from . import (
     sidecar,
 )
 from .block import Block, concatenate
+from .clock_steps import remove_clock_steps
 from .data_quality import RecordingContext, RowWindow
 from .recording import Recording
 from .remark import Remark, RemarkKind
@@ -59,7 +60,9 @@ def read(path: Path, robot: Robot, limits: Limits | None = None) -> Recording:
         recording_cost.require_readable(str(path), rows, numbers)
     if not blocks:
         raise UnusableInput(f"{path}: has no rows; record again")
-    ordered, remarks = sort_rows(str(path), concatenate(blocks))
+    cut, steps = remove_clock_steps(concatenate(blocks))
+    ordered, late = sort_rows(str(path), cut)
+    remarks = [*steps, *late]
     window = RowWindow(ordered, remarks=tuple(remarks))
     grid = find_grid(str(path), ordered.t)
     recording = data_quality.check_and_repair(context, window, grid, complete=True)
@@ -77,8 +80,8 @@ def stream(
     """Read consecutive blocks of a recording in memory that depends on `rows` alone.
 
     Each block is repaired as `read` repairs the recording, on the grid of the first block. Not
-    judged are properties of the complete recording: joints that never move, timestamp jitter,
-    quantization, and coarse, frozen or clipped signals. Shares of missing values are judged by
+    judged are properties of the complete recording: clock steps, wrapped positions, glitches, joints
+    that never move, timestamp jitter, quantization, and coarse, frozen or clipped signals. Shares of missing values are judged by
     block. A repair is warned of where it first occurs; numbers in a remark may include up to 32
     rows around the block. Memory is bounded for CSV, bags and .npz, except 2-D arrays in Fortran
     order.

@@ -17,7 +17,7 @@ from ..identification import prior as prior_module
 from ..recordings import Recording, recording_cost
 from ..robot import base_parameters, inertial_parameters
 from ..robot.limits import Limits
-from .identification_result import RecordingSource, _read_both
+from .identification_result import RecordingSource, read_both, robot_of_torque
 from .robots import RobotSource, load_robot, resolve_limits
 
 DIAGNOSIS_FILES = ("diagnosis.json", "model.json", "report.html")
@@ -132,12 +132,13 @@ def diagnose(
     """
     loaded = load_robot(robot)
     table = resolve_limits(loaded, limits)
+    train, held_out = read_both(loaded, table, recordings, validate)
+    loaded = robot_of_torque(loaded, [*train, *held_out])
     standard = inertial_parameters.standard(loaded, table, inertial_parameters.DRIVE)
     base = base_parameters.find(loaded, standard, table)
     known = (
         {} if prior is None else prior_module.read_trusted_parameters(Path(prior), loaded, standard)
     )
-    train, held_out = _read_both(loaded, table, recordings, validate)
     say = progress or (lambda text: None)
     recording_cost.require_diagnosable([*train, *held_out], say)
     options = diagnosis.DiagnosisOptions(band, known)

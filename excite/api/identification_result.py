@@ -219,6 +219,10 @@ def identify(
     """
     loaded = load_robot(robot)
     table = resolve_limits(loaded, limits)
+    say = progress or (lambda text: None)
+    say(f"reading {', '.join(map(_name, (*recordings, *validate)))}")
+    train, held_out = read_both(loaded, table, recordings, validate, period, window)
+    loaded = robot_of_torque(loaded, [*train, *held_out])
     standard = inertial_parameters.standard(loaded, table, drive)
     base = base_parameters.find(loaded, standard, table)
     known = (
@@ -226,9 +230,6 @@ def identify(
     )
     limits_of_bodies = bounds if isinstance(bounds, Bounds) else read_bounds(bounds, standard)
     chosen = dataclasses.replace(options, bounds=limits_of_bodies, trusted=known, **choices)
-    say = progress or (lambda text: None)
-    say(f"reading {', '.join(map(_name, (*recordings, *validate)))}")
-    train, held_out = _read_both(loaded, table, recordings, validate, period, window)
     recording_cost.require_identifiable([*train, *held_out], say)
     found = identification.identify(loaded, standard, base, train, held_out, chosen, say)
     return IdentificationResult(
@@ -285,7 +286,7 @@ def _name(source: RecordingSource) -> str:
     return source.source if isinstance(source, Recording) else str(source)
 
 
-def _read_both(
+def read_both(
     robot: Robot,
     limits: Limits,
     train: Sequence[RecordingSource],
@@ -299,10 +300,39 @@ def _read_both(
         for paths in (train, held_out)
     ]
     require_distinct(*both)
-    train_set, held_out_set = (
-        [torque_check.check_torque(one, robot, limits) for one in some] for some in both
+    checked = [[_checked(one, robot, limits) for one in some] for some in both]
+    return checked[0], checked[1]
+
+
+def _checked(recording: Recording, robot: Robot, limits: Limits) -> Recording:
+    """Return the recording with the doubts about its torque."""
+    return torque_check.check_torque(
+        recording, robot_of_torque(robot, [recording]), limits
     )
-    return train_set, held_out_set
+
+
+def robot_of_torque(robot: Robot, recordings: Sequence[Recording]) -> Robot:
+    """Return the robot whose dynamics the recorded torque contains.
+
+    Torque "without gravity" is that of the same bodies where there is no gravity; of masses it then
+    shows what accelerations show.
+
+    Raises:
+        UnusableInput: Some recordings are without gravity and others are not.
+    """
+    without = [one.source for one in recordings if one.sidecar.effort == "without gravity"]
+    if not without:
+        return robot
+    if len(without) < len(recordings):
+        other = next(one.source for one in recordings if one.source not in without)
+        raise UnusableInput(
+            f"{without[0]}: holds torque without gravity but {other} does not; identify them apart"
+        )
+    model = robot.model.copy()
+    model.gravity.linear = np.zeros(3)
+    return dataclasses.replace(
+        robot, model=model, options={**robot.options, "gravity": [0.0, 0.0, 0.0]}
+    )
 
 
 def _compare_lmi(found: Identification) -> lmi_check.LmiCheck:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import io
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,12 +17,13 @@ from .. import _json, recordings
 from .._system.output_files import output_files, output_folder
 from .._types import FloatArray
 from ..diagnosis import fitted_effects
-from ..errors import UnusableInput
+from ..errors import ExciteWarning, UnusableInput
 from ..identification import consistency, identification, identified_model, lmi_check, torque_check
 from ..identification import prior as prior_module
 from ..identification.consistency import Bounds
 from ..identification.identification import Identification, IdentificationOptions
 from ..recordings import Recording, recording_cost, require_distinct
+from ..recordings.periodicity import check_repetition
 from ..robot import base_parameters, inertial_parameters
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import Limits
@@ -177,7 +179,16 @@ def with_period(
     stated_by = "--period" if window is None else "--period, --window"
     recording.check_period(period, window, stated_by)
     sidecar = dataclasses.replace(recording.sidecar, period=period, periodic=window)
-    return dataclasses.replace(recording, sidecar=sidecar)
+    return _warned(
+        recording, check_repetition(dataclasses.replace(recording, sidecar=sidecar))
+    )
+
+
+def _warned(before: Recording, after: Recording) -> Recording:
+    """Warn of the remarks that a check has added to a recording."""
+    for remark in after.remarks[len(before.remarks) :]:
+        warnings.warn(f"{after.source}: {remark.text}", ExciteWarning, stacklevel=3)
+    return after
 
 
 def identify(

@@ -25,6 +25,7 @@ from ..robot.inertial_parameters import COULOMB_WIDTH, Parameters
 from ..robot.robot import Robot
 from . import (
     consistency,
+    dissipation,
     estimators,
     friction_width,
     instruments,
@@ -249,7 +250,8 @@ def identify(
         progress: Called with a line of text at each step.
 
     Raises:
-        UnusableInput: A recording has no torque or is too short for the band.
+        UnusableInput: A recording has no torque, is too short for the band, or its torque has the
+            wrong sign.
     """
     options = options or IdentificationOptions()
     model = IdentificationModel(robot, parameters, base, np.full(robot.n, COULOMB_WIDTH))
@@ -269,6 +271,7 @@ def identify(
         "computing the physically consistent estimate"
     )
     data, equations = fit.estimate, fit.equations
+    dissipation.require_dissipation(recordings[0].source, fit.model, equations, data)
     prior, gamma_trials = _choose_prior(parameters, base, equations, data, options)
     posterior = _consistent_estimate(parameters, base, data, prior, options)
     endogeneity = None

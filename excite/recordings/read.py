@@ -23,6 +23,7 @@ from . import (
 from .block import Block, concatenate
 from .clock_steps import remove_clock_steps
 from .data_quality import RecordingContext, RowWindow
+from .periodicity import check_repetition
 from .recording import Recording
 from .remark import Remark, RemarkKind
 from .time_axis import find_grid, sort_rows
@@ -70,6 +71,7 @@ def read(path: Path, robot: Robot, limits: Limits | None = None) -> Recording:
     if stated.period is not None:
         stated_by = str(sidecar.sidecar_path(path))
         recording.check_period(stated.period, stated.periodic, stated_by)
+        recording = check_repetition(recording)
     data_quality.warn_of_repairs(str(path), recording.remarks)
     return recording
 

@@ -262,8 +262,8 @@ def test_correct_torque_gets_no_remark(torque_columns, two_link, tmp_path):
 @pytest.mark.parametrize(
     ("factor", "kinds", "part"),
     [
-        (-1.0, [RemarkKind.INCONSISTENT], "correlation of -1.00"),
-        (1e3, [RemarkKind.UNIT], "times its limit"),
+        (-1.0, [RemarkKind.TORQUE_SIGN], "correlation of -1.00"),
+        (1e3, [RemarkKind.UNIT, RemarkKind.TORQUE_SCALE], "times"),
         (0.0, [RemarkKind.FROZEN], "torque is 0 in all"),
         (0.5, [], ""),
         (2.0, [], ""),

@@ -21,6 +21,7 @@ from ..designer.motion_overlap import OverlapPenalty
 from ..designer.options import DesignOptions, WorkspaceBox, torque_noise_levels
 from ..errors import UnusableInput
 from ..exporters import csv_json, file_format
+from ..recordings.periodicity import with_own_period
 from ..report.design_record import DesignRecord
 from ..robot import dynamics, inertial_parameters
 from ..robot.inertial_parameters import Parameters
@@ -29,6 +30,7 @@ from ..robot.robot import Robot
 from ..robot.samples import Samples
 from ..trajectory import trajectory_file
 from ..trajectory.trajectory_file import Trajectory
+from .identification_result import with_trajectory
 from .robots import RobotSource, load_robot, resolve_limits
 
 Progress = Callable[[str], None]
@@ -371,10 +373,22 @@ def compare_experiments(
     )
 
 
-def motion_samples(path: Path, robot: Robot) -> tuple[Samples, Trajectory | None]:
-    """Read the samples of a `trajectory.json` at its own rate, or of a recording."""
+def motion_samples(
+    path: Path, robot: Robot, executed: Sequence[str | Path] = ()
+) -> tuple[Samples, Trajectory | None]:
+    """Read the samples of a `trajectory.json` at its own rate, or of a recording.
+
+    Args:
+        path: The file.
+        robot: The robot.
+        executed: Trajectory files, one of which was executed during the recording; of a recording
+            with a periodic window, from these or from its sidecar, the samples within it count.
+    """
     if path.suffix != ".json":
-        return recordings.read(path, robot).samples(), None
+        recording = with_own_period(with_trajectory(recordings.read(path, robot), executed))
+        if recording.repetition is not None:
+            recording = recording.between(*recording.repetition[1])
+        return recording.samples(), None
     trajectory = trajectory_file.read_trajectory(path)
     if trajectory.joints != robot.joints:
         raise UnusableInput(

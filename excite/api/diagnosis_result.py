@@ -17,7 +17,7 @@ from ..identification import prior as prior_module
 from ..recordings import Recording, recording_cost
 from ..robot import base_parameters, inertial_parameters
 from ..robot.limits import Limits
-from .identification_result import RecordingSource, read_both, robot_of_torque
+from .identification_result import RecordingSource, TrajectorySources, read_both, robot_of_torque
 from .robots import RobotSource, load_robot, resolve_limits
 
 DIAGNOSIS_FILES = ("diagnosis.json", "model.json", "report.html")
@@ -111,6 +111,7 @@ def diagnose(
     limits: str | Path | Limits | None = None,
     prior: str | Path | None = None,
     band: float | None = None,
+    trajectory: TrajectorySources = (),
     with_report: bool = True,
     progress: Progress | None = None,
 ) -> DiagnosisResult:
@@ -124,6 +125,8 @@ def diagnose(
         prior: Parameters that are right as they stand: `excite.prior/1` or a `model.json`.
         band: Frequency below which torque is examined [Hz]; None: 20, or more where the data ask
             for it.
+        trajectory: The `trajectory.json` that was executed, or several: each recording takes
+            period, window and commanded positions from the one that it holds.
         with_report: Analyse the residual for the report, which takes a third of the time.
         progress: Called with a line of text now and then.
 
@@ -132,7 +135,7 @@ def diagnose(
     """
     loaded = load_robot(robot)
     table = resolve_limits(loaded, limits)
-    train, held_out = read_both(loaded, table, recordings, validate)
+    train, held_out = read_both(loaded, table, recordings, validate, trajectory=trajectory)
     loaded = robot_of_torque(loaded, [*train, *held_out])
     standard = inertial_parameters.standard(loaded, table, inertial_parameters.DRIVE)
     base = base_parameters.find(loaded, standard, table)

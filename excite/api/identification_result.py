@@ -23,18 +23,21 @@ from ..identification import prior as prior_module
 from ..identification.consistency import Bounds
 from ..identification.identification import Identification, IdentificationOptions
 from ..recordings import Recording, recording_cost, require_distinct
-from ..recordings.periodicity import check_repetition
+from ..recordings import executed_motion
+from ..recordings.periodicity import check_repetition, with_own_period
 from ..robot import base_parameters, inertial_parameters
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import Limits
 from ..robot.robot import Robot
 from ..schemas.bounds import BoundsFile
 from ..schemas.document_file import DocumentFile
+from ..trajectory import trajectory_file
 from .robots import RobotSource, load_robot, resolve_limits
 
 IDENTIFICATION_FILES = ("model.json", "identified.urdf", "report.html")
 Progress = Callable[[str], None]
 RecordingSource = str | Path | Recording
+TrajectorySources = str | Path | Sequence[str | Path]
 
 
 @dataclass(frozen=True)
@@ -137,6 +140,7 @@ def read_recording(
     limits: str | Path | Limits | None = None,
     period: float | None = None,
     window: tuple[float, float] | None = None,
+    trajectory: TrajectorySources = (),
 ) -> Recording:
     """Read a recording, check it, and repair what is safe to repair.
 
@@ -148,15 +152,49 @@ def read_recording(
             them.
         period: Period of the excitation [s], where the recording's `.json` does not state it.
         window: Times between which the motion repeats [s].
+        trajectory: The `trajectory.json` that was executed, or several of which one was: period,
+            window and commanded positions come from it.
 
     Raises:
-        UnusableInput: The file cannot be read, or holds numbers that no measurement has.
+        UnusableInput: The file cannot be read, holds numbers that no measurement has, or holds none
+            of the motions of `trajectory`.
     """
     if isinstance(path, Recording):
         return path
     loaded = load_robot(robot)
     table = None if limits is None else resolve_limits(loaded, limits)
-    return with_period(recordings.read(Path(path), loaded, table), period, window)
+    recording = with_period(recordings.read(Path(path), loaded, table), period, window)
+    return with_trajectory(recording, trajectory)
+
+
+def with_trajectory(
+    recording: Recording, trajectory: TrajectorySources, *, required: bool = True
+) -> Recording:
+    """Return the recording with period, window and commanded positions of an executed motion.
+
+    Args:
+        recording: The recording.
+        trajectory: Trajectory files; the first that fits is used.
+        required: Raise an error if none fits, else leave the recording as it is.
+
+    Raises:
+        UnusableInput: A file cannot be used, or the recording holds none of the motions.
+    """
+    paths = [trajectory] if isinstance(trajectory, str | Path) else list(trajectory)
+    for path in paths:
+        planned = trajectory_file.read_trajectory(Path(path))
+        aligned = executed_motion.apply_trajectory(recording, planned, str(path))
+        if aligned is not None:
+            for remark in aligned.remarks[len(recording.remarks) :]:
+                if remark.repaired:
+                    warnings.warn(f"{aligned.source}: {remark.text}", ExciteWarning, stacklevel=3)
+            return aligned
+    if paths and required:
+        raise UnusableInput(
+            f"{recording.source}: does not hold the motion of {', '.join(map(str, paths))}; give "
+            "the trajectory.json that was executed, or leave --trajectory out"
+        )
+    return recording
 
 
 def with_period(
@@ -202,6 +240,7 @@ def identify(
     prior: str | Path | None = None,
     period: float | None = None,
     window: tuple[float, float] | None = None,
+    trajectory: TrajectorySources = (),
     options: IdentificationOptions = IdentificationOptions(),  # noqa: B008  # immutable
     check_lmi: bool = False,
     progress: Progress | None = None,
@@ -219,6 +258,8 @@ def identify(
         prior: Parameters that are right as they stand: `excite.prior/1` or a `model.json`.
         period: Period of the excitation [s], where a recording's `.json` does not state it.
         window: Times between which the motion repeats [s].
+        trajectory: The `trajectory.json` that was executed, or several: each recording takes
+            period, window and commanded positions from the one that it holds.
         options: Estimator, distance, band and further choices; single ones may be given by keyword,
             as `band=20.0`.
         check_lmi: Compare with a conic solver.
@@ -232,7 +273,10 @@ def identify(
     table = resolve_limits(loaded, limits)
     say = progress or (lambda text: None)
     say(f"reading {', '.join(map(_name, (*recordings, *validate)))}")
-    train, held_out = read_both(loaded, table, recordings, validate, period, window)
+    train, held_out = read_both(
+        loaded, table, recordings, validate, period=period, window=window, trajectory=trajectory
+    )
+    train, held_out = ([with_own_period(one) for one in some] for some in (train, held_out))
     loaded = robot_of_torque(loaded, [*train, *held_out])
     standard = inertial_parameters.standard(loaded, table, drive)
     base = base_parameters.find(loaded, standard, table)
@@ -302,8 +346,10 @@ def read_both(
     limits: Limits,
     train: Sequence[RecordingSource],
     held_out: Sequence[RecordingSource],
+    *,
     period: float | None = None,
     window: tuple[float, float] | None = None,
+    trajectory: TrajectorySources = (),
 ) -> tuple[list[Recording], list[Recording]]:
     """Read training and validation recordings; refuse one that is both."""
     both = [
@@ -311,6 +357,11 @@ def read_both(
         for paths in (train, held_out)
     ]
     require_distinct(*both)
+    if trajectory:  # a validation recording may hold another motion
+        both = [
+            [with_trajectory(one, trajectory, required=is_fitted) for one in some]
+            for some, is_fitted in zip(both, (True, False), strict=True)
+        ]
     checked = [[_checked(one, robot, limits) for one in some] for some in both]
     return checked[0], checked[1]
 

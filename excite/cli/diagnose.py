@@ -25,6 +25,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         limits=shared.limits(arguments, robot),
         prior=arguments.prior,
         band=arguments.band,
+        trajectory=arguments.trajectory,
         with_report=not arguments.no_report,
         progress=arguments.console.progress,
     )

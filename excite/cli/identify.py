@@ -32,6 +32,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         prior=arguments.prior,
         period=arguments.period,
         window=arguments.window,
+        trajectory=arguments.trajectory,
         options=_options(arguments),
         check_lmi=arguments.check_lmi,
         progress=arguments.console.progress,

@@ -453,6 +453,7 @@ def _identifiability(commands: Commands) -> None:
     )
     _robot_options(sub)
     sub.add_argument("motion", metavar="TRAJECTORY_OR_RECORDING")
+    _trajectory_option(sub)
     _model_options(sub)
 
 
@@ -520,8 +521,9 @@ def _identify(commands: Commands) -> None:
         "--window",
         type=Numbers(Range(-1e12, 1e12, "s"), (2,), increasing=True),
         metavar="T0,T1",
-        help="where it repeats, with --period (default: the whole recording) [s]",
+        help="where it repeats, with --period (default: found in the recording) [s]",
     )
+    _trajectory_option(group)
     group.add_argument(
         "--align", action="store_true", help="move each joint's torque by the delay that is found"
     )
@@ -573,6 +575,17 @@ def _identify(commands: Commands) -> None:
     )
 
 
+def _trajectory_option(group: argparse._ActionsContainer) -> None:
+    group.add_argument(
+        "--trajectory",
+        metavar="FILE",
+        action="append",
+        default=[],
+        help="trajectory.json that was executed: period, window and commanded motion come from it, "
+        "aligned in time; may be repeated",
+    )
+
+
 def _predict(commands: Commands) -> None:
     sub = _command(commands, "predict", "predict torque along a recording by an identified model")
     sub.add_argument("model", metavar="MODEL", help="the model.json of 'excite identify'")
@@ -619,6 +632,7 @@ def _diagnose(commands: Commands) -> None:
         metavar="HZ",
         help="torque below this is looked at (default: 20, more where the data asks for it)",
     )
+    _trajectory_option(sub)
     sub.add_argument(
         "--no-report",
         action="store_true",

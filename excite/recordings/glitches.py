@@ -25,6 +25,8 @@ hits one row in fifty is not a rare one, and its source has to be found."""
 MAX_SPEEDING_SHARE = 0.2
 """Share of rows beyond the velocity limit from which the limit, or a unit, is doubted instead
 [1]."""
+SHORT_STEP = 0.7
+"""Time step over the usual one below which the stamp of the row before was late [1]."""
 RESOLUTION_STEPS = 2.0
 """Change of a position that its resolution may cause, over the smallest change [1]."""
 
@@ -86,7 +88,11 @@ def _position_glitches(
     change = _distance(q[known[1:]], q[known[:-1]], is_angle)
     smallest = float(change[change > 0.0].min(initial=np.inf))
     slack = RESOLUTION_STEPS * smallest if np.isfinite(smallest) else 0.0
-    allowed = MAX_SPEED_RATIO * velocity * np.diff(t[known]) + slack
+    steps = np.diff(t[known])
+    usual = float(np.median(steps))
+    # a short step follows a late stamp: the motion of two usual steps
+    steps = np.where(steps < SHORT_STEP * usual, 2.0 * usual, steps)
+    allowed = MAX_SPEED_RATIO * velocity * steps + slack
     is_jump = change > allowed
     if not is_jump.any():
         return out, np.array(jumps, int)
@@ -101,7 +107,7 @@ def _position_glitches(
         for run in order:
             rows = known[bounds[run] : bounds[run + 1]]
             near, far = (rows[0], rows[-1]) if forward else (rows[-1], rows[0])
-            reach = MAX_SPEED_RATIO * velocity * abs(t[near] - t[trusted]) + slack
+            reach = MAX_SPEED_RATIO * velocity * max(abs(t[near] - t[trusted]), usual) + slack
             if _distance(q[near], q[trusted], is_angle) <= reach:
                 trusted = far
             elif len(rows) > MAX_GLITCH_SHARE * len(q):

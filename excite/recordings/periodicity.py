@@ -43,6 +43,13 @@ BEST_SHARE = 0.9
 with every multiple of its period."""
 REFINEMENTS = 4
 """Gauss-Newton steps by which a period is refined."""
+MIN_PERIOD = 1.0
+"""Shortest period that is searched where none is stated [s]."""
+MAX_PERIOD = 60.0
+"""Longest such period [s]: excitations of arms take 3 to 30 s."""
+MAX_UNSTATED_DIFFERENCE = 2e-3
+"""RMS of d over the range up to which a motion whose period is not stated is averaged [1]: the
+tracking error of a controller. Motions that differ by more are no repetition by design."""
 MAX_REFINEMENT = 0.05
 """Largest relative change of a period by its refinement [1]: from further away it is not the
 nearest minimum."""
@@ -88,6 +95,8 @@ def check_repetition(recording: Recording) -> Recording:
     if stated.period is None:
         return recording
     period = stated.period
+    if recording.t[-1] - recording.t[0] < 2.0 * period:
+        return recording  # too short for a second period
     if stated.periodic is not None and not _contradicts(recording, period, stated.periodic):
         refined = _refined(recording, period, stated.periodic)
         if abs(refined / period - 1.0) <= PERIOD_TOLERANCE:
@@ -104,11 +113,12 @@ def check_repetition(recording: Recording) -> Recording:
         return _with_repetition(recording, found, text)
     other = found or find_period(recording, period)
     if other is not None:
-        speed = period / other.period
+        ratio = 100.0 * period / other.period
+        speed = f" (it ran at {ratio:.3g} % of that speed)" if abs(ratio - 100.0) > 1.0 else ""
         text = (
             f"the motion repeats after {other.period:.5g} s and not after the stated "
-            f"{period:.5g} s: it ran at {100.0 * speed:.3g} % of that speed; it is averaged over "
-            f"the period that was found, in {_span(other.window)}"
+            f"{period:.5g} s{speed}; it is averaged over the period that was found, in "
+            f"{_span(other.window)}"
         )
         return _with_repetition(recording, other, text)
     worst = _worst_difference(recording, period, stated.periodic)
@@ -120,6 +130,28 @@ def check_repetition(recording: Recording) -> Recording:
     )
     sidecar = dataclasses.replace(stated, period=None, periodic=None)
     remark = Remark(RemarkKind.PERIOD, text, repaired=True)
+    return dataclasses.replace(recording, sidecar=sidecar, remarks=(*recording.remarks, remark))
+
+
+def with_own_period(recording: Recording) -> Recording:
+    """Return the recording with the period that its motion shows, where none is stated.
+
+    It is used if the motion repeats with it precisely, within MAX_UNSTATED_DIFFERENCE.
+    """
+    if recording.sidecar.period is not None or any(
+        remark.kind is RemarkKind.PERIOD for remark in recording.remarks
+    ):
+        return recording  # stated, or stated and refuted
+    found = find_period(recording, None)
+    if found is None or found.difference > MAX_UNSTATED_DIFFERENCE:
+        return recording
+    text = (
+        f"the motion repeats every {found.period:.5g} s in {_span(found.window)}, with a deviation "
+        f"of {100.0 * found.difference:.2g} % of its range; its periods are averaged"
+    )
+    start, end = found.window
+    sidecar = dataclasses.replace(recording.sidecar, period=found.period, periodic=found.window)
+    remark = Remark(RemarkKind.PERIOD, text, None, start, end)
     return dataclasses.replace(recording, sidecar=sidecar, remarks=(*recording.remarks, remark))
 
 
@@ -251,12 +283,13 @@ def _repeating_runs(
     return out
 
 
-def find_period(recording: Recording, near: float) -> Repetition | None:
+def find_period(recording: Recording, near: float | None) -> Repetition | None:
     """Find the period with which a motion repeats.
 
     Args:
         recording: The recording.
-        near: Period from which the search starts, within a factor of SEARCH_RATIO [s].
+        near: Period from which the search starts, within a factor of SEARCH_RATIO [s]; None: all
+            periods from MIN_PERIOD to MAX_PERIOD.
 
     Returns:
         The repetition with the shortest period among those that repeat for about the longest time;
@@ -264,7 +297,10 @@ def find_period(recording: Recording, near: float) -> Repetition | None:
     """
     length = float(recording.t[-1] - recording.t[0])
     step = max(1.0 / SEARCH_RATE, recording.step)
-    shortest, longest = near / SEARCH_RATIO, min(SEARCH_RATIO * near, 0.5 * length)
+    shortest, longest = (
+        (MIN_PERIOD, MAX_PERIOD) if near is None else (near / SEARCH_RATIO, SEARCH_RATIO * near)
+    )
+    shortest, longest = max(shortest, MIN_ROWS * step), min(longest, 0.5 * length)
     if longest <= shortest:
         return None
     spacing = max(step, (longest - shortest) / MAX_SEARCHED)

@@ -71,7 +71,7 @@ def read(path: Path, robot: Robot, limits: Limits | None = None) -> Recording:
     if stated.period is not None:
         stated_by = str(sidecar.sidecar_path(path))
         recording.check_period(stated.period, stated.periodic, stated_by)
-        recording = check_repetition(recording)
+    recording = check_repetition(recording)
     data_quality.warn_of_repairs(str(path), recording.remarks)
     return recording
 

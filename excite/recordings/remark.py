@@ -32,6 +32,7 @@ class RemarkKind(Enum):
     PUBLISHER = "publisher"
     SPEED = "speed"
     PERIOD = "period"
+    EXECUTED = "executed motion"
     PLANNED = "planned"
     TORQUE_SIGN = "torque sign"
     TORQUE_SCALE = "torque scale"

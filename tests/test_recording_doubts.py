@@ -149,9 +149,9 @@ def test_torque_without_gravity_is_identified_if_stated(tmp_path):
         paths.append(path)
     result, texts = identified("ur5e", paths[0], validate=paths[1])
     assert not texts and not result.recordings[0].doubts
-    found = result.identification
-    assert (found.validations[0].relative() < 0.07).all()
-    assert found.analysis.identifiable_count > 30
+    identification = result.identification
+    assert (identification.validations[0].relative() < 0.07).all()
+    assert identification.analysis.identifiable_count > 30
     complete = REPORTS / "04-wrap_ur_tue.csv"
     with (
         pytest.warns(match="whole turn"),

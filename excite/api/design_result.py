@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -374,7 +375,10 @@ def compare_experiments(
 
 
 def motion_samples(
-    path: Path, robot: Robot, executed: Sequence[str | Path] = ()
+    path: Path,
+    robot: Robot,
+    executed: Sequence[str | Path] = (),
+    columns: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[Samples, Trajectory | None]:
     """Read the samples of a `trajectory.json` at its own rate, or of a recording.
 
@@ -383,9 +387,12 @@ def motion_samples(
         robot: The robot.
         executed: Trajectory files, one of which was executed during the recording; of a recording
             with a periodic window, from these or from its sidecar, the samples within it count.
+        columns: Names of a CSV file's columns by ours (`t`, `q.<joint>`, …), where they differ.
     """
     if path.suffix != ".json":
-        recording = with_own_period(with_trajectory(recordings.read(path, robot), executed))
+        recording = with_own_period(
+            with_trajectory(recordings.read(path, robot, columns=columns), executed)
+        )
         if recording.repetition is not None:
             recording = recording.between(*recording.repetition[1])
         return recording.samples(), None

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from .. import _json
@@ -112,6 +113,7 @@ def diagnose(
     prior: str | Path | None = None,
     band: float | None = None,
     trajectory: TrajectorySources = (),
+    columns: Mapping[str, str] = MappingProxyType({}),
     with_report: bool = True,
     progress: Progress | None = None,
 ) -> DiagnosisResult:
@@ -127,6 +129,7 @@ def diagnose(
             for it.
         trajectory: The `trajectory.json` that was executed, or several: each recording takes
             period, window and commanded positions from the one that it holds.
+        columns: Names of a CSV file's columns by ours (`t`, `q.<joint>`, …), where they differ.
         with_report: Analyse the residual for the report, which takes a third of the time.
         progress: Called with a line of text now and then.
 
@@ -135,7 +138,9 @@ def diagnose(
     """
     loaded = load_robot(robot)
     table = resolve_limits(loaded, limits)
-    train, held_out = read_both(loaded, table, recordings, validate, trajectory=trajectory)
+    train, held_out = read_both(
+        loaded, table, recordings, validate, trajectory=trajectory, columns=columns
+    )
     loaded = robot_of_torque(loaded, [*train, *held_out])
     standard = inertial_parameters.standard(loaded, table, inertial_parameters.DRIVE)
     base = base_parameters.find(loaded, standard, table)

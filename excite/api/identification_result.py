@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -22,8 +23,7 @@ from ..identification import consistency, identification, identified_model, lmi_
 from ..identification import prior as prior_module
 from ..identification.consistency import Bounds
 from ..identification.identification import Identification, IdentificationOptions
-from ..recordings import Recording, recording_cost, require_distinct
-from ..recordings import executed_motion
+from ..recordings import Recording, executed_motion, recording_cost, require_distinct
 from ..recordings.periodicity import check_repetition, with_own_period
 from ..robot import base_parameters, inertial_parameters
 from ..robot.inertial_parameters import Parameters
@@ -59,8 +59,8 @@ class IdentificationResult:
     @property
     def parameters(self) -> dict[str, float]:
         """Identified standard parameters by name, in SI units."""
-        found = self.identification
-        return dict(zip(found.model.parameters.names, found.psi.tolist(), strict=True))
+        result = self.identification
+        return dict(zip(result.model.parameters.names, result.psi.tolist(), strict=True))
 
     def document(self) -> dict[str, Any]:
         """Return the content of `model.json`."""
@@ -97,9 +97,10 @@ class IdentificationResult:
         return output_files(path).replace({path.name: self.html()})[0]
 
     def __repr__(self) -> str:
-        found = self.identification
-        known, count = found.analysis.identifiable_count, found.model.base.count
-        return f"<IdentificationResult {found.model.robot.name}: {known} of {count} directions identified>"  # noqa: E501
+        result = self.identification
+        known, count = result.analysis.identifiable_count, result.model.base.count
+        name = result.model.robot.name
+        return f"<IdentificationResult {name}: {known} of {count} directions identified>"
 
 
 @dataclass(frozen=True)
@@ -141,6 +142,7 @@ def read_recording(
     period: float | None = None,
     window: tuple[float, float] | None = None,
     trajectory: TrajectorySources = (),
+    columns: Mapping[str, str] = MappingProxyType({}),
 ) -> Recording:
     """Read a recording, check it, and repair what is safe to repair.
 
@@ -154,6 +156,7 @@ def read_recording(
         window: Times between which the motion repeats [s].
         trajectory: The `trajectory.json` that was executed, or several of which one was: period,
             window and commanded positions come from it.
+        columns: Names of a CSV file's columns by ours (`t`, `q.<joint>`, …), where they differ.
 
     Raises:
         UnusableInput: The file cannot be read, holds numbers that no measurement has, or holds none
@@ -163,7 +166,7 @@ def read_recording(
         return path
     loaded = load_robot(robot)
     table = None if limits is None else resolve_limits(loaded, limits)
-    recording = with_period(recordings.read(Path(path), loaded, table), period, window)
+    recording = with_period(recordings.read(Path(path), loaded, table, columns), period, window)
     return with_trajectory(recording, trajectory)
 
 
@@ -217,9 +220,7 @@ def with_period(
     stated_by = "--period" if window is None else "--period, --window"
     recording.check_period(period, window, stated_by)
     sidecar = dataclasses.replace(recording.sidecar, period=period, periodic=window)
-    return _warned(
-        recording, check_repetition(dataclasses.replace(recording, sidecar=sidecar))
-    )
+    return _warned(recording, check_repetition(dataclasses.replace(recording, sidecar=sidecar)))
 
 
 def _warned(before: Recording, after: Recording) -> Recording:
@@ -241,6 +242,7 @@ def identify(
     period: float | None = None,
     window: tuple[float, float] | None = None,
     trajectory: TrajectorySources = (),
+    columns: Mapping[str, str] = MappingProxyType({}),
     options: IdentificationOptions = IdentificationOptions(),  # noqa: B008  # immutable
     check_lmi: bool = False,
     progress: Progress | None = None,
@@ -260,6 +262,7 @@ def identify(
         window: Times between which the motion repeats [s].
         trajectory: The `trajectory.json` that was executed, or several: each recording takes
             period, window and commanded positions from the one that it holds.
+        columns: Names of a CSV file's columns by ours (`t`, `q.<joint>`, …), where they differ.
         options: Estimator, distance, band and further choices; single ones may be given by keyword,
             as `band=20.0`.
         check_lmi: Compare with a conic solver.
@@ -274,9 +277,18 @@ def identify(
     say = progress or (lambda text: None)
     say(f"reading {', '.join(map(_name, (*recordings, *validate)))}")
     train, held_out = read_both(
-        loaded, table, recordings, validate, period=period, window=window, trajectory=trajectory
+        loaded,
+        table,
+        recordings,
+        validate,
+        period=period,
+        window=window,
+        trajectory=trajectory,
+        columns=columns,
     )
-    train, held_out = ([with_own_period(one) for one in some] for some in (train, held_out))
+    train, held_out = (
+        [with_own_period(recording) for recording in group] for group in (train, held_out)
+    )
     loaded = robot_of_torque(loaded, [*train, *held_out])
     standard = inertial_parameters.standard(loaded, table, drive)
     base = base_parameters.find(loaded, standard, table)
@@ -286,24 +298,30 @@ def identify(
     limits_of_bodies = bounds if isinstance(bounds, Bounds) else read_bounds(bounds, standard)
     chosen = dataclasses.replace(options, bounds=limits_of_bodies, trusted=known, **choices)
     recording_cost.require_identifiable([*train, *held_out], say)
-    found = identification.identify(loaded, standard, base, train, held_out, chosen, say)
+    result = identification.identify(loaded, standard, base, train, held_out, chosen, say)
     return IdentificationResult(
-        found, tuple(train), tuple(held_out), _compare_lmi(found) if check_lmi else None
+        result, tuple(train), tuple(held_out), _compare_lmi(result) if check_lmi else None
     )
 
 
-def predict(model: str | Path, recording: RecordingSource) -> PredictedTorque:
+def predict(
+    model: str | Path,
+    recording: RecordingSource,
+    *,
+    columns: Mapping[str, str] = MappingProxyType({}),
+) -> PredictedTorque:
     """Predict torque along a recording by an identified model, as `excite predict` does.
 
     Args:
         model: Path of a `model.json`.
         recording: The motion; a designed `trajectory.csv` will do too.
+        columns: Names of a CSV file's columns by ours (`t`, `q.<joint>`, …), where they differ.
 
     Raises:
         UnusableInput: A file cannot be used.
     """
     fitted = identified_model.read_model(Path(model))
-    motion = read_recording(recording, fitted.robot)
+    motion = read_recording(recording, fitted.robot, columns=columns)
     time, torque = fitted_effects.predict(fitted, motion)
     if not np.isfinite(torque).all():
         joint = fitted.robot.joints[int(np.argmin(np.isfinite(torque).all(axis=0)))]
@@ -350,27 +368,31 @@ def read_both(
     period: float | None = None,
     window: tuple[float, float] | None = None,
     trajectory: TrajectorySources = (),
+    columns: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[list[Recording], list[Recording]]:
-    """Read training and validation recordings; refuse one that is both."""
+    """Read training and validation recordings; refuse a recording that is both."""
     both = [
-        [read_recording(one, robot, limits=limits, period=period, window=window) for one in paths]
+        [
+            read_recording(
+                path, robot, limits=limits, period=period, window=window, columns=columns
+            )
+            for path in paths
+        ]
         for paths in (train, held_out)
     ]
     require_distinct(*both)
     if trajectory:  # a validation recording may hold another motion
         both = [
-            [with_trajectory(one, trajectory, required=is_fitted) for one in some]
-            for some, is_fitted in zip(both, (True, False), strict=True)
+            [with_trajectory(each, trajectory, required=is_fitted) for each in group]
+            for group, is_fitted in zip(both, (True, False), strict=True)
         ]
-    checked = [[_checked(one, robot, limits) for one in some] for some in both]
+    checked = [[_checked(each, robot, limits) for each in group] for group in both]
     return checked[0], checked[1]
 
 
 def _checked(recording: Recording, robot: Robot, limits: Limits) -> Recording:
     """Return the recording with the doubts about its torque."""
-    return torque_check.check_torque(
-        recording, robot_of_torque(robot, [recording]), limits
-    )
+    return torque_check.check_torque(recording, robot_of_torque(robot, [recording]), limits)
 
 
 def robot_of_torque(robot: Robot, recordings: Sequence[Recording]) -> Robot:
@@ -382,11 +404,11 @@ def robot_of_torque(robot: Robot, recordings: Sequence[Recording]) -> Robot:
     Raises:
         UnusableInput: Some recordings are without gravity and others are not.
     """
-    without = [one.source for one in recordings if one.sidecar.effort == "without gravity"]
+    without = [each.source for each in recordings if each.sidecar.effort == "without gravity"]
     if not without:
         return robot
     if len(without) < len(recordings):
-        other = next(one.source for one in recordings if one.source not in without)
+        other = next(each.source for each in recordings if each.source not in without)
         raise UnusableInput(
             f"{without[0]}: holds torque without gravity but {other} does not; identify them apart"
         )
@@ -397,17 +419,17 @@ def robot_of_torque(robot: Robot, recordings: Sequence[Recording]) -> Robot:
     )
 
 
-def _compare_lmi(found: Identification) -> lmi_check.LmiCheck:
+def _compare_lmi(result: Identification) -> lmi_check.LmiCheck:
     """Compare the estimate with a conic solver's; a refined one is compared at where refinement
     started."""
-    data, model, bounds = found.data, found.model, found.options.bounds
+    data, model, bounds = result.data, result.model, result.options.bounds
     root, target, estimate = (
         data.information_root @ model.base.matrix,
         data.information_root @ data.theta,
-        found.posterior,
+        result.posterior,
     )
-    if found.options.refine:
+    if result.options.refine:
         estimate = consistency.maximum_a_posteriori(
-            model.parameters, root, target, found.prior, bounds
+            model.parameters, root, target, result.prior, bounds
         )
-    return lmi_check.check_estimate(model.parameters, root, target, found.prior, estimate, bounds)
+    return lmi_check.check_estimate(model.parameters, root, target, result.prior, estimate, bounds)

@@ -26,6 +26,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         prior=arguments.prior,
         band=arguments.band,
         trajectory=arguments.trajectory,
+        columns=shared.columns(arguments),
         with_report=not arguments.no_report,
         progress=arguments.console.progress,
     )

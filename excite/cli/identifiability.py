@@ -25,7 +25,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
     limits = shared.limits(arguments, robot)
     standard = inertial_parameters.standard(robot, limits, shared.drive(arguments))
     base = base_parameters.find(robot, standard, limits)
-    samples, trajectory = motion_samples(Path(arguments.motion), robot, arguments.trajectory)
+    samples, trajectory = motion_samples(
+        Path(arguments.motion), robot, arguments.trajectory, shared.columns(arguments)
+    )
     stated = shared.noise(arguments, robot)
     noise = (
         torque_noise_levels(limits, stated) if trajectory is None or stated else trajectory.noise

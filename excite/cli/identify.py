@@ -33,6 +33,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         period=arguments.period,
         window=arguments.window,
         trajectory=arguments.trajectory,
+        columns=shared.columns(arguments),
         options=_options(arguments),
         check_lmi=arguments.check_lmi,
         progress=arguments.console.progress,

@@ -13,7 +13,7 @@ from .. import physical_ranges as ranges
 from .._system.console import emit
 from ..errors import UnusableInput
 from ..physical_ranges import Range
-from .option_types import NamedNumbers, Number, Numbers, WordOrNumbers
+from .option_types import ColumnNames, NamedNumbers, Number, Numbers, WordOrNumbers
 
 SECONDS, HERTZ = ranges.PERIOD, ranges.RATE
 SLOWDOWN = Range(1e-3, 1.0, "1")
@@ -34,8 +34,9 @@ EXAMPLES = """examples:
 
 RECORDINGS = """recordings:
   A CSV has columns t, q.<joint> and tau.<joint> [s, rad or m, N m or N], or i.<joint> [A] with a drive_gain per joint; dq, qref,
-  qlink and temp are read too. run.json beside run.csv says what columns cannot: {"schema": "excite.recording/1", "period": 6.2,
-  "periodic": [0.8, 25.6], "drive_gain": {"elbow": 0.11}}. A noise floor takes two whole periods within that window.
+  qlink and temp are read too. CSV of PlotJuggler, 'ros2 topic echo --csv' and ur_rtde is known; --columns names others. run.json beside run.csv says what columns cannot: {"schema": "excite.recording/1", "period": 6.2,
+  "periodic": [0.8, 25.6], "drive_gain": {"elbow": 0.11}}. --trajectory takes both from the motion that was executed. A noise floor
+  takes two whole periods within that window.
 
 examples:
   excite identify ur10e monday.csv --validate tuesday.csv -o out/model
@@ -453,7 +454,7 @@ def _identifiability(commands: Commands) -> None:
     )
     _robot_options(sub)
     sub.add_argument("motion", metavar="TRAJECTORY_OR_RECORDING")
-    _trajectory_option(sub)
+    _recording_options(sub)
     _model_options(sub)
 
 
@@ -523,7 +524,7 @@ def _identify(commands: Commands) -> None:
         metavar="T0,T1",
         help="where it repeats, with --period (default: found in the recording) [s]",
     )
-    _trajectory_option(group)
+    _recording_options(group)
     group.add_argument(
         "--align", action="store_true", help="move each joint's torque by the delay that is found"
     )
@@ -575,7 +576,20 @@ def _identify(commands: Commands) -> None:
     )
 
 
-def _trajectory_option(group: argparse._ActionsContainer) -> None:
+def _columns_option(group: argparse._ActionsContainer) -> None:
+    group.add_argument(
+        "--columns",
+        type=ColumnNames(("q", "dq", "tau", "i", "qref", "qlink", "temp")),
+        metavar="NAME=COLUMN,…",
+        action="append",
+        default=[],
+        help="names of a CSV file's columns where they are none of the known ones, as "
+        "t=Time,q.elbow=pos_3,tau.elbow=eff_3",
+    )
+
+
+def _recording_options(group: argparse._ActionsContainer) -> None:
+    _columns_option(group)
     group.add_argument(
         "--trajectory",
         metavar="FILE",
@@ -599,6 +613,7 @@ def _predict(commands: Commands) -> None:
         required=True,
         help="t,tau.<joint>… at the recording's own times",
     )
+    _columns_option(sub)
 
 
 def _diagnose(commands: Commands) -> None:
@@ -632,7 +647,7 @@ def _diagnose(commands: Commands) -> None:
         metavar="HZ",
         help="torque below this is looked at (default: 20, more where the data asks for it)",
     )
-    _trajectory_option(sub)
+    _recording_options(sub)
     sub.add_argument(
         "--no-report",
         action="store_true",

@@ -36,7 +36,9 @@ def require_dissipation(
         UnusableInput: It is clearly negative at half of the joints or more; at fewer, a warning.
     """
     powers = _friction_powers(model, equations, data)
-    negative = [j for j, (power, deviation) in powers.items() if power < -CLEARLY_NEGATIVE * deviation]
+    negative = [
+        j for j, (power, deviation) in powers.items() if power < -CLEARLY_NEGATIVE * deviation
+    ]
     if not negative:
         return
     joint = model.robot.joints[negative[0]]

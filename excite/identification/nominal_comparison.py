@@ -154,10 +154,7 @@ def nominal_torque(robot: Robot, motion: Samples) -> tuple[FloatArray, FloatArra
     q, dq, ddq = robot.expand(motion.q), motion.dq @ spread.T, motion.ddq @ spread.T
     gravity = np.array([pin.computeGeneralizedGravity(model, data, row) for row in q]) @ spread
     total = (
-        np.array(
-            [pin.rnea(model, data, *state) for state in zip(q, dq, ddq, strict=True)]
-        )
-        @ spread
+        np.array([pin.rnea(model, data, *state) for state in zip(q, dq, ddq, strict=True)]) @ spread
     )
     return gravity, total - gravity
 

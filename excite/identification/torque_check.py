@@ -48,12 +48,13 @@ def check_torque(recording: Recording, robot: Robot, limits: Limits) -> Recordin
             f"{recording.source}: the torque of every joint is {value} in all {len(torque)} rows; "
             "record torque or current"
         )
+    planned = [remark for remark in recording.doubts if remark.kind is RemarkKind.PLANNED]
     remarks = [
         *_constant_torque(recording, torque, constant),
         *_excessive_torque(recording, torque, limits),
-        *nominal_comparison.compare_with_nominal(recording, robot),
+        *(() if planned else nominal_comparison.compare_with_nominal(recording, robot)),
     ]
-    for remark in remarks:
+    for remark in (*recording.doubts, *remarks):
         warnings.warn(f"{recording.source}: {remark.text}", ExciteWarning, stacklevel=2)
     return dataclasses.replace(recording, remarks=(*recording.remarks, *remarks))
 

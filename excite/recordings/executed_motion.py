@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .._types import FloatArray
+from .._types import FloatArray, IntArray
 from ..errors import UnusableInput
 from ..trajectory.rest_to_rest import Motion
 from ..trajectory.trajectory_file import Trajectory
@@ -76,9 +76,7 @@ class ExecutedMotion:
         return max(start, float(recording.t[0])), min(end, float(recording.t[-1]))
 
 
-def apply_trajectory(
-    recording: Recording, trajectory: Trajectory, source: str
-) -> Recording | None:
+def apply_trajectory(recording: Recording, trajectory: Trajectory, source: str) -> Recording | None:
     """Take period, window and commanded positions of a recording from the executed trajectory.
 
     Args:
@@ -114,9 +112,7 @@ def apply_trajectory(
             f"; it ran at {100.0 * executed.speed:.4g} % of the planned speed, so its period is "
             f"{executed.period:.5g} s"
         )
-    remark = Remark(
-        RemarkKind.EXECUTED, text, None, executed.start, executed.end, repaired=changed
-    )
+    remark = Remark(RemarkKind.EXECUTED, text, None, executed.start, executed.end, repaired=changed)
     sidecar = dataclasses.replace(recording.sidecar, period=executed.period, periodic=window)
     return dataclasses.replace(
         recording, sidecar=sidecar, qref=qref, remarks=(*recording.remarks, remark)
@@ -148,9 +144,9 @@ def find_motion(recording: Recording, motion: Motion) -> ExecutedMotion | None:
 
 def _candidates(recording: Recording, motion: Motion) -> Iterator[tuple[Motion, float]]:
     """Yield motions with the periods that the recording may hold, and their speeds."""
-    found = periodicity.find_window(recording, motion.fourier.period)
-    found = found or periodicity.find_period(recording, motion.fourier.period)
-    if found is None:
+    repetition = periodicity.find_window(recording, motion.fourier.period)
+    repetition = repetition or periodicity.find_period(recording, motion.fourier.period)
+    if repetition is None:
         yield motion, 1.0
         scores = [
             (_shift_score(recording, motion, float(speed))[1], float(speed))
@@ -158,9 +154,9 @@ def _candidates(recording: Recording, motion: Motion) -> Iterator[tuple[Motion, 
         ]
         yield motion, min(scores)[1]
         return
-    speed = motion.fourier.period / found.period
+    speed = motion.fourier.period / repetition.period
     yield motion, speed
-    periods = int((found.window[1] - found.window[0]) / found.period + 0.05)
+    periods = int((repetition.window[1] - repetition.window[0]) / repetition.period + 0.05)
     if periods != motion.periods and periods > 0:
         yield with_periods(motion, periods), speed
 
@@ -201,9 +197,7 @@ def _shift_score(recording: Recording, motion: Motion, speed: float) -> tuple[fl
         ),
         size,
     )[offsets % size]
-    squares = [
-        np.concatenate([[0.0], np.cumsum(np.sum(x**2, axis=1))]) for x in (q, commanded)
-    ]
+    squares = [np.concatenate([[0.0], np.cumsum(np.sum(x**2, axis=1))]) for x in (q, commanded)]
     first, last = np.maximum(offsets, 0), np.minimum(offsets + len(commanded), len(q))
     error = (
         squares[0][last]
@@ -230,9 +224,7 @@ def _refined(recording: Recording, motion: Motion, start: float, speed: float) -
         local = speed * (t - start)
         error = ((recording.q[rows] - motion.at(local)) * scale)[:, moves].ravel()
         rate = (motion.at(local, 1) * scale)[:, moves]
-        jacobian = np.column_stack(
-            [(-speed * rate).ravel(), (rate * (t - start)[:, None]).ravel()]
-        )
+        jacobian = np.column_stack([(-speed * rate).ravel(), (rate * (t - start)[:, None]).ravel()])
         step = np.linalg.lstsq(jacobian, error, rcond=None)[0]
         start, speed = start + float(step[0]), speed + float(step[1])
         if abs(step[0]) < 1e-7 and abs(step[1]) < 1e-9:
@@ -245,7 +237,7 @@ def _refined(recording: Recording, motion: Motion, start: float, speed: float) -
     return ExecutedMotion(motion, start, speed, deviation)
 
 
-def _rows(recording: Recording, motion: Motion, start: float, speed: float) -> FloatArray:
+def _rows(recording: Recording, motion: Motion, start: float, speed: float) -> IntArray:
     """Indices of recorded rows during the motion, REFINED_ROWS at most."""
     inside = np.flatnonzero(
         (recording.t >= start) & (recording.t <= start + motion.duration / speed)

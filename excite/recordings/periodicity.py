@@ -95,23 +95,19 @@ def check_repetition(recording: Recording) -> Recording:
     if stated.period is None:
         return recording
     period = stated.period
-    if recording.t[-1] - recording.t[0] < 2.0 * period:
-        return recording  # too short for a second period
-    if stated.periodic is not None and not _contradicts(recording, period, stated.periodic):
-        refined = _refined(recording, period, stated.periodic)
-        if abs(refined / period - 1.0) <= PERIOD_TOLERANCE:
-            return recording
-    found = find_window(recording, period)
-    if found is not None and abs(found.period / period - 1.0) <= PERIOD_TOLERANCE:
-        found = dataclasses.replace(found, period=period)
+    if _is_confirmed(recording, period, stated.periodic):
+        return recording
+    repetition = find_window(recording, period)
+    if repetition is not None and abs(repetition.period / period - 1.0) <= PERIOD_TOLERANCE:
+        repetition = dataclasses.replace(repetition, period=period)
         if stated.periodic is None:
-            return _with_repetition(recording, found, None)
+            return _with_repetition(recording, repetition, None)
         text = (
             f"the motion does not repeat with the period {period:g} s in the whole of the stated "
-            f"window, {_span(stated.periodic)}, but in {_span(found.window)}, which is used"
+            f"window, {_span(stated.periodic)}, but in {_span(repetition.window)}, which is used"
         )
-        return _with_repetition(recording, found, text)
-    other = found or find_period(recording, period)
+        return _with_repetition(recording, repetition, text)
+    other = repetition or find_period(recording, period)
     if other is not None:
         ratio = 100.0 * period / other.period
         speed = f" (it ran at {ratio:.3g} % of that speed)" if abs(ratio - 100.0) > 1.0 else ""
@@ -121,6 +117,21 @@ def check_repetition(recording: Recording) -> Recording:
             f"{_span(other.window)}"
         )
         return _with_repetition(recording, other, text)
+    return _without_repetition(recording, period)
+
+
+def _is_confirmed(recording: Recording, period: float, window: tuple[float, float] | None) -> bool:
+    """Return True if a window is stated that repeats, or a second period is too long to show."""
+    if recording.t[-1] - recording.t[0] < 2.0 * period:
+        return True
+    if window is None or _contradicts(recording, period, window):
+        return False
+    return abs(_refined(recording, period, window) / period - 1.0) <= PERIOD_TOLERANCE
+
+
+def _without_repetition(recording: Recording, period: float) -> Recording:
+    """The recording without its period, and a remark on the joint that contradicts it most."""
+    stated = recording.sidecar
     worst = _worst_difference(recording, period, stated.periodic)
     joint = "" if worst is None else f"; joint '{recording.joints[worst[0]]}' differs by "
     size = "" if worst is None else f"{100.0 * worst[1]:.0f} % of its range after one period"
@@ -142,15 +153,17 @@ def with_own_period(recording: Recording) -> Recording:
         remark.kind is RemarkKind.PERIOD for remark in recording.remarks
     ):
         return recording  # stated, or stated and refuted
-    found = find_period(recording, None)
-    if found is None or found.difference > MAX_UNSTATED_DIFFERENCE:
+    repetition = find_period(recording, None)
+    if repetition is None or repetition.difference > MAX_UNSTATED_DIFFERENCE:
         return recording
     text = (
-        f"the motion repeats every {found.period:.5g} s in {_span(found.window)}, with a deviation "
-        f"of {100.0 * found.difference:.2g} % of its range; its periods are averaged"
+        f"the motion repeats every {repetition.period:.5g} s in {_span(repetition.window)}, "
+        f"with a deviation of {100.0 * repetition.difference:.2g} % of its range; its periods are averaged"
     )
-    start, end = found.window
-    sidecar = dataclasses.replace(recording.sidecar, period=found.period, periodic=found.window)
+    start, end = repetition.window
+    sidecar = dataclasses.replace(
+        recording.sidecar, period=repetition.period, periodic=repetition.window
+    )
     remark = Remark(RemarkKind.PERIOD, text, None, start, end)
     return dataclasses.replace(recording, sidecar=sidecar, remarks=(*recording.remarks, remark))
 
@@ -159,12 +172,12 @@ def _span(window: tuple[float, float]) -> str:
     return f"{window[0]:.4g} to {window[1]:.4g} s"
 
 
-def _with_repetition(recording: Recording, found: Repetition, text: str | None) -> Recording:
+def _with_repetition(recording: Recording, repetition: Repetition, text: str | None) -> Recording:
     """The recording with a period and a window, and a remark where it was stated otherwise."""
     sidecar = dataclasses.replace(
-        recording.sidecar, period=found.period, periodic=found.window
+        recording.sidecar, period=repetition.period, periodic=repetition.window
     )
-    start, end = found.window
+    start, end = repetition.window
     remarks = recording.remarks
     if text is not None:
         remarks = (*remarks, Remark(RemarkKind.PERIOD, text, None, start, end, repaired=True))
@@ -215,9 +228,7 @@ def _ranges(recording: Recording) -> FloatArray:
     return np.where(ranges > 1e-3 * max(float(ranges.max()), 1e-12), ranges, np.inf)
 
 
-def _difference(
-    recording: Recording, period: float, t: FloatArray
-) -> tuple[FloatArray, BoolArray]:
+def _difference(recording: Recording, period: float, t: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Compute d(t), and True where both positions are measured."""
     later = t + period
     after = np.clip(np.searchsorted(recording.t, later), 1, len(recording.t) - 1)
@@ -263,7 +274,7 @@ def _closed(flags: BoolArray, recording: Recording, period: float) -> BoolArray:
     """Flags with runs of False shorter than a fiftieth of a period set to True."""
     out = flags.copy()
     for first, end in true_runs(~flags):
-        if 0 < first and end < len(flags) and (end - first) * recording.step < 0.02 * period:
+        if first > 0 and end < len(flags) and (end - first) * recording.step < 0.02 * period:
             out[first:end] = True
     return out
 
@@ -320,9 +331,9 @@ def find_period(recording: Recording, near: float | None) -> Repetition | None:
             repeated[k] = 0.0
     for k in _candidates(repeated):
         period = _refined(recording, float(shifts[k] * step))
-        found = find_window(recording, period)
-        if found is not None:
-            return found
+        repetition = find_window(recording, period)
+        if repetition is not None:
+            return repetition
     return None
 
 

@@ -345,9 +345,7 @@ class _Table:
             is_complete = set(self.joints) <= set(names)
             self._order = (
                 names,
-                np.array([names.index(joint) for joint in self.joints])
-                if is_complete
-                else None,
+                np.array([names.index(joint) for joint in self.joints]) if is_complete else None,
             )
         return self._order[1]
 

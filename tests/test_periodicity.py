@@ -82,9 +82,9 @@ def test_nothing_is_averaged_where_nothing_repeats(planned):
 
 
 def test_a_motion_without_a_stated_period_shows_its_own(planned):
-    found = periodicity.with_own_period(executed(planned))
-    assert found.sidecar.period == pytest.approx(planned.motion.fourier.period, rel=1e-5)
-    assert found.sidecar.periodic == pytest.approx(true_window(planned), abs=0.3)
+    periodic = periodicity.with_own_period(executed(planned))
+    assert periodic.sidecar.period == pytest.approx(planned.motion.fourier.period, rel=1e-5)
+    assert periodic.sidecar.periodic == pytest.approx(true_window(planned), abs=0.3)
 
 
 @pytest.mark.parametrize("speed", [1.0, 0.85])

@@ -29,6 +29,7 @@ from . import (
     estimators,
     friction_width,
     instruments,
+    position_bandwidth,
     prior_weight,
     regression,
     segments,
@@ -260,7 +261,9 @@ def identify(
         raise UnusableInput(
             f"{recordings[0].source}: has no gap-free stretch that is long enough; record again"
         )
-    spectra = segments.torque_spectra(parts, options.band)
+    spectra = segments.torque_spectra(
+        parts, options.band, functools.partial(position_bandwidth.position_bandwidth, robot=robot)
+    )
     progress(
         f"{sum(len(r) for r in recordings)} rows, band {spectra.hertz:.3g} Hz: "
         "building the regression equations"

@@ -158,7 +158,8 @@ def with_own_period(recording: Recording) -> Recording:
         return recording
     text = (
         f"the motion repeats every {repetition.period:.5g} s in {_span(repetition.window)}, "
-        f"with a deviation of {100.0 * repetition.difference:.2g} % of its range; its periods are averaged"
+        f"with a deviation of {100.0 * repetition.difference:.2g} % of its range; its periods are "
+        "averaged"
     )
     start, end = repetition.window
     sidecar = dataclasses.replace(

@@ -25,6 +25,8 @@ even stamps (EMPS, TX40, KR300, simulated arms); where positions jitter it passe
 and reaches 50 to 10⁵."""
 MIN_JOINT_SHARE = 0.5
 """Share of the joints at which it must be exceeded [1]: jitter and interpolation act on all."""
+TORQUE_SHARE = 0.95
+"""Share of the torque's power that bounds the bandwidth of the motion [1]."""
 BIN_RATIO = 1.25
 """Ratio of the edges of a band, a third of an octave [1]."""
 MAX_SAMPLES = 16_384
@@ -54,7 +56,8 @@ def position_bandwidth(segment: RecordingSegment, robot: Robot) -> float:
     size = min(len(part), max(256, int(4.0 * part.rate)))
     frequency, measured_power = signal.welch(part.torque, part.rate, nperseg=size, axis=0)
     _, nominal_power = signal.welch(nominal, part.rate, nperseg=size, axis=0)
-    bandwidth = motion_bandwidth(part)
+    # positions that jitter much show motion at all frequencies, the torque does not
+    bandwidth = min(motion_bandwidth(part), _torque_bandwidth(frequency, measured_power))
     slow = (frequency > 0.0) & (frequency <= max(bandwidth, LOWEST_HZ))
     if not slow.any():
         return float(np.inf)
@@ -73,6 +76,12 @@ def position_bandwidth(segment: RecordingSegment, robot: Robot) -> float:
         else:
             previous = float(low)
     return float(np.inf)
+
+
+def _torque_bandwidth(frequency: FloatArray, power: FloatArray) -> float:
+    """Frequency below which TORQUE_SHARE of the torque's power lies, mean over the joints [Hz]."""
+    share = np.cumsum(power[1:] / np.maximum(power[1:].sum(axis=0), 1e-300), axis=0).mean(axis=1)
+    return float(frequency[1:][min(np.searchsorted(share, TORQUE_SHARE), len(share) - 1)])
 
 
 def _ratio(nominal: FloatArray, measured: FloatArray) -> FloatArray:

@@ -31,7 +31,8 @@ from ..robot.robot import Robot
 from ..robot.samples import Samples
 from ..trajectory import trajectory_file
 from ..trajectory.trajectory_file import Trajectory
-from .identification_result import with_trajectory
+from . import identification_result
+from .identification_result import reference_samples, with_trajectory
 from .robots import RobotSource, load_robot, resolve_limits
 
 Progress = Callable[[str], None]
@@ -380,7 +381,7 @@ def motion_samples(
     executed: Sequence[str | Path] = (),
     columns: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[Samples, Trajectory | None]:
-    """Read the samples of a `trajectory.json` at its own rate, or of a recording.
+    """Read the samples of a `trajectory.json` or of a recording at REFERENCE_RATE.
 
     Args:
         path: The file.
@@ -393,16 +394,16 @@ def motion_samples(
         recording = with_own_period(
             with_trajectory(recordings.read(path, robot, columns=columns), executed)
         )
-        if recording.repetition is not None:
-            recording = recording.between(*recording.repetition[1])
-        return recording.samples(), None
+        return reference_samples(recording), None
     trajectory = trajectory_file.read_trajectory(path)
     if trajectory.joints != robot.joints:
         raise UnusableInput(
             f"{path}: moves {', '.join(trajectory.joints)}, not {', '.join(robot.joints)}; "
             "choose them with --joints"
         )
-    return trajectory.motion.samples(trajectory.motion.grid(trajectory.rate)), trajectory
+    return trajectory.motion.samples(
+        trajectory.motion.grid(identification_result.REFERENCE_RATE)
+    ), trajectory
 
 
 def _information(
@@ -428,7 +429,9 @@ def _analyse(
 ) -> identifiability.Identifiability:
     trajectory, setting = delivery.trajectory, delivery.design.setup
     standard = setting.problem.parameters
-    samples = trajectory.motion.samples(trajectory.motion.grid(trajectory.rate))
+    samples = trajectory.motion.samples(
+        trajectory.motion.grid(identification_result.REFERENCE_RATE)
+    )
     root = identifiability.information_root(robot, standard, samples, trajectory.noise)
     known = root if earlier is None else np.vstack([root, earlier])
     return identifiability.analyse_root(

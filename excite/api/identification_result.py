@@ -8,6 +8,7 @@ import io
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -17,6 +18,8 @@ import numpy as np
 from .. import _json, recordings
 from .._system.output_files import output_files, output_folder
 from .._types import FloatArray
+from ..designer import identifiability
+from ..designer.options import torque_noise_levels
 from ..diagnosis import fitted_effects
 from ..errors import ExciteWarning, UnusableInput
 from ..identification import consistency, identification, identified_model, lmi_check, torque_check
@@ -29,6 +32,7 @@ from ..robot import base_parameters, inertial_parameters
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import Limits
 from ..robot.robot import Robot
+from ..robot.samples import Samples
 from ..schemas.bounds import BoundsFile
 from ..schemas.document_file import DocumentFile
 from ..trajectory import trajectory_file
@@ -48,13 +52,37 @@ class IdentificationResult:
         identification: Parameters, intervals, and what the data and the prior decided.
         recordings: Recordings that the model is fitted to.
         validation: Recordings that it is judged by.
+        limits: Limits of the robot.
         lmi: Comparison with a conic solver, None where none was asked for.
     """
 
     identification: Identification
     recordings: tuple[Recording, ...]
     validation: tuple[Recording, ...]
+    limits: Limits
     lmi: lmi_check.LmiCheck | None = None
+
+    @cached_property
+    def assumed_count(self) -> int:
+        """Number of directions that the recorded motions identify with the noise that a design
+        assumes, 1 % of the torque limits at 100 rows a second, as `identifiability` counts them."""
+        model = self.identification.model
+        noise = torque_noise_levels(self.limits, None)
+        roots = [
+            identifiability.information_root(
+                model.robot, model.parameters, reference_samples(recording), noise
+            )
+            for recording in self.recordings
+        ]
+        return identifiability.analyse_root(
+            model.parameters,
+            model.base,
+            np.vstack(roots),
+            noise,
+            model.robot,
+            threshold=self.identification.options.threshold,
+            samples=sum(map(len, self.recordings)),
+        ).identifiable_count
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -101,6 +129,21 @@ class IdentificationResult:
         known, count = result.analysis.identifiable_count, result.model.base.count
         name = result.model.robot.name
         return f"<IdentificationResult {name}: {known} of {count} directions identified>"
+
+
+REFERENCE_RATE = 100.0
+"""Rows a second at which the torque noise of two rows counts as independent [Hz]: the number of
+identifiable directions must not depend on how densely a motion is sampled or recorded. Current
+loops filter torque to about half of that."""
+
+
+def reference_samples(recording: Recording) -> Samples:
+    """Return the motion of a recording at REFERENCE_RATE, within its periodic window if any."""
+    if recording.repetition is not None:
+        recording = recording.between(*recording.repetition[1])
+    samples = recording.samples()
+    count = max(1, round(len(samples) * REFERENCE_RATE / recording.rate))
+    return samples.rows(np.linspace(0, len(samples) - 1, count).round().astype(int))
 
 
 @dataclass(frozen=True)
@@ -300,7 +343,7 @@ def identify(
     recording_cost.require_identifiable([*train, *held_out], say)
     result = identification.identify(loaded, standard, base, train, held_out, chosen, say)
     return IdentificationResult(
-        result, tuple(train), tuple(held_out), _compare_lmi(result) if check_lmi else None
+        result, tuple(train), tuple(held_out), table, _compare_lmi(result) if check_lmi else None
     )
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from .._json import dumps
 from .._system.output_files import output_folder
 from ..api.design_result import compare_experiments, motion_samples
+from ..api.identification_result import REFERENCE_RATE
 from ..designer import experiment_comparison, identifiability
 from ..designer.options import torque_noise_levels
 from ..robot import base_parameters, inertial_parameters
@@ -47,5 +48,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
     written = output.replace(contents)
     document = json.loads(text)
     known = sum(bool(direction["identifiable"]) for direction in document["directions"])
-    line = f"{robot.name}: {known} of {base.count} directions practically identifiable"
+    assumed = "1 % of the torque limits" if stated is None else "as stated"
+    line = (
+        f"{robot.name}: {known} of {base.count} directions practically identifiable "
+        f"(torque noise {assumed}, {REFERENCE_RATE:g} rows a second)"
+    )
     return 0, document, "\n".join([line, *written_lines(written)])

@@ -111,8 +111,8 @@ def _text(result: api.DesignResult, document: dict[str, Any], written: list[Path
     kind = "" if chosen is Criterion.COND_REGRESSOR else ("plain " if plain else "geometric ")
     directions = f"{document['identifiable']} of {document['base_parameters']} directions"
     lines = [
-        f"{document['robot']}: {directions} practically identifiable (torque noise {_noise(trajectory)}, "
-        f"{REFERENCE_RATE:g} rows a second)",
+        f"{document['robot']}: {directions} practically identifiable "
+        f"(torque noise {_noise(trajectory)}, {REFERENCE_RATE:g} rows a second)",
         f"{kind}{chosen.value}: {periodic:.6g} per sample of the periodic part, "
         f"{complete:.6g} of the whole motion",
         f"{trajectory.motion.duration:.2f} s: "

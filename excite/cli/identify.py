@@ -12,8 +12,9 @@ from .. import api
 from .._system.output_files import output_folder
 from ..api.identification_result import IDENTIFICATION_FILES
 from ..identification.estimators import Method
-from ..identification.identification import Identification, IdentificationOptions
+from ..identification.identification import Identification, IdentificationOptions, Prediction
 from ..identification.inertia_distance import Distance
+from ..robot.robot import Robot
 from . import options as shared
 from .outcome import Outcome, with_files, written_lines
 
@@ -94,6 +95,7 @@ def _text(
             )
             percent = f"{100 * share:.2f}%" if np.isfinite(share) else "-"
             lines.append(f"{joint:25}{before:11.4g}{after:12.4g}{floor:>11}{percent:>10}")
+    lines += [_summary(prediction, robot) for prediction in shown]
     common, spread = found.delay.common
     if abs(common) > 3.0 * spread and not found.options.align:
         order = "after" if common > 0 else "before"
@@ -102,3 +104,22 @@ def _text(
             "that out)"
         )
     return "\n".join([*lines, *facts, *written_lines(written)])
+
+
+def _summary(prediction: Prediction, robot: Robot) -> str:
+    """Error of all joints before and after, and the joint that limits it."""
+    size = np.sqrt(np.sum(prediction.measured**2))
+    before, after = (
+        100.0 * float(np.sqrt(np.sum((prediction.measured - values) ** 2)) / size) if size else 0.0
+        for values in (prediction.nominal, prediction.fitted)
+    )
+    joint, above = prediction.limiting_joint()
+    name, error = robot.joints[joint], prediction.error()[joint]
+    unit = robot.entries[joint].unit("N m")
+    if above and prediction.noise_floor is not None:
+        place = f"{name} is {error / prediction.noise_floor[joint]:.2g} times above its noise floor"
+    elif prediction.noise_floor is not None:
+        place = "every joint is at its noise floor"
+    else:
+        place = f"largest at {name}, {error:.3g} {unit}"
+    return f"all joints: {before:.3g} % of the torque before, {after:.3g} % after; {place}"

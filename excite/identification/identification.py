@@ -94,6 +94,10 @@ class IdentificationOptions:
     refine: bool = False
 
 
+ABOVE_FLOOR = 1.2
+"""Torque error over the noise floor up to which an error counts as noise [1]."""
+
+
 @dataclass(frozen=True)
 class Prediction:
     """Measured torque of a recording and the predictions of two models, below the band.
@@ -134,6 +138,20 @@ class Prediction:
             out=np.full_like(self.noise_floor, np.inf),
             where=self.noise_floor > 0.0,
         )
+
+    def limiting_joint(self) -> tuple[int, bool]:
+        """Return the joint whose error matters most, and whether it exceeds its noise floor.
+
+        That is the joint with the largest error beyond its noise floor over the RMS torque; where
+        every error is at its floor, the joint whose error the identification reduced most.
+        """
+        error, floor = self.error(), self.noise_floor
+        beyond = error if floor is None else np.sqrt(np.maximum(error**2 - floor**2, 0.0))
+        size = np.maximum(np.sqrt(np.mean(self.measured**2, axis=0)), 1e-300)
+        above = np.ones(len(error), bool) if floor is None else error > ABOVE_FLOOR * floor
+        if above.any():
+            return int(np.argmax(np.where(above, beyond / size, -1.0))), floor is not None
+        return int(np.argmax(self.error("nominal") - error)), False
 
     def relative(self, which: str = "fitted") -> FloatArray:
         """Return the error over the RMS of the measured torque; ∞ where that is 0. Shape (n,)."""

@@ -52,7 +52,8 @@ def position_bandwidth(segment: RecordingSegment, robot: Robot) -> float:
     top = min(MAX_RATE_SHARE * part.rate, HIGHEST_HZ)
     spectrum = LowPassFilter(top, part.rate, len(part), part.periodic).transform(part.q)
     motion = Samples(*(spectrum.filter(Grid.RECORDED, order) for order in range(3)))
-    nominal = sum(nominal_torque(robot, motion))
+    gravity, dynamic = nominal_torque(robot, motion)
+    nominal = gravity + dynamic
     size = min(len(part), max(256, int(4.0 * part.rate)))
     frequency, measured_power = signal.welch(part.torque, part.rate, nperseg=size, axis=0)
     _, nominal_power = signal.welch(nominal, part.rate, nperseg=size, axis=0)
@@ -81,7 +82,8 @@ def position_bandwidth(segment: RecordingSegment, robot: Robot) -> float:
 def _torque_bandwidth(frequency: FloatArray, power: FloatArray) -> float:
     """Frequency below which TORQUE_SHARE of the torque's power lies, mean over the joints [Hz]."""
     share = np.cumsum(power[1:] / np.maximum(power[1:].sum(axis=0), 1e-300), axis=0).mean(axis=1)
-    return float(frequency[1:][min(np.searchsorted(share, TORQUE_SHARE), len(share) - 1)])
+    place = min(int(np.searchsorted(share, TORQUE_SHARE)), len(share) - 1)
+    return float(frequency[1:][place])
 
 
 def _ratio(nominal: FloatArray, measured: FloatArray) -> FloatArray:

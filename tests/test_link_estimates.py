@@ -49,7 +49,7 @@ def test_files_say_which_masses_are_the_priors(result):
     assert entry["mass"]["decided_by"] == "prior" and entry["mass"]["std"] > 0.0
     page = contents["report.html"]
     assert "the prior&#39;s" in page and "torque error of all joints" in page
-    ElementTree.fromstring(contents["identified.urdf"])  # noqa: S314  # our own text
+    ElementTree.fromstring(contents["identified.urdf"])  # our own text
 
 
 @needs_inputs
@@ -74,7 +74,7 @@ def test_meshes_are_found_from_the_new_place(tmp_path):
     urdf = identified_urdf(
         robot, parameters, parameters.nominal, np.full(robot.n, 0.003), ["a -- b"]
     )
-    meshes = [str(mesh.get("filename")) for mesh in ElementTree.fromstring(urdf).iter("mesh")]  # noqa: S314
+    meshes = [str(mesh.get("filename")) for mesh in ElementTree.fromstring(urdf).iter("mesh")]
     assert meshes == [
         str(tmp_path / "meshes" / "arm.stl"),
         "package://arm/arm.stl",

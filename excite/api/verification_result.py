@@ -15,6 +15,8 @@ from ..designer import certificate as certificates
 from ..designer.certificate import Certificate, CertificateVerdict
 from ..errors import CheckFailed, UnusableInput
 from ..exporters import file_format
+from ..exporters.goal_options import GoalOptions
+from ..exporters.next_steps import next_steps
 from ..robot import inertial_parameters
 from ..robot.limits import Limits, from_sources
 from ..robot.robot import Robot
@@ -112,6 +114,7 @@ class ExportedFile:
         verdict: Lines about clearance and limits; a third one where a slower run breaks a limit.
         certificate: Certificate of the exported trajectory at full speed.
         forced: Whether the file was written although a check failed.
+        next_steps: Lines that say how to run it, how to record, and what comes next.
     """
 
     path: Path
@@ -119,6 +122,7 @@ class ExportedFile:
     verdict: tuple[str, ...]
     certificate: Certificate
     forced: bool
+    next_steps: tuple[str, ...] = ()
 
     def document(self) -> dict[str, Any]:
         """Return what `excite export --json` prints."""
@@ -128,6 +132,7 @@ class ExportedFile:
             "forced": self.forced,
             "verdict": self.certificate.document()["verdict"],
             "collision": self.certificate.collision,
+            "next_steps": list(self.next_steps),
         }
 
 
@@ -142,6 +147,7 @@ def export(
     robot: str | Path | None = None,
     limits: str | Path | None = None,
     packages: Sequence[str] = (),
+    goal: GoalOptions = GoalOptions(),  # noqa: B008  # immutable
 ) -> ExportedFile:
     """Verify a trajectory and write it for a controller, as `excite export` does.
 
@@ -155,6 +161,7 @@ def export(
         robot: Where the URDF is now.
         limits: Where the limits file is now.
         packages: Further folders of `package://` meshes.
+        goal: Lead and tolerances of a ROS 2 goal.
 
     Raises:
         UnusableInput: A file is missing or malformed, or the format does not fit the robot.
@@ -189,8 +196,11 @@ def export(
     kinds = content.design.get("drive", inertial_parameters.DRIVE)
     standard = inertial_parameters.standard(found.robot, found.limits, kinds)
     torque = nominal_torque(found.robot, standard)
-    written = formats.write(content, format, Path(path), speed=speed, rate=rate, tau=torque)
-    return ExportedFile(written, format, tuple(verdict), certificate, content.forced)
+    written = formats.write(
+        content, format, Path(path), speed=speed, rate=rate, tau=torque, goal=goal
+    )
+    steps = next_steps(content, str(trajectory), format, written, goal)
+    return ExportedFile(written, format, tuple(verdict), certificate, content.forced, tuple(steps))
 
 
 __all__ = ["CertificateVerdict", "ExportedFile", "VerificationResult", "export", "verify"]

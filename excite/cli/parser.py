@@ -435,6 +435,24 @@ def _export(commands: Commands) -> None:
         metavar="F",
         help="play at F times its speed, for a first careful run",
     )
+    group = sub.add_argument_group("ROS 2")
+    group.add_argument(
+        "--lead",
+        type=Number(Range(0.1, 600.0, "s")),
+        default=5.0,
+        metavar="S",
+        help="time for the way from the present pose to the start pose (default %(default)s)",
+    )
+    for name, text in (
+        ("path", "deviation from the path at which the controller aborts"),
+        ("goal", "deviation at the end that is accepted"),
+    ):
+        group.add_argument(
+            f"--{name}-tolerance",
+            type=Number(Range(1e-6, 10.0, "rad or m")),
+            metavar="RAD",
+            help=f"{text}, at every joint (default: the controller's own)",
+        )
     _sources(sub)
     sub.add_argument(
         "--force",

@@ -13,6 +13,7 @@ from ..errors import UnusableInput
 from ..trajectory.trajectory_file import Trajectory
 from . import csv_json, ros2, urscript, vendor_table
 from .file_format import Columns, Job, Torque, Written, beside, check_options, is_note
+from .goal_options import GoalOptions
 
 __all__ = ["FORMATS", "Columns", "Torque", "read", "write"]
 
@@ -82,20 +83,22 @@ def write(
     speed: float = 1.0,
     rate: float | None = None,
     tau: Torque | None = None,
+    goal: GoalOptions = GoalOptions(),  # noqa: B008  # immutable
 ) -> Path:
     """Write a trajectory for a controller, whole or not at all, and return the path.
 
     A format without room for comments gets a second file, `<path>.txt`, that says what the first
     one is. speed: The same path at this share of the speed, in (0, 1]. rate: Rows a second, where
     the format leaves a choice [Hz]; its own where None. tau: Nominal torque of samples, (N, n) [N
-    m], for the columns `tau.<joint>` of `csv`. Raises UnusableInput for an unknown format, a robot
-    the format doesn't fit, or a path that cannot be written.
+    m], for the columns `tau.<joint>` of `csv`. goal: Options of ROS 2 goals.
+    Raises UnusableInput for an unknown format, a robot the format doesn't fit, or a path that
+    cannot be written.
     """
     entry = _entry(format)
     check_options(speed, rate)
     output_files(path)
     motion = trajectory.motion if speed == 1.0 else trajectory.motion.slowed(speed)
-    written = entry.render(Job(trajectory, motion, format, path, speed, rate, tau))
+    written = entry.render(Job(trajectory, motion, format, path, speed, rate, tau, goal))
     note = beside(path)
     contents = {path.name: written.text} | (
         {} if written.note is None else {note.name: written.note}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from ..errors import UnusableInput
 from ..robot.samples import Samples
 from ..trajectory.rest_to_rest import Motion
 from ..trajectory.trajectory_file import Trajectory
+from .goal_options import GoalOptions
 
 Array = np.ndarray
 Columns = tuple[Array, ...]
@@ -32,7 +33,7 @@ class Job:
     """One file to write.
 
     motion: the trajectory's, already slowed. rate: rows a second, None for the format's own [Hz].
-    tau: torque of samples, (N, n) [N m], or None where it is not known.
+    tau: torque of samples, (N, n) [N m], or None where it is not known. goal: options of ROS 2.
     """
 
     trajectory: Trajectory
@@ -42,6 +43,7 @@ class Job:
     speed: float
     rate: float | None
     tau: Torque | None
+    goal: GoalOptions = field(default_factory=GoalOptions)
 
     @property
     def joints(self) -> tuple[str, ...]:

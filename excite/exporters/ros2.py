@@ -8,8 +8,8 @@ named:
     trajectory_msgs/msg/JointTrajectory --yaml-file FILE ros2 action send_goal --stdin
     /…/follow_joint_trajectory control_msgs/action/FollowJointTrajectory < FILE
 
-The first point is the start pose at LEAD seconds, not at 0, and everything follows that much later:
-the controller interpolates from where the robot is to its first point, but jumps to a point at time
+The first point is the start pose at `GoalOptions.lead` seconds, not at 0, and everything follows
+that much later: the controller interpolates from where the robot is to its first point, but jumps to a point at time
 0. A point one knot after 0 would bridge whatever is missing in 20 ms; seconds let a robot that is a
 little off glide there, and one far off move slowly.
 """
@@ -24,8 +24,6 @@ import numpy as np
 
 from .file_format import FORCED, Array, Columns, Job, Written, fixed, sampled
 
-LEAD = 5.0
-"""Time from the present pose to the start pose [s]."""
 KNOTS = 50.0
 """Points a second: the controller interpolates quintically between them [Hz]."""
 GOAL_TIME_TOLERANCE = 2.0
@@ -56,7 +54,7 @@ def _trajectory(job: Job) -> str:
     """A JointTrajectory, one point a line; efforts are empty, for controllers refuse them without
     an effort interface."""
     t, samples = sampled(job, job.rate or KNOTS)
-    lead = round(LEAD * NANO)
+    lead = round(job.goal.lead * NANO)
     points = [
         f'{{"positions": {_list(q)}, "velocities": {_list(dq)}, "accelerations": {_list(ddq)}, '
         f'"effort": [], "time_from_start": {_stamp(lead + round(time * NANO))}}}'
@@ -81,9 +79,25 @@ def write_goal(job: Job) -> Written:
     """A FollowJointTrajectory goal; empty tolerances leave the controller's own, the end may be
     late by 2 s."""
     late = _stamp(round(GOAL_TIME_TOLERANCE * NANO))
-    return Written(
-        f'{{"trajectory": {_trajectory(job)},\n"path_tolerance": [], "goal_tolerance": [], "goal_time_tolerance": {late}}}\n'  # noqa: E501
+    path, goal = (
+        _tolerances(job, value) for value in (job.goal.path_tolerance, job.goal.goal_tolerance)
     )
+    return Written(
+        f'{{"trajectory": {_trajectory(job)},\n"path_tolerance": {path}, '
+        f'"goal_tolerance": {goal}, "goal_time_tolerance": {late}}}\n'
+    )
+
+
+def _tolerances(job: Job, position: float | None) -> str:
+    """JointTolerance of every joint; velocities and accelerations of 0 are not checked."""
+    if position is None:
+        return "[]"
+    entries = [
+        f'{{"name": {_quoted(joint)}, "position": {fixed(position)}, "velocity": 0.0, '
+        '"acceleration": 0.0}'
+        for joint in job.joints
+    ]
+    return "[" + ", ".join(entries) + "]"
 
 
 def read(path: Path) -> Columns:

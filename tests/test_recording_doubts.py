@@ -264,3 +264,23 @@ def test_real_recordings_raise_no_doubt(folder, urdf):
             except UnusableInput:
                 continue  # two files of the SO-101 serve replay only
             assert not nominal_comparison.compare_with_nominal(recording, robot), path
+
+
+# -- diagnosis ------------------------------------------------------------------------------------
+
+
+@needs_inputs
+def test_a_doubted_recording_names_no_joint(tmp_path):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        result = api.diagnose(
+            "ur5e",
+            [REPORTS / "07-gravcomp_mon.csv"],
+            [REPORTS / "07-gravcomp_tue.csv"],
+            with_report=False,
+        )
+    document = result.document()
+    assert {doubt["kind"] for doubt in document["doubts"]} == {"gravity"}
+    assert all(entry["joint"] is None for entry in document["findings"])
+    assert document["verdict"] == "unexplained" and document["unknown"] == []
+    assert result.model()["effects"] == []

@@ -46,9 +46,19 @@ class DiagnosisResult:
         """Residual against everything that it might depend on; None without a report."""
         return residual_atlas.compute_atlas(self.diagnosis) if self.with_report else None
 
+    @property
+    def doubts(self) -> list[dict[str, Any]]:
+        """Unrepaired doubts about the recordings, with the recording that each is about."""
+        return [
+            {"recording": recording.source, **doubt.document()}
+            for recording in (*self.recordings, *self.validation)
+            for doubt in recording.doubts
+        ]
+
     @cached_property
     def _document(self) -> dict[str, Any]:
-        return diagnosis_document(self.diagnosis, self.atlas)
+        document = diagnosis_document(self.diagnosis, self.atlas)
+        return withhold_findings(document, self.doubts) if self.doubts else document
 
     def document(self) -> dict[str, Any]:
         """Return the content of `diagnosis.json`."""
@@ -62,9 +72,11 @@ class DiagnosisResult:
     def model(self) -> dict[str, Any]:
         """Return the content of `model.json`: the findings, and the parameters without them."""
         plain = self.diagnosis.identified
-        out = identified_model.model_document(self.diagnosis.refitted or plain, self.recordings)
+        refitted = None if self.doubts else self.diagnosis.refitted
+        out = identified_model.model_document(refitted or plain, self.recordings)
         out["effects"] = [
-            fitted_effects.entry(part, plain.model.robot) for part in self.diagnosis.parts
+            fitted_effects.entry(part, plain.model.robot)
+            for part in (() if self.doubts else self.diagnosis.parts)
         ]
         out["without_effects"] = dict(
             zip(plain.model.parameters.names, plain.psi.tolist(), strict=True)
@@ -102,6 +114,33 @@ class DiagnosisResult:
         robot, document = self.diagnosis.identified.model.robot, self._document
         effects = ", ".join(str(entry["effect"]) for entry in document["findings"]) or "no finding"
         return f"<DiagnosisResult {robot.name}: {document['verdict']}, {effects}>"
+
+
+def withhold_findings(
+    document: Mapping[str, Any], doubts: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
+    """Return a diagnosis without findings at single joints, for a recording that is doubted.
+
+    While a column may not hold what it is taken for, a difference from the model says nothing about
+    a joint. The findings stay among those that were considered.
+
+    Args:
+        document: Content of `diagnosis.json`.
+        doubts: Unrepaired doubts about the recordings.
+    """
+    withheld = [entry for entry in document["findings"] if entry["joint"] is not None]
+    kept = [entry for entry in document["findings"] if entry["joint"] is None]
+    verdict = document["verdict"]
+    if not kept and verdict != "no-mismatch" or verdict == "explained":
+        verdict = "partly-explained" if kept else "unexplained"
+    return {
+        **document,
+        "verdict": "unexplained" if verdict == "no-mismatch" else verdict,
+        "findings": kept,
+        "considered": [*withheld, *document["considered"]],
+        "unknown": [],
+        "doubts": [dict(doubt) for doubt in doubts],
+    }
 
 
 def diagnose(

@@ -58,6 +58,13 @@ def _gear(joint: str, gear: dict[str, Any]) -> str:
 
 def _text(stated: dict[str, Any], written: list[Path]) -> str:
     lines = [f"verdict: {stated['verdict']}"]
+    doubts = stated.get("doubts", [])
+    if doubts:
+        lines.append(
+            "the recordings are doubted; until that is resolved, no effect at a single joint is "
+            "reported:"
+        )
+        lines += [f"  {Path(doubt['recording']).name}: {doubt['text']}" for doubt in doubts]
     for one in stated["findings"]:
         place = one["joint"] or "the whole robot"
         values = ", ".join(

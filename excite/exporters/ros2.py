@@ -9,9 +9,9 @@ named:
     /…/follow_joint_trajectory control_msgs/action/FollowJointTrajectory < FILE
 
 The first point is the start pose at `GoalOptions.lead` seconds, not at 0, and everything follows
-that much later: the controller interpolates from where the robot is to its first point, but jumps to a point at time
-0. A point one knot after 0 would bridge whatever is missing in 20 ms; seconds let a robot that is a
-little off glide there, and one far off move slowly.
+that much later: the controller interpolates from where the robot is to its first point, but jumps
+to a point at time 0. A point one knot after 0 would bridge whatever is missing in 20 ms; seconds
+let a robot that is a little off glide there, and one far off move slowly.
 """
 
 from __future__ import annotations

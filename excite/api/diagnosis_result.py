@@ -131,7 +131,7 @@ def withhold_findings(
     withheld = [entry for entry in document["findings"] if entry["joint"] is not None]
     kept = [entry for entry in document["findings"] if entry["joint"] is None]
     verdict = document["verdict"]
-    if not kept and verdict != "no-mismatch" or verdict == "explained":
+    if (not kept and verdict != "no-mismatch") or verdict == "explained":
         verdict = "partly-explained" if kept else "unexplained"
     return {
         **document,

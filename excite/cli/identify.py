@@ -116,9 +116,9 @@ def _summary(prediction: Prediction, robot: Robot) -> str:
     joint, above = prediction.limiting_joint()
     name, error = robot.joints[joint], prediction.error()[joint]
     unit = robot.entries[joint].unit("N m")
-    if above and prediction.noise_floor is not None:
+    if above and prediction.noise_floor is not None and prediction.noise_floor[joint] > 0.0:
         place = f"{name} is {error / prediction.noise_floor[joint]:.2g} times above its noise floor"
-    elif prediction.noise_floor is not None:
+    elif prediction.noise_floor is not None and not above:
         place = "every joint is at its noise floor"
     else:
         place = f"largest at {name}, {error:.3g} {unit}"

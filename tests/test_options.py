@@ -13,7 +13,8 @@ from excite.cli.option_types import NUMERIC, NamedNumbers, Number, Numbers, Word
 
 TEXT = {
     "robot", "joints", "limits", "without", "given", "out", "srdf", "scene", "packages", "cluster", "trajectory", "motion", "recordings",  # noqa: E501
-    "columns", "validate", "prior", "bounds", "model", "recording", "effect", "like", "host", "format",
+    "columns", "validate", "prior", "bounds", "model", "recording", "effect", "like", "host",
+    "format",
 }  # fmt: skip
 """Options and arguments whose text is a name, a path or a list of names."""
 POSITIONALS = {

@@ -95,7 +95,7 @@ def test_the_executed_motion_is_aligned(planned, speed, periods):
     assert aligned is not None and aligned.qref is not None
     assert aligned.sidecar.period == pytest.approx(planned.motion.fourier.period / speed, rel=1e-5)
     assert aligned.sidecar.periodic == pytest.approx(
-        true_window(planned, speed, periods=periods), abs=1e-3
+        true_window(planned, speed, periods=periods), abs=1.1 / RATE
     )
     assert np.abs(aligned.qref - recording.q).max() < 10.0 * NOISE
     text = aligned.remarks[-1].text

@@ -70,9 +70,13 @@ class ExecutedMotion:
         return self.motion.fourier.period / self.speed
 
     def periodic_window(self, recording: Recording) -> tuple[float, float]:
-        """Return start and end of the periodic part within a recording [s]."""
+        """Return start and end of the periodic part within a recording [s].
+
+        Both are widened by up to a row, so that no period is lost by rounding.
+        """
         part = self.motion.segment("fourier")
         start, end = (self.start + time / self.speed for time in (part.start, part.end))
+        start, end = start - 0.5 * recording.step, end + recording.step
         return max(start, float(recording.t[0])), min(end, float(recording.t[-1]))
 
 

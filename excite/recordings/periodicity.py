@@ -38,6 +38,8 @@ SEARCH_RATIO = 8.0
 """Largest ratio of the period that is found to the one that is stated, and its inverse [1]."""
 MAX_SEARCHED = 1500
 """Number of periods that are tried at most."""
+WINDOW_STARTS = 32
+"""Number of starts of the whole periods that are compared."""
 MAX_SEARCHED_ROWS = 20_000
 """Number of rows in which they are searched at most: 13 minutes."""
 BEST_SHARE = 0.9
@@ -270,7 +272,30 @@ def find_window(recording: Recording, period: float) -> Repetition | None:
     first, end = max(kept, key=lambda run: t[run[1] - 1] - t[run[0]], default=(first, end))
     rms = np.sqrt(np.mean(difference[first:end][known[first:end]] ** 2, axis=0))
     window = (float(t[first]), min(float(t[end - 1]) + period, float(recording.t[-1])))
-    return Repetition(_refined(recording, period, window), window, float(rms.max()))
+    refined = _refined(recording, period, window)
+    return Repetition(refined, _whole_periods(recording, refined, window), float(rms.max()))
+
+
+def _whole_periods(
+    recording: Recording, period: float, window: tuple[float, float]
+) -> tuple[float, float]:
+    """Return the whole periods within a window that repeat best.
+
+    A ramp joins the motion smoothly: its last rows repeat in position, yet not in torque.
+    """
+    length = period * int((window[1] - window[0]) / period + 1e-6)
+    slack = window[1] - window[0] - length
+    if length < 2.0 * period or slack < recording.step:
+        return window
+    t = recording.t[(recording.t >= window[0]) & (recording.t <= window[1] - period)]
+    difference, known = _relative_difference(recording, period, t)
+    square = np.where(known, np.sum(difference**2, axis=1), 0.0)
+    starts = window[0] + np.linspace(0.0, slack, WINDOW_STARTS)
+    costs = [
+        float(np.sum(square[(t >= start) & (t <= start + length - period)])) for start in starts
+    ]
+    start = float(starts[int(np.argmin(costs))])
+    return start, start + length
 
 
 def _closed(flags: BoolArray, recording: Recording, period: float) -> BoolArray:

@@ -75,10 +75,6 @@ def test_faulty_recording_is_refused_with_its_fault(name, parts, tmp_path, capsy
             "r_tau_million",
             ["joint_1", "7.808e+05 times its limit 60", "joint_2", "3.711e+05 times its limit 20"],
         ),
-        (
-            "r_tau_flipped",
-            ["joint_1", "correlation of -0.99", "joint_2", "correlation of -0.98", "sign"],
-        ),
         ("r_tau1_zero", ["joint_1", "torque is 0 in all 6221 rows"]),
     ],
 )
@@ -266,8 +262,8 @@ def test_correct_torque_gets_no_remark(torque_columns, two_link, tmp_path):
 @pytest.mark.parametrize(
     ("factor", "kinds", "part"),
     [
-        (-1.0, [RemarkKind.INCONSISTENT], "correlation of -1.00"),
-        (1e3, [RemarkKind.UNIT], "times its limit"),
+        (-1.0, [RemarkKind.TORQUE_SIGN], "correlation of -1.00"),
+        (1e3, [RemarkKind.UNIT, RemarkKind.TORQUE_SCALE], "times"),
         (0.0, [RemarkKind.FROZEN], "torque is 0 in all"),
         (0.5, [], ""),
         (2.0, [], ""),

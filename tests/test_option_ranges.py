@@ -24,6 +24,7 @@ TEXT = {
     "trajectory",
     "motion",
     "recordings",
+    "columns",
     "validate",
     "prior",
     "bounds",

@@ -218,7 +218,7 @@ def test_torque_of_some_joints_and_current_of_others(two_link, tmp_path):
     columns["i.joint_2"] = columns.pop("tau.joint_2")
     path = write_columns(tmp_path / "r.csv", columns)
     (tmp_path / "r.json").write_text(
-        '{"schema": "excite.recording/1", "drive_gain": {"joint_2": -2.5}, "period": 2, '
+        '{"schema": "excite.recording/1", "drive_gain": {"joint_2": -2.5}, "period": 3, '
         '"motor_side": true}'
     )
     recording = recordings.read(path, two_link)
@@ -226,7 +226,7 @@ def test_torque_of_some_joints_and_current_of_others(two_link, tmp_path):
         recording.torque == np.column_stack([columns["tau.joint_1"], -2.5 * columns["i.joint_2"]])
     ).all()
     assert (
-        recording.sidecar.period == 2.0
+        recording.sidecar.period == 3.0
         and recording.sidecar.motor_side
         and recording.sidecar.periodic is None
     )

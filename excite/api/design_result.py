@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from ..designer.motion_overlap import OverlapPenalty
 from ..designer.options import DesignOptions, WorkspaceBox, torque_noise_levels
 from ..errors import UnusableInput
 from ..exporters import csv_json, file_format
+from ..recordings.periodicity import with_own_period
 from ..report.design_record import DesignRecord
 from ..robot import dynamics, inertial_parameters
 from ..robot.inertial_parameters import Parameters
@@ -30,6 +32,8 @@ from ..robot.robot import Robot
 from ..robot.samples import Samples
 from ..trajectory import trajectory_file
 from ..trajectory.trajectory_file import Trajectory
+from . import identification_result
+from .identification_result import reference_samples, with_trajectory
 from .robots import RobotSource, load_robot, resolve_limits
 
 MOTION_FILES = ("trajectory.json", "trajectory.csv")
@@ -401,12 +405,22 @@ def compare_experiments(
     )
 
 
-def motion_samples(path: Path, robot: Robot) -> tuple[Samples, Trajectory | None]:
-    """Read the samples of a trajectory at its own rate, or of a recording.
+def motion_samples(
+    path: Path,
+    robot: Robot,
+    executed: Sequence[str | Path] = (),
+    columns: Mapping[str, str] = MappingProxyType({}),
+) -> tuple[Samples, Trajectory | None]:
+    """Read the samples of a trajectory, or of a recording, at REFERENCE_RATE.
+
+    Of a recording with a periodic window, only the samples within the window are used. The window
+    is that of an executed trajectory, of the sidecar, or of a period found in the recording.
 
     Args:
         path: A `trajectory.json`, or a recording.
         robot: The robot.
+        executed: Trajectory files, one of which was executed during the recording.
+        columns: Names of a CSV file's columns by ours (`t`, `q.<joint>`, …), where they differ.
 
     Returns:
         The samples, and the trajectory; None for a recording.
@@ -415,14 +429,19 @@ def motion_samples(path: Path, robot: Robot) -> tuple[Samples, Trajectory | None
         UnusableInput: The file cannot be used, or moves other joints.
     """
     if path.suffix != ".json":
-        return recordings.read(path, robot).samples(), None
+        recording = with_own_period(
+            with_trajectory(recordings.read(path, robot, columns=columns), executed)
+        )
+        return reference_samples(recording), None
     trajectory = trajectory_file.read_trajectory(path)
     if trajectory.joints != robot.joints:
         raise UnusableInput(
             f"{path}: moves {', '.join(trajectory.joints)}, not {', '.join(robot.joints)}; "
             "choose them with --joints"
         )
-    return trajectory.motion.samples(trajectory.motion.grid(trajectory.rate)), trajectory
+    return trajectory.motion.samples(
+        trajectory.motion.grid(identification_result.REFERENCE_RATE)
+    ), trajectory
 
 
 def _information(
@@ -451,7 +470,9 @@ def _analyse(
 ) -> identifiability.Identifiability:
     trajectory, setting = delivery.trajectory, delivery.design.setup
     standard = setting.problem.parameters
-    samples = trajectory.motion.samples(trajectory.motion.grid(trajectory.rate))
+    samples = trajectory.motion.samples(
+        trajectory.motion.grid(identification_result.REFERENCE_RATE)
+    )
     root = identifiability.information_root(robot, standard, samples, trajectory.noise)
     known = root if earlier is None else np.vstack([root, earlier])
     return identifiability.analyse_root(

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from .. import _json
@@ -18,7 +19,7 @@ from ..identification import prior as prior_module
 from ..recordings import Recording, recording_cost
 from ..robot import base_parameters, inertial_parameters
 from ..robot.limits import Limits
-from .identification_result import RecordingSource, _read_both
+from .identification_result import RecordingSource, TrajectorySources, read_both, robot_of_torque
 from .robots import RobotSource, load_robot, resolve_limits
 
 DIAGNOSIS_FILES = ("diagnosis.json", "model.json", "report.html")
@@ -46,9 +47,19 @@ class DiagnosisResult:
         """Residual over every quantity that it may depend on; None without a report."""
         return residual_atlas.compute_atlas(self.diagnosis) if self.with_report else None
 
+    @property
+    def doubts(self) -> list[dict[str, Any]]:
+        """Unrepaired doubts about the recordings, with the recording that each is about."""
+        return [
+            {"recording": recording.source, **doubt.document()}
+            for recording in (*self.recordings, *self.validation)
+            for doubt in recording.doubts
+        ]
+
     @cached_property
     def _document(self) -> dict[str, Any]:
-        return diagnosis_document(self.diagnosis, self.atlas)
+        document = diagnosis_document(self.diagnosis, self.atlas)
+        return withhold_findings(document, self.doubts) if self.doubts else document
 
     def document(self) -> dict[str, Any]:
         """Return the content of `diagnosis.json`."""
@@ -62,9 +73,11 @@ class DiagnosisResult:
     def model(self) -> dict[str, Any]:
         """Return the content of `model.json`: parameters with and without the findings."""
         plain = self.diagnosis.identified
-        out = identified_model.model_document(self.diagnosis.refitted or plain, self.recordings)
+        refitted = None if self.doubts else self.diagnosis.refitted
+        out = identified_model.model_document(refitted or plain, self.recordings)
         out["effects"] = [
-            fitted_effects.entry(part, plain.model.robot) for part in self.diagnosis.parts
+            fitted_effects.entry(part, plain.model.robot)
+            for part in (() if self.doubts else self.diagnosis.parts)
         ]
         out["without_effects"] = dict(
             zip(plain.model.parameters.names, plain.psi.tolist(), strict=True)
@@ -112,6 +125,33 @@ class DiagnosisResult:
         return f"<DiagnosisResult {robot.name}: {document['verdict']}, {effects}>"
 
 
+def withhold_findings(
+    document: Mapping[str, Any], doubts: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
+    """Return a diagnosis without findings at single joints, for a recording that is doubted.
+
+    While a column may not hold what it is taken for, a difference from the model says nothing about
+    a joint. The findings stay among those that were considered.
+
+    Args:
+        document: Content of `diagnosis.json`.
+        doubts: Unrepaired doubts about the recordings.
+    """
+    withheld = [entry for entry in document["findings"] if entry["joint"] is not None]
+    kept = [entry for entry in document["findings"] if entry["joint"] is None]
+    verdict = document["verdict"]
+    if (not kept and verdict != "no-mismatch") or verdict == "explained":
+        verdict = "partly-explained" if kept else "unexplained"
+    return {
+        **document,
+        "verdict": "unexplained" if verdict == "no-mismatch" else verdict,
+        "findings": kept,
+        "considered": [*withheld, *document["considered"]],
+        "unknown": [],
+        "doubts": [dict(doubt) for doubt in doubts],
+    }
+
+
 def diagnose(
     robot: RobotSource,
     recordings: Sequence[RecordingSource],
@@ -120,6 +160,8 @@ def diagnose(
     limits: str | Path | Limits | None = None,
     prior: str | Path | None = None,
     band: float | None = None,
+    trajectory: TrajectorySources = (),
+    columns: Mapping[str, str] = MappingProxyType({}),
     with_report: bool = True,
     progress: Progress | None = None,
 ) -> DiagnosisResult:
@@ -133,6 +175,9 @@ def diagnose(
         prior: Trusted parameters: an `excite.prior/1` document or a `model.json`.
         band: Cutoff frequency of the low-pass filter [Hz]; None: 20, or higher if the data require
             it.
+        trajectory: The `trajectory.json` that was executed, or several: each recording takes
+            period, window and commanded positions from the one that it holds.
+        columns: Names of a CSV file's columns by ours (`t`, `q.<joint>`, …), where they differ.
         with_report: Analyse the residual for the report, which takes a third of the time.
         progress: Called with each line of progress; None: the logger "excite" at level INFO.
 
@@ -141,13 +186,16 @@ def diagnose(
     """
     loaded = load_robot(robot)
     table = resolve_limits(loaded, limits)
+    report = progress or logger.info
+    train, held_out = read_both(
+        loaded, table, recordings, validate, trajectory=trajectory, columns=columns
+    )
+    loaded = robot_of_torque(loaded, [*train, *held_out])
     standard = inertial_parameters.standard(loaded, table, inertial_parameters.DRIVE)
     base = base_parameters.find(loaded, standard, table)
     trusted = (
         {} if prior is None else prior_module.read_trusted_parameters(Path(prior), loaded, standard)
     )
-    train, held_out = _read_both(loaded, table, recordings, validate)
-    report = progress or logger.info
     recording_cost.require_diagnosable([*train, *held_out], report)
     options = diagnosis.DiagnosisOptions(band, trusted)
     result = diagnosis.diagnose(loaded, standard, base, train, held_out, options, report)

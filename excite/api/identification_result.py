@@ -5,9 +5,12 @@ from __future__ import annotations
 import csv
 import dataclasses
 import io
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -16,25 +19,32 @@ from .. import _json, recordings
 from .._system.output_files import output_files, output_folder
 from .._system.progress import Progress, logger
 from .._types import FloatArray
+from ..designer import identifiability
+from ..designer.options import torque_noise_levels
 from ..diagnosis import fitted_effects
-from ..errors import UnusableInput
+from ..errors import ExciteWarning, UnusableInput
 from ..identification import consistency, identification, identified_model, lmi_check, torque_check
 from ..identification import prior as prior_module
 from ..identification.consistency import Bounds
 from ..identification.identification import Identification, IdentificationOptions
-from ..recordings import Recording, recording_cost, require_distinct
+from ..recordings import Recording, executed_motion, recording_cost, require_distinct
+from ..recordings.periodicity import check_repetition, with_own_period
 from ..robot import base_parameters, inertial_parameters
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import Limits
 from ..robot.robot import Robot
+from ..robot.samples import Samples
 from ..schemas.bounds import BoundsFile
 from ..schemas.document_file import DocumentFile
+from ..trajectory import trajectory_file
 from .robots import RobotSource, load_robot, resolve_limits
 
 IDENTIFICATION_FILES = ("model.json", "identified.urdf", "report.html")
 """Files of an identification."""
 RecordingSource = str | Path | Recording
 """Path of a recording, or a recording that is already read."""
+TrajectorySources = str | Path | Sequence[str | Path]
+"""Path of an executed trajectory, or paths of several."""
 
 
 @dataclass(frozen=True)
@@ -45,13 +55,37 @@ class IdentificationResult:
         identification: Parameters, confidence intervals, and the weights of data and prior.
         recordings: Recordings that the model is fitted to.
         validation: Held-out recordings.
+        limits: Limits of the robot.
         lmi: Comparison with a conic solver; None if none was requested.
     """
 
     identification: Identification
     recordings: tuple[Recording, ...]
     validation: tuple[Recording, ...]
+    limits: Limits
     lmi: lmi_check.LmiCheck | None = None
+
+    @cached_property
+    def assumed_count(self) -> int:
+        """Number of directions that the recorded motions identify with the noise that a design
+        assumes, 1 % of the torque limits at 100 rows a second, as `identifiability` counts them."""
+        model = self.identification.model
+        noise = torque_noise_levels(self.limits, None)
+        roots = [
+            identifiability.information_root(
+                model.robot, model.parameters, reference_samples(recording), noise
+            )
+            for recording in self.recordings
+        ]
+        return identifiability.analyse_root(
+            model.parameters,
+            model.base,
+            np.vstack(roots),
+            noise,
+            model.robot,
+            threshold=self.identification.options.threshold,
+            samples=sum(map(len, self.recordings)),
+        ).identifiable_count
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -114,6 +148,23 @@ class IdentificationResult:
         )
 
 
+REFERENCE_RATE = 100.0
+"""Rows per second at which the torque noise of two rows counts as independent [Hz].
+
+The number of identifiable directions must not depend on the rate at which a motion is sampled or
+recorded. Current loops filter torque to about half of this rate.
+"""
+
+
+def reference_samples(recording: Recording) -> Samples:
+    """Return the motion of a recording at REFERENCE_RATE, within its periodic window if any."""
+    if recording.repetition is not None:
+        recording = recording.between(*recording.repetition[1])
+    samples = recording.samples()
+    count = max(1, round(len(samples) * REFERENCE_RATE / recording.rate))
+    return samples.rows(np.linspace(0, len(samples) - 1, count).round().astype(int))
+
+
 @dataclass(frozen=True)
 class PredictedTorque:
     """Torque that a model predicts along a recording.
@@ -156,6 +207,8 @@ def read_recording(
     limits: str | Path | Limits | None = None,
     period: float | None = None,
     window: tuple[float, float] | None = None,
+    trajectory: TrajectorySources = (),
+    columns: Mapping[str, str] = MappingProxyType({}),
 ) -> Recording:
     """Read a recording, check it, and repair faults that are safe to repair.
 
@@ -167,15 +220,50 @@ def read_recording(
             has any.
         period: Period of the excitation [s], if the `.json` of the recording does not state it.
         window: Times between which the motion is periodic [s].
+        trajectory: The `trajectory.json` that was executed, or several of which one was executed:
+            period, window and commanded positions are taken from it.
+        columns: Names of a CSV file's columns by ours (`t`, `q.<joint>`, …), where they differ.
 
     Raises:
-        UnusableInput: The file cannot be read, or contains impossible values.
+        UnusableInput: The file cannot be read, contains impossible values, or holds none of the
+            motions of `trajectory`.
     """
     if isinstance(path, Recording):
         return path
     loaded = load_robot(robot)
     table = None if limits is None else resolve_limits(loaded, limits)
-    return with_period(recordings.read(Path(path), loaded, table), period, window)
+    recording = with_period(recordings.read(Path(path), loaded, table, columns), period, window)
+    return with_trajectory(recording, trajectory)
+
+
+def with_trajectory(
+    recording: Recording, trajectory: TrajectorySources, *, required: bool = True
+) -> Recording:
+    """Return the recording with period, window and commanded positions of an executed motion.
+
+    Args:
+        recording: The recording.
+        trajectory: Trajectory files; the first that fits is used.
+        required: Raise an error if none fits, else leave the recording as it is.
+
+    Raises:
+        UnusableInput: A file cannot be used, or the recording holds none of the motions.
+    """
+    paths = [trajectory] if isinstance(trajectory, str | Path) else list(trajectory)
+    for path in paths:
+        planned = trajectory_file.read_trajectory(Path(path))
+        aligned = executed_motion.apply_trajectory(recording, planned, str(path))
+        if aligned is not None:
+            for remark in aligned.remarks[len(recording.remarks) :]:
+                if remark.repaired:
+                    warnings.warn(f"{aligned.source}: {remark.text}", ExciteWarning, stacklevel=3)
+            return aligned
+    if paths and required:
+        raise UnusableInput(
+            f"{recording.source}: does not hold the motion of {', '.join(map(str, paths))}; give "
+            "the trajectory.json that was executed, or leave --trajectory out"
+        )
+    return recording
 
 
 def with_period(
@@ -208,7 +296,14 @@ def with_period(
     stated_by = "--period" if window is None else "--period, --window"
     recording.check_period(period, window, stated_by)
     sidecar = dataclasses.replace(recording.sidecar, period=period, periodic=window)
-    return dataclasses.replace(recording, sidecar=sidecar)
+    return _warned(recording, check_repetition(dataclasses.replace(recording, sidecar=sidecar)))
+
+
+def _warned(before: Recording, after: Recording) -> Recording:
+    """Warn of the remarks that a check has added to a recording."""
+    for remark in after.remarks[len(before.remarks) :]:
+        warnings.warn(f"{after.source}: {remark.text}", ExciteWarning, stacklevel=3)
+    return after
 
 
 def identify(
@@ -222,6 +317,8 @@ def identify(
     prior: str | Path | None = None,
     period: float | None = None,
     window: tuple[float, float] | None = None,
+    trajectory: TrajectorySources = (),
+    columns: Mapping[str, str] = MappingProxyType({}),
     options: IdentificationOptions = IdentificationOptions(),  # noqa: B008  # immutable
     check_lmi: bool = False,
     progress: Progress | None = None,
@@ -239,6 +336,9 @@ def identify(
         prior: Trusted parameters: an `excite.prior/1` document or a `model.json`.
         period: Period of the excitation [s], if the `.json` of a recording does not state it.
         window: Times between which the motion is periodic [s].
+        trajectory: The `trajectory.json` that was executed, or several: each recording takes
+            period, window and commanded positions from the one that it holds.
+        columns: Names of a CSV file's columns by ours (`t`, `q.<joint>`, …), where they differ.
         options: Estimator, distance, band and further choices; single fields may be given by
             keyword, e.g. `band=20.0`.
         check_lmi: Compare the estimate with that of a conic solver.
@@ -250,6 +350,22 @@ def identify(
     """
     loaded = load_robot(robot)
     table = resolve_limits(loaded, limits)
+    report = progress or logger.info
+    report(f"reading {', '.join(map(_name, (*recordings, *validate)))}")
+    train, held_out = read_both(
+        loaded,
+        table,
+        recordings,
+        validate,
+        period=period,
+        window=window,
+        trajectory=trajectory,
+        columns=columns,
+    )
+    train, held_out = (
+        [with_own_period(recording) for recording in group] for group in (train, held_out)
+    )
+    loaded = robot_of_torque(loaded, [*train, *held_out])
     standard = inertial_parameters.standard(loaded, table, drive)
     base = base_parameters.find(loaded, standard, table)
     trusted = (
@@ -257,28 +373,31 @@ def identify(
     )
     inertial_bounds = bounds if isinstance(bounds, Bounds) else read_bounds(bounds, standard)
     chosen = dataclasses.replace(options, bounds=inertial_bounds, trusted=trusted, **choices)
-    report = progress or logger.info
-    report(f"reading {', '.join(map(_name, (*recordings, *validate)))}")
-    train, held_out = _read_both(loaded, table, recordings, validate, period, window)
     recording_cost.require_identifiable([*train, *held_out], report)
     result = identification.identify(loaded, standard, base, train, held_out, chosen, report)
     return IdentificationResult(
-        result, tuple(train), tuple(held_out), _compare_lmi(result) if check_lmi else None
+        result, tuple(train), tuple(held_out), table, _compare_lmi(result) if check_lmi else None
     )
 
 
-def predict(model: str | Path, recording: RecordingSource) -> PredictedTorque:
+def predict(
+    model: str | Path,
+    recording: RecordingSource,
+    *,
+    columns: Mapping[str, str] = MappingProxyType({}),
+) -> PredictedTorque:
     """Predict the torque along a recording with an identified model, as `excite predict` does.
 
     Args:
         model: Path of a `model.json`.
         recording: Recording of the motion, or a designed `trajectory.csv`.
+        columns: Names of a CSV file's columns by ours (`t`, `q.<joint>`, …), where they differ.
 
     Raises:
         UnusableInput: A file cannot be used.
     """
     fitted = identified_model.read_model(Path(model))
-    motion = read_recording(recording, fitted.robot)
+    motion = read_recording(recording, fitted.robot, columns=columns)
     time, torque = fitted_effects.predict(fitted, motion)
     if not np.isfinite(torque).all():
         joint = fitted.robot.joints[int(np.argmin(np.isfinite(torque).all(axis=0)))]
@@ -320,13 +439,16 @@ def _name(source: RecordingSource) -> str:
     return source.source if isinstance(source, Recording) else str(source)
 
 
-def _read_both(
+def read_both(
     robot: Robot,
     limits: Limits,
     train: Sequence[RecordingSource],
     held_out: Sequence[RecordingSource],
+    *,
     period: float | None = None,
     window: tuple[float, float] | None = None,
+    trajectory: TrajectorySources = (),
+    columns: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[list[Recording], list[Recording]]:
     """Read training and validation recordings.
 
@@ -334,15 +456,63 @@ def _read_both(
         UnusableInput: A file cannot be used, or a recording is in both sets.
     """
     sets = [
-        [read_recording(path, robot, limits=limits, period=period, window=window) for path in paths]
+        [
+            read_recording(
+                path, robot, limits=limits, period=period, window=window, columns=columns
+            )
+            for path in paths
+        ]
         for paths in (train, held_out)
     ]
     require_distinct(*sets)
+    if trajectory:  # a validation recording may hold another motion
+        sets = [
+            [
+                with_trajectory(recording, trajectory, required=is_fitted)
+                for recording in recordings_of_set
+            ]
+            for recordings_of_set, is_fitted in zip(sets, (True, False), strict=True)
+        ]
     train_set, held_out_set = (
-        [torque_check.check_torque(recording, robot, limits) for recording in recordings_of_set]
+        [_checked(recording, robot, limits) for recording in recordings_of_set]
         for recordings_of_set in sets
     )
     return train_set, held_out_set
+
+
+def _checked(recording: Recording, robot: Robot, limits: Limits) -> Recording:
+    """Return the recording with the doubts about its torque."""
+    return torque_check.check_torque(recording, robot_of_torque(robot, [recording]), limits)
+
+
+def robot_of_torque(robot: Robot, recordings: Sequence[Recording]) -> Robot:
+    """Return the robot whose dynamics the recorded torque contains.
+
+    Torque "without gravity" is that of the same links without gravity; it contains only the
+    information about masses that accelerations give.
+
+    Raises:
+        UnusableInput: Some recordings are without gravity and others are not.
+    """
+    without = [
+        recording.source
+        for recording in recordings
+        if recording.sidecar.effort == "without gravity"
+    ]
+    if not without:
+        return robot
+    if len(without) < len(recordings):
+        other = next(
+            recording.source for recording in recordings if recording.source not in without
+        )
+        raise UnusableInput(
+            f"{without[0]}: holds torque without gravity but {other} does not; identify them apart"
+        )
+    model = robot.model.copy()
+    model.gravity.linear = np.zeros(3)
+    return dataclasses.replace(
+        robot, model=model, options={**robot.options, "gravity": [0.0, 0.0, 0.0]}
+    )
 
 
 def _compare_lmi(result: Identification) -> lmi_check.LmiCheck:

@@ -14,6 +14,8 @@ from ..designer import certificate as certificates
 from ..designer.certificate import Certificate, CertificateVerdict
 from ..errors import CheckFailed, UnusableInput
 from ..exporters import file_format
+from ..exporters.goal_options import GoalOptions
+from ..exporters.next_steps import next_steps
 from ..robot import inertial_parameters
 from ..robot.limits import Limits, from_sources
 from ..robot.robot import Robot
@@ -119,6 +121,7 @@ class ExportedFile:
         verdict: Lines about clearance and limits; a third line if the slower motion breaks a limit.
         certificate: Certificate of the exported trajectory at full speed.
         forced: True if the file was written although a check failed.
+        next_steps: Lines that say how to run the file, how to record, and how to identify.
     """
 
     path: Path
@@ -126,6 +129,7 @@ class ExportedFile:
     verdict: tuple[str, ...]
     certificate: Certificate
     forced: bool
+    next_steps: tuple[str, ...] = ()
 
     def document(self) -> dict[str, Any]:
         """Return what `excite export --json` prints."""
@@ -135,6 +139,7 @@ class ExportedFile:
             "forced": self.forced,
             "verdict": self.certificate.document()["verdict"],
             "collision": self.certificate.collision,
+            "next_steps": list(self.next_steps),
         }
 
 
@@ -149,6 +154,7 @@ def export(
     robot: str | Path | None = None,
     limits: str | Path | None = None,
     packages: Sequence[str] = (),
+    goal: GoalOptions = GoalOptions(),  # noqa: B008  # immutable
 ) -> ExportedFile:
     """Verify a trajectory and export it for a controller, as `excite export` does.
 
@@ -162,6 +168,7 @@ def export(
         robot: Present path of the URDF.
         limits: Present path of the limits file.
         packages: Further folders of `package://` meshes.
+        goal: Lead and tolerances of a ROS 2 goal.
 
     Raises:
         UnusableInput: A file is missing or malformed, or the format does not fit the robot.
@@ -197,8 +204,11 @@ def export(
     kinds = content.design.get("drive", inertial_parameters.DRIVE)
     standard = inertial_parameters.standard(verified.robot, verified.limits, kinds)
     torque = nominal_torque(verified.robot, standard)
-    written = exporters.write(content, format, Path(path), speed=speed, rate=rate, tau=torque)
-    return ExportedFile(written, format, tuple(verdict), certificate, content.forced)
+    written = exporters.write(
+        content, format, Path(path), speed=speed, rate=rate, tau=torque, goal=goal
+    )
+    steps = next_steps(content, str(trajectory), format, written, goal)
+    return ExportedFile(written, format, tuple(verdict), certificate, content.forced, tuple(steps))
 
 
 __all__ = ["CertificateVerdict", "ExportedFile", "VerificationResult", "export", "verify"]

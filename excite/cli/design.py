@@ -6,15 +6,19 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from .. import api
 from .._system.output_files import output_folder
 from .._system.progress import logger
 from ..api.design_result import DESIGN_FILES, CellOptions
+from ..api.identification_result import REFERENCE_RATE
 from ..designer import cluster, criteria
 from ..designer.criteria import Criterion
-from ..designer.options import DesignOptions, WorkspaceBox
+from ..designer.options import DesignOptions, WorkspaceBox, torque_noise_levels
 from ..errors import UnusableInput
 from ..robot.robot import Robot
+from ..trajectory.trajectory_file import Trajectory
 from . import options as shared
 from .outcome import Outcome, with_files, written_lines
 
@@ -91,6 +95,12 @@ def _box(frame: str, v: tuple[float, ...]) -> WorkspaceBox:
     return WorkspaceBox(frame, (v[0], v[2], v[4]), (v[1], v[3], v[5]))
 
 
+def _noise(trajectory: Trajectory) -> str:
+    """The torque noise that the number of identifiable directions assumes."""
+    default = np.allclose(trajectory.noise, torque_noise_levels(trajectory.limits, None))
+    return "1 % of the torque limits" if default else "as stated"
+
+
 def _text(result: api.DesignResult, document: dict[str, Any], written: list[Path]) -> str:
     trajectory, certificate = result.trajectory, result.delivery.certificate
     criterion, plain = Criterion(trajectory.design["criterion"]), bool(trajectory.design["plain"])
@@ -101,7 +111,8 @@ def _text(result: api.DesignResult, document: dict[str, Any], written: list[Path
     kind = "" if criterion is Criterion.COND_REGRESSOR else ("plain " if plain else "geometric ")
     directions = f"{document['identifiable']} of {document['base_parameters']} directions"
     lines = [
-        f"{document['robot']}: {directions} practically identifiable",
+        f"{document['robot']}: {directions} practically identifiable "
+        f"(torque noise {_noise(trajectory)}, {REFERENCE_RATE:g} rows a second)",
         f"{kind}{criterion.value}: {periodic:.6g} per sample of the periodic part, "
         f"{complete:.6g} of the whole motion",
         f"{trajectory.motion.duration:.2f} s: "

@@ -25,6 +25,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
         limits=shared.limits(arguments, robot),
         prior=arguments.prior,
         band=arguments.band,
+        trajectory=arguments.trajectory,
+        columns=shared.columns(arguments),
         with_report=not arguments.no_report,
     )
     written = output.replace(result.contents())
@@ -55,6 +57,13 @@ def _gear_text(joint: str, gear: dict[str, Any]) -> str:
 
 def _text(document: dict[str, Any], written: list[Path]) -> str:
     lines = [f"verdict: {document['verdict']}"]
+    doubts = document.get("doubts", [])
+    if doubts:
+        lines.append(
+            "the recordings are doubted; until that is resolved, no effect at a single joint is "
+            "reported:"
+        )
+        lines += [f"  {Path(doubt['recording']).name}: {doubt['text']}" for doubt in doubts]
     for finding in document["findings"]:
         place = finding["joint"] or "the whole robot"
         values = ", ".join(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from .. import api
+from ..exporters.goal_options import GoalOptions
 from .outcome import Outcome
 
 
@@ -20,5 +21,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
         robot=arguments.robot,
         limits=arguments.limits,
         packages=arguments.packages,
+        goal=GoalOptions(arguments.lead, arguments.path_tolerance, arguments.goal_tolerance),
     )
-    return 0, result.document(), "\n".join([*result.verdict, f"wrote {result.path}"])
+    lines = [*result.verdict, f"wrote {result.path}", *result.next_steps]
+    return 0, result.document(), "\n".join(lines)

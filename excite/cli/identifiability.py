@@ -9,6 +9,7 @@ from pathlib import Path
 from .._json import dumps
 from .._system.output_files import output_folder
 from ..api.design_result import compare_experiments, motion_samples
+from ..api.identification_result import REFERENCE_RATE
 from ..designer import experiment_comparison, identifiability
 from ..designer.options import torque_noise_levels
 from ..robot import base_parameters, inertial_parameters
@@ -25,7 +26,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
     limits = shared.limits(arguments, robot)
     standard = inertial_parameters.standard(robot, limits, shared.drive(arguments))
     base = base_parameters.find(robot, standard, limits)
-    samples, trajectory = motion_samples(Path(arguments.motion), robot)
+    samples, trajectory = motion_samples(
+        Path(arguments.motion), robot, arguments.trajectory, shared.columns(arguments)
+    )
     stated = shared.noise(arguments, robot)
     noise = (
         torque_noise_levels(limits, stated) if trajectory is None or stated else trajectory.noise
@@ -45,5 +48,9 @@ def run(arguments: argparse.Namespace) -> Outcome:
     written = output.replace(contents)
     document = json.loads(text)
     identifiable = sum(bool(direction["identifiable"]) for direction in document["directions"])
-    line = f"{robot.name}: {identifiable} of {base.count} directions practically identifiable"
+    assumed = "1 % of the torque limits" if stated is None else "as stated"
+    line = (
+        f"{robot.name}: {identifiable} of {base.count} directions practically identifiable "
+        f"(torque noise {assumed}, {REFERENCE_RATE:g} rows a second)"
+    )
     return 0, document, "\n".join([line, *written_lines(written)])

@@ -12,8 +12,9 @@ from .. import api
 from .._system.output_files import output_folder
 from ..api.identification_result import IDENTIFICATION_FILES
 from ..identification.estimators import Method
-from ..identification.identification import Identification, IdentificationOptions
+from ..identification.identification import Identification, IdentificationOptions, Prediction
 from ..identification.inertia_distance import Distance
+from ..robot.robot import Robot
 from . import options as shared
 from .outcome import Outcome, with_files, written_lines
 
@@ -32,6 +33,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
         prior=arguments.prior,
         period=arguments.period,
         window=arguments.window,
+        trajectory=arguments.trajectory,
+        columns=shared.columns(arguments),
         options=_options(arguments),
         check_lmi=arguments.check_lmi,
     )
@@ -44,7 +47,11 @@ def run(arguments: argparse.Namespace) -> Outcome:
         verdict = "agrees" if lmi.agrees else "DISAGREES"
         facts.append(f"conic solver: {verdict}, objective {lmi.gap:+.2g} relative")
     code = 1 if lmi is not None and not lmi.agrees else 0
-    return code, with_files(document, written), _text(result.identification, facts, written)
+    return (
+        code,
+        with_files(document, written),
+        _text(result.identification, result.assumed_count, facts, written),
+    )
 
 
 def _options(arguments: argparse.Namespace) -> IdentificationOptions:
@@ -62,13 +69,19 @@ def _options(arguments: argparse.Namespace) -> IdentificationOptions:
     )
 
 
-def _text(identification: Identification, facts: Sequence[str], written: Sequence[Path]) -> str:
+def _text(
+    identification: Identification,
+    assumed_count: int,
+    facts: Sequence[str],
+    written: Sequence[Path],
+) -> str:
     robot = identification.model.robot
     predictions = identification.validations or identification.fits
     lines = [
         f"{robot.name}: {identification.analysis.identifiable_count} of "
-        f"{identification.model.base.count} "
-        f"directions identified; band {identification.spectra.hertz:.3g} Hz",
+        f"{identification.model.base.count} directions identified with the noise of the recording "
+        f"({assumed_count} with the 1 % of the torque limits that a design assumes); "
+        f"band {identification.spectra.hertz:.3g} Hz",
         f"{'held out' if identification.validations else 'on the data fitted (no --validate)'}: "
         "torque error per joint",
         f"{'joint':25}{'nominal':>11}{'identified':>12}{'noise':>11}{'relative':>10}",
@@ -85,6 +98,7 @@ def _text(identification: Identification, facts: Sequence[str], written: Sequenc
             )
             percent = f"{100 * share:.2f}%" if np.isfinite(share) else "-"
             lines.append(f"{joint:25}{before:11.4g}{after:12.4g}{floor:>11}{percent:>10}")
+    lines += [_summary(prediction, robot) for prediction in predictions]
     common, spread = identification.delay.common
     if abs(common) > 3.0 * spread and not identification.options.align:
         order = "after" if common > 0 else "before"
@@ -93,3 +107,22 @@ def _text(identification: Identification, facts: Sequence[str], written: Sequenc
             "(--align removes the delay)"
         )
     return "\n".join([*lines, *facts, *written_lines(written)])
+
+
+def _summary(prediction: Prediction, robot: Robot) -> str:
+    """Error of all joints before and after, and the joint that limits it."""
+    size = np.sqrt(np.sum(prediction.measured**2))
+    before, after = (
+        100.0 * float(np.sqrt(np.sum((prediction.measured - values) ** 2)) / size) if size else 0.0
+        for values in (prediction.nominal, prediction.fitted)
+    )
+    joint, above = prediction.limiting_joint()
+    name, error = robot.joints[joint], prediction.error()[joint]
+    unit = robot.entries[joint].unit("N m")
+    if above and prediction.noise_floor is not None and prediction.noise_floor[joint] > 0.0:
+        place = f"{name} is {error / prediction.noise_floor[joint]:.2g} times above its noise floor"
+    elif prediction.noise_floor is not None and not above:
+        place = "every joint is at its noise floor"
+    else:
+        place = f"largest at {name}, {error:.3g} {unit}"
+    return f"all joints: {before:.3g} % of the torque before, {after:.3g} % after; {place}"

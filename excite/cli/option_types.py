@@ -140,5 +140,26 @@ class WordOrNumbers:
             raise ArgumentTypeError(f"{error}, or be one of {', '.join(self.words)}") from error
 
 
+@dataclass(frozen=True)
+class ColumnNames:
+    """Names of columns: `t=Time,q.elbow=pos 3`."""
+
+    prefixes: Sequence[str]
+
+    def __call__(self, text: str) -> dict[str, str]:
+        """Names of columns by our names. Raises ArgumentTypeError, in words, for another text."""
+        out: dict[str, str] = {}
+        for part in text.split(","):
+            name, separator, column = (word.strip() for word in part.partition("="))
+            known = name == "t" or (name.partition(".")[0] in self.prefixes and "." in name)
+            if not (separator and column and known):
+                raise ArgumentTypeError(
+                    f"'{_shown(part)}' should read NAME=COLUMN, NAME one of t, "
+                    f"{', '.join(f'{prefix}.<joint>' for prefix in self.prefixes)}"
+                )
+            out[name] = column
+        return out
+
+
 NUMERIC = (Number, Numbers, NamedNumbers, WordOrNumbers)
 """All types of numeric options."""

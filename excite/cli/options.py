@@ -101,3 +101,8 @@ def of_joints(option: str, values: tuple[float, ...], machine: Robot) -> tuple[f
             f"({', '.join(machine.joints)}), not {len(values)}"
         )
     return values
+
+
+def columns(arguments: argparse.Namespace) -> dict[str, str]:
+    """Names of a recording's columns by our names, as the options state them."""
+    return {name: column for stated in arguments.columns for name, column in stated.items()}

@@ -17,7 +17,7 @@ from .._system.console import emit
 from ..errors import UnusableInput
 from ..physical_ranges import Range
 from .completion import SHELLS, PrintCompletion
-from .option_types import NamedNumbers, Number, Numbers, WordOrNumbers
+from .option_types import ColumnNames, NamedNumbers, Number, Numbers, WordOrNumbers
 
 SECONDS = ranges.PERIOD
 """Range of options in seconds."""
@@ -44,9 +44,11 @@ EXAMPLES = """examples:
 
 RECORDINGS = """recordings:
   A CSV has the columns t [s], q.<joint> [rad or m] and tau.<joint> [N m or N], or i.<joint> [A]
-  and a drive_gain per joint; dq, qref, qlink and temp are read too. A file run.json next to run.csv
-  holds the metadata: {"schema": "excite.recording/1", "period": 6.2, "periodic": [0.8, 25.6],
-  "drive_gain": {"elbow": 0.11}}. The noise floor is estimated from two or more periods in that
+  and a drive_gain per joint; dq, qref, qlink and temp are read too. CSV files of PlotJuggler, of
+  'ros2 topic echo --csv' and of ur_rtde are read as they are; --columns names other columns. A file
+  run.json next to run.csv holds the metadata: {"schema": "excite.recording/1", "period": 6.2,
+  "periodic": [0.8, 25.6], "drive_gain": {"elbow": 0.11}}. --trajectory takes period and window from
+  the motion that was executed. The noise floor is estimated from two or more whole periods in that
   window.
 
 examples:
@@ -525,6 +527,24 @@ def _export(commands: Commands) -> None:
         metavar="F",
         help="export the motion at F times its speed, for a first careful run",
     )
+    group = sub.add_argument_group("ROS 2")
+    group.add_argument(
+        "--lead",
+        type=Number(Range(0.1, 600.0, "s")),
+        default=5.0,
+        metavar="S",
+        help="time for the way from the present pose to the start pose (default %(default)s)",
+    )
+    for name, text in (
+        ("path", "deviation from the path at which the controller aborts"),
+        ("goal", "deviation at the end that is accepted"),
+    ):
+        group.add_argument(
+            f"--{name}-tolerance",
+            type=Number(Range(1e-6, 10.0, "rad or m")),
+            metavar="RAD",
+            help=f"{text}, at every joint (default: the controller's own)",
+        )
     _sources(sub)
     sub.add_argument(
         "--force",
@@ -550,6 +570,7 @@ def _identifiability(commands: Commands) -> None:
     sub.add_argument(
         "motion", metavar="TRAJECTORY_OR_RECORDING", help="a trajectory.json or a recording"
     )
+    _recording_options(sub)
     _model_options(sub)
 
 
@@ -619,8 +640,10 @@ def _identify(commands: Commands) -> None:
         "--window",
         type=Numbers(Range(-1e12, 1e12, "s"), (2,), increasing=True),
         metavar="T0,T1",
-        help="times between which the motion is periodic, with --period (default: all) [s]",
+        help="times between which the motion is periodic, with --period (default: found in the "
+        "recording) [s]",
     )
+    _recording_options(group)
     group.add_argument(
         "--align", action="store_true", help="compensate the estimated torque delay of each joint"
     )
@@ -682,6 +705,30 @@ def _identify(commands: Commands) -> None:
     )
 
 
+def _columns_option(group: argparse._ActionsContainer) -> None:
+    group.add_argument(
+        "--columns",
+        type=ColumnNames(("q", "dq", "tau", "i", "qref", "qlink", "temp")),
+        metavar="NAME=COLUMN,…",
+        action="append",
+        default=[],
+        help="names of a CSV file's columns where they are none of the known ones, as "
+        "t=Time,q.elbow=pos_3,tau.elbow=eff_3",
+    )
+
+
+def _recording_options(group: argparse._ActionsContainer) -> None:
+    _columns_option(group)
+    group.add_argument(
+        "--trajectory",
+        metavar="FILE",
+        action="append",
+        default=[],
+        help="trajectory.json that was executed: period, window and commanded motion come from it, "
+        "aligned in time; may be repeated",
+    )
+
+
 def _predict(commands: Commands) -> None:
     sub = _command(
         commands, "predict", "predict the torque along a recording with an identified model"
@@ -701,6 +748,7 @@ def _predict(commands: Commands) -> None:
         required=True,
         help="file for t,tau.<joint>… at the times of the recording",
     )
+    _columns_option(sub)
 
 
 def _diagnose(commands: Commands) -> None:
@@ -738,6 +786,7 @@ def _diagnose(commands: Commands) -> None:
         metavar="HZ",
         help="cutoff of the low-pass filter (default: 20, or higher if the data require it)",
     )
+    _recording_options(sub)
     sub.add_argument(
         "--no-report",
         action="store_true",

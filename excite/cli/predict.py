@@ -7,6 +7,7 @@ from pathlib import Path
 
 from .. import api
 from .._system.output_files import output_files
+from . import options as shared
 from .outcome import Outcome
 
 
@@ -15,6 +16,6 @@ def run(arguments: argparse.Namespace) -> Outcome:
     path = Path(arguments.out)
     inputs = [Path(arguments.model), Path(arguments.recording)]
     output = output_files(path, inputs=inputs)
-    result = api.predict(arguments.model, arguments.recording)
+    result = api.predict(arguments.model, arguments.recording, columns=shared.columns(arguments))
     path = output.replace({path.name: result.csv()})[0]
     return 0, {"file": str(path), "rows": len(result.time)}, f"wrote {path}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from ..errors import UnusableInput
 from ..robot.samples import Samples
 from ..trajectory.rest_to_rest import Motion
 from ..trajectory.trajectory_file import Trajectory
+from .goal_options import GoalOptions
 
 Columns = tuple[FloatArray, ...]
 """Times, shape (N,) [s], then positions, velocities, … of the joints, shape (N, n) each."""
@@ -46,6 +47,7 @@ class ExportJob:
         speed: Share of the designed speed [1].
         rate: Rows per second [Hz]; None: the format's own.
         tau: Function from samples to nominal torque; None: unknown.
+        goal: Lead and tolerances of a ROS 2 goal.
     """
 
     trajectory: Trajectory
@@ -55,6 +57,7 @@ class ExportJob:
     speed: float
     rate: float | None
     tau: Torque | None
+    goal: GoalOptions = field(default_factory=GoalOptions)
 
     @property
     def joints(self) -> tuple[str, ...]:

@@ -33,6 +33,7 @@ from .file_format import (
     is_note,
     note_path,
 )
+from .goal_options import GoalOptions
 
 
 @dataclass(frozen=True)
@@ -106,6 +107,7 @@ def write(
     speed: float = 1.0,
     rate: float | None = None,
     tau: Torque | None = None,
+    goal: GoalOptions = GoalOptions(),  # noqa: B008  # immutable
 ) -> Path:
     """Write a trajectory for a controller, completely or not at all.
 
@@ -119,6 +121,7 @@ def write(
         rate: Rows per second [Hz]; None: the format's own.
         tau: Function from samples to nominal torque, shape (N, n) [N m], for the columns
             `tau.<joint>` of `csv`; None: without these columns.
+        goal: Lead and tolerances of a ROS 2 goal.
 
     Returns:
         The path of the file.
@@ -131,7 +134,7 @@ def write(
     check_options(speed, rate)
     output_files(path)
     motion = trajectory.motion if speed == 1.0 else trajectory.motion.slowed(speed)
-    exported = entry.render(ExportJob(trajectory, motion, format, path, speed, rate, tau))
+    exported = entry.render(ExportJob(trajectory, motion, format, path, speed, rate, tau, goal))
     note = note_path(path)
     contents = {path.name: exported.text}
     if exported.note is not None:

@@ -9,9 +9,9 @@ so pass them by name or by standard input:
     ros2 action send_goal --stdin /…/follow_joint_trajectory
         control_msgs/action/FollowJointTrajectory < FILE
 
-The first point is the start pose, at LEAD seconds; all other points follow with the same offset.
-The controller interpolates from the present pose to the first point, but would jump to a point at
-time 0. A robot that is not exactly at the start pose therefore moves there slowly.
+The first point is the start pose, at `GoalOptions.lead` seconds; all other points follow with the
+same offset. The controller interpolates from the present pose to the first point, but would jump to
+a point at time 0. A robot that is not exactly at the start pose therefore moves there slowly.
 """
 
 from __future__ import annotations
@@ -25,8 +25,6 @@ import numpy as np
 from .._types import FloatArray
 from .file_format import FORCED, Columns, ExportedText, ExportJob, fixed, sampled
 
-LEAD = 5.0
-"""Time from the present pose to the start pose [s]."""
 KNOTS = 50.0
 """Points per second [Hz]; the controller interpolates between them by quintic polynomials."""
 GOAL_TIME_TOLERANCE = 2.0
@@ -61,7 +59,7 @@ def _trajectory(job: ExportJob) -> str:
     Efforts are empty: controllers without an effort interface refuse them.
     """
     t, samples = sampled(job, job.rate or KNOTS)
-    lead = round(LEAD * NANO)
+    lead = round(job.goal.lead * NANO)
     points = [
         f'{{"positions": {_list(q)}, "velocities": {_list(dq)}, "accelerations": {_list(ddq)}, '
         f'"effort": [], "time_from_start": {_stamp(lead + round(time * NANO))}}}'
@@ -89,11 +87,32 @@ def write_goal(job: ExportJob) -> ExportedText:
 
     Empty tolerances select those of the controller; the end may be late by GOAL_TIME_TOLERANCE.
     """
-    tolerance = _stamp(round(GOAL_TIME_TOLERANCE * NANO))
-    return ExportedText(
-        f'{{"trajectory": {_trajectory(job)},\n'
-        f'"path_tolerance": [], "goal_tolerance": [], "goal_time_tolerance": {tolerance}}}\n'
+    time_tolerance = _stamp(round(GOAL_TIME_TOLERANCE * NANO))
+    path_tolerance, goal_tolerance = (
+        _tolerances(job, position)
+        for position in (job.goal.path_tolerance, job.goal.goal_tolerance)
     )
+    return ExportedText(
+        f'{{"trajectory": {_trajectory(job)},\n"path_tolerance": {path_tolerance}, '
+        f'"goal_tolerance": {goal_tolerance}, "goal_time_tolerance": {time_tolerance}}}\n'
+    )
+
+
+def _tolerances(job: ExportJob, position: float | None) -> str:
+    """JointTolerance of every joint; velocities and accelerations of 0 are not checked.
+
+    Args:
+        job: The file to export.
+        position: Position tolerance [rad or m]; None: the controller's own.
+    """
+    if position is None:
+        return "[]"
+    entries = [
+        f'{{"name": {_quoted(joint)}, "position": {fixed(position)}, "velocity": 0.0, '
+        '"acceleration": 0.0}'
+        for joint in job.joints
+    ]
+    return "[" + ", ".join(entries) + "]"
 
 
 def read(path: Path) -> Columns:

@@ -25,9 +25,11 @@ from ..robot.inertial_parameters import COULOMB_WIDTH, Parameters
 from ..robot.robot import Robot
 from . import (
     consistency,
+    dissipation,
     estimators,
     friction_width,
     instruments,
+    position_bandwidth,
     prior_weight,
     regression,
     segments,
@@ -92,6 +94,10 @@ class IdentificationOptions:
     refine: bool = False
 
 
+ABOVE_FLOOR = 1.2
+"""Torque error over the noise floor up to which an error counts as noise [1]."""
+
+
 @dataclass(frozen=True)
 class Prediction:
     """Measured torque of a recording and the predictions of two models, below the band.
@@ -132,6 +138,20 @@ class Prediction:
             out=np.full_like(self.noise_floor, np.inf),
             where=self.noise_floor > 0.0,
         )
+
+    def limiting_joint(self) -> tuple[int, bool]:
+        """Return the joint whose error matters most, and whether it exceeds its noise floor.
+
+        That is the joint with the largest error beyond its noise floor over the RMS torque; where
+        every error is at its floor, the joint whose error the identification reduced most.
+        """
+        error, floor = self.error(), self.noise_floor
+        beyond = error if floor is None else np.sqrt(np.maximum(error**2 - floor**2, 0.0))
+        size = np.maximum(np.sqrt(np.mean(self.measured**2, axis=0)), 1e-300)
+        above = np.ones(len(error), bool) if floor is None else error > ABOVE_FLOOR * floor
+        if above.any():
+            return int(np.argmax(np.where(above, beyond / size, -1.0))), floor is not None
+        return int(np.argmax(self.error("nominal") - error)), False
 
     def relative(self, which: str = "fitted") -> FloatArray:
         """Return the error over the RMS of the measured torque; ∞ where that is 0. Shape (n,)."""
@@ -249,7 +269,8 @@ def identify(
         progress: Called with a line of text at each step.
 
     Raises:
-        UnusableInput: A recording has no torque or is too short for the band.
+        UnusableInput: A recording has no torque, is too short for the band, or its torque has the
+            wrong sign.
     """
     options = options or IdentificationOptions()
     model = IdentificationModel(robot, parameters, base, np.full(robot.n, COULOMB_WIDTH))
@@ -258,7 +279,9 @@ def identify(
         raise UnusableInput(
             f"{recordings[0].source}: has no gap-free stretch that is long enough; record again"
         )
-    spectra = segments.torque_spectra(parts, options.band)
+    spectra = segments.torque_spectra(
+        parts, options.band, functools.partial(position_bandwidth.position_bandwidth, robot=robot)
+    )
     progress(
         f"{sum(len(r) for r in recordings)} rows, band {spectra.hertz:.3g} Hz: "
         "building the regression equations"
@@ -269,6 +292,7 @@ def identify(
         "computing the physically consistent estimate"
     )
     data, equations = fit.estimate, fit.equations
+    dissipation.require_dissipation(recordings[0].source, fit.model, equations, data)
     prior, gamma_trials = _choose_prior(parameters, base, equations, data, options)
     posterior = _consistent_estimate(parameters, base, data, prior, options)
     endogeneity = None

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from .. import __version__
 from .._types import FloatArray
 from ..errors import UnusableInput
 from ..recordings import Recording
@@ -24,6 +25,7 @@ from ..trajectory import trajectory_file
 from . import estimators
 from .hausman_test import HausmanTest
 from .identification import Identification, Prediction
+from .link_estimates import LinkEstimate, link_estimates
 from .lowpass import MOTION_BANDWIDTH_RATIO, Grid, LowPassFilter, friction_speed
 from .regression import BLOCK_ROWS
 from .simulation_error import SimulationError
@@ -162,6 +164,30 @@ class IdentifiedModel:
         return np.concatenate(times), np.concatenate(torques)
 
 
+def _provenance(
+    identification: Identification, recordings: Sequence[Recording], links: Sequence[LinkEstimate]
+) -> list[str]:
+    """Lines that say where the figures of an identified URDF come from."""
+    names = ", ".join(Path(recording.source).name for recording in recordings)
+    out = [
+        f"Identified by excite {__version__} from {names};",
+        f"robot {identification.model.robot.source}.",
+        "Inertial parameters, friction and <excite> elements are replaced. Masses [kg], and the",
+        "share of each mass that the recordings decide (below 50 %: it is the prior's):",
+    ]
+    for link in links:
+        mark = "  the prior's" if link.is_prior else ""
+        out.append(
+            f"  {link.name}: {link.mass:.4g} +- {link.mass_deviation:.2g}, "
+            f"{100.0 * link.mass_share:.0f} % data{mark}"
+        )
+    doubts = [doubt.text for recording in recordings for doubt in recording.doubts]
+    if doubts:
+        out += ["DOUBTS about the recordings, which make these figures doubtful, too:"]
+        out += [f"  {text}" for text in doubts]
+    return out
+
+
 def model_document(
     identification: Identification, recordings: Sequence[Recording]
 ) -> dict[str, Any]:
@@ -178,10 +204,18 @@ def model_document(
     options.pop("inertias", None)
     prior, data, delay = identification.prior, identification.data, identification.delay
     gamma = identification.options.gamma
+    links = link_estimates(identification)
     return {
         "schema": SCHEMA,
         "robot": {"name": robot.name, "source": robot.source, "sha256": robot.sha256, **options},
-        "urdf": identified_urdf(robot, parameters, identification.psi, widths),
+        "urdf": identified_urdf(
+            robot,
+            parameters,
+            identification.psi,
+            widths,
+            _provenance(identification, recordings, links),
+        ),
+        "link_estimates": [link.document() for link in links],
         "joints": list(robot.joints),
         "links": list(parameters.links),
         "drive": list(parameters.drive),

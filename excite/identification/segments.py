@@ -8,7 +8,7 @@ excitation and identification", IEEE Trans. Robotics and Automation 13(5), 1997)
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -242,17 +242,22 @@ class TorqueSpectra:
 
 
 def torque_spectra(
-    segments: Sequence[RecordingSegment], hertz: float | None = None
+    segments: Sequence[RecordingSegment],
+    hertz: float | None = None,
+    carried: Callable[[RecordingSegment], float] | None = None,
 ) -> TorqueSpectra:
     """Compute the spectra of the longest segment and choose the cutoff frequency by them.
 
-    The cutoff is 20 Hz, higher if the motion is faster, lower if noise covers the torque before.
+    The cutoff is 20 Hz, higher if the motion is faster, lower if noise covers the torque before or
+    if positions do not carry the accelerations (`position_bandwidth`).
     The noise spectrum is that of the deviations between periods if there are any, else the median
     density above half of the Nyquist frequency.
 
     Args:
         segments: Segments of recordings.
         hertz: Cutoff frequency to use instead [Hz].
+        carried: Returns the highest frequency up to which a segment's positions carry its
+            accelerations [Hz]; None: not limited.
     """
     from scipy import signal  # slow to import
 
@@ -269,6 +274,8 @@ def torque_spectra(
         noise = np.tile(np.median(torque[frequency >= 0.25 * rate], axis=0), (len(frequency), 1))
     motion = motion_bandwidth(longest)
     chosen = _chosen_cutoff(frequency, torque, noise, motion, rate) if hertz is None else hertz
+    if hertz is None and carried is not None:
+        chosen = min(chosen, carried(longest))
     return TorqueSpectra(frequency, torque, noise, motion, chosen)
 
 

@@ -1,7 +1,8 @@
-"""Checks of measured torque before it is fitted: constant columns, wrong units, inverted signs.
+"""Checks of measured torque before it is fitted: constant columns, wrong units, and whether it is
+the torque that the nominal model expects (`nominal_comparison`).
 
-A fit partly absorbs all three: torque with an inverted sign gives masses near 0 and no error
-message. Each finding is a remark of the recording and a warning that states the figure it rests
+A fit absorbs such faults in part: torque with an inverted sign gives masses near 0 and no error
+message. Each finding is a doubt of the recording and a warning that states the figure it rests
 on.
 """
 
@@ -12,28 +13,17 @@ import warnings
 from collections.abc import Iterator
 
 import numpy as np
-import pinocchio as pin
 
 from .._types import BoolArray, FloatArray
 from ..errors import ExciteWarning, UnusableInput
 from ..recordings import Recording, Remark, RemarkKind
 from ..robot.limits import Limits
 from ..robot.robot import Robot
-from ..robot.samples import Samples
+from . import nominal_comparison
 
-COMPARED_ROWS = 1000
-"""Number of rows, spread evenly over the longest stretch without a gap, at which torque is compared
-with the nominal model."""
 MAX_TORQUE_RATIO = 3.0
 """Largest |torque| over the torque limit without a remark. Recordings of ten real machines reach
 0.9."""
-INVERTED_CORRELATION = -0.75
-"""Correlation of measured and nominal torque below which a sign is doubted. Of single joints, real
-machines reach −0.72 (joint 7 of a KUKA LWR4+, whose nominal torque is small) and recordings with
-inverted signs −0.86 to −0.99 where gravity or inertia prevails."""
-MIN_NOMINAL_RATIO = 0.05
-"""Standard deviation of the nominal torque over that of the measured one below which the sign is
-not checked."""
 
 
 def check_torque(recording: Recording, robot: Robot, limits: Limits) -> Recording:
@@ -58,12 +48,13 @@ def check_torque(recording: Recording, robot: Robot, limits: Limits) -> Recordin
             f"{recording.source}: the torque of every joint is {value} in all {len(torque)} rows; "
             "record torque or current"
         )
+    planned = [remark for remark in recording.doubts if remark.kind is RemarkKind.PLANNED]
     remarks = [
         *_constant_torque(recording, torque, constant),
         *_excessive_torque(recording, torque, limits),
-        *_inverted_torque(recording, robot, constant),
+        *(() if planned else nominal_comparison.compare_with_nominal(recording, robot)),
     ]
-    for remark in remarks:
+    for remark in (*recording.doubts, *remarks):
         warnings.warn(f"{recording.source}: {remark.text}", ExciteWarning, stacklevel=2)
     return dataclasses.replace(recording, remarks=(*recording.remarks, *remarks))
 
@@ -78,7 +69,7 @@ def _constant_torque(
             f"joint '{joint}': torque is {torque[0, i]:g} in all {len(torque)} rows; "
             "check that it was measured"
         )
-        yield Remark(RemarkKind.FROZEN, text, joint)
+        yield Remark(RemarkKind.FROZEN, text, joint, doubt=True)
 
 
 def _excessive_torque(recording: Recording, torque: FloatArray, limits: Limits) -> Iterator[Remark]:
@@ -90,34 +81,5 @@ def _excessive_torque(recording: Recording, torque: FloatArray, limits: Limits) 
             f"joint '{joint}': torque reaches {torque[row, i]:.4g}, {ratio[row, i]:.4g} times its "
             f"limit {limits.torque[i]:.4g}; check its unit or drive_gain"
         )
-        yield Remark(RemarkKind.UNIT, text, joint, float(recording.t[row]), float(recording.t[row]))
-
-
-def _inverted_torque(recording: Recording, robot: Robot, constant: BoolArray) -> Iterator[Remark]:
-    """Yield a remark for each joint whose torque is anticorrelated with the nominal model's."""
-    stretch = max(recording.segments(), key=len, default=None)
-    if stretch is None:
-        return
-    rows = np.unique(np.linspace(0, len(stretch) - 1, COMPARED_ROWS).astype(int))
-    measured, nominal = stretch.torque[rows], _nominal_torque(robot, stretch.samples().rows(rows))
-    measured, nominal = measured - measured.mean(axis=0), nominal - nominal.mean(axis=0)
-    sizes = np.sqrt(np.mean(measured**2, axis=0)), np.sqrt(np.mean(nominal**2, axis=0))
-    checked = ~constant & (sizes[1] > MIN_NOMINAL_RATIO * sizes[0]) & (sizes[0] > 0.0)
-    for i in np.flatnonzero(checked).tolist():
-        correlation = float(np.mean(measured[:, i] * nominal[:, i]) / (sizes[0][i] * sizes[1][i]))
-        if correlation < INVERTED_CORRELATION:
-            joint = recording.joints[i]
-            text = (
-                f"joint '{joint}': measured torque and torque of the nominal model have a "
-                f"correlation of {correlation:.2f}; check the sign"
-            )
-            yield Remark(RemarkKind.INCONSISTENT, text, joint)
-
-
-def _nominal_torque(robot: Robot, motion: Samples) -> FloatArray:
-    """Torque of the nominal rigid bodies. Shape (N, n) [N m]."""
-    data = robot.model.createData()
-    states = zip(
-        robot.expand(motion.q), motion.dq @ robot.spread.T, motion.ddq @ robot.spread.T, strict=True
-    )
-    return np.array([robot.spread.T @ pin.rnea(robot.model, data, *state) for state in states])
+        time = float(recording.t[row])
+        yield Remark(RemarkKind.UNIT, text, joint, time, time, doubt=True)

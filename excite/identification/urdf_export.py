@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -22,17 +23,23 @@ from ..robot.robot import Robot, locate
 
 
 def identified_urdf(
-    robot: Robot, parameters: Parameters, psi: FloatArray, widths: FloatArray
+    robot: Robot,
+    parameters: Parameters,
+    psi: FloatArray,
+    widths: FloatArray,
+    provenance: Sequence[str] = (),
 ) -> str:
     """Return the URDF of a robot with parameters ψ.
 
-    Loaded with the same joints, it gives the same torque.
+    Loaded with the same joints, it gives the same torque. Relative paths of meshes and textures are
+    made absolute, because the file is written to another folder.
 
     Args:
         robot: The robot, whose source file is read again.
         parameters: Its standard parameters.
         psi: Values of the parameters. Shape (P,).
         widths: Widths of Coulomb friction. Shape (n,) [rad/s or m/s].
+        provenance: Lines of a comment that says where the figures come from.
     """
     path = locate(robot.source)
     text = source_text.read_urdf_text(path)
@@ -63,14 +70,29 @@ def identified_urdf(
             )
         elif any(joint.get("name") == follower.entry.name for follower in robot.followers):
             _remove_joint_parameters(joint, parameters.drive)
+    _make_paths_absolute(root, path.parent)
     ElementTree.indent(root)
     comments = "" if prolog is None else prolog[2].strip()
+    if provenance:
+        lines = "\n".join(line.replace("--", "- -") for line in provenance)
+        comments = f"<!--\n{lines}\n-->" + ("\n" + comments if comments else "")
     return (
         '<?xml version="1.0"?>\n'
         + (comments + "\n" if comments else "")
         + ElementTree.tostring(root, encoding="unicode")
         + "\n"
     )
+
+
+def _make_paths_absolute(root: ElementTree.Element, folder: Path) -> None:
+    """Replace relative paths of meshes and textures that exist in the URDF's folder."""
+    for tag in ("mesh", "texture"):
+        for element in root.iter(tag):
+            name = element.get("filename", "")
+            if name and "://" not in name and not Path(name).is_absolute():
+                target = (folder / name).resolve()
+                if target.is_file():
+                    element.set("filename", str(target))
 
 
 def _lock_joints(root: ElementTree.Element, robot: Robot) -> None:

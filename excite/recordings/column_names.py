@@ -42,37 +42,55 @@ class ColumnLayout:
     """Columns of a table that are read.
 
     Attributes:
-        names: Names of the columns, time first.
+        names: Names of the columns, those of time first.
         places: Quantity and joint index of each column but time.
         n: Number of joints.
+        time_factors: Factors by which the columns of time add up to seconds.
+        from_first: True if time counts from the first row.
     """
 
     names: tuple[str, ...]
     places: tuple[tuple[str, int], ...]
     n: int
+    time_factors: tuple[float, ...] = (1.0,)
+    from_first: bool = False
 
-    def block(self, table: FloatArray) -> Block:
+    def block(self, table: FloatArray, origin: FloatArray | None = None) -> Block:
         """Sort the columns of a table into quantities.
 
         Args:
             table: Rows of the columns `names`. Shape (N, len(names)).
+            origin: Columns of time of the row from which time counts; None: from 0. Shape (k,).
         """
+        clock = table[:, : len(self.time_factors)]
+        if origin is not None:
+            clock = clock - origin
+        t = clock[:, 0] if self.time_factors == (1.0,) else clock @ np.array(self.time_factors)
         recorded = {quantity for quantity, _ in self.places}
         values = {
             name: np.full((len(table), self.n), np.nan) for name in QUANTITIES if name in recorded
         }
-        for column, (quantity, joint) in enumerate(self.places, start=1):
+        for column, (quantity, joint) in enumerate(self.places, start=len(self.time_factors)):
             values[quantity][:, joint] = table[:, column]
-        return Block(np.ascontiguousarray(table[:, 0]), values)
+        return Block(np.ascontiguousarray(t), values)
 
 
-def find_columns(source: str, header: Sequence[str], robot: Robot) -> ColumnLayout:
+def find_columns(
+    source: str,
+    header: Sequence[str],
+    robot: Robot,
+    time: Sequence[tuple[str, float]] = (("t", 1.0),),
+    *,
+    from_first: bool = False,
+) -> ColumnLayout:
     """Find the columns of a robot in a header, named `<prefix>.<joint>` or as by RTDE.
 
     Args:
         source: Name of the file, for messages.
         header: Names of all columns.
         robot: Robot whose joints are recorded.
+        time: Columns of time and their factors [s].
+        from_first: True if time counts from the first row.
 
     Raises:
         UnusableInput: A name occurs twice, or time or the position of a joint is missing; the
@@ -85,16 +103,16 @@ def find_columns(source: str, header: Sequence[str], robot: Robot) -> ColumnLayo
         )
     if "timestamp" in header and f"{RTDE_POSITION}0" in header:
         return _find_rtde_columns(source, header, robot)
-    if "t" not in header:
+    if any(name not in header for name, _ in time):
         raise UnusableInput(
             f"{source}: has no column 't' but {listed(header)}; the first row should name the "
-            "columns t,q.<joint>,…"
+            "columns t,q.<joint>,…, or name them with --columns t=COLUMN,q.<joint>=COLUMN,…"
         )
     for joint in robot.joints:
         if f"q.{joint}" not in header:
             raise UnusableInput(
                 f"{source}: has no column 'q.{joint}' {similar(f'q.{joint}', header)}; record "
-                f"joint '{joint}', rename its column, "
+                f"joint '{joint}', name its column with --columns q.{joint}=COLUMN, "
                 "or leave it out with --joints"
             )
     places = {
@@ -103,7 +121,13 @@ def find_columns(source: str, header: Sequence[str], robot: Robot) -> ColumnLayo
         for i, joint in enumerate(robot.joints)
     }
     names = [name for name in header if name in places]
-    return ColumnLayout(("t", *names), tuple(places[name] for name in names), robot.n)
+    return ColumnLayout(
+        (*(name for name, _ in time), *names),
+        tuple(places[name] for name in names),
+        robot.n,
+        tuple(factor for _, factor in time),
+        from_first,
+    )
 
 
 def _find_rtde_columns(source: str, header: Sequence[str], robot: Robot) -> ColumnLayout:

@@ -1,4 +1,5 @@
-"""CSV files, block by block: columns `q.<joint>`, … or those of Universal Robots' recorders.
+"""CSV files, block by block: columns `q.<joint>`, …, or those of other programs' recorders
+(`export_formats`, Universal Robots' RTDE).
 
 ur_rtde separates cells by commas, Universal Robots' own client by blanks.
 
@@ -13,10 +14,12 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import dataclasses
 import io
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +29,8 @@ from ..errors import UnusableInput
 from ..robot.robot import Robot
 from .block import Block
 from .column_names import find_columns
+from .export_formats import recognise
+from .remark import Remark, RemarkKind
 
 CHUNK_SIZE = 1 << 23
 """Part of a file that is parsed at once [bytes]."""
@@ -44,12 +49,15 @@ _CLASSES[list(b"eE")] = _EXPONENT
 _CLASSES[list(b"+-")] = _SIGN
 
 
-def read_blocks(path: Path, robot: Robot) -> Iterator[Block]:
+def read_blocks(
+    path: Path, robot: Robot, columns: Mapping[str, str] = MappingProxyType({})
+) -> Iterator[Block]:
     """Read a CSV file whose first row names the columns.
 
     Args:
         path: File with cells separated by commas, semicolons, tabs or blanks.
         robot: Robot whose joints are recorded.
+        columns: Names of columns in the file by our names (`t`, `q.<joint>`, …), where they differ.
 
     Yields:
         Consecutive rows, CHUNK_SIZE bytes of text at a time.
@@ -58,10 +66,28 @@ def read_blocks(path: Path, robot: Robot) -> Iterator[Block]:
         UnusableInput: The header lacks a column of the robot, or a cell is no number.
     """
     with path.open("rb") as stream:
-        separator, header = _read_header(path, stream.readline(MAX_LINE))
-        layout = find_columns(str(path), header, robot)
-        columns = [header.index(name) for name in layout.names]
-        row, remainder = 2, b""
+        separator, cells = _read_header(path, stream.readline(MAX_LINE))
+        behind = stream.tell()
+        first_row = _cells(separator, stream.readline(MAX_LINE))
+        recognised = recognise(str(path), cells, first_row, robot, columns)
+        stream.seek(behind if recognised.has_line else 0)
+        header, remarks = recognised.names, _planned(cells, robot)
+        layout = find_columns(
+            str(path), header, robot, recognised.time, from_first=recognised.from_first
+        )
+        places = [header.index(name) for name in layout.names]
+        origin: FloatArray | None = None
+        row, remainder = 2 if recognised.has_line else 1, b""
+
+        def block(lines: bytes) -> Block:
+            nonlocal origin, remarks
+            table = _parse_rows(path, lines, separator, header, places, row)
+            if layout.from_first and origin is None and len(table):
+                origin = table[0, : len(layout.time_factors)].copy()
+            out = dataclasses.replace(layout.block(table, origin), remarks=remarks)
+            remarks = ()
+            return out
+
         while chunk := stream.read(CHUNK_SIZE):
             text, newline, remainder = (remainder + chunk).rpartition(b"\n")
             if len(remainder) > MAX_LINE:
@@ -70,11 +96,34 @@ def read_blocks(path: Path, robot: Robot) -> Iterator[Block]:
                     f"{MAX_LINE} bytes; give a CSV"
                 )
             if newline:
-                lines = text + newline
-                yield layout.block(_parse_rows(path, lines, separator, header, columns, row))
+                yield block(text + newline)
                 row += text.count(b"\n") + 1
         if remainder.strip():
-            yield layout.block(_parse_rows(path, remainder, separator, header, columns, row))
+            yield block(remainder)
+
+
+def _cells(separator: str, line: bytes) -> list[str]:
+    """Cells of a line of data; empty where it is no text."""
+    try:
+        text = line.decode("utf-8-sig").strip()
+        return (
+            text.split() if separator == " " else next(csv.reader([text], delimiter=separator), [])
+        )
+    except (UnicodeDecodeError, csv.Error):
+        return []
+
+
+def _planned(header: Sequence[str], robot: Robot) -> tuple[Remark, ...]:
+    """Remark the `trajectory.csv` of a design: it alone holds planned accelerations."""
+    quantities = ("q", "dq", "ddq", "tau")
+    planned = ["t", *(f"{name}.{joint}" for name in quantities for joint in robot.joints)]
+    if list(header) != planned:
+        return ()
+    text = (
+        "this is the planned motion of a design and no recording; its torque is that of the "
+        "nominal model, which a fit to it returns"
+    )
+    return (Remark(RemarkKind.PLANNED, text, doubt=True),)
 
 
 def _read_header(path: Path, line: bytes) -> tuple[str, list[str]]:
@@ -133,7 +182,7 @@ def parse_numbers(text: bytes, separator: str, width: int, columns: Sequence[int
 
     Args:
         text: The lines.
-        separator: ",", ";" (commas are then decimal points), a tab, or " " for any blanks.
+        separator: ",", ";" or a tab (commas are then decimal points), or " " for any blanks.
         width: Number of cells in a line.
         columns: Indices of the columns to return.
 
@@ -144,10 +193,8 @@ def parse_numbers(text: bytes, separator: str, width: int, columns: Sequence[int
         ValueError: A cell is no number or a line has another number of cells; the message ends in
             "at row R, column C", counted from 0.
     """
-    if separator == ";":
-        text = text.replace(b",", b".").replace(b";", b",")
-    elif separator == "\t":
-        text = text.replace(b"\t", b",")
+    if separator in (";", "\t"):
+        text = text.replace(b",", b".").replace(separator.encode(), b",")
     elif separator == " ":
         text = re.sub(rb"[ \t]+", b",", re.sub(rb"(?m)^[ \t]+|[ \t]+\r?$", b"", text))
     if b"\r" in text:

@@ -21,7 +21,9 @@ from ..robot.limits import Limits
 from ..robot.robot import Robot
 from . import (
     encoder_resolution,
+    glitches,
     missing_values,
+    position_wraps,
     quantization,
     signal_checks,
     timestamp_jitter,
@@ -90,13 +92,18 @@ def check_and_repair(
         UnusableInput: Units are wrong, or there are too few rows or values.
     """
     source, robot = context.source, context.robot
-    block, missing = missing_values.fill_missing(source, robot.joints, window.block)
+    block, repairs = window.block, list[Remark]()
+    if complete:
+        block, repairs = glitches.mask_glitches(source, block, robot, context.limits)
+        block, wraps = position_wraps.unwrap_positions(block, robot, context.limits)
+        repairs += wraps
+    block, missing = missing_values.fill_missing(source, robot.joints, block)
     if len(block) < (MIN_ROWS if complete else 2):
         raise UnusableInput(f"{source}: has {len(block)} usable rows; give at least {MIN_ROWS}")
     units.check_positions(source, block, robot, context.limits)
     inconsistent = units.check_velocities(source, block, robot)
     gridded, uneven = resample(block, grid)
-    remarks = [*block.remarks, *window.remarks, *missing, *uneven]
+    remarks = [*block.remarks, *window.remarks, *repairs, *missing, *uneven]
     smoothed = np.zeros(robot.n, bool)
     if complete:
         remarks += [

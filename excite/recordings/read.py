@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -21,7 +22,9 @@ from . import (
     sidecar,
 )
 from .block import Block, concatenate
+from .clock_steps import remove_clock_steps
 from .data_quality import RecordingContext, RowWindow
+from .periodicity import check_repetition
 from .recording import Recording
 from .remark import Remark, RemarkKind
 from .time_axis import find_grid, sort_rows
@@ -35,7 +38,12 @@ spline decays over fewer."""
 FORMATS = "CSV, .npz, rosbag2 folder, .mcap, .db3 or .bag"
 
 
-def read(path: Path, robot: Robot, limits: Limits | None = None) -> Recording:
+def read(
+    path: Path,
+    robot: Robot,
+    limits: Limits | None = None,
+    columns: Mapping[str, str] = MappingProxyType({}),
+) -> Recording:
     """Read, check and repair a recording.
 
     An `ExciteWarning` is issued for each repair of a fault; `Recording.remarks` lists repairs, too.
@@ -45,13 +53,15 @@ def read(path: Path, robot: Robot, limits: Limits | None = None) -> Recording:
             folder, an .mcap, .db3 or .bag. A sidecar `<name>.json` in the same folder is read, too.
         robot: Robot that it records.
         limits: Limits of the robot, by which wrong units are detected; None: those of the URDF.
+        columns: Names of columns of a CSV file by our names (`t`, `q.<joint>`, …), where they
+            differ.
 
     Raises:
         UnusableInput: It cannot be read, assigned to the robot's joints or repaired.
     """
     context = RecordingContext(str(path), robot, sidecar.read(path, robot), limits)
     blocks, rows, numbers = list[Block](), 0, 0
-    for block in _read_blocks(path, context):
+    for block in _read_blocks(path, context, columns):
         if len(block) or block.remarks:
             blocks.append(block)
         rows += len(block)
@@ -59,7 +69,9 @@ def read(path: Path, robot: Robot, limits: Limits | None = None) -> Recording:
         recording_cost.require_readable(str(path), rows, numbers)
     if not blocks:
         raise UnusableInput(f"{path}: has no rows; record again")
-    ordered, remarks = sort_rows(str(path), concatenate(blocks))
+    cut, steps = remove_clock_steps(concatenate(blocks))
+    ordered, late = sort_rows(str(path), cut)
+    remarks = [*steps, *late]
     window = RowWindow(ordered, remarks=tuple(remarks))
     grid = find_grid(str(path), ordered.t)
     recording = data_quality.check_and_repair(context, window, grid, complete=True)
@@ -67,6 +79,7 @@ def read(path: Path, robot: Robot, limits: Limits | None = None) -> Recording:
     if stated.period is not None:
         stated_by = str(sidecar.sidecar_path(path))
         recording.check_period(stated.period, stated.periodic, stated_by)
+    recording = check_repetition(recording)
     data_quality.warn_of_repairs(str(path), recording.remarks)
     return recording
 
@@ -77,11 +90,11 @@ def stream(
     """Read consecutive blocks of a recording in memory that depends on `rows` alone.
 
     Each block is repaired as `read` repairs the recording, on the grid of the first block. Not
-    judged are properties of the complete recording: joints that never move, timestamp jitter,
-    quantization, and coarse, frozen or clipped signals. Shares of missing values are judged by
-    block. A repair is warned of where it first occurs; numbers in a remark may include up to 32
-    rows around the block. Memory is bounded for CSV, bags and .npz, except 2-D arrays in Fortran
-    order.
+    judged are properties of the complete recording: clock steps, wrapped positions, glitches, the
+    period, joints that never move, timestamp jitter, quantization, and coarse, frozen or clipped
+    signals. Shares of missing values are judged by block. A repair is warned of where it first
+    occurs; numbers in a remark may include up to 32 rows around the block. Memory is
+    bounded for CSV, bags and .npz, except 2-D arrays in Fortran order.
 
     Args:
         path: As of `read`.
@@ -111,7 +124,9 @@ def stream(
             yield part
 
 
-def _read_blocks(path: Path, context: RecordingContext) -> Iterator[Block]:
+def _read_blocks(
+    path: Path, context: RecordingContext, columns: Mapping[str, str] = MappingProxyType({})
+) -> Iterator[Block]:
     """Yield blocks as the reader of the file's format returns them."""
     if not (os.path.isdir(path) or os.path.isfile(path)):
         raise UnusableInput(f"{path}: no such file; give a recording: {FORMATS}")
@@ -120,13 +135,18 @@ def _read_blocks(path: Path, context: RecordingContext) -> Iterator[Block]:
             f"{path}: is no recording but JSON; give the recording of that name: {FORMATS}"
         )
     row = 1
+    if columns and (rosbag_reader.is_bag(path) or path.suffix == ".npz"):
+        raise UnusableInput(f"{path}: has no named columns; leave --columns out")
     try:
         if rosbag_reader.is_bag(path):
             blocks = rosbag_reader.read_blocks(path, context.robot, context.sidecar)
         elif path.suffix == ".npz":
             blocks = npz_reader.read_blocks(path, context.robot)
         else:
-            blocks, row = csv_reader.read_blocks(path, context.robot), 2  # the header is row 1
+            blocks, row = (
+                csv_reader.read_blocks(path, context.robot, columns),
+                2,
+            )  # the header is row 1
         for block in blocks:
             magnitudes.check_magnitudes(str(path), block, context.robot, row)
             row += len(block)

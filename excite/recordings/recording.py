@@ -132,6 +132,15 @@ class Recording:
             )
 
     @property
+    def doubts(self) -> tuple[Remark, ...]:
+        """Unrepaired doubts about what the columns hold.
+
+        While there are any, a difference between the recording and a model says nothing about a
+        single joint of the robot.
+        """
+        return tuple(remark for remark in self.remarks if remark.doubt)
+
+    @property
     def quantities(self) -> int:
         """Number of measured quantities, positions included."""
         return sum(getattr(self, name) is not None for name in QUANTITIES)

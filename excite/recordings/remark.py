@@ -26,6 +26,18 @@ class RemarkKind(Enum):
     CLIPPED = "clipped"
     OUTSIDE = "outside"
     INCONSISTENT = "inconsistent"
+    CLOCK_STEP = "clock step"
+    WRAPPED = "wrapped"
+    GLITCH = "glitch"
+    PUBLISHER = "publisher"
+    SPEED = "speed"
+    PERIOD = "period"
+    EXECUTED = "executed motion"
+    PLANNED = "planned"
+    TORQUE_SIGN = "torque sign"
+    TORQUE_SCALE = "torque scale"
+    GRAVITY = "gravity"
+    EXCHANGED = "exchanged joints"
 
 
 @dataclass(frozen=True)
@@ -39,6 +51,8 @@ class Remark:
         start: First time at which it occurs [s], None if it concerns all of the recording.
         end: Last time at which it occurs [s], None likewise.
         repaired: True if the data were changed by the rule of this kind.
+        doubt: True if a column may not hold what it is taken for, and the data were not repaired. A
+            model fitted to such a recording describes the fault, not the robot.
     """
 
     kind: RemarkKind
@@ -47,6 +61,7 @@ class Remark:
     start: float | None = None
     end: float | None = None
     repaired: bool = False
+    doubt: bool = False
 
     def document(self) -> dict[str, Any]:
         """Entry of a `--json` document."""
@@ -57,4 +72,5 @@ class Remark:
             "text": self.text,
             "time": time,
             "repaired": self.repaired,
+            "doubt": self.doubt,
         }

@@ -25,14 +25,20 @@ from .block import Block
 from .column_names import listed, similar
 from .remark import Remark, RemarkKind
 from .sidecar import Sidecar, sidecar_path
+from .time_axis import MAX_FILLED_STEPS
 
 BLOCK_ROWS = 20_000
 """Number of rows in a block."""
 MESSAGE_TYPE = "sensor_msgs/msg/JointState"
+FIELDS = ("position", "velocity", "effort")
+"""Fields of a JointState message."""
+MIN_MERGED_ROWS = 2
+"""Number of rows from which messages of single joints can be merged."""
 SUFFIXES = (".mcap", ".db3", ".bag")
 """Suffixes of single files of bags."""
-SEARCHED_MESSAGES = 100
-"""Number of messages of a topic in which the robot's joints are searched."""
+SEARCHED_MESSAGES = 20_000
+"""Number of messages of a topic in which the robot's joints and the kinds of its messages are
+searched: 20 s at 1 kHz, by which every publisher has begun."""
 UNREADABLE = (
     *(
         OSError,
@@ -62,6 +68,9 @@ def read_blocks(path: Path, robot: Robot, sidecar: Sidecar) -> Iterator[Block]:
     Time is the stamp of the header, or the time of reception if the first stamp is zero; it counts
     from the first message used. `effort` is torque unless the sidecar states "effort": "current".
     Messages without one of the joints, such as those of a gripper on the same topic, are skipped.
+    Where some messages hold positions, velocities and efforts and others fewer of them, as of a
+    second publisher that fills in positions, only the complete ones are used. Where no message
+    names all joints, as with one publisher a joint, the messages are merged.
 
     Args:
         path: A rosbag2 folder or a file of a bag.
@@ -159,12 +168,76 @@ def _import_rosbags(path: Path) -> ModuleType:
 
 def _read_messages(path: Path, bag: _Bag, robot: Robot, sidecar: Sidecar) -> Iterator[Block]:
     topic = _select_topic(path, bag, robot, sidecar)
-    table = _Table(path, robot, "current" if sidecar.effort == "current" else "tau")
+    contents = _message_contents(bag, topic)
+    effort = "current" if sidecar.effort == "current" else "tau"
+    complete = [fields for names, fields in contents if set(robot.joints) <= names]
+    if not complete and set(robot.joints) <= set().union(*(names for names, _ in contents)):
+        yield _merge_joints(path, bag, topic, robot, sidecar)
+        return
+    table = _Table(path, robot, effort, max(complete, key=len, default=frozenset({"position"})))
     for message, received in bag.messages(topic):
         table.add(message, received)
         if len(table.times) == BLOCK_ROWS:
             yield table.flush()
     yield table.flush(_remarks(path, topic, table, sidecar))
+
+
+def _message_contents(bag: _Bag, topic: str) -> set[tuple[frozenset[str], frozenset[str]]]:
+    """Joints and fields that occur together in messages of a topic."""
+    return {
+        (frozenset(message.name), _filled_fields(message))
+        for message, _ in itertools.islice(bag.messages(topic), SEARCHED_MESSAGES)
+    }
+
+
+def _filled_fields(message: Any) -> frozenset[str]:
+    """Fields of a message that hold values."""
+    return frozenset(field for field in FIELDS if len(getattr(message, field)))
+
+
+def _merge_joints(path: Path, bag: _Bag, topic: str, robot: Robot, sidecar: Sidecar) -> Block:
+    """Merge messages of single joints on the stamps of the joint with the most messages."""
+    from scipy.interpolate import CubicSpline  # slow to import
+
+    effort = "current" if sidecar.effort == "current" else "tau"
+    tables = [_Table(path, robot, effort, frozenset(FIELDS), (joint,)) for joint in robot.joints]
+    for message, received in bag.messages(topic):
+        for table in tables:
+            table.add(message, received)
+    origin = min(table.start for table in tables if table.start is not None)
+    series = []
+    for table in tables:
+        order = np.unique(np.array(table.times) + 1e-9 * ((table.start or 0) - origin), True)
+        values = {name: np.concatenate(rows)[order[1]] for name, rows in table.rows.items() if rows}
+        series.append((order[0], values))
+    base = max(series, key=lambda entry: len(entry[0]))[0]
+    start, end = (f(entry[0][k] for entry in series) for f, k in ((max, 0), (min, -1)))
+    t = base[(base >= start) & (base <= end)]
+    if len(t) < MIN_MERGED_ROWS:
+        raise UnusableInput(
+            f"{path}: the messages of the joints on {topic} hardly overlap in time; record again"
+        )
+    block: dict[str, FloatArray] = {}
+    for field, name in tables[0].fields.items():
+        columns = np.full((len(t), robot.n), np.nan)
+        for i, (times, values) in enumerate(series):
+            column = values[field]
+            if np.isfinite(column).all():
+                same = len(times) == len(base) and np.array_equal(times, base)
+                columns[:, i] = (
+                    column[(base >= start) & (base <= end)]
+                    if same
+                    else CubicSpline(times, column)(t)
+                )
+                between = np.clip(np.searchsorted(times, t), 1, len(times) - 1)
+                usual = float(np.median(np.diff(times)))
+                too_far = times[between] - times[between - 1] > (MAX_FILLED_STEPS + 0.5) * usual
+                columns[too_far, i] = np.nan
+        if np.isfinite(columns).any():
+            block[name] = columns
+    text = f"each message on {topic} holds some of the joints; they are merged in time"
+    remarks = [Remark(RemarkKind.PUBLISHER, text, repaired=True)]
+    return Block(t, block, (*remarks, *_effort_remarks(path, effort in block, sidecar)))
 
 
 def _select_topic(path: Path, bag: _Bag, robot: Robot, sidecar: Sidecar) -> str:
@@ -183,6 +256,7 @@ def _select_topic(path: Path, bag: _Bag, robot: Robot, sidecar: Sidecar) -> str:
     if len(topics) == 1:
         return topics[0]
     fitting = [topic for topic in topics if _names_all_joints(bag, topic, robot)]
+    fitting = fitting or [topic for topic in topics if _names_together(bag, topic, robot)]
     if len(fitting) == 1:
         return fitting[0]
     number = "several topics with" if fitting else "no topic with"
@@ -204,21 +278,37 @@ def _names_all_joints(bag: _Bag, topic: str, robot: Robot) -> bool:
     )
 
 
+def _names_together(bag: _Bag, topic: str, robot: Robot) -> bool:
+    """Return True if the messages of a topic together name all joints."""
+    contents = _message_contents(bag, topic)
+    return set(robot.joints) <= set().union(*(names for names, _ in contents))
+
+
 class _Table:
     """Rows collected from messages until they are returned as a block."""
 
-    def __init__(self, path: Path, robot: Robot, effort: str) -> None:
+    def __init__(
+        self,
+        path: Path,
+        robot: Robot,
+        effort: str,
+        recorded: frozenset[str],
+        joints: tuple[str, ...] | None = None,
+    ) -> None:
+        """Collect messages of `joints` (None: all of the robot) with the fields `recorded`."""
         self.path, self.robot = path, robot
-        self.fields = {"position": "q", "velocity": "dq", "effort": effort}
+        self.joints = robot.joints if joints is None else joints
+        self.fields = dict(zip(FIELDS, ("q", "dq", effort), strict=True))
         self.times: list[float] = []
         self.rows: dict[str, list[FloatArray]] = {name: [] for name in self.fields}
-        self.recorded: set[str] = {"position"}
+        self.recorded, self.is_merged = recorded, joints is not None
         self.skipped = 0
+        self.incomplete = 0
         self.used = 0
         self.start: int | None = None
         self.by_reception = False
         self._order: tuple[tuple[str, ...], IntArray | None] = ((), None)
-        self._missing = np.full(robot.n, np.nan)
+        self._missing = np.full(len(self.joints), np.nan)
         self.seen: set[str] = set()
 
     def add(self, message: Any, received: int) -> None:
@@ -227,11 +317,13 @@ class _Table:
         if columns is None:
             self.skipped += 1
             return
+        if not self.is_merged and not self.recorded <= _filled_fields(message):
+            self.incomplete += 1
+            return
         stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
         if self.start is None:
             self.by_reception = stamp == 0
             self.start = received if self.by_reception else stamp
-            self.recorded |= {field for field in self.fields if len(getattr(message, field))}
         now = received if self.by_reception else stamp
         # a single missing stamp: rows without a time are dropped later
         self.times.append((now - self.start) * 1e-9 if now else np.nan)
@@ -250,12 +342,10 @@ class _Table:
         """Indices of the robot's joints in a message, None if one is missing."""
         if names != self._order[0]:
             self.seen |= set(names)
-            is_complete = set(self.robot.joints) <= set(names)
+            is_complete = set(self.joints) <= set(names)
             self._order = (
                 names,
-                np.array([names.index(joint) for joint in self.robot.joints])
-                if is_complete
-                else None,
+                np.array([names.index(joint) for joint in self.joints]) if is_complete else None,
             )
         return self._order[1]
 
@@ -293,6 +383,16 @@ def _remarks(path: Path, topic: str, table: _Table, sidecar: Sidecar) -> tuple[R
                 repaired=True,
             )
         )
+    if table.incomplete:
+        out.append(
+            Remark(
+                RemarkKind.PUBLISHER,
+                f"{table.incomplete} messages on {topic} without "
+                f"{' or '.join(sorted(table.recorded - {'position'}))} are left out, as of a "
+                "second publisher",
+                repaired=True,
+            )
+        )
     if table.by_reception:
         out.append(
             Remark(
@@ -301,10 +401,14 @@ def _remarks(path: Path, topic: str, table: _Table, sidecar: Sidecar) -> tuple[R
                 repaired=True,
             )
         )
-    if "effort" in table.recorded and sidecar.effort is None:
-        text = (
-            "effort is taken to be in N m; if the driver publishes current, "
-            f'put "effort": "current" and drive_gain into {sidecar_path(path).name}'
-        )
-        out.append(Remark(RemarkKind.UNIT, text))
-    return tuple(out)
+    return (*out, *_effort_remarks(path, "effort" in table.recorded, sidecar))
+
+
+def _effort_remarks(path: Path, has_effort: bool, sidecar: Sidecar) -> list[Remark]:
+    if not has_effort or sidecar.effort is not None:
+        return []
+    text = (
+        "effort is taken to be in N m; if the driver publishes current, "
+        f'put "effort": "current" and drive_gain into {sidecar_path(path).name}'
+    )
+    return [Remark(RemarkKind.UNIT, text)]

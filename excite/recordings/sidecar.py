@@ -25,8 +25,8 @@ class Sidecar:
         period: Period of the excitation [s].
         periodic: Start and end of the window in which it repeats [s].
         motor_side: True if `q` is the motor encoder divided by the gear ratio.
-        effort: Content of `effort` in JointState messages, "torque" [N m] or "current" [A]; None if
-            not stated.
+        effort: Content of `effort` in JointState messages, "torque" [N m] or "current" [A], or of
+            the torque in any file, "without gravity" [N m]; None if not stated.
         topic: Topic of a bag to read.
         notes: Free text.
         unknown: Keys of the file that are ignored.

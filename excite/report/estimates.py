@@ -11,6 +11,7 @@ from markupsafe import Markup
 from ..identification import consistency, estimators
 from ..identification.identification import Identification
 from ..identification.identified_model import JOINT_PARAMETER_UNITS, base_parameter_table
+from ..identification.link_estimates import link_estimates
 from ..robot.inertial_parameters import Parameters
 from ..robot.parameter_names import percent, spoken
 from .content import Section, Table, TableCell
@@ -197,20 +198,32 @@ def link_body_changes(identification: Identification) -> list[LinkBodyChange]:
 def bodies_section(identification: Identification) -> Section:
     """Build the section on mass, centre of mass and inertia of each link."""
     changes = link_body_changes(identification)
+    links = link_estimates(identification)
     rows = [
         (
             c.link,
-            TableCell(number(c.after.mass, 3), bold=True, before=f"{number(c.before.mass, 3)} → "),
+            TableCell(
+                f"{number(c.after.mass, 3)} ± {number(link.mass_deviation, 2)}",
+                bold=not link.is_prior,
+                before=f"{number(c.before.mass, 3)} → ",
+            ),
+            f"{100.0 * link.mass_share:.0f} %" + (" – the prior's" if link.is_prior else ""),
+            ", ".join(f"{1e3 * v:.0f}" for v in link.centre)
+            + f" ± {1e3 * float(link.centre_deviation.max()):.2g}",
+            f"{100.0 * link.centre_share:.0f} %",
             f"{1e3 * c.shift:.1f}",
             TableCell(_half_axes(c.after), bold=True, before=f"{_half_axes(c.before)} → "),
             f"{c.distance:.2f}",
             "–" if c.share is None else f"{100.0 * c.share:.0f} %",
         )
-        for c in changes
+        for c, link in zip(changes, links, strict=True)
     ]
     head = (
         "link",
         "mass [kg]",
+        "mass: data decide",
+        "centre of mass [mm]",
+        "centre: data decide",
         "shift of centre [mm]",
         "half axes [mm]",
         "distance",
@@ -218,7 +231,7 @@ def bodies_section(identification: Identification) -> Section:
     )
     data = {
         "figure": Markup(inertia_ellipsoids.draw_ellipsoids(changes)),
-        "table": Table(head, rows, (1, 2, 3, 4, 5)),
+        "table": Table(head, rows, (1, 2, 3, 4, 5, 6, 7, 8)),
         "repaired": ", ".join(identification.model.parameters.repaired),
     }
     return Section("bodies", "How did each link's inertia change?", _bodies_answer(changes), data)

@@ -101,10 +101,28 @@ def _cards(identification: Identification) -> list[tuple[str, str]]:
     """Key figures of an identification."""
     robot = identification.model.robot
     predictions = identification.validations or identification.fits
-    worst = max(float(p.relative().max()) for p in predictions)
     data = "held out" if identification.validations else "of the fit"
+    before, after = (
+        np.sqrt(
+            sum(float(np.sum((p.measured - getattr(p, which)) ** 2)) for p in predictions)
+            / sum(float(np.sum(p.measured**2)) for p in predictions)
+        )
+        for which in ("nominal", "fitted")
+    )
+    shown = max(predictions, key=lambda p: float(p.relative()[p.limiting_joint()[0]]))
+    joint, above = shown.limiting_joint()
+    errors = f"{number(shown.error('nominal')[joint], 2)} → {number(shown.error()[joint], 2)}"
+    reason = (
+        "furthest above its noise floor"
+        if above
+        else "largest relative error"
+        if shown.noise_floor is None
+        else "most reduced; every joint is at its noise floor"
+    )
+    unit = robot.entries[joint].unit("N m")
     return [
-        (percent(worst), f"error over RMS torque, worst joint, {data}"),
+        (f"{percent(before)} → {percent(after)}", f"torque error of all joints, {data}"),
+        (f"{errors}\u00a0{unit}", f"{robot.joints[joint]}, {reason}"),
         (
             f"{identification.analysis.identifiable_count} of {identification.model.base.count}",
             "directions identified",

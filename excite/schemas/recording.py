@@ -22,7 +22,7 @@ class SidecarDocument(msgspec.Struct):
     period: Period | None = None
     periodic: tuple[ClockTime, ClockTime] | None = None
     motor_side: bool = False
-    effort: Literal["torque", "current"] | None = None
+    effort: Literal["torque", "current", "without gravity"] | None = None
     topic: Name | None = None
     notes: Text = Text("")
 

@@ -1,0 +1,81 @@
+"""Friction takes energy out of every joint; a fit in which it feeds energy in has the wrong
+signs."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+
+from .._types import FloatArray
+from ..errors import ExciteWarning, UnusableInput
+from .estimators import Estimate
+from .regression import IdentificationModel, TorqueEquations
+
+CLEARLY_NEGATIVE = 10.0
+"""Standard errors by which the power of friction must be negative. Standard errors are too small by
+a factor of 2 to 3 where physics is missing from the model; inverted torque gives 40 to 300."""
+MAX_NEGATIVE_SHARE = 0.5
+"""Share of the joints with clearly negative friction from which the recording is refused [1]."""
+
+
+def require_dissipation(
+    source: str, model: IdentificationModel, equations: TorqueEquations, data: Estimate
+) -> None:
+    """Check that the friction of the unconstrained estimate dissipates power at every joint.
+
+    The power of joint j is P = E[q̇ (f_v q̇ + f_c tanh(q̇/w))].
+
+    Args:
+        source: Name of the recording, for messages.
+        model: The model.
+        equations: The equations that it is fitted to.
+        data: Base parameters estimated from the data alone.
+
+    Raises:
+        UnusableInput: It is clearly negative at half of the joints or more; at fewer, a warning.
+    """
+    powers = _friction_powers(model, equations, data)
+    negative = [
+        j for j, (power, deviation) in powers.items() if power < -CLEARLY_NEGATIVE * deviation
+    ]
+    if not negative:
+        return
+    joint = model.robot.joints[negative[0]]
+    power, deviation = powers[negative[0]]
+    text = (
+        f"{source}: joint '{joint}': in the unconstrained fit friction feeds in {-power:.3g} ± "
+        f"{deviation:.2g} W instead of taking it out"
+    )
+    if len(negative) >= MAX_NEGATIVE_SHARE * model.robot.n:
+        joints = f"{len(negative)} of {model.robot.n} joints"
+        raise UnusableInput(
+            f"{text}, and so at {joints}; the sign of the torque is inverted, turn it and read "
+            "again"
+        )
+    warnings.warn(f"{text}; check the sign of its torque", ExciteWarning, stacklevel=3)
+
+
+def _friction_powers(
+    model: IdentificationModel, equations: TorqueEquations, data: Estimate
+) -> dict[int, tuple[float, float]]:
+    """Mean power of friction and its standard error of each joint with both columns [W]."""
+    parameters, out = model.parameters, dict[int, tuple[float, float]]()
+    weights: dict[int, FloatArray] = {}
+    for kind in ("viscous", "coulomb"):
+        if kind not in parameters.drive:
+            return out
+        block = parameters.block(kind)
+        for k, place in enumerate(model.base.independent):
+            if block.start <= place < block.stop:
+                j = int(place) - block.start
+                column = equations.regressor[:, j, k]
+                weight = weights.setdefault(j, np.zeros(len(data.theta)))
+                weight[k] = float(np.mean(column * equations.motion.dq[:, j]))
+    for j, weight in weights.items():
+        used = np.flatnonzero(weight)
+        covariance = data.covariance[np.ix_(used, used)]
+        if len(used) and np.isfinite(covariance).all():
+            variance = float(weight[used] @ covariance @ weight[used])
+            out[j] = float(weight @ data.theta), float(np.sqrt(max(variance, 0.0)))
+    return out

@@ -1,0 +1,349 @@
+"""Comparison of measured torque with the nominal model, before anything is fitted.
+
+The nominal bodies are 5-30 % off, or the whole payload is missing from them, yet they tell the sign
+and the size of a torque. Joint by joint, friction and offset are removed from the measured torque
+and from the nominal one by linear regression, and then
+
+    τ_measured = s · τ_nominal + e        and        τ_measured = g · τ_gravity + h · τ_motion + e.
+
+A slope s near −1 is an inverted sign, one of 1000 a torque in N mm, one near a gear ratio a torque
+of the motor's side; g near 0 with h near 1 is torque without gravity. A doubt needs a correlation
+that only a torque of this joint has, so a poor nominal model raises none.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from .._types import BoolArray, FloatArray
+from ..recordings import Recording, Remark, RemarkKind
+from ..robot.robot import Robot
+from ..robot.samples import Samples
+
+COMPARED_ROWS = 600
+"""Number of rows, spread evenly over the longest stretch without a gap, that are compared."""
+MOTION_CUTOFF_HZ = 10.0
+"""Cutoff of the positions from which the nominal torque is computed [Hz]: the motion that carries
+the inertial torque of an arm lies below."""
+MAX_CUTOFF_SHARE = 0.15
+"""Cutoff over the sampling rate of slow recordings [1]: second differences of positions that jitter
+against their stamps are noise above that."""
+FRICTION_SPEED_SHARE = 0.05
+"""Width of the friction step over the RMS speed [1]."""
+MIN_CORRELATION = 0.85
+"""Correlation with the nominal torque from which the sign and the scale of a joint are judged [1].
+On ten real machines the most negative is −0.78 (joint 7 of a KUKA LWR4+, whose torque comes from
+cables), and the sign is wrong at none of them; inverted joints of simulated arms reach −0.96 to
+−1.00 where gravity or inertia prevails."""
+PLAUSIBLE_SLOPE = (0.125, 30.0)
+"""Measured over nominal torque that a robot can have [1]. On the same machines it is 0.42 to 16 at
+this correlation, 16 being a wrist whose payload of 150 kg is missing from the model."""
+SLOPE_AGREEMENT = 4.0
+"""Ratio of the largest to the smallest slope up to which all joints share one unit [1]."""
+MIN_GRAVITY_RATIO = 0.3
+"""Standard deviation of the nominal gravity torque over that of the measured torque from which
+gravity would show at a joint [1]."""
+MAX_GRAVITY_SLOPE = 0.3
+"""Share of the nominal gravity torque that is measured, below which gravity is missing [1]: links
+are rarely lighter than a third of what the URDF says."""
+MIN_EXPLAINED = 0.8
+"""Share of a joint's torque that gravity and motion must explain before either is judged [1]."""
+MIN_GRAVITY_JOINTS = 2
+"""Number of joints at which gravity must be missing: at a single one, a spring or a counterbalance
+carries it (axis 2 of a KUKA KR300)."""
+MAX_GRAVITY_ANGLE = 35.0
+"""Angle between gravity as stated and as measured that is not doubted [°]: wrong masses tilt the
+estimate by up to 20° on the machines above; a mounting on a wall or ceiling, or a wrong axis, is
+90° or 180°."""
+MIN_UNEXPLAINED = 0.3
+"""Mean unexplained share of the torque of two joints from which an exchange is considered [1]."""
+MAX_UNEXPLAINED_RATIO = 0.25
+"""Unexplained share with two joints exchanged, over that as named, from which their names are
+doubted [1]: an exchange that is right leaves a tenth on simulated arms."""
+ROUNDING = 1e-9
+"""Nominal over measured torque below which the nominal one is rounding [1], as gravity on a
+vertical axis."""
+
+
+@dataclass(frozen=True)
+class NominalComparison:
+    """Measured and nominal torque of a recording, friction and offset removed from both.
+
+    Attributes:
+        measured: Measured torque. Shape (N, n) [N m or N].
+        gravity: Nominal gravity torque. Shape (N, n) [N m or N].
+        motion: Nominal torque of the accelerations. Shape (N, n) [N m or N].
+    """
+
+    measured: FloatArray
+    gravity: FloatArray
+    motion: FloatArray
+
+    @property
+    def nominal(self) -> FloatArray:
+        """Nominal torque. Shape (N, n) [N m or N]."""
+        return self.gravity + self.motion
+
+    def slopes(self) -> tuple[FloatArray, FloatArray]:
+        """Return s and the correlation of each joint, 0 where either torque is constant."""
+        x, y = self.nominal, self.measured
+        xx, yy, xy = (np.sum(a * b, axis=0) for a, b in ((x, x), (y, y), (x, y)))
+        known = (xx > ROUNDING**2 * yy) & (yy > 0.0)
+        slope = np.where(known, xy / np.where(known, xx, 1.0), 0.0)
+        return slope, np.where(known, xy / np.sqrt(np.where(known, xx * yy, 1.0)), 0.0)
+
+    def gravity_shares(self) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Return g, the share that g and h explain, and where gravity would show. Shapes (n,)."""
+        n = self.measured.shape[1]
+        slope, explained = np.zeros(n), np.zeros(n)
+        power = np.maximum(np.sum(self.measured**2, axis=0), 1e-300)
+        for j in range(n):
+            columns = np.column_stack([self.gravity[:, j], self.motion[:, j]])
+            fitted = np.linalg.lstsq(columns, self.measured[:, j], rcond=None)[0]
+            slope[j] = fitted[0]
+            residual = self.measured[:, j] - columns @ fitted
+            explained[j] = 1.0 - np.sum(residual**2) / power[j]
+        strong = np.sum(self.gravity**2, axis=0) > MIN_GRAVITY_RATIO**2 * power
+        return slope, explained, strong & (explained > MIN_EXPLAINED)
+
+
+def compare_with_nominal(recording: Recording, robot: Robot) -> list[Remark]:
+    """Doubt sign, scale, gravity and joint names of a recording's torque.
+
+    Args:
+        recording: The recording, with torque or current of every joint.
+        robot: The robot with its nominal parameters and its gravity.
+
+    Returns:
+        Doubts, each with the figure that shows it; none where the nominal model is too poor.
+    """
+    stretch = max(recording.segments(), key=len, default=None)
+    if stretch is None:
+        return []
+    rows = np.unique(np.linspace(0, len(stretch) - 1, COMPARED_ROWS).astype(int))
+    cutoff = min(MOTION_CUTOFF_HZ, MAX_CUTOFF_SHARE * stretch.rate)
+    motion, torque = stretch.samples(cutoff).rows(rows), stretch.torque[rows]
+    if not np.isfinite(torque).all():
+        return []
+    gravity, dynamic = nominal_torque(robot, motion)
+    comparison = _comparison(torque, motion, gravity, dynamic)
+    remarks = [*_sign_doubts(recording, comparison), *_scale_doubts(recording, comparison)]
+    if not remarks:
+        remarks += _exchanged_joints(recording, robot, torque, motion, comparison)
+    if not remarks and np.any(robot.model.gravity.linear):
+        remarks += _gravity_doubts(recording, robot, torque, motion, comparison)
+    return remarks
+
+
+def nominal_torque(robot: Robot, motion: Samples) -> tuple[FloatArray, FloatArray]:
+    """Compute the torque of gravity and of the accelerations of the nominal bodies.
+
+    Args:
+        robot: The robot.
+        motion: Motion at N rows.
+
+    Returns:
+        Two arrays. Shapes (N, n) [N m or N].
+    """
+    data, model, spread = robot.model.createData(), robot.model, robot.spread
+    q, dq, ddq = robot.expand(motion.q), motion.dq @ spread.T, motion.ddq @ spread.T
+    gravity = np.array([pin.computeGeneralizedGravity(model, data, row) for row in q]) @ spread
+    total = (
+        np.array([pin.rnea(model, data, *state) for state in zip(q, dq, ddq, strict=True)]) @ spread
+    )
+    return gravity, total - gravity
+
+
+def _comparison(
+    torque: FloatArray, motion: Samples, gravity: FloatArray, dynamic: FloatArray
+) -> NominalComparison:
+    """Remove friction and offset of each joint from all torques."""
+    parts = [np.empty_like(torque) for _ in range(3)]
+    for j, speed in enumerate(motion.dq.T):
+        orthogonal = np.linalg.qr(_friction(speed))[0]
+        for part, whole in zip(parts, (torque, gravity, dynamic), strict=True):
+            part[:, j] = whole[:, j] - orthogonal @ (orthogonal.T @ whole[:, j])
+    return NominalComparison(*parts)
+
+
+def _sign_doubts(recording: Recording, comparison: NominalComparison) -> Iterator[Remark]:
+    """Yield a doubt for each joint whose torque has the opposite sign."""
+    slope, correlation = comparison.slopes()
+    for j in np.flatnonzero(correlation < -MIN_CORRELATION).tolist():
+        joint = recording.joints[j]
+        text = (
+            f"joint '{joint}': measured torque is {slope[j]:.3g} times the torque of the nominal "
+            f"model, with a correlation of {correlation[j]:.2f}; its sign is inverted, turn it"
+        )
+        yield Remark(RemarkKind.TORQUE_SIGN, text, joint, doubt=True)
+
+
+def _scale_doubts(recording: Recording, comparison: NominalComparison) -> Iterator[Remark]:
+    """Yield a doubt for each joint whose torque is of another size than the nominal one."""
+    slope, correlation = comparison.slopes()
+    size = np.abs(slope)
+    judged = np.abs(correlation) > MIN_CORRELATION
+    wrong = judged & ((size < PLAUSIBLE_SLOPE[0]) | (size > PLAUSIBLE_SLOPE[1]))
+    if not wrong.any():
+        return
+    agree = bool(wrong[judged].all() and np.ptp(np.log(size[judged])) < np.log(SLOPE_AGREEMENT))
+    for j in np.flatnonzero(wrong).tolist():
+        joint = recording.joints[j]
+        text = (
+            f"joint '{joint}': measured torque is {slope[j]:.3g} times the torque of the nominal "
+            f"model, with a correlation of {correlation[j]:.2f}; "
+            f"{_likely_unit(float(size[j]), recording, joint, agree)}"
+        )
+        yield Remark(RemarkKind.TORQUE_SCALE, text, joint, doubt=True)
+
+
+def _likely_unit(size: float, recording: Recording, joint: str, agree: bool) -> str:
+    """Likely reason for a wrong scale, with the remedy."""
+    is_current = not recording.has("tau", joint)
+    power = round(np.log10(size) / 3.0)
+    if power and abs(np.log10(size) - 3.0 * power) < np.log10(SLOPE_AGREEMENT):
+        prefix = {1: "m", 2: "µ", -1: "k"}.get(power)
+        if prefix is not None:
+            unit = f"{prefix}A, not A" if is_current else f"{prefix}N m, not N m"
+            return f"it is off by 1e{3 * power:+d}: is it in {unit}? Convert it"
+        return f"it is off by 1e{3 * power:+d}; check its unit"
+    if is_current:
+        return f"check the drive_gain, which should be {1.0 / size:.3g} times as large"
+    if size < 1.0:
+        return (
+            "is it a motor current or a torque on the motor's side of the gear? Name it "
+            f"i.{joint} and state drive_gain, or multiply it by {1.0 / size:.3g}"
+        )
+    return f"check its unit: divide it by {size:.3g}" + ("" if agree else " or by a gear ratio")
+
+
+def _gravity_doubts(
+    recording: Recording,
+    robot: Robot,
+    torque: FloatArray,
+    motion: Samples,
+    comparison: NominalComparison,
+) -> list[Remark]:
+    """Doubt that the torque contains gravity, and that gravity points where the robot says."""
+    gravity, judged = _measured_gravity(robot, torque, motion)
+    stated = robot.model.gravity.linear
+    size = float(np.linalg.norm(stated))
+    cosine = float(gravity @ stated) / max(float(np.linalg.norm(gravity)) * size, 1e-9)
+    angle = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    ratio = float(np.linalg.norm(gravity)) / size
+    is_present = MAX_GRAVITY_SLOPE < ratio < 1.0 / MAX_GRAVITY_SLOPE
+    if judged.sum() >= MIN_GRAVITY_JOINTS and is_present and angle > MAX_GRAVITY_ANGLE:
+        direction = ", ".join(f"{value:.1f}" for value in gravity)
+        text = (
+            f"gravity as the torque shows it is ({direction}) m/s² in the base frame, {angle:.0f}° "
+            "from the one that is stated; is the base mounted another way? Give --gravity X,Y,Z"
+        )
+        return [Remark(RemarkKind.GRAVITY, text, doubt=True)]
+    slope, _, judged = comparison.gravity_shares()
+    if judged.sum() < MIN_GRAVITY_JOINTS or (np.abs(slope[judged]) > MAX_GRAVITY_SLOPE).any():
+        return []
+    shown = ", ".join(
+        f"{100.0 * slope[j]:.0f} % at {recording.joints[j]}" for j in np.flatnonzero(judged)
+    )
+    text = (
+        f"gravity is missing from the torque, which holds {shown} of the nominal gravity torque "
+        'and the torque of the motion; state "effort": "without gravity" in the .json file, or '
+        "record the complete torque"
+    )
+    return [Remark(RemarkKind.GRAVITY, text, doubt=True)]
+
+
+def _measured_gravity(
+    robot: Robot, torque: FloatArray, motion: Samples
+) -> tuple[FloatArray, BoolArray]:
+    """Estimate the vector of gravity by least squares over the joints that show it.
+
+    Returns:
+        Gravity, shape (3,) [m/s²], and True for the joints that it is estimated from, shape (n,).
+    """
+    model, spread = robot.model.copy(), robot.spread
+    data, columns = model.createData(), list[FloatArray]()
+    q = robot.expand(motion.q)
+    for axis in np.eye(3):
+        model.gravity = pin.Motion(axis, np.zeros(3))
+        columns.append(np.array([pin.computeGeneralizedGravity(model, data, row) for row in q]))
+    dynamic = nominal_torque(robot, motion)[1]
+    normal, right, judged = np.zeros((3, 3)), np.zeros(3), np.zeros(robot.n, bool)
+    for j in range(robot.n):
+        orthogonal = np.linalg.qr(np.column_stack([_friction(motion.dq[:, j]), dynamic[:, j]]))[0]
+        X = np.column_stack([column @ spread[:, j] for column in columns])
+        X -= orthogonal @ (orthogonal.T @ X)
+        y = torque[:, j] - orthogonal @ (orthogonal.T @ torque[:, j])
+        fitted = X @ np.linalg.lstsq(X, y, rcond=None)[0]
+        power = float(y @ y)
+        judged[j] = power > 0.0 and float(np.sum((y - fitted) ** 2)) < (1.0 - MIN_EXPLAINED) * power
+        if judged[j]:
+            weight = 1.0 / max(float(np.mean((y - fitted) ** 2)), 1e-300)
+            normal += weight * X.T @ X
+            right += weight * X.T @ y
+    # a direction that no joint shows, such as across the plane of a planar arm, keeps 0
+    return np.asarray(np.linalg.pinv(normal, rcond=1e-6) @ right), judged
+
+
+def _friction(speed: FloatArray) -> FloatArray:
+    """Columns of offset, viscous and Coulomb friction of a joint. Shape (N, 3)."""
+    width = max(FRICTION_SPEED_SHARE * float(np.sqrt(np.mean(speed**2))), 1e-12)
+    return np.column_stack([np.ones_like(speed), speed, np.tanh(speed / width)])
+
+
+def _exchanged_joints(
+    recording: Recording,
+    robot: Robot,
+    torque: FloatArray,
+    motion: Samples,
+    comparison: NominalComparison,
+) -> list[Remark]:
+    """Doubt the names of two joints whose exchange explains the torque of both."""
+    before = _explained(comparison)
+    out: list[Remark] = []
+    for first, second in itertools.combinations(range(robot.n), 2):
+        unexplained = 1.0 - float(before[[first, second]].mean())
+        if unexplained < MIN_UNEXPLAINED:
+            continue
+        order = list(range(robot.n))
+        order[first], order[second] = second, first
+        swapped = Samples(motion.q[:, order], motion.dq[:, order], motion.ddq[:, order])
+        gravity, dynamic = nominal_torque(robot, swapped)
+        cases: Sequence[tuple[str, NominalComparison]] = (
+            ("torques", _with_torque(comparison, torque[:, order], motion)),
+            ("positions", _comparison(torque, swapped, gravity, dynamic)),
+            ("names", _comparison(torque[:, order], swapped, gravity, dynamic)),
+        )
+        name, after = max(
+            ((name, _explained(case)) for name, case in cases),
+            key=lambda entry: float(entry[1][[first, second]].min()),
+        )
+        pair = after[[first, second]]
+        if pair.min() > MIN_EXPLAINED and 1.0 - pair.mean() < MAX_UNEXPLAINED_RATIO * unexplained:
+            a, b = recording.joints[first], recording.joints[second]
+            text = (
+                f"joints '{a}' and '{b}': the nominal model explains {100 * before[first]:.0f} and "
+                f"{100 * before[second]:.0f} % of their torque, and "
+                f"{100 * after[first]:.0f} and {100 * after[second]:.0f} % if their {name} are "
+                "exchanged; check the names of the columns"
+            )
+            out.append(Remark(RemarkKind.EXCHANGED, text, a, doubt=True))
+    return out
+
+
+def _with_torque(
+    comparison: NominalComparison, torque: FloatArray, motion: Samples
+) -> NominalComparison:
+    """The comparison with other measured torque."""
+    # nominal torque is unchanged by removing friction twice
+    return _comparison(torque, motion, comparison.gravity, comparison.motion)
+
+
+def _explained(comparison: NominalComparison) -> FloatArray:
+    """Share of each joint's torque that a positive multiple of the nominal torque explains."""
+    return np.asarray(np.maximum(comparison.slopes()[1], 0.0) ** 2)

@@ -361,7 +361,7 @@ def motion_files(trajectory: Trajectory, robot: Robot, standard: Parameters) -> 
     )
     return {
         "trajectory.json": _json.dumps(trajectory.document()),
-        "trajectory.csv": csv_json.write_csv(job).text,
+        "trajectory.csv": csv_json.render_csv(job).text,
     }
 
 

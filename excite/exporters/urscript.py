@@ -159,7 +159,7 @@ def _run(motion: Motion) -> Iterator[str]:
             yield f"  piece({fixed(duration, None)}, {_vector(jerk)})"
 
 
-def write(job: ExportJob) -> ExportedText:
+def render_program(job: ExportJob) -> ExportedText:
     """Return the program.
 
     Its step is that of the controller, unless the job states a rate of 500, 250 or 125 Hz.
@@ -214,7 +214,7 @@ def rebuilt_motion(text: str) -> Motion:
     """Rebuild the motion of a program from the numbers in its text.
 
     Args:
-        text: A program that `write` returned.
+        text: A program that `render_program` returned.
 
     Raises:
         ValueError: The text is no such program.
@@ -301,7 +301,7 @@ def read(path: Path) -> Columns:
         Times, shape (N,) [s], positions, velocities and accelerations, shape (N, 6) each.
 
     Raises:
-        ValueError: The file is no program that `write` returned.
+        ValueError: The file is no program that `render_program` returned.
     """
     text = path.read_text(encoding="utf-8")
     motion = rebuilt_motion(text)

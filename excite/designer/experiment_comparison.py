@@ -16,7 +16,8 @@ from ..robot.robot import Robot
 from ..robot.samples import Samples
 from ..trajectory.fourier import FourierSeries
 from ..trajectory.rest_to_rest import Motion
-from .identifiability import IDENTIFIABLE_VARIANCE, eigenvalues_and_directions, information_root
+from .identifiability import eigenvalues_and_directions, information_root
+from .identifiability_threshold import IDENTIFIABLE_VARIANCE, is_identifiable
 
 SAMPLES_PER_PERIOD = 300
 """Samples of one period for information and peak values [1]."""
@@ -108,7 +109,9 @@ def compare_scenarios(
         "time": (),
         "speed": _broken_limits(robot, parameters, limits, motion, 2.0),
     }
-    counts = {name: int(np.sum(values * threshold >= 1.0)) for name, values in spectra.items()}
+    counts = {
+        name: int(is_identifiable(values, threshold).sum()) for name, values in spectra.items()
+    }
     words = {
         "now": f"{counts['now']} of {base.count} directions are identifiable",
         "time": _gain(counts["time"] - counts["now"], "Twice the recording time"),

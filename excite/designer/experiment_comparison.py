@@ -15,7 +15,7 @@ from ..robot.parameter_names import listed
 from ..robot.robot import Robot
 from ..robot.samples import Samples
 from ..trajectory.fourier import FourierSeries
-from ..trajectory.rest_to_rest import Motion
+from ..trajectory.rest_to_rest import Motion, SegmentKind
 from .identifiability import eigenvalues_and_directions, information_root
 from .identifiability_threshold import IDENTIFIABLE_VARIANCE, is_identifiable
 
@@ -90,7 +90,7 @@ def compare_scenarios(
         Scenarios now, time and speed.
     """
     t = motion.grid(rate)
-    fourier = motion.segment("fourier")
+    fourier = motion.segment(SegmentKind.FOURIER)
     inside = (t >= fourier.start) & (t < fourier.end)
     outer = information_root(robot, parameters, motion.samples(t[~inside]), noise)
     earlier = np.zeros((0, parameters.count)) if earlier_root is None else earlier_root

@@ -433,7 +433,7 @@ def _information(
     """
     if not paths:
         return None
-    standard = inertial_parameters.standard(robot, limits, options.drive)
+    standard = inertial_parameters.standard_parameters(robot, limits, options.drive)
     noise = torque_noise_levels(limits, options.noise)
     roots = [
         identifiability.information_root(

@@ -141,7 +141,7 @@ def diagnose(
     """
     loaded = load_robot(robot)
     table = resolve_limits(loaded, limits)
-    standard = inertial_parameters.standard(loaded, table, inertial_parameters.DRIVE)
+    standard = inertial_parameters.standard_parameters(loaded, table, inertial_parameters.DRIVE)
     base = base_parameters.find(loaded, standard, table)
     trusted = (
         {} if prior is None else prior_module.read_trusted_parameters(Path(prior), loaded, standard)

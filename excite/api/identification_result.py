@@ -250,7 +250,7 @@ def identify(
     """
     loaded = load_robot(robot)
     table = resolve_limits(loaded, limits)
-    standard = inertial_parameters.standard(loaded, table, drive)
+    standard = inertial_parameters.standard_parameters(loaded, table, drive)
     base = base_parameters.find(loaded, standard, table)
     trusted = (
         {} if prior is None else prior_module.read_trusted_parameters(Path(prior), loaded, standard)

@@ -278,7 +278,7 @@ def verify(
 def motion_constraints(trajectory: Trajectory, robot: Robot, limits: Limits) -> MotionConstraints:
     """Return the constraints on a trajectory, with the uncertainty and boxes of its design."""
     design = trajectory.design
-    standard = inertial_parameters.standard(
+    standard = inertial_parameters.standard_parameters(
         robot, limits, design.get("drive", inertial_parameters.DRIVE)
     )
     boxes = tuple(

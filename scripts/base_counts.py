@@ -61,7 +61,7 @@ def loaded(text: str, folder: Path) -> robot.Robot:
 def counted(machine: robot.Robot) -> tuple[int, int, float, float]:
     """Structural number, rank, smallest singular value that counts, largest that does not."""
     table = limits.resolve(machine)
-    standard = inertial_parameters.standard(machine, table)
+    standard = inertial_parameters.standard_parameters(machine, table)
     samples = max(40, 4 * standard.count // machine.n + 20)
     motion = base_parameters.random_motion(table, samples, np.random.default_rng(1))
     rows = dynamics.regressor(machine.with_exact_placements(), standard, motion)

@@ -65,7 +65,7 @@ def show(title: str, head: Sequence[str], rows: Sequence[Sequence[str]], note: s
 def model_of(machine: Robot) -> tuple[IdentificationModel, limits.Limits]:
     """Return a robot's model with all parameters, and its limits."""
     table = limits.resolve(machine)
-    standard = inertial_parameters.standard(machine, table)
+    standard = inertial_parameters.standard_parameters(machine, table)
     return IdentificationModel(
         machine,
         standard,

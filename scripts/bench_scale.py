@@ -170,7 +170,7 @@ def whole() -> None:
 def recording(name: str, rows: int, folder: Path, rate: float = 1000.0) -> str:
     """Write a recording of a multisine motion with friction and white noise."""
     robot = load(name)
-    standard = inertial_parameters.standard(robot, limits.resolve(robot))
+    standard = inertial_parameters.standard_parameters(robot, limits.resolve(robot))
     rng, t = np.random.default_rng(0), np.arange(rows) / rate
     q, dq, ddq = (np.zeros((rows, robot.n)) for _ in range(3))
     for k in range(1, 12):

@@ -66,7 +66,7 @@ def error_bound(name: str, key: dict[str, Any], folder: Path) -> ErrorBound:
     generated = generate_cases.generate_case(CaseSpec(**fields), MODELS)
     machine = robot.load(str(folder / "robot.urdf"))
     table = limits.resolve(machine)
-    standard = inertial_parameters.standard(machine, table)
+    standard = inertial_parameters.standard_parameters(machine, table)
     files = [recordings.read(folder / f"{part}.csv", machine) for part in ("train", "validate")]
     result = diagnosis.diagnose(
         machine, standard, base_parameters.find(machine, standard, table), [files[0]], [files[1]]

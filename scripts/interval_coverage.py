@@ -81,7 +81,7 @@ class TestRobot:
         """Identify from recordings with noise of a seed."""
         machine = robot.load(self.name)
         table = limits.resolve(machine)
-        standard = inertial_parameters.standard(machine, table)
+        standard = inertial_parameters.standard_parameters(machine, table)
         generators = np.random.default_rng([seed, 5]).spawn(2)
         signals = [
             as_recording(

@@ -39,7 +39,7 @@ its combination.""",
         "code",
         """arm = robot.load("two_link")
 bounds = limits.resolve(arm)
-psi = inertial_parameters.standard(arm, bounds)
+psi = inertial_parameters.standard_parameters(arm, bounds)
 theta = base_parameters.find(arm, psi, bounds)
 print(f"{psi.count} standard parameters, {theta.count} base parameters")
 for name, expression in zip(np.array(psi.names)[theta.independent], theta.expressions, strict=True):
@@ -165,7 +165,7 @@ from excite.simulator import experiment
 
 arm = robot.load("ur10e")
 bounds = limits.resolve(arm)
-psi = inertial_parameters.standard(arm, bounds)
+psi = inertial_parameters.standard_parameters(arm, bounds)
 theta = base_parameters.find(arm, psi, bounds)
 folder = Path(tempfile.mkdtemp())""",
     ),
@@ -364,7 +364,7 @@ REAL = Path(os.environ.get("EXCITE_RECORDINGS", "../../shared/recordings"))
 def diagnose(folder, urdf, train, held_out, prior=None, band=None):
     machine = robot.load(str(REAL / folder / urdf))
     table = limits.resolve(machine)
-    standard = inertial_parameters.standard(machine, table)
+    standard = inertial_parameters.standard_parameters(machine, table)
     base = base_parameters.find(machine, standard, table)
     training, validation = (
         [recordings.read(REAL / folder / f"{name}.csv", machine, table) for name in names]

@@ -40,7 +40,7 @@ def two_link_model() -> IdentificationModel:
     """Return the model of the built-in two-link robot with all parameters."""
     machine = robot.load("two_link")
     table = limits.resolve(machine)
-    standard = inertial_parameters.standard(machine, table)
+    standard = inertial_parameters.standard_parameters(machine, table)
     return IdentificationModel(
         machine,
         standard,
@@ -69,7 +69,7 @@ def perturbed_parameters(
 
 def true_parameters(simulated: SimulatedRobot, standard: Parameters, table: Limits) -> FloatArray:
     """Return ψ of a simulated robot: its bodies and actuators."""
-    psi = inertial_parameters.standard(loaded(simulated.tree.xml), table).nominal.copy()
+    psi = inertial_parameters.standard_parameters(loaded(simulated.tree.xml), table).nominal.copy()
     for kind, name in (
         ("rotor_inertia", "inertia"),
         ("viscous", "viscous"),

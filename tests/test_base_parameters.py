@@ -60,7 +60,7 @@ def wide(robot: Robot, standard: Parameters) -> np.ndarray:
 
 def counts(robot: Robot, drive: tuple[str, ...]) -> tuple[int, int, int]:
     limits = resolve(robot)
-    standard = inertial_parameters.standard(robot, limits, drive)
+    standard = inertial_parameters.standard_parameters(robot, limits, drive)
     return (
         base_parameters.find(robot, standard, limits).count,
         base_count(robot, standard),
@@ -158,11 +158,13 @@ def test_offset_of_a_lift_cannot_be_told_from_its_weight_at_rest_alone():
     assert counts(lift, ("rotor_inertia", "offset"))[0] == 2  # mass, rotor and offset: two numbers
 
 
+@pytest.mark.filterwarnings("ignore:.*is rounded:excite.errors.ExciteWarning")
 @given(seeds)
 def test_structural_count_bounds_a_robot_with_mimics(rng):
+    """A random angle may by chance be close to a right angle, as those of seed 910922 are."""
     robot = loaded(random_urdf(rng, 4, mimics={2: (0, 0.7, 0.1)}))
     limits = resolve(robot)
-    standard = inertial_parameters.standard(robot, limits)
+    standard = inertial_parameters.standard_parameters(robot, limits)
     base = base_parameters.find(robot, standard, limits).count
     assert base == rank(wide(robot, standard)) <= base_count(robot, standard)
 
@@ -181,7 +183,7 @@ def example(
         else loaded(random_urdf(np.random.default_rng(name), 5, tidy=name == 2))
     )
     limits = resolve(robot)
-    standard = inertial_parameters.standard(robot, limits, drive)
+    standard = inertial_parameters.standard_parameters(robot, limits, drive)
     return robot, standard, base_parameters.find(robot, standard, limits)
 
 
@@ -275,7 +277,7 @@ def base_of(robot: Robot) -> tuple[Parameters, base_parameters.Base]:
     limits = resolve(robot)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExciteWarning)
-        standard = inertial_parameters.standard(robot, limits)
+        standard = inertial_parameters.standard_parameters(robot, limits)
         return standard, base_parameters.find(robot, standard, limits)
 
 
@@ -294,7 +296,7 @@ def test_base_parameters_do_not_depend_on_rounded_angles(name, decimals):
 def test_rounded_angles_are_reported_with_the_joint():
     machine = loaded(with_rounded_angles(text_of("ur10e")))
     limits = resolve(machine)
-    standard = inertial_parameters.standard(machine, limits)
+    standard = inertial_parameters.standard_parameters(machine, limits)
     with pytest.warns(ExciteWarning, match=r"shoulder_lift_joint.* rounded .*exact right angles"):
         base_parameters.find(machine, standard, limits)
 

@@ -37,7 +37,10 @@ def build_functions(name: str) -> casadi_model.DynamicsFunctions:
     """Build the functions of a built-in robot, which begins their compilation."""
     robot = load(name)
     return casadi_model.dynamics_functions(
-        robot, inertial_parameters.standard(robot, limits.resolve(robot), inertial_parameters.DRIVE)
+        robot,
+        inertial_parameters.standard_parameters(
+            robot, limits.resolve(robot), inertial_parameters.DRIVE
+        ),
     )
 
 
@@ -123,7 +126,7 @@ def test_no_library_without_a_compiler(monkeypatch, value):
     robot = loaded(pendulum())
     assert (
         casadi_model.dynamics_functions(
-            robot, inertial_parameters.standard(robot, limits.resolve(robot), ())
+            robot, inertial_parameters.standard_parameters(robot, limits.resolve(robot), ())
         ).library
         is None
     )
@@ -142,7 +145,9 @@ def test_large_functions_are_not_compiled(cached):
     assert (
         casadi_model.dynamics_functions(
             robot,
-            inertial_parameters.standard(robot, limits.resolve(robot), inertial_parameters.DRIVE),
+            inertial_parameters.standard_parameters(
+                robot, limits.resolve(robot), inertial_parameters.DRIVE
+            ),
         ).library
         is None
     )
@@ -287,7 +292,7 @@ from excite.designer import casadi_model
 from excite.robot import inertial_parameters, limits
 from excite.robot.robot import load
 robot = load("two_link")
-standard = inertial_parameters.standard(robot, limits.resolve(robot), ())
+standard = inertial_parameters.standard_parameters(robot, limits.resolve(robot), ())
 functions = casadi_model.dynamics_functions(robot, standard)
 assert functions.library is not None
 until = time.monotonic() + 60.0
@@ -361,7 +366,7 @@ def test_a_library_that_another_process_compiles_is_not_compiled_twice(
 def test_padding_changes_no_sample(count):
     robot = load("two_link")
     functions = casadi_model.dynamics_functions(
-        robot, inertial_parameters.standard(robot, limits.resolve(robot), ())
+        robot, inertial_parameters.standard_parameters(robot, limits.resolve(robot), ())
     )
     inputs = arguments(functions, count)["row"]
     plain = [a.copy() for a in casadi_batch.MappedFunction(functions.row, count)(*inputs)]

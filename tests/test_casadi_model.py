@@ -24,7 +24,7 @@ STEP = 0.02 * COULOMB_WIDTH
 
 
 def layout(robot: Robot) -> Parameters:
-    return inertial_parameters.standard(robot, resolve(robot))
+    return inertial_parameters.standard_parameters(robot, resolve(robot))
 
 
 def near_standstill(n: int) -> Samples:

@@ -555,7 +555,7 @@ def test_oversampling_of_the_certificate_is_accurate():
 def test_friction_at_reversals_is_bounded_tightly():
     """The jump of Coulomb friction between two samples is bounded by its two sides."""
     machine = loaded(pendulum(LIMIT + '<dynamics friction="8" damping="0.1"/>'))
-    standard = inertial_parameters.standard(machine, resolve(machine))
+    standard = inertial_parameters.standard_parameters(machine, resolve(machine))
     constraints = constraint_margins.MotionConstraints(machine, resolve(machine), standard)
     motion = FourierSeries(np.array([[0.5]]), np.array([[0.2]]), np.array([0.3]), 4.0)
     coarse, dense = (motion.samples(motion.grid(n)) for n in (400, 200_000))

@@ -19,7 +19,7 @@ from excite.robot.inertial_parameters import Parameters
 @pytest.fixture(scope="module")
 def standard() -> Parameters:
     machine = robot.load("two_link")
-    return inertial_parameters.standard(machine, limits.resolve(machine))
+    return inertial_parameters.standard_parameters(machine, limits.resolve(machine))
 
 
 def prior_of(standard: Parameters, kind: Distance = Distance.BREGMAN) -> Prior:
@@ -38,7 +38,7 @@ def prior_of(standard: Parameters, kind: Distance = Distance.BREGMAN) -> Prior:
 def test_estimates_are_physically_consistent_for_any_data(seed: int, kind: Distance, size: float):
     rng = np.random.default_rng(seed)
     machine = loaded(random_urdf(rng, 3)) if seed % 2 else robot.load("two_link")
-    standard = inertial_parameters.standard(machine, limits.resolve(machine))
+    standard = inertial_parameters.standard_parameters(machine, limits.resolve(machine))
     root = rng.normal(size=(12, standard.count))
     estimate = consistency.maximum_a_posteriori(
         standard, root, size * rng.normal(size=12), prior_of(standard, kind)

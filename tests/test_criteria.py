@@ -44,7 +44,7 @@ class Case:
 
 def case(robot: Robot, limits: Limits | None = None, drive: tuple[str, ...] = DRIVE) -> Case:
     limits = limits or resolve(robot)
-    standard = inertial_parameters.standard(robot, limits, drive)
+    standard = inertial_parameters.standard_parameters(robot, limits, drive)
     return Case(
         robot, limits, standard, base_parameters.find(robot, standard, limits), 0.01 * limits.torque
     )

@@ -28,7 +28,7 @@ def diagnose_machine(
     folder = REAL / name
     machine = robot.load(str(folder / f"{name}.urdf"))
     table = limits.resolve(machine)
-    standard = inertial_parameters.standard(machine, table)
+    standard = inertial_parameters.standard_parameters(machine, table)
     training, validation = (
         [recordings.read(folder / f"{file}.csv", machine, table) for file in files]
         for files in (train, (held_out,))
@@ -112,7 +112,7 @@ def test_a_bare_motor_has_cogging_torque_of_order_72():
     folder = REAL / "laas_cogging"
     machine = robot.load(str(folder / "motor.urdf"))
     table = limits.resolve(machine)
-    standard = inertial_parameters.standard(machine, table)
+    standard = inertial_parameters.standard_parameters(machine, table)
     first, last = (
         recordings.read(folder / f"{name}.csv", machine, table)
         for name in ("speed_1rev_per_s_comp_off_then_on", "speed_test_b")

@@ -660,7 +660,7 @@ def test_a_mutated_scene_is_used_or_refused(two_link, table, tmp_path_factory, t
 @settings(max_examples=100)
 @given(text=mutated(PRIOR))
 def test_a_mutated_prior_is_read_or_refused(two_link, table, tmp_path_factory, text):
-    standard = inertial_parameters.standard(two_link, table)
+    standard = inertial_parameters.standard_parameters(two_link, table)
     path = tmp_path_factory.getbasetemp() / "p.json"
 
     def use(path: Path) -> None:

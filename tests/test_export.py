@@ -407,7 +407,7 @@ def test_vendor_units_and_reference() -> None:
 
 @pytest.mark.parametrize("relative", [False, True])
 def test_vendor_sign_offset_and_inverse(relative: bool) -> None:
-    profile = vendor_table.Profile(
+    profile = vendor_table.TableProfile(
         "x",
         "deg",
         (100.0,),

@@ -21,7 +21,7 @@ from excite.collision import urdf_geometry
 from excite.collision.geometry import Shape, ShapeKind
 from excite.errors import UnusableInput
 from excite.identification.urdf_export import identified_urdf
-from excite.robot.inertial_parameters import standard
+from excite.robot.inertial_parameters import standard_parameters
 from excite.robot.limits import resolve
 from excite.robot.robot import load
 
@@ -155,7 +155,7 @@ def test_a_declared_encoding_is_read_as_declared(encoding, mark, tmp_path):
 
 
 def _nominal(robot):
-    parameters = standard(robot, resolve(robot))
+    parameters = standard_parameters(robot, resolve(robot))
     return parameters, parameters.nominal, np.full(robot.n, 0.01)
 
 

@@ -20,7 +20,7 @@ WIDTH = 0.02
 
 def model_of(arm: Robot, drive: tuple[str, ...] = inertial_parameters.DRIVE) -> IdentificationModel:
     table = limits.resolve(arm)
-    standard = inertial_parameters.standard(arm, table, drive)
+    standard = inertial_parameters.standard_parameters(arm, table, drive)
     return IdentificationModel(
         arm, standard, base_parameters.find(arm, standard, table), np.full(arm.n, WIDTH)
     )

@@ -247,7 +247,9 @@ def torque_columns(two_link) -> dict[str, FloatArray]:
     )
     ddq = -np.array([4.0, 9.0]) * q
     torque = dynamics.torque(
-        two_link, inertial_parameters.standard(two_link, resolve(two_link)), Samples(q, dq, ddq)
+        two_link,
+        inertial_parameters.standard_parameters(two_link, resolve(two_link)),
+        Samples(q, dq, ddq),
     )
     for k in (0, 1):
         columns[f"tau.joint_{k + 1}"] = torque[:, k]

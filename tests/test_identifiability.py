@@ -36,7 +36,7 @@ RNG_SEED = 3
 def setup(name: str) -> tuple:
     loaded = robot.load(name)
     table = limits.resolve(loaded)
-    standard = inertial_parameters.standard(loaded, table)
+    standard = inertial_parameters.standard_parameters(loaded, table)
     return loaded, table, standard, base_parameters_module.find(loaded, standard, table)
 
 

@@ -180,7 +180,7 @@ def test_torque_of_the_emps_pulses_is_predicted_to_five_percent():
 
     machine = robot.load(str(REAL_RECORDINGS / "emps" / "emps.urdf"))
     table = limits.resolve(machine)
-    standard = inertial_parameters.standard(machine, table)
+    standard = inertial_parameters.standard_parameters(machine, table)
     train, pulses = (
         recordings.read(REAL_RECORDINGS / "emps" / f"{name}.csv", machine)
         for name in ("train", "validate_pulses")

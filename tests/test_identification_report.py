@@ -69,7 +69,7 @@ def recorded(name: str, seed: int) -> Recording:
 def identification_of(*, held_out: bool = True, periodic: bool = True) -> Identification:
     loaded = robot.load("two_link")
     table = limits.resolve(loaded)
-    standard = inertial_parameters.standard(loaded, table)
+    standard = inertial_parameters.standard_parameters(loaded, table)
     first, second = recorded("first.csv", 1), recorded("second.csv", 2)
     if not periodic:
         first, second = (dataclasses.replace(r, sidecar=Sidecar()) for r in (first, second))
@@ -288,7 +288,7 @@ def test_robot_with_one_sliding_joint() -> None:
         )
     loaded = robot.load(str(folder / "emps.urdf"))
     table = limits.resolve(loaded)
-    standard = inertial_parameters.standard(loaded, table)
+    standard = inertial_parameters.standard_parameters(loaded, table)
     train, pulses = (
         recordings.read(folder / f"{name}.csv", loaded) for name in ("train", "validate_pulses")
     )

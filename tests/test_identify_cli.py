@@ -117,7 +117,7 @@ def test_torque_is_predicted_at_the_times_of_the_recording(folder):
 def test_the_identified_urdf_gives_the_torque_of_the_model(folder):
     fitted = identified_model.read_model(folder / "out" / "model.json")
     again = robot.load(str(folder / "out" / "identified.urdf"))
-    standard = inertial_parameters.standard(again, limits.resolve(again))
+    standard = inertial_parameters.standard_parameters(again, limits.resolve(again))
     samples = states(2)
     assert np.allclose(standard.nominal, fitted.psi, rtol=1e-9, atol=1e-12)
     assert np.allclose(
@@ -132,14 +132,14 @@ def test_the_identified_urdf_keeps_comments_and_fixes_locked_joints(tmp_path):
 
     machine = robot.load("ur10e", lock={"wrist_2_joint": 0.7, "wrist_3_joint": -0.3})
     table = limits.resolve(machine)
-    standard = inertial_parameters.standard(machine, table)
+    standard = inertial_parameters.standard_parameters(machine, table)
     psi = perturbed_parameters(standard, np.random.default_rng(1))
     path = tmp_path / "identified.urdf"
     path.write_text(identified_urdf(machine, standard, psi, np.full(machine.n, 0.003)))
     assert path.read_text().count("<!--") == text_of("ur10e").count("<!--")
     again = robot.load(str(path))
     assert again.joints == machine.joints
-    exported = inertial_parameters.standard(again, limits.resolve(again))
+    exported = inertial_parameters.standard_parameters(again, limits.resolve(again))
     samples = states(machine.n)
     before, after = (
         dynamics.regressor(machine, standard, samples) @ psi,
@@ -182,7 +182,7 @@ def test_priors_and_bounds_are_respected(folder):
     )
     fitted = identified_model.read_model(folder / "trusted" / "model.json")
     machine = robot.load("two_link")
-    standard = inertial_parameters.standard(machine, limits.resolve(machine))
+    standard = inertial_parameters.standard_parameters(machine, limits.resolve(machine))
     assert np.allclose(
         fitted.psi[:20], consistency.consistent_nominal(standard)[:20], rtol=1e-3, atol=1e-4
     )

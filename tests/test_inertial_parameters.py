@@ -158,7 +158,10 @@ def from_pseudo(P):
 @pytest.mark.parametrize("name", BUILTIN)
 def test_nominal_torque_is_that_of_pinocchio_plus_friction(name):
     robot = load(name)
-    standard, motion = inertial_parameters.standard(robot, resolve(robot)), states(robot.n)
+    standard, motion = (
+        inertial_parameters.standard_parameters(robot, resolve(robot)),
+        states(robot.n),
+    )
     data = robot.model.createData()
     expected = np.array(
         [
@@ -175,20 +178,24 @@ def test_nominal_torque_is_that_of_pinocchio_plus_friction(name):
 
 def test_friction_of_the_urdf_is_nominal_and_its_own_scale():
     robot = loaded(pendulum(LIMIT + '<dynamics damping="0.7" friction="1.3"/>'))
-    standard = inertial_parameters.standard(robot, resolve(robot))
+    standard = inertial_parameters.standard_parameters(robot, resolve(robot))
     assert standard.nominal[10:].tolist() == [0.0, 0.7, 1.3, 0.0]
     assert standard.scale.diagonal()[11:13].tolist() == [0.7, 1.3]
 
 
 def test_friction_without_a_nominal_value_gets_the_stated_scale():
     robot = loaded(pendulum())  # torque 40 N m, velocity 3 rad/s
-    scale = inertial_parameters.standard(robot, resolve(robot), DRIVE).scale.diagonal()[11:]
+    scale = inertial_parameters.standard_parameters(robot, resolve(robot), DRIVE).scale.diagonal()[
+        11:
+    ]
     assert np.allclose(scale, [0.02 * 40 / 3, 0.02 * 40, 0.02 * 40], rtol=1e-14)
 
 
 def test_rotor_inertia_scales_with_the_joints_inertia():
     robot = loaded(pendulum())  # 2 kg at 0.3 m and 0.02 kg m² about its centre
-    scale = inertial_parameters.standard(robot, resolve(robot), ("rotor_inertia",)).scale[10, 10]
+    scale = inertial_parameters.standard_parameters(
+        robot, resolve(robot), ("rotor_inertia",)
+    ).scale[10, 10]
     assert np.isclose(scale, 0.05 * (2 * 0.3**2 + 0.02), rtol=1e-12)
 
 
@@ -199,7 +206,9 @@ def test_rotor_inertia_scale_is_a_mean_over_poses():
     poses = rng.uniform(limits.position[:, 0], limits.position[:, 1], (4000, 4))
     mean = np.mean([np.diag(pin.crba(robot.model, data, q)) for q in poses], axis=0)
     assert np.allclose(
-        inertial_parameters.standard(robot, limits, ("rotor_inertia",)).scale.diagonal()[40:],
+        inertial_parameters.standard_parameters(robot, limits, ("rotor_inertia",)).scale.diagonal()[
+            40:
+        ],
         0.05 * mean,
         rtol=0.1,
     )
@@ -207,7 +216,7 @@ def test_rotor_inertia_scale_is_a_mean_over_poses():
 
 def test_scale_is_block_diagonal_with_each_bodys_inverse_root():
     robot = load("two_link")
-    scale = inertial_parameters.standard(robot, resolve(robot), ()).scale
+    scale = inertial_parameters.standard_parameters(robot, resolve(robot), ()).scale
     blocks = [inverse_root(robot.model.inertias[i].toDynamicParameters()) for i in (1, 2)]
     assert np.array_equal(scale, scipy.linalg.block_diag(*blocks))
 
@@ -215,7 +224,7 @@ def test_scale_is_block_diagonal_with_each_bodys_inverse_root():
 @given(st.sets(st.sampled_from(DRIVE)))
 def test_layout_names_each_parameter_once_in_one_order(drive):
     robot = load("two_link")
-    standard = inertial_parameters.standard(robot, resolve(robot), drive)
+    standard = inertial_parameters.standard_parameters(robot, resolve(robot), drive)
     assert standard.drive == tuple(kind for kind in DRIVE if kind in drive)
     assert (
         len(set(standard.names))
@@ -229,7 +238,7 @@ def test_layout_names_each_parameter_once_in_one_order(drive):
 @pytest.mark.parametrize("kind", DRIVE)
 def test_drive_column_acts_on_its_own_joint_only(kind):
     robot, motion = load("two_link"), states(2)
-    standard = inertial_parameters.standard(robot, resolve(robot), (kind,))
+    standard = inertial_parameters.standard_parameters(robot, resolve(robot), (kind,))
     columns = regressor(robot, standard, motion)[:, :, 20:]
     expected = {
         "rotor_inertia": motion.ddq,
@@ -243,7 +252,7 @@ def test_drive_column_acts_on_its_own_joint_only(kind):
 def test_an_unknown_drive_parameter_is_refused():
     robot = load("two_link")
     with pytest.raises(UnusableInput, match="no joint parameter 'magic'; there are: rotor_inertia"):
-        inertial_parameters.standard(robot, resolve(robot), ("magic",))
+        inertial_parameters.standard_parameters(robot, resolve(robot), ("magic",))
 
 
 # -- inconsistent bodies ---------------------------------------------------------------------------
@@ -303,7 +312,7 @@ def test_a_warning_names_the_repaired_link(sick):
         )
     )
     with pytest.warns(ExciteWarning, match=r"no proper body in link\(s\) hand ") as caught:
-        standard = inertial_parameters.standard(robot, resolve(robot))
+        standard = inertial_parameters.standard_parameters(robot, resolve(robot))
     assert len(caught) == 1 and standard.repaired == ("hand",)
     assert np.linalg.matrix_rank(standard.scale[10:20, 10:20]) == 10
 
@@ -312,7 +321,7 @@ def test_a_repair_does_not_change_the_nominal_torque():
     text = pendulum(body=link("arm", 2.0, (0.3, 0, 0), np.diag([0.0, 0.1, 0.1])))
     robot, motion = loaded(text), states(1)
     with pytest.warns(ExciteWarning, match="arm"):
-        standard = inertial_parameters.standard(robot, resolve(robot), ())
+        standard = inertial_parameters.standard_parameters(robot, resolve(robot), ())
     assert (
         off(
             regressor(robot, standard, motion) @ standard.nominal,

@@ -77,7 +77,7 @@ def simulate(encoder: float, step: float) -> SimulatedExperiment:
     )
     signals, arm = session.recording, robot.load("two_link")
     table = limits.resolve(arm)
-    standard = inertial_parameters.standard(arm, table)
+    standard = inertial_parameters.standard_parameters(arm, table)
     true_psi = true_parameters(session.robot, standard, table)
     model = IdentificationModel(
         arm, standard, base_parameters.find(arm, standard, table), session.robot.actuators.width

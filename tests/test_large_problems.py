@@ -164,7 +164,7 @@ def test_a_recording_that_exceeds_the_memory_is_refused(rows, fits):
 
 def test_torque_of_a_long_motion_equals_that_of_its_parts(tmp_path):
     robot = load(str(tree(tmp_path, 30, 3)))
-    standard = inertial_parameters.standard(robot, resolve(robot))
+    standard = inertial_parameters.standard_parameters(robot, resolve(robot))
     motion = states(robot, 350)
     assert len(list(dynamics.regressor_blocks(robot, standard, motion))) > 1
     nominal, width = dynamics.torque_band(robot, standard, motion, 0.1)
@@ -177,7 +177,7 @@ def test_torque_of_a_long_motion_equals_that_of_its_parts(tmp_path):
 
 def test_criteria_of_a_long_motion_equal_those_of_its_parts(two_link):
     table = resolve(two_link)
-    standard = inertial_parameters.standard(two_link, table)
+    standard = inertial_parameters.standard_parameters(two_link, table)
     base = base_parameters.find(two_link, standard, table)
     Y = dynamics.regressor(two_link, standard, states(two_link, 300))
     noise = np.array([0.3, 0.1])
@@ -189,5 +189,5 @@ def test_criteria_of_a_long_motion_equal_those_of_its_parts(two_link):
 
 
 def test_a_motion_without_samples_has_no_torque(two_link):
-    standard = inertial_parameters.standard(two_link, resolve(two_link))
+    standard = inertial_parameters.standard_parameters(two_link, resolve(two_link))
     assert dynamics.torque(two_link, standard, states(two_link, 0)).shape == (0, 2)

@@ -70,7 +70,7 @@ def test_meshes_are_found_from_the_new_place(tmp_path):
     path = tmp_path / "r.urdf"
     path.write_text(text.replace("</link>", f"{visual}</link>", 1), encoding="utf-8")
     robot = load(str(path))
-    parameters = inertial_parameters.standard(robot, resolve(robot))
+    parameters = inertial_parameters.standard_parameters(robot, resolve(robot))
     urdf = identified_urdf(
         robot, parameters, parameters.nominal, np.full(robot.n, 0.003), ["a -- b"]
     )

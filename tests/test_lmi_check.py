@@ -26,7 +26,7 @@ def random_problem(
 ) -> tuple[Parameters, FloatArray, FloatArray, FloatArray]:
     """Standard parameters, R B, R θ̂ and ψ₀ of a robot whose parameters are 10 % off nominal."""
     arm = robot.load(name)
-    standard = inertial_parameters.standard(arm, limits.resolve(arm))
+    standard = inertial_parameters.standard_parameters(arm, limits.resolve(arm))
     base = base_parameters.find(arm, standard, limits.resolve(arm))
     rng = np.random.default_rng(seed)
     nominal = consistency.consistent_nominal(standard)

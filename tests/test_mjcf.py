@@ -152,7 +152,7 @@ def largest_difference(robot: Robot, path: Path) -> float:
     """Largest difference of the torques along random states, relative to the largest torque."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExciteWarning)
-        standard = inertial_parameters.standard(robot, unlimited(robot))
+        standard = inertial_parameters.standard_parameters(robot, unlimited(robot))
     standard.nominal[standard.block("coulomb")] = 0.0
     samples = states(robot.n, 20, speed=1.5)
     torque = dynamics.torque(robot, standard, samples)
@@ -392,7 +392,7 @@ def test_an_identified_mjcf_becomes_a_urdf(tmp_path, text):
     robot = loaded(path)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ExciteWarning)
-        standard = inertial_parameters.standard(robot, unlimited(robot))
+        standard = inertial_parameters.standard_parameters(robot, unlimited(robot))
     widths = np.full(robot.n, 0.01)
     exported = urdf_export.identified_urdf(robot, standard, standard.nominal, widths)
     copy = written(tmp_path, exported, "identified.urdf")

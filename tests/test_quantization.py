@@ -170,7 +170,7 @@ def test_simulated_quantization_residual_has_the_size_of_the_actual_one(tmp_path
 
     machine = robot.load("two_link")
     table = limits.resolve(machine)
-    standard = inertial_parameters.standard(machine, table)
+    standard = inertial_parameters.standard_parameters(machine, table)
     setting = experiment.ExperimentSettings(seed=3)
     fine = experiment.simulate(
         locate("two_link"),

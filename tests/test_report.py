@@ -60,7 +60,7 @@ def chain(joints: int) -> str:
 def parts(source: str) -> tuple:
     loaded = robot.load(source)
     table = limits.resolve(loaded)
-    standard = inertial_parameters.standard(loaded, table)
+    standard = inertial_parameters.standard_parameters(loaded, table)
     base = base_parameters.find(loaded, standard, table)
     rng = np.random.default_rng(0)
     offset = 0.2 * rng.normal(size=loaded.n) + (

@@ -37,7 +37,7 @@ INERTIAL: tuple[str, ...] = ()
 
 
 def torque(robot: Robot, motion: Samples) -> np.ndarray:
-    standard = inertial_parameters.standard(robot, resolve(robot), INERTIAL)
+    standard = inertial_parameters.standard_parameters(robot, resolve(robot), INERTIAL)
     return regressor(robot, standard, motion) @ standard.nominal
 
 

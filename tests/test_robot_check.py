@@ -107,7 +107,7 @@ def test_implausible_figures_are_remarks(tmp_path):
     text = "\n".join(result.remarks)
     assert result.usable
     assert "'joint_a1': its velocity limit is 180 rad/s (degrees per second?)" in text
-    assert "'joint_a2': its torque limit of 1e+06 N m is none" in text
+    assert "'joint_a2': its torque limit of 1e+06 N m is a placeholder" in text
     assert "'joint_a3': gravity needs up to" in text
 
 

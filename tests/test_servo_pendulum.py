@@ -100,7 +100,7 @@ def test_load_friction_is_reported_with_static_friction(tmp_path: Path):
     (tmp_path / "servo.urdf").write_text(URDF, encoding="utf-8")
     machine = robot.load(str(tmp_path / "servo.urdf"))
     table = limits.resolve(machine)
-    standard = inertial_parameters.standard(machine, table)
+    standard = inertial_parameters.standard_parameters(machine, table)
     paths = [
         [
             write_recording(tmp_path, f"{name}{gain:g}", goal, gain, rng)

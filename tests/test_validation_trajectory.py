@@ -127,7 +127,7 @@ class SimulatedLaboratory:
 
     def __init__(self, robot: Robot, limits: Limits, rng: np.random.Generator) -> None:
         self.robot, self.rng = robot, rng
-        self.standard = inertial_parameters.standard(robot, limits)
+        self.standard = inertial_parameters.standard_parameters(robot, limits)
         self.base = base_parameters.find(robot, self.standard, limits)
         self.noise = 0.01 * limits.torque
         direction = rng.normal(size=self.standard.count)

@@ -19,6 +19,7 @@ from ..collision import clearance_builder, scene_file
 from ..collision.workcell import NOT_CHECKED, Cell
 from ..designer import experiment_comparison, identifiability, pipeline, time_budget
 from ..designer import validation_trajectory as validation
+from ..designer.identifiability_threshold import IDENTIFIABLE_VARIANCE
 from ..designer.motion_overlap import OverlapPenalty
 from ..designer.options import DesignOptions, WorkspaceBox, torque_noise_levels
 from ..errors import UnusableInput
@@ -45,9 +46,6 @@ DESIGN_FILES = (
     *(f"{validation.VALIDATION_FOLDER}/{name}" for name in MOTION_FILES),
 )
 """Files of a design; a validation motion of an earlier design is removed with it."""
-THRESHOLD = 1e-2
-"""Largest scale-free variance of an identifiable direction [1]: a standard deviation of about 10 %
-(Lee, Lee and Park 2021)."""
 
 
 @dataclass(frozen=True)
@@ -254,7 +252,7 @@ def design(
     given: Sequence[str | Path] = (),
     validate: bool = False,
     speed: float = 1.0,
-    threshold: float = THRESHOLD,
+    threshold: float = IDENTIFIABLE_VARIANCE,
     force: bool = False,
     progress: Progress | None = None,
     notes: Mapping[str, Any] | None = None,
@@ -365,7 +363,7 @@ def motion_files(trajectory: Trajectory, robot: Robot, standard: Parameters) -> 
     )
     return {
         "trajectory.json": _json.dumps(trajectory.document()),
-        "trajectory.csv": csv_json.write_csv(job).text,
+        "trajectory.csv": csv_json.render_csv(job).text,
     }
 
 
@@ -454,7 +452,7 @@ def _information(
     """
     if not paths:
         return None
-    standard = inertial_parameters.standard(robot, limits, options.drive)
+    standard = inertial_parameters.standard_parameters(robot, limits, options.drive)
     noise = torque_noise_levels(limits, options.noise)
     roots = [
         identifiability.information_root(

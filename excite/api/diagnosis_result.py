@@ -191,7 +191,7 @@ def diagnose(
         loaded, table, recordings, validate, trajectory=trajectory, columns=columns
     )
     loaded = robot_of_torque(loaded, [*train, *held_out])
-    standard = inertial_parameters.standard(loaded, table, inertial_parameters.DRIVE)
+    standard = inertial_parameters.standard_parameters(loaded, table, inertial_parameters.DRIVE)
     base = base_parameters.find(loaded, standard, table)
     trusted = (
         {} if prior is None else prior_module.read_trusted_parameters(Path(prior), loaded, standard)

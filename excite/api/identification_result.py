@@ -366,7 +366,7 @@ def identify(
         [with_own_period(recording) for recording in group] for group in (train, held_out)
     )
     loaded = robot_of_torque(loaded, [*train, *held_out])
-    standard = inertial_parameters.standard(loaded, table, drive)
+    standard = inertial_parameters.standard_parameters(loaded, table, drive)
     base = base_parameters.find(loaded, standard, table)
     trusted = (
         {} if prior is None else prior_module.read_trusted_parameters(Path(prior), loaded, standard)

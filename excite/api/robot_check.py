@@ -30,7 +30,8 @@ millimetres per second begin at 50."""
 WIDEST_SLIDE = 20.0
 """Range of a sliding joint above which it is doubted [m]; gantries reach 20 m."""
 LARGEST_EFFORT = 1e5
-"""Torque or force limit above which it is none [N m or N]; the largest robot has 2e4 N m."""
+"""Torque or force limit above which it can only be a placeholder [N m or N]; the joints of the
+largest robots have 2e4 N m."""
 EFFORT_MULTIPLE = 1000.0
 """Torque limit, relative to the largest torque of gravity at any joint, above which it is doubted
 [1]. Actuators of the joint that carries the arm hold 2 to 10 times its weight."""
@@ -49,7 +50,7 @@ class RobotCheck:
         faults: Sentences on what has to be corrected before a design.
         remarks: Sentences on what is unusual or was ignored.
         base_parameters: Number of base parameters.
-        base_link: Name of the link that is fixed.
+        base_link: Name of the root link, which is fixed to the ground.
         fixed: Number of fixed joints.
         gravity_torque: Largest torque of gravity over the position ranges. Shape (n,) [N m or N].
         floor: Height of the floor that a design assumes [m]; None: no floor or no shapes.
@@ -239,7 +240,7 @@ def check_robot(
         faults += [str(fault) for fault in missing]
         faults += [f"{fault}; correct its <inertial>" for fault in robot.inertia_faults]
         substitute = _with_substitutes(robot, table)
-        standard = inertial_parameters.standard(robot, substitute)
+        standard = inertial_parameters.standard_parameters(robot, substitute)
         count = base_parameters.find(robot, standard, substitute).count
         torque = _gravity_torque(robot, standard, substitute)
         floor, shape_faults = _floor(robot, substitute, packages)
@@ -269,7 +270,11 @@ def _without_source(robot: Robot, text: str) -> str:
 
 
 def _with_substitutes(robot: Robot, table: LimitTable) -> Limits:
-    """The limits with a value for each that is missing, for what depends on them a little."""
+    """Return the limits with substitutes for missing ones.
+
+    The results that use them depend only weakly on the substitutes: number of base parameters,
+    torque of gravity, floor.
+    """
 
     def values(quantity: str, substitute: Any) -> FloatArray:
         return np.array(
@@ -293,7 +298,7 @@ def _with_substitutes(robot: Robot, table: LimitTable) -> Limits:
 def _gravity_torque(
     robot: Robot, standard: inertial_parameters.Parameters, limits: Limits
 ) -> FloatArray:
-    """Largest torque of gravity over the position ranges. Shape (n,) [N m or N]."""
+    """Return the largest torque of gravity over the position ranges. Shape (n,) [N m or N]."""
     q = inertial_parameters.spread_poses(limits, POSES)
     still = np.zeros_like(q)
     frictionless = dataclasses.replace(standard, nominal=standard.nominal.copy())
@@ -302,7 +307,7 @@ def _gravity_torque(
 
 
 def _floor(robot: Robot, limits: Limits, packages: Sequence[str]) -> tuple[float | None, list[str]]:
-    """Height of the floor that a design assumes, and faults of the collision shapes."""
+    """Return the height of the floor that a design assumes, and faults of the shapes."""
     from ..collision import scene_file, urdf_geometry  # slow to import
 
     missing = urdf_geometry.missing_meshes(robot.source, packages)
@@ -328,7 +333,7 @@ def _floor(robot: Robot, limits: Limits, packages: Sequence[str]) -> tuple[float
 
 
 def _limit_remarks(robot: Robot, table: LimitTable, gravity_torque: FloatArray) -> list[str]:
-    """Sentences on limits that are implausible or were narrowed."""
+    """Return sentences on limits that are implausible or were narrowed."""
     out = []
     largest = float(gravity_torque.max())
     for entry, needed in zip(robot.entries, gravity_torque, strict=True):
@@ -345,7 +350,7 @@ def _limit_remarks(robot: Robot, table: LimitTable, gravity_torque: FloatArray) 
         effort, unit = limits.get("torque", (None, ""))[0], entry.unit("N m")
         if effort is not None:
             if effort > LARGEST_EFFORT:
-                out.append(f"{owner}: its torque limit of {effort:g} {unit} is none")
+                out.append(f"{owner}: its torque limit of {effort:g} {unit} is a placeholder")
             elif effort > EFFORT_MULTIPLE * largest > 0.0:
                 out.append(
                     f"{owner}: its torque limit of {effort:g} {unit} is {effort / largest:.2g} "
@@ -361,7 +366,7 @@ def _limit_remarks(robot: Robot, table: LimitTable, gravity_torque: FloatArray) 
 
 
 def _link_remarks(robot: Robot, document: urdf.Urdf) -> list[str]:
-    """Sentences on inertias that are unusual, but in the way of nothing."""
+    """Return sentences on inertias that are unusual but prevent nothing."""
     reported = " ".join(robot.inertia_faults)
     out = []
     for link, inertia in document.inertias.items():

@@ -202,7 +202,7 @@ def export(
         forced=not is_safe,
     )
     kinds = content.design.get("drive", inertial_parameters.DRIVE)
-    standard = inertial_parameters.standard(verified.robot, verified.limits, kinds)
+    standard = inertial_parameters.standard_parameters(verified.robot, verified.limits, kinds)
     torque = nominal_torque(verified.robot, standard)
     written = exporters.write(
         content, format, Path(path), speed=speed, rate=rate, tau=torque, goal=goal

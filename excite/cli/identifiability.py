@@ -24,7 +24,7 @@ def run(arguments: argparse.Namespace) -> Outcome:
     output = output_folder(Path(arguments.out), ("identifiability.json", "report.html"))
     robot = shared.robot(arguments)
     limits = shared.limits(arguments, robot)
-    standard = inertial_parameters.standard(robot, limits, shared.drive(arguments))
+    standard = inertial_parameters.standard_parameters(robot, limits, shared.drive(arguments))
     base = base_parameters.find(robot, standard, limits)
     samples, trajectory = motion_samples(
         Path(arguments.motion), robot, arguments.trajectory, shared.columns(arguments)

@@ -14,6 +14,7 @@ from typing import Any, NoReturn, TypeAlias
 from .. import __version__
 from .. import physical_ranges as ranges
 from .._system.console import emit
+from ..designer.identifiability_threshold import IDENTIFIABLE_VARIANCE
 from ..errors import UnusableInput
 from ..physical_ranges import Range
 from .completion import SHELLS, PrintCompletion
@@ -256,7 +257,7 @@ def _model_options(sub: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--threshold",
         type=Number(VARIANCE),
-        default=1e-2,
+        default=IDENTIFIABLE_VARIANCE,
         help="largest scale-free variance of an identifiable direction (default %(default)s)",
     )
 
@@ -620,7 +621,7 @@ def _identify(commands: Commands) -> None:
     group.add_argument(
         "--threshold",
         type=Number(VARIANCE),
-        default=1e-2,
+        default=IDENTIFIABLE_VARIANCE,
         help="largest scale-free variance of an identified direction (default %(default)s)",
     )
     group = sub.add_argument_group("signals")

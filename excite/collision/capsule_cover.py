@@ -29,6 +29,20 @@ MAX_REFINEMENTS = 8
 """Largest number of bisections of an edge."""
 CANDIDATE_DIRECTIONS = 32
 """Directions, besides principal and coordinate axes, that are tried as the axis of a capsule."""
+INITIAL_TILT = 0.1
+"""Tilt of the axis at the initial simplex of a capsule's refinement [rad]: a quarter of the angle
+between neighbouring candidate directions, √(2π/32) = 0.44 rad."""
+INITIAL_OFFSET_RATIO = 0.05
+"""Offset of the axis at that simplex over the largest extent of the points [1]."""
+MAX_REFINEMENT_EVALUATIONS = 50
+"""Capsules that a refinement evaluates [1]: it bounds the time; any of them encloses the points."""
+MIN_EXTENT = 1e-9
+"""Extent that coinciding points are given, so that the simplex does not degenerate [m]."""
+MAX_X_COMPONENT = 0.6
+"""Component of an axis along x below which its first normal is normal to x, else to y [1].
+
+The normal then has a length of at least 0.6 before it is scaled to 1.
+"""
 RELATIVE_ROUNDING = 1e-9
 """Relative enlargement of a capsule's radius, so that rounding leaves no point outside [1]."""
 ABSOLUTE_ROUNDING = 1e-9
@@ -217,13 +231,13 @@ def enclosing_capsule(points: FloatArray) -> Capsule:
         unit = direction / np.sqrt(direction @ direction)
         return _capsule_along(vertices, unit, centre + z[2:])[0]
 
-    size = max(float(np.ptp(vertices, axis=0).max()), 1e-9)
-    simplex = np.vstack([np.zeros(4), np.diag([0.1, 0.1, 0.05 * size, 0.05 * size])])
+    offset = INITIAL_OFFSET_RATIO * max(float(np.ptp(vertices, axis=0).max()), MIN_EXTENT)
+    simplex = np.vstack([np.zeros(4), np.diag([INITIAL_TILT, INITIAL_TILT, offset, offset])])
     result = optimize.minimize(
         lambda z: tilted(z).volume,
         np.zeros(4),
         method="Nelder-Mead",
-        options={"initial_simplex": simplex, "maxfev": 50},
+        options={"initial_simplex": simplex, "maxfev": MAX_REFINEMENT_EVALUATIONS},
     )
     return min((tilted(result.x), initial), key=lambda capsule: capsule.volume)
 
@@ -260,7 +274,7 @@ def _capsule_along(
 def _normals(axis: FloatArray) -> FloatArray:
     """Two unit vectors normal to an axis, continuous for small rotations of it. Shape (2, 3)."""
     x, y, z = axis
-    first = np.array([0.0, z, -y]) if abs(x) < 0.6 else np.array([-z, 0.0, x])
+    first = np.array([0.0, z, -y]) if abs(x) < MAX_X_COMPONENT else np.array([-z, 0.0, x])
     first /= np.sqrt(first @ first)
     u, v, w = first
     return np.array([first, [y * w - z * v, z * u - x * w, x * v - y * u]])

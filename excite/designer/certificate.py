@@ -25,7 +25,7 @@ from ..robot.limits import DERIVED, QUANTITIES, WITH_MARGIN, Limits, from_source
 from ..robot.robot import Robot, require_possible_bodies
 from ..robot.samples import Samples
 from ..trajectory.fourier import VERIFICATION_DENSITY, oversampling_bound
-from ..trajectory.rest_to_rest import Motion, MotionSegment, PhaseProfile
+from ..trajectory.rest_to_rest import Motion, MotionSegment, PhaseProfile, SegmentKind
 from ..trajectory.trajectory_file import Trajectory
 from . import constraint_margins, criteria
 from .constraint_margins import BoundedQuantity, MotionConstraints
@@ -278,7 +278,7 @@ def verify(
 def motion_constraints(trajectory: Trajectory, robot: Robot, limits: Limits) -> MotionConstraints:
     """Return the constraints on a trajectory, with the uncertainty and boxes of its design."""
     design = trajectory.design
-    standard = inertial_parameters.standard(
+    standard = inertial_parameters.standard_parameters(
         robot, limits, design.get("drive", inertial_parameters.DRIVE)
     )
     boxes = tuple(
@@ -458,17 +458,17 @@ def _ramp_quantities(
     along the path of the periodic motion are bounded between samples. Torque and frames are sampled
     within each piece and bounded between the samples.
     """
-    profile, length = segment.profile, segment.end - segment.start
+    profile, duration = segment.profile, segment.end - segment.start
     assert profile is not None
     samples = int(trajectory.design.get("samples", 100))
     step = constraint_margins.ramp_step(trajectory.motion.fourier.period, samples, trajectory.rate)
     if isinstance(profile, PhaseProfile):
         for local, quantity in constraint_margins.phase_quantities(
-            constraints, profile, length, step
+            constraints, profile, duration, step
         ):
             yield segment.start + local, quantity
         return
-    times = profile.critical_times(length)
+    times = profile.critical_times(duration)
     for order, limit in enumerate(("position", "velocity", "acceleration")):
         values = profile.at(times, order)
         yield (
@@ -612,7 +612,7 @@ def _motion_faults(trajectory: Trajectory) -> Iterator[str]:
             f"{motion.periods} period(s): noise is separated from physics only "
             "when the motion repeats"
         )
-    periodic = motion.segment("fourier")
+    periodic = motion.segment(SegmentKind.FOURIER)
     duration = periodic.end - periodic.start
     if abs(duration - motion.periods * period) > 1e-9 * max(1.0, periodic.end):
         yield (

@@ -268,7 +268,7 @@ def divided_pieces(edges: FloatArray, step: float) -> tuple[FloatArray, IntArray
 
 
 def phase_quantities(
-    constraints: MotionConstraints, profile: PhaseProfile, length: float, step: float
+    constraints: MotionConstraints, profile: PhaseProfile, duration: float, step: float
 ) -> Iterator[tuple[FloatArray, BoundedQuantity]]:
     """Yield the bounded quantities of a ramp along the path of the periodic motion.
 
@@ -279,15 +279,15 @@ def phase_quantities(
     Args:
         constraints: Constraints, derived limits included.
         profile: The ramp.
-        length: Its duration [s].
+        duration: Its duration [s].
         step: Largest time step [s].
 
     Yields:
         Times of the samples since the start, shape (N,) [s], and the quantity.
     """
     knots = profile.knots()
-    edges = np.unique(np.concatenate([[0.0, length], knots[knots < length]]))
-    pieces = np.diff(edges) > KNOT_INSET * length
+    edges = np.unique(np.concatenate([[0.0, duration], knots[knots < duration]]))
+    pieces = np.diff(edges) > KNOT_INSET * duration
     edges = np.append(edges[:-1][pieces], edges[-1])
     times, blocks = divided_pieces(edges, step)
     begin, end = edges[blocks], edges[blocks + 1]
@@ -295,7 +295,7 @@ def phase_quantities(
     widest = float(np.diff(times).max())
     derivatives = [profile.at(inside, order) for order in range(4)]
     for order, limit in enumerate(("position", "velocity", "acceleration", "jerk")):
-        rise = widest**2 / 8.0 * profile.derivative_bound(order + 2, length)
+        rise = widest**2 / 8.0 * profile.derivative_bound(order + 2, duration)
         values = derivatives[order]
         yield times, joint_quantity(limit, constraints, values - rise, values + rise)
     samples = Samples(derivatives[0], derivatives[1], derivatives[2])

@@ -15,8 +15,9 @@ from ..robot.parameter_names import listed
 from ..robot.robot import Robot
 from ..robot.samples import Samples
 from ..trajectory.fourier import FourierSeries
-from ..trajectory.rest_to_rest import Motion
-from .identifiability import IDENTIFIABLE_VARIANCE, eigenvalues_and_directions, information_root
+from ..trajectory.rest_to_rest import Motion, SegmentKind
+from .identifiability import eigenvalues_and_directions, information_root
+from .identifiability_threshold import IDENTIFIABLE_VARIANCE, is_identifiable
 
 SAMPLES_PER_PERIOD = 300
 """Samples of one period for information and peak values [1]."""
@@ -89,7 +90,7 @@ def compare_scenarios(
         Scenarios now, time and speed.
     """
     t = motion.grid(rate)
-    fourier = motion.segment("fourier")
+    fourier = motion.segment(SegmentKind.FOURIER)
     inside = (t >= fourier.start) & (t < fourier.end)
     outer = information_root(robot, parameters, motion.samples(t[~inside]), noise)
     earlier = np.zeros((0, parameters.count)) if earlier_root is None else earlier_root
@@ -108,7 +109,9 @@ def compare_scenarios(
         "time": (),
         "speed": _broken_limits(robot, parameters, limits, motion, 2.0),
     }
-    counts = {name: int(np.sum(values * threshold >= 1.0)) for name, values in spectra.items()}
+    counts = {
+        name: int(is_identifiable(values, threshold).sum()) for name, values in spectra.items()
+    }
     words = {
         "now": f"{counts['now']} of {base.count} directions are identifiable",
         "time": _gain(counts["time"] - counts["now"], "Twice the recording time"),

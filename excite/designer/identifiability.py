@@ -20,12 +20,13 @@ from ..robot.inertial_parameters import Parameters, proper_body, pseudo_inertia
 from ..robot.parameter_names import SMALLEST_SHARE, sentence
 from ..robot.robot import Robot
 from ..robot.samples import Samples
+from .identifiability_threshold import (
+    IDENTIFIABLE_VARIANCE as IDENTIFIABLE_VARIANCE,  # noqa: PLC0414  re-exported for identification
+)
+from .identifiability_threshold import is_identifiable
 
 SCHEMA = "excite.identifiability/1"
 """Schema of `identifiability.json`."""
-
-IDENTIFIABLE_VARIANCE = 1e-2
-"""Largest scale-free variance of an identifiable direction: about 10 % [1]."""
 
 SAMPLES_PER_BLOCK = 400
 """Samples whose regressor is held in memory at once [1]."""
@@ -316,7 +317,7 @@ def _describe(
     threshold: float,
     samples: int | None,
 ) -> Identifiability:
-    """Name all directions and derive base parameters and shares from them."""
+    """Decide which directions are identifiable, name them, and derive parameters and shares."""
     parameters, base, values, vectors = (
         eigensystem.parameters,
         eigensystem.base,
@@ -325,13 +326,13 @@ def _describe(
     )
     with np.errstate(divide="ignore"):
         variances = 1.0 / values
-    is_identifiable = variances <= threshold
+    identifiable_mask = is_identifiable(values, threshold)
     # W = G₀^{-1/2} V: undo the root to obtain unit vectors, then rotate to named coordinates
     units = rotation_to_named_coordinates(parameters) @ np.linalg.solve(
         parameters.scale, base.geometric @ vectors
     )
     directions = []
-    for variance, identifiable, unit in zip(variances, is_identifiable, units.T, strict=True):
+    for variance, identifiable, unit in zip(variances, identifiable_mask, units.T, strict=True):
         shares = unit**2 / np.sum(unit**2)
         weights = {
             parameters.names[i]: float(shares[i])
@@ -340,7 +341,7 @@ def _describe(
         }
         words = sentence(parameters, shares, float(variance), bool(identifiable))
         directions.append(Direction(float(variance), bool(identifiable), words, weights))
-    links, joints = _shares(parameters, units, is_identifiable)
+    links, joints = _shares(parameters, units, identifiable_mask)
     return Identifiability(
         robot=robot.name,
         threshold=float(threshold),
@@ -379,7 +380,7 @@ def _base_parameters(
 
 
 def _shares(
-    parameters: Parameters, units: FloatArray, is_identifiable: BoolArray
+    parameters: Parameters, units: FloatArray, identifiable_mask: BoolArray
 ) -> tuple[tuple[IdentifiableShare, ...], tuple[IdentifiableShare, ...]]:
     """Return the identifiable shares of links and of joint actuators.
 
@@ -390,10 +391,10 @@ def _shares(
     Args:
         parameters: Standard parameters.
         units: Directions as unit vectors in named coordinates. Shape (P, p).
-        is_identifiable: Mask of the identifiable directions. Shape (p,).
+        identifiable_mask: Mask of the identifiable directions. Shape (p,).
     """
     squares = units**2
-    identifiable, observable = squares[:, is_identifiable].sum(axis=1), squares.sum(axis=1)
+    identifiable, observable = squares[:, identifiable_mask].sum(axis=1), squares.sum(axis=1)
 
     def share(name: str, rows: list[int]) -> IdentifiableShare:
         total = float(observable[rows].sum())

@@ -151,7 +151,7 @@ def set_up(
     ):
         raise UnusableInput(f"--torque-noise should be {robot.n} positive numbers, one per joint")
     require_possible_bodies(robot)
-    standard = inertial_parameters.standard(robot, limits, options.drive)
+    standard = inertial_parameters.standard_parameters(robot, limits, options.drive)
     base = base_parameters.find(robot, standard, limits)
     noise = torque_noise_levels(limits, options.noise)
     weights = criteria.criterion_weighting(options.criterion, base, noise, plain=options.plain)

@@ -21,7 +21,7 @@ from ..robot.inertial_parameters import spread_poses
 from ..robot.limits import DERIVED, Limits
 from ..robot.samples import Samples
 from ..trajectory.fourier import FourierSeries
-from ..trajectory.rest_to_rest import JerkProfile, Motion, MotionSegment, Profile
+from ..trajectory.rest_to_rest import JerkProfile, Motion, MotionSegment, Profile, SegmentKind
 from . import constraint_margins, phase_ramps
 from .constraint_margins import MotionConstraints
 
@@ -58,6 +58,18 @@ TIME_GRID = 0.04
 It is a multiple of 1, 2, 4, 8 and 20 ms, too, for export at other rates.
 """
 
+DERIVED_ACCELERATION_RATE = 4.0
+"""Derived acceleration limit over the velocity limit [1/s]: full speed is reached in 0.25 s."""
+
+DERIVED_JERK_RATE = 10.0
+"""Derived jerk limit over the acceleration limit [1/s]: full acceleration is reached in 0.1 s."""
+
+VELOCITY_SCALE_FACTOR = 1.5
+"""Share of the velocity limits that a ramp may use, over its share of the acceleration limits [1].
+
+A slow ramp, which is planned for clearances or torque, should not run at full speed.
+"""
+
 MAX_JERK_RATIO = 1e3
 """Ratio of jerk to acceleration limit passed to Ruckig at most [1/s].
 
@@ -67,11 +79,27 @@ More jerk gains nothing, and Ruckig's root finding fails at far larger ratios.
 LIMIT_MARGIN = 1e-3
 """Share of the limits that Ruckig keeps free, above its rounding errors [1]."""
 
+JOINT_LIMIT_MARGIN = 1e-6
+"""Share of the position, velocity and acceleration limits that a checked ramp keeps free [1].
+
+It is above rounding errors, and below LIMIT_MARGIN, so that a ramp at Ruckig's limits is accepted.
+"""
+
+MODEL_LIMIT_MARGIN = 1e-4
+"""Share of the torque limits and workspace boxes that a checked ramp keeps free [1].
+
+The certificate samples these quantities at other times than the check.
+"""
+
 CHECK_STEP = 0.004
 """Largest time step at which a ramp is checked [s]."""
 
 CLOSED_RAMP_PERIODS = (1, 2)
-"""Periods that each of two ramps along the path may take that begin and end at one pose [1]."""
+"""Periods that a ramp of a closed pair may take [1].
+
+The two ramps of such a pair run along the path of the periodic motion, and the second one ends at
+the pose at which the first one begins.
+"""
 
 SAME_POSE = 1e-9
 """Largest difference of poses between which no motion is planned [rad]; a certificate accepts jumps
@@ -120,9 +148,9 @@ def with_derived_limits(limits: Limits, fourier: FourierSeries) -> Limits:
         Limits without missing values; derived ones have the source `limits.DERIVED`.
     """
     peak = [PEAK_FACTOR * fourier.peak(order) for order in (2, 3)]
-    rule = {"acceleration": np.maximum(4.0 * limits.velocity, peak[0])}
+    rule = {"acceleration": np.maximum(DERIVED_ACCELERATION_RATE * limits.velocity, peak[0])}
     known = np.where(np.isfinite(limits.acceleration), limits.acceleration, rule["acceleration"])
-    rule["jerk"] = np.maximum(10.0 * known, peak[1])
+    rule["jerk"] = np.maximum(DERIVED_JERK_RATE * known, peak[1])
     arrays, sources = {}, dict(limits.sources)
     for name, values in rule.items():
         stated = getattr(limits, name)
@@ -173,7 +201,9 @@ class RampPlanner:
             request.control_interface = ruckig.ControlInterface.Velocity
         else:
             request.target_position = target
-        request.max_velocity = (1.0 - LIMIT_MARGIN) * limits.velocity * min(1.0, 1.5 * scale)
+        request.max_velocity = (
+            (1.0 - LIMIT_MARGIN) * limits.velocity * min(1.0, VELOCITY_SCALE_FACTOR * scale)
+        )
         request.max_acceleration = (1.0 - LIMIT_MARGIN) * limits.acceleration * scale
         jerk = np.minimum(limits.jerk, MAX_JERK_RATIO * limits.acceleration)
         request.max_jerk = (1.0 - LIMIT_MARGIN) * jerk * scale
@@ -209,10 +239,10 @@ class RampPlanner:
                 "acceleration", self.constraints, motion.ddq, motion.ddq
             ),
         ]
-        if max(d.largest_ratio() for d in quantities) <= 1.0 - 1e-6:
+        if max(d.largest_ratio() for d in quantities) <= 1.0 - JOINT_LIMIT_MARGIN:
             quantities = constraint_margins.model_quantities(self.constraints, motion)
         worst = max(quantities, key=lambda d: d.largest_ratio())
-        if worst.largest_ratio() > 1.0 - 1e-4:
+        if worst.largest_ratio() > 1.0 - MODEL_LIMIT_MARGIN:
             return False, f"the {worst.limit} limits"
         violation = self.clearance_violation(motion.q)
         return not violation, violation
@@ -419,7 +449,7 @@ def plan_rest_to_rest(
         samples: Samples of the optimiser over one period, on which the certificate's depend.
 
     Raises:
-        Infeasible: No ramp keeps all limits.
+        Infeasible: No pair of ramps keeps all limits, or for no pair an approach or a return does.
         UnusableInput: The start pose violates a limit.
     """
     planner = RampPlanner(constraints, rate)
@@ -429,7 +459,7 @@ def plan_rest_to_rest(
     error: Infeasible | None = None
     for pair in _ramp_pairs(planner, fourier, step):
         try:
-            return _connected(planner, pair, periods, rate, start)
+            return _with_approach_and_return(planner, pair, periods, rate, start)
         except Infeasible as failure:
             error = error or failure
     if error is None:
@@ -440,7 +470,7 @@ def plan_rest_to_rest(
     raise error
 
 
-def _connected(
+def _with_approach_and_return(
     planner: RampPlanner, pair: _RampPair, periods: int, rate: float, start: FloatArray | None
 ) -> Motion:
     """Add approach and return to a pair of ramps.
@@ -451,15 +481,21 @@ def _connected(
     ramp_start, ramp_end = pair.rest_poses()
     home_pose = ramp_start if start is None else start
     known = pair.fourier.at(pair.fourier.grid(PHASE_COUNT))
-    approach = [] if start is None else _connect(planner, home_pose, ramp_start, known, "approach")
-    back = _connect(planner, ramp_end, home_pose, known, "return")
-    parts: list[tuple[str, Profile | None, float]] = [("approach", *leg) for leg in approach]
-    parts += [
-        ("ramp_in", *pair.ramp_in),
-        ("fourier", None, periods * pair.fourier.period),
-        ("ramp_out", *pair.ramp_out),
+    approach = (
+        []
+        if start is None
+        else _transfer_legs(planner, home_pose, ramp_start, known, SegmentKind.APPROACH)
+    )
+    back = _transfer_legs(planner, ramp_end, home_pose, known, SegmentKind.RETURN)
+    parts: list[tuple[SegmentKind, Profile | None, float]] = [
+        (SegmentKind.APPROACH, *leg) for leg in approach
     ]
-    parts += [("return", *leg) for leg in back]
+    parts += [
+        (SegmentKind.RAMP_IN, *pair.ramp_in),
+        (SegmentKind.FOURIER, None, periods * pair.fourier.period),
+        (SegmentKind.RAMP_OUT, *pair.ramp_out),
+    ]
+    parts += [(SegmentKind.RETURN, *leg) for leg in back]
     segments, ticks = [], 0
     for kind, profile, duration in parts:
         begin, ticks = ticks, ticks + round(duration * rate)
@@ -467,10 +503,14 @@ def _connected(
     return Motion(planner.constraints.robot.joints, pair.fourier, periods, tuple(segments))
 
 
-def _connect(
-    planner: RampPlanner, begin: FloatArray, end: FloatArray, known: FloatArray, kind: str
+def _transfer_legs(
+    planner: RampPlanner, begin: FloatArray, end: FloatArray, known: FloatArray, kind: SegmentKind
 ) -> list[tuple[JerkProfile, float]]:
-    """Plan the approach or the return; no legs where the poses are equal."""
+    """Plan the approach or the return; no legs where the poses are equal.
+
+    Raises:
+        Infeasible: No motion between the poses keeps all limits and clearances.
+    """
     if np.abs(begin - end).max() < SAME_POSE:
         return []
     legs, reason = planner.plan_transfer(begin, end, known)

@@ -1,4 +1,4 @@
-"""Gear parameters from two encoders of a joint, where recordings have the link's (`qlink`).
+"""Stiffness, backlash and hysteresis of a gear from two encoders, where `qlink` is recorded.
 
 q − q_link = τ_L/K + (b/2) sgn τ_L + d q̇ + h sgn q̇ + e cos(q + φ) + const. The gear deflects by
 the torque τ_L = τ − I_a q̈ that it transmits (Spong 1987) and has backlash b. The link's encoder

@@ -15,8 +15,11 @@ from .recorded_motion import RecordedMotion
 WINDOWS = 40
 """Windows of a recording among which a contact is sought."""
 COURSES = ((0.0, 0.0, 0.0), (0.15, 0.0, 0.0), (0.15, 1.0, 0.0), (0.4, 1.0, 0.0), (0.0, 0.0, 8.0))
-"""Force courses: extension of the interval on either side, over its length; whether the force rises
-and falls as half a sine; and, of a piecewise linear course, its number of knots."""
+"""Time courses of the force that are tried, each (extension, swells, knots).
+
+Extension of the interval on either side over its length [1]; 1 if the force rises and falls as half
+a sine, 0 if it is constant; number of knots of a piecewise linear course, 0 for the other two.
+"""
 KNOT_EXTENSION = 0.3
 """Extension of a piecewise linear course before and after the interval, over its length."""
 THRESHOLD_FACTOR = 4.0
@@ -26,14 +29,17 @@ MIN_INTERVAL_POWER = 3.0
 
 
 def _columns(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """Torque Jᵀ f of a force in the base frame on a link's centre of mass during an interval."""
+    """Return the torque −Jᵀ f of a force f on a link's centre of mass during an interval.
+
+    The force is in the base frame; one column per basis function and component. Shape (C, n, 3 k).
+    """
     course = _course(motion, model)
     torque = -np.einsum("tk,txj->tjkx", course, motion.link_jacobians[:, model.joint_index])
     return motion.lowpass(torque.reshape(*torque.shape[:2], -1), Grid.COARSE)
 
 
 def _course(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
-    """Basis functions of the force over time at the coarse samples, shape (C, k)."""
+    """Return the basis functions of the force over time, at the coarse samples. Shape (C, k)."""
     assert model.interval is not None
     low, high = model.interval
     rate = motion.band.rate_of(Grid.COARSE)
@@ -49,12 +55,12 @@ def _course(motion: RecordedMotion, model: CandidateModel) -> FloatArray:
 
 
 def _largest_force(c: FloatArray) -> dict[str, float]:
-    """Largest force of the course."""
+    """Return the largest force of the course [N]."""
     return {"force": float(np.linalg.norm(c.reshape(-1, 3), axis=1).max())}
 
 
 def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
-    """Forces on every link in the intervals in which the base model's residual stands out."""
+    """Yield forces on every link in the intervals in which the base model's residual stands out."""
     for motion in motions:
         usual = np.median(np.abs(motion.residual), axis=0) + 1e-12
         power = np.mean((motion.residual / usual) ** 2, axis=1)
@@ -77,7 +83,7 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
 
 
 def _intervals(time: FloatArray, power: FloatArray) -> list[tuple[float, float]]:
-    """Up to two intervals in which the residual power stands out, the largest first."""
+    """Return up to two intervals in which the residual power stands out, the largest first."""
     size = max(4, len(power) // WINDOWS)
     smooth = np.convolve(power, np.ones(size) / size, mode="same")
     level = MIN_INTERVAL_POWER * np.median(smooth)

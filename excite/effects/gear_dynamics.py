@@ -1,4 +1,4 @@
-"""Dynamics of a link behind an elastic gear or a backlash gap, and the torque on all joints.
+"""Elasticity and backlash of a gear: dynamics of the link behind it, and torque on all joints.
 
 The recorded position θ is the motor's, so the link's motion q = θ − δ must be simulated:
 M δ̈ + ∂τ/∂q̇ δ̇ + ∂τ/∂q δ = τ_r − τ_gear, where τ_r is the torque that a rigid joint would need

@@ -27,12 +27,12 @@ def text(trajectory: trajectory_file.Trajectory, torque: FloatArray | None = Non
         torque: Torque of every row, shape (N, n) [N m]; None: without the torque columns.
     """
     tau = None if torque is None else lambda _: torque
-    return write_csv(
+    return render_csv(
         ExportJob(trajectory, trajectory.motion, "csv", Path("trajectory.csv"), 1.0, None, tau)
     ).text
 
 
-def write_csv(job: ExportJob) -> ExportedText:
+def render_csv(job: ExportJob) -> ExportedText:
     """Return the rows `t,q.<joint>…,dq.<joint>…,ddq.<joint>…,tau.<joint>…` at the times k/rate.
 
     Numbers have 12 significant digits. The torque columns are absent where the job has no torque
@@ -82,7 +82,7 @@ def read_csv(path: Path) -> Columns:
     return (table[:, 0], *(table[:, i : i + joints] for i in range(1, len(header), joints)))
 
 
-def write_json(job: ExportJob) -> ExportedText:
+def render_json(job: ExportJob) -> ExportedText:
     """Return the JSON document of the trajectory; only the rate may differ.
 
     Raises:

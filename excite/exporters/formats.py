@@ -3,14 +3,14 @@
 To add a format:
 
 1. If a file of the format is a table of joint positions at the control rate, add a profile to
-   `vendors.toml`, whose comments describe the keys. Nothing else is needed.
+   `vendors.toml`, whose comments describe the keys, and go to step 4.
 2. Otherwise add a module to this package with two functions: one that renders an `ExportJob` as
    `ExportedText`, and one that reads the file back as `Columns`. `file_format.py` holds the checks
    and helpers that all formats share: number of joints, rate, rest at both ends, comments.
 3. Add an entry to `_registry` below. Its name becomes a value of `excite export --format`, and its
    description a line of `excite formats`.
-4. Store a file of the new format in `tests/golden/`; `tests/test_export.py` tests every entry of
-   the registry, and states how to write that file.
+4. Store a file of the new format in `tests/golden/`: `tests/test_export.py` tests every entry of
+   the registry, fails for one without such a file, and states how to write it.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def _registry() -> dict[str, _Format]:
     tables = {
         name: _Format(
             profile.title,
-            partial(vendor_table.write, profile=profile),
+            partial(vendor_table.render_table, profile=profile),
             partial(vendor_table.read, profile=profile),
         )
         for name, profile in vendor_table.profiles().items()
@@ -63,25 +63,25 @@ def _registry() -> dict[str, _Format]:
     return {
         "csv": _Format(
             "trajectory.csv: time, positions, velocities, accelerations, torques",
-            csv_json.write_csv,
+            csv_json.render_csv,
             csv_json.read_csv,
         ),
         "json": _Format(
             "trajectory.json as it is: exact and replayable",
-            csv_json.write_json,
+            csv_json.render_json,
             csv_json.read_json,
         ),
         "ros2-joint-trajectory": _Format(
-            "ROS 2 trajectory_msgs/JointTrajectory, 50 Hz knots", ros2.write_trajectory, ros2.read
+            "ROS 2 trajectory_msgs/JointTrajectory, 50 Hz knots", ros2.render_trajectory, ros2.read
         ),
         "ros2-follow-joint-trajectory": _Format(
             "ROS 2 goal of control_msgs/FollowJointTrajectory, 50 Hz knots",
-            ros2.write_goal,
+            ros2.render_goal,
             ros2.read,
         ),
         "urscript": _Format(
             "Universal Robots: a program that computes the motion on the controller",
-            urscript.write,
+            urscript.render_program,
             urscript.read,
         ),
         **tables,

@@ -74,7 +74,7 @@ def _trajectory(job: ExportJob) -> str:
     )
 
 
-def write_trajectory(job: ExportJob) -> ExportedText:
+def render_trajectory(job: ExportJob) -> ExportedText:
     """Return a JointTrajectory message with positions, velocities and accelerations.
 
     The velocity of the last point is exactly 0.
@@ -82,7 +82,7 @@ def write_trajectory(job: ExportJob) -> ExportedText:
     return ExportedText(_trajectory(job) + "\n")
 
 
-def write_goal(job: ExportJob) -> ExportedText:
+def render_goal(job: ExportJob) -> ExportedText:
     """Return a FollowJointTrajectory goal.
 
     Empty tolerances select those of the controller; the end may be late by GOAL_TIME_TOLERANCE.

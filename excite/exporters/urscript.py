@@ -22,7 +22,7 @@ import numpy as np
 from .._types import FloatArray
 from ..errors import UnusableInput
 from ..trajectory.fourier import FourierSeries
-from ..trajectory.rest_to_rest import JerkProfile, Motion, MotionSegment, PhaseProfile
+from ..trajectory.rest_to_rest import JerkProfile, Motion, MotionSegment, PhaseProfile, SegmentKind
 from .file_format import (
     Columns,
     ExportedText,
@@ -96,14 +96,14 @@ def _vector(values: Iterable[float]) -> str:
     return "[" + ", ".join(fixed(v, None) for v in values) + "]"
 
 
-def _pieces(profile: JerkProfile, length: float) -> Iterator[tuple[float, FloatArray]]:
+def _pieces(profile: JerkProfile, duration: float) -> Iterator[tuple[float, FloatArray]]:
     """Intervals of constant jerk of all joints, from the start of a segment to its end.
 
     Yields:
         Duration [s] and jerk, shape (n,), of each interval.
     """
-    knots = np.unique(np.append(profile.knots(), length))
-    knots = knots[knots <= length]
+    knots = np.unique(np.append(profile.knots(), duration))
+    knots = knots[knots <= duration]
     for begin, end in pairwise(knots.tolist()):
         if end - begin > 1e-15:
             yield end - begin, profile.at(np.array([(begin + end) / 2]), 3)[0]
@@ -132,10 +132,10 @@ def _series(fourier: FourierSeries) -> Iterator[str]:
     yield from _SERIES.splitlines()
 
 
-def _warped(profile: PhaseProfile, start: float, length: float) -> Iterator[str]:
+def _warped(profile: PhaseProfile, start: float, duration: float) -> Iterator[str]:
     """Yield the calls that follow a ramp along the path of the periodic part, one per cubic."""
-    knots = np.unique(np.append(profile.knots(), length))
-    for begin, end in pairwise(knots[knots <= length].tolist()):
+    knots = np.unique(np.append(profile.knots(), duration))
+    for begin, end in pairwise(knots[knots <= duration].tolist()):
         if end - begin > 1e-15:
             state = [profile.phase.at(begin, order)[0] for order in range(3)]
             jerk = profile.phase.at(0.5 * (begin + end), 3)[0]
@@ -159,7 +159,7 @@ def _run(motion: Motion) -> Iterator[str]:
             yield f"  piece({fixed(duration, None)}, {_vector(jerk)})"
 
 
-def write(job: ExportJob) -> ExportedText:
+def render_program(job: ExportJob) -> ExportedText:
     """Return the program.
 
     Its step is that of the controller, unless the job states a rate of 500, 250 or 125 Hz.
@@ -214,7 +214,7 @@ def rebuilt_motion(text: str) -> Motion:
     """Rebuild the motion of a program from the numbers in its text.
 
     Args:
-        text: A program that `write` returned.
+        text: A program that `render_program` returned.
 
     Raises:
         ValueError: The text is no such program.
@@ -234,27 +234,32 @@ def rebuilt_motion(text: str) -> Motion:
         table[:, 1::2] * k, -table[:, 2::2] * k, table[:, 0], 2.0 * np.pi / omega[0]
     )
     segments: list[MotionSegment] = []
-    kind = ""
+    comment_text = ""
     for line in lines:
         if line.startswith("# "):
-            kind = line[2:]
+            comment_text = line[2:]
         elif line.startswith("series("):
             start, end = _numbers(line)
-            segments.append(MotionSegment(kind, start, end))
+            segments.append(MotionSegment(SegmentKind(comment_text), start, end))
         elif line.startswith("enter("):
             start, *state = _numbers(line)
             segments.append(
-                MotionSegment(kind, start, start, JerkProfile(*_thirds(state), ((),) * 6))
+                MotionSegment(
+                    SegmentKind(comment_text),
+                    start,
+                    start,
+                    JerkProfile(*_thirds(state), ((),) * 6),
+                )
             )
         elif line.startswith("warp("):
-            _add_warp(segments, kind, fourier, _numbers(line))
+            _add_warp(segments, SegmentKind(comment_text), fourier, _numbers(line))
         elif line.startswith("piece("):
             segments[-1] = _extended(segments[-1], *_numbers(line))
     return Motion(tuple(f"joint {i}" for i in JOINTS), fourier, 1, tuple(segments))
 
 
 def _add_warp(
-    segments: list[MotionSegment], kind: str, fourier: FourierSeries, numbers: list[float]
+    segments: list[MotionSegment], kind: SegmentKind, fourier: FourierSeries, numbers: list[float]
 ) -> None:
     """Begin a ramp along the path of the periodic part, or continue the last one."""
     start, duration, phase, rate, acceleration, jerk = numbers
@@ -301,7 +306,7 @@ def read(path: Path) -> Columns:
         Times, shape (N,) [s], positions, velocities and accelerations, shape (N, 6) each.
 
     Raises:
-        ValueError: The file is no program that `write` returned.
+        ValueError: The file is no program that `render_program` returned.
     """
     text = path.read_text(encoding="utf-8")
     motion = rebuilt_motion(text)

@@ -31,13 +31,13 @@ from .file_format import (
 )
 
 SCALE = {"rad": 1.0, "deg": 180.0 / np.pi}
-"""Units of a profile, in rad."""
+"""Numbers of each unit per radian."""
 LABELS = {"start": "start [rad]:", "rate": "rate [Hz]:"}
 """Labels of the comments that `read` needs."""
 
 
 @dataclass(frozen=True)
-class Profile:
+class TableProfile:
     """Description of a controller's table of positions.
 
     The fields have the names of the keys of `vendors.toml`, whose comments describe them.
@@ -103,10 +103,14 @@ def _tuples(value: Any) -> Any:
 
 
 @cache
-def profiles() -> Mapping[str, Profile]:
-    """Return all profiles of `vendors.toml` by the names of their formats."""
+def profiles() -> Mapping[str, TableProfile]:
+    """Return all profiles of `vendors.toml` by the names of their formats.
+
+    Raises:
+        ValueError: An entry has an unknown key.
+    """
     text = (resources.files(__package__) / "vendors.toml").read_text(encoding="utf-8")
-    known = {f.name for f in fields(Profile)}
+    known = {f.name for f in fields(TableProfile)}
     table = tomllib.loads(text)
     for name, entry in table.items():
         if set(entry) - known:
@@ -114,12 +118,12 @@ def profiles() -> Mapping[str, Profile]:
                 f"vendors.toml: [{name}] has unknown keys {sorted(set(entry) - known)}"
             )
     return {
-        name: Profile(**{key: _tuples(value) for key, value in entry.items()})
+        name: TableProfile(**{key: _tuples(value) for key, value in entry.items()})
         for name, entry in table.items()
     }
 
 
-def write(job: ExportJob, profile: Profile) -> ExportedText:
+def render_table(job: ExportJob, profile: TableProfile) -> ExportedText:
     """Return a table with one row per control cycle, with comments or a separate note.
 
     Args:
@@ -152,7 +156,7 @@ def write(job: ExportJob, profile: Profile) -> ExportedText:
     return ExportedText("".join(f"{profile.comment} {line}\n" for line in lines) + body)
 
 
-def read(path: Path, profile: Profile) -> Columns:
+def read(path: Path, profile: TableProfile) -> Columns:
     """Read a table, with the rate and the start pose that its comments state.
 
     Args:

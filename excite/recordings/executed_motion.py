@@ -19,7 +19,7 @@ import numpy as np
 
 from .._types import FloatArray, IntArray
 from ..errors import UnusableInput
-from ..trajectory.rest_to_rest import Motion
+from ..trajectory.rest_to_rest import Motion, SegmentKind
 from ..trajectory.trajectory_file import Trajectory
 from . import periodicity
 from .recording import Recording
@@ -74,7 +74,7 @@ class ExecutedMotion:
 
         Both are widened by up to a row, so that no period is lost by rounding.
         """
-        part = self.motion.segment("fourier")
+        part = self.motion.segment(SegmentKind.FOURIER)
         start, end = (self.start + time / self.speed for time in (part.start, part.end))
         start, end = start - 0.5 * recording.step, end + recording.step
         return max(start, float(recording.t[0])), min(end, float(recording.t[-1]))

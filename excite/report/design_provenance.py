@@ -11,6 +11,7 @@ from markupsafe import Markup
 from ..robot.inertial_parameters import Parameters
 from ..robot.limits import QUANTITIES
 from ..robot.robot import Robot
+from ..trajectory.rest_to_rest import SegmentKind
 from ..trajectory.trajectory_file import Trajectory
 from .content import Section, Table, TableCell
 from .design_record import DesignRecord
@@ -128,7 +129,7 @@ def _change(name: str, before: float | None, after: float | None) -> str:
 def _ramps_answer(trajectory: Trajectory, before: float | None, after: float | None) -> str:
     """Cost of approach, ramps and return, in time and in the criterion."""
     motion = trajectory.motion
-    extra = motion.duration - (part := motion.segment("fourier")).end + part.start
+    extra = motion.duration - (part := motion.segment(SegmentKind.FOURIER)).end + part.start
     name = str(trajectory.design.get("criterion", "a"))
     answer = (
         "The excitation itself is exported exactly; approach, ramps and return add "

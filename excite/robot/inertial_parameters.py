@@ -25,10 +25,12 @@ DRIVE_SYMBOLS = {"rotor_inertia": "Ia", "viscous": "Fv", "coulomb": "Fc", "offse
 COULOMB_WIDTH = 0.005
 """Width v of the smooth Coulomb column tanh(q̇/v) [rad/s or m/s]."""
 
-SINGULAR = 1e-6
+MIN_MOMENT_RATIO = 1e-6
 """Principal second moment, relative to the largest, below which a body is flat to rounding [1]: the
-inertias of URDFs have six digits. Masses below this share of the robot's are zero too."""
-FLOOR = 1e-3
+inertias of URDFs have six digits."""
+MIN_MASS_SHARE = 1e-6
+"""Share of the robot's mass below which a body counts as massless [1], for the same reason."""
+FLAT_BODY_MOMENT_RATIO = 1e-3
 """Principal second moment that a flat body gets, relative to its largest [1]: that of a plate whose
 thickness is a thirtieth of its width."""
 MASS_SHARE = 1e-2
@@ -39,6 +41,15 @@ small arm's link."""
 POINT_SHARE = 1e-4
 """Largest second moment, relative to that ball's, below which a body has none [1]: a ball of 0.5 mm
 radius."""
+ROTOR_INERTIA_SCALE = 0.05
+"""Scale of an unknown rotor inertia over the joint's mean mass-matrix diagonal [1]."""
+FRICTION_SCALE = 0.02
+"""Scale of unknown Coulomb friction and offset over the torque limit, and of unknown viscous
+friction over torque limit per velocity limit [1]: the order of magnitude in robot joints."""
+MEAN_INERTIA_POSES = 64
+"""Poses over which the mass matrix is averaged [1]; the mean enters a scale only."""
+GOLDEN_RATIO_ITERATIONS = 60
+"""Fixed-point iterations after which the generalised golden ratio is exact to rounding [1]."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +88,7 @@ class Parameters:
         return len(self.links)
 
     def norms(self, rows: FloatArray) -> FloatArray:
-        """y G₀⁻¹ yᵀ of each row y, block by block. Shapes (m, P) -> (m,)."""
+        """Return y G₀⁻¹ yᵀ of each row y, block by block. Shapes (m, P) -> (m,)."""
         edge = 10 * self.bodies
         blocks = np.stack([self.scale[i : i + 10, i : i + 10] for i in range(0, edge, 10)])
         bodies = np.swapaxes(rows[:, :edge].reshape(len(rows), self.bodies, 10), 0, 1) @ blocks
@@ -85,7 +96,7 @@ class Parameters:
         return np.einsum("bri,bri->r", bodies, bodies) + np.einsum("ri,ri->r", drive, drive)
 
     def coulomb(self) -> FloatArray:
-        """Nominal Coulomb friction per joint [N m]; 0 where the model has none. Shape (n,)."""
+        """Return the nominal Coulomb friction [N m or N], 0 without such parameters. Shape (n,)."""
         return (
             self.nominal[self.block("coulomb")]
             if "coulomb" in self.drive
@@ -93,20 +104,33 @@ class Parameters:
         )
 
     def block(self, kind: str) -> slice:
-        """Where a kind of joint parameter stands in ψ."""
+        """Return the positions in ψ of one kind of joint parameter.
+
+        Args:
+            kind: One of `drive`.
+
+        Raises:
+            ValueError: The kind is not included.
+        """
         n = len(self.joints)
         start = 10 * self.bodies + n * self.drive.index(kind)
         return slice(start, start + n)
 
     def owners(self) -> tuple[str, ...]:
-        """For each parameter the link (inertial) or joint (drive) it belongs to."""
+        """Return for each parameter the link (inertial) or joint (drive) that it belongs to."""
         inertial = [link for link in self.links for _ in INERTIAL]
         return tuple(inertial + [joint for _ in self.drive for joint in self.joints])
 
 
 def pseudo_inertia(phi: FloatArray) -> FloatArray:
-    """P(φ) = [[S, h], [hᵀ, m]], S = ½ tr(I)·1 − I (Lee, Wensing & Park, eq. 15). Shapes (10,) ->
-    (4, 4)."""
+    """Return P(φ) = [[S, h], [hᵀ, m]] with S = ½ tr(I)·1 − I (Lee, Wensing & Park, eq. 15).
+
+    Args:
+        phi: Inertial parameters of a body. Shape (10,).
+
+    Returns:
+        The pseudo-inertia. Shape (4, 4).
+    """
     tensor = np.array(
         [[phi[4], phi[5], phi[7]], [phi[5], phi[6], phi[8]], [phi[7], phi[8], phi[9]]]
     )
@@ -121,17 +145,29 @@ _UNITS = np.array([pseudo_inertia(unit) for unit in np.eye(10)])
 
 
 def metric(phi: FloatArray) -> FloatArray:
-    """g_ij = ½ tr(P⁻¹ Eᵢ P⁻¹ Eⱼ), the affine-invariant metric at φ (eq. 18). Shape (10, 10)."""
+    """Return g_ij = ½ tr(P⁻¹ Eᵢ P⁻¹ Eⱼ), the affine-invariant metric at φ (eq. 18).
+
+    Args:
+        phi: Inertial parameters of a physically consistent body. Shape (10,).
+
+    Returns:
+        The metric g. Shape (10, 10).
+    """
     scaled = np.linalg.solve(pseudo_inertia(phi), _UNITS)
     return 0.5 * np.einsum("iab,jba->ij", scaled, scaled)
 
 
 def inverse_root(phi: FloatArray) -> FloatArray:
-    """R with R Rᵀ = g(φ)⁻¹, through a factor of P that stays accurate where g is stiff. Shape (10,
-    10).
+    """Return R with R Rᵀ = g(φ)⁻¹, from a factor of P, accurate where g is ill-conditioned.
 
     P = C Cᵀ; δP = C E Cᵀ with E symmetric has length² ½ tr(E²), so an orthonormal basis of such E
     is one of the tangent.
+
+    Args:
+        phi: Inertial parameters of a physically consistent body. Shape (10,).
+
+    Returns:
+        The root R. Shape (10, 10).
     """
     factor = np.linalg.cholesky(pseudo_inertia(phi))
     columns = []
@@ -148,14 +184,21 @@ def inverse_root(phi: FloatArray) -> FloatArray:
 
 
 def proper_body(phi: FloatArray, robot_mass: float) -> tuple[FloatArray, bool]:
-    """A physically consistent body at φ, and whether it had to be changed to become one.
+    """Return the body itself if it is physically consistent, else a substitute.
 
     A mass below 1e-6 of the robot's becomes 1 % of it, at the joint's origin; a body with next to
     no second moment becomes a uniform ball of 5 cm radius; a principal second moment about the
     centre of mass that is below 1e-6 of the largest one rises to 1e-3 of it.
+
+    Args:
+        phi: Inertial parameters of the body. Shape (10,).
+        robot_mass: Mass of the robot [kg].
+
+    Returns:
+        Inertial parameters, shape (10,), and True if they are a substitute.
     """
     mass, centre, second = phi[0], np.zeros(3), np.zeros((3, 3))
-    if mass < SINGULAR * robot_mass:
+    if mass < MIN_MASS_SHARE * robot_mass:
         mass = MASS_SHARE * robot_mass
     else:
         centre = phi[1:4] / mass
@@ -164,8 +207,8 @@ def proper_body(phi: FloatArray, robot_mass: float) -> tuple[FloatArray, bool]:
     ball = 0.2 * mass * BALL_RADIUS**2
     if values[-1] < POINT_SHARE * ball:
         second = ball * np.eye(3)
-    elif values[0] < SINGULAR * values[-1]:
-        second = (vectors * np.maximum(values, FLOOR * values[-1])) @ vectors.T
+    elif values[0] < MIN_MOMENT_RATIO * values[-1]:
+        second = (vectors * np.maximum(values, FLAT_BODY_MOMENT_RATIO * values[-1])) @ vectors.T
     else:
         return phi, False
     second = second + mass * np.outer(centre, centre)
@@ -174,11 +217,22 @@ def proper_body(phi: FloatArray, robot_mass: float) -> tuple[FloatArray, bool]:
     return np.array([mass, *(mass * centre), *moments]), True
 
 
-def standard(robot: Robot, limits: Limits, drive: Iterable[str] = DRIVE) -> Parameters:
-    """Lay out the standard parameters of `robot`; `drive` names the joint parameters to include.
+def standard_parameters(robot: Robot, limits: Limits, drive: Iterable[str] = DRIVE) -> Parameters:
+    """Return the standard parameters of a robot, with nominal values and metric.
 
-    Scales of drive parameters: the nominal value, or where that is 0: Coulomb and offset 0.02
+    The scale of a joint parameter is its nominal value, or where that is 0: Coulomb and offset 0.02
     τ_max, viscous 0.02 τ_max/v_max, rotor inertia 5 % of the joint's mean mass-matrix diagonal.
+
+    Args:
+        robot: The robot.
+        limits: Its limits, for the scales.
+        drive: Kinds of joint parameters to include.
+
+    Returns:
+        The parameters; their metric has substitutes for bodies that are not physically consistent.
+
+    Raises:
+        UnusableInput: `drive` names an unknown kind.
     """
     wanted = tuple(drive)
     unknown = set(wanted) - set(DRIVE)
@@ -232,10 +286,10 @@ def _drive_values(
         nominal["coulomb"][joint] += abs(m) * follower.entry.coulomb
         nominal["offset"][joint] += m * follower.entry.offset
     fallback = {
-        "rotor_inertia": 0.05 * mean_inertia(robot, limits, bodies),
-        "viscous": 0.02 * limits.torque / limits.velocity,
-        "coulomb": 0.02 * limits.torque,
-        "offset": 0.02 * limits.torque,
+        "rotor_inertia": ROTOR_INERTIA_SCALE * mean_inertia(robot, limits, bodies),
+        "viscous": FRICTION_SCALE * limits.torque / limits.velocity,
+        "coulomb": FRICTION_SCALE * limits.torque,
+        "offset": FRICTION_SCALE * limits.torque,
     }
     known = {
         kind: (nominal[kind] > 0.0) & (kind != "offset") for kind in DRIVE
@@ -244,14 +298,22 @@ def _drive_values(
 
 
 def mean_inertia(robot: Robot, limits: Limits, bodies: list[FloatArray]) -> FloatArray:
-    """Mean diagonal of the mass matrix over poses spread evenly in the joint ranges. Shape (n,) [kg
-    m²]."""
+    """Return the mean diagonal of the mass matrix over poses spread evenly in the joint ranges.
+
+    Args:
+        robot: The robot.
+        limits: Its limits.
+        bodies: Inertial parameters of each body. Shape (10,) each.
+
+    Returns:
+        Mean diagonal. Shape (n,) [kg m² or kg].
+    """
     model = robot.model.copy()
     for i, phi in enumerate(bodies, start=1):
         model.inertias[i] = pin.Inertia.FromDynamicParameters(phi)
     data = model.createData()
     total = np.zeros(robot.n)
-    poses = spread_poses(limits, 64)
+    poses = spread_poses(limits, MEAN_INERTIA_POSES)
     for q in robot.expand(poses):
         upper = np.triu(pin.crba(model, data, q))
         mass = upper + np.triu(upper, 1).T
@@ -260,17 +322,24 @@ def mean_inertia(robot: Robot, limits: Limits, bodies: list[FloatArray]) -> Floa
 
 
 def ranges(limits: Limits) -> FloatArray:
-    """Position limits, half a turn each way where there are none. Shape (n, 2) [rad or m]."""
+    """Return position limits, or half a turn each way without. Shape (n, 2) [rad or m]."""
     return np.where(np.isfinite(limits.position), limits.position, [-np.pi, np.pi])
 
 
 def spread_poses(limits: Limits, count: int) -> FloatArray:
-    """Poses that fill the joint ranges evenly (a Kronecker sequence, no randomness). Shape (count,
-    n)."""
+    """Return poses that fill the joint ranges evenly: a Kronecker sequence, without randomness.
+
+    Args:
+        limits: Limits of the joints.
+        count: Number of poses.
+
+    Returns:
+        Poses. Shape (count, n) [rad or m].
+    """
     n = len(limits.joints)
     lower, upper = ranges(limits).T
     root = 2.0
-    for _ in range(60):  # the generalised golden ratio: x^(n+1) = x + 1
+    for _ in range(GOLDEN_RATIO_ITERATIONS):  # the generalised golden ratio: x^(n+1) = x + 1
         root = (1.0 + root) ** (1.0 / (n + 1))
     steps = root ** -np.arange(1.0, n + 1)
     fractions = (0.5 + np.outer(np.arange(count), steps)) % 1.0

@@ -18,7 +18,16 @@ from .quantities import (
 
 
 class BrakingDocument(msgspec.Struct, forbid_unknown_fields=True):
-    """A velocity limit that decreases towards a position limit; see `robot.limits.Braking`."""
+    """A velocity limit that decreases towards a position stop.
+
+    |q̇| ≤ −offset + √(rate · distance to the stop), as Franka states it for the FR3. The bound is
+    never below 0 nor above `velocity`; see `robot.limits.Braking`.
+
+    Attributes:
+        offset: Reduction of the velocity at the stop [rad/s or m/s].
+        rate: Increase of the squared velocity with the distance [rad/s² or m/s²].
+        stop: Lower and upper stop [rad or m].
+    """
 
     offset: VelocityOffset
     rate: AccelerationLimit

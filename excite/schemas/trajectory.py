@@ -43,9 +43,9 @@ from .quantities import (
 )
 
 SCHEMA = "excite.trajectory/1"
-SegmentKind = Literal["approach", "ramp_in", "fourier", "ramp_out", "return"]
-"""Kinds of segments of a motion."""
-ORDER: tuple[str, ...] = get_args(SegmentKind)
+SegmentKindName = Literal["approach", "ramp_in", "fourier", "ramp_out", "return"]
+"""Names of the kinds of segments of a motion."""
+ORDER: tuple[str, ...] = get_args(SegmentKindName)
 """Order of the segments; approach and return may consist of several."""
 Drive = Literal["rotor_inertia", "viscous", "coulomb", "offset"]
 MAX_ROWS = 1_000_000
@@ -118,7 +118,7 @@ class PhaseDocument(msgspec.Struct):
 class SegmentDocument(msgspec.Struct):
     """A segment of a motion: a ramp has a profile or a phase, the Fourier segment has neither."""
 
-    kind: SegmentKind
+    kind: SegmentKindName
     start: Time
     end: Time
     profile: ProfileDocument | None = None

@@ -80,7 +80,7 @@ def mean_joint_inertia(dynamics: RigidBodyDynamics, rng: np.random.Generator) ->
     return np.mean([np.diag(dynamics.mass_and_bias(q, 0.0 * q)[0]) for q in poses], axis=0)
 
 
-def draw_actuators(
+def sample_actuators(
     dynamics: RigidBodyDynamics,
     velocity_limit: FloatArray,
     torque_limit: FloatArray,

@@ -120,7 +120,7 @@ def with_effects(robot: SimulatedRobot, effects: tuple[EffectInstance, ...]) -> 
     return replace(robot, effects=tuple(effect for effect in physics if effect is not None))
 
 
-def draw_effect(
+def sample_effect(
     effect_type: EffectType,
     robot: SimulatedRobot,
     joint: str | None,

@@ -19,7 +19,7 @@ from .model_error import perturb_bodies
 from .physical_effect import PhysicalEffect
 from .recording_file import MeasuredSignals, measure, truth_document
 from .reference_trajectory import ReferenceTrajectory, read_reference
-from .simulated_robot import SimulatedMotion, SimulatedRobot, draw_robot
+from .simulated_robot import SimulatedMotion, SimulatedRobot, sample_robot
 from .urdf_tree import UrdfTree, read_urdf
 
 MOTION_DIGEST_POINTS = 64
@@ -110,7 +110,7 @@ def build_robot(
     """
     bodies, actuators, *_ = settings.generators()
     tree = perturb_bodies(_with_payload(read_urdf(urdf), reference), settings.model_error, bodies)
-    return draw_robot(tree, reference, actuators, gains=settings.control, effects=effects)
+    return sample_robot(tree, reference, actuators, gains=settings.control, effects=effects)
 
 
 def _with_payload(tree: UrdfTree, reference: ReferenceTrajectory) -> UrdfTree:

@@ -1,7 +1,8 @@
-"""The commanded motion of a simulated robot, evaluated independently of excite's own trajectories.
+"""Reader of `trajectory.json` for the simulator, independent of `trajectory/trajectory_file.py`.
 
-It is a finite Fourier series between ramps of piecewise constant jerk (`trajectory.json`), or
-between smooth blends.
+The simulator shares no code with the design, so that neither can hide an error of the other
+(`tests/test_architecture.py`). The commanded motion is a finite Fourier series between ramps of
+piecewise constant jerk (`trajectory.json`), or between smooth blends.
 """
 
 from __future__ import annotations

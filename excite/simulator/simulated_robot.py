@@ -10,13 +10,15 @@ from scipy.interpolate import BSpline, make_interp_spline
 
 from .._types import FloatArray
 from ..errors import UnusableInput
-from .actuator import ControllerGains, JointActuators, draw_actuators
+from .actuator import ControllerGains, JointActuators, sample_actuators
 from .closed_loop import ClosedLoop, StateHistory
 from .mujoco_dynamics import GRAVITY, RigidBodyDynamics, build_dynamics
 from .physical_effect import JointStates, PhysicalEffect, TransmissionSpring
 from .reference_trajectory import ReferenceTrajectory
 from .urdf_tree import UrdfTree
 
+RIGID_STEP = 1e-3
+"""Time step of a loop without elasticity or backlash [s]: the cycle of a 1 kHz controller."""
 ELASTIC_MAX_STEP = 5e-4
 """Largest time step of a loop with elasticity or backlash [s].
 
@@ -30,11 +32,11 @@ class SimulatedRobot:
     """A robot with actuators, controller and hidden effects.
 
     Attributes:
-        tree: The true bodies, without effects.
+        tree: Links with their true inertias, without hidden effects.
         joints: Names of the n joints.
         lock: Positions of the locked joints [rad or m].
         gravity: Gravity in the base frame, shape (3,) [m/s²].
-        torque_limit: Shape (n,) [N m].
+        torque_limit: Largest torque of each joint, shape (n,) [N m or N].
         actuators: Rotor inertia, friction and offset of the joints.
         gains: Gains of the controller.
         effects: Hidden effects.
@@ -49,7 +51,7 @@ class SimulatedRobot:
     actuators: JointActuators
     gains: ControllerGains
     effects: tuple[PhysicalEffect, ...] = ()
-    step: float = 1e-3
+    step: float = RIGID_STEP
 
     @property
     def springs(self) -> list[TransmissionSpring]:
@@ -219,7 +221,7 @@ def _as_measured(
     return lambda t: effect.measured_torque(torque, t)
 
 
-def draw_robot(
+def sample_robot(
     tree: UrdfTree,
     reference: ReferenceTrajectory,
     rng: np.random.Generator,
@@ -227,10 +229,10 @@ def draw_robot(
     gains: ControllerGains | None = None,
     effects: Sequence[PhysicalEffect] = (),
 ) -> SimulatedRobot:
-    """Draw a robot with random actuators, sized by the limits of its joints.
+    """Sample a robot with random actuators, sized by the limits of its joints.
 
     Args:
-        tree: The true bodies.
+        tree: Links with their true inertias.
         reference: Trajectory that states joints, locked joints and gravity.
         rng: Generator of the actuators.
         gains: Gains of the controller; None: the default ones.
@@ -248,7 +250,7 @@ def draw_robot(
         lock,
         gravity,
         torque_limit,
-        draw_actuators(dynamics, velocity_limit, torque_limit, rng),
+        sample_actuators(dynamics, velocity_limit, torque_limit, rng),
         gains or ControllerGains(),
         tuple(effects),
     )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any
 
 import numpy as np
@@ -20,17 +21,23 @@ from .fourier import FourierSeries
 
 TIME_TOLERANCE = 1e-9
 """Times closer than this to the start or the end of a motion are at rest [s]."""
+SEGMENT_START_TOLERANCE = 1e-12
+"""Rounding error of the start of a segment [s]: a time up to this much earlier belongs to it."""
+GRID_TOLERANCE = 1e-6
+"""Share of a sampling interval by which the last sample may precede the end of a motion [1]."""
 
 
 @dataclass(frozen=True)
 class JerkProfile:
     """Joint motion of piecewise constant jerk, replayable without the planner that made it.
 
+    Units are those of revolute joints; read m in place of rad for a prismatic joint.
+
     Attributes:
-        position: Positions at the start. Shape (n,) [rad].
-        velocity: Velocities at the start. Shape (n,) [rad/s].
-        acceleration: Accelerations at the start. Shape (n,) [rad/s²].
-        pieces: For each joint its consecutive pieces (duration [s], jerk [rad/s³]). The
+        position: Positions at the start. Shape (n,) [rad or m].
+        velocity: Velocities at the start. Shape (n,) [rad/s or m/s].
+        acceleration: Accelerations at the start. Shape (n,) [rad/s² or m/s²].
+        pieces: For each joint its consecutive pieces (duration [s], jerk [rad/s³ or m/s³]). The
             acceleration stays constant after the last piece.
     """
 
@@ -47,7 +54,7 @@ class JerkProfile:
             order: Order of the derivative, 0 to 3.
 
         Returns:
-            Positions [rad] or derivatives [rad/s^order]. Shape (n,) or (N, n).
+            Positions [rad or m] or derivatives [rad/s^order or m/s^order]. Shape (n,) or (N, n).
         """
         times = np.atleast_1d(np.asarray(t, float))
         out = np.empty((len(times), len(self.position)))
@@ -85,19 +92,19 @@ class JerkProfile:
         """Return all times at which the jerk of any joint changes [s]."""
         return np.unique(np.concatenate([self._states(j, p)[0] for j, p in enumerate(self.pieces)]))
 
-    def max_acceleration(self, length: float) -> FloatArray:
-        """Return the largest acceleration of each joint within a time, exactly.
+    def max_acceleration(self, duration: float) -> FloatArray:
+        """Return the largest acceleration of each joint from the start to a time, exactly.
 
         The acceleration is linear between knots, hence extreme at knots and at both ends.
 
         Args:
-            length: Duration that is considered, from the start [s].
+            duration: Duration that is considered, from the start [s].
 
         Returns:
-            Largest absolute values. Shape (n,) [rad/s²].
+            Largest absolute values. Shape (n,) [rad/s² or m/s²].
         """
         knots = self.knots()
-        times = np.append(knots[knots < length], length)
+        times = np.append(knots[knots < duration], duration)
         return np.abs(self.at(times, 2)).max(axis=0)
 
     def slowed(self, speed: float) -> JerkProfile:
@@ -107,30 +114,30 @@ class JerkProfile:
             self.position, self.velocity * speed, self.acceleration * speed**2, pieces
         )
 
-    def critical_times(self, length: float) -> FloatArray:
+    def critical_times(self, duration: float) -> FloatArray:
         """Return all times at which position, velocity, acceleration or jerk can be extreme.
 
         These are both ends, the knots, and on each cubic the roots of its acceleration and of its
-        velocity. Position, velocity and acceleration over [0, length] are bounded exactly by their
-        values at these times, and jerk is constant between them.
+        velocity. Position, velocity and acceleration over [0, duration] are bounded exactly by
+        their values at these times, and jerk is constant between them.
 
         Args:
-            length: Duration that is considered, from the start [s].
+            duration: Duration that is considered, from the start [s].
 
         Returns:
-            Ascending times in [0, length] [s].
+            Ascending times in [0, duration] [s].
         """
-        times = [np.array([0.0, length])]
+        times = [np.array([0.0, duration])]
         for joint, pieces in enumerate(self.pieces):
             knots, states = self._states(joint, pieces)
             _, v, a, jerk = states.T
-            duration = np.diff(np.append(knots, max(length, knots[-1])))
+            lengths = np.diff(np.append(knots, max(duration, knots[-1])))
             for root in (_ratio(-a, jerk), *_quadratic_roots(0.5 * jerk, a, v)):
-                inside = (root > 0.0) & (root < duration)
+                inside = (root > 0.0) & (root < lengths)
                 times.append(knots[inside] + root[inside])
             times.append(knots)
         candidates = np.unique(np.concatenate(times))
-        return candidates[(candidates >= 0.0) & (candidates <= length)]
+        return candidates[(candidates >= 0.0) & (candidates <= duration)]
 
 
 def _ratio(numerator: FloatArray, denominator: FloatArray) -> FloatArray:
@@ -165,7 +172,7 @@ class PhaseProfile:
 
     @property
     def position(self) -> FloatArray:
-        """Positions at the start. Shape (n,) [rad]."""
+        """Positions at the start. Shape (n,) [rad or m]."""
         return self.at(np.zeros(1))[0]
 
     def at(self, t: float | FloatArray, order: int = 0) -> FloatArray:
@@ -176,7 +183,7 @@ class PhaseProfile:
             order: Order of the derivative, 0 to 3.
 
         Returns:
-            Positions [rad] or derivatives [rad/s^order]. Shape (n,) or (N, n).
+            Positions [rad or m] or derivatives [rad/s^order or m/s^order]. Shape (n,) or (N, n).
         """
         times = np.atleast_1d(np.asarray(t, float))
         phase, *rates = (self.phase.at(times, k) for k in range(order + 1))
@@ -188,23 +195,32 @@ class PhaseProfile:
         """Return all times at which the third derivative of the phase changes [s]."""
         return self.phase.knots()
 
-    def max_acceleration(self, length: float) -> FloatArray:
-        """Bound the acceleration of each joint within a time, see `derivative_bound`."""
-        return self.derivative_bound(2, length)
+    def max_acceleration(self, duration: float) -> FloatArray:
+        """Return an upper bound of the acceleration of each joint from the start to a time.
 
-    def derivative_bound(self, order: int, length: float) -> FloatArray:
-        """Bound a time derivative of each joint over the whole profile.
+        It is not exact, unlike that of a `JerkProfile`; see `derivative_bound`.
+
+        Args:
+            duration: Duration that is considered, from the start [s].
+
+        Returns:
+            Upper bounds of the absolute values. Shape (n,) [rad/s² or m/s²].
+        """
+        return self.derivative_bound(2, duration)
+
+    def derivative_bound(self, order: int, duration: float) -> FloatArray:
+        """Return an upper bound of a time derivative of each joint from the start to a time.
 
         The chain rule is evaluated with the largest absolute values of all factors.
 
         Args:
             order: Order of the derivative, 1 to 5.
-            length: Duration that is considered, from the start [s].
+            duration: Duration that is considered, from the start [s].
 
         Returns:
-            Bounds. Shape (n,) [rad/s^order].
+            Upper bounds of the absolute values. Shape (n,) [rad/s^order or m/s^order].
         """
-        times = self.phase.critical_times(length)
+        times = self.phase.critical_times(duration)
         middle = 0.5 * (times[:-1] + times[1:])
         rates = [np.abs(self.phase.at(times, k)).max(axis=0) for k in (1, 2)]
         rates.append(np.abs(self.phase.at(middle, 3)).max(axis=0))
@@ -253,18 +269,28 @@ Profile = JerkProfile | PhaseProfile
 """Motion of a segment other than the Fourier part."""
 
 
+class SegmentKind(StrEnum):
+    """Kinds of the parts of a motion, in their order."""
+
+    APPROACH = "approach"
+    RAMP_IN = "ramp_in"
+    FOURIER = "fourier"
+    RAMP_OUT = "ramp_out"
+    RETURN = "return"
+
+
 @dataclass(frozen=True)
 class MotionSegment:
     """Part of a motion.
 
     Attributes:
-        kind: approach, ramp_in, fourier, ramp_out or return.
+        kind: Kind of the part.
         start: Time at which it starts [s].
         end: Time at which it ends [s].
         profile: Its motion in time since `start`; None for the Fourier part.
     """
 
-    kind: str
+    kind: SegmentKind
     start: float
     end: float
     profile: Profile | None = None
@@ -293,14 +319,14 @@ class Motion:
 
     @property
     def end_poses(self) -> tuple[FloatArray, FloatArray]:
-        """Poses at the start and at the end. Shape (n,) each [rad]."""
+        """Poses at the start and at the end. Shape (n,) each [rad or m]."""
         first, last = self.segments[0], self.segments[-1]
         begin = self.fourier.at(np.zeros(1))[0] if first.profile is None else first.profile.position
         if last.profile is None:
             return begin, self.fourier.at(np.zeros(1))[0]
         return begin, last.profile.at(np.array([last.end - last.start]))[0]
 
-    def segment(self, kind: str) -> MotionSegment:
+    def segment(self, kind: SegmentKind) -> MotionSegment:
         """Return the first segment of a kind.
 
         Raises:
@@ -319,7 +345,7 @@ class Motion:
             order: Order of the derivative, 0 to 3.
 
         Returns:
-            Positions [rad] or derivatives [rad/s^order]. Shape (n,) or (N, n).
+            Positions [rad or m] or derivatives [rad/s^order or m/s^order]. Shape (n,) or (N, n).
         """
         times = np.atleast_1d(np.asarray(t, float))
         begin, end = self.end_poses
@@ -331,7 +357,9 @@ class Motion:
         inside = (times > TIME_TOLERANCE) & (times < self.duration - TIME_TOLERANCE)
         for segment in self.segments:
             # where two segments meet the later one is evaluated, at the very end the last one
-            here = inside & (times >= segment.start - 1e-12) & (times <= segment.end)
+            here = (
+                inside & (times >= segment.start - SEGMENT_START_TOLERANCE) & (times <= segment.end)
+            )
             if not here.any():
                 continue
             local = np.maximum(times[here] - segment.start, 0.0)
@@ -352,7 +380,7 @@ class Motion:
         Args:
             rate: Samples per second [Hz].
         """
-        return np.arange(int(np.ceil(self.duration * rate - 1e-6)) + 1) / rate
+        return np.arange(int(np.ceil(self.duration * rate - GRID_TOLERANCE)) + 1) / rate
 
     def slowed(self, speed: float) -> Motion:
         """Return the same path at a lower speed, as for a first careful run.
@@ -381,7 +409,7 @@ def segments_to_document(motion: Motion) -> list[dict[str, Any]]:
     """Return the segments of a motion as `trajectory.json` holds them."""
     out: list[dict[str, Any]] = []
     for s in motion.segments:
-        entry: dict[str, Any] = {"kind": s.kind, "start": s.start, "end": s.end}
+        entry: dict[str, Any] = {"kind": str(s.kind), "start": s.start, "end": s.end}
         if isinstance(s.profile, PhaseProfile):
             phase = s.profile.phase
             entry["phase"] = {
@@ -433,5 +461,7 @@ def segments_from_document(
                 for values in (stated.position, stated.velocity, stated.acceleration)
             ]
             profile = JerkProfile(state[0], state[1], state[2], pieces)
-        out.append(MotionSegment(entry.kind, float(entry.start), float(entry.end), profile))
+        out.append(
+            MotionSegment(SegmentKind(entry.kind), float(entry.start), float(entry.end), profile)
+        )
     return tuple(out)

@@ -1,4 +1,7 @@
-"""The trajectory file `trajectory.json`: all that is needed to replay and to verify a motion."""
+"""The trajectory file `trajectory.json`: all that is needed to replay and to verify a motion.
+
+The simulator has a reader of its own, `simulator/reference_trajectory.py`, for independence.
+"""
 
 from __future__ import annotations
 

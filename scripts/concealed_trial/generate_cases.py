@@ -16,7 +16,7 @@ import numpy as np
 from excite._types import FloatArray
 from excite.errors import UnusableInput
 from excite.simulator.actuator import ControllerGains, JointActuators
-from excite.simulator.effect_instance import EffectInstance, draw_effect, with_effects
+from excite.simulator.effect_instance import EffectInstance, sample_effect, with_effects
 from excite.simulator.effects import EFFECT_TYPES
 from excite.simulator.experiment import (
     ExperimentSettings,
@@ -288,7 +288,9 @@ def _draw_effect(
         is_jointless = effect_type.place == "robot" or (
             effect_type.place == "either" and on_whole_robot
         )
-        effect = draw_effect(effect_type, robot, None if is_jointless else where, spec.family, rng)
+        effect = sample_effect(
+            effect_type, robot, None if is_jointless else where, spec.family, rng
+        )
         try:
             scaled, _, severity = scale_to_severity(
                 effect,

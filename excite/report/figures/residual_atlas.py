@@ -22,10 +22,15 @@ _LEFT_MARGIN = 32.0
 _RIGHT_MARGIN = 6.0
 _COLUMN_GAP = 32.0
 _TOP = 44.0
-"""Place of the first row of panels."""
+"""Distance of the first row of panels from the upper edge [SVG units]."""
 _PANEL_HEIGHT = 74.0
+"""Height of a panel [SVG units]."""
 _ROW_STEP = 128.0
-"""From one row of panels to the next; all lengths in units of the SVG."""
+"""Distance from the top of one row of panels to that of the next [SVG units]."""
+_LAST_ROW_GAP = 24.0
+"""Height that the last row does not need below its labels [SVG units]."""
+_AXIS_HEADROOM = 1.15
+"""End of the vertical axis over the largest value of the curves [1]."""
 _LETTER_WIDTH = 4.2
 """Mean width of a letter of the legend."""
 _CURVE_POINTS = 160
@@ -85,7 +90,7 @@ def draw_overview(atlas: Atlas, joints: Sequence[str]) -> str:
 
 
 def _column(panel: AtlasCurve) -> str:
-    """Column of the overview."""
+    """Return the name of a curve's column in the overview."""
     is_other = panel.against.startswith(_OTHER_SPEED)
     return "another joint's speed" if is_other else panel.against
 
@@ -100,7 +105,7 @@ def draw_joint(
         joint: Name of the joint.
         unit: Unit of its torque.
         floor: Noise floor [N m or N].
-        has_findings: Whether there is a model with findings to compare.
+        has_findings: True if there is a model with findings to compare.
     """
     selected = select_panels(panels)
     reach = _reaches(selected, floor, has_findings=has_findings)
@@ -114,14 +119,24 @@ def draw_joint(
         x, y = _LEFT_MARGIN + column * (width + _COLUMN_GAP), _TOP + row * _ROW_STEP
         axes = _PanelAxes.of(panel, x, y, width, reach[panel.kind is CurveKind.AMPLITUDE])
         elements += _draw_panel(axes, panel, floor, has_findings=has_findings)
-    bottom = _TOP + -(-len(selected) // _COLUMNS) * _ROW_STEP - 24.0
+    bottom = _TOP + -(-len(selected) // _COLUMNS) * _ROW_STEP - _LAST_ROW_GAP
     label = f"Held-out residual of {joint} over each quantity"
     return svg.picture(label, _TOTAL_WIDTH, bottom, elements, INK)
 
 
 @dataclass(frozen=True)
 class _PanelAxes:
-    """A panel's place and scales; low, high: of x as drawn (logarithm or bin number)."""
+    """Position and scales of a panel.
+
+    Attributes:
+        x: Left edge [SVG units].
+        y: Upper edge [SVG units].
+        width: Width [SVG units].
+        low: Least abscissa, as drawn: its logarithm or bin number where the axis has these.
+        high: Largest abscissa, as drawn.
+        floor: Lower end of the vertical axis [unit of the torque].
+        reach: Upper end of the vertical axis [unit of the torque].
+    """
 
     x: float
     y: float
@@ -133,7 +148,7 @@ class _PanelAxes:
 
     @classmethod
     def of(cls, panel: AtlasCurve, x: float, y: float, width: float, reach: float) -> _PanelAxes:
-        """Axes that a panel's curve fills."""
+        """Return axes whose range a panel's curve fills."""
         places = _places(panel)
         pad = 0.4 if panel.against == "direction" else 0.04 * float(np.ptp(places))
         lower = 0.0 if panel.kind is CurveKind.AMPLITUDE else -reach
@@ -148,25 +163,25 @@ class _PanelAxes:
         return self.y + _PANEL_HEIGHT
 
     def x_of(self, place: FloatArray | float) -> FloatArray:
-        """Horizontal place."""
+        """Return the horizontal coordinate of an abscissa [SVG units]."""
         return np.asarray(
             self.x + self.width * (np.asarray(place) - self.low) / (self.high - self.low)
         )
 
     def y_of(self, value: FloatArray | float) -> FloatArray:
-        """Vertical place, within the panel."""
+        """Return the vertical coordinate of a value, clipped to the panel [SVG units]."""
         inside = np.clip(value, self.floor, self.reach)
         return np.asarray(
             self.y + _PANEL_HEIGHT * (1.0 - (inside - self.floor) / (self.reach - self.floor))
         )
 
     def points(self, places: FloatArray, values: FloatArray) -> list[str]:
-        """Points of a path."""
+        """Return the points of a path."""
         return svg.points_of(self.x_of(places), self.y_of(values))
 
 
 def _places(panel: AtlasCurve) -> FloatArray:
-    """Centres of the bins along the axis as drawn."""
+    """Return the centres of the bins along the axis as drawn."""
     if panel.against == "direction":
         return np.arange(len(panel.centres), dtype=float)
     return np.log10(panel.centres) if panel.logarithmic else panel.centres
@@ -175,20 +190,24 @@ def _places(panel: AtlasCurve) -> FloatArray:
 def _reaches(
     panels: Sequence[AtlasCurve], floor: float, *, has_findings: bool
 ) -> dict[bool, float]:
-    """Upper end of the axis of means (False) and of amplitudes (True): one scale for a joint."""
+    """Return the upper ends of the vertical axes, the same for all panels of a joint.
+
+    Returns:
+        Upper end for curves of means (False) and of amplitudes (True).
+    """
     out = {}
     for is_amplitude in (False, True):
         alike = [p for p in panels if (p.kind is CurveKind.AMPLITUDE) is is_amplitude]
         curves = [p.mean_before for p in alike]
         curves += [p.mean_after for p in alike] if has_findings else []
-        out[is_amplitude] = 1.15 * max([floor, *(float(np.abs(c).max()) for c in curves)])
+        out[is_amplitude] = _AXIS_HEADROOM * max([floor, *(float(np.abs(c).max()) for c in curves)])
     return out
 
 
 def _draw_panel(
     axes: _PanelAxes, panel: AtlasCurve, floor: float, *, has_findings: bool
 ) -> list[str]:
-    """Elements of a panel."""
+    """Draw a panel and return its SVG elements."""
     places, is_significant = _places(panel), panel.p_before < SIGNIFICANT
     weight = 600 if is_significant else 0
     p_values = p_value(panel.p_before) + (f" → {p_value(panel.p_after)}" if has_findings else "")
@@ -226,7 +245,7 @@ def _draw_panel(
 
 
 def _draw_axes(axes: _PanelAxes, panel: AtlasCurve) -> list[str]:
-    """Ticks, grid and unit of a panel."""
+    """Draw ticks, grid and unit of a panel."""
     elements = [svg.line(axes.x, axes.bottom, axes.right, axes.bottom, GREY)]
     for place, word in _horizontal_ticks(axes, panel):
         x = float(axes.x_of(place))
@@ -250,7 +269,7 @@ def _draw_axes(axes: _PanelAxes, panel: AtlasCurve) -> list[str]:
 
 
 def _horizontal_ticks(axes: _PanelAxes, panel: AtlasCurve) -> list[tuple[float, str]]:
-    """Place and label of each tick of the horizontal axis."""
+    """Return abscissa and label of each tick of the horizontal axis."""
     if panel.against == "direction":
         return [(float(k), _PHASES[float(v)]) for k, v in enumerate(panel.centres)]
     if not panel.logarithmic:
@@ -268,7 +287,7 @@ def p_value(p: float) -> str:
 
 
 def _legend(*, has_findings: bool) -> list[str]:
-    """Meaning of lines and shades, set from the right."""
+    """Draw the legend of lines and shades, aligned to the right."""
     entries = [(ORANGE, 1.4, 1.0, "base model"), (ORANGE, 7.0, 0.22, "±2 standard errors")]
     if has_findings:
         entries.append((BLUE, 1.4, 1.0, "with the findings"))

@@ -12,7 +12,7 @@ from ..._types import FloatArray
 from ...collision.workcell import Cell
 from ...robot.limits import Limits
 from ...robot.robot import Robot
-from ...trajectory.rest_to_rest import Motion
+from ...trajectory.rest_to_rest import Motion, SegmentKind
 from .collision import VIEWS, fill_polygons, outlines, set_view
 from .drawing import (
     BLUE,
@@ -192,12 +192,15 @@ def draw_path(scene: MotionScene) -> tuple[str, FloatArray]:
     motion, robot = scene.motion, scene.robot
     t = sample_times(motion, 700)
     _, ends = skeleton(robot, motion.at(t))
-    part = motion.segment("fourier")
+    part = motion.segment(SegmentKind.FOURIER)
     quarters: FloatArray = part.start + motion.fourier.period * np.arange(4.0) / 4.0
     poses = motion.at(quarters)
     joints, tips = skeleton(robot, poses)
     kinds = np.array(
-        [next((s.kind for s in motion.segments if s.start <= x <= s.end), "fourier") for x in t]
+        [
+            next((s.kind for s in motion.segments if s.start <= x <= s.end), SegmentKind.FOURIER)
+            for x in t
+        ]
     )
     everything = np.concatenate([ends.reshape(-1, 3), joints.reshape(-1, 3), tips.reshape(-1, 3)])
     low, high = everything.min(axis=0), everything.max(axis=0)
@@ -230,8 +233,8 @@ def draw_path(scene: MotionScene) -> tuple[str, FloatArray]:
 def _draw_path(axes: Any, x: FloatArray, y: FloatArray, kinds: Any) -> None:
     """Draw a path with its ramps in another colour; kinds: segment at each point. Shape (N,)."""
     for color, chosen, width in (
-        (ORANGE, kinds != "fourier", 2.4),
-        (BLUE, kinds == "fourier", 0.9),
+        (ORANGE, kinds != SegmentKind.FOURIER, 2.4),
+        (BLUE, kinds == SegmentKind.FOURIER, 0.9),
     ):  # ramps retrace the path
         axes.plot(
             np.where(chosen, x, np.nan),

@@ -22,13 +22,16 @@ DEFLECTION_DAMPING_RATIO = 0.04
 
 
 @dataclass(frozen=True)
-class ElasticJoint(PhysicalEffect):
-    """A joint of two masses, with a spring between motor and link.
+class ElasticTransmission(PhysicalEffect):
+    """Base of the effects between motor and link: elasticity and backlash.
+
+    Motor and link are two masses, connected by a spring whose torque over the deflection each
+    derived class defines.
 
     Attributes:
         site: Place of the effect.
         stiffness: Stiffness [N m/rad].
-        width: Total backlash [rad].
+        width: Total backlash [rad]; 0 for an elastic transmission without backlash.
     """
 
     site: EffectSite
@@ -62,7 +65,7 @@ class ElasticJoint(PhysicalEffect):
 
 
 @dataclass(frozen=True)
-class HardeningSpring(ElasticJoint):
+class HardeningSpring(ElasticTransmission):
     """A hardening spring K δ (1 + (δ/δ₀)²) where K δ₀ is twice the torque limit."""
 
     def torque_and_slopes(self, d: float, rate: float) -> tuple[float, float, float]:
@@ -76,7 +79,7 @@ class HardeningSpring(ElasticJoint):
 
 
 @dataclass(frozen=True)
-class StrainWaveGear(ElasticJoint):
+class StrainWaveGear(ElasticTransmission):
     """A strain-wave gear: stiffness 0.7 K for small and 1.3 K for large torques.
 
     Makers of such gears state their stiffness in sections; the change is smooth, at a tenth of the
@@ -100,7 +103,7 @@ class StrainWaveGear(ElasticJoint):
 
 
 @dataclass(frozen=True)
-class DeadZoneBacklash(ElasticJoint):
+class DeadZoneBacklash(ElasticTransmission):
     """Backlash as a dead zone: no torque within ±w/2, a stiff spring beyond.
 
     It is damped in contact only.
@@ -118,7 +121,7 @@ class DeadZoneBacklash(ElasticJoint):
 
 
 @dataclass(frozen=True)
-class SmoothBacklash(ElasticJoint):
+class SmoothBacklash(ElasticTransmission):
     """Backlash with soft gap boundaries: a softplus over a tenth of the width on either side."""
 
     def torque_and_slopes(self, d: float, rate: float) -> tuple[float, float, float]:

@@ -39,8 +39,10 @@ MAX_REFINEMENT_EVALUATIONS = 50
 MIN_EXTENT = 1e-9
 """Extent that coinciding points are given, so that the simplex does not degenerate [m]."""
 MAX_X_COMPONENT = 0.6
-"""Component of an axis along x below which its first normal is normal to x, else to y [1]: the normal
-then has a length of at least 0.6 before it is scaled to 1."""
+"""Component of an axis along x below which its first normal is normal to x, else to y [1].
+
+The normal then has a length of at least 0.6 before it is scaled to 1.
+"""
 RELATIVE_ROUNDING = 1e-9
 """Relative enlargement of a capsule's radius, so that rounding leaves no point outside [1]."""
 ABSOLUTE_ROUNDING = 1e-9

@@ -140,7 +140,7 @@ IDENTIFY_AND_DESIGN_AGAIN = [
 This notebook designs a motion, records a robot that follows it, identifies the robot,
 and designs the next motion for the parameters that are still uncertain.
 
-The robot is simulated by `excite.simulator` (`pip install 'excite[sim]'`), which shares
+The robot is simulated by `excite.simulator` (`.venv/bin/pip install -e '.[sim]'`), which shares
 no code with the estimator. Its bodies differ from the URDF by about 5 %; its friction,
 rotor inertia and offsets are in no file. Use your own recordings where you have a
 robot.""",

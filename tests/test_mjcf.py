@@ -322,7 +322,7 @@ def test_unsupported_elements_are_refused(tmp_path, inside, extra, reason):
 
 def test_without_mujoco_the_line_says_what_to_install(tmp_path, monkeypatch: MonkeyPatch):
     monkeypatch.setattr(mjcf, "find_spec", lambda _: None)
-    with pytest.raises(UnusableInput, match=r"is an MJCF; .*pip install 'excite\[sim\]'"):
+    with pytest.raises(UnusableInput, match=r"is an MJCF; .*pip install -e '\.\[sim\]'"):
         load(str(written(tmp_path, ARM.replace('"arm"', '"other"'))))
 
 

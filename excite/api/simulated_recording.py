@@ -156,8 +156,7 @@ def simulate(
     """
     if importlib.util.find_spec("mujoco") is None:
         raise UnusableInput(
-            "MuJoCo is not installed: pip install 'excite[sim]' (in a clone: .venv/bin/pip install "
-            "-e '.[sim]')"
+            "MuJoCo is not installed; install the extra: .venv/bin/pip install -e '.[sim]'"
         )
     from ..simulator import effect_instance, experiment, recording_file, reference_trajectory
     from ..simulator import severity as severities

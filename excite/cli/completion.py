@@ -61,7 +61,7 @@ def completion_script(parser: argparse.ArgumentParser, shell: str) -> str:
     if importlib.util.find_spec("shtab") is None:
         raise UnusableInput(
             "--print-completion: shtab is not installed; install the extra: "
-            "pip install 'excite[completion]'"
+            ".venv/bin/pip install -e '.[completion]'"
         )
     import shtab
 

@@ -55,7 +55,8 @@ def run(arguments: argparse.Namespace) -> Outcome:
     cell = _cell(trajectory, robot)
     if importlib.util.find_spec("viser") is None:
         raise UnusableInput(
-            "excite view: viser is not installed; install the extra: pip install 'excite[view]'"
+            "excite view: viser is not installed; install the extra: "
+            ".venv/bin/pip install -e '.[view]'"
         )
     import viser
     from pinocchio.visualize import ViserVisualizer

@@ -59,7 +59,7 @@ def _dask(address: str | None) -> Any:
         from dask.distributed import Client
     except ImportError as error:
         raise UnusableInput(
-            "--backend dask: Dask is not installed; pip install excite[dask]"
+            "--backend dask: Dask is not installed; .venv/bin/pip install -e '.[dask]'"
         ) from error
     try:
         if address is None:
@@ -79,7 +79,7 @@ def _ray(address: str | None) -> None:
         from ray.util.joblib import register_ray
     except ImportError as error:
         raise UnusableInput(
-            "--backend ray: Ray is not installed; pip install excite[ray]"
+            "--backend ray: Ray is not installed; .venv/bin/pip install -e '.[ray]'"
         ) from error
     try:
         ray.init(address=address, ignore_reinit_error=True)

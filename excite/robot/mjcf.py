@@ -56,8 +56,7 @@ def convert_mjcf(path: Path) -> Conversion:
     """
     if find_spec("mujoco") is None:
         raise UnusableInput(
-            f"{path}: is an MJCF; reading it takes MuJoCo: pip install 'excite[sim]' (in a clone: "
-            ".venv/bin/pip install -e '.[sim]')"
+            f"{path}: is an MJCF; reading it takes MuJoCo: .venv/bin/pip install -e '.[sim]'"
         )
     import mujoco
 

@@ -126,7 +126,7 @@ def _expanded(path: Path) -> str:
     if find_spec("xacrodoc") is None:
         raise UnusableInput(
             f"{path}: is a xacro file; expand it first: xacro {path.name} > {name}, or install "
-            "what expands it: pip install 'excite[xacro]'"
+            "what expands it: .venv/bin/pip install -e '.[xacro]'"
         )
     try:
         done = subprocess.run(

@@ -17,10 +17,15 @@ from .heatmap import Heatmap, draw_heatmap
 from .trajectory import short
 
 _COLUMNS = 4
+"""Number of panels in a row."""
 _TOTAL_WIDTH = FIGURE_WIDTH * svg.UNITS_PER_INCH
+"""Width of the figure [SVG units]."""
 _LEFT_MARGIN = 32.0
+"""Distance of the first column of panels from the left edge [SVG units]."""
 _RIGHT_MARGIN = 6.0
+"""Distance of the last column of panels from the right edge [SVG units]."""
 _COLUMN_GAP = 32.0
+"""Horizontal distance between panels [SVG units]."""
 _TOP = 44.0
 """Distance of the first row of panels from the upper edge [SVG units]."""
 _PANEL_HEIGHT = 74.0
@@ -32,7 +37,7 @@ _LAST_ROW_GAP = 24.0
 _AXIS_HEADROOM = 1.15
 """End of the vertical axis over the largest value of the curves [1]."""
 _LETTER_WIDTH = 4.2
-"""Mean width of a letter of the legend."""
+"""Mean width of a letter of the legend [SVG units]."""
 _CURVE_POINTS = 160
 """Points of a curve that a small panel can show."""
 _DOTTED_POINTS = 30

@@ -418,7 +418,7 @@ def motion_samples(
         path: A `trajectory.json`, or a recording.
         robot: The robot.
         executed: Trajectory files, one of which was executed during the recording.
-        columns: Names of a CSV file's columns by ours (`t`, `q.<joint>`, …), where they differ.
+        columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in a CSV file.
 
     Returns:
         The samples, and the trajectory; None for a recording.

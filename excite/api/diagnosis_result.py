@@ -128,10 +128,10 @@ class DiagnosisResult:
 def withhold_findings(
     document: Mapping[str, Any], doubts: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """Return a diagnosis without findings at single joints, for a recording that is doubted.
+    """Return a diagnosis without findings at single joints, because a recording is in doubt.
 
-    While a column may not hold what it is taken for, a difference from the model says nothing about
-    a joint. The findings stay among those that were considered.
+    If a column may hold another quantity than assumed, a residual is no evidence about a joint. The
+    withheld findings are listed among those that were considered.
 
     Args:
         document: Content of `diagnosis.json`.
@@ -177,7 +177,7 @@ def diagnose(
             it.
         trajectory: The `trajectory.json` that was executed, or several: each recording takes
             period, window and commanded positions from the one that it holds.
-        columns: Names of a CSV file's columns by ours (`t`, `q.<joint>`, …), where they differ.
+        columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in a CSV file.
         with_report: Analyse the residual for the report, which takes a third of the time.
         progress: Called with each line of progress; None: the logger "excite" at level INFO.
 

@@ -67,8 +67,10 @@ class IdentificationResult:
 
     @cached_property
     def assumed_count(self) -> int:
-        """Number of directions that the recorded motions identify with the noise that a design
-        assumes, 1 % of the torque limits at 100 rows a second, as `identifiability` counts them."""
+        """Number of directions that are identifiable with the torque noise that a design assumes.
+
+        That noise is 1 % of the torque limits at REFERENCE_RATE, as in `excite identifiability`.
+        """
         model = self.identification.model
         noise = torque_noise_levels(self.limits, None)
         roots = [
@@ -222,7 +224,7 @@ def read_recording(
         window: Times between which the motion is periodic [s].
         trajectory: The `trajectory.json` that was executed, or several of which one was executed:
             period, window and commanded positions are taken from it.
-        columns: Names of a CSV file's columns by ours (`t`, `q.<joint>`, …), where they differ.
+        columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in a CSV file.
 
     Raises:
         UnusableInput: The file cannot be read, contains impossible values, or holds none of the
@@ -338,7 +340,7 @@ def identify(
         window: Times between which the motion is periodic [s].
         trajectory: The `trajectory.json` that was executed, or several: each recording takes
             period, window and commanded positions from the one that it holds.
-        columns: Names of a CSV file's columns by ours (`t`, `q.<joint>`, …), where they differ.
+        columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in a CSV file.
         options: Estimator, distance, band and further choices; single fields may be given by
             keyword, e.g. `band=20.0`.
         check_lmi: Compare the estimate with that of a conic solver.
@@ -391,7 +393,7 @@ def predict(
     Args:
         model: Path of a `model.json`.
         recording: Recording of the motion, or a designed `trajectory.csv`.
-        columns: Names of a CSV file's columns by ours (`t`, `q.<joint>`, …), where they differ.
+        columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in a CSV file.
 
     Raises:
         UnusableInput: A file cannot be used.

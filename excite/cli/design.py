@@ -96,7 +96,7 @@ def _box(frame: str, v: tuple[float, ...]) -> WorkspaceBox:
 
 
 def _noise(trajectory: Trajectory) -> str:
-    """The torque noise that the number of identifiable directions assumes."""
+    """Describe the torque noise that the number of identifiable directions assumes."""
     default = np.allclose(trajectory.noise, torque_noise_levels(trajectory.limits, None))
     return "1 % of the torque limits" if default else "as stated"
 

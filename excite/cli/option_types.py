@@ -147,7 +147,11 @@ class ColumnNames:
     prefixes: Sequence[str]
 
     def __call__(self, text: str) -> dict[str, str]:
-        """Names of columns by our names. Raises ArgumentTypeError, in words, for another text."""
+        """Return the names in the file by standard name.
+
+        Raises:
+            ArgumentTypeError: The text is not of this form.
+        """
         out: dict[str, str] = {}
         for part in text.split(","):
             name, separator, column = (word.strip() for word in part.partition("="))

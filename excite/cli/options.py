@@ -104,5 +104,5 @@ def of_joints(option: str, values: tuple[float, ...], machine: Robot) -> tuple[f
 
 
 def columns(arguments: argparse.Namespace) -> dict[str, str]:
-    """Names of a recording's columns by our names, as the options state them."""
+    """Return the column names of `--columns`: standard name -> name in the file."""
     return {name: column for stated in arguments.columns for name, column in stated.items()}

@@ -57,7 +57,7 @@ def read_blocks(
     Args:
         path: File with cells separated by commas, semicolons, tabs or blanks.
         robot: Robot whose joints are recorded.
-        columns: Names of columns in the file by our names (`t`, `q.<joint>`, …), where they differ.
+        columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in the file.
 
     Yields:
         Consecutive rows, CHUNK_SIZE bytes of text at a time.

@@ -68,7 +68,7 @@ def recognise(
         cells: Cells of its first line.
         first_row: Cells of its second line.
         robot: Robot whose joints are recorded.
-        columns: Names of columns in the file by our names, which go before any other rule.
+        columns: Standard names of columns -> names in the file; they precede all other rules.
 
     Raises:
         UnusableInput: A column of `columns` is not in the file, or two columns hold the same

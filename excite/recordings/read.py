@@ -53,8 +53,7 @@ def read(
             folder, an .mcap, .db3 or .bag. A sidecar `<name>.json` in the same folder is read, too.
         robot: Robot that it records.
         limits: Limits of the robot, by which wrong units are detected; None: those of the URDF.
-        columns: Names of columns of a CSV file by our names (`t`, `q.<joint>`, …), where they
-            differ.
+        columns: Standard names of columns (`t`, `q.<joint>`, …) -> differing names in a CSV file.
 
     Raises:
         UnusableInput: It cannot be read, assigned to the robot's joints or repaired.

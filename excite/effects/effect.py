@@ -59,6 +59,9 @@ class CandidateModel:
             to fine encoders.
         max_noise_ratio: Torque noise over torque above which columns made of measured torque are
             too noisy to be used.
+        nonnegative: Coefficients whose sign physics fixes to be ≥ 0; empty: none.
+        prior_std: Prior standard deviation of the coefficients; None: the friction level of the
+            joint.
         column_noise: RMS noise in columns · coefficients over the torque noise, of columns made of
             measured torque.
         signature: Description of the residual, if it differs from the effect's.
@@ -78,6 +81,8 @@ class CandidateModel:
     allows_several: bool = False
     threshold_factor: float = 1.0
     max_noise_ratio: float = np.inf
+    nonnegative: tuple[bool, ...] = ()
+    prior_std: float | None = None
     column_noise: Callable[[FloatArray], float] = lambda c: 0.0
     signature: str = ""
 

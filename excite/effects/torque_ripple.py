@@ -83,6 +83,19 @@ def _candidates(motions: Sequence[RecordedMotion]) -> Iterator[CandidateModel]:
                 used += [order, *(k * order for k in free)]
 
 
+def wave_model(joint: int, order: float) -> CandidateModel:
+    """Return the wave of one order [1/rad] at a joint."""
+    values = {"order": order}
+    return CandidateModel(
+        "torque_ripple",
+        joint,
+        _columns,
+        values,
+        parameters=lambda c: _strongest_wave(values, c),
+        allows_several=True,
+    )
+
+
 def _is_near(order: float, others: Sequence[float]) -> bool:
     """Check whether an order is the same as another, within `ORDER_TOLERANCE`."""
     return any(abs(order - other) <= ORDER_TOLERANCE * other for other in others)
